@@ -1,0 +1,1 @@
+"""Sensor colour to aperture colour and back."""

@@ -1,0 +1,110 @@
+"""From sensor colour to the colour space of the aperture (paper section 2.2, Eq. (1))."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from chromaperture.errors import InputError
+from chromaperture.optics.aperture import Aperture, centroids, design_named
+
+_MIN_FILTER_ANGLE_DEG = 15.0
+_MAX_CONDITION = 20.0
+
+
+def mixing_matrix(filter_colors: np.ndarray) -> np.ndarray:
+    """Build M, whose columns are the sensor's colours of white light through each filter.
+
+    For two filters the third column is the unit normal X of their plane, so that the first two rows of the inverse
+    are the least-squares unmixing and the third measures what the two filters cannot explain.
+
+    Parameters
+    ----------
+    filter_colors : (K, 3) float
+        R, G, B of white light through filter k; K is 2 or 3. The scale is free.
+
+    Returns
+    -------
+    (3, 3) float64
+
+    Raises
+    ------
+    InputError
+        The colours are not finite, or too alike to be told apart.
+    """
+    colors = np.asarray(filter_colors, float)
+    if colors.ndim != 2 or colors.shape[0] not in (2, 3) or colors.shape[1] != 3 or not np.isfinite(colors).all():
+        raise InputError("filter colours must be two or three finite R, G, B triples")
+    unit = colors / np.maximum(np.linalg.norm(colors, axis=1, keepdims=True), 1e-12)
+    angles = [np.degrees(np.arccos(np.clip(a @ b, -1, 1))) for i, a in enumerate(unit) for b in unit[:i]]
+    if min(angles) < _MIN_FILTER_ANGLE_DEG:
+        raise InputError(
+            f"two filters are only {min(angles):.1f} deg apart in colour; the views cannot be separated. Use "
+            "complementary film, or check that the filter colours were measured through the filters"
+        )
+    columns = list(colors)
+    if len(columns) == 2:
+        normal = np.cross(columns[0], columns[1])
+        columns.append(normal / np.linalg.norm(normal))
+    matrix = np.stack(columns, axis=1)
+    if np.linalg.cond(matrix) > _MAX_CONDITION:
+        raise InputError(f"filter colours are nearly dependent (condition {np.linalg.cond(matrix):.0f})")
+    return matrix
+
+
+def unmixing_rows(mixing: np.ndarray, view_count: int) -> np.ndarray:
+    """Give the rows of M^-1 that make the matched views; (view_count, 3) float64."""
+    return np.linalg.inv(mixing)[:view_count]
+
+
+def ideal_unmixing(aperture: Aperture) -> np.ndarray:
+    """Unmixing rows for the aperture's own film under white light; (K, 3) float64.
+
+    Raises
+    ------
+    InputError
+        The design has no parallax (a symmetric or an open pupil).
+    """
+    if not aperture.views:
+        raise InputError(
+            f"{aperture.title} shifts no channel against another, so it has no disparity to measure; "
+            "choose a design with two or three separated filters"
+        )
+    colors = np.array([aperture.filter_named(name).transmission for name in aperture.views])
+    return unmixing_rows(mixing_matrix(colors), len(aperture.views))
+
+
+def view_directions(aperture: Aperture) -> np.ndarray:
+    """Displacement of every view per px of disparity.
+
+    View k is the centre view displaced by ``d * u_k``, where ``u_k`` is the centroid of its (unmixed) pupil in units
+    of the mean centroid distance. Film leakage only scales d, which the calibrated baseline absorbs; the directions
+    are geometry.
+
+    Returns
+    -------
+    (K, 2) float64, (x, y)
+    """
+    # Geometry with the design's ideal film: leaks of real film scale all views alike.
+    rho = centroids(aperture, ideal_unmixing(aperture))
+    directions = rho / np.linalg.norm(rho, axis=1).mean()
+    # The grid is good to 4e-4; rounding beyond that keeps axis-aligned shifts exactly on the axis.
+    return np.round(directions, 3) + 0.0
+
+
+def unmix(image: np.ndarray, unmixing: np.ndarray) -> np.ndarray:
+    """Change the colour space from the sensor's to the aperture's: Eq. (1), w_CYX = M^-1 w_RGB.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float, linear RGB
+    unmixing : (K, 3) float
+        From `unmixing_rows`.
+
+    Returns
+    -------
+    (H, W, K) float32, contiguous; the views through the K filters.
+    """
+    return np.ascontiguousarray(np.asarray(image, np.float32) @ np.asarray(unmixing, np.float32).T)
+
+
+__all__ = ["design_named", "ideal_unmixing", "mixing_matrix", "unmix", "unmixing_rows", "view_directions"]

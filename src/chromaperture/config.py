@@ -1,0 +1,113 @@
+"""Every default of the method, one frozen dataclass a stage.
+
+A stage receives only its own section. ``MatcherConfig.preset`` gives the three qualities the command line offers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from chromaperture.errors import InputError
+
+Quality = Literal["paper", "real-time", "accurate"]
+
+
+@dataclass(frozen=True)
+class MatcherConfig:
+    """Disparity estimation (paper section 3.1). All disparities are half disparities in px, + is beyond focus.
+
+    Attributes
+    ----------
+    min_disparity_px, max_disparity_px : float
+        Ends of the search range. A winner at either end is reported as unknown, so leave a layer of margin.
+    step_px : float
+        Distance of two layers. Above 0.5 the parabola locks to the layers (bias 0.045 px at 1.0, 0.006 at 0.5).
+    presmooth_sigma_px : float
+        Gaussian before matching; makes the noise left by sub-pixel interpolation independent of its phase.
+    window_decay : float
+        ``a`` in the correlation window ``a**(|x| + |y|)``; .80 has the variance of a 21 px box.
+    bilateral_sigma_px : float
+        Reach of the recursive bilateral filter over the cost volume on an even guide; 0 switches it off.
+    bilateral_range : float
+        Guide difference, linear light relative to the guide's 99th percentile, at which the reach falls to 1/e a px.
+    texture_weighting : bool
+        Weight the cost by texture against noise, so that even areas listen to their textured neighbours.
+    noise_debiasing : bool
+        Subtract the known noise covariance of the unmixed channels, which otherwise digs a hole at disparity 0.
+    """
+
+    min_disparity_px: float = -8.0
+    max_disparity_px: float = 7.5
+    step_px: float = 0.5
+    presmooth_sigma_px: float = 0.7
+    window_decay: float = 0.80
+    bilateral_sigma_px: float = 14.0
+    bilateral_range: float = 0.06
+    texture_weighting: bool = True
+    noise_debiasing: bool = True
+
+    def __post_init__(self) -> None:
+        numbers = (self.min_disparity_px, self.max_disparity_px, self.step_px)
+        if not all(map(math.isfinite, numbers)) or self.step_px <= 0:
+            raise InputError("disparity range and step must be finite and the step positive, in px")
+        if self.max_disparity_px - self.min_disparity_px < 2 * self.step_px:
+            raise InputError(
+                f"the disparity range {self.min_disparity_px:g}..{self.max_disparity_px:g} px holds fewer than three "
+                f"layers of {self.step_px:g} px: widen it"
+            )
+        if not 0 < self.window_decay < 1:
+            raise InputError(f"window_decay must lie between 0 and 1, got {self.window_decay:g}")
+        if self.bilateral_sigma_px < 0 or self.bilateral_range <= 0 or self.presmooth_sigma_px < 0:
+            raise InputError("bilateral_sigma_px and presmooth_sigma_px must be >= 0 and bilateral_range > 0")
+
+    @property
+    def layers_px(self) -> np.ndarray:
+        """(D,) float64, px: the disparities that are tried."""
+        count = math.floor((self.max_disparity_px - self.min_disparity_px) / self.step_px + 1e-6) + 1
+        return self.min_disparity_px + self.step_px * np.arange(count)
+
+    @classmethod
+    def preset(cls, quality: Quality) -> MatcherConfig:
+        """Give the settings behind ``--quality``.
+
+        ``paper`` is the published method as it is; ``real-time`` adds what costs nothing; ``accurate`` halves the
+        layer step and looks further.
+        """
+        if quality == "paper":
+            return cls(texture_weighting=False, noise_debiasing=False)
+        if quality == "real-time":
+            return cls()
+        if quality == "accurate":
+            return cls(step_px=0.25, window_decay=0.85, bilateral_sigma_px=20.0)
+        raise InputError(f"unknown quality {quality!r}: choose paper, real-time or accurate")
+
+    def with_range(self, min_disparity_px: float, max_disparity_px: float) -> MatcherConfig:
+        """Same settings over another search range, widened to whole layers."""
+        low = self.step_px * math.floor(min_disparity_px / self.step_px)
+        high = self.step_px * math.ceil(max_disparity_px / self.step_px)
+        return replace(self, min_disparity_px=low, max_disparity_px=high)
+
+
+@dataclass(frozen=True)
+class DepthConfig:
+    """Disparity to depth (paper sections 3.2 to 3.4).
+
+    Attributes
+    ----------
+    max_depth_mm : float
+        Depths beyond are reported as unknown: next to the disparity at infinity the error bar exceeds the depth.
+    """
+
+    max_depth_mm: float = 50_000.0
+
+
+@dataclass(frozen=True)
+class Config:
+    """All stages together, as ``CodedApertureCamera`` takes it and ``STEM.json`` records it."""
+
+    matcher: MatcherConfig = field(default_factory=MatcherConfig)
+    depth: DepthConfig = field(default_factory=DepthConfig)

@@ -1,0 +1,46 @@
+"""From the shape of the score's peak to an error bar and a confidence (``docs/equations.md``, uncertainty)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from chromaperture.config import MatcherConfig
+from chromaperture.disparity.subpixel import Winner
+
+CONFIDENCE_SCALE_PX = 0.25
+MAX_SIGMA_PX = 4.0
+
+
+def disparity_sigma(winner: Winner, config: MatcherConfig, view_count: int) -> np.ndarray:
+    """Standard deviation of the disparity, px; NaN where the disparity is unknown.
+
+    Gaussian signals of correlation determinant D have the log-likelihood -(N/2) ln D, so the variance is
+    ``2 / (N (ln D)'')``: for two views ``(1 - rho^2) / (N rho kappa)``, for three ``2 (1 - S) / (N kappa)``.
+    """
+    samples = effective_samples(config.window_decay) / noise_correlation_factor(config.presmooth_sigma_px)
+    peak = np.clip(winner.peak, 1e-3, 1 - 1e-6)
+    curvature = np.maximum(winner.curvature, 1e-9)
+    if view_count == 2:
+        variance = (1 - peak**2) / (samples * peak * curvature)
+    else:
+        variance = 2 * (1 - peak) / (samples * curvature)
+    sigma = np.minimum(np.sqrt(variance), MAX_SIGMA_PX)
+    return np.where(np.isfinite(winner.disparity_px), sigma, np.nan).astype(np.float32)
+
+
+def effective_samples(decay: float) -> float:
+    """Independent samples in the exponential window, both axes together."""
+    return ((1 + decay) ** 3 / ((1 - decay) * (1 + decay**2))) ** 2
+
+
+def noise_correlation_factor(presmooth_sigma_px: float) -> float:
+    """How many px share one independent noise sample after the pre-smoothing."""
+    return max(1.0, 0.8 * 4 * math.pi * presmooth_sigma_px**2 * 0.57)
+
+
+def confidence(sigma_px: np.ndarray, peak: np.ndarray) -> np.ndarray:
+    """Confidence in [0, 1]: 1 for a sharp, high peak; 0 where unknown; (H, W) float32."""
+    value = np.exp(-sigma_px / CONFIDENCE_SCALE_PX) * np.clip(peak, 0, 1)
+    return np.nan_to_num(value, nan=0.0).astype(np.float32)

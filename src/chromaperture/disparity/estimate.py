@@ -1,0 +1,112 @@
+"""The matcher's public function: it checks, prepares, picks an implementation and adds the error bar."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from chromaperture.color.noise import estimate_noise_variance
+from chromaperture.color.unmixing import ideal_unmixing, view_directions
+from chromaperture.config import MatcherConfig
+from chromaperture.disparity import reference
+from chromaperture.disparity.confidence import confidence, disparity_sigma
+from chromaperture.disparity.inputs import guide_weights, prepare
+from chromaperture.errors import InputError
+from chromaperture.optics.aperture import Aperture, design_named
+
+Backend = Literal["numba", "reference"]
+
+
+@dataclass(frozen=True)
+class Disparity:
+    """Disparity of every pixel, anchored in the view of the pupil's centre.
+
+    Attributes
+    ----------
+    value_px : (H, W) float32
+        Half disparity, px; 0 in focus, + beyond the focus surface, NaN unknown.
+    sigma_px : (H, W) float32
+        One standard deviation, px; NaN unknown.
+    confidence : (H, W) float32
+        In [0, 1]; 0 where unknown.
+    """
+
+    value_px: np.ndarray
+    sigma_px: np.ndarray
+    confidence: np.ndarray
+
+    def full_disparity_px(self) -> np.ndarray:
+        """Displacement between two opposed sub-apertures, 2 d: what a stereo pair would call disparity; (H, W)."""
+        return 2 * self.value_px
+
+
+def estimate_disparity(
+    image: np.ndarray,
+    *,
+    aperture: Aperture | str,
+    unmixing: np.ndarray | None = None,
+    config: MatcherConfig | None = None,
+    noise_variance: np.ndarray | None = None,
+    backend: Backend = "numba",
+) -> Disparity:
+    """Estimate the disparity of every pixel of one photograph.
+
+    Parameters
+    ----------
+    image : (H, W, 3) array, linear RGB, 1.0 = white level
+    aperture : Aperture or str
+        The aperture in the pupil, or the name of a design such as ``"cy_halves"``.
+    unmixing : (K, 3) float, optional
+        Rows of M^-1, Eq. (1). Ideal film when absent.
+    config : MatcherConfig, optional
+    noise_variance : (H, W, 3) float, optional
+        Noise variance of the image; estimated from the image when absent.
+    backend : {"numba", "reference"}
+
+    Returns
+    -------
+    Disparity
+
+    Raises
+    ------
+    InputError
+        Wrong shape, nothing to match, or an aperture without parallax.
+    """
+    config = config or MatcherConfig()
+    aperture = design_named(aperture) if isinstance(aperture, str) else aperture
+    image = checked_image(image)
+    rows = ideal_unmixing(aperture) if unmixing is None else np.asarray(unmixing, float)
+    if rows.shape != (len(aperture.views), 3):
+        raise InputError(f"unmixing must have shape ({len(aperture.views)}, 3) for {aperture.name}, got {rows.shape}")
+    inputs = prepare(
+        image,
+        directions=view_directions(aperture),
+        unmixing=rows,
+        guide_rgb=guide_weights(aperture),
+        noise_variance=estimate_noise_variance(image) if noise_variance is None else noise_variance,
+        config=config,
+    )
+    if backend == "reference":
+        winner = reference.match(inputs, config)
+    else:
+        from chromaperture.disparity import kernels  # compiling starts here, not at import
+
+        winner = kernels.match(inputs, config)
+    sigma = disparity_sigma(winner, config, len(rows))
+    return Disparity(winner.disparity_px, sigma, confidence(sigma, winner.peak))
+
+
+def checked_image(image: np.ndarray) -> np.ndarray:
+    """Check that an array can be an image and give it as contiguous float32; raises InputError."""
+    image = np.asarray(image)
+    if image.ndim != 3 or image.shape[2] != 3:
+        raise InputError(f"expected an RGB image of shape (height, width, 3), got {image.shape}")
+    if not np.issubdtype(image.dtype, np.floating):
+        raise InputError(
+            f"expected linear float values in [0, 1], got {image.dtype}; read files with chromaperture.read_image"
+        )
+    if min(image.shape[:2]) < 8:
+        raise InputError(f"image of {image.shape[1]}x{image.shape[0]} px is smaller than the matching window")
+    return np.ascontiguousarray(image, dtype=np.float32)

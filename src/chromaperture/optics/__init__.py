@@ -1,0 +1,1 @@
+"""Light before the sensor: apertures, lenses, point-spread functions, renderers."""
