@@ -1,0 +1,1 @@
+"""From disparity to millimetres: conversion, calibration fits, chessboards, point clouds."""
