@@ -20,18 +20,19 @@ from chromaperture.depth.chessboard import (
     MIN_VIEWS,
     Intrinsics,
     board_distance,
+    centered_pinhole,
     find_corners,
     fit_intrinsics,
 )
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.depth.fit import DepthFit, fit_depth_model
+from chromaperture.depth.fit import DepthFit, RulerFit, fit_depth_model, fit_ruler
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import Aperture, centroids, design_named
+from chromaperture.optics.aperture import Aperture, centroids, channel_transmission, design_named
 from chromaperture.session import Session, read_session
 
 _MIDDLE = 1 / 3  # share of the width and height that is fitted; the field curves outside
-_MIN_SIGMA_PX = 0.01
+_MIN_SIGMA_PX = 0.05  # two halves blur as mirror images, not as shifted copies: a shift reads that much wrong
 _RANGE_MARGIN = (0.9, 1.3)  # the working range reaches a little beyond the boards
 
 Progress = Callable[[str, int, int], None]
@@ -96,14 +97,14 @@ def calibrate_session(
         boards.append(_measure_board(session, draft, config, path, ruler_mm, corners.get(path), intrinsics))
     progress("board disparity", len(boards), len(boards))
 
-    prior_mm, prior_sigma_mm = _pupil_prior(session, boards, guess, notes)
+    pupil, intrinsics = _measure_pupil(session, boards, guess, intrinsics, notes)
     fit = fit_depth_model(
         np.array([b.ruler_mm for b in boards]),
         np.array([b.disparity_px for b in boards]),
         disparity_sigma_px=np.array([b.sigma_px for b in boards]),
         distance_sigma_mm=max(session.ruler_error_mm / 2, 0.1),  # "errs by up to": two standard deviations
-        sensor_to_pupil_mm=prior_mm,
-        sensor_to_pupil_sigma_mm=prior_sigma_mm,
+        sensor_to_pupil_mm=pupil.sensor_to_pupil_mm,
+        sensor_to_pupil_sigma_mm=pupil.sigma_mm,
     )
     provenance = {
         "command": f"chromaperture calibrate {session.folder.name}",
@@ -140,14 +141,8 @@ def _measure_film(session: Session, aperture: Aperture, notes: list[str]) -> Fil
     if white is None:
         notes.append("no white sheet through the aperture: the colour balance is computed from the film")
         film = aperture.with_film({n: c / clear for n, c in colors.items()})
-        white = _mean_transmission(film) * clear
+        white = np.maximum(channel_transmission(film), 1e-3) * clear
     return Film(colors, clear, white)
-
-
-def _mean_transmission(aperture: Aperture) -> np.ndarray:
-    from chromaperture.optics.aperture import channel_transmission
-
-    return np.maximum(channel_transmission(aperture), 1e-3)
 
 
 def _measure_intrinsics(
@@ -167,8 +162,7 @@ def _measure_intrinsics(
         notes.append(f"{len(tilted)} tilted boards with corners: intrinsics are nominal, points may be off by a few %")
         return None, corners
     size = (session.sensor.width_px, session.sensor.height_px)
-    square = [corners[p] for p in session.boards if p in corners]
-    return fit_intrinsics(tilted + square, size, session.inner_corners, session.square_mm), corners
+    return fit_intrinsics(tilted, size, session.inner_corners, session.square_mm), corners
 
 
 def _nominal_depth_model(session: Session, aperture: Aperture) -> DepthModel:
@@ -191,9 +185,7 @@ def _assemble(
     if intrinsics is None:
         nominal = _nominal_depth_model(session, design_named(session.design))
         focal_px = float(nominal.sensor_to_pupil_mm) / sensor.pixel_pitch_mm
-        matrix = np.array(
-            [[focal_px, 0, (sensor.width_px - 1) / 2], [0, focal_px, (sensor.height_px - 1) / 2], [0, 0, 1.0]]
-        )
+        matrix = centered_pinhole(focal_px, (sensor.width_px, sensor.height_px))
         intrinsics = Intrinsics(matrix, np.zeros(5), 0.0)
     image_distance = float(intrinsics.camera_matrix[0, 0]) * sensor.pixel_pitch_mm
     z_f = float(np.median(depth.scale_px_mm)) / float(np.median(depth.infinity_disparity_px))
@@ -250,20 +242,19 @@ def _measure_board(
     return BoardMeasurement(path.name, ruler_mm, median, error, pose)
 
 
-def _pupil_prior(
-    session: Session, boards: list[BoardMeasurement], guess: DepthModel, notes: list[str]
-) -> tuple[float, float]:
-    """Prior of delta: ruler minus pose, extrapolated to a board at the lens; else the image distance, roughly."""
-    seen = [(b.pose_mm, b.ruler_mm) for b in boards if b.pose_mm is not None]
-    if len(seen) >= MIN_VIEWS:
-        pose, ruler = np.array(seen).T
-        # A focal length in error scales all poses; the near boards, where that matters least, carry delta.
-        error = np.hypot(session.ruler_error_mm / 2, 0.002 * pose)
-        weights = 1 / error**2
-        difference = ruler - pose
-        delta = float(np.sum(weights * difference) / weights.sum())
-        inlier = np.abs(difference - delta) < 4 * error
-        delta = float(np.sum((weights * difference)[inlier]) / weights[inlier].sum())
-        return delta, float(max(1.0, 1 / np.sqrt(weights[inlier].sum())))
-    notes.append("no board poses: the distance from sensor to pupil is the lens's image distance to about 10 mm")
-    return float(guess.sensor_to_pupil_mm), 10.0
+def _measure_pupil(
+    session: Session,
+    boards: list[BoardMeasurement],
+    guess: DepthModel,
+    intrinsics: Intrinsics | None,
+    notes: list[str],
+) -> tuple[RulerFit, Intrinsics | None]:
+    """Distance from sensor to pupil from ruler and poses, which also corrects the focal length in px."""
+    seen = np.array([(b.ruler_mm, b.pose_mm) for b in boards if b.pose_mm is not None])
+    if intrinsics is None or len(seen) < MIN_VIEWS:
+        notes.append("no board poses: the distance from sensor to pupil is the lens's image distance to about 10 mm")
+        return RulerFit(1.0, float(guess.sensor_to_pupil_mm), 10.0), intrinsics
+    ruler = fit_ruler(seen[:, 0], seen[:, 1], ruler_sigma_mm=session.ruler_error_mm / 2)
+    matrix = intrinsics.camera_matrix.copy()
+    matrix[:2, :2] *= ruler.scale
+    return ruler, Intrinsics(matrix, intrinsics.distortion, intrinsics.rms_px)

@@ -17,6 +17,7 @@ import asdf
 import numpy as np
 
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
+from chromaperture.depth.chessboard import centered_pinhole
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
@@ -178,7 +179,7 @@ class Calibration:
         aperture = design_named(design)
         colors = {name: np.array(aperture.filter_named(name).transmission) for name in aperture.views}
         focal_px = 1.2 * max(width_px, height_px)  # a normal lens; only a label here, no point cloud is made
-        matrix = np.array([[focal_px, 0, (width_px - 1) / 2], [0, focal_px, (height_px - 1) / 2], [0, 0, 1.0]])
+        matrix = centered_pinhole(focal_px, (width_px, height_px))
         return cls(
             design=design,
             sensor=Sensor(width_px, height_px, pixel_pitch_mm=36.0 / width_px),

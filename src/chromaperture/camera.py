@@ -13,9 +13,9 @@ from chromaperture.calibration import Calibration
 from chromaperture.capture.checks import check_capture
 from chromaperture.color.alignment import align_channels, channel_directions, white_balance
 from chromaperture.color.noise import estimate_noise_variance, photon_noise_variance
-from chromaperture.config import Config, MatcherConfig, Quality
+from chromaperture.config import Config, DepthConfig, MatcherConfig, Quality
 from chromaperture.depth.conversion import disparity_to_depth
-from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.disparity.estimate import Disparity, estimate_disparity
 
 StageTimer = Callable[[str], AbstractContextManager[None]]
 
@@ -94,18 +94,28 @@ class CodedApertureCamera:
                 config=self.config.matcher,
             )
         with stage("depth"):  # Eq. (10)
-            depth_mm, sigma_mm = disparity_to_depth(
-                disparity.value_px,
-                cal.depth,
-                sigma_px=disparity.sigma_px,
-                max_depth_mm=self.config.depth.max_depth_mm,
-            )
+            depth_mm, sigma_mm = millimetres(disparity, cal, self.config.depth)
         with stage("color"):  # section 5.1
             shifts = channel_directions(cal.aperture, cal.film.transmissions())
             color = white_balance(align_channels(image, disparity.value_px, shifts), cal.film.aperture)
         return DepthFrame(
             depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color
         )
+
+
+def millimetres(
+    disparity: Disparity, calibration: Calibration, config: DepthConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Depth and its standard deviation in mm; all NaN for a camera that was never calibrated; two (H, W) float32."""
+    if calibration.depth is None:
+        unknown = np.full(disparity.value_px.shape, np.nan, np.float32)
+        return unknown, unknown.copy()
+    return disparity_to_depth(
+        disparity.value_px,
+        calibration.depth,
+        sigma_px=disparity.sigma_px,
+        max_depth_mm=config.max_depth_mm,
+    )
 
 
 def sensor_noise(image: np.ndarray, calibration: Calibration) -> np.ndarray:
