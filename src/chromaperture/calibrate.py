@@ -60,7 +60,10 @@ class CalibrationResult:
 
 
 def calibrate_session(
-    folder: str | Path, *, progress: Progress = lambda what, done, total: None
+    folder: str | Path,
+    *,
+    lens_from: Calibration | None = None,
+    progress: Progress = lambda what, done, total: None,
 ) -> CalibrationResult:
     """Calibrate the camera of a session folder.
 
@@ -68,6 +71,8 @@ def calibrate_session(
     ----------
     folder : str or Path
         Laid out as ``docs/calibration-session.md`` shows.
+    lens_from : Calibration, optional
+        The same lens at the same focus, for a session without tilted boards of its own.
     progress : callable, optional
         Called with what is being done, how many are done, and of how many.
 
@@ -85,7 +90,7 @@ def calibrate_session(
     ideal_unmixing(aperture)  # refuses designs without parallax before any work is done
     notes: list[str] = []
     film = _measure_film(session, aperture, notes)
-    intrinsics, corners = _measure_intrinsics(session, notes, progress)
+    intrinsics, corners = _measure_intrinsics(session, lens_from, notes, progress)
     guess = _nominal_depth_model(session, aperture)
     draft = _assemble(session, film, intrinsics, guess, {})
 
@@ -146,7 +151,7 @@ def _measure_film(session: Session, aperture: Aperture, notes: list[str]) -> Fil
 
 
 def _measure_intrinsics(
-    session: Session, notes: list[str], progress: Progress
+    session: Session, lens_from: Calibration | None, notes: list[str], progress: Progress
 ) -> tuple[Intrinsics | None, dict[Path, np.ndarray]]:
     """Pinhole from the tilted boards; corners of every board that has them."""
     paths = [*session.tilts, *session.boards]
@@ -157,6 +162,8 @@ def _measure_intrinsics(
         if found is not None:
             corners[path] = found
     progress("chessboards", len(paths), len(paths))
+    if lens_from is not None:
+        return Intrinsics(lens_from.lens.camera_matrix, lens_from.lens.distortion, 0.0), corners
     tilted = [corners[p] for p in session.tilts if p in corners]
     if len(tilted) < MIN_VIEWS:
         notes.append(f"{len(tilted)} tilted boards with corners: intrinsics are nominal, points may be off by a few %")

@@ -302,8 +302,10 @@ def _from_tree(tree: Mapping[str, Any]) -> Calibration:
             _finite(film["aperture"], (3,)),
         ),
         depth=DepthModel(
-            *(_map(depth[n], shape) for n in ("infinity_disparity_px", "scale_px_mm", "sensor_to_pupil_mm")),
-            covariance=_finite(depth["covariance"], (3, 3)),
+            _map(depth["infinity_disparity_px"], shape),
+            _map(depth["scale_px_mm"], shape),
+            _map(depth["sensor_to_pupil_mm"], shape),
+            _finite(depth["covariance"], (3, 3)),
         ),
         near_mm=float(tree["working_range"]["near_mm"]),
         far_mm=float(tree["working_range"]["far_mm"]),

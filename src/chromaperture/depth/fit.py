@@ -126,7 +126,7 @@ def fit_depth_model(
     scale = np.maximum(np.abs(start), 1e-3)
     fit = least_squares(residuals, start, x_scale=scale, loss="huber", f_scale=_HUBER)
     covariance = np.linalg.inv(fit.jac.T @ fit.jac)
-    model = DepthModel(*(float(p) for p in fit.x), covariance=covariance)
+    model = DepthModel(float(fit.x[0]), float(fit.x[1]), float(fit.x[2]), covariance)
     residual_mm = disparity_to_depth(disparity, model)[0].astype(float) - distance
     residual_px = disparity - depth_to_disparity(distance, model)
     return DepthFit(model, residual_mm, residual_px, float(np.sqrt(np.mean(residual_mm**2))))
