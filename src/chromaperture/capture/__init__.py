@@ -1,0 +1,1 @@
+"""From photons to linear arrays: files, raw images, video, cameras."""
