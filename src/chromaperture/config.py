@@ -86,7 +86,7 @@ class MatcherConfig:
         raise InputError(f"unknown quality {quality!r}: choose paper, real-time or accurate")
 
     def with_range(self, min_disparity_px: float, max_disparity_px: float) -> MatcherConfig:
-        """Same settings over another search range, widened to whole layers."""
+        """Give the same settings over another search range, widened to whole layers."""
         low = self.step_px * math.floor(min_disparity_px / self.step_px)
         high = self.step_px * math.ceil(max_disparity_px / self.step_px)
         return replace(self, min_disparity_px=low, max_disparity_px=high)

@@ -22,7 +22,7 @@ class DepthFit:
     model : DepthModel
         A, B, delta and their covariance.
     residual_mm : (N,) float64, mm
-        Measured minus true distance of every board.
+        Measured minus true distance of every board; NaN where nothing was measured.
     residual_px : (N,) float64, px
     rms_mm : float
     """
@@ -99,9 +99,10 @@ def fit_depth_model(
     InputError
         Too few boards, or boards that do not fix the curve.
     """
-    distance, disparity = np.asarray(distance_mm, float), np.asarray(disparity_px, float)
-    good = np.isfinite(distance) & np.isfinite(disparity) & np.isfinite(disparity_sigma_px)
-    distance, disparity, sigma = distance[good], disparity[good], np.asarray(disparity_sigma_px, float)[good]
+    all_distances, all_disparities = np.asarray(distance_mm, float), np.asarray(disparity_px, float)
+    sigma = np.asarray(disparity_sigma_px, float)
+    good = np.isfinite(all_distances) & np.isfinite(all_disparities) & np.isfinite(sigma)
+    distance, disparity, sigma = all_distances[good], all_disparities[good], sigma[good]
     if len(distance) < 3 or np.ptp(1 / distance) * distance.min() < 0.05:
         raise InputError(
             f"{len(distance)} usable boards do not fix the depth curve: photograph the board at three or more "
@@ -127,6 +128,6 @@ def fit_depth_model(
     fit = least_squares(residuals, start, x_scale=scale, loss="huber", f_scale=_HUBER)
     covariance = np.linalg.inv(fit.jac.T @ fit.jac)
     model = DepthModel(float(fit.x[0]), float(fit.x[1]), float(fit.x[2]), covariance)
-    residual_mm = disparity_to_depth(disparity, model)[0].astype(float) - distance
-    residual_px = disparity - depth_to_disparity(distance, model)
-    return DepthFit(model, residual_mm, residual_px, float(np.sqrt(np.mean(residual_mm**2))))
+    residual_mm = disparity_to_depth(all_disparities, model)[0].astype(float) - all_distances
+    residual_px = all_disparities - depth_to_disparity(all_distances, model)
+    return DepthFit(model, residual_mm, residual_px, float(np.sqrt(np.nanmean(residual_mm**2))))

@@ -14,7 +14,7 @@ MAX_SIGMA_PX = 4.0
 
 
 def disparity_sigma(winner: Winner, config: MatcherConfig, view_count: int) -> np.ndarray:
-    """Standard deviation of the disparity, px; NaN where the disparity is unknown.
+    """Give the standard deviation of the disparity, px; NaN where the disparity is unknown.
 
     Gaussian signals of correlation determinant D have the log-likelihood -(N/2) ln D, so the variance is
     ``2 / (N (ln D)'')``: for two views ``(1 - rho^2) / (N rho kappa)``, for three ``2 (1 - S) / (N kappa)``.
