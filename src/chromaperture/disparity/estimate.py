@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from chromaperture.color.noise import estimate_noise_variance
-from chromaperture.color.unmixing import ideal_unmixing, view_directions
+from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions
 from chromaperture.config import MatcherConfig
 from chromaperture.disparity import reference
 from chromaperture.disparity.confidence import confidence, disparity_sigma
@@ -80,6 +80,8 @@ def estimate_disparity(
     rows = ideal_unmixing(aperture) if unmixing is None else np.asarray(unmixing, float)
     if rows.shape != (len(aperture.views), 3):
         raise InputError(f"unmixing must have shape ({len(aperture.views)}, 3) for {aperture.name}, got {rows.shape}")
+    if config.views == "pure" and (channels := pure_channels(aperture)) is not None:
+        rows = channels
     inputs = prepare(
         image,
         directions=view_directions(aperture),
