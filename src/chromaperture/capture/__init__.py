@@ -1,1 +1,1 @@
-"""From photons to linear arrays: files, raw images, video, cameras."""
+"""Photons to linear arrays."""

@@ -1,1 +1,1 @@
-"""From disparity to millimetres: conversion, calibration fits, chessboards, point clouds."""
+"""Disparity to millimetres: conversion, fit, boards, point cloud (paper sections 3.2 to 3.4)."""

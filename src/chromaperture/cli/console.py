@@ -1,0 +1,94 @@
+"""What all subcommands print with: results on standard output, progress and complaints on standard error."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TextIO
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from chromaperture.errors import CaptureWarning
+from chromaperture.pipeline import Report
+
+out = Console()
+err = Console(stderr=True)
+
+
+def say_error(error: BaseException | str) -> None:
+    """Print one line on standard error."""
+    print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+
+
+def show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Print our own warnings as one line; others as Python does."""
+    if issubclass(category, CaptureWarning):
+        print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+    else:
+        print(warnings.formatwarning(message, category, filename, lineno, line), file=sys.stderr)
+
+
+@contextlib.contextmanager
+def progress(*, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar on standard error; yields ``update(what, done, total)``."""
+    if quiet:
+        yield lambda what, done, total: None
+        return
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=err, transient=True) as bar:
+        task = bar.add_task("", total=None)
+
+        def update(what: str, done: int, total: int) -> None:
+            bar.update(task, description=what, completed=done, total=total)
+
+        yield update
+
+
+def report_table(reports: list[Report]) -> Table:
+    """Give the summary of measured images: fill rate, depth percentiles, time per stage."""
+    calibrated = any(r.summary["depth_percentiles_mm"] for r in reports)
+    unit, key = ("mm", "depth_percentiles_mm") if calibrated else ("px", "disparity_percentiles_px")
+    table = Table(title="Depth from the sensor plane" if calibrated else "Disparity (no calibration: no millimetres)")
+    for name in ("image", "fill rate", f"5 % [{unit}]", f"median [{unit}]", f"95 % [{unit}]", "median error bar"):
+        table.add_column(name, justify="left" if name == "image" else "right")
+    for stage in reports[0].summary["seconds"]:
+        table.add_column(f"{stage} \\[s]", justify="right", style="dim")
+    digits = 0 if calibrated else 2
+    for report in reports:
+        values = report.summary[key] or {}
+        sigma = report.summary["sigma_median_mm"]
+        cells = [escape(report.summary["image"]), f"{report.summary['fill_rate']:.1%}"]
+        cells += [f"{values[p]:.{digits}f}" if p in values else "-" for p in ("5", "50", "95")]
+        cells.append("-" if sigma is None else f"±{sigma:.0f} mm")
+        cells += [f"{s:.2f}" for s in report.summary["seconds"].values()]
+        table.add_row(*cells)
+    return table
+
+
+def print_files(files: list[Path]) -> None:
+    """Say what was written, a folder a line."""
+    folders: dict[Path, list[str]] = {}
+    for file in files:
+        folders.setdefault(file.parent, []).append(file.name)
+    for folder, names in folders.items():
+        out.print(f"Wrote to [bold]{escape(str(folder))}[/]: {escape(', '.join(names))}", soft_wrap=True)
+
+
+def print_json(value: Any) -> None:
+    """Print JSON on standard output."""
+    from chromaperture.outputs import to_json
+
+    print(to_json(value))
