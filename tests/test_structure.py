@@ -17,20 +17,28 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
+# The bundle, the method, and what reads and writes files around them.
+CAMERA = {"calibration", "camera", "calibrate", "session", "pipeline", "outputs", "preview", "samples"}
 LEAVES = {"effects", "reconstruction", "evaluation", "viewer"}
-BELOW_LEAVES = {"optics", "camera", "calibration"} | STAGES
+BELOW_LEAVES = {"optics"} | STAGES | CAMERA
 # What a part of the package may import, besides itself and COMMON.
 COMMON = {"errors", "config"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "config": set(),
     "optics": set(),  # the forward model shares no code with the estimator that it tests
-    "capture": {"optics"},
     "color": {"optics"},
+    "capture": {"optics", "color"},
     "disparity": {"optics", "color"},
     "depth": {"optics", "color", "disparity"},
-    "calibration": {"optics"} | STAGES,
+    "outputs": {"color"},
+    "calibration": {"optics", "outputs"} | STAGES,
     "camera": {"optics", "calibration"} | STAGES,
+    "session": {"optics", "capture", "calibration"},
+    "calibrate": {"optics", "calibration", "camera", "session"} | STAGES,
+    "preview": {"optics", "camera"} | STAGES,
+    "samples": set(),
+    "pipeline": {"optics", "calibration", "camera", "outputs", "preview"} | STAGES,
     **{leaf: BELOW_LEAVES for leaf in LEAVES},
     "cli": BELOW_LEAVES | LEAVES | {"__init__"},
     "__main__": {"cli"},
@@ -40,7 +48,7 @@ ALLOWED: dict[str, set[str]] = {
 FORBIDDEN_MODULES = {"depth": ("disparity.kernels", "disparity.reference")}
 OPTIONAL = {"open3d", "viser", "rawpy", "gi", "gphoto2", "dask", "mcap", "imageio"}
 # Import name of a distribution, where the two differ.
-IMPORT_NAMES = {"opencv-python-headless": "cv2"}
+IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
 
 
 def imported(nodes: Iterator[ast.AST], package: tuple[str, ...]) -> Iterator[str]:

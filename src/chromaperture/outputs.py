@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import tifffile
 
-from chromaperture.capture.files import linear_to_srgb
+from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.errors import InputError
 
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from chromaperture.camera import DepthFrame
-from chromaperture.capture.files import linear_to_srgb
+from chromaperture.color.srgb import linear_to_srgb
 
 _DARK, _LIGHT, _UNKNOWN = "#14161a", "#e8e6e3", "#3a3d44"
 

@@ -15,6 +15,7 @@ import numpy as np
 import tifffile
 from PIL import Image, JpegImagePlugin, UnidentifiedImageError
 
+from chromaperture.color.srgb import srgb_to_linear
 from chromaperture.errors import CaptureWarning, InputError
 
 _RAW_SUFFIXES = {".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2"}
@@ -74,20 +75,6 @@ def read_image(
 def bit_depth(path: str | Path) -> int:
     """Bits per sample of an image file, 8, 16 or 32; camera levels only make sense for files of the camera's depth."""
     return _decode(Path(path)).dtype.itemsize * 8
-
-
-def srgb_to_linear(encoded: np.ndarray) -> np.ndarray:
-    """Decode the sRGB curve (IEC 61966-2-1); float32 in [0, 1]."""
-    encoded = np.asarray(encoded, np.float32)
-    return np.where(
-        encoded <= 0.04045, encoded / 12.92, ((np.maximum(encoded, 0.0) + 0.055) / 1.055) ** 2.4
-    ).astype(np.float32)
-
-
-def linear_to_srgb(linear: np.ndarray) -> np.ndarray:
-    """Encode linear light with the sRGB curve, clipped; float32 in [0, 1]."""
-    light = np.clip(np.nan_to_num(np.asarray(linear, np.float32)), 0, 1)
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055).astype(np.float32)
 
 
 def _decode(path: Path) -> np.ndarray:

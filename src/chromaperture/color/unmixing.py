@@ -34,21 +34,27 @@ def mixing_matrix(filter_colors: np.ndarray) -> np.ndarray:
     colors = np.asarray(filter_colors, float)
     if colors.ndim != 2 or colors.shape[0] not in (2, 3) or colors.shape[1] != 3 or not np.isfinite(colors).all():
         raise InputError("filter colours must be two or three finite R, G, B triples")
-    unit = colors / np.maximum(np.linalg.norm(colors, axis=1, keepdims=True), 1e-12)
+    norms = np.linalg.norm(colors, axis=1, keepdims=True)
+    if norms.min() <= 0:
+        raise InputError("a filter colour is black: measure it with the filter lit, black level subtracted once")
+    unit = colors / norms
     angles = [np.degrees(np.arccos(np.clip(a @ b, -1, 1))) for i, a in enumerate(unit) for b in unit[:i]]
     if min(angles) < _MIN_FILTER_ANGLE_DEG:
         raise InputError(
             f"two filters are only {min(angles):.1f} deg apart in colour; the views cannot be separated. Use "
             "complementary film, or check that the filter colours were measured through the filters"
         )
+    condition = np.linalg.cond(unit)  # of directions: the filters' brightness is no dependence
+    if condition > _MAX_CONDITION:
+        raise InputError(
+            f"filter colours are nearly dependent (condition {condition:.0f}): the third view cannot be told from "
+            "the other two; use film of three distinct colours"
+        )
     columns = list(colors)
     if len(columns) == 2:
-        normal = np.cross(columns[0], columns[1])
+        normal = np.cross(unit[0], unit[1])
         columns.append(normal / np.linalg.norm(normal))
-    matrix = np.stack(columns, axis=1)
-    if np.linalg.cond(matrix) > _MAX_CONDITION:
-        raise InputError(f"filter colours are nearly dependent (condition {np.linalg.cond(matrix):.0f})")
-    return matrix
+    return np.stack(columns, axis=1)
 
 
 def unmixing_rows(mixing: np.ndarray, view_count: int) -> np.ndarray:

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from chromaperture.capture.files import linear_to_srgb
+from chromaperture.color.srgb import linear_to_srgb
 
 
 @dataclass(frozen=True)
