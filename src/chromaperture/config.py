@@ -116,5 +116,6 @@ class DepthConfig:
 class Config:
     """All stages together, as ``CodedApertureCamera`` takes it and ``STEM.json`` records it."""
 
+    quality: Quality = "real-time"  # whose depth curve in the camera file belongs to the matcher's settings
     matcher: MatcherConfig = field(default_factory=MatcherConfig)
     depth: DepthConfig = field(default_factory=DepthConfig)
