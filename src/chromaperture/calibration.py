@@ -153,8 +153,11 @@ class Calibration:
 
     @property
     def baseline_mm(self) -> float:
-        """Distance of two opposed centroids in the entrance pupil (median): b = 2 mu B / F."""
-        scale = float(np.median(self.depth_model().scale_px_mm))
+        """Distance of two opposed centroids in the entrance pupil (median): b = 2 mu B / F.
+
+        That of the unmixed views, the paper's; the sensor's own channels see leaks and sit a little closer.
+        """
+        scale = float(np.median(self.depth_model("paper").scale_px_mm))
         return 2 * self.sensor.pixel_pitch_mm * scale / self.image_distance_mm
 
     def disparity_range_px(self, quality: Quality = "real-time") -> tuple[float, float]:
