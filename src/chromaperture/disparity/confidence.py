@@ -17,7 +17,8 @@ def disparity_sigma(winner: Winner, config: MatcherConfig, view_count: int) -> n
     """Give the standard deviation of the disparity, px; NaN where the disparity is unknown.
 
     Gaussian signals of correlation determinant D have the log-likelihood -(N/2) ln D, so the variance is
-    ``2 / (N (ln D)'')``: for two views ``(1 - rho^2) / (N rho kappa)``, for three ``2 (1 - S) / (N kappa)``.
+    ``2 / (N (ln D)'')``: for two views ``(1 - rho^2) / (N rho kappa)``, for three, with the
+    score S = 1 - sqrt(D), ``(1 - S) / (N kappa)``.
     """
     samples = effective_samples(config.window_decay) / noise_correlation_factor(config.presmooth_sigma_px)
     peak = np.clip(winner.peak, 1e-3, 1 - 1e-6)
@@ -25,7 +26,7 @@ def disparity_sigma(winner: Winner, config: MatcherConfig, view_count: int) -> n
     if view_count == 2:
         variance = (1 - peak**2) / (samples * peak * curvature)
     else:
-        variance = 2 * (1 - peak) / (samples * curvature)
+        variance = (1 - peak) / (samples * curvature)
     sigma = np.minimum(np.sqrt(variance), MAX_SIGMA_PX)
     return np.where(np.isfinite(winner.disparity_px), sigma, np.nan).astype(np.float32)
 
