@@ -6,7 +6,7 @@ The steps are those of paper section 3.4: pinhole calibration, boards at measure
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +15,7 @@ import numpy as np
 from chromaperture.calibration import Calibration, Film, Lens
 from chromaperture.camera import sensor_noise
 from chromaperture.color.unmixing import ideal_unmixing
-from chromaperture.config import MatcherConfig
+from chromaperture.config import QUALITIES, MatcherConfig, Quality
 from chromaperture.depth.chessboard import (
     MIN_VIEWS,
     Intrinsics,
@@ -40,13 +40,12 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class BoardMeasurement:
-    """One board: where it stood and what was measured in the middle of its photograph."""
+    """One board: where it stood and what each quality measured in the middle of its photograph."""
 
     name: str
     ruler_mm: float
-    disparity_px: float
-    sigma_px: float
-    pose_mm: float | None
+    disparity_px: Mapping[Quality, float]
+    sigma_px: Mapping[Quality, float]
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class CalibrationResult:
     """A camera and the evidence for it."""
 
     calibration: Calibration
-    fit: DepthFit
+    fits: Mapping[Quality, DepthFit]
     boards: list[BoardMeasurement]
     notes: list[str]
 
@@ -92,39 +91,40 @@ def calibrate_session(
     film = _measure_film(session, aperture, notes)
     intrinsics, corners = _measure_intrinsics(session, lens_from, notes, progress)
     guess = _nominal_depth_model(session, aperture)
-    draft = _assemble(session, film, intrinsics, guess, {})
+    draft = _assemble(session, film, intrinsics, {quality: guess for quality in QUALITIES}, {})
 
-    low, high = draft.disparity_range_px
-    config = MatcherConfig.preset("real-time").with_range(*(1.5 * low - 1, 1.5 * high + 1))
-    boards = []
-    for i, (path, ruler_mm) in enumerate(session.boards.items()):
+    poses = [_pose(session, corners.get(path), intrinsics) for path in session.boards]
+    rulers = np.array(list(session.boards.values()))
+    pupil, intrinsics = _measure_pupil(session, rulers, np.array(poses), guess, intrinsics, notes)
+    boards: list[BoardMeasurement] = []
+    fits: dict[Quality, DepthFit] = {}
+    for i, path in enumerate(session.boards):
         progress("board disparity", i, len(session.boards))
-        boards.append(_measure_board(session, draft, config, path, ruler_mm, corners.get(path), intrinsics))
+        boards.append(_measure_board(session, draft, path))
     progress("board disparity", len(boards), len(boards))
-
-    pupil, intrinsics = _measure_pupil(session, boards, guess, intrinsics, notes)
-    fit = fit_depth_model(
-        np.array([b.ruler_mm for b in boards]),
-        np.array([b.disparity_px for b in boards]),
-        disparity_sigma_px=np.array([b.sigma_px for b in boards]),
-        distance_sigma_mm=max(session.ruler_error_mm / 2, 0.1),  # "errs by up to": two standard deviations
-        sensor_to_pupil_mm=pupil.sensor_to_pupil_mm,
-        sensor_to_pupil_sigma_mm=pupil.sigma_mm,
-    )
+    for quality in QUALITIES:
+        fits[quality] = fit_depth_model(
+            rulers,
+            np.array([board.disparity_px[quality] for board in boards]),
+            disparity_sigma_px=np.array([board.sigma_px[quality] for board in boards]),
+            distance_sigma_mm=max(session.ruler_error_mm / 2, 0.1),  # "errs by up to": two standard deviations
+            sensor_to_pupil_mm=pupil.sensor_to_pupil_mm,
+            sensor_to_pupil_sigma_mm=pupil.sigma_mm,
+        )
     provenance = {
         "command": f"chromaperture calibrate {session.folder.name}",
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "model": "one depth curve for the whole frame, fitted on its middle ninth",
         "intrinsics_rms_px": intrinsics.rms_px if intrinsics else None,
-        "rms_mm": fit.rms_mm,
+        "rms_mm": {quality: round(fit.rms_mm, 2) for quality, fit in fits.items()},
         "boards": [
-            {"file": b.name, "ruler_mm": b.ruler_mm, "disparity_px": round(b.disparity_px, 4),
-             "residual_mm": round(float(r), 2)}
-            for b, r in zip(boards, fit.residual_mm, strict=False)
+            {"file": board.name, "ruler_mm": float(ruler), "residual_mm": round(float(residual), 2)}
+            for board, ruler, residual in zip(boards, rulers, fits["real-time"].residual_mm, strict=True)
         ],
         "notes": notes,
-    }  # fmt: skip
-    return CalibrationResult(_assemble(session, film, intrinsics, fit.model, provenance), fit, boards, notes)
+    }
+    models = {quality: fit.model for quality, fit in fits.items()}
+    return CalibrationResult(_assemble(session, film, intrinsics, models, provenance), fits, boards, notes)
 
 
 def _measure_film(session: Session, aperture: Aperture, notes: list[str]) -> Film:
@@ -186,7 +186,7 @@ def _nominal_depth_model(session: Session, aperture: Aperture) -> DepthModel:
 
 
 def _assemble(
-    session: Session, film: Film, intrinsics: Intrinsics | None, depth: DepthModel, provenance: dict
+    session: Session, film: Film, intrinsics: Intrinsics | None, depth: Mapping[Quality, DepthModel], provenance: dict
 ) -> Calibration:
     sensor = session.sensor
     if intrinsics is None:
@@ -195,7 +195,8 @@ def _assemble(
         matrix = centered_pinhole(focal_px, (sensor.width_px, sensor.height_px))
         intrinsics = Intrinsics(matrix, np.zeros(5), 0.0)
     image_distance = float(intrinsics.camera_matrix[0, 0]) * sensor.pixel_pitch_mm
-    z_f = float(np.median(depth.scale_px_mm)) / float(np.median(depth.infinity_disparity_px))
+    curve = depth["real-time"]
+    z_f = float(np.median(curve.scale_px_mm)) / float(np.median(curve.infinity_disparity_px))
     rulers = list(session.boards.values()) or [session.focused_at_about_mm]
     return Calibration(
         design=session.design,
@@ -214,54 +215,56 @@ def _assemble(
     )
 
 
-def _measure_board(
-    session: Session,
-    draft: Calibration,
-    config: MatcherConfig,
-    path: Path,
-    ruler_mm: float,
-    corners: np.ndarray | None,
-    intrinsics: Intrinsics | None,
-) -> BoardMeasurement:
-    """Median disparity of the frame's middle, with the standard error of that median."""
+def _pose(session: Session, corners: np.ndarray | None, intrinsics: Intrinsics | None) -> float:
+    """Distance of a board from the pupil by its own corners, mm; NaN where they were not found."""
+    if corners is None or intrinsics is None:
+        return np.nan
+    return board_distance(corners, intrinsics, session.inner_corners, session.square_mm)
+
+
+def _measure_board(session: Session, draft: Calibration, path: Path) -> BoardMeasurement:
+    """Median disparity of the frame's middle, with the standard error of that median, at every quality."""
     image = session.read(path)
-    disparity = estimate_disparity(
-        image,
-        aperture=draft.aperture,
-        unmixing=draft.unmixing,
-        noise_variance=sensor_noise(image, draft),
-        config=config,
-    ).value_px
+    noise = sensor_noise(image, draft)
+    medians: dict[Quality, float] = {}
+    errors: dict[Quality, float] = {}
+    for quality in QUALITIES:
+        low, high = draft.disparity_range_px(quality)
+        config = MatcherConfig.preset(quality).with_range(1.5 * low - 1, 1.5 * high + 1)  # the lens is not known yet
+        disparity = estimate_disparity(
+            image, aperture=draft.aperture, unmixing=draft.unmixing, noise_variance=noise, config=config
+        ).value_px
+        medians[quality], errors[quality] = _middle_median(disparity, config)
+    return BoardMeasurement(path.name, session.boards[path], medians, errors)
+
+
+def _middle_median(disparity: np.ndarray, config: MatcherConfig) -> tuple[float, float]:
+    """Median over the middle of the frame and its standard error; NaN where too little is known."""
     rows, columns = (slice(round(n * (1 - _MIDDLE) / 2), round(n * (1 + _MIDDLE) / 2)) for n in disparity.shape)
     middle = disparity[rows, columns]
     known = middle[np.isfinite(middle)]
     if known.size < middle.size / 4:
-        return BoardMeasurement(path.name, ruler_mm, np.nan, np.nan, None)
+        return np.nan, np.nan
     median = float(np.median(known))
     spread = 1.4826 * float(np.median(np.abs(known - median)))
     window_px = (1 + config.window_decay) / (1 - config.window_decay)  # neighbours share their window
-    error = max(_MIN_SIGMA_PX, 1.2533 * spread * window_px / np.sqrt(known.size))
-    pose = (
-        board_distance(corners, intrinsics, session.inner_corners, session.square_mm)
-        if corners is not None and intrinsics is not None
-        else None
-    )
-    return BoardMeasurement(path.name, ruler_mm, median, error, pose)
+    return median, max(_MIN_SIGMA_PX, 1.2533 * spread * window_px / np.sqrt(known.size))
 
 
 def _measure_pupil(
     session: Session,
-    boards: list[BoardMeasurement],
+    ruler_mm: np.ndarray,
+    pose_mm: np.ndarray,
     guess: DepthModel,
     intrinsics: Intrinsics | None,
     notes: list[str],
 ) -> tuple[RulerFit, Intrinsics | None]:
     """Distance from sensor to pupil from ruler and poses, which also corrects the focal length in px."""
-    seen = np.array([(b.ruler_mm, b.pose_mm) for b in boards if b.pose_mm is not None])
-    if intrinsics is None or len(seen) < MIN_VIEWS:
+    seen = np.isfinite(pose_mm)
+    if intrinsics is None or seen.sum() < MIN_VIEWS:
         notes.append("no board poses: the distance from sensor to pupil is the lens's image distance to about 10 mm")
-        return RulerFit(1.0, float(guess.sensor_to_pupil_mm), 10.0), intrinsics
-    ruler = fit_ruler(seen[:, 0], seen[:, 1], ruler_sigma_mm=session.ruler_error_mm / 2)
+        return RulerFit(1.0, float(np.median(guess.sensor_to_pupil_mm)), 10.0), intrinsics
+    ruler = fit_ruler(ruler_mm[seen], pose_mm[seen], ruler_sigma_mm=session.ruler_error_mm / 2)
     matrix = intrinsics.camera_matrix.copy()
-    matrix[:2, :2] *= ruler.scale
+    matrix[[0, 1], [0, 1]] *= ruler.scale
     return ruler, Intrinsics(matrix, intrinsics.distortion, intrinsics.rms_px)

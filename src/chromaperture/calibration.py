@@ -17,6 +17,7 @@ import asdf
 import numpy as np
 
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
+from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.chessboard import centered_pinhole
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
 from chromaperture.errors import InputError
@@ -99,8 +100,9 @@ class Calibration:
     sensor : Sensor
     lens : Lens
     film : Film
-    depth : DepthModel or None
-        None where the camera was never calibrated: then it measures disparity only.
+    depth : dict of str to DepthModel
+        One curve a quality: each matcher reads a blurred edge a little differently, so each has its own scale.
+        Empty where the camera was never calibrated: then it measures disparity only.
     near_mm, far_mm : float
         Range of depths that is searched, from the sensor plane.
     provenance : dict
@@ -111,7 +113,7 @@ class Calibration:
     sensor: Sensor
     lens: Lens
     film: Film
-    depth: DepthModel | None
+    depth: Mapping[Quality, DepthModel]
     near_mm: float
     far_mm: float
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -133,26 +135,37 @@ class Calibration:
         return float(self.lens.camera_matrix[0, 0]) * self.sensor.pixel_pitch_mm
 
     @property
+    def is_calibrated(self) -> bool:
+        """Whether depth in mm can be had."""
+        return bool(self.depth)
+
+    def depth_model(self, quality: Quality = "real-time") -> DepthModel:
+        """Give the depth curve of a quality; raises InputError where there is none."""
+        if quality not in self.depth:
+            known = f"it has {', '.join(self.depth)}" if self.depth else "it was never calibrated"
+            raise InputError(f"this camera has no depth curve for quality {quality}: {known}; run 'calibrate' again")
+        return self.depth[quality]
+
+    @property
     def in_focus_mm(self) -> float:
         """Distance of the focus surface from the sensor plane (median over the frame): z~_of = B / A + delta."""
-        depth = self._depth()
-        return float(np.median(depth.scale_px_mm / depth.infinity_disparity_px + depth.sensor_to_pupil_mm))
+        return float(np.median(self.depth_model().in_focus_mm))
 
     @property
     def baseline_mm(self) -> float:
         """Distance of two opposed centroids in the entrance pupil (median): b = 2 mu B / F."""
-        scale = float(np.median(self._depth().scale_px_mm))
+        scale = float(np.median(self.depth_model().scale_px_mm))
         return 2 * self.sensor.pixel_pitch_mm * scale / self.image_distance_mm
 
-    @property
-    def disparity_range_px(self) -> tuple[float, float]:
-        """Disparities of the near and the far end of the working range."""
-        ends = depth_to_disparity(np.array([self.near_mm, self.far_mm]), self._depth_on_axis())
-        return float(ends[0]), float(ends[1])
+    def disparity_range_px(self, quality: Quality = "real-time") -> tuple[float, float]:
+        """Smallest and largest disparity of the working range, over the whole frame."""
+        model = self.depth_model(quality)
+        near, far = (depth_to_disparity(z, model) for z in (self.near_mm, self.far_mm))
+        return float(np.min(near)), float(np.max(far))
 
     def summary(self) -> dict[str, Any]:
         """Give the figures ``chromaperture info`` prints, units in the names; None where uncalibrated."""
-        known = self.depth is not None
+        depth = self.depth_model() if self.is_calibrated else None
         return {
             "design": self.design,
             "title": self.aperture.title,
@@ -161,11 +174,11 @@ class Calibration:
             "pixel_pitch_mm": self.sensor.pixel_pitch_mm,
             "focal_length_mm": self.lens.focal_length_mm,
             "f_number": self.lens.f_number,
-            "sensor_to_pupil_mm": float(np.median(self._depth().sensor_to_pupil_mm)) if known else None,
-            "in_focus_mm": self.in_focus_mm if known else None,
-            "baseline_mm": self.baseline_mm if known else None,
-            "infinity_disparity_px": float(np.median(self._depth().infinity_disparity_px)) if known else None,
-            "scale_px_mm": float(np.median(self._depth().scale_px_mm)) if known else None,
+            "sensor_to_pupil_mm": float(np.median(depth.sensor_to_pupil_mm)) if depth else None,
+            "in_focus_mm": self.in_focus_mm if depth else None,
+            "baseline_mm": self.baseline_mm if depth else None,
+            "infinity_disparity_px": float(np.median(depth.infinity_disparity_px)) if depth else None,
+            "scale_px_mm": float(np.median(depth.scale_px_mm)) if depth else None,
             "near_mm": self.near_mm,
             "far_mm": self.far_mm,
             "black_level": self.sensor.black_level,
@@ -185,7 +198,7 @@ class Calibration:
             sensor=Sensor(width_px, height_px, pixel_pitch_mm=36.0 / width_px),
             lens=Lens(focal_length_mm=50.0, camera_matrix=matrix),
             film=Film(colors, np.ones(3), np.ones(3)),
-            depth=None,
+            depth={},
             near_mm=0.0,
             far_mm=math.inf,
             provenance={"note": "not calibrated; sensor and lens figures are placeholders"},
@@ -200,7 +213,7 @@ class Calibration:
                 "format_version": FORMAT_VERSION,
                 "design": self.design,
                 "working_range": {"near_mm": self.near_mm, "far_mm": self.far_mm},
-                "depth": _depth_tree(self._depth()),
+                "depth": {quality: _depth_tree(model) for quality, model in self.depth.items()},
                 "lens": _plain(dataclasses.asdict(self.lens)),
                 "sensor": _plain(dataclasses.asdict(self.sensor)),
                 "film": {
@@ -243,20 +256,6 @@ class Calibration:
             reason = f"{type(error).__name__}: {error}".splitlines()[0][:120]
             raise InputError(f"{path.name} is damaged or not a camera file ({reason}); calibrate again") from None
         return calibration
-
-    def _depth(self) -> DepthModel:
-        if self.depth is None:
-            raise InputError("this camera is not calibrated: depth in mm needs a camera file from 'calibrate'")
-        return self.depth
-
-    def _depth_on_axis(self) -> DepthModel:
-        """Reduce maps to their medians, for figures that stand for the whole frame."""
-        depth = self._depth()
-        return DepthModel(
-            float(np.median(depth.infinity_disparity_px)),
-            float(np.median(depth.scale_px_mm)),
-            float(np.median(depth.sensor_to_pupil_mm)),
-        )
 
 
 def _plain(value: Any) -> Any:
@@ -301,18 +300,22 @@ def _from_tree(tree: Mapping[str, Any]) -> Calibration:
             _finite(film["clear"], (3,)),
             _finite(film["aperture"], (3,)),
         ),
-        depth=DepthModel(
-            _map(depth["infinity_disparity_px"], shape),
-            _map(depth["scale_px_mm"], shape),
-            _map(depth["sensor_to_pupil_mm"], shape),
-            _finite(depth["covariance"], (3, 3)),
-        ),
+        depth={quality: _depth_from_tree(depth[quality], shape) for quality in QUALITIES if quality in depth},
         near_mm=float(tree["working_range"]["near_mm"]),
         far_mm=float(tree["working_range"]["far_mm"]),
         provenance=dict(tree["provenance"]),
     )
     _check(calibration)
     return calibration
+
+
+def _depth_from_tree(tree: Mapping[str, Any], shape: tuple[int, int]) -> DepthModel:
+    return DepthModel(
+        _map(tree["infinity_disparity_px"], shape),
+        _map(tree["scale_px_mm"], shape),
+        _map(tree["sensor_to_pupil_mm"], shape),
+        _finite(tree["covariance"], (3, 3)),
+    )
 
 
 def _finite(value: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -342,11 +345,13 @@ def _check(calibration: Calibration) -> None:
         "lens.camera_matrix fy": float(lens.camera_matrix[1, 1]),
         "film.clear": float(film.clear.min()),
         "film.aperture": float(film.aperture.min()),
-        "depth.scale_px_mm": float(np.min(calibration._depth().scale_px_mm)),
         "working range": calibration.far_mm - calibration.near_mm,
-        "working_range.near_mm - sensor_to_pupil_mm": calibration.near_mm
-        - float(np.max(calibration._depth().sensor_to_pupil_mm)),
     }
+    for quality, model in calibration.depth.items():
+        positive[f"depth.{quality}.scale_px_mm"] = float(np.min(model.scale_px_mm))
+        positive[f"near_mm - depth.{quality}.sensor_to_pupil_mm"] = calibration.near_mm - float(
+            np.max(model.sensor_to_pupil_mm)
+        )
     for name, value in positive.items():
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"{name} must be positive and finite, is {value}")

@@ -13,7 +13,7 @@ from chromaperture.calibration import Calibration
 from chromaperture.capture.checks import check_capture
 from chromaperture.color.alignment import align_channels, channel_directions, white_balance
 from chromaperture.color.noise import estimate_noise_variance, photon_noise_variance
-from chromaperture.config import Config, DepthConfig, MatcherConfig, Quality
+from chromaperture.config import Config, MatcherConfig, Quality
 from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.disparity.estimate import Disparity, estimate_disparity
 
@@ -94,7 +94,7 @@ class CodedApertureCamera:
                 config=self.config.matcher,
             )
         with stage("depth"):  # Eq. (10)
-            depth_mm, sigma_mm = millimetres(disparity, cal, self.config.depth)
+            depth_mm, sigma_mm = millimetres(disparity, cal, self.config)
         with stage("color"):  # section 5.1
             shifts = channel_directions(cal.aperture, cal.film.transmissions())
             color = white_balance(align_channels(image, disparity.value_px, shifts), cal.film.aperture)
@@ -103,18 +103,16 @@ class CodedApertureCamera:
         )
 
 
-def millimetres(
-    disparity: Disparity, calibration: Calibration, config: DepthConfig
-) -> tuple[np.ndarray, np.ndarray]:
+def millimetres(disparity: Disparity, calibration: Calibration, config: Config) -> tuple[np.ndarray, np.ndarray]:
     """Depth and its standard deviation in mm; all NaN for a camera that was never calibrated; two (H, W) float32."""
-    if calibration.depth is None:
+    if not calibration.is_calibrated:
         unknown = np.full(disparity.value_px.shape, np.nan, np.float32)
         return unknown, unknown.copy()
     return disparity_to_depth(
         disparity.value_px,
-        calibration.depth,
+        calibration.depth_model(config.quality),
         sigma_px=disparity.sigma_px,
-        max_depth_mm=config.max_depth_mm,
+        max_depth_mm=config.depth.max_depth_mm,
     )
 
 
@@ -131,11 +129,11 @@ def sensor_noise(image: np.ndarray, calibration: Calibration) -> np.ndarray:
 
 
 def default_config(calibration: Calibration, quality: Quality = "real-time") -> Config:
-    """Settings for a camera: the quality's preset over the camera's own working range."""
+    """Give the settings for a camera: the quality's preset over the camera's own working range."""
     matcher = MatcherConfig.preset(quality)
-    if calibration.depth is not None:
-        matcher = matcher.with_range(*calibration.disparity_range_px)
-    return Config(matcher=matcher)
+    if calibration.is_calibrated:
+        matcher = matcher.with_range(*calibration.disparity_range_px(quality))
+    return Config(quality=quality, matcher=matcher)
 
 
 def load_camera(path: str | Path, *, quality: Quality = "real-time") -> CodedApertureCamera:

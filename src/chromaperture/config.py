@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from chromaperture.errors import InputError
 
 Quality = Literal["paper", "real-time", "accurate"]
+QUALITIES: tuple[Quality, ...] = get_args(Quality)
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,9 @@ class MatcherConfig:
         Guide difference, linear light relative to the guide's 99th percentile, at which the reach falls to 1/e a px.
     texture_weighting : bool
         Weight the cost by texture against noise, so that even areas listen to their textured neighbours.
+    views : "unmixed" or "pure"
+        Match the views in the aperture's colour space, Eq. (1), as the paper does; or take the sensor channels that
+        see one filter each, where the design has them: less noise, and saturated colours do no harm.
     noise_debiasing : bool
         Subtract the known noise covariance of the unmixed channels, which otherwise digs a hole at disparity 0.
     """
@@ -47,6 +51,7 @@ class MatcherConfig:
     window_decay: float = 0.80
     bilateral_sigma_px: float = 14.0
     bilateral_range: float = 0.06
+    views: Literal["unmixed", "pure"] = "pure"
     texture_weighting: bool = True
     noise_debiasing: bool = True
 
@@ -61,6 +66,8 @@ class MatcherConfig:
             )
         if not 0 < self.window_decay < 1:
             raise InputError(f"window_decay must lie between 0 and 1, got {self.window_decay:g}")
+        if self.views not in ("unmixed", "pure"):
+            raise InputError(f"views must be unmixed or pure, is {self.views!r}")
         reaches = (self.bilateral_sigma_px, self.presmooth_sigma_px, self.bilateral_range)
         if not all(map(math.isfinite, reaches)) or min(reaches) < 0 or self.bilateral_range == 0:
             raise InputError(
@@ -81,7 +88,7 @@ class MatcherConfig:
         layer step and looks further.
         """
         if quality == "paper":
-            return cls(texture_weighting=False, noise_debiasing=False)
+            return cls(views="unmixed", texture_weighting=False, noise_debiasing=False)
         if quality == "real-time":
             return cls()
         if quality == "accurate":
@@ -112,5 +119,6 @@ class DepthConfig:
 class Config:
     """All stages together, as ``CodedApertureCamera`` takes it and ``STEM.json`` records it."""
 
+    quality: Quality = "real-time"  # whose depth curve in the camera file belongs to the matcher's settings
     matcher: MatcherConfig = field(default_factory=MatcherConfig)
     depth: DepthConfig = field(default_factory=DepthConfig)

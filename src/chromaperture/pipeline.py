@@ -60,7 +60,7 @@ def read_capture(
     """Read an image with the given levels, else the camera's where the file can hold its counts; (H, W, 3) linear."""
     sensor = camera.calibration.sensor
     if black_level is None and white_level is None:
-        if camera.calibration.depth is None:
+        if not camera.calibration.is_calibrated:
             return read_image(path)
         if sensor.white_level > 255 and bit_depth(path) == 8:
             warnings.warn(
@@ -130,8 +130,7 @@ def write_maps(target: Callable[[str], Path], stem: str, camera: CodedApertureCa
     """Write every map of a frame; depth, error bar and points only where the camera is calibrated."""
     write_float_tiff(target(f"{stem}.disparity.tiff"), frame.disparity_px)
     write_color_png(target(f"{stem}.color.png"), frame.color)
-    depth = camera.calibration.depth
-    if depth is None:
+    if not camera.calibration.is_calibrated:
         return
     write_float_tiff(target(f"{stem}.depth.tiff"), frame.depth_mm)
     write_float_tiff(target(f"{stem}.sigma.tiff"), frame.sigma_mm)
@@ -142,7 +141,7 @@ def write_maps(target: Callable[[str], Path], stem: str, camera: CodedApertureCa
         frame.color,
         camera_matrix=lens.camera_matrix,
         distortion=lens.distortion,
-        sensor_to_pupil_mm=float(np.median(depth.sensor_to_pupil_mm)),
+        sensor_to_pupil_mm=float(np.median(camera.calibration.depth_model(camera.config.quality).sensor_to_pupil_mm)),
     )
     write_ply(target(f"{stem}.ply"), cloud)
 
@@ -151,7 +150,7 @@ def summarise(frame: DepthFrame, camera: CodedApertureCamera, seconds: dict[str,
     """Collect the figures of one frame, units in the names."""
     known = np.isfinite(frame.disparity_px)
     summary: dict[str, Any] = {
-        "fill_rate": float((frame.valid if camera.calibration.depth else known).mean()),
+        "fill_rate": float((frame.valid if camera.calibration.is_calibrated else known).mean()),
         "disparity_percentiles_px": _percentiles(frame.disparity_px),
         "depth_percentiles_mm": _percentiles(frame.depth_mm),
         "sigma_median_mm": _median(frame.sigma_mm),

@@ -79,7 +79,7 @@ def _map(
     bar = figure.colorbar(shown, ax=axes, fraction=0.035, pad=0.015, extend="both" if low is None else "max")
     bar.set_label(unit, color=_LIGHT)
     bar.ax.tick_params(colors=_LIGHT, labelsize=9)
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)
     _dress(axes, f"{title}; grey is unknown" if known.size < values.size else title)
 
 

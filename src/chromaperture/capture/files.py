@@ -100,9 +100,8 @@ def _decode(path: Path) -> np.ndarray:
             return counts[..., [2, 1, 0]] if counts.ndim == 3 else counts  # OpenCV stores B, G, R; alpha goes
         with Image.open(io.BytesIO(data)) as picture:
             _warn_of_subsampling(picture, path)
-            if picture.mode in ("P", "RGBA", "CMYK", "YCbCr"):
-                picture = picture.convert("RGB")
-            return np.asarray(picture)
+            coded = picture.mode in ("P", "RGBA", "CMYK", "YCbCr")
+            return np.asarray(picture.convert("RGB") if coded else picture)
     except InputError:
         raise
     except (UnidentifiedImageError, Image.DecompressionBombError) as error:

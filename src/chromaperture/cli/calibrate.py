@@ -9,7 +9,9 @@ import typer
 
 
 def calibrate(
-    session: Annotated[Path, typer.Argument(help="Folder with session.toml, distances.csv, board/, tilt/.", metavar="SESSION_DIR")],
+    session: Annotated[
+        Path, typer.Argument(help="Folder with session.toml, distances.csv, board/, tilt/.", metavar="SESSION_DIR")
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Camera file to write.", metavar="CAMERA.asdf")],
     lens_from: Annotated[
         Path | None, typer.Option(help="Camera file of the same lens and focus, for a session without tilted boards.")
@@ -40,11 +42,11 @@ def calibrate(
         table = Table(title="Boards")
         for name in ("photograph", "ruler [mm]", "disparity [px]", "measured - ruler [mm]", "[%]"):
             table.add_column(name.replace("[", "\\["), justify="right")
-        for board, residual in zip(result.boards, result.fit.residual_mm, strict=True):
+        for board, residual in zip(result.boards, result.fits["real-time"].residual_mm, strict=True):
             table.add_row(
                 board.name,
                 f"{board.ruler_mm:.0f}",
-                f"{board.disparity_px:+.3f}",
+                f"{board.disparity_px['real-time']:+.3f}",
                 f"{residual:+.1f}",
                 f"{100 * residual / board.ruler_mm:+.2f}",
             )
@@ -52,7 +54,7 @@ def calibrate(
         cal = result.calibration
         console.print(
             f"focal length {cal.lens.focal_length_mm:.2f} mm, in focus at {cal.in_focus_mm:.0f} mm, "
-            f"baseline {cal.baseline_mm:.2f} mm, rms {result.fit.rms_mm:.1f} mm"
+            f"baseline {cal.baseline_mm:.2f} mm, rms {result.fits['real-time'].rms_mm:.1f} mm"
         )
         for note in result.notes:
             console.print(f"note: {note}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -47,8 +47,8 @@ def progress(*, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
     if quiet:
         yield lambda what, done, total: None
         return
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=err, transient=True) as bar:
+    text = TextColumn("{task.description}")
+    with Progress(SpinnerColumn(), text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=err, transient=True) as bar:
         task = bar.add_task("", total=None)
 
         def update(what: str, done: int, total: int) -> None:
@@ -62,19 +62,23 @@ def report_table(reports: list[Report]) -> Table:
     calibrated = any(r.summary["depth_percentiles_mm"] for r in reports)
     unit, key = ("mm", "depth_percentiles_mm") if calibrated else ("px", "disparity_percentiles_px")
     table = Table(title="Depth from the sensor plane" if calibrated else "Disparity (no calibration: no millimetres)")
-    for name in ("image", "fill rate", f"5 % [{unit}]", f"median [{unit}]", f"95 % [{unit}]", "median error bar"):
-        table.add_column(name, justify="left" if name == "image" else "right")
-    for stage in reports[0].summary["seconds"]:
-        table.add_column(f"{stage} \\[s]", justify="right", style="dim")
-    digits = 0 if calibrated else 2
+    table.add_column("image")
     for report in reports:
-        values = report.summary[key] or {}
-        sigma = report.summary["sigma_median_mm"]
-        cells = [escape(report.summary["image"]), f"{report.summary['fill_rate']:.1%}"]
-        cells += [f"{values[p]:.{digits}f}" if p in values else "-" for p in ("5", "50", "95")]
-        cells.append("-" if sigma is None else f"±{sigma:.0f} mm")
-        cells += [f"{s:.2f}" for s in report.summary["seconds"].values()]
-        table.add_row(*cells)
+        table.add_column(escape(report.summary["image"]), justify="right")
+    digits = 0 if calibrated else 2
+
+    def row(name: str, cells: Iterable[str], style: str = "") -> None:
+        table.add_row(name, *cells, style=style)
+
+    row("fill rate", (f"{r.summary['fill_rate']:.1%}" for r in reports))
+    for percentile, name in (("5", "nearest 5 %"), ("50", "median"), ("95", "farthest 5 %")):
+        values = [(r.summary[key] or {}).get(percentile) for r in reports]
+        row(name, ("-" if v is None else f"{v:.{digits}f} {unit}" for v in values))
+    if calibrated:
+        sigmas = [r.summary["sigma_median_mm"] for r in reports]
+        row("median error bar", ("-" if s is None else f"±{s:.0f} mm" for s in sigmas))
+    for stage in reports[0].summary["seconds"]:
+        row(f"time, {stage}", (f"{1000 * r.summary['seconds'][stage]:.0f} ms" for r in reports), "dim")
     return table
 
 

@@ -17,14 +17,11 @@ def demo(
     from rich.markup import escape
 
     from chromaperture.camera import load_camera
-    from chromaperture.cli.console import err, print_files, print_json, progress, report_table
     from chromaperture.cli.console import out as console
-    from chromaperture.disparity.kernels import is_compiled
+    from chromaperture.cli.console import print_files, print_json, progress, report_table
     from chromaperture.pipeline import measure_file
     from chromaperture.samples import SAMPLES, sample_camera, sample_image
 
-    if not (quiet or json or is_compiled()):
-        err.print("Compiling the matcher once for this machine; later runs start at once.")
     reports = []
     with progress(quiet=quiet or json) as update:
         for i, name in enumerate(SAMPLES):

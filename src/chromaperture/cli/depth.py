@@ -9,14 +9,19 @@ import typer
 
 
 def depth(
-    images: Annotated[list[Path], typer.Argument(help="Photographs through the colour-coded aperture.", metavar="IMAGE...")],
+    images: Annotated[
+        list[Path], typer.Argument(help="Photographs through the colour-coded aperture.", metavar="IMAGE...")
+    ],
     camera: Annotated[
-        Path | None, typer.Option("--camera", "-c", help="Camera file from 'chromaperture calibrate'.", metavar="CAMERA.asdf")
+        Path | None,
+        typer.Option("--camera", "-c", help="Camera file from 'chromaperture calibrate'.", metavar="CAMERA.asdf"),
     ] = None,
     design: Annotated[
         str | None, typer.Option(help="Without a camera file: name of the aperture design. Gives disparity only.")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for the results; default beside the image.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for the results; default beside the image.")
+    ] = None,
     quality: Annotated[str, typer.Option(help="paper, real-time or accurate.")] = "real-time",
     black_level: Annotated[float | None, typer.Option(help="Counts of no light; default the camera file's.")] = None,
     white_level: Annotated[float | None, typer.Option(help="Counts of a full well; default the camera file's.")] = None,
@@ -30,8 +35,8 @@ def depth(
 
     chromaperture depth photo.jpg --design rgb_squares        (no calibration: disparity in px)
     """
-    from chromaperture.cli.console import print_files, print_json, progress, report_table, say_error
     from chromaperture.cli.console import out as console
+    from chromaperture.cli.console import print_files, print_json, progress, report_table, say_error
     from chromaperture.cli.setup import camera_for
     from chromaperture.errors import ChromapertureError, InputError
     from chromaperture.pipeline import measure_file

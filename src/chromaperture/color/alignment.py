@@ -62,7 +62,7 @@ def align_channels(image: np.ndarray, disparity_px: np.ndarray, directions: np.n
         dx, dy = (np.float32(u) for u in directions[k])
         plane = np.ascontiguousarray(image[..., k], np.float32)
         if dx or dy:
-            plane = cv2.remap(plane, x + dx * filled, y + dy * filled, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            plane[:] = cv2.remap(plane, x + dx * filled, y + dy * filled, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         planes.append(plane)
     return np.stack(planes, axis=-1)
 

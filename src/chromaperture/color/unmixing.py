@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import Aperture, centroids, design_named
+from chromaperture.optics.aperture import Aperture, centroids
 
 _MIN_FILTER_ANGLE_DEG = 15.0
 _MAX_CONDITION = 20.0
@@ -79,6 +79,28 @@ def ideal_unmixing(aperture: Aperture) -> np.ndarray:
     return unmixing_rows(mixing_matrix(colors), len(aperture.views))
 
 
+def pure_channels(aperture: Aperture) -> np.ndarray | None:
+    """Pick the sensor channels that see one filter each, where a design has them.
+
+    Red sees only the yellow half and blue only the cyan one: such channels are views as they are, without the noise of
+    unmixing and without the other half's copy that a coloured surface leaves in an unmixed view.
+
+    Returns
+    -------
+    (K, 3) float64 of zeros and ones, in the order of ``aperture.views``; None where a view has no channel of its own
+    """
+    light = np.array([aperture.remainder.transmission, *(part.filter.transmission for part in aperture.parts)])
+    names = [None, *(part.filter.name for part in aperture.parts)]
+    rows = []
+    for view in aperture.views:
+        own = np.array([name == view for name in names])
+        pure = (light[own].min(axis=0) > 0) & (light[~own].max(axis=0) == 0)
+        if not pure.any():
+            return None
+        rows.append(np.eye(3)[int(np.argmax(pure))])
+    return np.array(rows)
+
+
 def view_directions(aperture: Aperture) -> np.ndarray:
     """Displacement of every view per px of disparity.
 
@@ -111,6 +133,3 @@ def unmix(image: np.ndarray, unmixing: np.ndarray) -> np.ndarray:
     (H, W, K) float32, contiguous; the views through the K filters.
     """
     return np.ascontiguousarray(np.asarray(image, np.float32) @ np.asarray(unmixing, np.float32).T)
-
-
-__all__ = ["design_named", "ideal_unmixing", "mixing_matrix", "unmix", "unmixing_rows", "view_directions"]

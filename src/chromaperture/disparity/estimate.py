@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
 from chromaperture.color.noise import estimate_noise_variance
-from chromaperture.color.unmixing import ideal_unmixing, view_directions
+from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions
 from chromaperture.config import MatcherConfig
 from chromaperture.disparity import reference
 from chromaperture.disparity.confidence import confidence, disparity_sigma
@@ -80,6 +80,8 @@ def estimate_disparity(
     rows = ideal_unmixing(aperture) if unmixing is None else np.asarray(unmixing, float)
     if rows.shape != (len(aperture.views), 3):
         raise InputError(f"unmixing must have shape ({len(aperture.views)}, 3) for {aperture.name}, got {rows.shape}")
+    if config.views == "pure" and (channels := pure_channels(aperture)) is not None:
+        rows = channels
     inputs = prepare(
         image,
         directions=view_directions(aperture),
@@ -88,13 +90,15 @@ def estimate_disparity(
         noise_variance=estimate_noise_variance(image) if noise_variance is None else noise_variance,
         config=config,
     )
-    if backend == "reference":
-        winner = reference.match(inputs, config)
-    else:
+    matcher: Any = reference
+    if backend != "reference":
         from chromaperture.disparity import kernels  # compiling starts here, not at import
 
-        winner = kernels.match(inputs, config)
-    sigma = disparity_sigma(winner, config, len(rows))
+        matcher = kernels
+    winner = matcher.match(inputs, config)
+    # The score of debiased views tells nothing of their noise; a biased score has it in its peak already.
+    share = matcher.texture_weights(inputs, replace(config, texture_weighting=True)) if config.noise_debiasing else None
+    sigma = disparity_sigma(winner, config, len(rows), share)
     return Disparity(winner.disparity_px, sigma, confidence(sigma, winner.peak))
 
 
