@@ -68,8 +68,11 @@ class MatcherConfig:
             raise InputError(f"window_decay must lie between 0 and 1, got {self.window_decay:g}")
         if self.views not in ("unmixed", "pure"):
             raise InputError(f"views must be unmixed or pure, is {self.views!r}")
-        if self.bilateral_sigma_px < 0 or self.bilateral_range <= 0 or self.presmooth_sigma_px < 0:
-            raise InputError("bilateral_sigma_px and presmooth_sigma_px must be >= 0 and bilateral_range > 0")
+        reaches = (self.bilateral_sigma_px, self.presmooth_sigma_px, self.bilateral_range)
+        if not all(map(math.isfinite, reaches)) or min(reaches) < 0 or self.bilateral_range == 0:
+            raise InputError(
+                "bilateral_sigma_px and presmooth_sigma_px must be finite and >= 0, and bilateral_range > 0"
+            )
 
     @property
     def layers_px(self) -> np.ndarray:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
@@ -90,13 +90,15 @@ def estimate_disparity(
         noise_variance=estimate_noise_variance(image) if noise_variance is None else noise_variance,
         config=config,
     )
-    if backend == "reference":
-        winner = reference.match(inputs, config)
-    else:
+    matcher: Any = reference
+    if backend != "reference":
         from chromaperture.disparity import kernels  # compiling starts here, not at import
 
-        winner = kernels.match(inputs, config)
-    sigma = disparity_sigma(winner, config, len(rows))
+        matcher = kernels
+    winner = matcher.match(inputs, config)
+    # The score of debiased views tells nothing of their noise; a biased score has it in its peak already.
+    share = matcher.texture_weights(inputs, replace(config, texture_weighting=True)) if config.noise_debiasing else None
+    sigma = disparity_sigma(winner, config, len(rows), share)
     return Disparity(winner.disparity_px, sigma, confidence(sigma, winner.peak))
 
 

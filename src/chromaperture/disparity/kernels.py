@@ -152,7 +152,8 @@ def _score_layers(
             else:
                 for x in range(width):
                     a, b, c = rho[0, x], rho[1, x], rho[2, x]
-                    volume[s, y, x] = a * a + b * b + c * c - (a + a) * b * c
+                    determinant = _ONE + (a + a) * b * c - a * a - b * b - c * c
+                    volume[s, y, x] = _ONE - np.sqrt(max(determinant, np.float32(0)))
 
 
 @_compile
