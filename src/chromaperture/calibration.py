@@ -358,6 +358,8 @@ def _check(calibration: Calibration) -> None:
     for name, value in positive.items():
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"{name} must be positive and finite, is {value}")
+    if not calibration.depth:
+        raise ValueError("no depth curve")
     missing = set(calibration.aperture.views) - set(film.filters)
     if missing:
         raise ValueError(f"film.filters lacks {', '.join(sorted(missing))}")
