@@ -16,7 +16,7 @@ from typing import Any
 import asdf
 import numpy as np
 
-from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
+from chromaperture.color.unmixing import ideal_unmixing, mixing_matrix, unmixing_rows
 from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.chessboard import centered_pinhole
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
@@ -193,6 +193,7 @@ class Calibration:
     def uncalibrated(cls, design: str, *, width_px: int, height_px: int) -> Calibration:
         """Describe a camera of which only the aperture is known: it measures disparity, not depth."""
         aperture = design_named(design)
+        ideal_unmixing(aperture)  # refuses designs without parallax
         colors = {name: np.array(aperture.filter_named(name).transmission) for name in aperture.views}
         focal_px = 1.2 * max(width_px, height_px)  # a normal lens; only a label here, no point cloud is made
         matrix = centered_pinhole(focal_px, (width_px, height_px))

@@ -73,8 +73,7 @@ def _map(
     ends = np.percentile(known, percentiles) if known.size else np.array([0.0, 1.0])
     bottom = float(ends[0]) if low is None else low
     top = max(float(ends[1]), bottom + 1e-6)
-    shades = mpl.colormaps[colors].copy()
-    shades.set_bad(_UNKNOWN)
+    shades = mpl.colormaps[colors].with_extremes(bad=_UNKNOWN)
     shown = axes.imshow(np.ma.masked_invalid(values), cmap=shades, vmin=bottom, vmax=top, interpolation="nearest")
     bar = figure.colorbar(shown, ax=axes, fraction=0.035, pad=0.015, extend="both" if low is None else "max")
     bar.set_label(unit, color=_LIGHT)

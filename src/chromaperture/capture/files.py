@@ -61,10 +61,9 @@ def read_image(
     white = full if white_level is None else float(white_level)
     if not (np.isfinite([black, white]).all() and white > black):
         raise InputError(f"white level {white:g} must be above black level {black:g}; check the two options")
-    largest = float(np.nanmax(counts)) if counts.size else 0.0
-    if white_level is None and counts.dtype == np.uint16 and 0 < largest < 4096:
+    if white_level is None and counts.dtype == np.uint16 and 0 < counts.max() < 4096:
         warnings.warn(
-            f"{path.name}: no count above {largest:.0f} in a 16-bit file; if the sensor has fewer bits, "
+            f"{path.name}: no count above {counts.max()} in a 16-bit file; if the sensor has fewer bits, "
             "give --white-level",
             CaptureWarning,
             stacklevel=2,
@@ -75,6 +74,13 @@ def read_image(
 def bit_depth(path: str | Path) -> int:
     """Bits per sample of an image file, 8, 16 or 32; camera levels only make sense for files of the camera's depth."""
     return _decode(Path(path)).dtype.itemsize * 8
+
+
+def image_size(path: str | Path) -> tuple[int, int]:
+    """Width and height of an image file, px; raises InputError like `read_image`."""
+    path = Path(path)
+    height, width = _colour(_decode(path), path).shape[:2]
+    return width, height
 
 
 def _decode(path: Path) -> np.ndarray:

@@ -11,7 +11,7 @@ import typer
 from chromaperture import __version__
 from chromaperture.cli import calibrate, demo, depth, info
 from chromaperture.cli.console import say_error, show_warning
-from chromaperture.errors import ChromapertureError
+from chromaperture.errors import CaptureWarning, ChromapertureError
 
 app = typer.Typer(
     help=__doc__,
@@ -43,9 +43,11 @@ def _options(
 
 def main() -> None:
     """Run the command line; errors made by input are one line on standard error and exit code 2."""
-    warnings.showwarning = show_warning
     try:
-        app()
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", CaptureWarning)
+            warnings.showwarning = show_warning
+            app()
     except ChromapertureError as error:
         say_error(error)
         sys.exit(2)

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, default_config
-from chromaperture.capture.files import read_image
+from chromaperture.capture.files import image_size
 from chromaperture.config import Config, Quality
 from chromaperture.errors import InputError
 
@@ -23,7 +23,7 @@ def camera_for(
     if camera is not None:
         calibration = Calibration.load(camera)
     else:
-        height, width = read_image(image).shape[:2]
+        width, height = image_size(image)
         calibration = Calibration.uncalibrated(cast(str, design), width_px=width, height_px=height)
     settings = default_config(calibration, cast(Quality, quality))
     return CodedApertureCamera(calibration, settings if config is None else with_file(settings, config))
