@@ -10,15 +10,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from chromaperture.calibration import FORMAT_VERSION, Calibration, Film, Lens, Sensor
-from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.field import DepthField
 from chromaperture.errors import InputError
 from chromaperture.samples import SAMPLES, sample_camera
 
 
 def make_calibration(shape=None, **changes):
-    size = (6, 9)
-    infinity = 4.5 if shape is None else np.linspace(4.4, 4.6, 54).reshape(size).astype(np.float32)
-    depth = DepthModel(infinity, 8700.0, 49.5, np.diag([1e-4, 900.0, 4.0]))
+    infinity, scale = ([4.5], [8700.0]) if shape is None else ([4.5, 0.1, -0.2], [8700.0, -300.0, 0.0])
+    depth = DepthField(np.array(infinity), np.array(scale), 49.5, np.diag([1e-4, 900.0, 4.0]))
     calibration = Calibration(
         design="cy_halves",
         sensor=Sensor(9, 6, 0.031, 16.0, 1016.0, 5000.0, 4.0),
@@ -44,9 +43,10 @@ def test_everything_comes_back(tmp_path, maps):
     assert after.summary() == before.summary()
     assert after.sensor == before.sensor
     for quality, model in before.depth.items():
-        for field in dataclasses.fields(DepthModel):
+        for field in dataclasses.fields(DepthField):
             stored = getattr(after.depth[quality], field.name)
             np.testing.assert_array_equal(stored, getattr(model, field.name))
+        assert np.shape(after.depth_model(quality).scale_px_mm) == (() if maps is None else (6, 9))
     np.testing.assert_array_equal(after.unmixing, before.unmixing)
     np.testing.assert_array_equal(after.lens.distortion, before.lens.distortion)
 
@@ -93,8 +93,10 @@ def test_newer_format_asks_for_an_upgrade(tmp_path):
     [
         (r"focal_length_mm: 50.3", "focal_length_mm: -1"),
         (r"focal_length_mm: 50.3", "focal_length_mm: .nan"),
-        (r"scale_px_mm: 8700.0", "scale_px_mm: -8700.0"),
-        (r"scale_px_mm: 8700.0", "scale_px_mm: [1, 2]"),
+        (r"scale_px_mm: \[8700.0\]", "scale_px_mm: [-8700.0]"),
+        (r"scale_px_mm: \[8700.0\]", "scale_px_mm: [1, 2]"),
+        (r"scale_px_mm: \[8700.0\]", "scale_px_mm: [8700.0, 1, 2]"),
+        (r"scale_px_mm: \[8700.0\]", "scale_px_mm: []"),
         (r"design: cy_halves", "design: cy_thirds"),
         (r"design: cy_halves", "design: rgb_squares"),
         (r"width_px: 9", "width_px: wide"),

@@ -1,4 +1,4 @@
-"""From a session folder to a camera file: one depth curve for the whole frame, fitted on its middle.
+"""From a session folder to a camera file: the depth curve on the axis, then its fields over the frame.
 
 The steps are those of paper section 3.4: pinhole calibration, boards at measured distances, fit of the curve.
 """
@@ -25,13 +25,17 @@ from chromaperture.depth.chessboard import (
     fit_intrinsics,
 )
 from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.field import DepthField, degree_of, fit_depth_field
 from chromaperture.depth.fit import DepthFit, RulerFit, fit_depth_model, fit_ruler
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids, channel_transmission, design_named
 from chromaperture.session import Session, read_session
 
-_MIDDLE = 1 / 3  # share of the width and height that is fitted; the field curves outside
+_MIDDLE = 1 / 3  # share of the width and height that stands for the axis
+_GRID_PX = 6  # every sixth px each way: neighbours share their window anyway
+_FIELD_DEGREE = 4
+_MIN_FIELD_BOARDS = 5
 _MIN_SIGMA_PX = 0.05  # two halves blur as mirror images, not as shifted copies: a shift reads that much wrong
 _RANGE_MARGIN = (0.9, 1.3)  # the working range reaches a little beyond the boards
 
@@ -40,12 +44,16 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class BoardMeasurement:
-    """One board: where it stood and what each quality measured in the middle of its photograph."""
+    """One board: where it stood and what each quality measured.
+
+    ``disparity_px`` and ``sigma_px`` are of the middle of its photograph, ``grid_px`` of every few px of the frame.
+    """
 
     name: str
     ruler_mm: float
     disparity_px: Mapping[Quality, float]
     sigma_px: Mapping[Quality, float]
+    grid_px: Mapping[Quality, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -91,7 +99,8 @@ def calibrate_session(
     film = _measure_film(session, aperture, notes)
     intrinsics, corners = _measure_intrinsics(session, lens_from, notes, progress)
     guess = _nominal_depth_model(session, aperture)
-    draft = _assemble(session, film, intrinsics, {quality: guess for quality in QUALITIES}, {})
+    start = DepthField.constant(guess)
+    draft = _assemble(session, film, intrinsics, {quality: start for quality in QUALITIES}, {})
 
     poses = [_pose(session, corners.get(path), intrinsics) for path in session.boards]
     rulers = np.array(list(session.boards.values()))
@@ -111,20 +120,20 @@ def calibrate_session(
             sensor_to_pupil_mm=pupil.sensor_to_pupil_mm,
             sensor_to_pupil_sigma_mm=pupil.sigma_mm,
         )
+    fields = {quality: _fit_field(session, boards, quality, fits[quality], notes) for quality in QUALITIES}
     provenance = {
         "command": f"chromaperture calibrate {session.folder.name}",
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "model": "one depth curve for the whole frame, fitted on its middle ninth",
+        "field_degree": degree_of(len(fields["real-time"].scale_px_mm)),
         "intrinsics_rms_px": intrinsics.rms_px if intrinsics else None,
-        "rms_mm": {quality: round(fit.rms_mm, 2) for quality, fit in fits.items()},
+        "rms_on_axis_mm": {quality: round(fit.rms_mm, 2) for quality, fit in fits.items()},
         "boards": [
             {"file": board.name, "ruler_mm": float(ruler), "residual_mm": round(float(residual), 2)}
             for board, ruler, residual in zip(boards, rulers, fits["real-time"].residual_mm, strict=True)
         ],
         "notes": notes,
     }
-    models = {quality: fit.model for quality, fit in fits.items()}
-    return CalibrationResult(_assemble(session, film, intrinsics, models, provenance), fits, boards, notes)
+    return CalibrationResult(_assemble(session, film, intrinsics, fields, provenance), fits, boards, notes)
 
 
 def _measure_film(session: Session, aperture: Aperture, notes: list[str]) -> Film:
@@ -186,7 +195,7 @@ def _nominal_depth_model(session: Session, aperture: Aperture) -> DepthModel:
 
 
 def _assemble(
-    session: Session, film: Film, intrinsics: Intrinsics | None, depth: Mapping[Quality, DepthModel], provenance: dict
+    session: Session, film: Film, intrinsics: Intrinsics | None, depth: Mapping[Quality, DepthField], provenance: dict
 ) -> Calibration:
     sensor = session.sensor
     if intrinsics is None:
@@ -195,8 +204,8 @@ def _assemble(
         matrix = centered_pinhole(focal_px, (sensor.width_px, sensor.height_px))
         intrinsics = Intrinsics(matrix, np.zeros(5), 0.0)
     image_distance = float(intrinsics.camera_matrix[0, 0]) * sensor.pixel_pitch_mm
-    curve = depth["real-time"]
-    z_f = float(np.median(curve.scale_px_mm)) / float(np.median(curve.infinity_disparity_px))
+    curve = depth["real-time"].on_axis(sensor.width_px, sensor.height_px)
+    z_f = float(curve.scale_px_mm) / float(curve.infinity_disparity_px)
     rulers = list(session.boards.values()) or [session.focused_at_about_mm]
     return Calibration(
         design=session.design,
@@ -228,6 +237,7 @@ def _measure_board(session: Session, draft: Calibration, path: Path) -> BoardMea
     noise = sensor_noise(image, draft)
     medians: dict[Quality, float] = {}
     errors: dict[Quality, float] = {}
+    grids: dict[Quality, np.ndarray] = {}
     for quality in QUALITIES:
         low, high = draft.disparity_range_px(quality)
         config = MatcherConfig.preset(quality).with_range(1.5 * low - 1, 1.5 * high + 1)  # the lens is not known yet
@@ -235,7 +245,33 @@ def _measure_board(session: Session, draft: Calibration, path: Path) -> BoardMea
             image, aperture=draft.aperture, unmixing=draft.unmixing, noise_variance=noise, config=config
         ).value_px
         medians[quality], errors[quality] = _middle_median(disparity, config)
-    return BoardMeasurement(path.name, session.boards[path], medians, errors)
+        grids[quality] = disparity[_GRID_PX // 2 :: _GRID_PX, _GRID_PX // 2 :: _GRID_PX]
+    return BoardMeasurement(path.name, session.boards[path], medians, errors, grids)
+
+
+def _fit_field(
+    session: Session, boards: list[BoardMeasurement], quality: Quality, fit: DepthFit, notes: list[str]
+) -> DepthField:
+    """Fields of the depth curve over the frame; one curve for all of it where the boards do not suffice."""
+    size = (session.sensor.width_px, session.sensor.height_px)
+    grids = np.stack([board.grid_px[quality] for board in boards])
+    delta = float(np.asarray(fit.model.sensor_to_pupil_mm))
+    rows, columns = (_GRID_PX // 2 + _GRID_PX * np.arange(n) for n in grids.shape[1:])
+    inverse, y, x = np.meshgrid(
+        [1 / (board.ruler_mm - delta) for board in boards], rows, columns, indexing="ij"
+    )
+    try:
+        field, _ = fit_depth_field(
+            x.ravel(), y.ravel(), inverse.ravel(), grids.ravel().astype(float), np.ones(grids.size),
+            size_px=size, degree=_FIELD_DEGREE, sensor_to_pupil_mm=delta, covariance=fit.model.covariance,
+        )  # fmt: skip
+        model = field.model(*size)
+        if len(boards) >= _MIN_FIELD_BOARDS and np.min(model.scale_px_mm) > 0.3 * np.max(model.scale_px_mm):
+            return field
+    except InputError:
+        pass
+    notes.append(f"{quality}: too little to fit fields over the frame, one depth curve for all of it")
+    return DepthField.constant(fit.model)
 
 
 def _middle_median(disparity: np.ndarray, config: MatcherConfig) -> tuple[float, float]:

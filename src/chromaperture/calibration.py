@@ -1,7 +1,7 @@
 """What is known about one camera: the parameters of all stages, in one file a person can read.
 
-The file is ASDF: a YAML text at the top (open it in any editor), binary arrays after it where a map has a value per
-pixel. No fitting happens here.
+The file is ASDF, a YAML text that any editor opens; fields over the frame are a few polynomial coefficients. No fitting
+happens here.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from chromaperture.color.unmixing import ideal_unmixing, mixing_matrix, unmixing
 from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.chessboard import centered_pinhole
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
+from chromaperture.depth.field import DepthField, degree_of
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
 from chromaperture.outputs import staged
@@ -28,8 +29,9 @@ FORMAT_VERSION = 1
 _ROOT = "chromaperture_camera"
 _ABOUT = (
     "One camera with a colour-coded aperture, at one focus setting. Lengths are in mm, disparities are signed half "
-    "disparities in px (0 in focus, + beyond). Depth from the sensor plane is "
-    "sensor_to_pupil_mm + scale_px_mm / (infinity_disparity_px - disparity)."
+    "disparities in px (0 in focus, + beyond). Depth from the sensor plane is sensor_to_pupil_mm + scale_px_mm / "
+    "(infinity_disparity_px - disparity). The two fields are polynomials over the frame: coefficients of Chebyshev "
+    "products in x and y over [-1, 1] by rising degree in x, then in y; a single number holds for the whole frame."
 )
 
 
@@ -100,8 +102,8 @@ class Calibration:
     sensor : Sensor
     lens : Lens
     film : Film
-    depth : dict of str to DepthModel
-        One curve a quality: each matcher reads a blurred edge a little differently, so each has its own scale.
+    depth : dict of str to DepthField
+        The depth curves of the frame, for each quality: every matcher reads a blurred edge a little differently.
         Empty where the camera was never calibrated: then it measures disparity only.
     near_mm, far_mm : float
         Range of depths that is searched, from the sensor plane.
@@ -113,7 +115,7 @@ class Calibration:
     sensor: Sensor
     lens: Lens
     film: Film
-    depth: Mapping[Quality, DepthModel]
+    depth: Mapping[Quality, DepthField]
     near_mm: float
     far_mm: float
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -144,21 +146,25 @@ class Calibration:
         if quality not in self.depth:
             known = f"it has {', '.join(self.depth)}" if self.depth else "it was never calibrated"
             raise InputError(f"this camera has no depth curve for quality {quality}: {known}; run 'calibrate' again")
-        return self.depth[quality]
+        return self.depth[quality].model(self.sensor.width_px, self.sensor.height_px)
 
     @property
     def in_focus_mm(self) -> float:
-        """Distance of the focus surface from the sensor plane (median over the frame): z~_of = B / A + delta."""
-        return float(np.median(self.depth_model().in_focus_mm))
+        """Distance of the focus surface from the sensor plane, on the axis: z~_of = B / A + delta."""
+        return float(self._on_axis("real-time").in_focus_mm)
 
     @property
     def baseline_mm(self) -> float:
-        """Distance of two opposed centroids in the entrance pupil (median): b = 2 mu B / F.
+        """Distance of two opposed centroids in the entrance pupil, on the axis: b = 2 mu B / F.
 
         That of the unmixed views, the paper's; the sensor's own channels see leaks and sit a little closer.
         """
-        scale = float(np.median(self.depth_model("paper").scale_px_mm))
+        scale = float(self._on_axis("paper").scale_px_mm)
         return 2 * self.sensor.pixel_pitch_mm * scale / self.image_distance_mm
+
+    def _on_axis(self, quality: Quality) -> DepthModel:
+        self.depth_model(quality)
+        return self.depth[quality].on_axis(self.sensor.width_px, self.sensor.height_px)
 
     def disparity_range_px(self, quality: Quality = "real-time") -> tuple[float, float]:
         """Smallest and largest disparity of the working range, over the whole frame."""
@@ -168,7 +174,7 @@ class Calibration:
 
     def summary(self) -> dict[str, Any]:
         """Give the figures ``chromaperture info`` prints, units in the names; None where uncalibrated."""
-        depth = self.depth_model() if self.is_calibrated else None
+        on_axis = self.depth["real-time"].on_axis(self.sensor.width_px, self.sensor.height_px) if self.depth else None
         return {
             "design": self.design,
             "title": self.aperture.title,
@@ -177,11 +183,11 @@ class Calibration:
             "pixel_pitch_mm": self.sensor.pixel_pitch_mm,
             "focal_length_mm": self.lens.focal_length_mm,
             "f_number": self.lens.f_number,
-            "sensor_to_pupil_mm": float(np.median(depth.sensor_to_pupil_mm)) if depth else None,
-            "in_focus_mm": self.in_focus_mm if depth else None,
-            "baseline_mm": self.baseline_mm if depth else None,
-            "infinity_disparity_px": float(np.median(depth.infinity_disparity_px)) if depth else None,
-            "scale_px_mm": float(np.median(depth.scale_px_mm)) if depth else None,
+            "sensor_to_pupil_mm": on_axis.sensor_to_pupil_mm if on_axis else None,
+            "in_focus_mm": self.in_focus_mm if on_axis else None,
+            "baseline_mm": self.baseline_mm if on_axis else None,
+            "infinity_disparity_px": on_axis.infinity_disparity_px if on_axis else None,
+            "scale_px_mm": on_axis.scale_px_mm if on_axis else None,
             "near_mm": self.near_mm,
             "far_mm": self.far_mm,
             "black_level": self.sensor.black_level,
@@ -217,7 +223,7 @@ class Calibration:
                 "format_version": FORMAT_VERSION,
                 "design": self.design,
                 "working_range": {"near_mm": self.near_mm, "far_mm": self.far_mm},
-                "depth": {quality: _depth_tree(model) for quality, model in self.depth.items()},
+                "depth": {quality: _plain(dataclasses.asdict(field)) for quality, field in self.depth.items()},
                 "lens": _plain(dataclasses.asdict(self.lens)),
                 "sensor": _plain(dataclasses.asdict(self.sensor)),
                 "film": {
@@ -273,23 +279,12 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _depth_tree(depth: DepthModel) -> dict[str, Any]:
-    """Scalars as numbers, maps as binary arrays."""
-    tree: dict[str, Any] = {}
-    for name in ("infinity_disparity_px", "scale_px_mm", "sensor_to_pupil_mm"):
-        value = np.asarray(getattr(depth, name))
-        tree[name] = float(value) if value.ndim == 0 else value.astype(np.float32)
-    tree["covariance"] = _plain(np.asarray(depth.covariance))
-    return tree
-
-
 def _from_tree(tree: Mapping[str, Any]) -> Calibration:
     """Rebuild and check; any KeyError or ValueError becomes the caller's "damaged"."""
     sensor = Sensor(**{f.name: tree["sensor"][f.name] for f in dataclasses.fields(Sensor)})
     lens = tree["lens"]
     film = tree["film"]
     depth = tree["depth"]
-    shape = (sensor.height_px, sensor.width_px)
     calibration = Calibration(
         design=str(tree["design"]),
         sensor=sensor,
@@ -304,7 +299,7 @@ def _from_tree(tree: Mapping[str, Any]) -> Calibration:
             _finite(film["clear"], (3,)),
             _finite(film["aperture"], (3,)),
         ),
-        depth={quality: _depth_from_tree(depth[quality], shape) for quality in QUALITIES if quality in depth},
+        depth={quality: _depth_from_tree(depth[quality]) for quality in QUALITIES if quality in depth},
         near_mm=float(tree["working_range"]["near_mm"]),
         far_mm=float(tree["working_range"]["far_mm"]),
         provenance=dict(tree["provenance"]),
@@ -313,13 +308,15 @@ def _from_tree(tree: Mapping[str, Any]) -> Calibration:
     return calibration
 
 
-def _depth_from_tree(tree: Mapping[str, Any], shape: tuple[int, int]) -> DepthModel:
-    return DepthModel(
-        _map(tree["infinity_disparity_px"], shape),
-        _map(tree["scale_px_mm"], shape),
-        _map(tree["sensor_to_pupil_mm"], shape),
-        _finite(tree["covariance"], (3, 3)),
-    )
+def _depth_from_tree(tree: Mapping[str, Any]) -> DepthField:
+    infinity, scale = (np.atleast_1d(np.array(tree[n], float)) for n in ("infinity_disparity_px", "scale_px_mm"))
+    for coefficients in (infinity, scale):
+        degree_of(len(coefficients))
+        _finite(coefficients, coefficients.shape[:1])
+    if len(infinity) != len(scale):
+        raise ValueError("the two depth fields differ in degree")
+    (delta,) = _finite([tree["sensor_to_pupil_mm"]], (1,))
+    return DepthField(infinity, scale, float(delta), _finite(tree["covariance"], (3, 3)))
 
 
 def _finite(value: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -327,13 +324,6 @@ def _finite(value: Any, shape: tuple[int, ...]) -> np.ndarray:
     if array.shape != shape or not np.isfinite(array).all():
         raise ValueError(f"expected finite numbers of shape {shape}")
     return array
-
-
-def _map(value: Any, shape: tuple[int, int]) -> float | np.ndarray:
-    array = np.array(value, dtype=np.float64)
-    if array.shape not in ((), shape) or not np.isfinite(array).all():
-        raise ValueError(f"expected a finite number or a map of shape {shape}")
-    return float(array) if array.ndim == 0 else array
 
 
 def _check(calibration: Calibration) -> None:
@@ -351,7 +341,8 @@ def _check(calibration: Calibration) -> None:
         "film.aperture": float(film.aperture.min()),
         "working range": calibration.far_mm - calibration.near_mm,
     }
-    for quality, model in calibration.depth.items():
+    for quality in calibration.depth:
+        model = calibration.depth_model(quality)
         positive[f"depth.{quality}.scale_px_mm"] = float(np.min(model.scale_px_mm))
         positive[f"near_mm - depth.{quality}.sensor_to_pupil_mm"] = calibration.near_mm - float(
             np.max(model.sensor_to_pupil_mm)

@@ -13,8 +13,8 @@ from chromaperture.calibration import Calibration
 from chromaperture.capture.checks import check_capture
 from chromaperture.color.alignment import align_channels, channel_directions, white_balance
 from chromaperture.color.noise import estimate_noise_variance, photon_noise_variance
-from chromaperture.config import Config, MatcherConfig, Quality
-from chromaperture.depth.conversion import disparity_to_depth
+from chromaperture.config import Config, DepthConfig, MatcherConfig, Quality
+from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.disparity.estimate import Disparity, estimate_disparity
 
 StageTimer = Callable[[str], AbstractContextManager[None]]
@@ -61,6 +61,7 @@ class CodedApertureCamera:
     def __init__(self, calibration: Calibration, config: Config | None = None) -> None:
         self.calibration = calibration
         self.config = config or default_config(calibration)
+        self.depth_model = calibration.depth_model(self.config.quality) if calibration.is_calibrated else None
 
     def measure(self, image: np.ndarray, *, stage: StageTimer = lambda name: nullcontext()) -> DepthFrame:
         """Measure depth in millimetres for every pixel of one photograph.
@@ -94,7 +95,7 @@ class CodedApertureCamera:
                 config=self.config.matcher,
             )
         with stage("depth"):  # Eq. (10)
-            depth_mm, sigma_mm = millimetres(disparity, cal, self.config)
+            depth_mm, sigma_mm = millimetres(disparity, self.depth_model, self.config.depth)
         with stage("color"):  # section 5.1
             shifts = channel_directions(cal.aperture, cal.film.transmissions())
             color = white_balance(align_channels(image, disparity.value_px, shifts), cal.film.aperture)
@@ -103,16 +104,18 @@ class CodedApertureCamera:
         )
 
 
-def millimetres(disparity: Disparity, calibration: Calibration, config: Config) -> tuple[np.ndarray, np.ndarray]:
+def millimetres(
+    disparity: Disparity, model: DepthModel | None, config: DepthConfig
+) -> tuple[np.ndarray, np.ndarray]:
     """Depth and its standard deviation in mm; all NaN for a camera that was never calibrated; two (H, W) float32."""
-    if not calibration.is_calibrated:
+    if model is None:
         unknown = np.full(disparity.value_px.shape, np.nan, np.float32)
         return unknown, unknown.copy()
     return disparity_to_depth(
         disparity.value_px,
-        calibration.depth_model(config.quality),
+        model,
         sigma_px=disparity.sigma_px,
-        max_depth_mm=config.depth.max_depth_mm,
+        max_depth_mm=config.max_depth_mm,
     )
 
 

@@ -141,7 +141,7 @@ def write_maps(target: Callable[[str], Path], stem: str, camera: CodedApertureCa
         frame.color,
         camera_matrix=lens.camera_matrix,
         distortion=lens.distortion,
-        sensor_to_pupil_mm=float(np.median(camera.calibration.depth_model(camera.config.quality).sensor_to_pupil_mm)),
+        sensor_to_pupil_mm=camera.calibration.depth[camera.config.quality].sensor_to_pupil_mm,
     )
     write_ply(target(f"{stem}.ply"), cloud)
 
