@@ -93,6 +93,52 @@ class MatcherConfig:
 
 
 @dataclass(frozen=True)
+class OptimiserConfig:
+    """Global optimisation of the disparity (quality "accurate"). Likelihoods count in nats a pixel.
+
+    Attributes
+    ----------
+    paths : int
+        Directions of semi-global matching, 4 or 8.
+    slope_penalty : float
+        Cost of a change of disparity between two neighbours, nats per px. Large, because the windows of neighbours
+        see the same pixels: their likelihoods are no independent witnesses.
+    jump_penalty : float
+        The most a change costs, nats: a depth edge.
+    edge_range : float
+        Guide difference, in units of ``bilateral_range``, at which the penalties fall to 1/e.
+    edge_floor : float
+        Share of the penalties that remains across the strongest edge of the guide.
+    huber_layers : float
+        Slopes below, layers per px, are smoothed by the variation, not flattened into steps.
+    coupling_layers2 : (float, float)
+        First and last coupling theta of variation and volume, layers squared.
+    coupling_rounds, variation_iterations : int
+        Rounds of the coupling, 0 switches the variation off; primal-dual iterations in each.
+    """
+
+    paths: int = 8
+    slope_penalty: float = 25.0
+    jump_penalty: float = 25.0
+    edge_range: float = 0.5
+    edge_floor: float = 0.05
+    huber_layers: float = 0.05
+    coupling_layers2: tuple[float, float] = (2.0, 0.02)
+    coupling_rounds: int = 25
+    variation_iterations: int = 40
+
+    def __post_init__(self) -> None:
+        if self.paths not in (4, 8):
+            raise InputError(f"paths must be 4 or 8, got {self.paths}")
+        if min(self.slope_penalty, self.jump_penalty, self.edge_range, *self.coupling_layers2) <= 0:
+            raise InputError("the optimiser's penalties, edge_range and couplings must be positive")
+        if not 0 <= self.edge_floor <= 1 or self.huber_layers < 0:
+            raise InputError("edge_floor must lie in [0, 1] and huber_layers must be >= 0")
+        if self.coupling_rounds < 0 or self.variation_iterations < 1:
+            raise InputError("coupling_rounds must be >= 0 and variation_iterations >= 1")
+
+
+@dataclass(frozen=True)
 class DepthConfig:
     """Disparity to depth (paper sections 3.2 to 3.4).
 

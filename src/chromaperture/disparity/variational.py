@@ -5,9 +5,9 @@ Minimises over ``lo <= u <= hi`` the energy ::
     sum |(ex du/dx, ey du/dy)|_h  +  fidelity * sum w * |u - f|        data_term "absolute" (Huber-L1)
     sum |(ex du/dx, ey du/dy)|_h  +  fidelity / 2 * sum w * (u - f)^2   data_term "quadratic" (Huber-ROF)
 
-with the Huber norm ``|g|_h = g^2 / (2 h)`` up to ``h`` and ``|g| - h / 2`` beyond. ``w`` = 0 inpaints a pixel,
-and the edge weights ``ex``, ``ey`` in [0, 1] let the map break where the picture does. Regularise disparity,
-which is affine in inverse depth, never depth itself.
+with the Huber norm ``|g|_h = g^2 / (2 h)`` up to ``h`` and ``|g| - h / 2`` beyond. ``w`` = 0 inpaints a
+pixel, and the edge weights ``ex``, ``ey`` in [0, 1] let the map break where the picture does. Regularise
+disparity, which is affine in inverse depth, never depth itself.
 
 References
 ----------
