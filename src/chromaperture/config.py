@@ -115,6 +115,9 @@ class OptimiserConfig:
         First and last coupling theta of variation and volume, layers squared.
     coupling_rounds, variation_iterations : int
         Rounds of the coupling, 0 switches the variation off; primal-dual iterations in each.
+    temperature : float
+        Nats a path by which a layer may cost more and still be 1/e as probable: the one calibrated number of the
+        error bar. Far above 1/2, because windows overlap.
     """
 
     paths: int = 8
@@ -126,12 +129,14 @@ class OptimiserConfig:
     coupling_layers2: tuple[float, float] = (2.0, 0.02)
     coupling_rounds: int = 25
     variation_iterations: int = 40
+    temperature: float = 0.5
 
     def __post_init__(self) -> None:
         if self.paths not in (4, 8):
             raise InputError(f"paths must be 4 or 8, got {self.paths}")
-        if min(self.slope_penalty, self.jump_penalty, self.edge_range, *self.coupling_layers2) <= 0:
-            raise InputError("the optimiser's penalties, edge_range and couplings must be positive")
+        positive = (self.slope_penalty, self.jump_penalty, self.edge_range, self.temperature)
+        if min(*positive, *self.coupling_layers2) <= 0:
+            raise InputError("the optimiser's penalties, edge_range, temperature and couplings must be positive")
         if not 0 <= self.edge_floor <= 1 or self.huber_layers < 0:
             raise InputError("edge_floor must lie in [0, 1] and huber_layers must be >= 0")
         if self.coupling_rounds < 0 or self.variation_iterations < 1:

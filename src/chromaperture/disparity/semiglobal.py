@@ -1,23 +1,26 @@
 """Semi-global optimisation of a volume of log-likelihoods, and its refinement by coupled total variation.
 
-Weak texture leaves the likelihood of a single window flat; only more pixels help. Semi-global matching pools them
-along eight straight paths through every pixel, on each of which the best path is found exactly::
+Weak texture leaves the likelihood of a single window flat; only more pixels help. Semi-global matching
+pools them along eight straight paths through every pixel, on each of which the best path is found
+exactly::
 
     L(p, d) = -l(p, d) + min_e [ L(q, e) + V(d - e) ] - min_e L(q, e),      V(x) = e_pq min(slope |x|, jump)
 
-with q the pixel before p on the path and ``e_pq`` the guide's edge weight between the two. Truncated linear V lets
-slanted surfaces bend and edges break. Units make the settings independent of window and layers: likelihoods are in
-nats a pixel, penalties in nats.
+with q the pixel before p on the path and ``e_pq`` the guide's edge weight between the two. Truncated
+linear V lets slanted surfaces bend and edges break. Units make the settings independent of window and
+layers: likelihoods are in nats a pixel, penalties in nats.
 
 References
 ----------
 H. Hirschmueller: Stereo processing by semiglobal matching and mutual information. TPAMI 30, 2008.
 doi:10.1109/TPAMI.2007.1166
-R. Newcombe, S. Lovegrove, A. Davison: DTAM: dense tracking and mapping in real-time. ICCV 2011 (coupling of volume
-and total variation). doi:10.1109/ICCV.2011.6126513
+R. Newcombe, S. Lovegrove, A. Davison: DTAM: dense tracking and mapping in real-time. ICCV 2011 (coupling of
+volume and total variation). doi:10.1109/ICCV.2011.6126513
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -26,6 +29,7 @@ from chromaperture.disparity.variational import (
     OPERATOR_NORM_SQUARED,
     Problem,
     State,
+    Steps,
     edge_weights,
     iterate,
     step_sizes,
@@ -93,8 +97,9 @@ def coupled_variation(
 ) -> np.ndarray:
     """Refine a disparity map by total variation coupled to the volume of log-likelihoods, in plain NumPy.
 
-    Minimises ``slope_penalty * sum e |grad u|_h - l(v) + (u - v)^2 / (2 theta)`` in turns: u by primal-dual steps, v
-    by trying every layer; theta falls geometrically until the two are one. Inside, disparity counts in layers.
+    Minimises ``slope_penalty * sum e |grad u|_h - l(v) + (u - v)^2 / (2 theta)`` in turns: u by
+    primal-dual steps, v by trying every layer; theta falls geometrically until the two are one. Inside,
+    disparity counts in layers.
 
     Parameters
     ----------
@@ -112,7 +117,15 @@ def coupled_variation(
     return _coupled(disparity_px, likelihood, guide, layers_px, config, iterate, nearest_likely)
 
 
-def _coupled(disparity_px, likelihood, guide, layers_px, config, solve, decouple):  # type: ignore[no-untyped-def]
+def _coupled(
+    disparity_px: np.ndarray,
+    likelihood: np.ndarray,
+    guide: np.ndarray,
+    layers_px: np.ndarray,
+    config: OptimiserConfig,
+    solve: Callable[[Problem, State, Steps], None],
+    decouple: Callable[[np.ndarray, np.ndarray, float], np.ndarray],
+) -> np.ndarray:
     step = float(layers_px[1] - layers_px[0])
     edges = edge_weights(guide, edge_range=config.edge_range, floor=config.edge_floor)
     state = State.start(((disparity_px - layers_px[0]) / step).astype(np.float32))
@@ -127,8 +140,33 @@ def _coupled(disparity_px, likelihood, guide, layers_px, config, solve, decouple
     return (layers_px[0] + step * state.u).astype(np.float32)
 
 
+def spread(
+    disparity_px: np.ndarray, cost: np.ndarray, layers_px: np.ndarray, *, temperature: float
+) -> np.ndarray:
+    """Root mean square distance of the layers from the answer, each as probable as exp(-cost / temperature).
+
+    A broad minimum spreads, and so does a rival far away: both kinds of error are in one number.
+
+    Parameters
+    ----------
+    disparity_px : (H, W) float, px
+    cost : (H, W, D) float
+        From `aggregate`.
+    layers_px : (D,) float, px
+    temperature : float
+        In the unit of ``cost``.
+
+    Returns
+    -------
+    (H, W) float32, px
+    """
+    probable = np.exp(-(cost - cost.min(axis=2, keepdims=True)) / temperature)
+    away = (layers_px - disparity_px[..., None]) ** 2
+    return np.sqrt((probable * away).sum(axis=2) / probable.sum(axis=2)).astype(np.float32)
+
+
 def nearest_likely(u: np.ndarray, likelihood: np.ndarray, fidelity: float) -> np.ndarray:
-    """Give the v that minimises ``(v - u)^2 / 2 - fidelity * l(v)``, between the layers by a parabola; (H, W)."""
+    """Give the v that minimises ``(v - u)^2 / 2 - fidelity * l(v)``, between layers by a parabola; (H, W)."""
     layers = np.arange(likelihood.shape[2], dtype=np.float32)
     cost = (layers - u[..., None]) ** 2 / 2 - np.float32(fidelity) * likelihood
     best = cost.argmin(axis=2)

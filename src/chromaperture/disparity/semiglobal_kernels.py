@@ -1,8 +1,8 @@
 """``semiglobal.py`` in Numba: every straight line of pixels is walked there and back by one thread.
 
-A pixel lies on exactly one line of each of the four families, so the threads never write to the same pixel and the
-memory is the two volumes and a few buffers as long as the layers. The truncated linear penalty costs two passes over
-the layers, however far it reaches.
+A pixel lies on exactly one line of each of the four families, so the threads never write to the same
+pixel and the memory is the two volumes and a few buffers as long as the layers. The truncated linear
+penalty costs two passes over the layers, however far it reaches.
 """
 
 from __future__ import annotations
@@ -48,15 +48,27 @@ def coupled_variation(
     *,
     config: OptimiserConfig,
 ) -> np.ndarray:
-    """Refine a disparity map by coupled total variation, as `semiglobal.coupled_variation`; (H, W) float32, px."""
+    """Refine a disparity map, as `semiglobal.coupled_variation`; (H, W) float32, px."""
     likelihood = np.ascontiguousarray(likelihood, np.float32)
     return _coupled(disparity_px, likelihood, guide, layers_px, config, iterate, nearest_likely)
+
+
+def spread(
+    disparity_px: np.ndarray, cost: np.ndarray, layers_px: np.ndarray, *, temperature: float
+) -> np.ndarray:
+    """Root mean square distance of the layers from the answer, as `semiglobal.spread`; (H, W) float32, px."""
+    out = np.empty(disparity_px.shape, np.float32)
+    _spread(
+        np.asarray(disparity_px, np.float32), cost, layers_px.astype(np.float32), np.float32(temperature), out
+    )
+    return out
 
 
 def line_starts(height: int, width: int, dx: int, dy: int) -> np.ndarray:
     """First pixel (x, y) and length of every line of a family; (lines, 3) int64.
 
-    Lines start in the first row unless they are rows, and at the left or right border unless they are columns.
+    Lines start in the first row unless they are rows, and at the left or right border unless they are
+    columns.
     """
     starts = [(x, 0) for x in range(width)] if dy > 0 else []
     if dx != 0:
@@ -136,3 +148,22 @@ def _nearest_likely(u, likelihood, fidelity, out):  # type: ignore[no-untyped-de
                 offset = (cost[best - 1] - cost[best + 1]) / (2 * max(bend, np.float32(1e-12)))
                 v += min(max(offset, -half), half)
             out[y, x] = v
+
+
+@njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
+def _spread(disparity, cost, layers, temperature, out):  # type: ignore[no-untyped-def]
+    height, width, count = cost.shape
+    for y in prange(height):
+        for x in range(width):
+            least = cost[y, x, 0]
+            for k in range(1, count):
+                least = min(least, cost[y, x, k])
+            mass, moment = np.float32(0), np.float32(0)
+            for k in range(count):
+                above = (cost[y, x, k] - least) / temperature
+                if above < np.float32(20):  # e^-20 is below float32's resolution of the sum
+                    probable = np.exp(-above)
+                    away = layers[k] - disparity[y, x]
+                    mass += probable
+                    moment += probable * away * away
+            out[y, x] = np.sqrt(moment / mass)
