@@ -1,12 +1,15 @@
 """Quality "accurate" and its error bar: a world of two noisy views, asked back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from chromaperture.config import MatcherConfig, OptimiserConfig
-from chromaperture.disparity import semiglobal, semiglobal_kernels
+from chromaperture.disparity import reference, semiglobal, semiglobal_kernels
 from chromaperture.disparity.confidence import disparity_sigma
-from chromaperture.disparity.optimise import log_likelihood, optimise_volume
+from chromaperture.disparity.inputs import MatchInputs
+from chromaperture.disparity.optimise import log_likelihood, match, optimise_volume, relative_scale
 from chromaperture.disparity.subpixel import Winner
 from chromaperture.errors import InputError
 
@@ -115,3 +118,65 @@ def test_sigma_takes_the_optimisers_spread_and_caps_it():
 def test_mismatched_shapes_are_named():
     with pytest.raises(InputError, match="does not fit"):
         optimise_volume(np.zeros((4, 5, 6)), np.zeros((4, 5)), LAYERS_PX, config=OptimiserConfig())
+
+
+def half_pupil_views(rng, disparity_px, *, noise):
+    """Left and right half views of a random texture on a wall of one disparity, sampled by Fourier shifts."""
+    shape = (40, 48)
+    spectrum = np.fft.fft2(rng.normal(size=shape))
+    frequency = np.fft.fftfreq(shape[1])
+    spectrum *= np.exp(-8 * (frequency**2 + np.fft.fftfreq(shape[0])[:, None] ** 2))
+    views = [
+        np.fft.ifft2(spectrum * np.exp(2j * np.pi * frequency * -disparity_px * u)).real for u in (-1, 1)
+    ]
+    return np.stack(views, -1) + rng.normal(0, noise, (*shape, 2))
+
+
+def inputs_of(views, scale=1.0):
+    config = MatcherConfig(min_disparity_px=-2.5, max_disparity_px=2.5)
+    shape = views.shape[:2]
+    return config, MatchInputs(
+        views=views.astype(np.float32),
+        directions=np.array([[-1.0, 0], [1, 0]]) * scale,
+        layers_px=config.layers_px,
+        guide=np.zeros(shape, np.float32),
+        mask=np.ones(shape, np.float32),
+        noise_variance=np.zeros((*shape, 2), np.float32),
+        noise_covariance=np.zeros((*shape, 1), np.float32),
+        noise_overlap=np.zeros((len(config.layers_px), 1), np.float32),
+    )
+
+
+def test_two_colour_spaces_of_different_scale_are_matched_as_one():
+    rng = np.random.default_rng(5)
+    truth, scale = 1.5, 0.7
+    config, first = inputs_of(half_pupil_views(rng, truth, noise=0.1))
+    _, second = inputs_of(half_pupil_views(rng, truth * scale, noise=0.1), scale)
+    winner = match([first, second], config, OptimiserConfig(), score_volume=reference.score_volume)
+    # A layer itself: there interpolation has no bias, and what the noise does is smoothed away.
+    assert np.abs(winner.disparity_px - truth).max() < 0.03
+    torn = replace(second, directions=first.directions)
+    apart = match([first, torn], config, OptimiserConfig(), score_volume=reference.score_volume)
+    assert np.abs(apart.disparity_px - truth).mean() > 0.05
+
+
+def test_saturated_pixels_give_no_evidence():
+    rng = np.random.default_rng(6)
+    config, inputs = inputs_of(half_pupil_views(rng, 1.0, noise=0.02))
+    spoilt = inputs.views.copy()
+    spoilt[10:20, 10:30] = half_pupil_views(rng, -2.0, noise=0.02)[10:20, 10:30]
+    inputs.mask[6:24, 4:36] = 0
+    inputs = replace(inputs, views=spoilt)
+    winner = match([inputs], config, OptimiserConfig(), score_volume=reference.score_volume)
+    assert np.abs(winner.disparity_px - 1.0).max() < 0.1
+
+
+def test_scale_between_two_colour_spaces_is_found():
+    rng = np.random.default_rng(7)
+    truth = np.linspace(-2.5, 2.5, 60) * np.ones((45, 1))
+    likelihood = log_likelihood(correlation_volume(rng, 0.84 * truth), view_count=2)
+    disparity = truth.copy()
+    disparity[:5] = np.nan
+    candidates = np.arange(0.6, 1.21, 0.04)
+    found = relative_scale(disparity, likelihood, LAYERS_PX, candidates=candidates)
+    assert found == pytest.approx(0.84, abs=0.041)  # the step of the candidates

@@ -6,17 +6,93 @@ variation find the surface; how far a layer of nearly the same cost lies from it
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from types import ModuleType
 from typing import Literal
 
 import numpy as np
 
-from chromaperture.config import OptimiserConfig
+from chromaperture.config import MatcherConfig, OptimiserConfig
+from chromaperture.disparity.inputs import MatchInputs
 from chromaperture.disparity.subpixel import Winner, parabola_winner
 from chromaperture.errors import InputError
 
 Backend = Literal["numba", "reference"]
+ScoreVolume = Callable[[MatchInputs, MatcherConfig], np.ndarray]
 MAX_CORRELATION = 0.999  # squared, for two views: a perfect score must not outvote the whole neighbourhood
+
+
+def match(
+    inputs: Sequence[MatchInputs],
+    config: MatcherConfig,
+    optimiser: OptimiserConfig,
+    *,
+    score_volume: ScoreVolume,
+    backend: Backend = "numba",
+) -> Winner:
+    """Match one capture in one or several colour spaces at once.
+
+    Parameters
+    ----------
+    inputs : sequence of MatchInputs
+        One for each colour space, all with the same layers; the guide is the first one's. Their
+        ``directions`` must share one scale of disparity, see `relative_scale`.
+    config : MatcherConfig
+        A smaller window than for a local winner serves best: its decay .70 here. Noise debiasing is left out.
+    optimiser : OptimiserConfig
+    score_volume : callable
+        ``reference.score_volume`` or its fast twin.
+    backend : {"numba", "reference"}
+
+    Returns
+    -------
+    Winner
+        As `optimise_volume`.
+    """
+    raw = replace(config, noise_debiasing=False)
+    likelihood = np.zeros((*inputs[0].mask.shape, len(inputs[0].layers_px)), np.float32)
+    for one in inputs:
+        likelihood += log_likelihood(score_volume(one, raw), view_count=one.views.shape[2])
+    likelihood *= inputs[0].mask[..., None] / len(inputs)
+    first = inputs[0]
+    return optimise_volume(likelihood, first.guide, first.layers_px, config=optimiser, backend=backend)
+
+
+def relative_scale(
+    disparity_px: np.ndarray, likelihood: np.ndarray, layers_px: np.ndarray, *, candidates: np.ndarray
+) -> float:
+    """Find by which factor the disparities of a second colour space differ from a known map.
+
+    Leaking film brings the views of plain sensor channels closer together than unmixed ones, by less than
+    their centroids because blurred copies do not merge: measure it, on captures that reach far from focus.
+
+    Parameters
+    ----------
+    disparity_px : (H, W) float, px
+        In the first colour space; NaN unknown.
+    likelihood : (H, W, D) float
+        Of the second.
+    layers_px : (D,) float, px
+    candidates : (N,) float
+
+    Returns
+    -------
+    float
+        The candidate at whose multiple of the map the second space finds the most evidence; multiply the
+        ``directions`` of the second space by it.
+    """
+    known = np.isfinite(disparity_px)
+    volume = likelihood[known]
+    evidence = []
+    for factor in candidates:
+        place = (factor * disparity_px[known] - layers_px[0]) / (layers_px[1] - layers_px[0])
+        layer = np.clip(np.floor(place).astype(np.intp), 0, len(layers_px) - 2)
+        share = np.clip(place - layer, 0, 1)
+        below = np.take_along_axis(volume, layer[:, None], axis=1)[:, 0]
+        above = np.take_along_axis(volume, layer[:, None] + 1, axis=1)[:, 0]
+        evidence.append(float(((1 - share) * below + share * above).sum()))
+    return float(candidates[int(np.argmax(evidence))])
 
 
 def log_likelihood(score: np.ndarray, *, view_count: int) -> np.ndarray:
