@@ -10,6 +10,7 @@ from chromaperture.disparity import reference, semiglobal, semiglobal_kernels
 from chromaperture.disparity.confidence import disparity_sigma
 from chromaperture.disparity.inputs import MatchInputs
 from chromaperture.disparity.optimise import log_likelihood, match, optimise_volume, relative_scale
+from chromaperture.disparity.semiglobal import layer_field
 from chromaperture.disparity.subpixel import Winner
 from chromaperture.errors import InputError
 
@@ -180,3 +181,49 @@ def test_scale_between_two_colour_spaces_is_found():
     candidates = np.arange(0.6, 1.21, 0.04)
     found = relative_scale(disparity, likelihood, LAYERS_PX, candidates=candidates)
     assert found == pytest.approx(0.84, abs=0.041)  # the step of the candidates
+
+
+def curved_field(shape):
+    """A and B of a lens with field curvature and vignetting: a flat wall bends by more than two layers."""
+    y, x = (np.mgrid[: shape[0], : shape[1]] - np.array(shape)[:, None, None] / 2) / shape[1]
+    return 4 - 1.5 * (x**2 + y**2), 8000 * (1 - 0.3 * (x**2 + y**2))
+
+
+def test_field_labels_are_the_disparities_of_the_reference_pixel():
+    a, b = curved_field((30, 40))
+    field = layer_field(a, b, reference=(4.0, 8000.0))
+    for z_mm in (1000.0, 3000.0):
+        label = 4.0 - 8000.0 / z_mm
+        # float32 fields of order 10
+        np.testing.assert_allclose(field.offset_px + field.scale * label, a - b / z_mm, atol=3e-6)
+
+
+def test_both_implementations_read_the_same_labels():
+    rng = np.random.default_rng(8)
+    volume = rng.uniform(0, 1, (11, 13, len(LAYERS_PX))).astype(np.float32)
+    a, b = curved_field((11, 13))
+    field = layer_field(2 * a - 4, b, reference=(4.0, 8000.0))
+    slow = semiglobal.at_labels(volume, LAYERS_PX, field)
+    np.testing.assert_allclose(semiglobal_kernels.at_labels(volume, LAYERS_PX, field), slow, atol=1e-5)
+    assert (slow == 0).any()  # beyond the volume there is no evidence
+    still = layer_field(np.full((11, 13), 4.0), np.full((11, 13), 8000.0), reference=(4.0, 8000.0))
+    np.testing.assert_allclose(semiglobal.at_labels(volume, LAYERS_PX, still), volume, atol=1e-6)
+
+
+def test_a_flat_wall_behind_a_curved_field_is_found_flat():
+    rng = np.random.default_rng(9)
+    shape = (45, 60)
+    a, b = curved_field(shape)
+    truth = a - b / 2200.0
+    config, inputs = inputs_of(np.zeros((*shape, 2)))
+    volume = np.clip(
+        0.3 * np.exp(-((inputs.layers_px - truth[..., None]) ** 2))
+        + rng.normal(0, 0.25, (*shape, len(inputs.layers_px))),
+        -1, 1,
+    )  # fmt: skip
+    errors = []
+    for fields in (None, [layer_field(a, b, reference=(4.0, 8000.0))]):
+        winner = match([inputs], config, OptimiserConfig(), score_volume=lambda *_: volume, fields=fields)
+        errors.append(np.abs(winner.disparity_px - truth).mean())
+    assert errors[1] < 0.05  # a tenth of a layer
+    assert errors[0] > 2 * errors[1]

@@ -15,6 +15,7 @@ import numpy as np
 
 from chromaperture.config import MatcherConfig, OptimiserConfig
 from chromaperture.disparity.inputs import MatchInputs
+from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.disparity.subpixel import Winner, parabola_winner
 from chromaperture.errors import InputError
 
@@ -29,6 +30,7 @@ def match(
     optimiser: OptimiserConfig,
     *,
     score_volume: ScoreVolume,
+    fields: Sequence[LayerField] | None = None,
     backend: Backend = "numba",
 ) -> Winner:
     """Match one capture in one or several colour spaces at once.
@@ -36,27 +38,40 @@ def match(
     Parameters
     ----------
     inputs : sequence of MatchInputs
-        One for each colour space, all with the same layers; the guide is the first one's. Their
-        ``directions`` must share one scale of disparity, see `relative_scale`.
+        One for each colour space, all with the same layers; the guide is the first one's. Without fields
+        their ``directions`` must share one scale of disparity, see `relative_scale`.
     config : MatcherConfig
-        A smaller window than for a local winner serves best: its decay .70 here. Noise debiasing is left out.
+        A smaller window than for a local winner serves best: a decay of .70. Noise debiasing is left out.
     optimiser : OptimiserConfig
     score_volume : callable
         ``reference.score_volume`` or its fast twin.
+    fields : sequence of LayerField, optional
+        One for each colour space of a calibrated camera, see `semiglobal.layer_field`: makes surfaces of equal
+        depth smooth instead of surfaces of equal disparity, and brings the colour spaces to one scale.
     backend : {"numba", "reference"}
 
     Returns
     -------
     Winner
-        As `optimise_volume`.
+        As `optimise_volume`; disparities of the first colour space.
     """
+    solver = _backend(backend)
     raw = replace(config, noise_debiasing=False)
-    likelihood = np.zeros((*inputs[0].mask.shape, len(inputs[0].layers_px)), np.float32)
-    for one in inputs:
-        likelihood += log_likelihood(score_volume(one, raw), view_count=one.views.shape[2])
-    likelihood *= inputs[0].mask[..., None] / len(inputs)
     first = inputs[0]
-    return optimise_volume(likelihood, first.guide, first.layers_px, config=optimiser, backend=backend)
+    likelihood = np.zeros((*first.mask.shape, len(first.layers_px)), np.float32)
+    for i, one in enumerate(inputs):
+        evidence = log_likelihood(score_volume(one, raw), view_count=one.views.shape[2])
+        likelihood += evidence if fields is None else solver.at_labels(evidence, first.layers_px, fields[i])
+    likelihood *= first.mask[..., None] / len(inputs)
+    winner = optimise_volume(likelihood, first.guide, first.layers_px, config=optimiser, backend=backend)
+    return winner if fields is None else _at_pixels(winner, fields[0])
+
+
+def _at_pixels(winner: Winner, field: LayerField) -> Winner:
+    """Turn a winner among labels into one among the disparities of every pixel."""
+    disparity = field.offset_px + field.scale * winner.disparity_px
+    spread = None if winner.spread_px is None else field.scale * winner.spread_px
+    return Winner(disparity, winner.peak, winner.curvature / field.scale**2, spread)
 
 
 def relative_scale(

@@ -21,6 +21,7 @@ volume and total variation). doi:10.1109/ICCV.2011.6126513
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,67 @@ from chromaperture.disparity.variational import (
 
 # Lines of pixels, as steps (x, y); every line is walked in both directions. The first two are the 4-path set.
 LINES = ((1, 0), (0, 1), (1, 1), (-1, 1))
+
+
+class LayerField(NamedTuple):
+    """What a common label means at every pixel: ``disparity = offset_px + scale * label``.
+
+    Field curvature and vignetting bend the disparity of a flat wall, so smoothness of the disparity itself
+    would fight the lens. With labels of equal depth a wall is constant again.
+
+    Attributes
+    ----------
+    offset_px : (H, W) float32, px
+    scale : (H, W) float32
+    """
+
+    offset_px: np.ndarray
+    scale: np.ndarray
+
+
+def layer_field(
+    infinity_px: np.ndarray, baseline_px_mm: np.ndarray, *, reference: tuple[float, float]
+) -> LayerField:
+    """Field whose labels are the disparities of a reference pixel at the same depth.
+
+    From ``d = A - B / z`` here and ``label = A0 - B0 / z`` there.
+
+    Parameters
+    ----------
+    infinity_px : (H, W) float, px
+        A, disparity at infinity, of the colour space that is matched.
+    baseline_px_mm : (H, W) float, px mm
+        B.
+    reference : (float, float)
+        A0 and B0, the same for all colour spaces of a camera.
+    """
+    scale = baseline_px_mm / reference[1]
+    offset = infinity_px - scale * reference[0]
+    return LayerField(offset.astype(np.float32), scale.astype(np.float32))
+
+
+def at_labels(likelihood: np.ndarray, layers_px: np.ndarray, field: LayerField) -> np.ndarray:
+    """Read a volume at the labels ``layers_px`` of a field, linearly between its layers.
+
+    Parameters
+    ----------
+    likelihood : (H, W, D) float
+        At the disparities ``layers_px``.
+    layers_px : (D,) float, px
+    field : LayerField
+
+    Returns
+    -------
+    (H, W, D) float32
+        At the disparities ``offset_px + scale * layers_px``; 0, no evidence, beyond the volume.
+    """
+    disparity = field.offset_px[..., None] + field.scale[..., None] * layers_px
+    place = (disparity - layers_px[0]) / (layers_px[1] - layers_px[0])
+    below = np.clip(np.floor(place).astype(np.intp), 0, len(layers_px) - 2)
+    share = place - below
+    value = (1 - share) * np.take_along_axis(likelihood, below, axis=2)
+    value += share * np.take_along_axis(likelihood, below + 1, axis=2)
+    return np.where((share >= 0) & (share <= 1), value, 0).astype(np.float32)
 
 
 def aggregate(
@@ -114,10 +176,10 @@ def coupled_variation(
     -------
     (H, W) float32, px
     """
-    return _coupled(disparity_px, likelihood, guide, layers_px, config, iterate, nearest_likely)
+    return couple(disparity_px, likelihood, guide, layers_px, config, iterate, nearest_likely)
 
 
-def _coupled(
+def couple(
     disparity_px: np.ndarray,
     likelihood: np.ndarray,
     guide: np.ndarray,
@@ -126,6 +188,7 @@ def _coupled(
     solve: Callable[[Problem, State, Steps], None],
     decouple: Callable[[np.ndarray, np.ndarray, float], np.ndarray],
 ) -> np.ndarray:
+    """Alternate the two steps of `coupled_variation` with a given solver of each; (H, W) float32, px."""
     step = float(layers_px[1] - layers_px[0])
     edges = edge_weights(guide, edge_range=config.edge_range, floor=config.edge_floor)
     state = State.start(((disparity_px - layers_px[0]) / step).astype(np.float32))

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit, prange
 
 from chromaperture.config import OptimiserConfig
-from chromaperture.disparity.semiglobal import LINES, _coupled
+from chromaperture.disparity.semiglobal import LINES, LayerField, couple
 from chromaperture.disparity.variational_kernels import iterate
 
 FAST: set[str] = {"contract", "arcp", "nsz", "reassoc", "afn", "nnan"}
@@ -50,7 +50,7 @@ def coupled_variation(
 ) -> np.ndarray:
     """Refine a disparity map, as `semiglobal.coupled_variation`; (H, W) float32, px."""
     likelihood = np.ascontiguousarray(likelihood, np.float32)
-    return _coupled(disparity_px, likelihood, guide, layers_px, config, iterate, nearest_likely)
+    return couple(disparity_px, likelihood, guide, layers_px, config, iterate, nearest_likely)
 
 
 def spread(
@@ -60,6 +60,20 @@ def spread(
     out = np.empty(disparity_px.shape, np.float32)
     _spread(
         np.asarray(disparity_px, np.float32), cost, layers_px.astype(np.float32), np.float32(temperature), out
+    )
+    return out
+
+
+def at_labels(likelihood: np.ndarray, layers_px: np.ndarray, field: LayerField) -> np.ndarray:
+    """Read a volume at the labels of a field, as `semiglobal.at_labels`; (H, W, D) float32."""
+    out = np.empty(likelihood.shape, np.float32)
+    _at_labels(
+        np.ascontiguousarray(likelihood, np.float32),
+        float(layers_px[0]),
+        float(layers_px[1] - layers_px[0]),
+        np.ascontiguousarray(field.offset_px, np.float32),
+        np.ascontiguousarray(field.scale, np.float32),
+        out,
     )
     return out
 
@@ -167,3 +181,18 @@ def _spread(disparity, cost, layers, temperature, out):  # type: ignore[no-untyp
                     mass += probable
                     moment += probable * away * away
             out[y, x] = np.sqrt(moment / mass)
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _at_labels(likelihood, first, step, offset, scale, out):  # type: ignore[no-untyped-def]
+    height, width, layers = likelihood.shape
+    for y in prange(height):
+        for x in range(width):
+            for k in range(layers):
+                place = (offset[y, x] + scale[y, x] * (first + k * step) - first) / step
+                below = min(max(int(np.floor(place)), 0), layers - 2)
+                share = place - below
+                value = 0.0
+                if 0 <= share <= 1:
+                    value = (1 - share) * likelihood[y, x, below] + share * likelihood[y, x, below + 1]
+                out[y, x, k] = value
