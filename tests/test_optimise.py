@@ -186,7 +186,7 @@ def test_scale_between_two_colour_spaces_is_found():
 def curved_field(shape):
     """A and B of a lens with field curvature and vignetting: a flat wall bends by more than two layers."""
     y, x = (np.mgrid[: shape[0], : shape[1]] - np.array(shape)[:, None, None] / 2) / shape[1]
-    return 4 - 1.5 * (x**2 + y**2), 8000 * (1 - 0.3 * (x**2 + y**2))
+    return 4 - 5 * (x**2 + y**2), 8000 * (1 - 0.3 * (x**2 + y**2))
 
 
 def test_field_labels_are_the_disparities_of_the_reference_pixel():

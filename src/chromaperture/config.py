@@ -129,7 +129,7 @@ class OptimiserConfig:
     coupling_layers2: tuple[float, float] = (2.0, 0.02)
     coupling_rounds: int = 25
     variation_iterations: int = 40
-    temperature: float = 0.4
+    temperature: float = 0.5
 
     def __post_init__(self) -> None:
         if self.paths not in (4, 8):

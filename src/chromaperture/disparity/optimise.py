@@ -46,8 +46,8 @@ def match(
     score_volume : callable
         ``reference.score_volume`` or its fast twin.
     fields : sequence of LayerField, optional
-        One for each colour space of a calibrated camera, see `semiglobal.layer_field`: makes surfaces of equal
-        depth smooth instead of surfaces of equal disparity, and brings the colour spaces to one scale.
+        One for each colour space of a camera, see `semiglobal.layer_field`: surfaces of equal depth
+        become smooth instead of surfaces of equal disparity, and the colour spaces come to one scale.
     backend : {"numba", "reference"}
 
     Returns
