@@ -101,8 +101,8 @@ class OptimiserConfig:
     paths : int
         Directions of semi-global matching, 4 or 8.
     slope_penalty : float
-        Cost of a change of disparity between two neighbours, nats per px. Large, because the windows of neighbours
-        see the same pixels: their likelihoods are no independent witnesses.
+        Cost of a change of disparity between two neighbours, nats per px. Large, because the windows of
+        neighbours see the same pixels: their likelihoods are no independent witnesses.
     jump_penalty : float
         The most a change costs, nats: a depth edge.
     edge_range : float
@@ -116,8 +116,8 @@ class OptimiserConfig:
     coupling_rounds, variation_iterations : int
         Rounds of the coupling, 0 switches the variation off; primal-dual iterations in each.
     temperature : float
-        Nats a path by which a layer may cost more and still be 1/e as probable: the one calibrated number of the
-        error bar. Far above 1/2, because windows overlap.
+        Nats a path by which a layer may cost more and still be 1/e as probable: the one calibrated number of
+        the error bar.
     """
 
     paths: int = 8
@@ -136,7 +136,7 @@ class OptimiserConfig:
             raise InputError(f"paths must be 4 or 8, got {self.paths}")
         positive = (self.slope_penalty, self.jump_penalty, self.edge_range, self.temperature)
         if min(*positive, *self.coupling_layers2) <= 0:
-            raise InputError("the optimiser's penalties, edge_range, temperature and couplings must be positive")
+            raise InputError("penalties, edge_range, temperature and couplings must be positive")
         if not 0 <= self.edge_floor <= 1 or self.huber_layers < 0:
             raise InputError("edge_floor must lie in [0, 1] and huber_layers must be >= 0")
         if self.coupling_rounds < 0 or self.variation_iterations < 1:
