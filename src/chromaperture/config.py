@@ -37,6 +37,10 @@ class MatcherConfig:
         Guide difference, linear light relative to the guide's 99th percentile, at which the reach falls to 1/e a px.
     texture_weighting : bool
         Weight the cost by texture against noise, so that even areas listen to their textured neighbours.
+    sigma_scale : float
+        Widens the error bar of ideal, Gaussian pictures (1.0) to that of real ones, in which windows see two depths
+        and blurred views are mirrored, not moved. The one number of the error bar that is calibrated, on captures of
+        known depth.
     views : "unmixed" or "pure"
         Match the views in the aperture's colour space, Eq. (1), as the paper does; or take the sensor channels that
         see one filter each, where the design has them: less noise, and saturated colours do no harm.
@@ -51,6 +55,7 @@ class MatcherConfig:
     window_decay: float = 0.80
     bilateral_sigma_px: float = 14.0
     bilateral_range: float = 0.06
+    sigma_scale: float = 2.0
     views: Literal["unmixed", "pure"] = "pure"
     texture_weighting: bool = True
     noise_debiasing: bool = True
@@ -66,6 +71,8 @@ class MatcherConfig:
             )
         if not 0 < self.window_decay < 1:
             raise InputError(f"window_decay must lie between 0 and 1, got {self.window_decay:g}")
+        if not (math.isfinite(self.sigma_scale) and self.sigma_scale > 0):
+            raise InputError(f"sigma_scale must be positive, is {self.sigma_scale:g}")
         if self.views not in ("unmixed", "pure"):
             raise InputError(f"views must be unmixed or pure, is {self.views!r}")
         reaches = (self.bilateral_sigma_px, self.presmooth_sigma_px, self.bilateral_range)
@@ -100,6 +107,57 @@ class MatcherConfig:
         low = self.step_px * math.floor(min_disparity_px / self.step_px)
         high = self.step_px * math.ceil(max_disparity_px / self.step_px)
         return replace(self, min_disparity_px=low, max_disparity_px=high)
+
+
+@dataclass(frozen=True)
+class OptimiserConfig:
+    """Global optimisation of the disparity (quality "accurate"). Likelihoods count in nats a pixel.
+
+    Attributes
+    ----------
+    paths : int
+        Directions of semi-global matching, 4 or 8.
+    slope_penalty : float
+        Cost of a change of disparity between two neighbours, nats per px. Large, because the windows of
+        neighbours see the same pixels: their likelihoods are no independent witnesses.
+    jump_penalty : float
+        The most a change costs, nats: a depth edge.
+    edge_range : float
+        Guide difference, in units of ``bilateral_range``, at which the penalties fall to 1/e.
+    edge_floor : float
+        Share of the penalties that remains across the strongest edge of the guide.
+    huber_layers : float
+        Slopes below, layers per px, are smoothed by the variation, not flattened into steps.
+    coupling_layers2 : (float, float)
+        First and last coupling theta of variation and volume, layers squared.
+    coupling_rounds, variation_iterations : int
+        Rounds of the coupling, 0 switches the variation off; primal-dual iterations in each.
+    temperature : float
+        Nats a path by which a layer may cost more and still be 1/e as probable: the one calibrated number of
+        the error bar.
+    """
+
+    paths: int = 8
+    slope_penalty: float = 25.0
+    jump_penalty: float = 25.0
+    edge_range: float = 0.5
+    edge_floor: float = 0.05
+    huber_layers: float = 0.05
+    coupling_layers2: tuple[float, float] = (2.0, 0.02)
+    coupling_rounds: int = 25
+    variation_iterations: int = 40
+    temperature: float = 0.5
+
+    def __post_init__(self) -> None:
+        if self.paths not in (4, 8):
+            raise InputError(f"paths must be 4 or 8, got {self.paths}")
+        positive = (self.slope_penalty, self.jump_penalty, self.edge_range, self.temperature)
+        if min(*positive, *self.coupling_layers2) <= 0:
+            raise InputError("penalties, edge_range, temperature and couplings must be positive")
+        if not 0 <= self.edge_floor <= 1 or self.huber_layers < 0:
+            raise InputError("edge_floor must lie in [0, 1] and huber_layers must be >= 0")
+        if self.coupling_rounds < 0 or self.variation_iterations < 1:
+            raise InputError("coupling_rounds must be >= 0 and variation_iterations >= 1")
 
 
 @dataclass(frozen=True)
