@@ -16,7 +16,7 @@ LAYOUT = {
     "cmy_circles": {"cyan": (0, -1), "magenta": (-SIN60, 0.5), "yellow": (SIN60, 0.5)},
 }
 MARGIN_PX = 16  # the Fourier shift wraps round, the matcher replicates
-NARROW = MatcherConfig(min_disparity_px=-4.0, max_disparity_px=4.0)
+NARROW = MatcherConfig(min_disparity_px=-4.0, max_disparity_px=4.0, sigma_scale=1.0)  # these pictures are ideal
 
 
 def texture(rng, height=80, width=96, blur_px=1.5):

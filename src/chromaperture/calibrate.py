@@ -27,11 +27,12 @@ from chromaperture.depth.chessboard import (
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField, degree_of, fit_depth_field
 from chromaperture.depth.fit import DepthFit, RulerFit, fit_depth_model, fit_ruler
-from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.disparity.estimate import colour_spaces, estimate_disparity
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids, channel_transmission, design_named
 from chromaperture.session import Session, read_session
 
+_MEASURED: tuple[Quality, ...] = ("paper", "real-time")
 _MIDDLE = 1 / 3  # share of the width and height that stands for the axis
 _GRID_PX = 6  # every sixth px each way: neighbours share their window anyway
 _FIELD_DEGREE = 4
@@ -111,7 +112,7 @@ def calibrate_session(
         progress("board disparity", i, len(session.boards))
         boards.append(_measure_board(session, draft, path))
     progress("board disparity", len(boards), len(boards))
-    for quality in QUALITIES:
+    for quality in _MEASURED:
         fits[quality] = fit_depth_model(
             rulers,
             np.array([board.disparity_px[quality] for board in boards]),
@@ -120,7 +121,11 @@ def calibrate_session(
             sensor_to_pupil_mm=pupil.sensor_to_pupil_mm,
             sensor_to_pupil_sigma_mm=pupil.sigma_mm,
         )
-    fields = {quality: _fit_field(session, boards, quality, fits[quality], notes) for quality in QUALITIES}
+    fields = {quality: _fit_field(session, boards, quality, fits[quality], notes) for quality in _MEASURED}
+    # The optimiser matches the same views with the same score and only pools them better: it needs no curve of its own,
+    # and refitting one to its boards changed nothing.
+    first = colour_spaces(aperture, draft.unmixing, MatcherConfig.preset("accurate"))[0]
+    fields["accurate"] = fields["paper" if np.array_equal(first, draft.unmixing) else "real-time"]
     provenance = {
         "command": f"chromaperture calibrate {session.folder.name}",
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
@@ -238,7 +243,7 @@ def _measure_board(session: Session, draft: Calibration, path: Path) -> BoardMea
     medians: dict[Quality, float] = {}
     errors: dict[Quality, float] = {}
     grids: dict[Quality, np.ndarray] = {}
-    for quality in QUALITIES:
+    for quality in _MEASURED:
         low, high = draft.disparity_range_px(quality)
         config = MatcherConfig.preset(quality).with_range(1.5 * low - 1, 1.5 * high + 1)  # the lens is not known yet
         disparity = estimate_disparity(

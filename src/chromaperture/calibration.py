@@ -151,7 +151,7 @@ class Calibration:
     @property
     def in_focus_mm(self) -> float:
         """Distance of the focus surface from the sensor plane, on the axis: z~_of = B / A + delta."""
-        return float(self._on_axis("real-time").in_focus_mm)
+        return float(self.on_axis("real-time").in_focus_mm)
 
     @property
     def baseline_mm(self) -> float:
@@ -159,10 +159,11 @@ class Calibration:
 
         That of the unmixed views, the paper's; the sensor's own channels see leaks and sit a little closer.
         """
-        scale = float(self._on_axis("paper").scale_px_mm)
+        scale = float(self.on_axis("paper").scale_px_mm)
         return 2 * self.sensor.pixel_pitch_mm * scale / self.image_distance_mm
 
-    def _on_axis(self, quality: Quality) -> DepthModel:
+    def on_axis(self, quality: Quality) -> DepthModel:
+        """Give the depth curve of a quality in the middle of the frame, as numbers."""
         self.depth_model(quality)
         return self.depth[quality].on_axis(self.sensor.width_px, self.sensor.height_px)
 

@@ -15,7 +15,8 @@ from chromaperture.color.alignment import align_channels, channel_directions, wh
 from chromaperture.color.noise import estimate_noise_variance, photon_noise_variance
 from chromaperture.config import Config, DepthConfig, MatcherConfig, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
-from chromaperture.disparity.estimate import Disparity, estimate_disparity
+from chromaperture.disparity.estimate import Disparity, colour_spaces, estimate_disparity
+from chromaperture.disparity.semiglobal import LayerField, layer_field
 
 StageTimer = Callable[[str], AbstractContextManager[None]]
 
@@ -62,6 +63,7 @@ class CodedApertureCamera:
         self.calibration = calibration
         self.config = config or default_config(calibration)
         self.depth_model = calibration.depth_model(self.config.quality) if calibration.is_calibrated else None
+        self.fields = layer_fields(calibration, self.config.matcher)
 
     def measure(self, image: np.ndarray, *, stage: StageTimer = lambda name: nullcontext()) -> DepthFrame:
         """Measure depth in millimetres for every pixel of one photograph.
@@ -92,6 +94,7 @@ class CodedApertureCamera:
                 aperture=cal.aperture,
                 unmixing=cal.unmixing,
                 noise_variance=noise,
+                fields=self.fields,
                 config=self.config.matcher,
             )
         with stage("depth"):  # Eq. (10)
@@ -117,6 +120,26 @@ def millimetres(
         sigma_px=disparity.sigma_px,
         max_depth_mm=config.max_depth_mm,
     )
+
+
+def layer_fields(calibration: Calibration, config: MatcherConfig) -> list[LayerField] | None:
+    """Tell an optimiser what equal depth means at every pixel, in each colour space it matches."""
+    if config.optimiser is None or not calibration.is_calibrated:
+        return None
+    spaces = colour_spaces(calibration.aperture, calibration.unmixing, config)
+    qualities: tuple[Quality, ...] = ("accurate", "real-time")  # of the unmixed and of the pure views
+    models = [calibration.depth_model(quality) for quality in qualities[: len(spaces)]]
+    axis = calibration.on_axis("accurate")
+    reference = (float(axis.infinity_disparity_px), float(axis.scale_px_mm))
+    shape = (calibration.sensor.height_px, calibration.sensor.width_px)
+    return [
+        layer_field(
+            np.broadcast_to(model.infinity_disparity_px, shape),
+            np.broadcast_to(model.scale_px_mm, shape),
+            reference=reference,
+        )
+        for model in models
+    ]
 
 
 def sensor_noise(image: np.ndarray, calibration: Calibration) -> np.ndarray:

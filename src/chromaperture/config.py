@@ -18,98 +18,6 @@ QUALITIES: tuple[Quality, ...] = get_args(Quality)
 
 
 @dataclass(frozen=True)
-class MatcherConfig:
-    """Disparity estimation (paper section 3.1). All disparities are half disparities in px, + is beyond focus.
-
-    Attributes
-    ----------
-    min_disparity_px, max_disparity_px : float
-        Ends of the search range. A winner at either end is reported as unknown, so leave a layer of margin.
-    step_px : float
-        Distance of two layers. Above 0.5 the parabola locks to the layers (bias 0.045 px at 1.0, 0.006 at 0.5).
-    presmooth_sigma_px : float
-        Gaussian before matching; makes the noise left by sub-pixel interpolation independent of its phase.
-    window_decay : float
-        ``a`` in the correlation window ``a**(|x| + |y|)``; .80 has the variance of a 21 px box.
-    bilateral_sigma_px : float
-        Reach of the recursive bilateral filter over the cost volume on an even guide; 0 switches it off.
-    bilateral_range : float
-        Guide difference, linear light relative to the guide's 99th percentile, at which the reach falls to 1/e a px.
-    texture_weighting : bool
-        Weight the cost by texture against noise, so that even areas listen to their textured neighbours.
-    sigma_scale : float
-        Widens the error bar of ideal, Gaussian pictures (1.0) to that of real ones, in which windows see two depths
-        and blurred views are mirrored, not moved. The one number of the error bar that is calibrated, on captures of
-        known depth.
-    views : "unmixed" or "pure"
-        Match the views in the aperture's colour space, Eq. (1), as the paper does; or take the sensor channels that
-        see one filter each, where the design has them: less noise, and saturated colours do no harm.
-    noise_debiasing : bool
-        Subtract the known noise covariance of the unmixed channels, which otherwise digs a hole at disparity 0.
-    """
-
-    min_disparity_px: float = -8.0
-    max_disparity_px: float = 7.5
-    step_px: float = 0.5
-    presmooth_sigma_px: float = 0.7
-    window_decay: float = 0.80
-    bilateral_sigma_px: float = 14.0
-    bilateral_range: float = 0.06
-    sigma_scale: float = 2.0
-    views: Literal["unmixed", "pure"] = "pure"
-    texture_weighting: bool = True
-    noise_debiasing: bool = True
-
-    def __post_init__(self) -> None:
-        numbers = (self.min_disparity_px, self.max_disparity_px, self.step_px)
-        if not all(map(math.isfinite, numbers)) or self.step_px <= 0:
-            raise InputError("disparity range and step must be finite and the step positive, in px")
-        if self.max_disparity_px - self.min_disparity_px < 2 * self.step_px:
-            raise InputError(
-                f"the disparity range {self.min_disparity_px:g}..{self.max_disparity_px:g} px holds fewer than three "
-                f"layers of {self.step_px:g} px: widen it"
-            )
-        if not 0 < self.window_decay < 1:
-            raise InputError(f"window_decay must lie between 0 and 1, got {self.window_decay:g}")
-        if not (math.isfinite(self.sigma_scale) and self.sigma_scale > 0):
-            raise InputError(f"sigma_scale must be positive, is {self.sigma_scale:g}")
-        if self.views not in ("unmixed", "pure"):
-            raise InputError(f"views must be unmixed or pure, is {self.views!r}")
-        reaches = (self.bilateral_sigma_px, self.presmooth_sigma_px, self.bilateral_range)
-        if not all(map(math.isfinite, reaches)) or min(reaches) < 0 or self.bilateral_range == 0:
-            raise InputError(
-                "bilateral_sigma_px and presmooth_sigma_px must be finite and >= 0, and bilateral_range > 0"
-            )
-
-    @property
-    def layers_px(self) -> np.ndarray:
-        """(D,) float64, px: the disparities that are tried."""
-        count = math.floor((self.max_disparity_px - self.min_disparity_px) / self.step_px + 1e-6) + 1
-        return self.min_disparity_px + self.step_px * np.arange(count)
-
-    @classmethod
-    def preset(cls, quality: Quality) -> MatcherConfig:
-        """Give the settings behind ``--quality``.
-
-        ``paper`` is the published method as it is; ``real-time`` adds what costs nothing; ``accurate`` halves the
-        layer step and looks further.
-        """
-        if quality == "paper":
-            return cls(views="unmixed", texture_weighting=False, noise_debiasing=False)
-        if quality == "real-time":
-            return cls()
-        if quality == "accurate":
-            return cls(step_px=0.25, window_decay=0.85, bilateral_sigma_px=20.0)
-        raise InputError(f"unknown quality {quality!r}: choose paper, real-time or accurate")
-
-    def with_range(self, min_disparity_px: float, max_disparity_px: float) -> MatcherConfig:
-        """Give the same settings over another search range, widened to whole layers."""
-        low = self.step_px * math.floor(min_disparity_px / self.step_px)
-        high = self.step_px * math.ceil(max_disparity_px / self.step_px)
-        return replace(self, min_disparity_px=low, max_disparity_px=high)
-
-
-@dataclass(frozen=True)
 class OptimiserConfig:
     """Global optimisation of the disparity (quality "accurate"). Likelihoods count in nats a pixel.
 
@@ -158,6 +66,104 @@ class OptimiserConfig:
             raise InputError("edge_floor must lie in [0, 1] and huber_layers must be >= 0")
         if self.coupling_rounds < 0 or self.variation_iterations < 1:
             raise InputError("coupling_rounds must be >= 0 and variation_iterations >= 1")
+
+
+@dataclass(frozen=True)
+class MatcherConfig:
+    """Disparity estimation (paper section 3.1). All disparities are half disparities in px, + is beyond focus.
+
+    Attributes
+    ----------
+    min_disparity_px, max_disparity_px : float
+        Ends of the search range. A winner at either end is reported as unknown, so leave a layer of margin.
+    step_px : float
+        Distance of two layers. Above 0.5 the parabola locks to the layers (bias 0.045 px at 1.0, 0.006 at 0.5).
+    presmooth_sigma_px : float
+        Gaussian before matching; makes the noise left by sub-pixel interpolation independent of its phase.
+    window_decay : float
+        ``a`` in the correlation window ``a**(|x| + |y|)``; .80 has the variance of a 21 px box.
+    bilateral_sigma_px : float
+        Reach of the recursive bilateral filter over the cost volume on an even guide; 0 switches it off.
+    bilateral_range : float
+        Guide difference, linear light relative to the guide's 99th percentile, at which the reach falls to 1/e a px.
+    texture_weighting : bool
+        Weight the cost by texture against noise, so that even areas listen to their textured neighbours.
+    sigma_scale : float
+        Widens the error bar of ideal, Gaussian pictures (1.0) to that of real ones, in which windows see two depths
+        and blurred views are mirrored, not moved. The one number of the error bar that is calibrated, on captures of
+        known depth.
+    views : "unmixed", "pure" or "both"
+        Match the views in the aperture's colour space, Eq. (1), as the paper does; or take the sensor channels that
+        see one filter each, where the design has them: less noise, and saturated colours do no harm. Both need an
+        optimiser, and a calibrated camera, which knows how their disparities compare.
+    noise_debiasing : bool
+        Subtract the known noise covariance of the unmixed channels, which otherwise digs a hole at disparity 0.
+    optimiser : OptimiserConfig or None
+        Find the best surface through the whole volume instead of filtering it and taking every pixel's best layer.
+    """
+
+    min_disparity_px: float = -8.0
+    max_disparity_px: float = 7.5
+    step_px: float = 0.5
+    presmooth_sigma_px: float = 0.7
+    window_decay: float = 0.80
+    bilateral_sigma_px: float = 14.0
+    bilateral_range: float = 0.06
+    sigma_scale: float = 2.0
+    views: Literal["unmixed", "pure", "both"] = "pure"
+    texture_weighting: bool = True
+    noise_debiasing: bool = True
+    optimiser: OptimiserConfig | None = None
+
+    def __post_init__(self) -> None:
+        numbers = (self.min_disparity_px, self.max_disparity_px, self.step_px)
+        if not all(map(math.isfinite, numbers)) or self.step_px <= 0:
+            raise InputError("disparity range and step must be finite and the step positive, in px")
+        if self.max_disparity_px - self.min_disparity_px < 2 * self.step_px:
+            raise InputError(
+                f"the disparity range {self.min_disparity_px:g}..{self.max_disparity_px:g} px holds fewer than three "
+                f"layers of {self.step_px:g} px: widen it"
+            )
+        if not 0 < self.window_decay < 1:
+            raise InputError(f"window_decay must lie between 0 and 1, got {self.window_decay:g}")
+        if not (math.isfinite(self.sigma_scale) and self.sigma_scale > 0):
+            raise InputError(f"sigma_scale must be positive, is {self.sigma_scale:g}")
+        if self.views not in ("unmixed", "pure", "both"):
+            raise InputError(f"views must be unmixed, pure or both, is {self.views!r}")
+        if self.views == "both" and self.optimiser is None:
+            raise InputError("views = both needs an optimiser: choose quality accurate")
+        reaches = (self.bilateral_sigma_px, self.presmooth_sigma_px, self.bilateral_range)
+        if not all(map(math.isfinite, reaches)) or min(reaches) < 0 or self.bilateral_range == 0:
+            raise InputError(
+                "bilateral_sigma_px and presmooth_sigma_px must be finite and >= 0, and bilateral_range > 0"
+            )
+
+    @property
+    def layers_px(self) -> np.ndarray:
+        """(D,) float64, px: the disparities that are tried."""
+        count = math.floor((self.max_disparity_px - self.min_disparity_px) / self.step_px + 1e-6) + 1
+        return self.min_disparity_px + self.step_px * np.arange(count)
+
+    @classmethod
+    def preset(cls, quality: Quality) -> MatcherConfig:
+        """Give the settings behind ``--quality``.
+
+        ``paper`` is the published method as it is; ``real-time`` adds what costs nothing; ``accurate`` matches
+        all views at once and optimises the surface globally, which takes about a second a megapixel and layer set.
+        """
+        if quality == "paper":
+            return cls(views="unmixed", texture_weighting=False, noise_debiasing=False)
+        if quality == "real-time":
+            return cls()
+        if quality == "accurate":
+            return cls(step_px=0.25, window_decay=0.70, views="both", optimiser=OptimiserConfig())
+        raise InputError(f"unknown quality {quality!r}: choose paper, real-time or accurate")
+
+    def with_range(self, min_disparity_px: float, max_disparity_px: float) -> MatcherConfig:
+        """Give the same settings over another search range, widened to whole layers."""
+        low = self.step_px * math.floor(min_disparity_px / self.step_px)
+        high = self.step_px * math.ceil(max_disparity_px / self.step_px)
+        return replace(self, min_disparity_px=low, max_disparity_px=high)
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
         _regularise(volume, weights, along_x, along_y, _ONE - near)
     step = inputs.layers_px[1] - inputs.layers_px[0]
     winner = Winner(*(np.empty(inputs.mask.shape, np.float32) for _ in range(3)))
-    _take_winner(volume, np.float32(inputs.layers_px[0]), np.float32(step), *winner)
+    _take_winner(volume, np.float32(inputs.layers_px[0]), np.float32(step), *winner[:3])
     return winner
 
 

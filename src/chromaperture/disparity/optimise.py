@@ -114,7 +114,7 @@ def log_likelihood(score: np.ndarray, *, view_count: int) -> np.ndarray:
     """Log-likelihood of every layer against uncorrelated views, nats a pixel.
 
     Gaussian views whose correlation matrix has the determinant D earn -(1/2) ln D a pixel: D = 1 - rho^2
-    for two views, one minus the score for three. An anti-correlation is no evidence. Score without noise
+    for two views, the square of one minus the score for three. An anti-correlation is no evidence. Score without noise
     debiasing: noise must lower the correlation here, or noise alone would look certain.
 
     Parameters
@@ -127,8 +127,7 @@ def log_likelihood(score: np.ndarray, *, view_count: int) -> np.ndarray:
     (H, W, D) float32, >= 0
     """
     explained = np.clip(score, 0, 1, dtype=np.float32)
-    if view_count == 2:
-        explained *= explained
+    explained = explained**2 if view_count == 2 else 1 - (1 - explained) ** 2
     return -0.5 * np.log1p(-np.minimum(explained, np.float32(MAX_CORRELATION)))
 
 
