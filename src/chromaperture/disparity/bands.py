@@ -1,0 +1,625 @@
+# mypy: disallow-untyped-defs=False
+"""First half of the compiled matcher: a band of rows from the views to scores filtered along x.
+
+Everything along a row is a recursion, so eight layers of one pixel sit in a vector and the row is walked pixel by
+pixel. Rows are addressed in flat arrays by (start, step per px): a view that moves along x by 1/n px a layer is kept
+n times up-sampled, so that eight neighbouring layers of a pixel are eight neighbours in memory (stored backwards if
+the view moves backwards); views that move otherwise are rearranged row by row with `_spread_rows`.
+
+Recursions are kept without their gains, f = x + a f; the product of the gains is made good once, in the gains of the
+views. A band is a picture of its own: it starts ``halo`` rows early and ends as many rows late, and there it is
+continued by its last row as the reference continues the picture.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from chromaperture.disparity import simd as v
+
+compiled = njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"}, nogil=True)
+compiled_parallel = njit(
+    cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"}, nogil=True, parallel=True
+)
+
+GROUP = 4  # rows walked together: four independent recursions fill the pipeline
+STRIP = 4  # columns walked together in `strips.py`
+SCORE_SCALE = np.float32(32000)  # of a score in [-1, 1] in int16
+
+_ONE = np.float32(1)
+_ZERO = np.float32(0)
+
+
+class Pictures(NamedTuple):
+    """Maps of the whole picture, float32."""
+
+    views: np.ndarray  # (K, H, W)
+    noise: np.ndarray  # (K, H, W) or (K, 1, 1) where even
+    covariance: np.ndarray  # (P, H, W) or (P, 1, 1) where even
+    mask: np.ndarray  # (H, W)
+    guide: np.ndarray  # (H, W)
+
+
+class Samplings(NamedTuple):
+    """How the views are sampled: one entry for every sub-pixel phase of every view.
+
+    The samples of an entry at (row i, column x from ``-margin``) are at ``i * row_length + start + step * x`` of the
+    flat arrays.
+    """
+
+    owner: np.ndarray  # (E,) int: the view it samples
+    taps_x: np.ndarray  # (E, 4) float32
+    taps_y: np.ndarray  # (E, 4) float32
+    start: np.ndarray  # (E,) int
+    step: np.ndarray  # (E,) int
+    still: np.ndarray  # (K,) int: the entry of each view without any shift
+    row_length: int
+    margin: int
+
+
+class Layers(NamedTuple):
+    """Where a layer finds its samples."""
+
+    direct: np.ndarray  # (K,) bool: layers are neighbours in memory
+    start: np.ndarray  # (K,) int: of layer 0 at x = 0, where direct
+    step: np.ndarray  # (K,) int: per px, where direct
+    entry: np.ndarray  # (K, D8) int, elsewhere
+    whole: np.ndarray  # (K, D8, 2) int: whole px (x, y) of each layer's shift, elsewhere
+    overlap: np.ndarray  # (P * D8,) float32: share of the noise covariance left, debiasing included
+    ceiling: np.ndarray  # (D8,) float32: 1, and -1 for the layers that only fill the last vector
+    pairs: np.ndarray  # (P, 2) int
+
+
+class Numbers(NamedTuple):
+    """Parameters, float32 where not said otherwise."""
+
+    decay: np.float32
+    debias: np.float32
+    weighting: bool
+    near: np.float32  # link weight on an even guide
+    epsilon: np.ndarray  # (K,)
+    min_share: np.float32
+    min_weight: np.float32
+
+
+class RowMaps(NamedTuple):
+    """What the filter along x needs of each row and leaves for the filter along y, float32."""
+
+    weights: np.ndarray  # (H, W)
+    links: np.ndarray  # (H, W + 1): of each pixel to its left neighbour
+    share: np.ndarray  # (H, W): the weights, filtered along x
+    scale: np.ndarray  # (H, W): from filtered scores to int16
+
+
+class Scratch(NamedTuple):
+    """Flat float32 arrays of one thread."""
+
+    value: np.ndarray  # samples of all entries
+    gain: np.ndarray  # 1 / standard deviation, of the same samples' windows
+    mean_gain: np.ndarray  # mean times gain
+    grain: np.ndarray  # noise variance
+    ring: np.ndarray  # windows of the layers, above the current row
+    state: np.ndarray  # the same, below the current row
+    lanes: np.ndarray  # rearranged rows
+    scores: np.ndarray  # one row of scores
+    row: np.ndarray  # a few rows of the picture
+
+
+@compiled_parallel
+def score_bands(pictures, samplings, layers, numbers, pad, halo, band_rows, scratch, volume, maps):
+    """Fill the volume of scores, filtered along x, and the share of weights they stand for.
+
+    Parameters
+    ----------
+    pad : (x, y) px beyond which every shifted view is constant
+    halo : int, rows after which the window has forgotten
+    band_rows : int
+    scratch : tuple of arrays (threads, n) as `Scratch`
+    volume : (strips, H, D8 / 8, STRIP, 8) int16, flat; written
+    maps : RowMaps; written
+    """
+    height = pictures.mask.shape[0]
+    bands = (height + band_rows - 1) // band_rows
+    threads = scratch.value.shape[0]
+    for thread in prange(threads):
+        own = Scratch(
+            scratch.value[thread], scratch.gain[thread], scratch.mean_gain[thread], scratch.grain[thread],
+            scratch.ring[thread], scratch.state[thread], scratch.lanes[thread], scratch.scores[thread],
+            scratch.row[thread],
+        )  # fmt: skip
+        for band in range(thread, bands, threads):
+            top = band * band_rows
+            bottom = min(top + band_rows, height)
+            _score_band(
+                pictures, samplings, layers, numbers, pad, halo, top, bottom, own, volume, maps
+            )
+
+
+@compiled
+def _score_band(
+    pictures, samplings, layers, numbers, pad, halo, top, bottom, scratch, volume, maps
+):  # fmt: skip
+    height, width = pictures.mask.shape
+    pad_x, pad_y = pad
+    # Rows of the cross terms; beyond pad_y rows outside the picture everything is constant.
+    first = max(top - halo, -pad_y)
+    last = min(bottom + halo, height + pad_y + 1)  # one row too many: below it the recursion only ends
+    last += -(last - first) % GROUP
+    # Rows of the samples: the layers look pad_y rows further.
+    first_sample = first - pad_y
+    sample_rows = last + pad_y - first_sample
+    sample_rows += -sample_rows % GROUP
+    _sample(pictures, samplings, first_sample, sample_rows, scratch)
+    _standardise(
+        pictures, samplings, numbers, pad_x, first_sample, sample_rows, top - pad_y, bottom + pad_y, scratch,
+        top, bottom, maps.weights,
+    )  # fmt: skip
+    for y in range(top, bottom):
+        _weigh_row(pictures, numbers, y, len(pictures.views), maps.weights[y])
+        _links_along_x(pictures.guide[y], numbers.near, maps.links[y])
+        _share_row(maps.weights[y], numbers.near, maps.links[y], maps.share[y])
+        for x in range(width):
+            maps.scale[y, x] = SCORE_SCALE / maps.share[y, x]
+
+    padded = width + 2 * pad_x
+    layer_count = len(layers.ceiling)
+    pair_count = len(layers.pairs)
+    places = np.empty((len(layers.direct), 2), np.int64)
+    ring_size = (last - first) * padded * v.LANES
+    for slab in range(0, layer_count, v.LANES):
+        for row in range(first, last, GROUP):
+            for k in range(len(layers.direct)):
+                if not layers.direct[k]:
+                    for j in range(GROUP):
+                        target = (k * GROUP + j) * padded * v.LANES
+                        _spread_row(
+                            scratch.value, samplings, layers, k, slab, row + j - first_sample, pad_x, padded,
+                            scratch.lanes, target,
+                        )  # fmt: skip
+            for p in range(pair_count):
+                k, m = layers.pairs[p]
+                at = p * ring_size + (row - first) * padded * v.LANES
+                sample_row = (row - first_sample) * samplings.row_length
+                from_k = scratch.value if layers.direct[k] else scratch.lanes
+                from_m = scratch.value if layers.direct[m] else scratch.lanes
+                at_k = sample_row + layers.start[k] + slab - layers.step[k] * pad_x
+                at_m = sample_row + layers.start[m] + slab - layers.step[m] * pad_x
+                step_k, step_m = layers.step[k], layers.step[m]
+                down_k, down_m = samplings.row_length, samplings.row_length
+                if not layers.direct[k]:
+                    at_k, step_k, down_k = k * GROUP * padded * v.LANES, v.LANES, padded * v.LANES
+                if not layers.direct[m]:
+                    at_m, step_m, down_m = m * GROUP * padded * v.LANES, v.LANES, padded * v.LANES
+                _window_rows(
+                    from_k, at_k, step_k, down_k, from_m, at_m, step_m, down_m,
+                    scratch.ring, at, padded, numbers.decay, row == first,
+                )  # fmt: skip
+        for p in range(pair_count):
+            _window_end(
+                scratch.ring, p * ring_size, last - first, padded, numbers.decay, scratch.state, p * padded * v.LANES
+            )
+            for row in range(last - 2, bottom - 1, -1):
+                at = p * ring_size + (row - first) * padded * v.LANES
+                _window_up(scratch.ring, at, padded, numbers.decay, scratch.state, p * padded * v.LANES)
+        for row in range(bottom - 1, top - 1, -1):
+            _locate_row(samplings, layers, slab, row, first_sample, pad_x, padded, scratch, places)
+            at = (row - first) * padded * v.LANES
+            if pair_count == 1:
+                _score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, scratch)
+            else:
+                _score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_size, places, scratch)
+            slabs = layer_count // v.LANES
+            _filter_row(
+                scratch.scores, maps.weights[row], maps.links[row], maps.scale[row], numbers.near,
+                volume, (row * slabs + slab // v.LANES) * STRIP * v.LANES, height * slabs * STRIP * v.LANES,
+            )  # fmt: skip
+
+
+@compiled
+def _sample(pictures, samplings, first_sample, rows, scratch):
+    """Interpolate every entry of every row."""
+    even = pictures.noise.shape[1] == 1
+    for e in range(len(samplings.owner)):
+        k = samplings.owner[e]
+        for i in range(rows):
+            at = i * samplings.row_length + samplings.start[e]
+            _sample_row(pictures.views[k], samplings, e, first_sample + i, scratch.row, scratch.value, at)
+            if not even or i == 0:
+                _sample_row(pictures.noise[k], samplings, e, first_sample + i, scratch.row, scratch.grain, at)
+
+
+@compiled
+def _sample_row(picture, samplings, e, y, line, out, at):
+    """Sample one row of an entry, x from -margin on; the picture is continued beyond its border."""
+    height, width = picture.shape
+    margin, step = samplings.margin, samplings.step[e]
+    reach = margin + 2
+    a, b = picture[min(max(y - 1, 0), height - 1)], picture[min(max(y, 0), height - 1)]
+    c, d = picture[min(max(y + 1, 0), height - 1)], picture[min(max(y + 2, 0), height - 1)]
+    t0, t1, t2, t3 = samplings.taps_y[e]
+    if t1 == _ONE:
+        for x in range(width):
+            line[reach + x] = b[x]
+    else:
+        for x in range(width):
+            line[reach + x] = t0 * a[x] + t1 * b[x] + t2 * c[x] + t3 * d[x]
+    count = width + 2 * margin
+    for x in range(reach):
+        line[x] = line[reach]
+    for x in range(reach + width, count + 4):
+        line[x] = line[reach + width - 1]
+    t0, t1, t2, t3 = samplings.taps_x[e]
+    if t1 == _ONE:
+        for x in range(count):
+            out[at + step * x] = line[x + 2]
+    else:
+        for x in range(count):
+            out[at + step * x] = t0 * line[x + 1] + t1 * line[x + 2] + t2 * line[x + 3] + t3 * line[x + 4]
+
+
+@compiled
+def _standardise(
+    pictures, samplings, numbers, pad_x, first_sample, rows, from_row, to_row, scratch, top, bottom, weights_out
+):  # fmt: skip
+    """Window means and gains of all samples, and the share of signal in the unshifted views.
+
+    Four entries at a time: lanes 0 to 3 window the samples, lanes 4 to 7 their squares.
+    """
+    width = pictures.mask.shape[1]
+    padded = width + 2 * pad_x
+    entries = len(samplings.owner)
+    length, start, step = samplings.row_length, samplings.start, samplings.step
+    views = len(pictures.views)
+    grain_down = 0 if pictures.noise.shape[1] == 1 else length
+    lanes, ring, state = scratch.lanes, scratch.ring, scratch.state
+    unity = GROUP * padded * v.LANES
+    v.store(lanes, unity, v.spread(_ONE))
+    window_gain = v.spread((_ONE - numbers.decay) ** np.float32(4))
+    decay, debias = v.spread(numbers.decay), v.spread(numbers.debias)
+    min_share, nothing = v.spread(numbers.min_share), v.spread(_ZERO)
+    floors = np.empty(v.LANES, np.float32)
+    for y in range(top, bottom):
+        weights_out[y] = _ONE
+    inset = samplings.margin - pad_x
+    for e in range(0, entries, 4):
+        # The last group may be short; it then repeats its last entry.
+        e1, e2, e3 = min(e + 1, entries - 1), min(e + 2, entries - 1), min(e + 3, entries - 1)
+        s0, s1, s2, s3 = step[e], step[e1], step[e2], step[e3]
+        for i in range(4):
+            floors[i] = floors[i + 4] = numbers.epsilon[samplings.owner[min(e + i, entries - 1)]]
+        floor = v.load(floors, 0)
+        for row in range(0, rows, GROUP):
+            for j in range(GROUP):
+                i0 = (row + j) * length
+                i1, i2, i3 = i0 + start[e1] + s1 * inset, i0 + start[e2] + s2 * inset, i0 + start[e3] + s3 * inset
+                i0 += start[e] + s0 * inset
+                target = j * padded * v.LANES
+                for x in range(padded):
+                    four = v.four_and_squares(scratch.value, i0, i1, i2, i3)
+                    v.store(lanes, target, four)
+                    i0, i1, i2, i3, target = i0 + s0, i1 + s1, i2 + s2, i3 + s3, target + v.LANES
+            _window_rows(
+                lanes, 0, v.LANES, padded * v.LANES, lanes, unity, 0, 0,
+                ring, row * padded * v.LANES, padded, numbers.decay, row == 0,
+            )  # fmt: skip
+        _window_end(ring, 0, rows, padded, numbers.decay, state, 0)
+        for row in range(rows - 2, to_row - first_sample - 1, -1):
+            _window_up(ring, row * padded * v.LANES, padded, numbers.decay, state, 0)
+        for row in range(to_row - first_sample - 1, from_row - first_sample - 1, -1):
+            y = row + first_sample
+            i0 = row * length
+            i1, i2, i3 = i0 + start[e1] + s1 * inset, i0 + start[e2] + s2 * inset, i0 + start[e3] + s3 * inset
+            i0 += start[e] + s0 * inset
+            up = row * (length - grain_down)
+            at = row * padded * v.LANES
+            for x in range(padded):
+                window = v.fma(decay, v.load(state, x * v.LANES), v.load(ring, at + x * v.LANES))
+                v.store(state, x * v.LANES, window)
+                moments = v.mul(window, window_gain)
+                variance = v.sub(v.swapped(moments), v.mul(moments, moments))  # lanes 0 to 3
+                noise = v.mul(debias, v.four_and_squares(scratch.grain, i0 - up, i1 - up, i2 - up, i3 - up))
+                clean = v.larger(v.larger(v.sub(variance, noise), v.mul(min_share, variance)), nothing)
+                gain = v.inverse_root(v.add(clean, floor))
+                mean_gain = v.mul(moments, gain)
+                scratch.gain[i0], scratch.mean_gain[i0] = v.lane(gain, 0), v.lane(mean_gain, 0)
+                scratch.gain[i1], scratch.mean_gain[i1] = v.lane(gain, 1), v.lane(mean_gain, 1)
+                scratch.gain[i2], scratch.mean_gain[i2] = v.lane(gain, 2), v.lane(mean_gain, 2)
+                scratch.gain[i3], scratch.mean_gain[i3] = v.lane(gain, 3), v.lane(mean_gain, 3)
+                i0, i1, i2, i3 = i0 + s0, i1 + s1, i2 + s2, i3 + s3
+                v.store(lanes, x * v.LANES, variance)
+            if numbers.weighting and top <= y < bottom:
+                for k in range(views):
+                    i = samplings.still[k] - e
+                    if 0 <= i < 4:
+                        at = row * grain_down + start[e + i] + step[e + i] * samplings.margin
+                        _weigh_texture(
+                            lanes, pad_x * v.LANES + i, scratch.grain, at, step[e + i], numbers.epsilon[k], weights_out[y]
+                        )
+
+
+@compiled
+def _weigh_texture(lanes, at_variance, grain, at_noise, step, epsilon, weights):
+    for x in range(len(weights)):
+        noise = grain[at_noise + step * x]
+        signal = max(lanes[at_variance + x * v.LANES] - noise, _ZERO)
+        weights[x] *= signal / (signal + noise + epsilon)
+
+
+@compiled
+def _weigh_row(pictures, numbers, y, views, weights):
+    """Finish the weights of a row: geometric mean of the views' shares of signal, nothing where unusable."""
+    if views == 2:
+        for x in range(len(weights)):
+            weights[x] = max(np.sqrt(weights[x]) * pictures.mask[y, x], numbers.min_weight)
+    else:
+        for x in range(len(weights)):
+            weights[x] = max(weights[x] ** np.float32(1 / 3) * pictures.mask[y, x], numbers.min_weight)
+
+
+@compiled
+def fading(difference, near):
+    """near exp(-|difference|): a power series of a 64th, squared six times, which plain vectors can do."""
+    y = abs(difference) * np.float32(1 / 64)
+    series = _ONE + y * (_ONE + y * (np.float32(1 / 2) + y * (np.float32(1 / 6) + y * np.float32(1 / 24))))
+    series *= series
+    series *= series
+    series *= series
+    series *= series
+    series *= series
+    series *= series
+    return near / series
+
+
+@compiled
+def _links_along_x(guide, near, links):
+    """Weight with which each pixel of a row hears its left neighbour; 0 at both ends."""
+    for x in range(1, len(guide)):
+        links[x] = fading(guide[x] - guide[x - 1], near)
+    links[0] = links[len(guide)] = _ZERO
+
+
+@compiled
+def _share_row(weights, near, links, out):
+    """Both recursions along a row of weights, without their gain: a sample at an end counts 1 / gain."""
+    end = len(weights) - 1
+    gain = _ONE - near
+    state = weights[end] / gain
+    out[end] = state
+    for x in range(end - 1, 0, -1):
+        state = weights[x] + links[x + 1] * state
+        out[x] = state
+    out[0] = weights[0] + links[1] * state
+    state = weights[0] / gain
+    out[0] += state
+    for x in range(1, end):
+        state = weights[x] + links[x] * state
+        out[x] += state
+    out[end] += weights[end] + links[end] * state
+
+
+@compiled
+def _spread_row(source, samplings, layers, k, slab, sample_row, pad_x, padded, out, target):
+    """Rearrange the rows of eight layers so that the layers of a pixel are neighbours: transpositions of 8 x 8."""
+    at = np.empty(v.LANES, np.int64)
+    for lane in range(v.LANES):
+        e = layers.entry[k, slab + lane]
+        dx, dy = layers.whole[k, slab + lane]
+        at[lane] = (sample_row + dy) * samplings.row_length + samplings.start[e] + samplings.margin - pad_x + dx
+    i0, i1, i2, i3, i4, i5, i6, i7 = at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7]
+    for x in range(0, padded, v.LANES):
+        a, b = v.load(source, i0 + x), v.load(source, i1 + x)
+        c, d = v.load(source, i2 + x), v.load(source, i3 + x)
+        e, f = v.load(source, i4 + x), v.load(source, i5 + x)
+        g, h = v.load(source, i6 + x), v.load(source, i7 + x)
+        a, b, c, d = v.singles_low(a, b), v.singles_high(a, b), v.singles_low(c, d), v.singles_high(c, d)
+        e, f, g, h = v.singles_low(e, f), v.singles_high(e, f), v.singles_low(g, h), v.singles_high(g, h)
+        a, b, c, d = v.pairs_low(a, c), v.pairs_high(a, c), v.pairs_low(b, d), v.pairs_high(b, d)
+        e, f, g, h = v.pairs_low(e, g), v.pairs_high(e, g), v.pairs_low(f, h), v.pairs_high(f, h)
+        # The last step may pass the row's end by up to seven px; the next row or the array's slack takes them.
+        v.store(out, target, v.halves_low(a, e))
+        v.store(out, target + 8, v.halves_low(b, f))
+        v.store(out, target + 16, v.halves_low(c, g))
+        v.store(out, target + 24, v.halves_low(d, h))
+        v.store(out, target + 32, v.halves_high(a, e))
+        v.store(out, target + 40, v.halves_high(b, f))
+        v.store(out, target + 48, v.halves_high(c, g))
+        v.store(out, target + 56, v.halves_high(d, h))
+        target += v.LANES * v.LANES
+
+
+@compiled
+def _window_rows(a, ia, step_a, down_a, b, ib, step_b, down_b, ring, at, width, decay, begin):
+    """Window the products of four rows: along x both ways, along y downwards from the rows above in the ring."""
+    fade = v.spread(decay)
+    endless = v.spread(_ONE / (_ONE - decay))
+    last_x = v.spread(decay / ((_ONE + decay) * (_ONE - decay) * (_ONE - decay)))
+    last_f = v.spread(_ONE / ((_ONE + decay) * (_ONE - decay)))
+    down = width * v.LANES
+    a1, a2, a3, b1, b2, b3 = down_a, 2 * down_a, 3 * down_a, down_b, 2 * down_b, 3 * down_b
+    r1, r2, r3 = down, 2 * down, 3 * down
+    f0 = v.mul(endless, v.mul(v.load(a, ia), v.load(b, ib)))
+    f1 = v.mul(endless, v.mul(v.load(a, ia + a1), v.load(b, ib + b1)))
+    f2 = v.mul(endless, v.mul(v.load(a, ia + a2), v.load(b, ib + b2)))
+    f3 = v.mul(endless, v.mul(v.load(a, ia + a3), v.load(b, ib + b3)))
+    v.store(ring, at, f0)
+    v.store(ring, at + r1, f1)
+    v.store(ring, at + r2, f2)
+    v.store(ring, at + r3, f3)
+    for _ in range(width - 1):
+        ia, ib, at = ia + step_a, ib + step_b, at + v.LANES
+        f0 = v.fma(fade, f0, v.mul(v.load(a, ia), v.load(b, ib)))
+        f1 = v.fma(fade, f1, v.mul(v.load(a, ia + a1), v.load(b, ib + b1)))
+        f2 = v.fma(fade, f2, v.mul(v.load(a, ia + a2), v.load(b, ib + b2)))
+        f3 = v.fma(fade, f3, v.mul(v.load(a, ia + a3), v.load(b, ib + b3)))
+        v.store(ring, at, f0)
+        v.store(ring, at + r1, f1)
+        v.store(ring, at + r2, f2)
+        v.store(ring, at + r3, f3)
+    f0 = v.fma(last_f, f0, v.mul(last_x, v.mul(v.load(a, ia), v.load(b, ib))))
+    f1 = v.fma(last_f, f1, v.mul(last_x, v.mul(v.load(a, ia + a1), v.load(b, ib + b1))))
+    f2 = v.fma(last_f, f2, v.mul(last_x, v.mul(v.load(a, ia + a2), v.load(b, ib + b2))))
+    f3 = v.fma(last_f, f3, v.mul(last_x, v.mul(v.load(a, ia + a3), v.load(b, ib + b3))))
+    for x in range(width):
+        if x > 0:
+            f0 = v.fma(fade, f0, v.load(ring, at))
+            f1 = v.fma(fade, f1, v.load(ring, at + r1))
+            f2 = v.fma(fade, f2, v.load(ring, at + r2))
+            f3 = v.fma(fade, f3, v.load(ring, at + r3))
+        column = v.mul(endless, f0) if begin else v.fma(fade, v.load(ring, at - down), f0)
+        v.store(ring, at, column)
+        column = v.fma(fade, column, f1)
+        v.store(ring, at + r1, column)
+        column = v.fma(fade, column, f2)
+        v.store(ring, at + r2, column)
+        column = v.fma(fade, column, f3)
+        v.store(ring, at + r3, column)
+        at -= v.LANES
+
+
+@compiled
+def _window_end(ring, at, rows, width, decay, state, at_state):
+    """Start the upward recursion at the last row, which continues for ever."""
+    fade = v.spread(decay)
+    last_x = v.spread(decay / ((_ONE + decay) * (_ONE - decay) * (_ONE - decay)))
+    last_f = v.spread(_ONE / ((_ONE + decay) * (_ONE - decay)))
+    below = at + (rows - 1) * width * v.LANES
+    above = below - width * v.LANES
+    for i in range(0, width * v.LANES, v.LANES):
+        f = v.load(ring, below + i)
+        x = v.fnma(fade, v.load(ring, above + i), f)
+        v.store(state, at_state + i, v.fma(last_f, f, v.mul(last_x, x)))
+
+
+@compiled
+def _window_up(ring, at, width, decay, state, at_state):
+    """Carry the upward recursion past one row."""
+    fade = v.spread(decay)
+    for i in range(0, width * v.LANES, v.LANES):
+        v.store(state, at_state + i, v.fma(fade, v.load(state, at_state + i), v.load(ring, at + i)))
+
+
+@compiled
+def _locate_row(samplings, layers, slab, row, first_sample, pad_x, padded, scratch, places):
+    """Say where the gains of a row's layers start and how far apart their pixels are; rearrange them if need be."""
+    spread_size = (padded + v.LANES) * v.LANES
+    for k in range(len(layers.direct)):
+        if layers.direct[k]:
+            places[k, 0] = (row - first_sample) * samplings.row_length + layers.start[k] + slab
+            places[k, 1] = layers.step[k]
+        else:
+            target = 2 * k * spread_size
+            _spread_row(
+                scratch.gain, samplings, layers, k, slab, row - first_sample, pad_x, padded, scratch.lanes, target
+            )
+            _spread_row(
+                scratch.mean_gain, samplings, layers, k, slab, row - first_sample, pad_x, padded,
+                scratch.lanes, target + spread_size,
+            )  # fmt: skip
+            places[k, 0] = target + pad_x * v.LANES
+            places[k, 1] = v.LANES
+
+
+@compiled
+def _score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, scratch):
+    """Correlation of two views for one row of eight layers."""
+    width = pictures.mask.shape[1]
+    covariance = pictures.covariance[0, row if pictures.covariance.shape[1] > 1 else 0]
+    even = 0 if len(covariance) == 1 else 1
+    ring, state, scores = scratch.ring, scratch.state, scratch.scores
+    direct = layers.direct
+    gain0, mean0 = (scratch.gain, scratch.mean_gain) if direct[0] else (scratch.lanes, scratch.lanes)
+    gain1, mean1 = (scratch.gain, scratch.mean_gain) if direct[1] else (scratch.lanes, scratch.lanes)
+    # Rearranged means follow their gains in the same array.
+    apart = (padded + v.LANES) * v.LANES
+    m0, m1 = 0 if direct[0] else apart, 0 if direct[1] else apart
+    fade = v.spread(numbers.decay)
+    window_gain = v.spread((_ONE - numbers.decay) ** np.float32(4))
+    overlap = v.load(layers.overlap, slab)
+    ceiling, floor = v.load(layers.ceiling, slab), v.spread(-_ONE)
+    at += pad_x * v.LANES
+    at_state = pad_x * v.LANES
+    (i0, step0), (i1, step1) = places[0], places[1]
+    for x in range(width):
+        window = v.fma(fade, v.load(state, at_state), v.load(ring, at))
+        v.store(state, at_state, window)
+        noise = v.mul(overlap, v.spread_at(covariance, even * x))
+        both = v.mul(v.load(gain0, i0), v.load(gain1, i1))
+        means = v.mul(v.load(mean0, i0 + m0), v.load(mean1, i1 + m1))
+        score = v.sub(v.mul(v.sub(v.mul(window, window_gain), noise), both), means)
+        v.store(scores, x * v.LANES, v.smaller(v.larger(score, floor), ceiling))
+        i0, i1, at, at_state = i0 + step0, i1 + step1, at + v.LANES, at_state + v.LANES
+
+
+@compiled
+def _score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_size, places, scratch):
+    """1 - det of the correlation matrix of three views for one row of eight layers."""
+    width = pictures.mask.shape[1]
+    covariance = pictures.covariance[:, row if pictures.covariance.shape[1] > 1 else 0]
+    even = 0 if covariance.shape[1] == 1 else 1
+    ring, state, scores = scratch.ring, scratch.state, scratch.scores
+    direct = layers.direct
+    gain0, mean0 = (scratch.gain, scratch.mean_gain) if direct[0] else (scratch.lanes, scratch.lanes)
+    gain1, mean1 = (scratch.gain, scratch.mean_gain) if direct[1] else (scratch.lanes, scratch.lanes)
+    gain2, mean2 = (scratch.gain, scratch.mean_gain) if direct[2] else (scratch.lanes, scratch.lanes)
+    # Rearranged means follow their gains in the same array.
+    apart = (padded + v.LANES) * v.LANES
+    m0, m1, m2 = 0 if direct[0] else apart, 0 if direct[1] else apart, 0 if direct[2] else apart
+    fade = v.spread(numbers.decay)
+    window_gain = v.spread((_ONE - numbers.decay) ** np.float32(4))
+    count = len(layers.ceiling)
+    overlap01, overlap02 = v.load(layers.overlap, slab), v.load(layers.overlap, slab + count)
+    overlap12 = v.load(layers.overlap, slab + 2 * count)
+    ceiling, floor, one = v.load(layers.ceiling, slab), v.spread(-_ONE), v.spread(_ONE)
+    at += pad_x * v.LANES
+    at_state = pad_x * v.LANES
+    next_state = padded * v.LANES
+    (i0, step0), (i1, step1), (i2, step2) = places[0], places[1], places[2]
+    for x in range(width):
+        a = v.fma(fade, v.load(state, at_state), v.load(ring, at))
+        b = v.fma(fade, v.load(state, at_state + next_state), v.load(ring, at + ring_size))
+        c = v.fma(fade, v.load(state, at_state + 2 * next_state), v.load(ring, at + 2 * ring_size))
+        v.store(state, at_state, a)
+        v.store(state, at_state + next_state, b)
+        v.store(state, at_state + 2 * next_state, c)
+        a = v.fnma(overlap01, v.spread_at(covariance[0], even * x), v.mul(a, window_gain))
+        b = v.fnma(overlap02, v.spread_at(covariance[1], even * x), v.mul(b, window_gain))
+        c = v.fnma(overlap12, v.spread_at(covariance[2], even * x), v.mul(c, window_gain))
+        g0, g1, g2 = v.load(gain0, i0), v.load(gain1, i1), v.load(gain2, i2)
+        q0, q1, q2 = v.load(mean0, i0 + m0), v.load(mean1, i1 + m1), v.load(mean2, i2 + m2)
+        a = v.larger(v.smaller(v.fnma(q0, q1, v.mul(a, v.mul(g0, g1))), one), floor)
+        b = v.larger(v.smaller(v.fnma(q0, q2, v.mul(b, v.mul(g0, g2))), one), floor)
+        c = v.larger(v.smaller(v.fnma(q1, q2, v.mul(c, v.mul(g1, g2))), one), floor)
+        bc = v.mul(b, c)
+        score = v.fma(a, v.sub(v.sub(a, bc), bc), v.fma(b, b, v.mul(c, c)))
+        v.store(scores, x * v.LANES, v.smaller(score, ceiling))
+        i0, i1, i2, at, at_state = i0 + step0, i1 + step1, i2 + step2, at + v.LANES, at_state + v.LANES
+
+
+@compiled
+def _filter_row(scores, weights, links, scales, near, volume, at, stride):
+    """Run both recursions along a row of weighted scores and file the sum, scaled, as int16."""
+    end = len(weights) - 1
+    endless, gain = v.spread(_ONE / (_ONE - near)), v.spread(_ONE - near)
+    state = v.mul(endless, v.mul(v.load(scores, 0), v.spread_at(weights, 0)))
+    v.store(scores, 0, state)
+    for x in range(1, end + 1):
+        weighted = v.mul(v.load(scores, x * v.LANES), v.spread_at(weights, x))
+        state = v.fma(v.spread_at(links, x), state, weighted)
+        v.store(scores, x * v.LANES, state)
+    # The weighted score is what the forward result has more than its link to the one before.
+    before = v.load(scores, (end - 1) * v.LANES)
+    state = v.mul(endless, v.fnma(v.spread_at(links, end), before, state))
+    here = v.load(scores, end * v.LANES)
+    place = at + (end // STRIP) * stride + (end % STRIP) * v.LANES
+    v.store_shorts(volume, place, v.mul(v.add(here, state), v.spread_at(scales, end)))
+    for x in range(end - 1, 0, -1):
+        here, before = before, v.load(scores, (x - 1) * v.LANES)
+        weighted = v.fnma(v.spread_at(links, x), before, here)
+        state = v.fma(v.spread_at(links, x + 1), state, weighted)
+        place = at + (x // STRIP) * stride + (x % STRIP) * v.LANES
+        v.store_shorts(volume, place, v.mul(v.add(here, state), v.spread_at(scales, x)))
+    state = v.fma(v.spread_at(links, 1), state, v.mul(gain, before))
+    v.store_shorts(volume, at, v.mul(v.add(before, state), v.spread_at(scales, 0)))
