@@ -90,6 +90,7 @@ class RowMaps(NamedTuple):
 
     weights: np.ndarray  # (H, W)
     links: np.ndarray  # (H, W + 1): of each pixel to its left neighbour
+    links_y: np.ndarray  # (H, W): of each pixel to its upper neighbour
     share: np.ndarray  # (H, W): the weights, filtered along x
     scale: np.ndarray  # (H, W): from filtered scores to int16
 
@@ -102,10 +103,11 @@ class Scratch(NamedTuple):
     mean_gain: np.ndarray  # mean times gain
     grain: np.ndarray  # noise variance
     ring: np.ndarray  # windows of the layers, above the current row
+    carry: np.ndarray  # rows of the ring for the next band
     state: np.ndarray  # the same, below the current row
     lanes: np.ndarray  # rearranged rows
     scores: np.ndarray  # one row of scores
-    row: np.ndarray  # a few rows of the picture
+    line: np.ndarray  # a row of the picture
 
 
 @compiled_parallel
@@ -127,25 +129,28 @@ def score_bands(pictures, samplings, layers, numbers, pad, halo, band_rows, scra
     for thread in prange(threads):
         own = Scratch(
             scratch.value[thread], scratch.gain[thread], scratch.mean_gain[thread], scratch.grain[thread],
-            scratch.ring[thread], scratch.state[thread], scratch.lanes[thread], scratch.scores[thread],
-            scratch.row[thread],
+            scratch.ring[thread], scratch.carry[thread], scratch.state[thread], scratch.lanes[thread],
+            scratch.scores[thread], scratch.line[thread],
         )  # fmt: skip
-        for band in range(thread, bands, threads):
+        begin = True
+        for band in range(bands * thread // threads, bands * (thread + 1) // threads):
             top = band * band_rows
             bottom = min(top + band_rows, height)
             _score_band(
-                pictures, samplings, layers, numbers, pad, halo, top, bottom, own, volume, maps
+                pictures, samplings, layers, numbers, pad, halo, top, bottom, begin, own, volume, maps
             )
+            begin = False
 
 
 @compiled
 def _score_band(
-    pictures, samplings, layers, numbers, pad, halo, top, bottom, scratch, volume, maps
+    pictures, samplings, layers, numbers, pad, halo, top, bottom, begin, scratch, volume, maps
 ):  # fmt: skip
     height, width = pictures.mask.shape
     pad_x, pad_y = pad
-    # Rows of the cross terms; beyond pad_y rows outside the picture everything is constant.
-    first = max(top - halo, -pad_y)
+    # Rows of the cross terms; beyond pad_y rows outside the picture everything is constant. A band that follows
+    # another takes over its windows and starts without a halo.
+    first = max(top - halo, -pad_y) if begin else top
     last = min(bottom + halo, height + pad_y + 1)  # one row too many: below it the recursion only ends
     last += -(last - first) % GROUP
     # Rows of the samples: the layers look pad_y rows further.
@@ -154,67 +159,76 @@ def _score_band(
     sample_rows += -sample_rows % GROUP
     _sample(pictures, samplings, first_sample, sample_rows, scratch)
     _standardise(
-        pictures, samplings, numbers, pad_x, first_sample, sample_rows, top - pad_y, bottom + pad_y, scratch,
-        top, bottom, maps.weights,
-    )  # fmt: skip
+        pictures, samplings, numbers, pad, first_sample, sample_rows, top, bottom, begin, scratch, maps.weights
+    )
     for y in range(top, bottom):
-        _weigh_row(pictures, numbers, y, len(pictures.views), maps.weights[y])
+        _weigh_row(pictures.mask[y], numbers.min_weight, len(pictures.views), maps.weights[y])
         _links_along_x(pictures.guide[y], numbers.near, maps.links[y])
         _share_row(maps.weights[y], numbers.near, maps.links[y], maps.share[y])
         for x in range(width):
             maps.scale[y, x] = SCORE_SCALE / maps.share[y, x]
+            maps.links_y[y, x] = fading(pictures.guide[y, x] - pictures.guide[max(y - 1, 0), x], numbers.near)
 
     padded = width + 2 * pad_x
-    layer_count = len(layers.ceiling)
-    pair_count = len(layers.pairs)
+    row_size = padded * v.LANES
+    layer_count, pair_count = len(layers.ceiling), len(layers.pairs)
+    slabs = layer_count // v.LANES
+    windows = (len(samplings.owner) + 3) // 4  # carried by `_standardise`
+    ring_size = (last - first + 1) * row_size
     places = np.empty((len(layers.direct), 2), np.int64)
-    ring_size = (last - first) * padded * v.LANES
-    for slab in range(0, layer_count, v.LANES):
+    for slab in range(slabs):
+        lane0 = slab * v.LANES
         for row in range(first, last, GROUP):
             for k in range(len(layers.direct)):
                 if not layers.direct[k]:
                     for j in range(GROUP):
-                        target = (k * GROUP + j) * padded * v.LANES
                         _spread_row(
-                            scratch.value, samplings, layers, k, slab, row + j - first_sample, pad_x, padded,
-                            scratch.lanes, target,
+                            scratch.value, samplings, layers, k, lane0, row + j - first_sample, pad_x, padded,
+                            scratch.lanes, (k * GROUP + j) * row_size,
                         )  # fmt: skip
             for p in range(pair_count):
                 k, m = layers.pairs[p]
-                at = p * ring_size + (row - first) * padded * v.LANES
+                at = p * ring_size + (row - first + 1) * row_size
+                carried = (windows + slab * pair_count + p) * row_size
+                if row == first and not begin:
+                    scratch.ring[at - row_size : at] = scratch.carry[carried : carried + row_size]
                 sample_row = (row - first_sample) * samplings.row_length
-                from_k = scratch.value if layers.direct[k] else scratch.lanes
-                from_m = scratch.value if layers.direct[m] else scratch.lanes
-                at_k = sample_row + layers.start[k] + slab - layers.step[k] * pad_x
-                at_m = sample_row + layers.start[m] + slab - layers.step[m] * pad_x
+                at_k = sample_row + layers.start[k] + lane0 - layers.step[k] * pad_x
+                at_m = sample_row + layers.start[m] + lane0 - layers.step[m] * pad_x
                 step_k, step_m = layers.step[k], layers.step[m]
                 down_k, down_m = samplings.row_length, samplings.row_length
+                from_k = scratch.value if layers.direct[k] else scratch.lanes
+                from_m = scratch.value if layers.direct[m] else scratch.lanes
                 if not layers.direct[k]:
-                    at_k, step_k, down_k = k * GROUP * padded * v.LANES, v.LANES, padded * v.LANES
+                    at_k, step_k, down_k = k * GROUP * row_size, v.LANES, row_size
                 if not layers.direct[m]:
-                    at_m, step_m, down_m = m * GROUP * padded * v.LANES, v.LANES, padded * v.LANES
+                    at_m, step_m, down_m = m * GROUP * row_size, v.LANES, row_size
                 _window_rows(
                     from_k, at_k, step_k, down_k, from_m, at_m, step_m, down_m,
-                    scratch.ring, at, padded, numbers.decay, row == first,
+                    scratch.ring, at, padded, numbers.decay, begin and row == first,
                 )  # fmt: skip
         for p in range(pair_count):
-            _window_end(
-                scratch.ring, p * ring_size, last - first, padded, numbers.decay, scratch.state, p * padded * v.LANES
-            )
+            at = p * ring_size + row_size
+            carried = (windows + slab * pair_count + p) * row_size
+            below = at + (bottom - first) * row_size
+            scratch.carry[carried : carried + row_size] = scratch.ring[below - row_size : below]
+            _window_end(scratch.ring, at, last - first, padded, numbers.decay, scratch.state, p * row_size)
             for row in range(last - 2, bottom - 1, -1):
-                at = p * ring_size + (row - first) * padded * v.LANES
-                _window_up(scratch.ring, at, padded, numbers.decay, scratch.state, p * padded * v.LANES)
+                _window_up(
+                    scratch.ring, at + (row - first) * row_size, padded, numbers.decay, scratch.state, p * row_size
+                )
         for row in range(bottom - 1, top - 1, -1):
-            _locate_row(samplings, layers, slab, row, first_sample, pad_x, padded, scratch, places)
-            at = (row - first) * padded * v.LANES
+            _locate_row(samplings, layers, lane0, row, first_sample, pad_x, padded, scratch, places)
+            at = (row - first + 1) * row_size
             if pair_count == 1:
-                _score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, scratch)
+                _score_two(pictures, layers, numbers, row, lane0, pad_x, padded, at, places, scratch, maps)
             else:
-                _score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_size, places, scratch)
-            slabs = layer_count // v.LANES
-            _filter_row(
-                scratch.scores, maps.weights[row], maps.links[row], maps.scale[row], numbers.near,
-                volume, (row * slabs + slab // v.LANES) * STRIP * v.LANES, height * slabs * STRIP * v.LANES,
+                _score_three(
+                    pictures, layers, numbers, row, lane0, pad_x, padded, at, ring_size, places, scratch, maps
+                )
+            _filter_back(
+                scratch.scores, maps.links[row], maps.scale[row], numbers.near,
+                volume, (row * slabs + slab) * STRIP * v.LANES, height * slabs * STRIP * v.LANES,
             )  # fmt: skip
 
 
@@ -226,9 +240,9 @@ def _sample(pictures, samplings, first_sample, rows, scratch):
         k = samplings.owner[e]
         for i in range(rows):
             at = i * samplings.row_length + samplings.start[e]
-            _sample_row(pictures.views[k], samplings, e, first_sample + i, scratch.row, scratch.value, at)
+            _sample_row(pictures.views[k], samplings, e, first_sample + i, scratch.line, scratch.value, at)
             if not even or i == 0:
-                _sample_row(pictures.noise[k], samplings, e, first_sample + i, scratch.row, scratch.grain, at)
+                _sample_row(pictures.noise[k], samplings, e, first_sample + i, scratch.line, scratch.grain, at)
 
 
 @compiled
@@ -262,101 +276,139 @@ def _sample_row(picture, samplings, e, y, line, out, at):
 
 @compiled
 def _standardise(
-    pictures, samplings, numbers, pad_x, first_sample, rows, from_row, to_row, scratch, top, bottom, weights_out
+    pictures, samplings, numbers, pad, first_sample, rows, top, bottom, begin, scratch, weights_out
 ):  # fmt: skip
     """Window means and gains of all samples, and the share of signal in the unshifted views.
 
     Four entries at a time: lanes 0 to 3 window the samples, lanes 4 to 7 their squares.
     """
-    width = pictures.mask.shape[1]
-    padded = width + 2 * pad_x
+    pad_x, pad_y = pad
+    padded = pictures.mask.shape[1] + 2 * pad_x
+    row_size = padded * v.LANES
     entries = len(samplings.owner)
     length, start, step = samplings.row_length, samplings.start, samplings.step
-    views = len(pictures.views)
-    grain_down = 0 if pictures.noise.shape[1] == 1 else length
     lanes, ring, state = scratch.lanes, scratch.ring, scratch.state
-    unity = GROUP * padded * v.LANES
+    from_row, to_row = top - pad_y - first_sample, bottom + pad_y - first_sample
+    unity = GROUP * row_size
     v.store(lanes, unity, v.spread(_ONE))
-    window_gain = v.spread((_ONE - numbers.decay) ** np.float32(4))
-    decay, debias = v.spread(numbers.decay), v.spread(numbers.debias)
-    min_share, nothing = v.spread(numbers.min_share), v.spread(_ZERO)
-    floors = np.empty(v.LANES, np.float32)
-    for y in range(top, bottom):
-        weights_out[y] = _ONE
+    weights_out[top:bottom] = _ONE
     inset = samplings.margin - pad_x
+    at = np.empty(4, np.int64)
     for e in range(0, entries, 4):
         # The last group may be short; it then repeats its last entry.
         e1, e2, e3 = min(e + 1, entries - 1), min(e + 2, entries - 1), min(e + 3, entries - 1)
         s0, s1, s2, s3 = step[e], step[e1], step[e2], step[e3]
-        for i in range(4):
-            floors[i] = floors[i + 4] = numbers.epsilon[samplings.owner[min(e + i, entries - 1)]]
-        floor = v.load(floors, 0)
+        at[0], at[1] = start[e] + s0 * inset, start[e1] + s1 * inset
+        at[2], at[3] = start[e2] + s2 * inset, start[e3] + s3 * inset
+        carried = e // 4 * row_size
+        if not begin:
+            ring[:row_size] = scratch.carry[carried : carried + row_size]
         for row in range(0, rows, GROUP):
             for j in range(GROUP):
-                i0 = (row + j) * length
-                i1, i2, i3 = i0 + start[e1] + s1 * inset, i0 + start[e2] + s2 * inset, i0 + start[e3] + s3 * inset
-                i0 += start[e] + s0 * inset
-                target = j * padded * v.LANES
-                for x in range(padded):
-                    four = v.four_and_squares(scratch.value, i0, i1, i2, i3)
-                    v.store(lanes, target, four)
-                    i0, i1, i2, i3, target = i0 + s0, i1 + s1, i2 + s2, i3 + s3, target + v.LANES
+                down = (row + j) * length
+                i0, i1, i2, i3 = at[0] + down, at[1] + down, at[2] + down, at[3] + down
+                for target in range(j * row_size, (j + 1) * row_size, v.LANES):
+                    v.store(lanes, target, v.four_and_squares(scratch.value, i0, i1, i2, i3))
+                    i0, i1, i2, i3 = i0 + s0, i1 + s1, i2 + s2, i3 + s3
             _window_rows(
-                lanes, 0, v.LANES, padded * v.LANES, lanes, unity, 0, 0,
-                ring, row * padded * v.LANES, padded, numbers.decay, row == 0,
+                lanes, 0, v.LANES, row_size, lanes, unity, 0, 0,
+                ring, (row + 1) * row_size, padded, numbers.decay, begin and row == 0,
             )  # fmt: skip
-        _window_end(ring, 0, rows, padded, numbers.decay, state, 0)
-        for row in range(rows - 2, to_row - first_sample - 1, -1):
-            _window_up(ring, row * padded * v.LANES, padded, numbers.decay, state, 0)
-        for row in range(to_row - first_sample - 1, from_row - first_sample - 1, -1):
+        # The next band's samples start pad_y rows above its top.
+        below = (bottom - pad_y - first_sample + 1) * row_size
+        scratch.carry[carried : carried + row_size] = ring[below - row_size : below]
+        _window_end(ring, row_size, rows, padded, numbers.decay, state, 0)
+        for row in range(rows - 2, to_row - 1, -1):
+            _window_up(ring, (row + 1) * row_size, padded, numbers.decay, state, 0)
+        for row in range(to_row - 1, from_row - 1, -1):
+            _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch)
             y = row + first_sample
-            i0 = row * length
-            i1, i2, i3 = i0 + start[e1] + s1 * inset, i0 + start[e2] + s2 * inset, i0 + start[e3] + s3 * inset
-            i0 += start[e] + s0 * inset
-            up = row * (length - grain_down)
-            at = row * padded * v.LANES
-            for x in range(padded):
-                window = v.fma(decay, v.load(state, x * v.LANES), v.load(ring, at + x * v.LANES))
-                v.store(state, x * v.LANES, window)
-                moments = v.mul(window, window_gain)
-                variance = v.sub(v.swapped(moments), v.mul(moments, moments))  # lanes 0 to 3
-                noise = v.mul(debias, v.four_and_squares(scratch.grain, i0 - up, i1 - up, i2 - up, i3 - up))
-                clean = v.larger(v.larger(v.sub(variance, noise), v.mul(min_share, variance)), nothing)
-                gain = v.inverse_root(v.add(clean, floor))
-                mean_gain = v.mul(moments, gain)
-                scratch.gain[i0], scratch.mean_gain[i0] = v.lane(gain, 0), v.lane(mean_gain, 0)
-                scratch.gain[i1], scratch.mean_gain[i1] = v.lane(gain, 1), v.lane(mean_gain, 1)
-                scratch.gain[i2], scratch.mean_gain[i2] = v.lane(gain, 2), v.lane(mean_gain, 2)
-                scratch.gain[i3], scratch.mean_gain[i3] = v.lane(gain, 3), v.lane(mean_gain, 3)
-                i0, i1, i2, i3 = i0 + s0, i1 + s1, i2 + s2, i3 + s3
-                v.store(lanes, x * v.LANES, variance)
             if numbers.weighting and top <= y < bottom:
-                for k in range(views):
+                for k in range(len(pictures.views)):
                     i = samplings.still[k] - e
                     if 0 <= i < 4:
-                        at = row * grain_down + start[e + i] + step[e + i] * samplings.margin
+                        down = 0 if pictures.noise.shape[1] == 1 else row * length
                         _weigh_texture(
-                            lanes, pad_x * v.LANES + i, scratch.grain, at, step[e + i], numbers.epsilon[k], weights_out[y]
-                        )
+                            lanes, pad_x * 4 + i, scratch.grain, down + start[e + i] + step[e + i] * samplings.margin,
+                            step[e + i], numbers.epsilon[k], weights_out[y],
+                        )  # fmt: skip
+
+
+@compiled
+def _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch):
+    """Gains of four entries in a row; leaves their variances in ``lanes``, four a px."""
+    entries = len(samplings.owner)
+    e1, e2, e3 = min(e + 1, entries - 1), min(e + 2, entries - 1), min(e + 3, entries - 1)
+    s0, s1, s2, s3 = samplings.step[e], samplings.step[e1], samplings.step[e2], samplings.step[e3]
+    down = row * samplings.row_length
+    i0, i1, i2, i3 = at[0] + down, at[1] + down, at[2] + down, at[3] + down
+    even = pictures.noise.shape[1] == 1
+    floors = np.empty(v.LANES, np.float32)
+    for i in range(v.LANES):
+        floors[i] = numbers.epsilon[samplings.owner[min(e + i % 4, entries - 1)]]
+    floor, nothing = v.load(floors, 0), v.spread(_ZERO)
+    decay, debias, min_share = v.spread(numbers.decay), v.spread(numbers.debias), v.spread(numbers.min_share)
+    window_gain = v.spread((_ONE - numbers.decay) ** np.float32(4))
+    ring, state, lanes, grain = scratch.ring, scratch.state, scratch.lanes, scratch.grain
+    gains, mean_gains = scratch.gain, scratch.mean_gain
+    noise = v.mul(debias, v.four_and_squares(grain, at[0], at[1], at[2], at[3]))
+    noise = v.halves_low(noise, noise)
+    at_ring = (row + 1) * padded * v.LANES
+    # Two px at a time, so that means, variances and gains fill all lanes.
+    for x in range(0, padded, 2):
+        i = x * v.LANES
+        here = v.fma(decay, v.load(state, i), v.load(ring, at_ring + i))
+        v.store(state, i, here)
+        more = i + (v.LANES if x + 1 < padded else 0)
+        after = v.fma(decay, v.load(state, more), v.load(ring, at_ring + more)) if more > i else here
+        v.store(state, more, after)
+        mean = v.mul(window_gain, v.halves_low(here, after))
+        variance = v.fnma(mean, mean, v.mul(window_gain, v.halves_high(here, after)))
+        v.store(lanes, x * 4, variance)
+        if not even:
+            n0 = v.four_and_squares(grain, i0, i1, i2, i3)
+            n1 = v.four_and_squares(grain, i0 + s0, i1 + s1, i2 + s2, i3 + s3)
+            noise = v.mul(debias, v.halves_low(n0, n1))
+        clean = v.larger(v.larger(v.sub(variance, noise), v.mul(min_share, variance)), nothing)
+        gain = v.inverse_root(v.add(clean, floor))
+        mean_gain = v.mul(mean, gain)
+        v.put_lane(gains, i0, gain, 0)
+        v.put_lane(gains, i1, gain, 1)
+        v.put_lane(gains, i2, gain, 2)
+        v.put_lane(gains, i3, gain, 3)
+        v.put_lane(mean_gains, i0, mean_gain, 0)
+        v.put_lane(mean_gains, i1, mean_gain, 1)
+        v.put_lane(mean_gains, i2, mean_gain, 2)
+        v.put_lane(mean_gains, i3, mean_gain, 3)
+        i0, i1, i2, i3 = i0 + s0, i1 + s1, i2 + s2, i3 + s3
+        v.put_lane(gains, i0, gain, 4)
+        v.put_lane(gains, i1, gain, 5)
+        v.put_lane(gains, i2, gain, 6)
+        v.put_lane(gains, i3, gain, 7)
+        v.put_lane(mean_gains, i0, mean_gain, 4)
+        v.put_lane(mean_gains, i1, mean_gain, 5)
+        v.put_lane(mean_gains, i2, mean_gain, 6)
+        v.put_lane(mean_gains, i3, mean_gain, 7)
+        i0, i1, i2, i3 = i0 + s0, i1 + s1, i2 + s2, i3 + s3
 
 
 @compiled
 def _weigh_texture(lanes, at_variance, grain, at_noise, step, epsilon, weights):
     for x in range(len(weights)):
         noise = grain[at_noise + step * x]
-        signal = max(lanes[at_variance + x * v.LANES] - noise, _ZERO)
+        signal = max(lanes[at_variance + 4 * x] - noise, _ZERO)
         weights[x] *= signal / (signal + noise + epsilon)
 
 
 @compiled
-def _weigh_row(pictures, numbers, y, views, weights):
+def _weigh_row(mask, min_weight, views, weights):
     """Finish the weights of a row: geometric mean of the views' shares of signal, nothing where unusable."""
     if views == 2:
         for x in range(len(weights)):
-            weights[x] = max(np.sqrt(weights[x]) * pictures.mask[y, x], numbers.min_weight)
+            weights[x] = max(np.sqrt(weights[x]) * mask[x], min_weight)
     else:
         for x in range(len(weights)):
-            weights[x] = max(weights[x] ** np.float32(1 / 3) * pictures.mask[y, x], numbers.min_weight)
+            weights[x] = max(weights[x] ** np.float32(1 / 3) * mask[x], min_weight)
 
 
 @compiled
@@ -523,8 +575,8 @@ def _locate_row(samplings, layers, slab, row, first_sample, pad_x, padded, scrat
 
 
 @compiled
-def _score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, scratch):
-    """Correlation of two views for one row of eight layers."""
+def _score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, scratch, maps):
+    """Correlation of two views for one row of eight layers, weighted and filtered rightwards."""
     width = pictures.mask.shape[1]
     covariance = pictures.covariance[0, row if pictures.covariance.shape[1] > 1 else 0]
     even = 0 if len(covariance) == 1 else 1
@@ -539,6 +591,9 @@ def _score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, 
     window_gain = v.spread((_ONE - numbers.decay) ** np.float32(4))
     overlap = v.load(layers.overlap, slab)
     ceiling, floor = v.load(layers.ceiling, slab), v.spread(-_ONE)
+    weights, links = maps.weights[row], maps.links[row]
+    endless = v.spread(_ONE / (_ONE - numbers.near))
+    ahead = v.spread(_ZERO)
     at += pad_x * v.LANES
     at_state = pad_x * v.LANES
     (i0, step0), (i1, step1) = places[0], places[1]
@@ -549,13 +604,15 @@ def _score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, 
         both = v.mul(v.load(gain0, i0), v.load(gain1, i1))
         means = v.mul(v.load(mean0, i0 + m0), v.load(mean1, i1 + m1))
         score = v.sub(v.mul(v.sub(v.mul(window, window_gain), noise), both), means)
-        v.store(scores, x * v.LANES, v.smaller(v.larger(score, floor), ceiling))
+        weighted = v.mul(v.smaller(v.larger(score, floor), ceiling), v.spread_at(weights, x))
+        ahead = v.fma(v.spread_at(links, x), ahead, weighted) if x > 0 else v.mul(endless, weighted)
+        v.store(scores, x * v.LANES, ahead)
         i0, i1, at, at_state = i0 + step0, i1 + step1, at + v.LANES, at_state + v.LANES
 
 
 @compiled
-def _score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_size, places, scratch):
-    """1 - det of the correlation matrix of three views for one row of eight layers."""
+def _score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_size, places, scratch, maps):
+    """1 - det of the correlation matrix of three views, weighted and filtered as in `_score_two`."""
     width = pictures.mask.shape[1]
     covariance = pictures.covariance[:, row if pictures.covariance.shape[1] > 1 else 0]
     even = 0 if covariance.shape[1] == 1 else 1
@@ -573,6 +630,9 @@ def _score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_s
     overlap01, overlap02 = v.load(layers.overlap, slab), v.load(layers.overlap, slab + count)
     overlap12 = v.load(layers.overlap, slab + 2 * count)
     ceiling, floor, one = v.load(layers.ceiling, slab), v.spread(-_ONE), v.spread(_ONE)
+    weights, links = maps.weights[row], maps.links[row]
+    endless = v.spread(_ONE / (_ONE - numbers.near))
+    ahead = v.spread(_ZERO)
     at += pad_x * v.LANES
     at_state = pad_x * v.LANES
     next_state = padded * v.LANES
@@ -594,25 +654,21 @@ def _score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_s
         c = v.larger(v.smaller(v.fnma(q1, q2, v.mul(c, v.mul(g1, g2))), one), floor)
         bc = v.mul(b, c)
         score = v.fma(a, v.sub(v.sub(a, bc), bc), v.fma(b, b, v.mul(c, c)))
-        v.store(scores, x * v.LANES, v.smaller(score, ceiling))
+        weighted = v.mul(v.smaller(score, ceiling), v.spread_at(weights, x))
+        ahead = v.fma(v.spread_at(links, x), ahead, weighted) if x > 0 else v.mul(endless, weighted)
+        v.store(scores, x * v.LANES, ahead)
         i0, i1, i2, at, at_state = i0 + step0, i1 + step1, i2 + step2, at + v.LANES, at_state + v.LANES
 
 
 @compiled
-def _filter_row(scores, weights, links, scales, near, volume, at, stride):
-    """Run both recursions along a row of weighted scores and file the sum, scaled, as int16."""
-    end = len(weights) - 1
+def _filter_back(scores, links, scales, near, volume, at, stride):
+    """Add the leftwards recursion to the rightwards one of a row and file the sum, scaled, as int16."""
+    end = len(scales) - 1
     endless, gain = v.spread(_ONE / (_ONE - near)), v.spread(_ONE - near)
-    state = v.mul(endless, v.mul(v.load(scores, 0), v.spread_at(weights, 0)))
-    v.store(scores, 0, state)
-    for x in range(1, end + 1):
-        weighted = v.mul(v.load(scores, x * v.LANES), v.spread_at(weights, x))
-        state = v.fma(v.spread_at(links, x), state, weighted)
-        v.store(scores, x * v.LANES, state)
+    here = v.load(scores, end * v.LANES)
     # The weighted score is what the forward result has more than its link to the one before.
     before = v.load(scores, (end - 1) * v.LANES)
-    state = v.mul(endless, v.fnma(v.spread_at(links, end), before, state))
-    here = v.load(scores, end * v.LANES)
+    state = v.mul(endless, v.fnma(v.spread_at(links, end), before, here))
     place = at + (end // STRIP) * stride + (end % STRIP) * v.LANES
     v.store_shorts(volume, place, v.mul(v.add(here, state), v.spread_at(scales, end)))
     for x in range(end - 1, 0, -1):

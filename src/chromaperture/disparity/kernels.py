@@ -52,7 +52,7 @@ def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
     strips.take_winners(
         volume,
         maps.share,
-        np.ascontiguousarray(inputs.guide),
+        maps.links_y,
         near,
         layers,
         np.float32(inputs.layers_px[0]),
@@ -98,7 +98,7 @@ def _filtered_scores(
     pad = reference.padding(inputs)
     samplings, layers = _plan(inputs, config, pad)
     halo = math.ceil(math.log(_FORGOTTEN) / math.log(config.window_decay))
-    band_rows = min(_BAND_ROWS, height)
+    band_rows = min(max(_BAND_ROWS, 2 * pad[1] + 8), height)
     band_rows = -(-height // (-(-height // band_rows)))
     threads = min(numba.get_num_threads(), -(-height // band_rows))
 
@@ -112,11 +112,12 @@ def _filtered_scores(
         gain=samples,
         mean_gain=samples,
         grain=samples if _varies(inputs.noise_variance) else samplings.row_length + 64,
-        ring=pairs * rows * padded * LANES,
+        ring=pairs * (rows + 1) * padded * LANES,
+        carry=(-(-len(samplings.owner) // 4) + len(layers.ceiling) // LANES * pairs) * padded * LANES,
         state=pairs * padded * LANES,
         lanes=(views * bands.GROUP + 2) * (padded + LANES) * LANES,
         scores=width * LANES,
-        row=width + 2 * samplings.margin + 16,
+        line=width + 2 * samplings.margin + 16,
     )
     scratch = bands.Scratch(*(np.zeros((threads, size), np.float32) for size in sizes))
     strip_count = -(-width // bands.STRIP)
@@ -124,6 +125,7 @@ def _filtered_scores(
     maps = bands.RowMaps(
         weights=np.empty((height, width), np.float32),
         links=np.empty((height, width + 1), np.float32),
+        links_y=np.empty((height, width), np.float32),
         share=np.empty((height, width), np.float32),
         scale=np.empty((height, width), np.float32),
     )

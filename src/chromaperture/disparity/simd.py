@@ -226,6 +226,18 @@ def lane(typing, value, index):
 
 
 @intrinsic
+def put_lane(typing, array, index, value, lane):
+    """Put one lane to ``array[index]``."""
+
+    def lowered(context, builder, signature, arguments):
+        pointer = _pointer(context, builder, signature.args[0], *arguments[:2])
+        builder.store(builder.extract_element(arguments[2], builder.trunc(arguments[3], _I32)), pointer)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, float8, types.int64), lowered
+
+
+@intrinsic
 def four_and_squares(typing, array, i0, i1, i2, i3):
     """Four elements of an array in lanes 0 to 3, their squares in lanes 4 to 7."""
 

@@ -12,7 +12,7 @@ import numpy as np
 from numba import prange
 
 from chromaperture.disparity import simd as v
-from chromaperture.disparity.bands import SCORE_SCALE, STRIP, compiled, compiled_parallel, fading
+from chromaperture.disparity.bands import SCORE_SCALE, STRIP, compiled, compiled_parallel
 
 _ONE = np.float32(1)
 _ZERO = np.float32(0)
@@ -22,14 +22,14 @@ _BEND_FLOOR = np.float32(1e-12)
 
 
 @compiled_parallel
-def take_winners(volume, share, guide, near, layers, first, step, scratch, disparity, peak, curvature):
+def take_winners(volume, share, links_y, near, layers, first, step, scratch, disparity, peak, curvature):
     """Filter the volume along y, find the best layer, refine it by a parabola.
 
     Parameters
     ----------
     volume : (strips, H, slabs, STRIP, 8) int16, flat
     share : (H, W) float32; the weights the scores stand for
-    guide : (H, W) float32
+    links_y : (H, W) float32; weight with which a pixel hears its upper neighbour
     near : float32; link weight on an even guide
     layers : int
     first, step : float32, px; disparity of the first layer and distance of two
@@ -47,8 +47,7 @@ def take_winners(volume, share, guide, near, layers, first, step, scratch, dispa
         inverse = np.empty((height, STRIP), np.float32)
         tags = _tags(slabs)
         for strip in range(strips * thread // threads, strips * (thread + 1) // threads):
-            _strip_links(guide, near, strip, links)
-            _strip_shares(share, near, strip, links, scale, inverse)
+            _strip_maps(share, links_y, near, strip, links, scale, inverse)
             _take_strip(
                 volume, strip, height, slabs, near, links, scale, inverse, tags, layers, first, step, own,
                 disparity, peak, curvature,
@@ -72,35 +71,39 @@ def _tags(slabs):
 
 
 @compiled
-def _strip_links(guide, near, strip, links):
-    height, width = guide.shape
-    for j in range(STRIP):
-        x = min(strip * STRIP + j, width - 1)
-        for y in range(1, height):
-            links[y, j] = fading(guide[y, x] - guide[y - 1, x], near)
-
-
-@compiled
-def _strip_shares(share, near, strip, links, scale, inverse):
-    """Weights of the int16 scores, and one over the weights filtered along y."""
+def _strip_maps(share, links_y, near, strip, links, scale, inverse):
+    """Links of a strip, weights of its int16 scores, and one over the weights filtered along y."""
     height, width = share.shape
+    left = min(strip * STRIP, width)
+    used = min(STRIP, width - left)
+    for y in range(height):
+        for j in range(used):
+            links[y, j] = links_y[y, left + j]
+            scale[y, j] = share[y, left + j]
+    for y in range(height):
+        for j in range(used, STRIP):
+            links[y, j], scale[y, j] = _ZERO, _ONE
     end = height - 1
     gain = _ONE - near
     for j in range(STRIP):
-        x = min(strip * STRIP + j, width - 1)
-        state = share[end, x] / gain
-        inverse[end, j] = state
-        for y in range(end - 1, 0, -1):
-            state = share[y, x] + links[y + 1, j] * state
-            inverse[y, j] = state
-        inverse[0, j] = share[0, x] + links[1, j] * state
-        state = share[0, x] / gain
-        inverse[0, j] = _ONE / (inverse[0, j] + state)
-        for y in range(1, height):
-            state = share[y, x] + links[y, j] * state
-            inverse[y, j] = _ONE / (inverse[y, j] + state)
-        for y in range(height):
-            scale[y, j] = share[y, x] / SCORE_SCALE
+        links[0, j] = _ZERO
+        links[height, j] = _ZERO
+        inverse[end, j] = scale[end, j] / gain
+    for y in range(end - 1, 0, -1):
+        for j in range(STRIP):
+            inverse[y, j] = scale[y, j] + links[y + 1, j] * inverse[y + 1, j]
+    state = np.empty(STRIP, np.float32)
+    for j in range(STRIP):
+        inverse[0, j] = scale[0, j] + links[1, j] * inverse[1, j]
+        state[j] = scale[0, j] / gain
+        inverse[0, j] = _ONE / (inverse[0, j] + state[j])
+    for y in range(1, height):
+        for j in range(STRIP):
+            state[j] = scale[y, j] + links[y, j] * state[j]
+            inverse[y, j] = _ONE / (inverse[y, j] + state[j])
+    for y in range(height):
+        for j in range(STRIP):
+            scale[y, j] /= SCORE_SCALE
 
 
 @compiled
@@ -116,34 +119,39 @@ def _take_strip(
     # Upwards; in the volume a slab's columns are neighbours, in the scratch as well.
     for y in range(height - 1, -1, -1):
         at = y * row_size
-        for j in range(STRIP):
-            weight, link = v.spread_at(scale, y * STRIP + j), v.spread_at(links, (y + 1) * STRIP + j)
-            for i in range(at + j * v.LANES, at + row_size, STRIP * v.LANES):
-                x = v.mul(v.load_shorts(volume, at_strip + i), weight)
-                if y == height - 1:
-                    v.store(scratch, i, v.mul(endless, x))
-                else:
-                    v.store(scratch, i, v.fma(link, v.load(scratch, i + row_size), x))
+        for i in range(0, row_size, STRIP * v.LANES):
+            for j in range(STRIP):
+                here = at + i + j * v.LANES
+                x = v.mul(v.load_shorts(volume, at_strip + here), v.spread_at(scale, y * STRIP + j))
+                link = v.spread_at(links, (y + 1) * STRIP + j)
+                below = v.fma(link, v.load(scratch, here + row_size), x) if y < height - 1 else v.mul(endless, x)
+                v.store(scratch, here, below)
+    # Downwards, from what the upward recursion gained at each row. The row below the last is its own.
     state = np.zeros(row_size, np.float32)
     scores = np.empty((STRIP, lanes), np.float32)
     best = np.empty(STRIP * v.LANES, np.float32)
     winners = best.view(np.int32)
     tag_values = tags.view(np.float32)
     raised = v.spread(_RAISED)
+    gain = v.spread(_ONE - near)
     keep = v.load(tag_values, 0)
     mask = ~tags[0]
     for y in range(height):
         at = y * row_size
         for j in range(STRIP):
-            weight, link = v.spread_at(scale, y * STRIP + j), v.spread_at(links, y * STRIP + j)
+            link, link_below = v.spread_at(links, y * STRIP + j), v.spread_at(links, (y + 1) * STRIP + j)
             share = v.spread_at(inverse, y * STRIP + j)
             largest = v.spread(_ZERO)
             for slab in range(slabs):
                 i = (slab * STRIP + j) * v.LANES
-                x = v.mul(v.load_shorts(volume, at_strip + at + i), weight)
-                down = v.mul(endless, x) if y == 0 else v.fma(link, v.load(state, i), x)
+                up = v.load(scratch, at + i)
+                if y == height - 1:
+                    x = v.mul(gain, up)
+                else:
+                    x = v.fnma(link_below, v.load(scratch, at + i + row_size), up)
+                down = v.fma(link, v.load(state, i), x) if y > 0 else v.mul(endless, x)
                 v.store(state, i, down)
-                score = v.fma(v.add(down, v.load(scratch, at + i)), share, raised)
+                score = v.fma(v.add(down, up), share, raised)
                 v.store(scores, j * lanes + slab * v.LANES, score)
                 largest = v.larger(largest, v.tagged(score, keep, v.load(tag_values, (slab + 1) * v.LANES)))
             v.store(best, j * v.LANES, largest)
