@@ -26,7 +26,7 @@ compiled_parallel = njit(
 )
 
 GROUP = 4  # rows walked together: four independent recursions fill the pipeline
-STRIP = 4  # columns walked together in `strips.py`
+BLOCK = 16  # columns that are neighbours in the volume
 SCORE_SCALE = np.float32(32000)  # of a score in [-1, 1] in int16
 
 _ONE = np.float32(1)
@@ -90,8 +90,8 @@ class RowMaps(NamedTuple):
 
     weights: np.ndarray  # (H, W)
     links: np.ndarray  # (H, W + 1): of each pixel to its left neighbour
-    links_y: np.ndarray  # (H, W): of each pixel to its upper neighbour
-    share: np.ndarray  # (H, W): the weights, filtered along x
+    links_y: np.ndarray  # (H, W16): of each pixel to its upper neighbour
+    share: np.ndarray  # (H, W16): the weights, filtered along x
     scale: np.ndarray  # (H, W): from filtered scores to int16
 
 
@@ -120,7 +120,7 @@ def score_bands(pictures, samplings, layers, numbers, pad, halo, band_rows, scra
     halo : int, rows after which the window has forgotten
     band_rows : int
     scratch : tuple of arrays (threads, n) as `Scratch`
-    volume : (strips, H, D8 / 8, STRIP, 8) int16, flat; written
+    volume : (blocks, H, D8 / 8, BLOCK, 8) int16, flat; written
     maps : RowMaps; written
     """
     height = pictures.mask.shape[0]
@@ -228,7 +228,7 @@ def _score_band(
                 )
             _filter_back(
                 scratch.scores, maps.links[row], maps.scale[row], numbers.near,
-                volume, (row * slabs + slab) * STRIP * v.LANES, height * slabs * STRIP * v.LANES,
+                volume, (row * slabs + slab) * BLOCK * v.LANES, height * slabs * BLOCK * v.LANES,
             )  # fmt: skip
 
 
@@ -669,13 +669,13 @@ def _filter_back(scores, links, scales, near, volume, at, stride):
     # The weighted score is what the forward result has more than its link to the one before.
     before = v.load(scores, (end - 1) * v.LANES)
     state = v.mul(endless, v.fnma(v.spread_at(links, end), before, here))
-    place = at + (end // STRIP) * stride + (end % STRIP) * v.LANES
+    place = at + (end // BLOCK) * stride + (end % BLOCK) * v.LANES
     v.store_shorts(volume, place, v.mul(v.add(here, state), v.spread_at(scales, end)))
     for x in range(end - 1, 0, -1):
         here, before = before, v.load(scores, (x - 1) * v.LANES)
         weighted = v.fnma(v.spread_at(links, x), before, here)
         state = v.fma(v.spread_at(links, x + 1), state, weighted)
-        place = at + (x // STRIP) * stride + (x % STRIP) * v.LANES
+        place = at + (x // BLOCK) * stride + (x % BLOCK) * v.LANES
         v.store_shorts(volume, place, v.mul(v.add(here, state), v.spread_at(scales, x)))
     state = v.fma(v.spread_at(links, 1), state, v.mul(gain, before))
     v.store_shorts(volume, at, v.mul(v.add(before, state), v.spread_at(scales, 0)))

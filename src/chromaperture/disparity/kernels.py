@@ -17,12 +17,13 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numba
 import numpy as np
 
 from chromaperture.config import MatcherConfig
 from chromaperture.disparity import bands, reference, strips
-from chromaperture.disparity.inputs import MatchInputs, view_pairs
+from chromaperture.disparity.inputs import MatchInputs, is_even, view_pairs
 from chromaperture.disparity.simd import LANES
 from chromaperture.disparity.subpixel import Winner
 
@@ -57,7 +58,7 @@ def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
         layers,
         np.float32(inputs.layers_px[0]),
         np.float32(step),
-        np.empty((threads, height * bands.STRIP * _whole_slabs(layers)), np.float32),
+        _aligned((threads, height * strips.STRIP * _whole_slabs(layers)), np.float32),
         *winner,
     )
     return winner
@@ -80,6 +81,14 @@ def texture_weights(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
     """Weight of each pixel in the aggregation; the twin of the reference's function; (H, W) float32."""
     _, maps = _filtered_scores(inputs, config, np.float32(0))
     return maps.weights
+
+
+def _aligned(shape: int | tuple[int, ...], dtype: type) -> np.ndarray:
+    """Zeros that start on a cache line: half of all vectors would else straddle two."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    raw = np.zeros(size + 64, np.uint8)
+    start = -raw.ctypes.data % 64
+    return raw[start : start + size].view(dtype).reshape(shape)
 
 
 def _link_weight(sigma_px: float) -> np.float32:
@@ -111,7 +120,7 @@ def _filtered_scores(
         value=samples,
         gain=samples,
         mean_gain=samples,
-        grain=samples if _varies(inputs.noise_variance) else samplings.row_length + 64,
+        grain=samplings.row_length + 64 if is_even(inputs.noise_variance) else samples,
         ring=pairs * (rows + 1) * padded * LANES,
         carry=(-(-len(samplings.owner) // 4) + len(layers.ceiling) // LANES * pairs) * padded * LANES,
         state=pairs * padded * LANES,
@@ -119,22 +128,20 @@ def _filtered_scores(
         scores=width * LANES,
         line=width + 2 * samplings.margin + 16,
     )
-    scratch = bands.Scratch(*(np.zeros((threads, size), np.float32) for size in sizes))
-    strip_count = -(-width // bands.STRIP)
-    volume = np.empty(strip_count * height * len(layers.ceiling) * bands.STRIP, np.int16)
+    scratch = bands.Scratch(*(_aligned((threads, -(-size // 16) * 16), np.float32) for size in sizes))
+    wide = -(-width // bands.BLOCK) * bands.BLOCK
+    volume = _aligned(wide * height * len(layers.ceiling), np.int16)
     maps = bands.RowMaps(
         weights=np.empty((height, width), np.float32),
         links=np.empty((height, width + 1), np.float32),
-        links_y=np.empty((height, width), np.float32),
-        share=np.empty((height, width), np.float32),
+        links_y=np.zeros((height, wide), np.float32),
+        share=np.ones((height, wide), np.float32),
         scale=np.empty((height, width), np.float32),
     )
     pictures = bands.Pictures(
         views=_planes(inputs.views),
-        noise=_planes(inputs.noise_variance if _varies(inputs.noise_variance) else inputs.noise_variance[:1, :1]),
-        covariance=_planes(
-            inputs.noise_covariance if _varies(inputs.noise_covariance) else inputs.noise_covariance[:1, :1]
-        ),
+        noise=_planes(inputs.noise_variance),
+        covariance=_planes(inputs.noise_covariance),
         mask=np.ascontiguousarray(inputs.mask, np.float32),
         guide=np.ascontiguousarray(inputs.guide, np.float32),
     )
@@ -143,7 +150,7 @@ def _filtered_scores(
         debias=np.float32(config.noise_debiasing),
         weighting=config.texture_weighting,
         near=near,
-        epsilon=reference.variance_floor(inputs.views).astype(np.float32),
+        epsilon=_variance_floor(pictures.views),
         min_share=np.float32(reference.MIN_VARIANCE_SHARE),
         min_weight=np.float32(reference.MIN_WEIGHT),
     )
@@ -239,10 +246,12 @@ def _plan(
     )
 
 
-def _varies(maps: np.ndarray) -> bool:
-    return bool((maps != maps[:1, :1]).any())
-
-
 def _planes(maps: np.ndarray) -> np.ndarray:
-    """(H, W, N) to contiguous (N, H, W) float32."""
-    return np.ascontiguousarray(np.moveaxis(maps, 2, 0), np.float32)
+    """(H, W, N) to contiguous (N, H, W) float32, or to (N, 1, 1) where even."""
+    return np.ascontiguousarray(np.moveaxis(maps[:1, :1] if is_even(maps) else maps, 2, 0), np.float32)
+
+
+def _variance_floor(planes: np.ndarray) -> np.ndarray:
+    """The same as `chromaperture.disparity.reference.variance_floor`, of planes (K, H, W); (K,) float32."""
+    deviations = np.array([cv2.meanStdDev(plane)[1][0, 0] for plane in planes])
+    return (reference.RELATIVE_EPSILON * deviations**2 + 1e-30).astype(np.float32)

@@ -184,12 +184,16 @@ def load_shorts(typing, array, index):
 
 @intrinsic
 def store_shorts(typing, array, index, value):
-    """Round eight float32 of less than 2^15 to int16."""
+    """Round eight float32 of less than 2^15 to int16, past the caches: nobody reads them soon.
+
+    The address must be a multiple of 16 bytes.
+    """
 
     def lowered(context, builder, signature, arguments):
         pointer = _pointer(context, builder, signature.args[0], *arguments[:2], _SHORTS)
         bits = builder.bitcast(builder.fadd(arguments[2], _constant(_ROUNDER)), _INTS)
-        builder.store(builder.trunc(bits, _SHORTS), pointer, align=2)
+        stored = builder.store(builder.trunc(bits, _SHORTS), pointer, align=16)
+        stored.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(_I32, 1)]))
         return context.get_dummy_value()
 
     return types.void(array, types.int64, float8), lowered

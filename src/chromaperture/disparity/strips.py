@@ -12,11 +12,14 @@ import numpy as np
 from numba import prange
 
 from chromaperture.disparity import simd as v
-from chromaperture.disparity.bands import SCORE_SCALE, STRIP, compiled, compiled_parallel
+from chromaperture.disparity.bands import BLOCK, SCORE_SCALE, compiled, compiled_parallel
 
 _ONE = np.float32(1)
 _ZERO = np.float32(0)
 _HALF = np.float32(0.5)
+STRIP = 4  # columns filtered together: for 1000 rows of 32 layers they fill half a megabyte
+BATCH = 8  # rows whose winners are refined together
+AHEAD = 12  # rows by which the volume is fetched before its use
 _RAISED = np.float32(2)  # added to scores in [-1, 1]: positive floats are ordered as their bits are
 _BEND_FLOOR = np.float32(1e-12)
 
@@ -27,31 +30,33 @@ def take_winners(volume, share, links_y, near, layers, first, step, scratch, dis
 
     Parameters
     ----------
-    volume : (strips, H, slabs, STRIP, 8) int16, flat
-    share : (H, W) float32; the weights the scores stand for
-    links_y : (H, W) float32; weight with which a pixel hears its upper neighbour
+    volume : (blocks, H, slabs, BLOCK, 8) int16, flat
+    share : (H, W16) float32; the weights the scores stand for; W16 is the width in whole blocks
+    links_y : (H, W16) float32; weight with which a pixel hears its upper neighbour
     near : float32; link weight on an even guide
     layers : int
     first, step : float32, px; disparity of the first layer and distance of two
     scratch : (threads, n) float32
     disparity, peak, curvature : (H, W) float32; written
     """
-    height, width = share.shape
-    strips = (width + STRIP - 1) // STRIP
+    height, width = disparity.shape
+    blocks = (width + BLOCK - 1) // BLOCK
     slabs = (layers + v.LANES - 1) // v.LANES
     threads = len(scratch)
     for thread in prange(threads):
         own = scratch[thread]
-        links = np.zeros((height + 1, STRIP), np.float32)
-        scale = np.empty((height, STRIP), np.float32)
-        inverse = np.empty((height, STRIP), np.float32)
+        links = np.zeros((height + 1) * BLOCK, np.float32)
+        scale = np.empty(height * BLOCK, np.float32)
+        inverse = np.empty(height * BLOCK, np.float32)
         tags = _tags(slabs)
-        for strip in range(strips * thread // threads, strips * (thread + 1) // threads):
-            _strip_maps(share, links_y, near, strip, links, scale, inverse)
-            _take_strip(
-                volume, strip, height, slabs, near, links, scale, inverse, tags, layers, first, step, own,
-                disparity, peak, curvature,
-            )  # fmt: skip
+        for block in range(blocks * thread // threads, blocks * (thread + 1) // threads):
+            left = block * BLOCK
+            _block_maps(share, links_y, near, left, links, scale, inverse)
+            for x in range(left, min(left + BLOCK, width), STRIP):
+                _take_strip(
+                    volume, x, slabs, near, links, scale, inverse, tags, layers, first, step, own,
+                    disparity, peak, curvature,
+                )  # fmt: skip
 
 
 @compiled
@@ -71,108 +76,125 @@ def _tags(slabs):
 
 
 @compiled
-def _strip_maps(share, links_y, near, strip, links, scale, inverse):
-    """Links of a strip, weights of its int16 scores, and one over the weights filtered along y."""
-    height, width = share.shape
-    left = min(strip * STRIP, width)
-    used = min(STRIP, width - left)
-    for y in range(height):
-        for j in range(used):
-            links[y, j] = links_y[y, left + j]
-            scale[y, j] = share[y, left + j]
-    for y in range(height):
-        for j in range(used, STRIP):
-            links[y, j], scale[y, j] = _ZERO, _ONE
-    end = height - 1
-    gain = _ONE - near
-    for j in range(STRIP):
-        links[0, j] = _ZERO
-        links[height, j] = _ZERO
-        inverse[end, j] = scale[end, j] / gain
-    for y in range(end - 1, 0, -1):
-        for j in range(STRIP):
-            inverse[y, j] = scale[y, j] + links[y + 1, j] * inverse[y + 1, j]
-    state = np.empty(STRIP, np.float32)
-    for j in range(STRIP):
-        inverse[0, j] = scale[0, j] + links[1, j] * inverse[1, j]
-        state[j] = scale[0, j] / gain
-        inverse[0, j] = _ONE / (inverse[0, j] + state[j])
-    for y in range(1, height):
-        for j in range(STRIP):
-            state[j] = scale[y, j] + links[y, j] * state[j]
-            inverse[y, j] = _ONE / (inverse[y, j] + state[j])
-    for y in range(height):
-        for j in range(STRIP):
-            scale[y, j] /= SCORE_SCALE
+def _block_maps(share, links_y, near, left, links, scale, inverse):
+    """Links of a block of columns, weights of its int16 scores, and one over the weights filtered along y."""
+    height = share.shape[0]
+    endless, unit = v.spread(_ONE / (_ONE - near)), v.spread(_ONE / SCORE_SCALE)
+    one, nothing = v.spread(_ONE), v.spread(_ZERO)
+    for j in range(0, BLOCK, v.LANES):
+        v.store(links, height * BLOCK + j, nothing)
+        state = nothing
+        for y in range(height - 1, -1, -1):
+            weight, i = v.load(share[y], left + j), y * BLOCK + j
+            state = v.fma(v.load(links, i + BLOCK), state, weight) if y < height - 1 else v.mul(endless, weight)
+            v.store(inverse, i, state)
+            v.store(links, i, v.load(links_y[y], left + j))
+        for y in range(height):
+            weight, i = v.load(share[y], left + j), y * BLOCK + j
+            state = v.fma(v.load(links, i), state, weight) if y > 0 else v.mul(endless, weight)
+            v.store(inverse, i, v.div(one, v.add(state, v.load(inverse, i))))
+            v.store(scale, i, v.mul(weight, unit))
 
 
 @compiled
 def _take_strip(
-    volume, strip, height, slabs, near, links, scale, inverse, tags, layers, first, step, scratch,
+    volume, left, slabs, near, links, scale, inverse, tags, layers, first, step, scratch,
     disparity, peak, curvature,
 ):  # fmt: skip
-    width = disparity.shape[1]
+    height, width = disparity.shape
     lanes = slabs * v.LANES
     row_size = STRIP * lanes
-    at_strip = strip * height * row_size
+    volume_row = BLOCK * lanes
+    column = left % BLOCK
+    at_volume = left // BLOCK * height * volume_row + column * v.LANES
     endless = v.spread(_ONE / (_ONE - near))
-    # Upwards; in the volume a slab's columns are neighbours, in the scratch as well.
+    # Upwards; in the volume a slab's columns are neighbours, in the scratch a column's slabs.
     for y in range(height - 1, -1, -1):
-        at = y * row_size
-        for i in range(0, row_size, STRIP * v.LANES):
-            for j in range(STRIP):
-                here = at + i + j * v.LANES
-                x = v.mul(v.load_shorts(volume, at_strip + here), v.spread_at(scale, y * STRIP + j))
-                link = v.spread_at(links, (y + 1) * STRIP + j)
+        ahead = at_volume + max(y - AHEAD, 0) * volume_row
+        for slab in range(slabs):
+            v.prefetch(volume, ahead + slab * BLOCK * v.LANES)
+        for j in range(STRIP):
+            weight = v.spread_at(scale, y * BLOCK + column + j)
+            link = v.spread_at(links, (y + 1) * BLOCK + column + j)
+            here = y * row_size + j * lanes
+            there = at_volume + y * volume_row + j * v.LANES
+            for _ in range(slabs):
+                x = v.mul(v.load_shorts(volume, there), weight)
                 below = v.fma(link, v.load(scratch, here + row_size), x) if y < height - 1 else v.mul(endless, x)
                 v.store(scratch, here, below)
-    # Downwards, from what the upward recursion gained at each row. The row below the last is its own.
+                here, there = here + v.LANES, there + BLOCK * v.LANES
+    # Downwards, a batch of rows at a time: the winners of many pixels need not wait for each other.
     state = np.zeros(row_size, np.float32)
-    scores = np.empty((STRIP, lanes), np.float32)
-    best = np.empty(STRIP * v.LANES, np.float32)
-    winners = best.view(np.int32)
+    scores = np.empty(BATCH * row_size, np.float32)
+    largest = np.empty(BATCH * STRIP + v.LANES, np.float32)
+    found = np.empty((3, BATCH * STRIP), np.float32)
+    used = min(STRIP, width - left)
+    for top in range(0, height, BATCH):
+        bottom = min(top + BATCH, height)
+        _score_rows(top, bottom, height, lanes, column, near, links, inverse, tags, scratch, state, scores, largest)
+        _refine(largest.view(np.int32), ~tags[0], scores, lanes, layers, first, step, found)
+        for y in range(top, bottom):
+            for j in range(used):
+                i = (y - top) * STRIP + j
+                disparity[y, left + j] = found[0, i]
+                peak[y, left + j] = found[1, i]
+                curvature[y, left + j] = found[2, i]
+
+
+@compiled
+def _score_rows(top, bottom, height, lanes, column, near, links, inverse, tags, scratch, state, scores, largest):
+    """Scores of a batch of rows, raised by `_RAISED`, and of each pixel the largest with its tag."""
     tag_values = tags.view(np.float32)
-    raised = v.spread(_RAISED)
-    gain = v.spread(_ONE - near)
+    best = np.empty(STRIP * v.LANES, np.float32)
+    raised, gain, endless = v.spread(_RAISED), v.spread(_ONE - near), v.spread(_ONE / (_ONE - near))
     keep = v.load(tag_values, 0)
-    mask = ~tags[0]
-    for y in range(height):
-        at = y * row_size
+    row_size = STRIP * lanes
+    for y in range(top, bottom):
+        out = (y - top) * row_size
         for j in range(STRIP):
-            link, link_below = v.spread_at(links, y * STRIP + j), v.spread_at(links, (y + 1) * STRIP + j)
-            share = v.spread_at(inverse, y * STRIP + j)
-            largest = v.spread(_ZERO)
-            for slab in range(slabs):
-                i = (slab * STRIP + j) * v.LANES
-                up = v.load(scratch, at + i)
-                if y == height - 1:
-                    x = v.mul(gain, up)
+            link = v.spread_at(links, y * BLOCK + column + j)
+            link_below = v.spread_at(links, (y + 1) * BLOCK + column + j)
+            share = v.spread_at(inverse, y * BLOCK + column + j)
+            most = v.spread(_ZERO)
+            here = y * row_size + j * lanes
+            for i in range(0, lanes, v.LANES):
+                # What the upward recursion gained here is the weighted score.
+                up = v.load(scratch, here + i)
+                if y < height - 1:
+                    x = v.fnma(link_below, v.load(scratch, here + i + row_size), up)
                 else:
-                    x = v.fnma(link_below, v.load(scratch, at + i + row_size), up)
-                down = v.fma(link, v.load(state, i), x) if y > 0 else v.mul(endless, x)
-                v.store(state, i, down)
+                    x = v.mul(gain, up)
+                down = v.fma(link, v.load(state, j * lanes + i), x) if y > 0 else v.mul(endless, x)
+                v.store(state, j * lanes + i, down)
                 score = v.fma(v.add(down, up), share, raised)
-                v.store(scores, j * lanes + slab * v.LANES, score)
-                largest = v.larger(largest, v.tagged(score, keep, v.load(tag_values, (slab + 1) * v.LANES)))
-            v.store(best, j * v.LANES, largest)
+                v.store(scores, out + j * lanes + i, score)
+                most = v.larger(most, v.tagged(score, keep, v.load(tag_values, v.LANES + i)))
+            v.store(best, j * v.LANES, most)
         ab = v.halves_larger(v.load(best, 0), v.load(best, v.LANES))
         cd = v.halves_larger(v.load(best, 2 * v.LANES), v.load(best, 3 * v.LANES))
         four = v.quarters_larger(ab, cd)
-        v.store(best, 0, v.eighths_larger(four, four))
-        for j in range(min(STRIP, width - strip * STRIP)):
-            x = strip * STRIP + j
-            winner = min(mask - (winners[j] & mask), layers - 1)
-            inner = min(max(winner, 1), layers - 2)
-            left, center, right = scores[j, inner - 1], scores[j, inner], scores[j, inner + 1]
-            bend = max(center + center - left - right, _ZERO)
-            slope = right - left
-            offset, rise = _ZERO, _ZERO
-            if bend > _BEND_FLOOR:
-                offset = min(max(_HALF * slope / bend, -_HALF), _HALF)
-                rise = slope * slope / (np.float32(8) * bend)
-            disparity[y, x] = first + step * (np.float32(inner) + offset) if winner == inner else np.nan
-            peak[y, x] = center - _RAISED + rise
-            curvature[y, x] = bend / (step * step)
+        v.store(largest, (y - top) * STRIP, v.eighths_larger(four, four))
+
+
+@compiled
+def _refine(winners, mask, scores, lanes, layers, first, step, found):
+    """Parabola through the best layer and its neighbours, for a batch of pixels."""
+    count = BATCH * STRIP
+    low, center, high = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
+    for i in range(count):
+        winner = min(max(mask - (winners[i] & mask), 0), layers - 1)
+        inner = min(max(winner, 1), layers - 2)
+        at = i * lanes + inner
+        low[i], center[i], high[i] = scores[at - 1], scores[at], scores[at + 1]
+        found[0, i] = np.float32(inner) if winner == inner else np.float32(np.nan)
+    square = _ONE / (step * step)
+    for i in range(count):
+        bend = max(center[i] + center[i] - low[i] - high[i], _ZERO)
+        slope = high[i] - low[i]
+        ratio = slope / bend if bend > _BEND_FLOOR else _ZERO
+        found[0, i] = first + step * (found[0, i] + min(max(_HALF * ratio, -_HALF), _HALF))
+        found[1, i] = center[i] - _RAISED + np.float32(1 / 8) * slope * ratio
+        found[2, i] = bend * square
 
 
 @compiled_parallel
@@ -182,7 +204,7 @@ def unpack_scores(volume, out):
     slabs = (layers + v.LANES - 1) // v.LANES
     for y in prange(height):
         for x in range(width):
-            at = ((x // STRIP) * height + y) * slabs * STRIP * v.LANES + (x % STRIP) * v.LANES
+            at = ((x // BLOCK) * height + y) * slabs * BLOCK * v.LANES + (x % BLOCK) * v.LANES
             for s in range(layers):
-                i = at + (s // v.LANES) * STRIP * v.LANES + s % v.LANES
+                i = at + (s // v.LANES) * BLOCK * v.LANES + s % v.LANES
                 out[y, x, s] = np.float32(volume[i]) / SCORE_SCALE
