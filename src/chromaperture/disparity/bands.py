@@ -236,9 +236,9 @@ def _score_band(
 def _sample(pictures, samplings, first_sample, rows, scratch):
     """Interpolate every entry of every row."""
     even = pictures.noise.shape[1] == 1
-    for e in range(len(samplings.owner)):
-        k = samplings.owner[e]
-        for i in range(rows):
+    for i in range(rows):
+        for e in range(len(samplings.owner)):
+            k = samplings.owner[e]
             at = i * samplings.row_length + samplings.start[e]
             _sample_row(pictures.views[k], samplings, e, first_sample + i, scratch.line, scratch.value, at)
             if not even or i == 0:
@@ -266,12 +266,15 @@ def _sample_row(picture, samplings, e, y, line, out, at):
     for x in range(reach + width, count + 4):
         line[x] = line[reach + width - 1]
     t0, t1, t2, t3 = samplings.taps_x[e]
-    if t1 == _ONE:
+    skip = 2
+    if t1 != _ONE:
+        # In place from the left: sample x needs none before x + 1.
+        skip = 0
         for x in range(count):
-            out[at + step * x] = line[x + 2]
-    else:
-        for x in range(count):
-            out[at + step * x] = t0 * line[x + 1] + t1 * line[x + 2] + t2 * line[x + 3] + t3 * line[x + 4]
+            line[x] = t0 * line[x + 1] + t1 * line[x + 2] + t2 * line[x + 3] + t3 * line[x + 4]
+    for x in range(skip, count + skip):
+        v.put(out, at, line[x])
+        at += step
 
 
 @compiled
@@ -579,7 +582,7 @@ def _score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, 
     """Correlation of two views for one row of eight layers, weighted and filtered rightwards."""
     width = pictures.mask.shape[1]
     covariance = pictures.covariance[0, row if pictures.covariance.shape[1] > 1 else 0]
-    even = 0 if len(covariance) == 1 else 1
+    even = len(covariance) == 1
     ring, state, scores = scratch.ring, scratch.state, scratch.scores
     direct = layers.direct
     gain0, mean0 = (scratch.gain, scratch.mean_gain) if direct[0] else (scratch.lanes, scratch.lanes)
@@ -590,6 +593,7 @@ def _score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, 
     fade = v.spread(numbers.decay)
     window_gain = v.spread((_ONE - numbers.decay) ** np.float32(4))
     overlap = v.load(layers.overlap, slab)
+    noise = v.mul(overlap, v.spread_at(covariance, 0))
     ceiling, floor = v.load(layers.ceiling, slab), v.spread(-_ONE)
     weights, links = maps.weights[row], maps.links[row]
     endless = v.spread(_ONE / (_ONE - numbers.near))
@@ -600,7 +604,8 @@ def _score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, 
     for x in range(width):
         window = v.fma(fade, v.load(state, at_state), v.load(ring, at))
         v.store(state, at_state, window)
-        noise = v.mul(overlap, v.spread_at(covariance, even * x))
+        if not even:
+            noise = v.mul(overlap, v.spread_at(covariance, x))
         both = v.mul(v.load(gain0, i0), v.load(gain1, i1))
         means = v.mul(v.load(mean0, i0 + m0), v.load(mean1, i1 + m1))
         score = v.sub(v.mul(v.sub(v.mul(window, window_gain), noise), both), means)

@@ -16,6 +16,8 @@ Memory: 2 bytes a score and about 60 MB of scratch for each thread at 1280 px wi
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import cv2
 import numba
@@ -46,21 +48,22 @@ def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
     near = _link_weight(config.bilateral_sigma_px)
     height, width = inputs.mask.shape
     layers = len(inputs.layers_px)
-    threads = numba.get_num_threads()
-    volume, maps = _filtered_scores(inputs, config, near)
     step = inputs.layers_px[1] - inputs.layers_px[0]
     winner = Winner(*(np.empty((height, width), np.float32) for _ in range(3)))
-    strips.take_winners(
-        volume,
-        maps.share,
-        maps.links_y,
-        near,
-        layers,
-        np.float32(inputs.layers_px[0]),
-        np.float32(step),
-        _aligned((threads, height * strips.STRIP * _whole_slabs(layers)), np.float32),
-        *winner,
-    )
+    with _workspace() as workspace:
+        volume, maps = _filtered_scores(inputs, config, near, workspace)
+        threads = numba.get_num_threads()
+        strips.take_winners(
+            volume,
+            maps.share,
+            maps.links_y,
+            near,
+            layers,
+            np.float32(inputs.layers_px[0]),
+            np.float32(step),
+            workspace.array("strip", (threads, height * strips.STRIP * _whole_slabs(layers)), np.float32),
+            *winner,
+        )
     return winner
 
 
@@ -71,24 +74,54 @@ def score_volume(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
     -------
     (H, W, D) float32, rounded to 1 / 32000
     """
-    volume, _ = _filtered_scores(inputs, config, np.float32(0))
     out = np.empty((*inputs.mask.shape, len(inputs.layers_px)), np.float32)
-    strips.unpack_scores(volume, out)
+    with _workspace() as workspace:
+        volume, _ = _filtered_scores(inputs, config, np.float32(0), workspace)
+        strips.unpack_scores(volume, out)
     return out
 
 
 def texture_weights(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
     """Weight of each pixel in the aggregation; the twin of the reference's function; (H, W) float32."""
-    _, maps = _filtered_scores(inputs, config, np.float32(0))
-    return maps.weights
+    with _workspace() as workspace:
+        _, maps = _filtered_scores(inputs, config, np.float32(0), workspace, weights_only=True)
+        return maps.weights.copy()
 
 
-def _aligned(shape: int | tuple[int, ...], dtype: type) -> np.ndarray:
-    """Zeros that start on a cache line: half of all vectors would else straddle two."""
-    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    raw = np.zeros(size + 64, np.uint8)
-    start = -raw.ctypes.data % 64
-    return raw[start : start + size].view(dtype).reshape(shape)
+class Workspace:
+    """Memory that one call after the other may use; the system takes as long to hand it out as the work takes.
+
+    Everything handed out starts on a cache line (half of all vectors would else straddle two) and holds finite
+    numbers, if any.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[str, np.ndarray] = {}
+
+    def array(self, name: str, shape: tuple[int, ...], dtype: type) -> np.ndarray:
+        """Give an array with whatever finite numbers an earlier call left in it."""
+        size = math.prod(shape) * np.dtype(dtype).itemsize
+        raw = self._kept.get(name)
+        if raw is None or not size + 64 <= len(raw) <= 2 * size + 64:
+            raw = self._kept[name] = np.zeros(size + 64, np.uint8)
+        start = -raw.ctypes.data % 64
+        return raw[start : start + size].view(dtype).reshape(shape)
+
+
+_spare: list[Workspace] = []  # append and pop are atomic: threads that match at the same time take different ones
+
+
+@contextmanager
+def _workspace() -> Iterator[Workspace]:
+    """Lend a workspace; what it handed out must not outlive the loan."""
+    try:
+        workspace = _spare.pop()
+    except IndexError:
+        workspace = Workspace()
+    try:
+        yield workspace
+    finally:
+        _spare.append(workspace)
 
 
 def _link_weight(sigma_px: float) -> np.float32:
@@ -100,16 +133,19 @@ def _whole_slabs(layers: int) -> int:
 
 
 def _filtered_scores(
-    inputs: MatchInputs, config: MatcherConfig, near: np.float32
+    inputs: MatchInputs, config: MatcherConfig, near: np.float32, workspace: Workspace, *, weights_only: bool = False
 ) -> tuple[np.ndarray, bands.RowMaps]:
     """Score all layers and filter the scores along x; see `bands.score_bands`."""
     height, width = inputs.mask.shape
     pad = reference.padding(inputs)
     samplings, layers = _plan(inputs, config, pad)
+    if weights_only:
+        layers = layers._replace(ceiling=layers.ceiling[:0])
     halo = math.ceil(math.log(_FORGOTTEN) / math.log(config.window_decay))
-    band_rows = min(max(_BAND_ROWS, 2 * pad[1] + 8), height)
-    band_rows = -(-height // (-(-height // band_rows)))
-    threads = min(numba.get_num_threads(), -(-height // band_rows))
+    least = 2 * pad[1] + 8
+    threads = max(1, min(numba.get_num_threads(), height // max(least, halo)))
+    rows_of_thread = -(-height // threads)
+    band_rows = -(-rows_of_thread // (-(-rows_of_thread // max(_BAND_ROWS, least))))
 
     padded = width + 2 * pad[0]
     rows = band_rows + 2 * halo + 4 * pad[1] + 3 * bands.GROUP
@@ -128,15 +164,17 @@ def _filtered_scores(
         scores=width * LANES,
         line=width + 2 * samplings.margin + 16,
     )
-    scratch = bands.Scratch(*(_aligned((threads, -(-size // 16) * 16), np.float32) for size in sizes))
+    scratch = bands.Scratch(
+        *(
+            workspace.array(name, (threads, -(-size // 16) * 16), np.float32)
+            for name, size in sizes._asdict().items()
+        )
+    )
     wide = -(-width // bands.BLOCK) * bands.BLOCK
-    volume = _aligned(wide * height * len(layers.ceiling), np.int16)
+    volume = workspace.array("volume", (wide * height * len(layers.ceiling),), np.int16)
+    widths = bands.RowMaps(weights=width, links=width + 1, links_y=wide, share=wide, scale=width)
     maps = bands.RowMaps(
-        weights=np.empty((height, width), np.float32),
-        links=np.empty((height, width + 1), np.float32),
-        links_y=np.zeros((height, wide), np.float32),
-        share=np.ones((height, wide), np.float32),
-        scale=np.empty((height, width), np.float32),
+        *(workspace.array(name, (height, size), np.float32) for name, size in widths._asdict().items())
     )
     pictures = bands.Pictures(
         views=_planes(inputs.views),

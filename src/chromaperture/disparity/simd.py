@@ -117,7 +117,8 @@ def _inverse_root(builder, a):
     root = cgutils.get_or_insert_function(
         builder.module, ir.FunctionType(_FLOATS, [_FLOATS]), f"llvm.sqrt.v{LANES}f32"
     )
-    return builder.fdiv(_constant(1.0), builder.call(root, [a]))
+    # "fast": an estimate and a Newton step, good to a few 1e-7, where the processor has one.
+    return builder.fdiv(_constant(1.0), builder.call(root, [a], fastmath=("fast",)), flags=("fast",))
 
 
 def _interleaved(lanes):
@@ -227,6 +228,17 @@ def lane(typing, value, index):
         return builder.extract_element(arguments[0], builder.trunc(arguments[1], _I32))
 
     return types.float32(float8, types.int64), lowered
+
+
+@intrinsic
+def put(typing, array, index, value):
+    """``array[index] = value``, without the test for a negative index."""
+
+    def lowered(context, builder, signature, arguments):
+        builder.store(arguments[2], _pointer(context, builder, signature.args[0], *arguments[:2]))
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, types.float32), lowered
 
 
 @intrinsic

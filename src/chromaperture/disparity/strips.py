@@ -19,7 +19,7 @@ _ZERO = np.float32(0)
 _HALF = np.float32(0.5)
 STRIP = 4  # columns filtered together: for 1000 rows of 32 layers they fill half a megabyte
 BATCH = 8  # rows whose winners are refined together
-AHEAD = 12  # rows by which the volume is fetched before its use
+AHEAD = 8  # rows by which the volume is fetched before its use
 _RAISED = np.float32(2)  # added to scores in [-1, 1]: positive floats are ordered as their bits are
 _BEND_FLOOR = np.float32(1e-12)
 
