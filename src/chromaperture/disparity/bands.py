@@ -16,14 +16,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from chromaperture.disparity import simd as v
 
-compiled = njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"}, nogil=True)
-compiled_parallel = njit(
-    cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"}, nogil=True, parallel=True
-)
+_OPTIONS = {"error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}, "nogil": True}
+compiled = njit(cache=True, no_cfunc_wrapper=True, **_OPTIONS)
+inner = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)  # called by compiled functions only
 
 GROUP = 4  # rows walked together: four independent recursions fill the pipeline
 BLOCK = 16  # columns that are neighbours in the volume
@@ -110,42 +109,20 @@ class Scratch(NamedTuple):
     line: np.ndarray  # a row of the picture
 
 
-@compiled_parallel
-def score_bands(pictures, samplings, layers, numbers, pad, halo, band_rows, scratch, volume, maps):
-    """Fill the volume of scores, filtered along x, and the share of weights they stand for.
+@compiled
+def score_band(pictures, samplings, layers, numbers, pad, halo, top, bottom, begin, scratch, volume, maps):
+    """Fill a band of the volume of scores, filtered along x, and what the filter along y needs to know.
 
     Parameters
     ----------
     pad : (x, y) px beyond which every shifted view is constant
     halo : int, rows after which the window has forgotten
-    band_rows : int
-    scratch : tuple of arrays (threads, n) as `Scratch`
+    top, bottom : int; the rows from ``top`` to before ``bottom``
+    begin : bool; False where the band above was the last to use ``scratch``
+    scratch : Scratch
     volume : (blocks, H, D8 / 8, BLOCK, 8) int16, flat; written
     maps : RowMaps; written
     """
-    height = pictures.mask.shape[0]
-    bands = (height + band_rows - 1) // band_rows
-    threads = scratch.value.shape[0]
-    for thread in prange(threads):
-        own = Scratch(
-            scratch.value[thread], scratch.gain[thread], scratch.mean_gain[thread], scratch.grain[thread],
-            scratch.ring[thread], scratch.carry[thread], scratch.state[thread], scratch.lanes[thread],
-            scratch.scores[thread], scratch.line[thread],
-        )  # fmt: skip
-        begin = True
-        for band in range(bands * thread // threads, bands * (thread + 1) // threads):
-            top = band * band_rows
-            bottom = min(top + band_rows, height)
-            _score_band(
-                pictures, samplings, layers, numbers, pad, halo, top, bottom, begin, own, volume, maps
-            )
-            begin = False
-
-
-@compiled
-def _score_band(
-    pictures, samplings, layers, numbers, pad, halo, top, bottom, begin, scratch, volume, maps
-):  # fmt: skip
     height, width = pictures.mask.shape
     pad_x, pad_y = pad
     # Rows of the cross terms; beyond pad_y rows outside the picture everything is constant. A band that follows
@@ -191,7 +168,7 @@ def _score_band(
                 at = p * ring_size + (row - first + 1) * row_size
                 carried = (windows + slab * pair_count + p) * row_size
                 if row == first and not begin:
-                    scratch.ring[at - row_size : at] = scratch.carry[carried : carried + row_size]
+                    _copy(scratch.carry, carried, scratch.ring, at - row_size, row_size)
                 sample_row = (row - first_sample) * samplings.row_length
                 at_k = sample_row + layers.start[k] + lane0 - layers.step[k] * pad_x
                 at_m = sample_row + layers.start[m] + lane0 - layers.step[m] * pad_x
@@ -211,7 +188,7 @@ def _score_band(
             at = p * ring_size + row_size
             carried = (windows + slab * pair_count + p) * row_size
             below = at + (bottom - first) * row_size
-            scratch.carry[carried : carried + row_size] = scratch.ring[below - row_size : below]
+            _copy(scratch.ring, below - row_size, scratch.carry, carried, row_size)
             _window_end(scratch.ring, at, last - first, padded, numbers.decay, scratch.state, p * row_size)
             for row in range(last - 2, bottom - 1, -1):
                 _window_up(
@@ -232,7 +209,13 @@ def _score_band(
             )  # fmt: skip
 
 
-@compiled
+@inner
+def _copy(source, at, target, to, count):
+    for i in range(0, count, v.LANES):
+        v.store(target, to + i, v.load(source, at + i))
+
+
+@inner
 def _sample(pictures, samplings, first_sample, rows, scratch):
     """Interpolate every entry of every row."""
     even = pictures.noise.shape[1] == 1
@@ -245,7 +228,7 @@ def _sample(pictures, samplings, first_sample, rows, scratch):
                 _sample_row(pictures.noise[k], samplings, e, first_sample + i, scratch.line, scratch.grain, at)
 
 
-@compiled
+@inner
 def _sample_row(picture, samplings, e, y, line, out, at):
     """Sample one row of an entry, x from -margin on; the picture is continued beyond its border."""
     height, width = picture.shape
@@ -277,7 +260,7 @@ def _sample_row(picture, samplings, e, y, line, out, at):
         at += step
 
 
-@compiled
+@inner
 def _standardise(
     pictures, samplings, numbers, pad, first_sample, rows, top, bottom, begin, scratch, weights_out
 ):  # fmt: skip
@@ -294,7 +277,9 @@ def _standardise(
     from_row, to_row = top - pad_y - first_sample, bottom + pad_y - first_sample
     unity = GROUP * row_size
     v.store(lanes, unity, v.spread(_ONE))
-    weights_out[top:bottom] = _ONE
+    for y in range(top, bottom):
+        for x in range(weights_out.shape[1]):
+            weights_out[y, x] = _ONE
     inset = samplings.margin - pad_x
     at = np.empty(4, np.int64)
     for e in range(0, entries, 4):
@@ -305,7 +290,7 @@ def _standardise(
         at[2], at[3] = start[e2] + s2 * inset, start[e3] + s3 * inset
         carried = e // 4 * row_size
         if not begin:
-            ring[:row_size] = scratch.carry[carried : carried + row_size]
+            _copy(scratch.carry, carried, ring, 0, row_size)
         for row in range(0, rows, GROUP):
             for j in range(GROUP):
                 down = (row + j) * length
@@ -319,7 +304,7 @@ def _standardise(
             )  # fmt: skip
         # The next band's samples start pad_y rows above its top.
         below = (bottom - pad_y - first_sample + 1) * row_size
-        scratch.carry[carried : carried + row_size] = ring[below - row_size : below]
+        _copy(ring, below - row_size, scratch.carry, carried, row_size)
         _window_end(ring, row_size, rows, padded, numbers.decay, state, 0)
         for row in range(rows - 2, to_row - 1, -1):
             _window_up(ring, (row + 1) * row_size, padded, numbers.decay, state, 0)
@@ -337,7 +322,7 @@ def _standardise(
                         )  # fmt: skip
 
 
-@compiled
+@inner
 def _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch):
     """Gains of four entries in a row; leaves their variances in ``lanes``, four a px."""
     entries = len(samplings.owner)
@@ -395,7 +380,7 @@ def _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch):
         i0, i1, i2, i3 = i0 + s0, i1 + s1, i2 + s2, i3 + s3
 
 
-@compiled
+@inner
 def _weigh_texture(lanes, at_variance, grain, at_noise, step, epsilon, weights):
     for x in range(len(weights)):
         noise = grain[at_noise + step * x]
@@ -403,7 +388,7 @@ def _weigh_texture(lanes, at_variance, grain, at_noise, step, epsilon, weights):
         weights[x] *= signal / (signal + noise + epsilon)
 
 
-@compiled
+@inner
 def _weigh_row(mask, min_weight, views, weights):
     """Finish the weights of a row: geometric mean of the views' shares of signal, nothing where unusable."""
     if views == 2:
@@ -414,7 +399,7 @@ def _weigh_row(mask, min_weight, views, weights):
             weights[x] = max(weights[x] ** np.float32(1 / 3) * mask[x], min_weight)
 
 
-@compiled
+@inner
 def fading(difference, near):
     """near exp(-|difference|): a power series of a 64th, squared six times, which plain vectors can do."""
     y = abs(difference) * np.float32(1 / 64)
@@ -428,7 +413,7 @@ def fading(difference, near):
     return near / series
 
 
-@compiled
+@inner
 def _links_along_x(guide, near, links):
     """Weight with which each pixel of a row hears its left neighbour; 0 at both ends."""
     for x in range(1, len(guide)):
@@ -436,7 +421,7 @@ def _links_along_x(guide, near, links):
     links[0] = links[len(guide)] = _ZERO
 
 
-@compiled
+@inner
 def _share_row(weights, near, links, out):
     """Both recursions along a row of weights, without their gain: a sample at an end counts 1 / gain."""
     end = len(weights) - 1
@@ -455,7 +440,7 @@ def _share_row(weights, near, links, out):
     out[end] += weights[end] + links[end] * state
 
 
-@compiled
+@inner
 def _spread_row(source, samplings, layers, k, slab, sample_row, pad_x, padded, out, target):
     """Rearrange the rows of eight layers so that the layers of a pixel are neighbours: transpositions of 8 x 8."""
     at = np.empty(v.LANES, np.int64)
@@ -485,7 +470,7 @@ def _spread_row(source, samplings, layers, k, slab, sample_row, pad_x, padded, o
         target += v.LANES * v.LANES
 
 
-@compiled
+@inner
 def _window_rows(a, ia, step_a, down_a, b, ib, step_b, down_b, ring, at, width, decay, begin):
     """Window the products of four rows: along x both ways, along y downwards from the rows above in the ring."""
     fade = v.spread(decay)
@@ -534,7 +519,7 @@ def _window_rows(a, ia, step_a, down_a, b, ib, step_b, down_b, ring, at, width, 
         at -= v.LANES
 
 
-@compiled
+@inner
 def _window_end(ring, at, rows, width, decay, state, at_state):
     """Start the upward recursion at the last row, which continues for ever."""
     fade = v.spread(decay)
@@ -548,7 +533,7 @@ def _window_end(ring, at, rows, width, decay, state, at_state):
         v.store(state, at_state + i, v.fma(last_f, f, v.mul(last_x, x)))
 
 
-@compiled
+@inner
 def _window_up(ring, at, width, decay, state, at_state):
     """Carry the upward recursion past one row."""
     fade = v.spread(decay)
@@ -556,7 +541,7 @@ def _window_up(ring, at, width, decay, state, at_state):
         v.store(state, at_state + i, v.fma(fade, v.load(state, at_state + i), v.load(ring, at + i)))
 
 
-@compiled
+@inner
 def _locate_row(samplings, layers, slab, row, first_sample, pad_x, padded, scratch, places):
     """Say where the gains of a row's layers start and how far apart their pixels are; rearrange them if need be."""
     spread_size = (padded + v.LANES) * v.LANES
@@ -577,7 +562,7 @@ def _locate_row(samplings, layers, slab, row, first_sample, pad_x, padded, scrat
             places[k, 1] = v.LANES
 
 
-@compiled
+@inner
 def _score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, scratch, maps):
     """Correlation of two views for one row of eight layers, weighted and filtered rightwards."""
     width = pictures.mask.shape[1]
@@ -615,7 +600,7 @@ def _score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, 
         i0, i1, at, at_state = i0 + step0, i1 + step1, at + v.LANES, at_state + v.LANES
 
 
-@compiled
+@inner
 def _score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_size, places, scratch, maps):
     """1 - det of the correlation matrix of three views, weighted and filtered as in `_score_two`."""
     width = pictures.mask.shape[1]
@@ -665,7 +650,7 @@ def _score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_s
         i0, i1, i2, at, at_state = i0 + step0, i1 + step1, i2 + step2, at + v.LANES, at_state + v.LANES
 
 
-@compiled
+@inner
 def _filter_back(scores, links, scales, near, volume, at, stride):
     """Add the leftwards recursion to the rightwards one of a row and file the sum, scaled, as int16."""
     end = len(scales) - 1

@@ -16,8 +16,11 @@ Memory: 2 bytes a score and about 60 MB of scratch for each thread at 1280 px wi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from functools import cache
 
 import cv2
 import numba
@@ -52,18 +55,26 @@ def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
     winner = Winner(*(np.empty((height, width), np.float32) for _ in range(3)))
     with _workspace() as workspace:
         volume, maps = _filtered_scores(inputs, config, near, workspace)
-        threads = numba.get_num_threads()
-        strips.take_winners(
-            volume,
-            maps.share,
-            maps.links_y,
-            near,
-            layers,
-            np.float32(inputs.layers_px[0]),
-            np.float32(step),
-            workspace.array("strip", (threads, height * strips.STRIP * _whole_slabs(layers)), np.float32),
-            *winner,
+        scratch = workspace.array(
+            "strip", (numba.get_num_threads(), height * strips.STRIP * _whole_slabs(layers)), np.float32
         )
+
+        def take_winners(thread: int, first: int, last: int) -> None:
+            strips.take_winners(
+                volume,
+                maps.share,
+                maps.links_y,
+                near,
+                layers,
+                np.float32(inputs.layers_px[0]),
+                np.float32(step),
+                first,
+                last,
+                scratch[thread],
+                *winner,
+            )
+
+        _in_parallel(take_winners, -(-width // bands.BLOCK))
     return winner
 
 
@@ -77,7 +88,7 @@ def score_volume(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
     out = np.empty((*inputs.mask.shape, len(inputs.layers_px)), np.float32)
     with _workspace() as workspace:
         volume, _ = _filtered_scores(inputs, config, np.float32(0), workspace)
-        strips.unpack_scores(volume, out)
+        _in_parallel(lambda _, top, bottom: strips.unpack_scores(volume, top, bottom, out), len(out))
     return out
 
 
@@ -86,6 +97,32 @@ def texture_weights(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
     with _workspace() as workspace:
         _, maps = _filtered_scores(inputs, config, np.float32(0), workspace, weights_only=True)
         return maps.weights.copy()
+
+
+def _in_parallel(work: Callable[[int, int, int], None], count: int, threads: int | None = None) -> None:
+    """Run ``work(thread, first, last)`` over ``count`` pieces, in contiguous shares, on Numba's number of threads.
+
+    The compiled functions release the interpreter's lock. Plain threads compile several times faster than parallel
+    loops and may be used from any thread of the caller.
+    """
+    threads = min(numba.get_num_threads() if threads is None else threads, count)
+    shares = [(i, count * i // threads, count * (i + 1) // threads) for i in range(threads)]
+    others = [_pool().submit(work, *share) for share in shares[1:]]
+    try:
+        work(*shares[0])
+    finally:
+        wait(others)  # whatever happened, nobody writes to the arrays any more
+    for other in others:
+        other.result()
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(numba.config.NUMBA_NUM_THREADS, thread_name_prefix="matcher")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork
 
 
 class Workspace:
@@ -192,7 +229,17 @@ def _filtered_scores(
         min_share=np.float32(reference.MIN_VARIANCE_SHARE),
         min_weight=np.float32(reference.MIN_WEIGHT),
     )
-    bands.score_bands(pictures, samplings, layers, numbers, pad, halo, band_rows, scratch, volume, maps)
+
+    def score_bands(thread: int, first: int, last: int) -> None:
+        own = bands.Scratch(*(array[thread] for array in scratch))
+        for band in range(first, last):
+            top, bottom = band * band_rows, min((band + 1) * band_rows, height)
+            begin = band == first
+            bands.score_band(
+                pictures, samplings, layers, numbers, pad, halo, top, bottom, begin, own, volume, maps
+            )
+
+    _in_parallel(score_bands, -(-height // band_rows), threads)
     return volume, maps
 
 

@@ -9,10 +9,8 @@ it is.
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
-
 from chromaperture.disparity import simd as v
-from chromaperture.disparity.bands import BLOCK, SCORE_SCALE, compiled, compiled_parallel
+from chromaperture.disparity.bands import BLOCK, SCORE_SCALE, compiled, inner
 
 _ONE = np.float32(1)
 _ZERO = np.float32(0)
@@ -24,8 +22,10 @@ _RAISED = np.float32(2)  # added to scores in [-1, 1]: positive floats are order
 _BEND_FLOOR = np.float32(1e-12)
 
 
-@compiled_parallel
-def take_winners(volume, share, links_y, near, layers, first, step, scratch, disparity, peak, curvature):
+@compiled
+def take_winners(
+    volume, share, links_y, near, layers, first, step, first_block, last_block, scratch, disparity, peak, curvature
+):  # fmt: skip
     """Filter the volume along y, find the best layer, refine it by a parabola.
 
     Parameters
@@ -36,30 +36,27 @@ def take_winners(volume, share, links_y, near, layers, first, step, scratch, dis
     near : float32; link weight on an even guide
     layers : int
     first, step : float32, px; disparity of the first layer and distance of two
-    scratch : (threads, n) float32
+    first_block, last_block : int; the blocks of columns from the first to before the last
+    scratch : (H * STRIP * D8,) float32
     disparity, peak, curvature : (H, W) float32; written
     """
     height, width = disparity.shape
-    blocks = (width + BLOCK - 1) // BLOCK
     slabs = (layers + v.LANES - 1) // v.LANES
-    threads = len(scratch)
-    for thread in prange(threads):
-        own = scratch[thread]
-        links = np.zeros((height + 1) * BLOCK, np.float32)
-        scale = np.empty(height * BLOCK, np.float32)
-        inverse = np.empty(height * BLOCK, np.float32)
-        tags = _tags(slabs)
-        for block in range(blocks * thread // threads, blocks * (thread + 1) // threads):
-            left = block * BLOCK
-            _block_maps(share, links_y, near, left, links, scale, inverse)
-            for x in range(left, min(left + BLOCK, width), STRIP):
-                _take_strip(
-                    volume, x, slabs, near, links, scale, inverse, tags, layers, first, step, own,
-                    disparity, peak, curvature,
-                )  # fmt: skip
+    links = np.empty((height + 1) * BLOCK, np.float32)
+    scale = np.empty(height * BLOCK, np.float32)
+    inverse = np.empty(height * BLOCK, np.float32)
+    tags = _tags(slabs)
+    for block in range(first_block, last_block):
+        left = block * BLOCK
+        _block_maps(share, links_y, near, left, links, scale, inverse)
+        for x in range(left, min(left + BLOCK, width), STRIP):
+            _take_strip(
+                volume, x, slabs, near, links, scale, inverse, tags, layers, first, step, scratch,
+                disparity, peak, curvature,
+            )  # fmt: skip
 
 
-@compiled
+@inner
 def _tags(slabs):
     """Bits that name each layer (the earlier the larger, to win a tie), behind the mask of the bits to keep."""
     layers = slabs * v.LANES
@@ -75,7 +72,7 @@ def _tags(slabs):
     return tags
 
 
-@compiled
+@inner
 def _block_maps(share, links_y, near, left, links, scale, inverse):
     """Links of a block of columns, weights of its int16 scores, and one over the weights filtered along y."""
     height = share.shape[0]
@@ -96,7 +93,7 @@ def _block_maps(share, links_y, near, left, links, scale, inverse):
             v.store(scale, i, v.mul(weight, unit))
 
 
-@compiled
+@inner
 def _take_strip(
     volume, left, slabs, near, links, scale, inverse, tags, layers, first, step, scratch,
     disparity, peak, curvature,
@@ -141,7 +138,7 @@ def _take_strip(
                 curvature[y, left + j] = found[2, i]
 
 
-@compiled
+@inner
 def _score_rows(top, bottom, height, lanes, column, near, links, inverse, tags, scratch, state, scores, largest):
     """Scores of a batch of rows, raised by `_RAISED`, and of each pixel the largest with its tag."""
     tag_values = tags.view(np.float32)
@@ -176,7 +173,7 @@ def _score_rows(top, bottom, height, lanes, column, near, links, inverse, tags, 
         v.store(largest, (y - top) * STRIP, v.eighths_larger(four, four))
 
 
-@compiled
+@inner
 def _refine(winners, mask, scores, lanes, layers, first, step, found):
     """Parabola through the best layer and its neighbours, for a batch of pixels."""
     count = BATCH * STRIP
@@ -197,12 +194,12 @@ def _refine(winners, mask, scores, lanes, layers, first, step, found):
         found[2, i] = bend * square
 
 
-@compiled_parallel
-def unpack_scores(volume, out):
-    """Give the volume as (H, W, D) float32 scores."""
+@compiled
+def unpack_scores(volume, top, bottom, out):
+    """Give rows of the volume as (H, W, D) float32 scores."""
     height, width, layers = out.shape
     slabs = (layers + v.LANES - 1) // v.LANES
-    for y in prange(height):
+    for y in range(top, bottom):
         for x in range(width):
             at = ((x // BLOCK) * height + y) * slabs * BLOCK * v.LANES + (x % BLOCK) * v.LANES
             for s in range(layers):
