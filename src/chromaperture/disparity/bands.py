@@ -315,10 +315,12 @@ def _standardise(
                 for k in range(len(pictures.views)):
                     i = samplings.still[k] - e
                     if 0 <= i < 4:
-                        down = 0 if pictures.noise.shape[1] == 1 else row * length
+                        noise_at, noise_step = start[e + i] + step[e + i] * samplings.margin, 0
+                        if pictures.noise.shape[1] > 1:
+                            noise_at, noise_step = noise_at + row * length, step[e + i]
                         _weigh_texture(
-                            lanes, pad_x * 4 + i, scratch.grain, down + start[e + i] + step[e + i] * samplings.margin,
-                            step[e + i], numbers.epsilon[k], weights_out[y],
+                            lanes, pad_x * 4 + i, scratch.grain, noise_at, noise_step, numbers.epsilon[k],
+                            weights_out[y],
                         )  # fmt: skip
 
 

@@ -8,7 +8,8 @@ caches; so the picture is cut twice.
    them and filters these along x. What it works on stays in the cache; it leaves 16 bits a score.
 2. Strips of columns (`strips.py`), in parallel: the filter along y, the best layer, the parabola.
 
-A band needs ``halo`` rows above and below: after them the window has forgotten all but 1e-4 of what lies beyond.
+A thread's first band needs ``halo`` rows above, every band as many below: so far does a window reach. A band that
+follows another takes over its windows.
 
 Memory: 2 bytes a score and about 60 MB of scratch for each thread at 1280 px width; both are kept for the next call.
 """
@@ -32,7 +33,8 @@ from chromaperture.disparity.inputs import MatchInputs, is_even, view_pairs
 from chromaperture.disparity.simd import LANES
 from chromaperture.disparity.subpixel import Winner
 
-_FORGOTTEN = 1e-4  # share of a window's weight that a band may miss beyond its halo
+# Share of a window's weight that a band may miss; small, because products have means far above their variances.
+_FORGOTTEN = 1e-6
 _BAND_ROWS = 180
 
 

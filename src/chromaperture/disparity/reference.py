@@ -65,8 +65,11 @@ def score_volume(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
 
 
 def three_view_score(r01: np.ndarray, r02: np.ndarray, r12: np.ndarray) -> np.ndarray:
-    """Give 1 - det R of three views' correlation matrix; 1 on a colour line, 0 without any correlation."""
-    return r01**2 + r02**2 + r12**2 - 2 * r01 * r02 * r12
+    """Give 1 - det R of three views' correlation matrix; 1 on a colour line, 0 without any correlation.
+
+    Correlations that were debiased one by one need not make a matrix R that exists; det R < 0 counts as 0.
+    """
+    return np.minimum(r01**2 + r02**2 + r12**2 - 2 * r01 * r02 * r12, 1.0)
 
 
 def texture_weights(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
