@@ -207,6 +207,7 @@ def score_band(pictures, samplings, layers, numbers, pad, halo, top, bottom, beg
                 scratch.scores, maps.links[row], maps.scale[row], numbers.near,
                 volume, (row * slabs + slab) * BLOCK * v.LANES, height * slabs * BLOCK * v.LANES,
             )  # fmt: skip
+    v.fence()
 
 
 @inner
@@ -315,18 +316,13 @@ def _standardise(
                 for k in range(len(pictures.views)):
                     i = samplings.still[k] - e
                     if 0 <= i < 4:
-                        noise_at, noise_step = start[e + i] + step[e + i] * samplings.margin, 0
-                        if pictures.noise.shape[1] > 1:
-                            noise_at, noise_step = noise_at + row * length, step[e + i]
-                        _weigh_texture(
-                            lanes, pad_x * 4 + i, scratch.grain, noise_at, noise_step, numbers.epsilon[k],
-                            weights_out[y],
-                        )  # fmt: skip
+                        for x in range(weights_out.shape[1]):
+                            weights_out[y, x] *= lanes[(pad_x + x) * 4 + i]
 
 
 @inner
 def _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch):
-    """Gains of four entries in a row; leaves their variances in ``lanes``, four a px."""
+    """Gains of four entries in a row; leaves their shares of signal in ``lanes``, four a px."""
     entries = len(samplings.owner)
     e1, e2, e3 = min(e + 1, entries - 1), min(e + 2, entries - 1), min(e + 3, entries - 1)
     s0, s1, s2, s3 = samplings.step[e], samplings.step[e1], samplings.step[e2], samplings.step[e3]
@@ -341,7 +337,7 @@ def _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch):
     window_gain = v.spread((_ONE - numbers.decay) ** np.float32(4))
     ring, state, lanes, grain = scratch.ring, scratch.state, scratch.lanes, scratch.grain
     gains, mean_gains = scratch.gain, scratch.mean_gain
-    noise = v.mul(debias, v.four_and_squares(grain, at[0], at[1], at[2], at[3]))
+    noise = v.four_and_squares(grain, at[0], at[1], at[2], at[3])
     noise = v.halves_low(noise, noise)
     at_ring = (row + 1) * padded * v.LANES
     # Two px at a time, so that means, variances and gains fill all lanes.
@@ -354,12 +350,13 @@ def _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch):
         v.store(state, more, after)
         mean = v.mul(window_gain, v.halves_low(here, after))
         variance = v.fnma(mean, mean, v.mul(window_gain, v.halves_high(here, after)))
-        v.store(lanes, x * 4, variance)
         if not even:
             n0 = v.four_and_squares(grain, i0, i1, i2, i3)
             n1 = v.four_and_squares(grain, i0 + s0, i1 + s1, i2 + s2, i3 + s3)
-            noise = v.mul(debias, v.halves_low(n0, n1))
-        clean = v.larger(v.larger(v.sub(variance, noise), v.mul(min_share, variance)), nothing)
+            noise = v.halves_low(n0, n1)
+        signal = v.larger(v.sub(variance, noise), nothing)
+        v.store(lanes, x * 4, v.div(signal, v.add(signal, v.add(noise, floor))))
+        clean = v.larger(v.larger(v.fnma(debias, noise, variance), v.mul(min_share, variance)), nothing)
         gain = v.inverse_root(v.add(clean, floor))
         mean_gain = v.mul(mean, gain)
         v.put_lane(gains, i0, gain, 0)
@@ -380,14 +377,6 @@ def _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch):
         v.put_lane(mean_gains, i2, mean_gain, 6)
         v.put_lane(mean_gains, i3, mean_gain, 7)
         i0, i1, i2, i3 = i0 + s0, i1 + s1, i2 + s2, i3 + s3
-
-
-@inner
-def _weigh_texture(lanes, at_variance, grain, at_noise, step, epsilon, weights):
-    for x in range(len(weights)):
-        noise = grain[at_noise + step * x]
-        signal = max(lanes[at_variance + 4 * x] - noise, _ZERO)
-        weights[x] *= signal / (signal + noise + epsilon)
 
 
 @inner

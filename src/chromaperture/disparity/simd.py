@@ -187,7 +187,7 @@ def load_shorts(typing, array, index):
 def store_shorts(typing, array, index, value):
     """Round eight float32 of less than 2^15 to int16, past the caches: nobody reads them soon.
 
-    The address must be a multiple of 16 bytes.
+    The address must be a multiple of 16 bytes. Call `fence` before another thread may read them.
     """
 
     def lowered(context, builder, signature, arguments):
@@ -198,6 +198,17 @@ def store_shorts(typing, array, index, value):
         return context.get_dummy_value()
 
     return types.void(array, types.int64, float8), lowered
+
+
+@intrinsic
+def fence(typing):
+    """Finish all stores before anything that follows."""
+
+    def lowered(context, builder, signature, arguments):
+        builder.fence("seq_cst")
+        return context.get_dummy_value()
+
+    return types.void(), lowered
 
 
 @intrinsic
