@@ -14,7 +14,7 @@ import json
 import sys
 from pathlib import Path
 
-# Name on the command line -> module beside this file with a function `run() -> dict`.
+# Name on the command line -> module beside this file with a function `benchmark() -> dict`.
 BENCHMARKS = {
     "matcher": "matcher",
     "variational": "variational",
@@ -32,7 +32,7 @@ def main() -> None:
         parser.error(f"unknown benchmark {', '.join(sorted(unknown))}: choose from {', '.join(BENCHMARKS)}")
     results: dict = {}
     for name in arguments.names or available():
-        results |= importlib.import_module(BENCHMARKS[name]).run()
+        results |= importlib.import_module(BENCHMARKS[name]).benchmark()
     print(json.dumps(results, indent=2) if arguments.json else table(results))
 
 

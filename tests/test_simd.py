@@ -46,7 +46,8 @@ def test_multiply_and_add():
     np.testing.assert_array_equal(applied(v.fnma, A, B, C), C - A * B)
 
 
-def test_inverse_root():
+def test_roots():
+    np.testing.assert_array_equal(applied(v.root, np.abs(A)), np.sqrt(np.abs(A)))
     # An estimate and one Newton step where the processor has one: a few 1e-7.
     np.testing.assert_allclose(applied(v.inverse_root, np.abs(A)), 1 / np.sqrt(np.abs(A)), rtol=1e-6)
 

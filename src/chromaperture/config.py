@@ -7,13 +7,65 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from chromaperture.errors import InputError
 
 Quality = Literal["paper", "real-time", "accurate"]
+QUALITIES: tuple[Quality, ...] = get_args(Quality)
+
+
+@dataclass(frozen=True)
+class OptimiserConfig:
+    """Global optimisation of the disparity (quality "accurate"). Likelihoods count in nats a pixel.
+
+    Attributes
+    ----------
+    paths : int
+        Directions of semi-global matching, 4 or 8.
+    slope_penalty : float
+        Cost of a change of disparity between two neighbours, nats per px. Large, because the windows of
+        neighbours see the same pixels: their likelihoods are no independent witnesses.
+    jump_penalty : float
+        The most a change costs, nats: a depth edge.
+    edge_range : float
+        Guide difference, in units of ``bilateral_range``, at which the penalties fall to 1/e.
+    edge_floor : float
+        Share of the penalties that remains across the strongest edge of the guide.
+    huber_layers : float
+        Slopes below, layers per px, are smoothed by the variation, not flattened into steps.
+    coupling_layers2 : (float, float)
+        First and last coupling theta of variation and volume, layers squared.
+    coupling_rounds, variation_iterations : int
+        Rounds of the coupling, 0 switches the variation off; primal-dual iterations in each.
+    temperature : float
+        Nats a path by which a layer may cost more and still be 1/e as probable: the one calibrated number of
+        the error bar.
+    """
+
+    paths: int = 8
+    slope_penalty: float = 25.0
+    jump_penalty: float = 25.0
+    edge_range: float = 0.5
+    edge_floor: float = 0.05
+    huber_layers: float = 0.05
+    coupling_layers2: tuple[float, float] = (2.0, 0.02)
+    coupling_rounds: int = 25
+    variation_iterations: int = 40
+    temperature: float = 0.5
+
+    def __post_init__(self) -> None:
+        if self.paths not in (4, 8):
+            raise InputError(f"paths must be 4 or 8, got {self.paths}")
+        positive = (self.slope_penalty, self.jump_penalty, self.edge_range, self.temperature)
+        if min(*positive, *self.coupling_layers2) <= 0:
+            raise InputError("penalties, edge_range, temperature and couplings must be positive")
+        if not 0 <= self.edge_floor <= 1 or self.huber_layers < 0:
+            raise InputError("edge_floor must lie in [0, 1] and huber_layers must be >= 0")
+        if self.coupling_rounds < 0 or self.variation_iterations < 1:
+            raise InputError("coupling_rounds must be >= 0 and variation_iterations >= 1")
 
 
 @dataclass(frozen=True)
@@ -36,8 +88,18 @@ class MatcherConfig:
         Guide difference, linear light relative to the guide's 99th percentile, at which the reach falls to 1/e a px.
     texture_weighting : bool
         Weight the cost by texture against noise, so that even areas listen to their textured neighbours.
+    sigma_scale : float
+        Widens the error bar of ideal, Gaussian pictures (1.0) to that of real ones, in which windows see two depths
+        and blurred views are mirrored, not moved. The one number of the error bar that is calibrated, on captures of
+        known depth.
+    views : "unmixed", "pure" or "both"
+        Match the views in the aperture's colour space, Eq. (1), as the paper does; or take the sensor channels that
+        see one filter each, where the design has them: less noise, and saturated colours do no harm. Both need an
+        optimiser, and a calibrated camera, which knows how their disparities compare.
     noise_debiasing : bool
         Subtract the known noise covariance of the unmixed channels, which otherwise digs a hole at disparity 0.
+    optimiser : OptimiserConfig or None
+        Find the best surface through the whole volume instead of filtering it and taking every pixel's best layer.
     """
 
     min_disparity_px: float = -8.0
@@ -47,8 +109,11 @@ class MatcherConfig:
     window_decay: float = 0.80
     bilateral_sigma_px: float = 14.0
     bilateral_range: float = 0.06
+    sigma_scale: float = 2.0
+    views: Literal["unmixed", "pure", "both"] = "pure"
     texture_weighting: bool = True
     noise_debiasing: bool = True
+    optimiser: OptimiserConfig | None = None
 
     def __post_init__(self) -> None:
         numbers = (self.min_disparity_px, self.max_disparity_px, self.step_px)
@@ -61,8 +126,17 @@ class MatcherConfig:
             )
         if not 0 < self.window_decay < 1:
             raise InputError(f"window_decay must lie between 0 and 1, got {self.window_decay:g}")
-        if self.bilateral_sigma_px < 0 or self.bilateral_range <= 0 or self.presmooth_sigma_px < 0:
-            raise InputError("bilateral_sigma_px and presmooth_sigma_px must be >= 0 and bilateral_range > 0")
+        if not (math.isfinite(self.sigma_scale) and self.sigma_scale > 0):
+            raise InputError(f"sigma_scale must be positive, is {self.sigma_scale:g}")
+        if self.views not in ("unmixed", "pure", "both"):
+            raise InputError(f"views must be unmixed, pure or both, is {self.views!r}")
+        if self.views == "both" and self.optimiser is None:
+            raise InputError("views = both needs an optimiser: choose quality accurate")
+        reaches = (self.bilateral_sigma_px, self.presmooth_sigma_px, self.bilateral_range)
+        if not all(map(math.isfinite, reaches)) or min(reaches) < 0 or self.bilateral_range == 0:
+            raise InputError(
+                "bilateral_sigma_px and presmooth_sigma_px must be finite and >= 0, and bilateral_range > 0"
+            )
 
     @property
     def layers_px(self) -> np.ndarray:
@@ -74,19 +148,19 @@ class MatcherConfig:
     def preset(cls, quality: Quality) -> MatcherConfig:
         """Give the settings behind ``--quality``.
 
-        ``paper`` is the published method as it is; ``real-time`` adds what costs nothing; ``accurate`` halves the
-        layer step and looks further.
+        ``paper`` is the published method as it is; ``real-time`` adds what costs nothing; ``accurate`` matches
+        all views at once and optimises the surface globally, which takes about a second a megapixel and layer set.
         """
         if quality == "paper":
-            return cls(texture_weighting=False, noise_debiasing=False)
+            return cls(views="unmixed", texture_weighting=False, noise_debiasing=False)
         if quality == "real-time":
             return cls()
         if quality == "accurate":
-            return cls(step_px=0.25, window_decay=0.85, bilateral_sigma_px=20.0)
+            return cls(step_px=0.25, window_decay=0.70, views="both", optimiser=OptimiserConfig())
         raise InputError(f"unknown quality {quality!r}: choose paper, real-time or accurate")
 
     def with_range(self, min_disparity_px: float, max_disparity_px: float) -> MatcherConfig:
-        """Same settings over another search range, widened to whole layers."""
+        """Give the same settings over another search range, widened to whole layers."""
         low = self.step_px * math.floor(min_disparity_px / self.step_px)
         high = self.step_px * math.ceil(max_disparity_px / self.step_px)
         return replace(self, min_disparity_px=low, max_disparity_px=high)
@@ -109,5 +183,6 @@ class DepthConfig:
 class Config:
     """All stages together, as ``CodedApertureCamera`` takes it and ``STEM.json`` records it."""
 
+    quality: Quality = "real-time"  # whose depth curve in the camera file belongs to the matcher's settings
     matcher: MatcherConfig = field(default_factory=MatcherConfig)
     depth: DepthConfig = field(default_factory=DepthConfig)

@@ -1,0 +1,1 @@
+"""Photons to linear arrays."""

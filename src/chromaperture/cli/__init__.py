@@ -1,0 +1,1 @@
+"""The command line: one short file a subcommand, skins over public functions."""

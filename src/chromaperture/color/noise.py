@@ -46,5 +46,8 @@ def estimate_noise_variance(image: np.ndarray) -> np.ndarray:
     """
     image = np.asarray(image, np.float32)
     response = np.abs(cv2.filter2D(image, cv2.CV_32F, _IMMERKAER)).reshape(-1, image.shape[2])
+    response = response[np.isfinite(response).all(axis=1)]  # one bad pixel must not spoil the frame
+    if len(response) == 0:
+        return np.zeros(image.shape, np.float32)
     sigma = np.median(response, axis=0) / (0.6745 * 6.0)  # the kernel's norm is 6
     return np.broadcast_to((sigma**2).astype(np.float32), image.shape)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import Aperture, centroids, design_named
+from chromaperture.optics.aperture import Aperture, centroids
 
 _MIN_FILTER_ANGLE_DEG = 15.0
 _MAX_CONDITION = 20.0
@@ -34,21 +34,27 @@ def mixing_matrix(filter_colors: np.ndarray) -> np.ndarray:
     colors = np.asarray(filter_colors, float)
     if colors.ndim != 2 or colors.shape[0] not in (2, 3) or colors.shape[1] != 3 or not np.isfinite(colors).all():
         raise InputError("filter colours must be two or three finite R, G, B triples")
-    unit = colors / np.maximum(np.linalg.norm(colors, axis=1, keepdims=True), 1e-12)
+    norms = np.linalg.norm(colors, axis=1, keepdims=True)
+    if norms.min() <= 0:
+        raise InputError("a filter colour is black: measure it with the filter lit, black level subtracted once")
+    unit = colors / norms
     angles = [np.degrees(np.arccos(np.clip(a @ b, -1, 1))) for i, a in enumerate(unit) for b in unit[:i]]
     if min(angles) < _MIN_FILTER_ANGLE_DEG:
         raise InputError(
             f"two filters are only {min(angles):.1f} deg apart in colour; the views cannot be separated. Use "
             "complementary film, or check that the filter colours were measured through the filters"
         )
+    condition = np.linalg.cond(unit)  # of directions: the filters' brightness is no dependence
+    if condition > _MAX_CONDITION:
+        raise InputError(
+            f"filter colours are nearly dependent (condition {condition:.0f}): the third view cannot be told from "
+            "the other two; use film of three distinct colours"
+        )
     columns = list(colors)
     if len(columns) == 2:
-        normal = np.cross(columns[0], columns[1])
+        normal = np.cross(unit[0], unit[1])
         columns.append(normal / np.linalg.norm(normal))
-    matrix = np.stack(columns, axis=1)
-    if np.linalg.cond(matrix) > _MAX_CONDITION:
-        raise InputError(f"filter colours are nearly dependent (condition {np.linalg.cond(matrix):.0f})")
-    return matrix
+    return np.stack(columns, axis=1)
 
 
 def unmixing_rows(mixing: np.ndarray, view_count: int) -> np.ndarray:
@@ -71,6 +77,28 @@ def ideal_unmixing(aperture: Aperture) -> np.ndarray:
         )
     colors = np.array([aperture.filter_named(name).transmission for name in aperture.views])
     return unmixing_rows(mixing_matrix(colors), len(aperture.views))
+
+
+def pure_channels(aperture: Aperture) -> np.ndarray | None:
+    """Pick the sensor channels that see one filter each, where a design has them.
+
+    Red sees only the yellow half and blue only the cyan one: such channels are views as they are, without the noise of
+    unmixing and without the other half's copy that a coloured surface leaves in an unmixed view.
+
+    Returns
+    -------
+    (K, 3) float64 of zeros and ones, in the order of ``aperture.views``; None where a view has no channel of its own
+    """
+    light = np.array([aperture.remainder.transmission, *(part.filter.transmission for part in aperture.parts)])
+    names = [None, *(part.filter.name for part in aperture.parts)]
+    rows = []
+    for view in aperture.views:
+        own = np.array([name == view for name in names])
+        pure = (light[own].min(axis=0) > 0) & (light[~own].max(axis=0) == 0)
+        if not pure.any():
+            return None
+        rows.append(np.eye(3)[int(np.argmax(pure))])
+    return np.array(rows)
 
 
 def view_directions(aperture: Aperture) -> np.ndarray:
@@ -105,6 +133,3 @@ def unmix(image: np.ndarray, unmixing: np.ndarray) -> np.ndarray:
     (H, W, K) float32, contiguous; the views through the K filters.
     """
     return np.ascontiguousarray(np.asarray(image, np.float32) @ np.asarray(unmixing, np.float32).T)
-
-
-__all__ = ["design_named", "ideal_unmixing", "mixing_matrix", "unmix", "unmixing_rows", "view_directions"]

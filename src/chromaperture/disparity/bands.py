@@ -13,16 +13,17 @@ continued by its last row as the reference continues the picture.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from chromaperture.disparity import simd as v
 
-_OPTIONS = {"error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}, "nogil": True}
-compiled = njit(cache=True, no_cfunc_wrapper=True, **_OPTIONS)
-inner = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)  # called by compiled functions only
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}, "nogil": True}
+compiled = njit(cache=True, **_OPTIONS)
+# Called by compiled functions only: without the wrappers that Python would need they compile twice as fast.
+inner = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)  # type: ignore[call-overload]
 
 GROUP = 4  # rows walked together: four independent recursions fill the pipeline
 BLOCK = 16  # columns that are neighbours in the volume
@@ -392,7 +393,7 @@ def _weigh_row(mask, min_weight, views, weights):
 
 @inner
 def fading(difference, near):
-    """near exp(-|difference|): a power series of a 64th, squared six times, which plain vectors can do."""
+    """Give near exp(-|difference|): a power series of a 64th, squared six times, which plain vectors can do."""
     y = abs(difference) * np.float32(1 / 64)
     series = _ONE + y * (_ONE + y * (np.float32(1 / 2) + y * (np.float32(1 / 6) + y * np.float32(1 / 24))))
     series *= series
@@ -593,7 +594,7 @@ def _score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, 
 
 @inner
 def _score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_size, places, scratch, maps):
-    """1 - det of the correlation matrix of three views, weighted and filtered as in `_score_two`."""
+    """1 - sqrt(det) of the correlation matrix of three views, weighted and filtered as in `_score_two`."""
     width = pictures.mask.shape[1]
     covariance = pictures.covariance[:, row if pictures.covariance.shape[1] > 1 else 0]
     even = 0 if covariance.shape[1] == 1 else 1
@@ -610,7 +611,7 @@ def _score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_s
     count = len(layers.ceiling)
     overlap01, overlap02 = v.load(layers.overlap, slab), v.load(layers.overlap, slab + count)
     overlap12 = v.load(layers.overlap, slab + 2 * count)
-    ceiling, floor, one = v.load(layers.ceiling, slab), v.spread(-_ONE), v.spread(_ONE)
+    ceiling, floor, one, nothing = v.load(layers.ceiling, slab), v.spread(-_ONE), v.spread(_ONE), v.spread(_ZERO)
     weights, links = maps.weights[row], maps.links[row]
     endless = v.spread(_ONE / (_ONE - numbers.near))
     ahead = v.spread(_ZERO)
@@ -634,7 +635,8 @@ def _score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_s
         b = v.larger(v.smaller(v.fnma(q0, q2, v.mul(b, v.mul(g0, g2))), one), floor)
         c = v.larger(v.smaller(v.fnma(q1, q2, v.mul(c, v.mul(g1, g2))), one), floor)
         bc = v.mul(b, c)
-        score = v.fma(a, v.sub(v.sub(a, bc), bc), v.fma(b, b, v.mul(c, c)))
+        determinant = v.fnma(a, v.sub(v.sub(a, bc), bc), v.fnma(b, b, v.fnma(c, c, one)))
+        score = v.sub(one, v.root(v.larger(determinant, nothing)))
         weighted = v.mul(v.smaller(score, ceiling), v.spread_at(weights, x))
         ahead = v.fma(v.spread_at(links, x), ahead, weighted) if x > 0 else v.mul(endless, weighted)
         v.store(scores, x * v.LANES, ahead)

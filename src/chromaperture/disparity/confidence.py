@@ -1,4 +1,4 @@
-"""From the shape of the score's peak to an error bar and a confidence (``docs/equations.md``, uncertainty)."""
+"""From the shape of the score's peak to an error bar and a confidence (``docs/equations.md``)."""
 
 from __future__ import annotations
 
@@ -13,20 +13,45 @@ CONFIDENCE_SCALE_PX = 0.25
 MAX_SIGMA_PX = 4.0
 
 
-def disparity_sigma(winner: Winner, config: MatcherConfig, view_count: int) -> np.ndarray:
-    """Standard deviation of the disparity, px; NaN where the disparity is unknown.
+def disparity_sigma(
+    winner: Winner, config: MatcherConfig, view_count: int, signal_share: np.ndarray | None = None
+) -> np.ndarray:
+    """Give the standard deviation of the disparity, px; NaN where the disparity is unknown.
 
     Gaussian signals of correlation determinant D have the log-likelihood -(N/2) ln D, so the variance is
-    ``2 / (N (ln D)'')``: for two views ``(1 - rho^2) / (N rho kappa)``, for three ``2 (1 - S) / (N kappa)``.
+    ``2 / (N (ln D)'')``: for two views ``(1 - rho^2) / (N rho kappa)``, for three, with the
+    score S = 1 - sqrt(D), ``(1 - S) / (N kappa)``. These are correlations of the views as they are, noise included.
+    ``config.sigma_scale`` widens the bar; an optimiser's winner brings the width of its posterior instead.
+
+    Parameters
+    ----------
+    winner : Winner
+    config : MatcherConfig
+    view_count : int
+        2 or 3.
+    signal_share : (H, W) float, optional
+        Texture's share of the views' variance, where the scores were cleaned of noise: what the noise would have
+        lowered the correlations by.
+
+    Returns
+    -------
+    (H, W) float32, px
     """
+    if winner.spread_px is not None:
+        spread = np.minimum(winner.spread_px, MAX_SIGMA_PX)
+        return np.where(np.isfinite(winner.disparity_px), spread, np.nan).astype(np.float32)
     samples = effective_samples(config.window_decay) / noise_correlation_factor(config.presmooth_sigma_px)
+    share = np.float32(1) if signal_share is None else np.asarray(signal_share, np.float32)
     peak = np.clip(winner.peak, 1e-3, 1 - 1e-6)
-    curvature = np.maximum(winner.curvature, 1e-9)
+    curvature = np.maximum(winner.curvature, 1e-9) * share
     if view_count == 2:
-        variance = (1 - peak**2) / (samples * peak * curvature)
+        raw = peak * share
+        variance = (1 - raw**2) / (samples * raw * curvature)
     else:
-        variance = 2 * (1 - peak) / (samples * curvature)
-    sigma = np.minimum(np.sqrt(variance), MAX_SIGMA_PX)
+        # sqrt(D) of three views alike but for their noise: eigenvalues 1 + 2 share, 1 - share, 1 - share.
+        noise = (1 - share) * np.sqrt(1 + 2 * share)
+        variance = (1 - peak + noise) / (samples * curvature)
+    sigma = np.minimum(config.sigma_scale * np.sqrt(variance), MAX_SIGMA_PX)
     return np.where(np.isfinite(winner.disparity_px), sigma, np.nan).astype(np.float32)
 
 

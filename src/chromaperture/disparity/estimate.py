@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
 from chromaperture.color.noise import estimate_noise_variance
-from chromaperture.color.unmixing import ideal_unmixing, view_directions
+from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions
 from chromaperture.config import MatcherConfig
-from chromaperture.disparity import reference
+from chromaperture.disparity import optimise, reference
 from chromaperture.disparity.confidence import confidence, disparity_sigma
 from chromaperture.disparity.inputs import guide_weights, prepare
+from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
 
@@ -49,6 +51,7 @@ def estimate_disparity(
     unmixing: np.ndarray | None = None,
     config: MatcherConfig | None = None,
     noise_variance: np.ndarray | None = None,
+    fields: Sequence[LayerField] | None = None,
     backend: Backend = "numba",
 ) -> Disparity:
     """Estimate the disparity of every pixel of one photograph.
@@ -63,6 +66,9 @@ def estimate_disparity(
     config : MatcherConfig, optional
     noise_variance : (H, W, 3) float, optional
         Noise variance of the image; estimated from the image when absent.
+    fields : sequence of LayerField, optional
+        For an optimiser: what equal depth means at every pixel, for each of `colour_spaces`. Without them it looks
+        for surfaces of even disparity, in the first colour space only.
     backend : {"numba", "reference"}
 
     Returns
@@ -77,25 +83,49 @@ def estimate_disparity(
     config = config or MatcherConfig()
     aperture = design_named(aperture) if isinstance(aperture, str) else aperture
     image = checked_image(image)
+    noise = estimate_noise_variance(image) if noise_variance is None else noise_variance
+    spaces = colour_spaces(aperture, unmixing, config)
+    if config.optimiser is not None and fields is None:
+        spaces = spaces[:1]
+    inputs = [
+        prepare(
+            image,
+            directions=view_directions(aperture),
+            unmixing=rows,
+            guide_rgb=guide_weights(aperture),
+            noise_variance=noise,
+            config=config,
+        )
+        for rows in spaces
+    ]
+    matcher: Any = reference
+    if backend != "reference":
+        from chromaperture.disparity import kernels  # compiling starts here, not at import
+
+        matcher = kernels
+    share = None
+    if config.optimiser is not None:
+        winner = optimise.match(
+            inputs, config, config.optimiser, score_volume=matcher.score_volume, fields=fields, backend=backend
+        )
+    else:
+        winner = matcher.match(inputs[0], config)
+        if config.noise_debiasing:  # such a score tells nothing of the noise; a biased one has it in its peak already
+            share = matcher.texture_weights(inputs[0], replace(config, texture_weighting=True))
+    sigma = disparity_sigma(winner, config, len(spaces[0]), share)
+    return Disparity(winner.disparity_px, sigma, confidence(sigma, winner.peak))
+
+
+def colour_spaces(aperture: Aperture, unmixing: np.ndarray | None, config: MatcherConfig) -> list[np.ndarray]:
+    """Give the rows that make the matched views, one (K, 3) array a colour space, as ``config.views`` asks."""
     rows = ideal_unmixing(aperture) if unmixing is None else np.asarray(unmixing, float)
     if rows.shape != (len(aperture.views), 3):
         raise InputError(f"unmixing must have shape ({len(aperture.views)}, 3) for {aperture.name}, got {rows.shape}")
-    inputs = prepare(
-        image,
-        directions=view_directions(aperture),
-        unmixing=rows,
-        guide_rgb=guide_weights(aperture),
-        noise_variance=estimate_noise_variance(image) if noise_variance is None else noise_variance,
-        config=config,
-    )
-    if backend == "reference":
-        winner = reference.match(inputs, config)
-    else:
-        from chromaperture.disparity import kernels  # compiling starts here, not at import
-
-        winner = kernels.match(inputs, config)
-    sigma = disparity_sigma(winner, config, len(rows))
-    return Disparity(winner.disparity_px, sigma, confidence(sigma, winner.peak))
+    pure = None if config.views == "unmixed" else pure_channels(aperture)
+    if pure is None:
+        return [rows]
+    # Three pure channels are the unmixed views but for the leaks: one of the two says it all.
+    return [rows, pure] if config.views == "both" and len(rows) == 2 else [pure]
 
 
 def checked_image(image: np.ndarray) -> np.ndarray:

@@ -166,7 +166,7 @@ def prepare_views(
     """
     planes = np.empty((len(views), *mask.shape), np.float32)  # one plane a view: fast to smooth and to match
     for plane, view in zip(planes, views, strict=True):
-        smooth(cv2.subtract(view, (cv2.mean(view)[0], 0, 0, 0)), config.presmooth_sigma_px, out=plane)
+        smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
     if min(cv2.meanStdDev(plane)[1][0, 0] for plane in planes) < 1e-6:
         raise InputError(
             "the image is constant in at least one view of the aperture: nothing to match. A lens cap, an even "

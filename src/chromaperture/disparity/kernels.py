@@ -54,11 +54,11 @@ def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
     height, width = inputs.mask.shape
     layers = len(inputs.layers_px)
     step = inputs.layers_px[1] - inputs.layers_px[0]
-    winner = Winner(*(np.empty((height, width), np.float32) for _ in range(3)))
+    disparity, peak, curvature = (np.empty((height, width), np.float32) for _ in range(3))
     with _workspace() as workspace:
         volume, maps = _filtered_scores(inputs, config, near, workspace)
         scratch = workspace.array(
-            "strip", (numba.get_num_threads(), height * strips.STRIP * _whole_slabs(layers)), np.float32
+            "strip", (numba.get_num_threads(), (height + 1) * strips.STRIP * _whole_slabs(layers)), np.float32
         )
 
         def take_winners(thread: int, first: int, last: int) -> None:
@@ -73,11 +73,13 @@ def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
                 first,
                 last,
                 scratch[thread],
-                *winner,
+                disparity,
+                peak,
+                curvature,
             )
 
         _in_parallel(take_winners, -(-width // bands.BLOCK))
-    return winner
+    return Winner(disparity, peak, curvature)
 
 
 def score_volume(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
@@ -120,7 +122,7 @@ def _in_parallel(work: Callable[[int, int, int], None], count: int, threads: int
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(numba.config.NUMBA_NUM_THREADS, thread_name_prefix="matcher")
+    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="matcher")
 
 
 if hasattr(os, "register_at_fork"):
@@ -191,7 +193,7 @@ def _filtered_scores(
     views = inputs.views.shape[2]
     pairs = len(layers.pairs)
     samples = (rows + 1) * samplings.row_length + 64
-    sizes = bands.Scratch(
+    sizes = dict(
         value=samples,
         gain=samples,
         mean_gain=samples,
@@ -206,14 +208,14 @@ def _filtered_scores(
     scratch = bands.Scratch(
         *(
             workspace.array(name, (threads, -(-size // 16) * 16), np.float32)
-            for name, size in sizes._asdict().items()
+            for name, size in sizes.items()
         )
     )
     wide = -(-width // bands.BLOCK) * bands.BLOCK
     volume = workspace.array("volume", (wide * height * len(layers.ceiling),), np.int16)
-    widths = bands.RowMaps(weights=width, links=width + 1, links_y=wide, share=wide, scale=width)
+    widths = dict(weights=width, links=width + 1, links_y=wide, share=wide, scale=width)
     maps = bands.RowMaps(
-        *(workspace.array(name, (height, size), np.float32) for name, size in widths._asdict().items())
+        *(workspace.array(name, (height, size), np.float32) for name, size in widths.items())
     )
     pictures = bands.Pictures(
         views=_planes(inputs.views),
@@ -339,6 +341,6 @@ def _planes(maps: np.ndarray) -> np.ndarray:
 
 
 def _variance_floor(planes: np.ndarray) -> np.ndarray:
-    """The same as `chromaperture.disparity.reference.variance_floor`, of planes (K, H, W); (K,) float32."""
+    """Do as `chromaperture.disparity.reference.variance_floor`, for planes (K, H, W); (K,) float32."""
     deviations = np.array([cv2.meanStdDev(plane)[1][0, 0] for plane in planes])
     return (reference.RELATIVE_EPSILON * deviations**2 + 1e-30).astype(np.float32)

@@ -31,7 +31,7 @@ def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
 
 
 def score_volume(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
-    """Score every layer: the correlation of two views, or 1 - det of the correlation matrix of three.
+    """Score every layer: the correlation of two views, or 1 - sqrt(det) of the correlation matrix of three.
 
     Returns
     -------
@@ -65,11 +65,13 @@ def score_volume(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
 
 
 def three_view_score(r01: np.ndarray, r02: np.ndarray, r12: np.ndarray) -> np.ndarray:
-    """Give 1 - det R of three views' correlation matrix; 1 on a colour line, 0 without any correlation.
+    """Give 1 - sqrt(det R) of three views' correlation matrix; 1 on a colour line, 0 without any correlation.
 
-    Correlations that were debiased one by one need not make a matrix R that exists; det R < 0 counts as 0.
+    Two eigenvalues of R vanish together where the views agree, so det R has a minimum of fourth order there, whose
+    parabola locks to the layers (by 0.05 px at a step of 0.5); its root has one of second order.
     """
-    return np.minimum(r01**2 + r02**2 + r12**2 - 2 * r01 * r02 * r12, 1.0)
+    determinant = 1 + 2 * r01 * r02 * r12 - r01**2 - r02**2 - r12**2
+    return 1 - np.sqrt(np.maximum(determinant, 0))
 
 
 def texture_weights(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:

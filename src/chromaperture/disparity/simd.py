@@ -11,7 +11,7 @@ Indices count elements from the start of a contiguous array and are not checked.
 
 from __future__ import annotations
 
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, register_model
@@ -113,10 +113,14 @@ def _eighths_larger(builder, a, b):
     return _larger(builder, low, high)
 
 
-def _inverse_root(builder, a):
-    root = cgutils.get_or_insert_function(
+def _root_function(builder):
+    return cgutils.get_or_insert_function(
         builder.module, ir.FunctionType(_FLOATS, [_FLOATS]), f"llvm.sqrt.v{LANES}f32"
     )
+
+
+def _inverse_root(builder, a):
+    root = _root_function(builder)
     # "fast": an estimate and a Newton step, good to a few 1e-7, where the processor has one.
     return builder.fdiv(_constant(1.0), builder.call(root, [a], fastmath=("fast",)), flags=("fast",))
 
@@ -131,6 +135,7 @@ mul = _operation(2, lambda builder, a, b: builder.fmul(a, b))
 fma = _operation(3, _multiply_add)  # a b + c
 fnma = _operation(3, lambda builder, a, b, c: _multiply_add(builder, builder.fsub(_constant(-0.0), a), b, c))  # c - a b
 div = _operation(2, lambda builder, a, b: builder.fdiv(a, b))
+root = _operation(1, lambda builder, a: builder.call(_root_function(builder), [a]))
 inverse_root = _operation(1, _inverse_root)
 swapped = _operation(1, lambda builder, a: _shuffle(builder, a, a, [4, 5, 6, 7, 0, 1, 2, 3]))  # halves exchanged
 smaller = _operation(2, _smaller)
@@ -213,7 +218,7 @@ def fence(typing):
 
 @intrinsic
 def spread(typing, value):
-    """The same float32 in all lanes."""
+    """Give a float32 to all lanes."""
 
     def lowered(context, builder, signature, arguments):
         return _spread(builder, arguments[0])
@@ -223,7 +228,7 @@ def spread(typing, value):
 
 @intrinsic
 def spread_at(typing, array, index):
-    """``array[index]`` in all lanes."""
+    """Give ``array[index]`` to all lanes."""
 
     def lowered(context, builder, signature, arguments):
         return _spread(builder, builder.load(_pointer(context, builder, signature.args[0], *arguments)))

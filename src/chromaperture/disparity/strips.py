@@ -9,6 +9,7 @@ it is.
 from __future__ import annotations
 
 import numpy as np
+
 from chromaperture.disparity import simd as v
 from chromaperture.disparity.bands import BLOCK, SCORE_SCALE, compiled, inner
 
@@ -155,12 +156,9 @@ def _score_rows(top, bottom, height, lanes, column, near, links, inverse, tags, 
             most = v.spread(_ZERO)
             here = y * row_size + j * lanes
             for i in range(0, lanes, v.LANES):
-                # What the upward recursion gained here is the weighted score.
-                up = v.load(scratch, here + i)
-                if y < height - 1:
-                    x = v.fnma(link_below, v.load(scratch, here + i + row_size), up)
-                else:
-                    x = v.mul(gain, up)
+                up, below = v.load(scratch, here + i), v.load(scratch, here + i + row_size)
+                # What the upward recursion gained here is the weighted score; the row after the last is slack.
+                x = v.fnma(link_below, below, up) if y < height - 1 else v.mul(gain, up)
                 down = v.fma(link, v.load(state, j * lanes + i), x) if y > 0 else v.mul(endless, x)
                 v.store(state, j * lanes + i, down)
                 score = v.fma(v.add(down, up), share, raised)

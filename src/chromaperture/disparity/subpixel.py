@@ -15,11 +15,13 @@ class Winner(NamedTuple):
     disparity_px : (H, W) float32, px; NaN where the best layer is an end of the range.
     peak : (H, W) float32; score at the vertex of the parabola.
     curvature : (H, W) float32, 1/px^2; minus the second derivative of the score there, >= 0.
+    spread_px : (H, W) float32 or None, px; width of the posterior of the layers, where an optimiser knows it.
     """
 
     disparity_px: np.ndarray
     peak: np.ndarray
     curvature: np.ndarray
+    spread_px: np.ndarray | None = None
 
 
 def parabola_winner(score: np.ndarray, layers_px: np.ndarray) -> Winner:

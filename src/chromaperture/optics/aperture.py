@@ -7,8 +7,8 @@ Pupil coordinates are in units of the pupil radius, seen from behind the camera 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Protocol
 
@@ -120,6 +120,17 @@ class Aperture:
             if part.filter.name == name:
                 return part.filter
         raise InputError(f"aperture {self.name!r} has no {name!r} filter")
+
+    def with_film(self, film: Mapping[str, Sequence[float] | np.ndarray]) -> Aperture:
+        """Give the same geometry with other film: R, G, B transmission by filter name; others keep theirs."""
+
+        def swap(part: SubAperture) -> SubAperture:
+            if part.filter.name not in film:
+                return part
+            red, green, blue = (float(t) for t in film[part.filter.name])
+            return replace(part, filter=Filter(part.filter.name, (red, green, blue)))
+
+        return replace(self, parts=tuple(map(swap, self.parts)))
 
     def transmission_map(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Transmission in R, G, B at pupil points.

@@ -1,0 +1,359 @@
+"""What is known about one camera: the parameters of all stages, in one file a person can read.
+
+The file is ASDF, a YAML text that any editor opens; fields over the frame are a few polynomial coefficients. No fitting
+happens here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import asdf
+import numpy as np
+
+from chromaperture.color.unmixing import ideal_unmixing, mixing_matrix, unmixing_rows
+from chromaperture.config import QUALITIES, Quality
+from chromaperture.depth.chessboard import centered_pinhole
+from chromaperture.depth.conversion import DepthModel, depth_to_disparity
+from chromaperture.depth.field import DepthField, degree_of
+from chromaperture.errors import InputError
+from chromaperture.optics.aperture import Aperture, design_named
+from chromaperture.outputs import staged
+
+FORMAT_VERSION = 1
+_ROOT = "chromaperture_camera"
+_ABOUT = (
+    "One camera with a colour-coded aperture, at one focus setting. Lengths are in mm, disparities are signed half "
+    "disparities in px (0 in focus, + beyond). Depth from the sensor plane is sensor_to_pupil_mm + scale_px_mm / "
+    "(infinity_disparity_px - disparity). The two fields are polynomials over the frame: coefficients of Chebyshev "
+    "products in x and y over [-1, 1] by rising degree in x, then in y; a single number holds for the whole frame."
+)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """The sensor. Levels are counts of the camera's own linear files; electrons may be unknown (None)."""
+
+    width_px: int
+    height_px: int
+    pixel_pitch_mm: float
+    black_level: float = 0.0
+    white_level: float = 65535.0
+    full_well_electrons: float | None = None
+    read_noise_electrons: float | None = None
+
+
+@dataclass(frozen=True)
+class Lens:
+    """The lens as a pinhole in the centre of the entrance pupil.
+
+    Attributes
+    ----------
+    focal_length_mm : float
+        Effective focal length.
+    camera_matrix : (3, 3) float64, px
+    distortion : (5,) float64
+        OpenCV's k1, k2, p1, p2, k3.
+    f_number : float or None
+    """
+
+    focal_length_mm: float
+    camera_matrix: np.ndarray
+    distortion: np.ndarray = field(default_factory=lambda: np.zeros(5))
+    f_number: float | None = None
+
+
+@dataclass(frozen=True)
+class Film:
+    """Colours of white light as the sensor sees them, R, G, B, 1 = white level.
+
+    Attributes
+    ----------
+    filters : dict of str to (3,) float64
+        Through a whole pupil of each filter.
+    clear : (3,) float64
+        Through the open pupil, at the same exposure.
+    aperture : (3,) float64
+        Through the coded aperture: what the camera calls white.
+    """
+
+    filters: Mapping[str, np.ndarray]
+    clear: np.ndarray
+    aperture: np.ndarray
+
+    def transmissions(self) -> dict[str, np.ndarray]:
+        """Transmission of each filter per sensor channel; dict of str to (3,)."""
+        return {name: color / self.clear for name, color in self.filters.items()}
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Everything `chromaperture.camera.CodedApertureCamera` needs to know.
+
+    Attributes
+    ----------
+    design : str
+        Name of the aperture design.
+    sensor : Sensor
+    lens : Lens
+    film : Film
+    depth : dict of str to DepthField
+        The depth curves of the frame, for each quality: every matcher reads a blurred edge a little differently.
+        Empty where the camera was never calibrated: then it measures disparity only.
+    near_mm, far_mm : float
+        Range of depths that is searched, from the sensor plane.
+    provenance : dict
+        How the file came about: command, date, data, fit residuals.
+    """
+
+    design: str
+    sensor: Sensor
+    lens: Lens
+    film: Film
+    depth: Mapping[Quality, DepthField]
+    near_mm: float
+    far_mm: float
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def aperture(self) -> Aperture:
+        """The aperture in the pupil."""
+        return design_named(self.design)
+
+    @property
+    def unmixing(self) -> np.ndarray:
+        """Rows of M^-1, Eq. (1); (K, 3) float64."""
+        names = self.aperture.views
+        return unmixing_rows(mixing_matrix(np.array([self.film.filters[n] for n in names])), len(names))
+
+    @property
+    def image_distance_mm(self) -> float:
+        """Distance F from the pinhole's pupil to its sensor, fx times the pixel pitch."""
+        return float(self.lens.camera_matrix[0, 0]) * self.sensor.pixel_pitch_mm
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether depth in mm can be had."""
+        return bool(self.depth)
+
+    def depth_model(self, quality: Quality = "real-time") -> DepthModel:
+        """Give the depth curve of a quality; raises InputError where there is none."""
+        if quality not in self.depth:
+            known = f"it has {', '.join(self.depth)}" if self.depth else "it was never calibrated"
+            raise InputError(f"this camera has no depth curve for quality {quality}: {known}; run 'calibrate' again")
+        return self.depth[quality].model(self.sensor.width_px, self.sensor.height_px)
+
+    @property
+    def in_focus_mm(self) -> float:
+        """Distance of the focus surface from the sensor plane, on the axis: z~_of = B / A + delta."""
+        return float(self.on_axis("real-time").in_focus_mm)
+
+    @property
+    def baseline_mm(self) -> float:
+        """Distance of two opposed centroids in the entrance pupil, on the axis: b = 2 mu B / F.
+
+        That of the unmixed views, the paper's; the sensor's own channels see leaks and sit a little closer.
+        """
+        scale = float(self.on_axis("paper").scale_px_mm)
+        return 2 * self.sensor.pixel_pitch_mm * scale / self.image_distance_mm
+
+    def on_axis(self, quality: Quality) -> DepthModel:
+        """Give the depth curve of a quality in the middle of the frame, as numbers."""
+        self.depth_model(quality)
+        return self.depth[quality].on_axis(self.sensor.width_px, self.sensor.height_px)
+
+    def disparity_range_px(self, quality: Quality = "real-time") -> tuple[float, float]:
+        """Smallest and largest disparity of the working range, over the whole frame."""
+        model = self.depth_model(quality)
+        near, far = (depth_to_disparity(z, model) for z in (self.near_mm, self.far_mm))
+        return float(np.min(near)), float(np.max(far))
+
+    def summary(self) -> dict[str, Any]:
+        """Give the figures ``chromaperture info`` prints, units in the names; None where uncalibrated."""
+        on_axis = self.depth["real-time"].on_axis(self.sensor.width_px, self.sensor.height_px) if self.depth else None
+        return {
+            "design": self.design,
+            "title": self.aperture.title,
+            "width_px": self.sensor.width_px,
+            "height_px": self.sensor.height_px,
+            "pixel_pitch_mm": self.sensor.pixel_pitch_mm,
+            "focal_length_mm": self.lens.focal_length_mm,
+            "f_number": self.lens.f_number,
+            "sensor_to_pupil_mm": on_axis.sensor_to_pupil_mm if on_axis else None,
+            "in_focus_mm": self.in_focus_mm if on_axis else None,
+            "baseline_mm": self.baseline_mm if on_axis else None,
+            "infinity_disparity_px": on_axis.infinity_disparity_px if on_axis else None,
+            "scale_px_mm": on_axis.scale_px_mm if on_axis else None,
+            "near_mm": self.near_mm,
+            "far_mm": self.far_mm,
+            "black_level": self.sensor.black_level,
+            "white_level": self.sensor.white_level,
+            "provenance": dict(self.provenance),
+        }
+
+    @classmethod
+    def uncalibrated(cls, design: str, *, width_px: int, height_px: int) -> Calibration:
+        """Describe a camera of which only the aperture is known: it measures disparity, not depth."""
+        aperture = design_named(design)
+        ideal_unmixing(aperture)  # refuses designs without parallax
+        colors = {name: np.array(aperture.filter_named(name).transmission) for name in aperture.views}
+        focal_px = 1.2 * max(width_px, height_px)  # a normal lens; only a label here, no point cloud is made
+        matrix = centered_pinhole(focal_px, (width_px, height_px))
+        return cls(
+            design=design,
+            sensor=Sensor(width_px, height_px, pixel_pitch_mm=36.0 / width_px),
+            lens=Lens(focal_length_mm=50.0, camera_matrix=matrix),
+            film=Film(colors, np.ones(3), np.ones(3)),
+            depth={},
+            near_mm=0.0,
+            far_mm=math.inf,
+            provenance={"note": "not calibrated; sensor and lens figures are placeholders"},
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write the camera file; whole or not at all."""
+        path = Path(path)
+        tree = {
+            _ROOT: {
+                "about": _ABOUT,
+                "format_version": FORMAT_VERSION,
+                "design": self.design,
+                "working_range": {"near_mm": self.near_mm, "far_mm": self.far_mm},
+                "depth": {quality: _plain(dataclasses.asdict(field)) for quality, field in self.depth.items()},
+                "lens": _plain(dataclasses.asdict(self.lens)),
+                "sensor": _plain(dataclasses.asdict(self.sensor)),
+                "film": {
+                    "unit": "white light as R, G, B, 1 = white level",
+                    "filters": {name: _plain(color) for name, color in self.film.filters.items()},
+                    "clear": _plain(self.film.clear),
+                    "aperture": _plain(self.film.aperture),
+                },
+                "provenance": _plain(dict(self.provenance)),
+            }
+        }
+        with staged(path.parent) as stage, asdf.AsdfFile(tree) as file:
+            file.write_to(stage.path(path.name))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Calibration:
+        """Read a camera file.
+
+        Raises
+        ------
+        InputError
+            The file is missing, damaged, not a camera file, or of a newer format.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise InputError(f"no camera file at {path}; make one with: chromaperture calibrate SESSION --out {path}")
+        try:
+            with asdf.open(path, lazy_load=False, memmap=False) as file:
+                tree = file.tree[_ROOT]
+                version = tree["format_version"]
+                if isinstance(version, int) and version > FORMAT_VERSION:
+                    raise InputError(
+                        f"{path.name} has format version {version}, newer than this program's {FORMAT_VERSION}; "
+                        "upgrade chromaperture"
+                    )
+                calibration = _from_tree(tree)
+        except InputError:
+            raise
+        except Exception as error:  # YAML, ASDF and NumPy raise many kinds on a damaged file
+            reason = f"{type(error).__name__}: {error}".splitlines()[0][:120]
+            raise InputError(f"{path.name} is damaged or not a camera file ({reason}); calibrate again") from None
+        return calibration
+
+
+def _plain(value: Any) -> Any:
+    """Turn small arrays and NumPy scalars into lists and numbers, so that they stand readable in the YAML."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _from_tree(tree: Mapping[str, Any]) -> Calibration:
+    """Rebuild and check; any KeyError or ValueError becomes the caller's "damaged"."""
+    sensor = Sensor(**{f.name: tree["sensor"][f.name] for f in dataclasses.fields(Sensor)})
+    lens = tree["lens"]
+    film = tree["film"]
+    depth = tree["depth"]
+    calibration = Calibration(
+        design=str(tree["design"]),
+        sensor=sensor,
+        lens=Lens(
+            focal_length_mm=float(lens["focal_length_mm"]),
+            camera_matrix=_finite(lens["camera_matrix"], (3, 3)),
+            distortion=_finite(lens["distortion"], (5,)),
+            f_number=None if lens["f_number"] is None else float(lens["f_number"]),
+        ),
+        film=Film(
+            {str(name): _finite(color, (3,)) for name, color in film["filters"].items()},
+            _finite(film["clear"], (3,)),
+            _finite(film["aperture"], (3,)),
+        ),
+        depth={quality: _depth_from_tree(depth[quality]) for quality in QUALITIES if quality in depth},
+        near_mm=float(tree["working_range"]["near_mm"]),
+        far_mm=float(tree["working_range"]["far_mm"]),
+        provenance=dict(tree["provenance"]),
+    )
+    _check(calibration)
+    return calibration
+
+
+def _depth_from_tree(tree: Mapping[str, Any]) -> DepthField:
+    infinity, scale = (np.atleast_1d(np.array(tree[n], float)) for n in ("infinity_disparity_px", "scale_px_mm"))
+    for coefficients in (infinity, scale):
+        degree_of(len(coefficients))
+        _finite(coefficients, coefficients.shape[:1])
+    if len(infinity) != len(scale):
+        raise ValueError("the two depth fields differ in degree")
+    (delta,) = _finite([tree["sensor_to_pupil_mm"]], (1,))
+    return DepthField(infinity, scale, float(delta), _finite(tree["covariance"], (3, 3)))
+
+
+def _finite(value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"expected finite numbers of shape {shape}")
+    return array
+
+
+def _check(calibration: Calibration) -> None:
+    """Refuse what cannot be a camera."""
+    sensor, lens, film = calibration.sensor, calibration.lens, calibration.film
+    positive = {
+        "sensor.width_px": sensor.width_px,
+        "sensor.height_px": sensor.height_px,
+        "sensor.pixel_pitch_mm": sensor.pixel_pitch_mm,
+        "sensor.white_level - black_level": sensor.white_level - sensor.black_level,
+        "lens.focal_length_mm": lens.focal_length_mm,
+        "lens.camera_matrix fx": float(lens.camera_matrix[0, 0]),
+        "lens.camera_matrix fy": float(lens.camera_matrix[1, 1]),
+        "film.clear": float(film.clear.min()),
+        "film.aperture": float(film.aperture.min()),
+        "working range": calibration.far_mm - calibration.near_mm,
+    }
+    for quality in calibration.depth:
+        model = calibration.depth_model(quality)
+        positive[f"depth.{quality}.scale_px_mm"] = float(np.min(model.scale_px_mm))
+        positive[f"near_mm - depth.{quality}.sensor_to_pupil_mm"] = calibration.near_mm - float(
+            np.max(model.sensor_to_pupil_mm)
+        )
+    for name, value in positive.items():
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"{name} must be positive and finite, is {value}")
+    if not calibration.depth:
+        raise ValueError("no depth curve")
+    missing = set(calibration.aperture.views) - set(film.filters)
+    if missing:
+        raise ValueError(f"film.filters lacks {', '.join(sorted(missing))}")
+    calibration.unmixing  # noqa: B018 - raises when the filter colours cannot be told apart

@@ -1,0 +1,61 @@
+"""Captures that cannot be measured are refused here, each with what to do next."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from chromaperture.errors import CaptureWarning, InputError
+
+SATURATION = 0.995
+_DARK = 2e-3
+
+
+def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
+    """Check a photograph before it is measured.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float, linear RGB, 1.0 = white level
+    width_px, height_px : int
+        The camera's size.
+
+    Returns
+    -------
+    (H, W, 3) float32, contiguous
+
+    Raises
+    ------
+    InputError
+        Wrong shape, type or size; all black, saturated, or not finite.
+    """
+    image = np.asarray(image)
+    if image.ndim != 3 or image.shape[2] != 3:
+        raise InputError(f"expected an RGB image of shape (height, width, 3), got {image.shape}")
+    if not np.issubdtype(image.dtype, np.floating):
+        raise InputError(
+            f"expected linear float values in [0, 1], got {image.dtype}; read files with chromaperture.read_image"
+        )
+    if image.shape[:2] != (height_px, width_px):
+        raise InputError(
+            f"the image is {image.shape[1]}x{image.shape[0]} px but the camera was calibrated at "
+            f"{width_px}x{height_px}; give an original of that size, or calibrate at this one"
+        )
+    image = np.ascontiguousarray(image, np.float32)
+    finite = np.isfinite(image).all(axis=2)
+    if not finite.any():
+        raise InputError("the image holds no finite value; export it again")
+    lit = image[finite]
+    saturated = float((lit.max(axis=1) >= SATURATION).mean())
+    if saturated > 0.98:
+        raise InputError(
+            f"{saturated:.0%} of the image is saturated; lower the exposure, or check --black-level and --white-level"
+        )
+    if float(np.percentile(lit, 99)) < _DARK:
+        raise InputError("the image is all black; remove the lens cap, expose longer, or check the levels")
+    if saturated > 0.05:
+        warnings.warn(
+            f"{saturated:.0%} of the image is saturated; depth is guessed there", CaptureWarning, stacklevel=3
+        )
+    return image

@@ -1,0 +1,154 @@
+"""Image files to linear light.
+
+Pixels are returned as the sensor saw them: an EXIF orientation is not applied, because the filters in the pupil do
+not turn with it, and no white balance, because superposition of the views needs the sensor's own scale.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tifffile
+from PIL import Image, JpegImagePlugin, UnidentifiedImageError
+
+from chromaperture.color.srgb import srgb_to_linear
+from chromaperture.errors import CaptureWarning, InputError
+
+_RAW_SUFFIXES = {".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2"}
+_SUBSAMPLED = {1: "4:2:2", 2: "4:2:0"}
+
+
+def read_image(
+    path: str | Path, *, black_level: float | None = None, white_level: float | None = None
+) -> np.ndarray:
+    """Read a photograph as linear light.
+
+    Files of 16 bit (PNG, TIFF, PPM) hold linear counts; without levels, black is 0 and white 65535. Files of 8 bit
+    (JPEG, PNG, TIFF, PPM, BMP, WebP) are decoded from the sRGB curve, unless levels are given, which says that they
+    hold linear counts too. TIFF files of floats hold linear light; without levels, black is 0 and white 1.
+
+    Parameters
+    ----------
+    path : str or Path
+    black_level, white_level : float, optional
+        Counts of no light and of a full well.
+
+    Returns
+    -------
+    (H, W, 3) float32, linear RGB; 0 is black, 1.0 the white level
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, grey, RAW, or the levels make no sense.
+
+    Warns
+    -----
+    CaptureWarning
+        Chroma subsampling has halved the very signal that is measured, or the levels look wrong.
+    """
+    path = Path(path)
+    counts = _colour(_decode(path), path)
+    if black_level is None and white_level is None and counts.dtype == np.uint8:
+        return srgb_to_linear(counts.astype(np.float32) / 255)
+
+    full = 1.0 if counts.dtype.kind == "f" else float(np.iinfo(counts.dtype).max)
+    black = 0.0 if black_level is None else float(black_level)
+    white = full if white_level is None else float(white_level)
+    if not (np.isfinite([black, white]).all() and white > black):
+        raise InputError(f"white level {white:g} must be above black level {black:g}; check the two options")
+    if white_level is None and counts.dtype == np.uint16 and 0 < counts.max() < 4096:
+        warnings.warn(
+            f"{path.name}: no count above {counts.max()} in a 16-bit file; if the sensor has fewer bits, "
+            "give --white-level",
+            CaptureWarning,
+            stacklevel=2,
+        )
+    return ((counts.astype(np.float32) - np.float32(black)) / np.float32(white - black)).astype(np.float32)
+
+
+def bit_depth(path: str | Path) -> int:
+    """Bits per sample of an image file, 8, 16 or 32; camera levels only make sense for files of the camera's depth."""
+    return _decode(Path(path)).dtype.itemsize * 8
+
+
+def image_size(path: str | Path) -> tuple[int, int]:
+    """Width and height of an image file, px; raises InputError like `read_image`."""
+    path = Path(path)
+    height, width = _colour(_decode(path), path).shape[:2]
+    return width, height
+
+
+def _decode(path: Path) -> np.ndarray:
+    """Decode to an array of counts in the file's own depth, channels in R, G, B order."""
+    if path.suffix.lower() in _RAW_SUFFIXES:
+        raise InputError(f"{path.name}: RAW files are not read; develop it to a linear 16-bit TIFF without sharpening")
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from None
+    if not data:
+        raise InputError(f"{path.name} is empty; copy the file again")
+    damaged = f"{path.name} is damaged or not an image (PNG, TIFF, PPM or JPEG); copy or export the file again"
+    try:
+        if data[:4] in (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+"):
+            return np.asarray(tifffile.imread(io.BytesIO(data)))
+        with Image.open(io.BytesIO(data)) as picture:
+            picture.verify()  # all chunk checksums of a PNG
+        if _is_deep(data):
+            counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+            if counts is None:
+                raise InputError(damaged)
+            return counts[..., [2, 1, 0]] if counts.ndim == 3 else counts  # OpenCV stores B, G, R; alpha goes
+        with Image.open(io.BytesIO(data)) as picture:
+            _warn_of_subsampling(picture, path)
+            coded = picture.mode in ("P", "RGBA", "CMYK", "YCbCr")
+            return np.asarray(picture.convert("RGB") if coded else picture)
+    except InputError:
+        raise
+    except (UnidentifiedImageError, Image.DecompressionBombError) as error:
+        raise InputError(damaged if isinstance(error, UnidentifiedImageError) else f"{path.name}: {error}") from None
+    except Exception:  # decoders raise whatever a damaged file leads them to
+        raise InputError(damaged) from None
+
+
+def _is_deep(data: bytes) -> bool:
+    """Tell PNG and PNM files of more than 8 bits, which Pillow would cut down to 8."""
+    if data.startswith(b"\x89PNG"):
+        return len(data) > 24 and data[24] == 16
+    if data[:2] in (b"P5", b"P6"):
+        fields = [f for line in data[:512].split(b"\n") for f in line.split(b"#")[0].split()]
+        return len(fields) > 3 and int(fields[3]) > 255
+    return False
+
+
+def _colour(counts: np.ndarray, path: Path) -> np.ndarray:
+    """Check that the counts are a colour image of a usable type."""
+    if counts.ndim == 3 and counts.shape[2] == 4:
+        counts = counts[..., :3]
+    grey = counts.ndim == 2 or (counts.ndim == 3 and counts.shape[2] in (1, 2))
+    if not grey and (counts.ndim != 3 or counts.shape[2] != 3):
+        raise InputError(f"{path.name} holds an array of shape {counts.shape}; one RGB picture is needed")
+    if not grey and np.array_equal(counts[..., 0], counts[..., 1]) and np.array_equal(counts[..., 1], counts[..., 2]):
+        grey = bool(counts.any())  # an all-black picture is another error, told where exposure is checked
+    if grey:
+        raise InputError(f"{path.name} is a grey picture; the depth is in the colours, so give the colour original")
+    if counts.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
+        raise InputError(f"{path.name} holds {counts.dtype} samples; give 8 or 16 bit or float")
+    return counts
+
+
+def _warn_of_subsampling(picture: Image.Image, path: Path) -> None:
+    if isinstance(picture, JpegImagePlugin.JpegImageFile):
+        kind = _SUBSAMPLED.get(JpegImagePlugin.get_sampling(picture))
+        if kind:
+            warnings.warn(
+                f"{path.name} is a JPEG with {kind} chroma, which halves the resolution of the colours the depth is "
+                "read from; use RAW, PNG or TIFF, or JPEG at best quality (4:4:4)",
+                CaptureWarning,
+                stacklevel=4,
+            )

@@ -1,0 +1,61 @@
+"""``chromaperture calibrate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def calibrate(
+    session: Annotated[
+        Path, typer.Argument(help="Folder with session.toml, distances.csv, board/, tilt/.", metavar="SESSION_DIR")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Camera file to write.", metavar="CAMERA.asdf")],
+    lens_from: Annotated[
+        Path | None, typer.Option(help="Camera file of the same lens and focus, for a session without tilted boards.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
+) -> None:
+    """Calibrate a camera from a folder of photographs.
+
+    chromaperture calibrate my_session --out camera.asdf
+
+    docs/calibration-session.md shows how the folder is laid out.
+    """
+    from rich.table import Table
+
+    from chromaperture.calibrate import calibrate_session
+    from chromaperture.calibration import Calibration
+    from chromaperture.cli.console import out as console
+    from chromaperture.cli.console import print_files, print_json, progress
+
+    known = Calibration.load(lens_from) if lens_from else None
+    with progress(quiet=quiet or json) as update:
+        result = calibrate_session(session, lens_from=known, progress=update)
+    result.calibration.save(out)
+    if json:
+        print_json(result.calibration.summary())
+    elif not quiet:
+        table = Table(title="Boards")
+        for name in ("photograph", "ruler [mm]", "disparity [px]", "measured - ruler [mm]", "[%]"):
+            table.add_column(name.replace("[", "\\["), justify="right")
+        for board, residual in zip(result.boards, result.fits["real-time"].residual_mm, strict=True):
+            table.add_row(
+                board.name,
+                f"{board.ruler_mm:.0f}",
+                f"{board.disparity_px['real-time']:+.3f}",
+                f"{residual:+.1f}",
+                f"{100 * residual / board.ruler_mm:+.2f}",
+            )
+        console.print(table)
+        cal = result.calibration
+        console.print(
+            f"focal length {cal.lens.focal_length_mm:.2f} mm, in focus at {cal.in_focus_mm:.0f} mm, "
+            f"baseline {cal.baseline_mm:.2f} mm, rms {result.fits['real-time'].rms_mm:.1f} mm"
+        )
+        for note in result.notes:
+            console.print(f"note: {note}")
+        print_files([out])

@@ -1,0 +1,108 @@
+"""Files written whole or not at all, and the encodings of depth that other programs read."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import tifffile
+
+from chromaperture.color.srgb import linear_to_srgb
+from chromaperture.errors import InputError
+
+
+class Stage:
+    """A private folder beside the outputs; what is written there appears under its final name all at once."""
+
+    def __init__(self, folder: Path, private: Path) -> None:
+        self.folder, self.private, self.names = folder, private, list[str]()
+
+    def path(self, name: str) -> Path:
+        """Give the temporary path that will become ``name``."""
+        self.names.append(name)
+        return self.private / name
+
+
+@contextlib.contextmanager
+def staged(folder: str | Path) -> Iterator[Stage]:
+    """Write a set of files so that an error, a full disk or Ctrl-C leaves none of them behind.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be made or written to, or the disk is full.
+    """
+    folder = Path(folder)
+    private = None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        private = Path(tempfile.mkdtemp(prefix=".chromaperture-", dir=folder))
+        stage = Stage(folder, private)
+        yield stage
+        for name in stage.names:
+            os.replace(private / name, folder / name)
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise InputError(f"the disk is full: nothing was written to {folder}; free some space and repeat") from None
+        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.EISDIR):
+            raise InputError(f"cannot write to {folder} ({error.strerror}); choose another folder with --out") from None
+        raise
+    finally:
+        if private is not None:
+            shutil.rmtree(private, ignore_errors=True)
+
+
+def write_float_tiff(path: Path, values: np.ndarray) -> None:
+    """Write (H, W) as float32 TIFF; NaN stays NaN."""
+    tifffile.imwrite(path, values.astype(np.float32), compression="zlib", metadata=None)
+
+
+def write_depth_png(path: Path, depth_mm: np.ndarray) -> None:
+    """Write (H, W) depth as 16-bit PNG in whole mm; 0 is unknown or beyond 65535 mm."""
+    known = np.isfinite(depth_mm) & (depth_mm > 0) & (depth_mm < 65535.5)
+    _write_png(path, np.where(known, np.rint(np.where(known, depth_mm, 0)), 0).astype(np.uint16))
+
+
+def write_color_png(path: Path, color: np.ndarray) -> None:
+    """Write linear RGB (H, W, 3) as 8-bit sRGB PNG."""
+    _write_png(path, np.rint(linear_to_srgb(color) * 255).astype(np.uint8)[..., ::-1])
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write readable JSON; NaN and infinity become null."""
+    path.write_text(to_json(value) + "\n", encoding="utf-8")
+
+
+def to_json(value: Any) -> str:
+    """Give readable JSON text; NumPy scalars and arrays are turned into numbers and lists, NaN into null."""
+    return json.dumps(_plain(value), indent=2, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+def _write_png(path: Path, array: np.ndarray) -> None:
+    ok, encoded = cv2.imencode(".png", np.ascontiguousarray(array))
+    if not ok:
+        raise InputError(f"cannot encode {path.name}")
+    path.write_bytes(encoded.tobytes())  # Python's own write, so that a full disk is an error and not a False

@@ -1,0 +1,87 @@
+"""One picture a person can read: capture, depth with a colour bar in mm, error bar, restored colour."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from chromaperture.camera import DepthFrame
+from chromaperture.color.srgb import linear_to_srgb
+
+_DARK, _LIGHT, _UNKNOWN = "#14161a", "#e8e6e3", "#3a3d44"
+
+
+def preview_figure(image: np.ndarray, frame: DepthFrame, *, title: str) -> Figure:
+    """Draw the preview.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float, linear RGB
+        The capture as it came.
+    frame : DepthFrame
+    title : str
+
+    Returns
+    -------
+    Figure
+        With disparity instead of depth where the camera is not calibrated.
+    """
+    height, width = image.shape[:2]
+    figure = Figure(figsize=(12.8, 0.4 + 12.8 * height / width * 0.93), dpi=110, facecolor=_DARK, layout="constrained")
+    figure.suptitle(title, color=_LIGHT, fontsize=13)
+    capture, depth, restored, sigma = figure.subplots(2, 2).ravel()
+    exposure = 1 / max(float(np.nanpercentile(image, 99.5)), 1e-6)
+    _picture(capture, linear_to_srgb(image * exposure), "capture through the colour-coded aperture")
+    exposure = 1 / max(float(np.nanpercentile(frame.color, 99.5)), 1e-6)
+    _picture(restored, linear_to_srgb(frame.color * exposure), "restored colour, channels aligned")
+    if frame.valid.any():
+        _map(figure, depth, frame.depth_mm, "depth from the sensor plane", "mm", "turbo_r", (2, 98))
+        _map(figure, sigma, frame.sigma_mm, "error bar (one standard deviation)", "mm", "magma", (0, 90), low=0.0)
+    else:
+        _map(figure, depth, frame.disparity_px, "disparity (0 in focus, + beyond); depth needs a calibration", "px",
+             "turbo", (1, 99))  # fmt: skip
+        _map(figure, sigma, frame.disparity_sigma_px, "error bar (one standard deviation)", "px", "magma", (0, 90),
+             low=0.0)  # fmt: skip
+    return figure
+
+
+def write_preview(path: Path, image: np.ndarray, frame: DepthFrame, *, title: str) -> None:
+    """Write the preview as PNG."""
+    preview_figure(image, frame, title=title).savefig(path, format="png", facecolor=_DARK)
+
+
+def _picture(axes: Axes, picture: np.ndarray, title: str) -> None:
+    axes.imshow(picture, interpolation="antialiased")
+    _dress(axes, title)
+
+
+def _map(
+    figure: Figure,
+    axes: Axes,
+    values: np.ndarray,
+    title: str,
+    unit: str,
+    colors: str,
+    percentiles: tuple[float, float],
+    low: float | None = None,
+) -> None:
+    known = values[np.isfinite(values)]
+    ends = np.percentile(known, percentiles) if known.size else np.array([0.0, 1.0])
+    bottom = float(ends[0]) if low is None else low
+    top = max(float(ends[1]), bottom + 1e-6)
+    shades = mpl.colormaps[colors].with_extremes(bad=_UNKNOWN)
+    shown = axes.imshow(np.ma.masked_invalid(values), cmap=shades, vmin=bottom, vmax=top, interpolation="nearest")
+    bar = figure.colorbar(shown, ax=axes, fraction=0.035, pad=0.015, extend="both" if low is None else "max")
+    bar.set_label(unit, color=_LIGHT)
+    bar.ax.tick_params(colors=_LIGHT, labelsize=9)
+    bar.outline.set_visible(False)
+    _dress(axes, f"{title}; grey is unknown" if known.size < values.size else title)
+
+
+def _dress(axes: Axes, title: str) -> None:
+    axes.set_title(title, color=_LIGHT, fontsize=10, loc="left")
+    axes.set_axis_off()

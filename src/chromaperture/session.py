@@ -1,0 +1,155 @@
+"""A calibration session: a folder of photographs and what the person at the camera knows.
+
+``session.toml`` and ``distances.csv`` say what was photographed; ``docs/calibration-session.md`` shows the layout.
+"""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from chromaperture.calibration import Sensor
+from chromaperture.capture.files import read_image
+from chromaperture.errors import InputError
+from chromaperture.optics.aperture import design_named
+
+_SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": "sheet_r", "green": "sheet_g",
+           "blue": "sheet_b"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Session:
+    """Everything a session folder says, checked.
+
+    Attributes
+    ----------
+    folder : Path
+    design : str
+    sensor : Sensor
+    nominal_focal_length_mm, nominal_f_number, focused_at_about_mm : float
+    inner_corners : (columns, rows)
+    square_mm, ruler_error_mm : float
+    boards : dict of Path to float
+        Photograph of the board square to the axis, and its distance from the sensor plane by ruler, mm.
+    tilts : tuple of Path
+        Tilted boards, for the intrinsics.
+    """
+
+    folder: Path
+    design: str
+    sensor: Sensor
+    nominal_focal_length_mm: float
+    nominal_f_number: float
+    focused_at_about_mm: float
+    inner_corners: tuple[int, int]
+    square_mm: float
+    ruler_error_mm: float
+    boards: dict[Path, float]
+    tilts: tuple[Path, ...]
+
+    def read(self, path: Path) -> np.ndarray:
+        """Read one photograph of the session as linear light; (H, W, 3) float32."""
+        image = read_image(path, black_level=self.sensor.black_level, white_level=self.sensor.white_level)
+        expected = (self.sensor.height_px, self.sensor.width_px)
+        if image.shape[:2] != expected:
+            raise InputError(
+                f"{path.name} is {image.shape[1]}x{image.shape[0]} px but session.toml says "
+                f"{expected[1]}x{expected[0]}; correct session.toml or the photograph"
+            )
+        return image
+
+    def white(self, name: str) -> np.ndarray | None:
+        """Mean colour of the middle of a white-sheet photograph, or None where there is none; (3,) float64."""
+        for folder in (self.folder / "white", self.folder.parent / "white"):
+            path = folder / f"{name}.png"
+            if path.is_file():
+                image = self.read(path)
+                rows, columns = (slice(n * 2 // 5, n * 3 // 5) for n in image.shape[:2])
+                return image[rows, columns].reshape(-1, 3).mean(axis=0).astype(float)
+        return None
+
+    def sheet(self, filter_name: str) -> np.ndarray | None:
+        """White light through a whole pupil of one filter, or None; (3,) float64."""
+        return self.white(_SHEETS[filter_name]) if filter_name in _SHEETS else None
+
+
+def read_session(folder: str | Path) -> Session:
+    """Read a session folder.
+
+    Raises
+    ------
+    InputError
+        A file or an entry is missing or does not make sense; the message names it.
+    """
+    folder = Path(folder)
+    settings = folder / "session.toml"
+    try:
+        text = settings.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot read {settings}: {error.strerror or error}; is this a session folder?") from None
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{settings}: {error}") from None
+
+    def number(section: str, key: str, default: float | None = None) -> float:
+        value = _entry(tree, section).get(key, default)
+        if not isinstance(value, int | float) or not np.isfinite(value) or value < 0:
+            raise InputError(f"{settings}: {key} in [{section}] must be a number >= 0, is {value!r}")
+        return float(value)
+
+    corners = _entry(tree, "board").get("inner_corners", [9, 6])
+    if not (isinstance(corners, list) and len(corners) == 2 and all(isinstance(c, int) and c > 2 for c in corners)):
+        raise InputError(f"{settings}: inner_corners in [board] must be two whole numbers, such as [9, 6]")
+    optional = _entry(tree, "sensor")
+    return Session(
+        folder=folder,
+        design=design_named(str(tree.get("design"))).name,
+        sensor=Sensor(
+            width_px=int(number("sensor", "width_px")),
+            height_px=int(number("sensor", "height_px")),
+            pixel_pitch_mm=number("sensor", "pixel_pitch_mm"),
+            black_level=number("sensor", "black_level", 0.0),
+            white_level=number("sensor", "white_level", 65535.0),
+            full_well_electrons=number("sensor", "full_well_electrons") if "full_well_electrons" in optional else None,
+            read_noise_electrons=number("sensor", "read_noise_electrons")
+            if "read_noise_electrons" in optional
+            else None,
+        ),
+        nominal_focal_length_mm=number("lens", "nominal_focal_length_mm"),
+        nominal_f_number=number("lens", "nominal_f_number"),
+        focused_at_about_mm=number("lens", "focused_at_about_mm"),
+        inner_corners=(corners[0], corners[1]),
+        square_mm=number("board", "square_mm"),
+        ruler_error_mm=number("board", "ruler_error_mm", 3.0),
+        boards=_distances(folder),
+        tilts=tuple(sorted((folder / "tilt").glob("*.png"))),
+    )
+
+
+def _entry(tree: Mapping[str, Any], section: str) -> Mapping[str, Any]:
+    entry = tree.get(section)
+    if not isinstance(entry, dict):
+        raise InputError(f"session.toml has no [{section}] section")
+    return entry
+
+
+def _distances(folder: Path) -> dict[Path, float]:
+    table = folder / "distances.csv"
+    try:
+        rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+        boards = {folder / row["file"]: float(row["ruler_mm"]) for row in rows}
+    except OSError as error:
+        raise InputError(f"cannot read {table}: {error.strerror or error}") from None
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{table} must have the columns file,ruler_mm with distances in mm") from None
+    missing = [path.name for path in boards if not path.is_file()]
+    if missing:
+        raise InputError(f"{table} names photographs that are not there: {', '.join(missing[:5])}")
+    return boards

@@ -1,0 +1,149 @@
+"""A session of simulated boards comes back as the camera that took it."""
+
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from chromaperture.calibrate import calibrate_session
+from chromaperture.depth.chessboard import board_distance, board_points, centered_pinhole, fit_intrinsics
+from chromaperture.depth.fit import fit_depth_model, fit_ruler
+from chromaperture.errors import InputError
+from planes import capture, texture
+
+A, B, DELTA = 4.3, 8200.0, 52.0
+RULERS = (1150, 1400, 1800, 2300, 3000)
+
+SESSION = """
+design = "cy_halves"
+[sensor]
+width_px = 144
+height_px = 108
+pixel_pitch_mm = 0.031
+black_level = 100
+white_level = 60100
+[lens]
+nominal_focal_length_mm = 50.0
+nominal_f_number = 2.0
+focused_at_about_mm = 1950
+[board]
+inner_corners = [9, 6]
+square_mm = 30.0
+ruler_error_mm = 3.0
+"""
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    rng = np.random.default_rng(3)
+    folder = tmp_path_factory.mktemp("world") / "session"
+    (folder / "board").mkdir(parents=True)
+    (folder / "session.toml").write_text(SESSION)
+    rows = ["file,ruler_mm"]
+    for ruler in RULERS:
+        image = capture(texture(rng, 108, 144), "cy_halves", A - B / (ruler - DELTA))
+        image = image + rng.normal(0, 0.003, image.shape)
+        counts = np.clip(image * 60000 + 100, 0, 65535).astype(np.uint16)
+        cv2.imwrite(str(folder / "board" / f"{ruler}.png"), counts[..., ::-1])
+        rows.append(f"board/{ruler}.png,{ruler}")
+    (folder / "distances.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+def test_the_curve_comes_back(session):
+    result = calibrate_session(session)
+    for quality, fit in result.fits.items():
+        # Pixels of one board share their texture: the middle's median is good to about 0.02 px, 3 mm at 1.5 m.
+        assert np.abs(fit.residual_px).max() < 0.03, quality
+        model = fit.model
+        for z in (1200.0, 2000.0, 2800.0):
+            true = A - B / (z - DELTA)
+            found = model.infinity_disparity_px - model.scale_px_mm / (z - model.sensor_to_pupil_mm)
+            assert found == pytest.approx(true, abs=0.03), quality
+    calibration = result.calibration
+    assert calibration.in_focus_mm == pytest.approx(B / A + DELTA, abs=12)  # 0.03 px there
+    assert any("white sheet" in note for note in result.notes)
+    assert any("intrinsics" in note for note in result.notes)
+
+
+def copy_with(session, tmp_path, **files):
+    folder = tmp_path / "copy"
+    shutil.copytree(session, folder)
+    for name, text in files.items():
+        (folder / name.replace("__", ".")).write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("files", "word"),
+    [
+        ({"session__toml": "design = 'cy_thirds'"}, "section"),
+        ({"session__toml": SESSION.replace("cy_halves", "magenta_annulus")}, "no parallax|shifts no channel"),
+        ({"session__toml": SESSION.replace("cy_halves", "cy_thirds")}, "cy_halves"),
+        ({"session__toml": SESSION.replace("[lens]", "[lense]")}, "lens"),
+        ({"session__toml": SESSION.replace("= 0.031", "= 'small'")}, "pixel_pitch_mm"),
+        ({"session__toml": SESSION.replace("= 144", "= 145")}, "145x108"),
+        ({"session__toml": SESSION.replace("= 1950", "= 60")}, "focal length"),
+        ({"session__toml": "design = ["}, r"session\.toml"),
+        ({"distances__csv": "file,ruler_cm\nboard/1150.png,115\n"}, "ruler_mm"),
+        ({"distances__csv": "file,ruler_mm\nboard/1150.png,far\n"}, "ruler_mm"),
+        ({"distances__csv": "file,ruler_mm\nboard/9999.png,9999\n"}, r"9999\.png"),
+        ({"distances__csv": "file,ruler_mm\nboard/1150.png,1150\nboard/1400.png,1400\n"}, "2 usable boards"),
+        ({"distances__csv": "file,ruler_mm\n" + "".join(
+            f"board/{r}.png,{far}\n" for r, far in zip(RULERS, RULERS[::-1], strict=True))}, "swapped"),
+    ],
+)  # fmt: skip
+def test_sessions_that_cannot_be_used_say_why(session, tmp_path, files, word):
+    with pytest.raises(InputError, match=word):
+        calibrate_session(copy_with(session, tmp_path, **files))
+
+
+def test_a_folder_without_a_session_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"session\.toml"):
+        calibrate_session(tmp_path)
+
+
+def test_an_outlier_board_does_not_move_the_fit(rng):
+    z = np.linspace(1000, 4000, 13)
+    disparity = A - B / (z - DELTA) + rng.normal(0, 0.01, 13)
+    disparity[4] += 0.6
+    fit = fit_depth_model(
+        z,
+        disparity,
+        disparity_sigma_px=np.full(13, 0.01),
+        distance_sigma_mm=1.5,
+        sensor_to_pupil_mm=50.0,
+        sensor_to_pupil_sigma_mm=3.0,
+    )
+    assert np.argmax(np.abs(fit.residual_mm)) == 4
+    assert fit.model.infinity_disparity_px == pytest.approx(A, abs=0.03)
+    assert np.sqrt(fit.model.covariance[0, 0]) < 0.03
+
+
+def test_ruler_and_poses_give_pupil_and_scale(rng):
+    pose = np.linspace(900, 3900, 25)
+    ruler = 0.99 * pose + 47.0 + rng.uniform(-3, 3, 25)
+    ruler[7] += 60  # misread by six centimetres
+    fit = fit_ruler(ruler, pose, ruler_sigma_mm=1.5)
+    assert fit.scale == pytest.approx(0.99, abs=0.002)
+    assert abs(fit.sensor_to_pupil_mm - 47.0) < 4 * fit.sigma_mm < 12
+
+
+def test_intrinsics_of_projected_boards_come_back():
+    """Corners projected by OpenCV's own camera model, so that only the fit is under test."""
+    rng = np.random.default_rng(1)
+    matrix = centered_pinhole(1650.0, (720, 480))
+    distortion = np.array([-0.1, 0, 0, 0, 0])
+    grid = board_points((9, 6), 30.0) - np.array([120, 75, 0], np.float32)
+    views = []
+    for _ in range(10):
+        turn = rng.uniform(-0.45, 0.45, 3)
+        place = np.array([rng.uniform(-120, 120), rng.uniform(-60, 60), rng.uniform(1100, 1800)])
+        pixels = cv2.projectPoints(grid, turn, place, matrix, distortion)[0][:, 0]
+        views.append((pixels + rng.normal(0, 0.05, pixels.shape)).astype(np.float32))
+    found = fit_intrinsics(views, (720, 480), (9, 6), 30.0)
+    assert found.camera_matrix[0, 0] == pytest.approx(1650, rel=0.004)  # 0.05 px over tilts of 25 degrees
+    assert found.rms_px < 0.08
+    flat = cv2.projectPoints(grid, np.zeros(3), np.array([0, 0, 2000.0]), matrix, distortion)[0][:, 0]
+    assert board_distance(flat.astype(np.float32), found, (9, 6), 30.0) == pytest.approx(2000, rel=0.004)

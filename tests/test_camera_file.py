@@ -1,0 +1,152 @@
+"""The camera file: everything comes back, a person can read it, and nothing broken gets through."""
+
+import dataclasses
+import re
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from chromaperture.calibration import FORMAT_VERSION, Calibration, Film, Lens, Sensor
+from chromaperture.depth.field import DepthField
+from chromaperture.errors import InputError
+from chromaperture.samples import SAMPLES, sample_camera
+
+
+def make_calibration(shape=None, **changes):
+    infinity, scale = ([4.5], [8700.0]) if shape is None else ([4.5, 0.1, -0.2], [8700.0, -300.0, 0.0])
+    depth = DepthField(np.array(infinity), np.array(scale), 49.5, np.diag([1e-4, 900.0, 4.0]))
+    calibration = Calibration(
+        design="cy_halves",
+        sensor=Sensor(9, 6, 0.031, 16.0, 1016.0, 5000.0, 4.0),
+        lens=Lens(50.3, np.array([[1668.0, 0, 4.0], [0, 1668.0, 2.5], [0, 0, 1]]), np.array([-0.1, 0, 0, 0, 0.0]), 2.0),
+        film=Film(
+            {"cyan": np.array([0.09, 0.57, 0.59]), "yellow": np.array([0.83, 0.76, 0.09])},
+            np.array([0.9, 0.9, 0.9]),
+            np.array([0.46, 0.67, 0.34]),
+        ),
+        depth={"paper": depth, "real-time": depth},
+        near_mm=900.0,
+        far_mm=5000.0,
+        provenance={"command": "chromaperture calibrate x", "rms_mm": {"paper": 3.0}, "boards": [{"file": "1.png"}]},
+    )
+    return dataclasses.replace(calibration, **changes)
+
+
+@pytest.mark.parametrize("maps", [None, "per pixel"])
+def test_everything_comes_back(tmp_path, maps):
+    before = make_calibration(maps)
+    before.save(tmp_path / "camera.asdf")
+    after = Calibration.load(tmp_path / "camera.asdf")
+    assert after.summary() == before.summary()
+    assert after.sensor == before.sensor
+    for quality, model in before.depth.items():
+        for field in dataclasses.fields(DepthField):
+            stored = getattr(after.depth[quality], field.name)
+            np.testing.assert_array_equal(stored, getattr(model, field.name))
+        assert np.shape(after.depth_model(quality).scale_px_mm) == (() if maps is None else (6, 9))
+    np.testing.assert_array_equal(after.unmixing, before.unmixing)
+    np.testing.assert_array_equal(after.lens.distortion, before.lens.distortion)
+
+
+def test_a_person_can_read_it(tmp_path):
+    make_calibration().save(tmp_path / "camera.asdf")
+    text = (tmp_path / "camera.asdf").read_text(encoding="utf-8")
+    for words in ("Lengths are", "design: cy_halves", "focal_length_mm: 50.3", "sensor_to_pupil_mm: 49.5"):
+        assert words in text
+
+
+def test_derived_figures_agree_with_the_lens_equation():
+    calibration = make_calibration()
+    image_distance = 1668.0 * 0.031
+    assert calibration.in_focus_mm == pytest.approx(8700 / 4.5 + 49.5, rel=1e-12)
+    # Similar triangles: seen from the focus surface, the views' disparity at infinity is the pupil's own baseline.
+    pupil_to_focus = 8700 / 4.5
+    assert calibration.baseline_mm == pytest.approx(2 * 0.031 * 4.5 * pupil_to_focus / image_distance, rel=1e-12)
+    near, far = calibration.disparity_range_px()
+    assert near < 0 < far < 4.5
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_bundled_cameras_are_sound(name):
+    calibration = Calibration.load(sample_camera(name))
+    summary = calibration.summary()
+    # The lens the captures were traced through: 50.34 mm, pupil 49.5 mm before the sensor, focused near 2 m.
+    assert summary["focal_length_mm"] == pytest.approx(50.34, rel=0.01)
+    assert summary["sensor_to_pupil_mm"] == pytest.approx(49.5, abs=5)
+    assert summary["in_focus_mm"] == pytest.approx(2000, abs=80)
+
+
+def test_newer_format_asks_for_an_upgrade(tmp_path):
+    path = tmp_path / "camera.asdf"
+    make_calibration().save(path)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace(f"format_version: {FORMAT_VERSION}", "format_version: 99"), encoding="utf-8")
+    with pytest.raises(InputError, match="upgrade"):
+        Calibration.load(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (r"focal_length_mm: 50.3", "focal_length_mm: -1"),
+        (r"focal_length_mm: 50.3", "focal_length_mm: .nan"),
+        (r"scale_px_mm: \[8700.0\]", "scale_px_mm: [-8700.0]"),
+        (r"scale_px_mm: \[8700.0\]", "scale_px_mm: [1, 2]"),
+        (r"scale_px_mm: \[8700.0\]", "scale_px_mm: [8700.0, 1, 2]"),
+        (r"scale_px_mm: \[8700.0\]", "scale_px_mm: []"),
+        (r"design: cy_halves", "design: cy_thirds"),
+        (r"design: cy_halves", "design: rgb_squares"),
+        (r"width_px: 9", "width_px: wide"),
+        (r"near_mm: 900.0", "near_mm: 9000.0"),
+        (r"format_version: \d+\n", ""),
+        (r"yellow: \[[^]]*\]", "yellow: [0.09, 0.57, 0.59]"),
+        (r"chromaperture_camera", "another_program"),
+    ],
+)
+def test_nonsense_is_refused_in_one_line(tmp_path, old, new):
+    path = tmp_path / "camera.asdf"
+    make_calibration().save(path)
+    text = path.read_text(encoding="utf-8")
+    changed = re.sub(old, new, text)
+    assert changed != text
+    path.write_text(changed, encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        Calibration.load(path)
+    assert "\n" not in str(error.value)
+
+
+def test_missing_file_says_how_to_make_one(tmp_path):
+    with pytest.raises(InputError, match="calibrate"):
+        Calibration.load(tmp_path / "none.asdf")
+
+
+def test_saving_leaves_nothing_half_written(tmp_path):
+    path = tmp_path / "camera.asdf"
+    broken = make_calibration(provenance={"unreadable": object()})
+    with pytest.raises(Exception, match="object"):
+        broken.save(path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(cut=st.floats(0, 1), flips=st.lists(st.tuples(st.floats(0, 0.999), st.integers(0, 255)), max_size=5))
+def test_damaged_files_load_whole_or_are_refused(tmp_path, cut, flips):
+    good = tmp_path / "good.asdf"
+    if not good.exists():
+        make_calibration("per pixel").save(good)
+    data = bytearray(good.read_bytes())
+    for place, value in flips:
+        data[int(place * len(data))] = value
+    path = tmp_path / "damaged.asdf"
+    path.write_bytes(data[: int(cut * len(data))])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            calibration = Calibration.load(path)
+        except InputError as error:
+            assert "\n" not in str(error)
+        else:
+            assert calibration.summary()["scale_px_mm"] > 0

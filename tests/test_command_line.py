@@ -1,0 +1,220 @@
+"""The command line as the contract fixes it: files, figures, exit codes, one clear line for bad input."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from chromaperture.cli.main import main
+from chromaperture.samples import SAMPLES, sample_camera, sample_image
+from planes import capture, texture
+
+SUFFIXES = (
+    "depth.tiff", "sigma.tiff", "disparity.tiff", "depth.png", "color.png", "ply", "preview.png", "json",
+)  # fmt: skip
+
+
+class Result(NamedTuple):
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def run(capfd, monkeypatch):
+    """Run the command line in this process; the demo is run as a process of its own."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["chromaperture", *map(str, arguments)])
+        capfd.readouterr()
+        code = 0
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code or 0
+        return Result(code, *capfd.readouterr())
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demo")
+    command = [sys.executable, "-c", "from chromaperture.cli.main import main; main()", "demo"]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=folder, timeout=300, check=False)
+    assert result.returncode == 0, result.stderr
+    return folder / "chromaperture-demo", result.stdout
+
+
+def test_demo_writes_every_file_and_a_table(demo):
+    folder, printed = demo
+    assert sorted(p.name for p in folder.iterdir()) == sorted(f"{s}.{x}" for s in SAMPLES for x in SUFFIXES)
+    for word in ("fill rate", "median", "mm", "preview.png"):
+        assert word in printed
+
+
+@pytest.mark.parametrize("sample", SAMPLES)
+def test_the_maps_of_the_demo_hang_together(demo, sample):
+    folder, _ = demo
+    depth, sigma, disparity = (tifffile.imread(folder / f"{sample}.{n}.tiff") for n in ("depth", "sigma", "disparity"))
+    assert depth.dtype == sigma.dtype == disparity.dtype == np.float32
+    assert depth.shape == (480, 720)
+    known = np.isfinite(depth)
+    assert (np.isfinite(sigma) == known).all()
+    assert (sigma[known] > 0).all()
+    assert (np.isfinite(disparity) >= known).all()
+    in_mm = cv2.imread(str(folder / f"{sample}.depth.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(in_mm, np.where(known, np.rint(np.nan_to_num(depth)), 0))
+    # Farther is larger disparity, everywhere: the curve is monotone.
+    order = np.argsort(disparity[known])
+    assert (np.diff(depth[known][order]) >= 0).all()
+    summary = json.loads((folder / f"{sample}.json").read_text())
+    assert summary["fill_rate"] == pytest.approx(known.mean(), abs=1e-6)
+    assert summary["depth_percentiles_mm"]["50"] == pytest.approx(np.median(depth[known]), rel=1e-5)
+    assert summary["config"]["matcher"]["step_px"] > 0
+    assert summary["camera"]["design"] in sample
+    header = (folder / f"{sample}.ply").read_bytes()[:400].decode("ascii", "replace")
+    assert f"element vertex {known.sum()}" in header
+    with Image.open(folder / f"{sample}.preview.png") as preview:
+        assert min(preview.size) > 500
+        shades = np.unique(np.asarray(preview.convert("RGB").resize((64, 48))).reshape(-1, 3), axis=0)
+        assert len(shades) > 200  # a picture, not a blank sheet
+
+
+def test_the_demo_scene_lies_where_it_stands(demo):
+    """Depths the scene was traced with; one curve for the whole frame knows no field curvature, so 8 %."""
+    folder, _ = demo
+    depth = tifffile.imread(folder / "still_life_cy_halves.depth.tiff")
+    assert np.nanmedian(depth[320:400, 340:440]) == pytest.approx(1850, rel=0.08)  # DEPTH
+    assert np.nanmedian(depth[300:420, 100:220]) == pytest.approx(1476, rel=0.08)  # OPTICS
+    assert np.nanmedian(depth[420:470, 480:580]) == pytest.approx(1299, rel=0.08)  # PUPIL
+
+
+def test_info_prints_json_with_units_in_the_names(run):
+    result = run("info", sample_camera(SAMPLES[0]), "--json")
+    assert result.returncode == 0, result.stderr
+    info = json.loads(result.stdout)
+    for name in ("focal_length_mm", "sensor_to_pupil_mm", "in_focus_mm", "baseline_mm"):
+        assert info[name] > 0
+    assert info["design"] == "cy_halves"
+    assert (info["width_px"], info["height_px"]) == (720, 480)
+
+
+def test_depth_is_quiet_writes_beside_the_image_and_gives_json(run, tmp_path):
+    image = tmp_path / "photo.png"
+    image.write_bytes(sample_image(SAMPLES[0]).read_bytes())
+    result = run("depth", image, "--camera", sample_camera(SAMPLES[0]), "-q", "--quality", "paper")
+    assert (result.returncode, result.stdout) == (0, ""), result.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(["photo.png", *(f"photo.{x}" for x in SUFFIXES)])
+    result = run("depth", image, "--camera", sample_camera(SAMPLES[0]), "--json", "--out", tmp_path / "again")
+    assert json.loads(result.stdout)[0]["fill_rate"] > 0.3
+
+
+def test_without_calibration_there_is_disparity_and_it_says_so(run, tmp_path, rng):
+    picture = capture(texture(rng, 120, 160), "rgb_squares", 2.4)
+    Image.fromarray(np.uint8(255 * picture ** (1 / 2.2))).save(tmp_path / "photo.png")
+    result = run("depth", tmp_path / "photo.png", "--design", "rgb_squares", "--out", tmp_path / "out")
+    assert result.returncode == 0, result.stderr
+    assert "No calibration" in result.stdout
+    names = sorted(p.name for p in (tmp_path / "out").iterdir())
+    assert names == ["photo.color.png", "photo.disparity.tiff", "photo.json", "photo.preview.png"]
+    disparity = tifffile.imread(tmp_path / "out" / "photo.disparity.tiff")
+    assert np.nanmedian(disparity) == pytest.approx(2.4, abs=0.03)  # 8 bits and another gamma than sRGB
+
+
+def bad_inputs(folder):
+    """Name, command, and a word of the line that must come; built once, each is one user's mistake."""
+    camera, image = sample_camera(SAMPLES[0]), sample_image(SAMPLES[0])
+    data = image.read_bytes()
+    counts = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
+    made = {
+        "truncated.png": data[: len(data) // 2],
+        "text.png": b"hello, I am not a picture",
+        "empty.png": b"",
+        "corrupt.asdf": camera.read_bytes()[:700],
+        "newer.asdf": re.sub(rb"format_version: \d+", b"format_version: 7", camera.read_bytes()),
+        "config.toml": b"[matcher]\nstep = 0.5\n",
+    }
+    for name, content in made.items():
+        (folder / name).write_bytes(content)
+    cv2.imwrite(str(folder / "black.png"), np.full_like(counts, 16))
+    cv2.imwrite(str(folder / "white.png"), np.full_like(counts, 1023))
+    cv2.imwrite(str(folder / "grey.png"), counts[..., 1])
+    cv2.imwrite(str(folder / "small.png"), counts[::2, ::2])
+    nan = (counts[..., ::-1].astype(np.float32) - 16) / 1000
+    nan[:] = np.nan
+    tifffile.imwrite(folder / "nan.tif", nan, photometric="rgb")
+    (folder / "file").write_text("in the way")
+    here = folder.joinpath
+    with_camera = ("--camera", camera, "--out", here("out"))
+    return {
+        "truncated image": (["depth", here("truncated.png"), *with_camera], "damaged"),
+        "not an image": (["depth", here("text.png"), *with_camera], "not an image"),
+        "empty file": (["depth", here("empty.png"), *with_camera], "empty"),
+        "missing file": (["depth", here("none.png"), *with_camera], "cannot read"),
+        "grey image": (["depth", here("grey.png"), *with_camera], "grey"),
+        "all black": (["depth", here("black.png"), *with_camera], "black"),
+        "saturated": (["depth", here("white.png"), *with_camera], "grey|saturated"),
+        "not a number": (["depth", here("nan.tif"), *with_camera], "finite"),
+        "other size": (["depth", here("small.png"), *with_camera], "360x240"),
+        "unknown design": (["depth", image, "--design", "cy_thirds", "--out", here("out")], "cy_halves"),
+        "design without parallax": (["depth", image, "--design", "open", "--out", here("out")], "shifts no channel"),
+        "neither camera nor design": (["depth", image, "--out", here("out")], "--camera"),
+        "corrupt camera": (["depth", image, "--camera", here("corrupt.asdf"), "--out", here("out")], "damaged"),
+        "newer camera": (["depth", image, "--camera", here("newer.asdf"), "--out", here("out")], "upgrade"),
+        "image as camera": (["depth", image, "--camera", image, "--out", here("out")], "not a camera file"),
+        "missing camera": (["info", here("none.asdf")], "no camera file"),
+        "unknown quality": (["depth", image, *with_camera, "--quality", "best"], "real-time"),
+        "levels": (["depth", image, *with_camera, "--black-level", "9000"], "black level"),
+        "unknown setting": (["depth", image, *with_camera, "--config", here("config.toml")], "'step'"),
+        "folder is a file": (["depth", image, "--camera", camera, "--out", here("file")], "cannot write"),
+        "same names": (["depth", image, image, *with_camera], "same files"),
+        "no session": (["calibrate", folder, "--out", here("c.asdf")], "session"),
+    }
+
+
+def test_bad_input_is_one_clear_line_exit_code_2_and_nothing_written(run, tmp_path):
+    cases = bad_inputs(tmp_path)
+    before = sorted(p.name for p in tmp_path.iterdir())
+    wrong = {}
+    for name, (command, word) in cases.items():
+        result = run(*command)
+        lines = [line for line in result.stderr.splitlines() if not line.startswith("warning:")]
+        good = result.returncode == 2 and len(lines) == 1 and re.search(word, lines[0]) and "Traceback" not in lines[0]
+        if not good:
+            wrong[name] = (result.returncode, result.stderr[-400:])
+    assert not wrong, "\n".join(f"{name}: {got}" for name, got in wrong.items())
+    assert sorted(p.name for p in tmp_path.iterdir() if p.name != "out") == before
+    assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere; run the tests as a user to see this one")
+def test_unwritable_folder(run, tmp_path):
+    folder = tmp_path / "locked"
+    folder.mkdir(mode=0o500)
+    result = run("depth", sample_image(SAMPLES[0]), "--camera", sample_camera(SAMPLES[0]), "--out", folder)
+    assert result.returncode == 2
+    assert "cannot write" in result.stderr
+
+
+def test_one_bad_image_does_not_stop_the_others(run, tmp_path):
+    (tmp_path / "bad.png").write_bytes(b"no")
+    good = sample_image(SAMPLES[0])
+    result = run("depth", tmp_path / "bad.png", good, "-c", sample_camera(SAMPLES[0]), "-o", tmp_path / "out")
+    assert result.returncode == 2
+    assert "bad.png" in result.stderr
+    assert (tmp_path / "out" / f"{good.stem}.depth.tiff").exists()
+
+
+def test_help_tells_how(run):
+    result = run("depth", "--help")
+    assert result.returncode == 0
+    assert "chromaperture depth photo.png --camera camera.asdf" in re.sub(r"\s+", " ", result.stdout)

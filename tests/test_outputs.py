@@ -1,0 +1,127 @@
+"""Files appear whole or not at all, in the encodings other programs expect."""
+
+import errno
+import json
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from chromaperture.depth.pointcloud import PointCloud, depth_to_points, write_ply
+from chromaperture.errors import InputError
+from chromaperture.outputs import staged, to_json, write_color_png, write_depth_png, write_float_tiff
+
+
+def test_depth_encodings(tmp_path):
+    depth = np.array([[1000.4, np.nan, 65535.4], [70000.0, 0.2, 1234.6]], np.float32)
+    write_float_tiff(tmp_path / "d.tiff", depth)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "d.tiff"), depth)
+    write_depth_png(tmp_path / "d.png", depth)
+    stored = cv2.imread(str(tmp_path / "d.png"), cv2.IMREAD_UNCHANGED)
+    assert stored.dtype == np.uint16
+    np.testing.assert_array_equal(stored, [[1000, 0, 65535], [0, 0, 1235]])
+
+
+def test_color_png_is_srgb(tmp_path):
+    color = np.zeros((2, 2, 3), np.float32)
+    color[0, 0] = (1.0, 0.2158605, np.nan)
+    write_color_png(tmp_path / "c.png", color)
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "c.png"))[0, 0, ::-1], [255, 128, 0])
+
+
+def test_files_appear_together(tmp_path):
+    with staged(tmp_path / "new" / "folder") as stage:
+        stage.path("a.txt").write_text("a")
+        stage.path("b.txt").write_text("b")
+        assert not (tmp_path / "new" / "folder" / "a.txt").exists()
+    assert sorted(p.name for p in (tmp_path / "new" / "folder").iterdir()) == ["a.txt", "b.txt"]
+
+
+@pytest.mark.parametrize("error", [RuntimeError("x"), KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left")])
+def test_an_error_leaves_the_old_files(tmp_path, error):
+    (tmp_path / "a.txt").write_text("old")
+
+    def write_and_fail():
+        with staged(tmp_path) as stage:
+            stage.path("a.txt").write_text("half of the n")
+            raise error
+
+    expected = InputError if isinstance(error, OSError) else type(error)
+    with pytest.raises(expected):
+        write_and_fail()
+    assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+    assert (tmp_path / "a.txt").read_text() == "old"
+
+
+def test_full_disk_is_one_clear_line(tmp_path):
+    # A file-size limit would kill the process; a full device raises the same error number in the same place.
+    with pytest.raises(InputError, match="disk is full"), staged(tmp_path) as stage:
+        target = stage.path("a.tiff")
+        with open("/dev/full", "wb") as full:
+            full.write(b"x" * 10_000_000)
+        target.touch()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_that_is_a_file_is_refused(tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError, match="--out"), staged(tmp_path / "file" / "below"):
+        pass
+
+
+def test_json_has_no_nan():
+    text = to_json({"a": np.float32(1.5), "b": [np.nan, np.inf], "c": np.arange(2), "d": (True, None)})
+    assert json.loads(text) == {"a": 1.5, "b": [None, None], "c": [0, 1], "d": [True, None]}
+
+
+def test_points_lie_on_their_rays():
+    # A tilted plane n . X = c seen by a pinhole: every point must satisfy the plane's own equation.
+    matrix = np.array([[800.0, 0, 31.5], [0, 810.0, 23.5], [0, 0, 1]])
+    v, u = np.mgrid[:48, :64]
+    rays = np.stack([(u - 31.5) / 800, (v - 23.5) / 810, np.ones_like(u)], -1)
+    normal, offset = np.array([0.2, -0.1, 1.0]), 1500.0
+    z = offset / (rays @ normal)
+    depth = z + 50.0
+    depth[5, 7] = np.nan
+    cloud = depth_to_points(
+        depth, np.full((48, 64, 3), 0.5), camera_matrix=matrix, distortion=np.zeros(5), sensor_to_pupil_mm=50.0
+    )
+    assert len(cloud.points_mm) == 48 * 64 - 1
+    np.testing.assert_allclose(cloud.points_mm @ normal, offset, rtol=1e-6)  # float32 points
+    assert cloud.points_mm[0, 0] < 0  # left
+    assert cloud.points_mm[0, 1] < 0  # up: y is down
+
+
+def test_distorted_pixels_project_back_to_themselves():
+    matrix = np.array([[800.0, 0, 31.5], [0, 800.0, 23.5], [0, 0, 1]])
+    distortion = np.array([-0.2, 0.05, 0.001, -0.002, 0.0])
+    depth = np.full((48, 64), 1050.0)
+    cloud = depth_to_points(
+        depth, np.zeros((48, 64, 3)), camera_matrix=matrix, distortion=distortion, sensor_to_pupil_mm=50.0
+    )
+    pixels, _ = cv2.projectPoints(cloud.points_mm.astype(float), np.zeros(3), np.zeros(3), matrix, distortion)
+    v, u = np.mgrid[:48, :64]
+    np.testing.assert_allclose(pixels[:, 0], np.stack([u.ravel(), v.ravel()], 1), atol=2e-4)  # float32 at 1 m
+
+
+def test_ply_can_be_read_back(tmp_path, rng):
+    cloud = PointCloud(rng.normal(size=(7, 3)).astype(np.float32), rng.integers(0, 255, (7, 3)).astype(np.uint8))
+    write_ply(tmp_path / "c.ply", cloud)
+    header, _, body = (tmp_path / "c.ply").read_bytes().partition(b"end_header\n")
+    assert b"element vertex 7\n" in header
+    assert len(body) == 7 * (3 * 4 + 3)
+    np.testing.assert_array_equal(np.frombuffer(body[:12], "<f4"), cloud.points_mm[0])
+    np.testing.assert_array_equal(np.frombuffer(body[12:15], "u1"), cloud.colors[0])
+
+
+def test_empty_cloud_is_a_valid_file(tmp_path):
+    cloud = depth_to_points(
+        np.full((4, 4), np.nan),
+        np.zeros((4, 4, 3)),
+        camera_matrix=np.eye(3),
+        distortion=np.zeros(5),
+        sensor_to_pupil_mm=0.0,
+    )
+    write_ply(tmp_path / "c.ply", cloud)
+    assert b"element vertex 0\n" in (tmp_path / "c.ply").read_bytes()
