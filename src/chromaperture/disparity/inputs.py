@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import cv2
 import numpy as np
 
-from chromaperture.color.unmixing import unmix
 from chromaperture.config import MatcherConfig
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, channel_transmission
@@ -24,7 +24,7 @@ class MatchInputs:
     Attributes
     ----------
     views : (H, W, K) float32
-        Views through the K filters, zero mean, pre-smoothed.
+        Views through the K filters, zero mean, pre-smoothed; in memory one plane after the other.
     directions : (K, 2) float64
         Displacement (x, y) of each view per px of disparity.
     layers_px : (D,) float64, px
@@ -34,7 +34,7 @@ class MatchInputs:
     mask : (H, W) float32
         1 where the capture is usable, 0 where it is saturated or not finite.
     noise_variance : (H, W, K) float32
-        Noise variance of the smoothed views; all zero when unknown.
+        Noise variance of the smoothed views; all zero when unknown. Even noise is a broadcast array.
     noise_covariance : (H, W, P) float32
         Noise covariance of the P pairs of views (0,1), (0,2), (1,2), before any shift.
     noise_overlap : (D, P) float32
@@ -65,13 +65,16 @@ def guide_weights(aperture: Aperture) -> np.ndarray:
     return full / full.sum() if full.any() else np.full(3, 1 / 3)
 
 
-def smooth(image: np.ndarray, sigma_px: float) -> np.ndarray:
-    """Gaussian with replicated borders; sigma 0 returns the image as it is."""
+def smooth(image: np.ndarray, sigma_px: float, *, out: np.ndarray | None = None) -> np.ndarray:
+    """Gaussian with replicated borders, of one plane (H, W) float32; sigma 0 copies the plane."""
+    if out is None:
+        out = np.empty_like(image)
     if sigma_px == 0:
-        return image
-    radius = math.ceil(4 * sigma_px)
-    size = (2 * radius + 1, 2 * radius + 1)
-    return cv2.GaussianBlur(image, size, sigma_px, borderType=cv2.BORDER_REPLICATE).reshape(image.shape)
+        out[:] = image
+    else:
+        size = 2 * math.ceil(4 * sigma_px) + 1
+        cv2.GaussianBlur(image, (size, size), sigma_px, dst=out, borderType=cv2.BORDER_REPLICATE)
+    return out
 
 
 def prepare(
@@ -104,43 +107,110 @@ def prepare(
     InputError
         A view is constant, so there is nothing to match.
     """
-    finite = np.isfinite(image).all(axis=2)
-    mask = finite & (image.max(axis=2) < SATURATION)
+    image = np.ascontiguousarray(image, np.float32)
+    brightest = cv2.max(cv2.max(image[..., 0], image[..., 1]), image[..., 2])
+    finite = np.isfinite(_mix(image, np.ones(3)))  # a sum with a NaN or an infinity in it is not finite
+    mask = finite & (brightest < SATURATION)
     if not mask.any():
         raise InputError(
             "no usable pixel: the whole image is saturated or not finite; lower the exposure, or check "
             "--black-level and --white-level"
         )
-    image = np.where(finite[..., None], image, np.float32(np.mean(image[mask])))
+    if not finite.all():
+        image = np.where(finite[..., None], image, np.float32(np.mean(image[mask])))
+    return prepare_views(
+        [_mix(image, row) for row in unmixing],
+        _mix(image, guide_rgb),
+        mask,
+        directions=directions,
+        noise_variance=_mix_noise(noise_variance, np.asarray(unmixing) ** 2),
+        noise_covariance=_mix_noise(
+            noise_variance, np.stack([unmixing[k] * unmixing[m] for k, m in view_pairs(len(unmixing))])
+        ),
+        config=config,
+    )
 
-    views = unmix(image, unmixing)
-    views -= views.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
-    views = smooth(views, config.presmooth_sigma_px)
-    flat = views.std(axis=(0, 1)) < 1e-6
-    if flat.any():
+
+def prepare_views(
+    views: Sequence[np.ndarray],
+    guide: np.ndarray,
+    mask: np.ndarray,
+    *,
+    directions: np.ndarray,
+    noise_variance: np.ndarray,
+    noise_covariance: np.ndarray,
+    config: MatcherConfig,
+) -> MatchInputs:
+    """Smooth the views and the guide and collect what the matcher needs.
+
+    Parameters
+    ----------
+    views : K arrays (H, W) float32, finite
+    guide : (H, W) float32, finite
+    mask : (H, W) bool
+    directions : (K, 2) float
+    noise_variance : (H, W, K) float32
+        Of the views, before smoothing.
+    noise_covariance : (H, W, P) float32
+        Of the pairs of views, before smoothing.
+    config : MatcherConfig
+
+    Returns
+    -------
+    MatchInputs
+
+    Raises
+    ------
+    InputError
+        A view is constant, so there is nothing to match.
+    """
+    planes = np.empty((len(views), *mask.shape), np.float32)  # one plane a view: fast to smooth and to match
+    for plane, view in zip(planes, views, strict=True):
+        smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
+    if min(cv2.meanStdDev(plane)[1][0, 0] for plane in planes) < 1e-6:
         raise InputError(
-            "the image is constant in at least one view of the aperture: nothing to match. A lens cap, an even wall, "
-            "a grey-scale file and a wrong aperture design look like this"
+            "the image is constant in at least one view of the aperture: nothing to match. A lens cap, an even "
+            "wall, a grey-scale file and a wrong aperture design look like this"
         )
-
-    pairs = view_pairs(len(unmixing))
-    rows = np.asarray(unmixing, np.float32)
-    white_noise_left, overlap = _noise_autocorrelation(config, directions, pairs)
-    variance = (noise_variance @ (rows**2).T) * white_noise_left
-    covariance = noise_variance @ np.stack([rows[k] * rows[m] for k, m in pairs], -1) * white_noise_left
-
-    guide = smooth(np.ascontiguousarray(image @ np.asarray(guide_rgb, np.float32)), 1.0)
-    scale = max(float(np.percentile(guide, 99) - np.percentile(guide, 1)), 1e-6) * config.bilateral_range
+    white_noise_left, overlap = _noise_autocorrelation(config, directions, view_pairs(len(views)))
+    guide = smooth(guide, 1.0)
+    sparse = max(1, round(math.sqrt(guide.size / 50_000)))  # the percentiles of a subset are as good
+    low, high = np.percentile(guide[::sparse, ::sparse], (1, 99))
+    guide *= np.float32(1 / (max(float(high - low), 1e-6) * config.bilateral_range))
     return MatchInputs(
-        views=views,
+        views=np.moveaxis(planes, 0, -1),
         directions=np.asarray(directions, float),
         layers_px=config.layers_px,
-        guide=(guide / np.float32(scale)).astype(np.float32),
+        guide=guide,
         mask=mask.astype(np.float32),
-        noise_variance=np.ascontiguousarray(variance, np.float32),
-        noise_covariance=np.ascontiguousarray(covariance, np.float32),
+        noise_variance=_scaled(noise_variance, white_noise_left),
+        noise_covariance=_scaled(noise_covariance, white_noise_left),
         noise_overlap=overlap.astype(np.float32),
     )
+
+
+def _mix(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Weighted sum of the channels; (H, W) float32."""
+    return cv2.transform(image, np.asarray(weights, np.float32)[None, :])
+
+
+def is_even(maps: np.ndarray) -> bool:
+    """Tell whether maps (H, W, N) hold one value a channel, by construction (`numpy.broadcast_to`)."""
+    return maps.strides[0] == 0 and maps.strides[1] == 0
+
+
+def _mix_noise(variance: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Noise of weighted sums of the channels, (H, W, N) float32; even noise stays even."""
+    weights = np.asarray(weights, np.float32)
+    if is_even(variance):
+        return np.broadcast_to((weights @ variance[0, 0]).astype(np.float32), (*variance.shape[:2], len(weights)))
+    return cv2.transform(np.ascontiguousarray(variance, np.float32), weights).reshape(*variance.shape[:2], -1)
+
+
+def _scaled(maps: np.ndarray, factor: np.float32) -> np.ndarray:
+    if is_even(maps):
+        return np.broadcast_to(maps[0, 0] * factor, maps.shape)
+    return maps * factor
 
 
 def _noise_autocorrelation(

@@ -1,33 +1,41 @@
-"""The matcher in Numba: what ``reference.py`` computes, layer by layer in float32 on both cores.
+"""The compiled matcher: what ``reference.py`` computes, in float32, on all cores.
 
-Schedule: the layers are independent until the winner is taken, so they are the parallel axis. A layer lives in a
-few planes of the padded picture: shifted views, their window means and gains, one cross term a pair of views. Each
-row of a plane is contiguous, so that every step except the recursion along a row runs over long vectors.
+Schedule. Horizontal recursions want whole rows, vertical ones whole columns, and a volume of scores does not fit the
+caches; so the picture is cut twice.
 
-Memory: one float32 volume (D, H, W), and for each thread 3 K + 4 planes of the padded picture.
+1. Bands of rows (`bands.py`), in parallel. A band samples its views at every sub-pixel phase the layers use, windows
+   the samples and their squares once, and then, eight layers at a time, windows the products, makes correlations of
+   them and filters these along x. What it works on stays in the cache; it leaves 16 bits a score.
+2. Strips of columns (`strips.py`), in parallel: the filter along y, the best layer, the parabola.
+
+A thread's first band needs ``halo`` rows above, every band as many below: so far does a window reach. A band that
+follows another takes over its windows.
+
+Memory: 2 bytes a score and about 60 MB of scratch for each thread at 1280 px width; both are kept for the next call.
 """
 
-# mypy: disallow-untyped-defs=False
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from functools import cache
 
+import cv2
+import numba
 import numpy as np
-from numba import njit, prange
 
 from chromaperture.config import MatcherConfig
-from chromaperture.disparity import reference
-from chromaperture.disparity.inputs import MatchInputs, view_pairs
+from chromaperture.disparity import bands, reference, strips
+from chromaperture.disparity.inputs import MatchInputs, is_even, view_pairs
+from chromaperture.disparity.simd import LANES
 from chromaperture.disparity.subpixel import Winner
 
-_compile = njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp", "reassoc"}, nogil=True)
-_compile_parallel = njit(
-    cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp", "reassoc"}, parallel=True
-)
-
-_ONE = np.float32(1)
-_HALF = np.float32(0.5)
-_BEND_FLOOR = np.float32(1e-12)
+# Share of a window's weight that a band may miss; small, because products have means far above their variances.
+_FORGOTTEN = 1e-6
+_BAND_ROWS = 180
 
 
 def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
@@ -42,16 +50,36 @@ def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
     -------
     Winner
     """
-    volume = _layer_planes(inputs, config)
-    if config.bilateral_sigma_px > 0:
-        weights = texture_weights(inputs, config)
-        near = np.float32(math.exp(-math.sqrt(2) / config.bilateral_sigma_px))
-        along_x, along_y = _links(np.ascontiguousarray(inputs.guide), near)
-        _regularise(volume, weights, along_x, along_y, _ONE - near)
+    near = _link_weight(config.bilateral_sigma_px)
+    height, width = inputs.mask.shape
+    layers = len(inputs.layers_px)
     step = inputs.layers_px[1] - inputs.layers_px[0]
-    winner = Winner(*(np.empty(inputs.mask.shape, np.float32) for _ in range(3)))
-    _take_winner(volume, np.float32(inputs.layers_px[0]), np.float32(step), *winner[:3])
-    return winner
+    disparity, peak, curvature = (np.empty((height, width), np.float32) for _ in range(3))
+    with _workspace() as workspace:
+        volume, maps = _filtered_scores(inputs, config, near, workspace)
+        scratch = workspace.array(
+            "strip", (numba.get_num_threads(), (height + 1) * strips.STRIP * _whole_slabs(layers)), np.float32
+        )
+
+        def take_winners(thread: int, first: int, last: int) -> None:
+            strips.take_winners(
+                volume,
+                maps.share,
+                maps.links_y,
+                near,
+                layers,
+                np.float32(inputs.layers_px[0]),
+                np.float32(step),
+                first,
+                last,
+                scratch[thread],
+                disparity,
+                peak,
+                curvature,
+            )
+
+        _in_parallel(take_winners, -(-width // bands.BLOCK))
+    return Winner(disparity, peak, curvature)
 
 
 def score_volume(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
@@ -59,311 +87,260 @@ def score_volume(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
 
     Returns
     -------
-    (H, W, D) float32
+    (H, W, D) float32, rounded to 1 / 32000
     """
-    return _layers_innermost(_layer_planes(inputs, config))
+    out = np.empty((*inputs.mask.shape, len(inputs.layers_px)), np.float32)
+    with _workspace() as workspace:
+        volume, _ = _filtered_scores(inputs, config, np.float32(0), workspace)
+        _in_parallel(lambda _, top, bottom: strips.unpack_scores(volume, top, bottom, out), len(out))
+    return out
 
 
 def texture_weights(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
-    """Weight of each pixel; the fast twin of `chromaperture.disparity.reference.texture_weights`; (H, W) float32."""
-    weights = np.ones(inputs.mask.shape, np.float32)
-    if config.texture_weighting:
-        _texture(
-            _planes(inputs.views),
-            _planes(inputs.noise_variance),
-            reference.variance_floor(inputs.views).astype(np.float32),
-            np.float32(config.window_decay),
-            weights,
-        )
-    return np.maximum(weights * inputs.mask, np.float32(reference.MIN_WEIGHT))
+    """Weight of each pixel in the aggregation; the twin of the reference's function; (H, W) float32."""
+    with _workspace() as workspace:
+        _, maps = _filtered_scores(inputs, config, np.float32(0), workspace, weights_only=True)
+        return maps.weights.copy()
 
 
-def _layer_planes(inputs: MatchInputs, config: MatcherConfig) -> np.ndarray:
-    """Score every layer; (D, H, W) float32."""
-    height, width, view_count = inputs.views.shape
+def _in_parallel(work: Callable[[int, int, int], None], count: int, threads: int | None = None) -> None:
+    """Run ``work(thread, first, last)`` over ``count`` pieces, in contiguous shares, on Numba's number of threads.
+
+    The compiled functions release the interpreter's lock. Plain threads compile several times faster than parallel
+    loops and may be used from any thread of the caller.
+    """
+    threads = min(numba.get_num_threads() if threads is None else threads, count)
+    shares = [(i, count * i // threads, count * (i + 1) // threads) for i in range(threads)]
+    others = [_pool().submit(work, *share) for share in shares[1:]]
+    try:
+        work(*shares[0])
+    finally:
+        wait(others)  # whatever happened, nobody writes to the arrays any more
+    for other in others:
+        other.result()
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="matcher")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork
+
+
+class Workspace:
+    """Memory that one call after the other may use; the system takes as long to hand it out as the work takes.
+
+    Everything handed out starts on a cache line (half of all vectors would else straddle two) and holds finite
+    numbers, if any.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[str, np.ndarray] = {}
+
+    def array(self, name: str, shape: tuple[int, ...], dtype: type) -> np.ndarray:
+        """Give an array with whatever finite numbers an earlier call left in it."""
+        size = math.prod(shape) * np.dtype(dtype).itemsize
+        raw = self._kept.get(name)
+        if raw is None or not size + 64 <= len(raw) <= 2 * size + 64:
+            raw = self._kept[name] = np.zeros(size + 64, np.uint8)
+        start = -raw.ctypes.data % 64
+        return raw[start : start + size].view(dtype).reshape(shape)
+
+
+_spare: list[Workspace] = []  # append and pop are atomic: threads that match at the same time take different ones
+
+
+@contextmanager
+def _workspace() -> Iterator[Workspace]:
+    """Lend a workspace; what it handed out must not outlive the loan."""
+    try:
+        workspace = _spare.pop()
+    except IndexError:
+        workspace = Workspace()
+    try:
+        yield workspace
+    finally:
+        _spare.append(workspace)
+
+
+def _link_weight(sigma_px: float) -> np.float32:
+    return np.float32(math.exp(-math.sqrt(2) / sigma_px) if sigma_px > 0 else 0)
+
+
+def _whole_slabs(layers: int) -> int:
+    return -(-layers // LANES) * LANES
+
+
+def _filtered_scores(
+    inputs: MatchInputs, config: MatcherConfig, near: np.float32, workspace: Workspace, *, weights_only: bool = False
+) -> tuple[np.ndarray, bands.RowMaps]:
+    """Score all layers and filter the scores along x; see `bands.score_bands`."""
+    height, width = inputs.mask.shape
     pad = reference.padding(inputs)
-    border = ((0, 0), (pad[1], pad[1]), (pad[0], pad[0]))
-    offsets = inputs.layers_px[:, None, None] * inputs.directions  # (D, K, 2)
-    whole = np.floor(offsets)
-    taps = np.stack(reference.cubic_taps(offsets - whole), axis=-1)
-    volume = np.empty((len(inputs.layers_px), height, width), np.float32)
-    _score_layers(
-        np.pad(_planes(inputs.views), border, mode="edge"),
-        np.pad(_planes(inputs.noise_variance), border, mode="edge"),
-        np.pad(_planes(inputs.noise_covariance), border, mode="edge"),
-        inputs.noise_overlap.astype(np.float32),
-        np.array(view_pairs(view_count)),
-        whole.astype(np.int64),
-        taps.astype(np.float32),
-        reference.variance_floor(inputs.views).astype(np.float32),
-        np.float32(config.window_decay),
-        np.float32(config.noise_debiasing),
-        pad,
-        volume,
+    samplings, layers = _plan(inputs, config, pad)
+    if weights_only:
+        layers = layers._replace(ceiling=layers.ceiling[:0])
+    halo = math.ceil(math.log(_FORGOTTEN) / math.log(config.window_decay))
+    least = 2 * pad[1] + 8
+    threads = max(1, min(numba.get_num_threads(), height // max(least, halo)))
+    rows_of_thread = -(-height // threads)
+    band_rows = -(-rows_of_thread // (-(-rows_of_thread // max(_BAND_ROWS, least))))
+
+    padded = width + 2 * pad[0]
+    rows = band_rows + 2 * halo + 4 * pad[1] + 3 * bands.GROUP
+    views = inputs.views.shape[2]
+    pairs = len(layers.pairs)
+    samples = (rows + 1) * samplings.row_length + 64
+    sizes = dict(
+        value=samples,
+        gain=samples,
+        mean_gain=samples,
+        grain=samplings.row_length + 64 if is_even(inputs.noise_variance) else samples,
+        ring=pairs * (rows + 1) * padded * LANES,
+        carry=(-(-len(samplings.owner) // 4) + len(layers.ceiling) // LANES * pairs) * padded * LANES,
+        state=pairs * padded * LANES,
+        lanes=(views * bands.GROUP + 2) * (padded + LANES) * LANES,
+        scores=width * LANES,
+        line=width + 2 * samplings.margin + 16,
     )
-    return volume
+    scratch = bands.Scratch(
+        *(
+            workspace.array(name, (threads, -(-size // 16) * 16), np.float32)
+            for name, size in sizes.items()
+        )
+    )
+    wide = -(-width // bands.BLOCK) * bands.BLOCK
+    volume = workspace.array("volume", (wide * height * len(layers.ceiling),), np.int16)
+    widths = dict(weights=width, links=width + 1, links_y=wide, share=wide, scale=width)
+    maps = bands.RowMaps(
+        *(workspace.array(name, (height, size), np.float32) for name, size in widths.items())
+    )
+    pictures = bands.Pictures(
+        views=_planes(inputs.views),
+        noise=_planes(inputs.noise_variance),
+        covariance=_planes(inputs.noise_covariance),
+        mask=np.ascontiguousarray(inputs.mask, np.float32),
+        guide=np.ascontiguousarray(inputs.guide, np.float32),
+    )
+    numbers = bands.Numbers(
+        decay=np.float32(config.window_decay),
+        debias=np.float32(config.noise_debiasing),
+        weighting=config.texture_weighting,
+        near=near,
+        epsilon=_variance_floor(pictures.views),
+        min_share=np.float32(reference.MIN_VARIANCE_SHARE),
+        min_weight=np.float32(reference.MIN_WEIGHT),
+    )
+
+    def score_bands(thread: int, first: int, last: int) -> None:
+        own = bands.Scratch(*(array[thread] for array in scratch))
+        for band in range(first, last):
+            top, bottom = band * band_rows, min((band + 1) * band_rows, height)
+            begin = band == first
+            bands.score_band(
+                pictures, samplings, layers, numbers, pad, halo, top, bottom, begin, own, volume, maps
+            )
+
+    _in_parallel(score_bands, -(-height // band_rows), threads)
+    return volume, maps
+
+
+def _plan(
+    inputs: MatchInputs, config: MatcherConfig, pad: tuple[int, int]
+) -> tuple[bands.Samplings, bands.Layers]:
+    """Decide which sub-pixel phases of the views are sampled, where they are kept, and how the layers find them."""
+    width = inputs.mask.shape[1]
+    count = len(inputs.layers_px)
+    lanes = _whole_slabs(count)
+    layers_px = inputs.layers_px
+    step_px = layers_px[1] - layers_px[0]
+    views = len(inputs.directions)
+    pairs = view_pairs(views)
+    margin = 2 * pad[0] + 2 * LANES + 4
+    row_samples = width + 2 * margin
+
+    owner: list[int] = []
+    phases: list[tuple[float, float]] = []
+    starts: list[int] = []
+    steps: list[int] = []
+    still = np.zeros(views, np.int64)
+    direct = np.zeros(views, bool)
+    start = np.zeros(views, np.int64)
+    step = np.zeros(views, np.int64)
+    entry = np.zeros((views, lanes), np.int64)
+    whole = np.zeros((views, lanes, 2), np.int64)
+    length = 0
+
+    def keep(k: int, phase: tuple[float, float], at: int, along: int) -> int:
+        owner.append(k)
+        phases.append(phase)
+        starts.append(at)
+        steps.append(along)
+        return len(owner) - 1
+
+    for k, direction in enumerate(inputs.directions):
+        per_layer = step_px * direction
+        up = round(1 / abs(per_layer[0])) if abs(per_layer[0]) > 1e-9 else 0
+        direct[k] = 1 <= up <= 8 and abs(abs(per_layer[0]) * up - 1) < 1e-9 and direction[1] == 0
+        known: dict[tuple[float, float], int] = {}
+        if direct[k]:
+            origin = up * layers_px[0] * direction[0]
+            ahead = math.floor(origin + 1e-9)
+            part = max(origin - ahead, 0.0)
+            forward = per_layer[0] > 0
+            size = up * row_samples
+            for j in range(up):
+                phase = ((j + part) / up, 0.0)
+                at = length + (j if forward else size - 1 - j)
+                known[phase] = keep(k, phase, at, up if forward else -up)
+            first = up * margin + ahead
+            start[k] = length + (first if forward else size - 1 - first)
+            step[k] = up if forward else -up
+            length += size
+        else:
+            offsets = layers_px[:, None] * direction
+            base = np.floor(offsets + 1e-9)
+            parts = np.maximum(offsets - base, 0)
+            for s in range(lanes):
+                layer = min(s, count - 1)
+                phase = (round(float(parts[layer, 0]), 9), round(float(parts[layer, 1]), 9))
+                if phase not in known:
+                    known[phase] = keep(k, phase, length, 1)
+                    length += row_samples
+                entry[k, s] = known[phase]
+                whole[k, s] = base[layer]
+        if (0.0, 0.0) not in known:
+            known[0.0, 0.0] = keep(k, (0.0, 0.0), length, 1)
+            length += row_samples
+        still[k] = known[0.0, 0.0]
+
+    taps = np.array([[reference.cubic_taps(t) for t in phase] for phase in phases], np.float32)
+    overlap = np.zeros((len(pairs), lanes), np.float32)
+    overlap[:, :count] = inputs.noise_overlap.T * config.noise_debiasing
+    ceiling = np.where(np.arange(lanes) < count, 1, -1).astype(np.float32)
+    samplings = bands.Samplings(
+        owner=np.array(owner),
+        taps_x=np.ascontiguousarray(taps[:, 0]),
+        taps_y=np.ascontiguousarray(taps[:, 1]),
+        start=np.array(starts),
+        step=np.array(steps),
+        still=still,
+        row_length=length,
+        margin=margin,
+    )
+    return samplings, bands.Layers(
+        direct, start, step, entry, whole, overlap.ravel(), ceiling, np.array(pairs)
+    )
 
 
 def _planes(maps: np.ndarray) -> np.ndarray:
-    """(H, W, N) to contiguous (N, H, W) float32."""
-    return np.ascontiguousarray(np.moveaxis(maps, 2, 0), np.float32)
+    """(H, W, N) to contiguous (N, H, W) float32, or to (N, 1, 1) where even."""
+    return np.ascontiguousarray(np.moveaxis(maps[:1, :1] if is_even(maps) else maps, 2, 0), np.float32)
 
 
-@_compile_parallel
-def _score_layers(
-    views, noise, covariance, overlap, pairs, whole, taps, epsilon, decay, debias, pad, volume
-):  # fmt: skip
-    count, padded_height, padded_width = views.shape
-    layers, height, width = volume.shape
-    x0, y0 = pad
-    share = np.float32(reference.MIN_VARIANCE_SHARE)
-    for s in prange(layers):
-        moved = np.empty_like(views)
-        mean = np.empty_like(views)
-        gain = np.empty_like(views)
-        term = np.empty((padded_height, padded_width), np.float32)
-        rho = np.empty((len(pairs), width), np.float32)
-        cross = np.empty((len(pairs), padded_height, padded_width), np.float32)
-        for k in range(count):
-            _shift(noise[k], whole[s, k], taps[s, k], term, gain[k])
-            _shift(views[k], whole[s, k], taps[s, k], term, moved[k])
-            _product(moved[k], moved[k], term)
-            _window(term, decay)
-            mean[k] = moved[k]
-            _window(mean[k], decay)
-            for y in range(padded_height):
-                for x in range(padded_width):
-                    variance = term[y, x] - mean[k, y, x] * mean[k, y, x]
-                    clean = max(variance - gain[k, y, x] * debias, share * variance)
-                    gain[k, y, x] = _ONE / np.sqrt(max(clean, np.float32(0)) + epsilon[k])
-        for p in range(len(pairs)):
-            _product(moved[pairs[p, 0]], moved[pairs[p, 1]], cross[p])
-            _window(cross[p], decay)
-        for y in range(height):
-            for p in range(len(pairs)):
-                k, m = pairs[p]
-                left = overlap[s, p] * debias
-                for x in range(width):
-                    i, j = y + y0, x + x0
-                    value = cross[p, i, j] - mean[k, i, j] * mean[m, i, j] - left * covariance[p, i, j]
-                    rho[p, x] = min(max(value * gain[k, i, j] * gain[m, i, j], -_ONE), _ONE)
-            if count == 2:
-                volume[s, y] = rho[0]
-            else:
-                for x in range(width):
-                    a, b, c = rho[0, x], rho[1, x], rho[2, x]
-                    determinant = _ONE + (a + a) * b * c - a * a - b * b - c * c
-                    volume[s, y, x] = _ONE - np.sqrt(max(determinant, np.float32(0)))
-
-
-@_compile
-def _product(a, b, out):
-    for y in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            out[y, x] = a[y, x] * b[y, x]
-
-
-@_compile
-def _shift(view, whole, taps, scratch, out):
-    """Sample a plane at x + whole + fraction, borders replicated: rows into ``scratch``, columns into ``out``."""
-    height, width = view.shape
-    dx, dy = whole
-    t0, t1, t2, t3 = taps[0]
-    first, last = min(max(1 - dx, 0), width), max(min(width - 2 - dx, width), 0)
-    for y in range(height):
-        for x in range(width):
-            if x == first and last > first:
-                break
-            scratch[y, x] = _clamped_taps(view[y], x + dx, t0, t1, t2, t3)
-        for x in range(first, last):
-            i = x + dx
-            scratch[y, x] = t0 * view[y, i - 1] + t1 * view[y, i] + t2 * view[y, i + 1] + t3 * view[y, i + 2]
-        for x in range(max(first, last), width):
-            scratch[y, x] = _clamped_taps(view[y], x + dx, t0, t1, t2, t3)
-    t0, t1, t2, t3 = taps[1]
-    end = height - 1
-    for y in range(height):
-        i = y + dy
-        a, b = scratch[min(max(i - 1, 0), end)], scratch[min(max(i, 0), end)]
-        c, d = scratch[min(max(i + 1, 0), end)], scratch[min(max(i + 2, 0), end)]
-        for x in range(width):
-            out[y, x] = t0 * a[x] + t1 * b[x] + t2 * c[x] + t3 * d[x]
-
-
-@_compile
-def _clamped_taps(row, i, t0, t1, t2, t3):
-    end = len(row) - 1
-    before, here = row[min(max(i - 1, 0), end)], row[min(max(i, 0), end)]
-    after, beyond = row[min(max(i + 1, 0), end)], row[min(max(i + 2, 0), end)]
-    return t0 * before + t1 * here + t2 * after + t3 * beyond
-
-
-@_compile
-def _window(plane, decay):
-    """Average a plane in place in the window a^(|x|+|y|), the picture continued beyond its border."""
-    height, width = plane.shape
-    gain = _ONE - decay
-    ending = _ONE / (_ONE + decay)
-    # Along x four rows at a time: each row's recursion waits for itself, four of them fill the pipeline.
-    for y in range(0, height - height % 4, 4):
-        r0, r1, r2, r3 = plane[y], plane[y + 1], plane[y + 2], plane[y + 3]
-        f0, f1, f2, f3 = r0[0], r1[0], r2[0], r3[0]
-        for x in range(width - 1):
-            f0 = gain * r0[x] + decay * f0
-            f1 = gain * r1[x] + decay * f1
-            f2 = gain * r2[x] + decay * f2
-            f3 = gain * r3[x] + decay * f3
-            r0[x], r1[x], r2[x], r3[x] = f0, f1, f2, f3
-        x = width - 1
-        f0 = r0[x] + (gain * r0[x] + decay * f0 - r0[x]) * ending
-        f1 = r1[x] + (gain * r1[x] + decay * f1 - r1[x]) * ending
-        f2 = r2[x] + (gain * r2[x] + decay * f2 - r2[x]) * ending
-        f3 = r3[x] + (gain * r3[x] + decay * f3 - r3[x]) * ending
-        r0[x], r1[x], r2[x], r3[x] = f0, f1, f2, f3
-        for x in range(width - 2, -1, -1):
-            f0 = gain * r0[x] + decay * f0
-            f1 = gain * r1[x] + decay * f1
-            f2 = gain * r2[x] + decay * f2
-            f3 = gain * r3[x] + decay * f3
-            r0[x], r1[x], r2[x], r3[x] = f0, f1, f2, f3
-    for y in range(height - height % 4, height):
-        row = plane[y]
-        f = row[0]
-        for x in range(width - 1):
-            f = gain * row[x] + decay * f
-            row[x] = f
-        last = row[width - 1]
-        f = last + (gain * last + decay * f - last) * ending
-        row[width - 1] = f
-        for x in range(width - 2, -1, -1):
-            f = gain * row[x] + decay * f
-            row[x] = f
-    for y in range(1, height - 1):
-        for x in range(width):
-            plane[y, x] = gain * plane[y, x] + decay * plane[y - 1, x]
-    if height > 1:
-        for x in range(width):
-            last = plane[height - 1, x]
-            forward = gain * last + decay * plane[height - 2, x]
-            plane[height - 1, x] = last + (forward - last) * ending
-    for y in range(height - 2, -1, -1):
-        for x in range(width):
-            plane[y, x] = gain * plane[y, x] + decay * plane[y + 1, x]
-
-
-@_compile_parallel
-def _texture(views, noise, epsilon, decay, weights):
-    count = len(views)
-    root = _ONE / np.float32(count)
-    share = np.empty_like(views)
-    for k in prange(count):
-        mean = views[k].copy()
-        square = np.empty_like(mean)
-        _product(mean, mean, square)
-        _window(square, decay)
-        _window(mean, decay)
-        for y in range(mean.shape[0]):
-            for x in range(mean.shape[1]):
-                signal = max(square[y, x] - mean[y, x] * mean[y, x] - noise[k, y, x], np.float32(0))
-                share[k, y, x] = signal / (signal + noise[k, y, x] + epsilon[k])
-    for y in prange(weights.shape[0]):
-        for x in range(weights.shape[1]):
-            product = share[0, y, x]
-            for k in range(1, count):
-                product *= share[k, y, x]
-            weights[y, x] = product**root
-
-
-@_compile_parallel
-def _links(guide, near):
-    """Weight with which pixels hear their left and upper neighbours; the first column and row stay unused."""
-    height, width = guide.shape
-    along_x = np.zeros_like(guide)
-    along_y = np.zeros_like(guide)
-    for y in prange(height):
-        for x in range(1, width):
-            along_x[y, x] = near * np.exp(-abs(guide[y, x] - guide[y, x - 1]))
-        if y > 0:
-            for x in range(width):
-                along_y[y, x] = near * np.exp(-abs(guide[y, x] - guide[y - 1, x]))
-    return along_x, along_y
-
-
-@_compile_parallel
-def _regularise(volume, weights, along_x, along_y, gain):
-    layers, height, width = volume.shape
-    share = weights.copy()
-    _bilateral(share, along_x, along_y, gain)
-    for s in prange(layers):
-        _product(volume[s], weights, volume[s])
-        _bilateral(volume[s], along_x, along_y, gain)
-        for y in range(height):
-            for x in range(width):
-                volume[s, y, x] /= share[y, x]
-
-
-@_compile
-def _bilateral(plane, along_x, along_y, gain):
-    """Replace a plane by the sum of its forward and backward recursions along x, then along y."""
-    height, width = plane.shape
-    backward = np.empty(width, np.float32)
-    for y in range(height):
-        row, link = plane[y], along_x[y]
-        state = row[width - 1]
-        backward[width - 1] = state
-        for x in range(width - 2, -1, -1):
-            state = gain * row[x] + link[x + 1] * state
-            backward[x] = state
-        state = row[0]
-        row[0] = state + backward[0]
-        for x in range(1, width):
-            state = gain * row[x] + link[x] * state
-            row[x] = state + backward[x]
-    above = np.empty((height, width), np.float32)
-    above[0] = plane[0]
-    for y in range(1, height):
-        for x in range(width):
-            above[y, x] = gain * plane[y, x] + along_y[y, x] * above[y - 1, x]
-    below = plane[height - 1].copy()
-    for x in range(width):
-        plane[height - 1, x] = above[height - 1, x] + below[x]
-    for y in range(height - 2, -1, -1):
-        for x in range(width):
-            below[x] = gain * plane[y, x] + along_y[y + 1, x] * below[x]
-            plane[y, x] = above[y, x] + below[x]
-
-
-@_compile_parallel
-def _take_winner(volume, first, step, disparity, peak, curvature):
-    layers, height, width = volume.shape
-    for y in prange(height):
-        best = volume[0, y].copy()
-        index = np.zeros(width, np.int32)
-        for s in range(1, layers):
-            for x in range(width):
-                higher = volume[s, y, x] > best[x]
-                best[x] = volume[s, y, x] if higher else best[x]
-                index[x] = s if higher else index[x]
-        for x in range(width):
-            inner = min(max(index[x], 1), layers - 2)
-            left, center, right = volume[inner - 1, y, x], volume[inner, y, x], volume[inner + 1, y, x]
-            bend = max(center + center - left - right, np.float32(0))
-            slope = right - left
-            offset, rise = np.float32(0), np.float32(0)
-            if bend > _BEND_FLOOR:
-                offset = min(max(_HALF * slope / bend, -_HALF), _HALF)
-                rise = slope * slope / (np.float32(8) * bend)
-            disparity[y, x] = first + step * (np.float32(inner) + offset) if index[x] == inner else np.nan
-            peak[y, x] = center + rise
-            curvature[y, x] = bend / (step * step)
-
-
-@_compile_parallel
-def _layers_innermost(volume):
-    layers, height, width = volume.shape
-    out = np.empty((height, width, layers), np.float32)
-    for y in prange(height):
-        for x in range(width):
-            for s in range(layers):
-                out[y, x, s] = volume[s, y, x]
-    return out
+def _variance_floor(planes: np.ndarray) -> np.ndarray:
+    """Do as `chromaperture.disparity.reference.variance_floor`, for planes (K, H, W); (K,) float32."""
+    deviations = np.array([cv2.meanStdDev(plane)[1][0, 0] for plane in planes])
+    return (reference.RELATIVE_EPSILON * deviations**2 + 1e-30).astype(np.float32)

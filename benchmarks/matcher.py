@@ -1,0 +1,95 @@
+"""The matcher against OpenCV's stereo matchers: HD, 32 layers of half a pixel, from float planes to disparity.
+
+The scene is a textured wavy surface with steps, seen through the sub-apertures by exact shifts of a smooth texture;
+its truth is known, so that the share of right pixels stands beside the speed. The stereo pair of the peers is made of
+the first and the last view, 32 whole-pixel disparities of twice the range.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numba
+import numpy as np
+from timing import fastest_ms
+
+from chromaperture.color.unmixing import view_directions
+from chromaperture.config import MatcherConfig
+from chromaperture.disparity import kernels
+from chromaperture.disparity.inputs import prepare_views, view_pairs
+from chromaperture.optics.aperture import design_named
+
+HEIGHT, WIDTH = 720, 1280
+NOISE = 0.004
+CONFIG = MatcherConfig(min_disparity_px=-8.0, max_disparity_px=7.5, step_px=0.5)
+DESIGNS = {"hd32_two_filters": "cy_halves", "hd32_three_filters": "cmy_squares", "hd32_three_circles": "cmy_circles"}
+
+
+def scene(directions: np.ndarray, *, seed: int = 5) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+    """Views (H, W) and guide as float32 planes and the true half disparity, px."""
+    rng = np.random.default_rng(seed)
+    margin = 24
+    big = (HEIGHT + 2 * margin, WIDTH + 2 * margin)
+    texture = sum(s * cv2.GaussianBlur(rng.normal(size=big).astype(np.float32), (0, 0), s) for s in (1.5, 5.0))
+    texture = 0.5 + 0.1 * texture / texture.std()
+    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float32)
+    truth = 4 * np.sin(x / 190) * np.cos(y / 150)
+    truth[150:400, 300:700] -= 2
+    truth = truth.astype(np.float32)
+    planes = []
+    for u, v in (*directions, (0, 0)):
+        at_x, at_y = x + margin - truth * np.float32(u), y + margin - truth * np.float32(v)
+        view = cv2.remap(texture, at_x, at_y, cv2.INTER_CUBIC)
+        planes.append((view + rng.normal(0, NOISE, view.shape)).astype(np.float32))
+    return planes[:-1], planes[-1], truth
+
+
+def benchmark() -> dict:
+    results: dict = {}
+    for case, design in DESIGNS.items():
+        aperture = design_named(design)
+        directions = view_directions(aperture)
+        views, guide, truth = scene(directions)
+        mask = np.ones((HEIGHT, WIDTH), bool)
+        count, pairs = len(views), view_pairs(len(views))
+        noise = {
+            "noise_variance": np.broadcast_to(np.float32(NOISE**2), (HEIGHT, WIDTH, count)),
+            "noise_covariance": np.broadcast_to(np.float32(0), (HEIGHT, WIDTH, len(pairs))),
+        }
+
+        def match(views=views, guide=guide, directions=directions, mask=mask, noise=noise):
+            inputs = prepare_views(views, guide, mask, directions=directions, config=CONFIG, **noise)
+            return kernels.match(inputs, CONFIG)
+
+        found = match().disparity_px
+        results[case] = {
+            "accuracy": {
+                "median_error_px": round(float(np.nanmedian(np.abs(found - truth))), 4),
+                "share_within_half_px": round(float((np.abs(found - truth) < 0.5).mean()), 4),
+            }
+        }
+        for threads in (1, 2):
+            if threads > numba.config.NUMBA_NUM_THREADS:
+                continue
+            best = fastest_ms({"match": match, **peers(views)}, threads=threads)
+            own = best.pop("match")
+            figures = {f"ratio_to_{name}": round(own / peer, 3) for name, peer in best.items()}
+            results[case][f"threads_{threads}"] = {**figures, "ms": round(own, 1)}
+    return results
+
+
+def peers(views: list[np.ndarray]) -> dict:
+    """OpenCV's matchers at work on the 8-bit pair; 32 disparities, block 7."""
+    left, right = (np.clip(255 * view, 0, 255).astype(np.uint8) for view in (views[0], views[-1]))
+    block, disparities = 7, 32
+    steps = {"P1": 8 * block**2, "P2": 32 * block**2}
+
+    def semi_global(mode: int):
+        return cv2.StereoSGBM.create(-16, disparities, block, mode=mode, **steps)
+
+    three_way, full = semi_global(cv2.STEREO_SGBM_MODE_SGBM_3WAY), semi_global(cv2.STEREO_SGBM_MODE_SGBM)
+    block_matcher = cv2.StereoBM.create(disparities, block)
+    return {
+        "sgbm_3way": lambda: three_way.compute(left, right),
+        "sgbm": lambda: full.compute(left, right),
+        "bm": lambda: block_matcher.compute(left, right),
+    }
