@@ -8,6 +8,7 @@ from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.pinhole import PupilCamera
 
+_MOST_CELLS = 3000  # across the pupil; memory grows with the square
 _SUBPIXELS = 8  # image samples across a pixel, before they are added up
 
 
@@ -50,7 +51,7 @@ def diffraction_psf(
     Raises
     ------
     InputError
-        An even size.
+        An even size, or a blur of so many waves that the pupil cannot be sampled.
     """
     if size % 2 == 0:
         raise InputError(f"the kernel needs an odd size, got {size}")
@@ -62,6 +63,11 @@ def diffraction_psf(
         # image point.
         steps = (2 * abs(w20) + ratio * half_um * 2**0.5) / min(wavelengths_um)
         cells = 2 * int(np.ceil(max(32, 4 * steps)))
+    if cells > _MOST_CELLS:
+        raise InputError(
+            f"the defocus of {w20:.0f} um is hundreds of waves: diffraction is lost in it, use the "
+            "geometric PSF"
+        )
     axis = (np.arange(cells) + 0.5) * 2 / cells - 1
     xi, eta = np.meshgrid(axis, axis)
     amplitude = np.sqrt(aperture.transmission_map(xi, eta))

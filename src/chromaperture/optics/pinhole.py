@@ -1,4 +1,4 @@
-"""The camera that a lens is to first order: a pinhole in the entrance pupil, whose pupil has a size and a focus."""
+"""What a lens is to first order: a pinhole in the entrance pupil, with a pupil radius and a focus."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class PupilCamera:
         return self.image_distance_mm / (2 * self.pupil_radius_mm)
 
     def blur_radius_px(self, depth_mm: np.ndarray | float) -> np.ndarray:
-        """Signed displacement of the pupil's edge, r = (F R / mu) (1 / z_f - 1 / z), + beyond the focus plane.
+        """Signed displacement of the pupil's edge, r = (F R / mu)(1 / z_f - 1 / z), + beyond the focus.
 
         Parameters
         ----------

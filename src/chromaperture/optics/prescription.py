@@ -96,7 +96,7 @@ class Prescription:
 
     @property
     def filter_index(self) -> int:
-        """Number of the surface that carries the colour filters: the stop unless a filter plane was put in."""
+        """Number of the surface that carries the colour filters: the stop, or a filter plane put in."""
         return next((i for i, s in enumerate(self.surfaces) if s.role == "filter"), self.stop_index)
 
     def indices(self, wavelength_um: float) -> np.ndarray:
