@@ -139,20 +139,35 @@ def lens_rays(
         lens_bundle(lens, fields, wavelength_um=w, data=data, cells=cells) for w in lens.wavelengths_um
     ]
     used = light.any(axis=(0, 1))
-    origin = np.stack([o[:, used] for o, _ in bundles]).reshape(3, gy, gx, -1, 2)
-    slope = np.stack([s[:, used] for _, s in bundles]).reshape(3, gy, gx, -1, 2)
-    weight = light[..., used].reshape(3, gy, gx, -1)
+    chief = chief_rays(lens, fields, data=data)
+    origin, slope = (
+        np.stack([_filled(bundle[i][:, used], chief[:, 2 * i : 2 * i + 2], fields) for bundle in bundles])
+        for i in range(2)
+    )
     return RayTable(
         width_px=width_px,
         height_px=height_px,
         x_px=x_px,
         y_px=y_px,
         z_mm=data.sensor_to_entrance_pupil_mm,
-        origin=origin.astype(np.float32),
-        slope=slope.astype(np.float32),
-        weight=weight.astype(np.float32),
-        chief=chief_rays(lens, fields, data=data).reshape(gy, gx, 4).astype(np.float32),
+        origin=origin.reshape(3, gy, gx, -1, 2).astype(np.float32),
+        slope=slope.reshape(3, gy, gx, -1, 2).astype(np.float32),
+        weight=light[..., used].reshape(3, gy, gx, -1).astype(np.float32),
+        chief=chief.reshape(gy, gx, 4).astype(np.float32),
     )
+
+
+def _filled(rays: np.ndarray, chief: np.ndarray, fields: np.ndarray) -> np.ndarray:
+    """Continue rays that miss the glass from the nearest image point, so that they can be interpolated; (P, S, 2).
+
+    They carry no light themselves; what differs from the chief ray is carried over.
+    """
+    rays = rays - chief[:, None]
+    for s in np.flatnonzero(np.isnan(rays).any(axis=(0, 2))):
+        missing = np.isnan(rays[:, s, 0])
+        apart = ((fields[missing, None] - fields[None, ~missing]) ** 2).sum(axis=-1)
+        rays[missing, s] = rays[~missing, s][apart.argmin(axis=1)]
+    return rays + chief[:, None]
 
 
 def _open_light(lens: Prescription, data: Paraxial, cells: int) -> float:

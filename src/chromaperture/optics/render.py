@@ -16,6 +16,8 @@ from chromaperture.errors import InputError
 from chromaperture.optics.ray_table import RayTable
 from chromaperture.optics.scene import Plane
 
+ONE = np.float32(1)  # keeps the kernels in single precision
+
 
 def render(
     table: RayTable,
@@ -59,10 +61,18 @@ def render(
     )
     turn = rng.random(2)
     _render(
-        out, grid, table.z_mm, table.origin, table.slope, table.weight, np.asarray(background, np.float32),
-        textures, shapes, frames, rng.permutation((spread + turn) % 1).astype(np.float32), seed,
+        out, grid, np.float32(table.z_mm), table.origin, table.slope, table.weight, _pixel_slope(table),
+        np.asarray(background, np.float32), textures, shapes, frames, rng.permutation((spread + turn) % 1).astype(np.float32), seed,
     )  # fmt: skip
     return out
+
+
+def _pixel_slope(table: RayTable) -> np.float32:
+    """Change of a ray's slope from pixel to pixel in the middle of the image; within a pixel it serves everywhere."""
+    rows, columns = table.chief.shape[:2]
+    j = columns // 2
+    change = table.chief[rows // 2, j, 2] - table.chief[rows // 2, j - 1, 2]
+    return np.float32(change / (table.x_px[j] - table.x_px[j - 1]))
 
 
 def render_depth(table: RayTable, planes: Sequence[Plane]) -> np.ndarray:
@@ -78,22 +88,22 @@ def render_sharp(table: RayTable, planes: Sequence[Plane]) -> np.ndarray:
 
 
 def _chief(table: RayTable, planes: Sequence[Plane]) -> tuple[np.ndarray, np.ndarray]:
-    textures, shapes, frames = _packed(planes, table.z_mm)
+    texels, shapes, frames = _packed(planes, table.z_mm)
     color = np.zeros((table.height_px, table.width_px, 3), np.float32)
     depth = np.full((table.height_px, table.width_px), np.nan, np.float32)
     grid = np.array(
         [table.x_px[0], table.x_px[1] - table.x_px[0], table.y_px[0], table.y_px[1] - table.y_px[0]]
     )
-    _render_chief(color, depth, grid, table.z_mm, table.chief, textures, shapes, frames)
+    _render_chief(color, depth, grid, np.float32(table.z_mm), table.chief, texels, shapes, frames)
     return color, depth
 
 
 def _packed(planes: Sequence[Plane], pupil_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lay the planes out for the kernels: all texels, (P, 3) offset, height, width, (P, 13) geometry."""
+    """Lay the planes out for the kernels: all texels, (P, 3) offset, height, width, (P, 12) geometry in texels."""
     if not planes:
         raise InputError("nothing to render: the scene has no planes")
     shapes = np.zeros((len(planes), 3), np.int64)
-    frames = np.zeros((len(planes), 13))
+    frames = np.zeros((len(planes), 12), np.float32)
     offset = 0
     for i, p in enumerate(planes):
         height, width = p.texture.shape[:2]
@@ -106,7 +116,8 @@ def _packed(planes: Sequence[Plane], pupil_mm: float) -> tuple[np.ndarray, np.nd
                 f"{pupil_mm:.0f} mm from the sensor"
             )
         shapes[i] = offset, height, width
-        frames[i] = [*corners[0], *p.right, *p.down, *np.cross(p.right, p.down), p.texel_mm]
+        normal = np.cross(p.right, p.down)
+        frames[i] = [*corners[0], *(p.right / p.texel_mm), *(p.down / p.texel_mm), *normal]
         offset += height * width
     texels = np.concatenate([p.texture.reshape(-1, 4) for p in planes]).astype(np.float32)
     return texels, shapes, frames
@@ -115,7 +126,7 @@ def _packed(planes: Sequence[Plane], pupil_mm: float) -> tuple[np.ndarray, np.nd
 @numba.njit(cache=True, inline="always", fastmath=True)
 def _hit(ox, oy, oz, sx, sy, texels, shapes, frames):  # type: ignore[no-untyped-def]
     """Nearest plane on the ray (o + t s, oz + t): its number (-1 for none), t, and texel coordinates."""
-    nearest, best, bu, bv = -1, math.inf, 0.0, 0.0
+    nearest, best, bu, bv = -1, np.float32(1e30), np.float32(0), np.float32(0)
     for p in range(shapes.shape[0]):
         f = frames[p]
         across = f[9] * sx + f[10] * sy + f[11]
@@ -125,8 +136,8 @@ def _hit(ox, oy, oz, sx, sy, texels, shapes, frames):  # type: ignore[no-untyped
         if t <= 0 or t >= best:
             continue
         px, py, pz = ox + t * sx - f[0], oy + t * sy - f[1], oz + t - f[2]
-        u = (px * f[3] + py * f[4] + pz * f[5]) / f[12]
-        v = (px * f[6] + py * f[7] + pz * f[8]) / f[12]
+        u = px * f[3] + py * f[4] + pz * f[5]
+        v = px * f[6] + py * f[7] + pz * f[8]
         if u < 0 or v < 0 or u >= shapes[p, 2] or v >= shapes[p, 1]:
             continue
         if texels[shapes[p, 0] + int(v) * shapes[p, 2] + int(u), 3] < 0.5:
@@ -139,74 +150,68 @@ def _hit(ox, oy, oz, sx, sy, texels, shapes, frames):  # type: ignore[no-untyped
 def _texel(texels, shapes, p, u, v, channel):  # type: ignore[no-untyped-def]
     """Bilinear between texel centres, one channel; the rim repeats."""
     height, width = shapes[p, 1], shapes[p, 2]
-    u = min(max(u - 0.5, 0.0), width - 1.000001)
-    v = min(max(v - 0.5, 0.0), height - 1.000001)
-    i, j = int(v), int(u)
-    a, b = v - i, u - j
+    u = min(max(u - np.float32(0.5), np.float32(0)), np.float32(width - 1))
+    v = min(max(v - np.float32(0.5), np.float32(0)), np.float32(height - 1))
+    i, j = min(int(v), height - 2), min(int(u), width - 2)
+    a, b = v - np.float32(i), u - np.float32(j)
     base = shapes[p, 0] + i * width + j
-    top = (1 - b) * texels[base, channel] + b * texels[base + 1, channel]
-    return (1 - a) * top + a * (
-        (1 - b) * texels[base + width, channel] + b * texels[base + width + 1, channel]
+    top = (ONE - b) * texels[base, channel] + b * texels[base + 1, channel]
+    return (ONE - a) * top + a * (
+        (ONE - b) * texels[base + width, channel] + b * texels[base + width + 1, channel]
     )
 
 
-@numba.njit(cache=True, parallel=True, fastmath={"reassoc", "contract", "arcp"})
+@numba.njit(cache=True, parallel=True, fastmath=True)
 def _render(
-    out, grid, oz, origin, slope, weight, background, texels, shapes, frames, spread, seed
+    out, grid, oz, origin, slope, weight, pixel_slope, background, texels, shapes, frames, spread, seed
 ):  # type: ignore[no-untyped-def]  # fmt: skip
     height, width = out.shape[:2]
     sets, rows, columns, count = origin.shape[:4]
+    colours = 3 if sets == 1 else 1
     for y in numba.prange(height):
+        # The table's rows are interpolated once a line of the image; light in it comes last.
+        line = np.empty((sets, columns, count, 7), np.float32)
+        gy = (y - grid[2]) / grid[3]
+        i = min(max(int(gy), 0), rows - 2)
+        a = np.float32(gy - i)
+        for g in range(sets):
+            for j in range(columns):
+                for s in range(count):
+                    for c in range(2):
+                        line[g, j, s, c] = (ONE - a) * origin[g, i, j, s, c] + a * origin[g, i + 1, j, s, c]
+                        line[g, j, s, 2 + c] = (ONE - a) * slope[g, i, j, s, c] + a * slope[g, i + 1, j, s, c]
+                    for c in range(colours):
+                        line[g, j, s, 4 + c] = (ONE - a) * weight[g + c, i, j, s] + a * weight[
+                            g + c, i + 1, j, s
+                        ]
         state = np.uint32((seed * 7919 + y * 2654435761 + 12345) & 0xFFFFFFFF)
         for x in range(width):
             state = np.uint32((state * np.uint32(1664525) + np.uint32(1013904223)) & np.uint32(0xFFFFFFFF))
             jx = np.float32(state >> 8) / np.float32(16777216)
             state = np.uint32((state * np.uint32(1664525) + np.uint32(1013904223)) & np.uint32(0xFFFFFFFF))
             jy = np.float32(state >> 8) / np.float32(16777216)
+            gx = (x - grid[0]) / grid[1]
+            j = min(max(int(gx), 0), columns - 2)
+            b = np.float32(gx - j)
             for g in range(sets):
                 for s in range(count):
-                    dx, dy = spread[s, 0] + jx, spread[s, 1] + jy
-                    dx -= math.floor(dx) + 0.5
-                    dy -= math.floor(dy) + 0.5
-                    gx, gy = (x + dx - grid[0]) / grid[1], (y + dy - grid[2]) / grid[3]
-                    i = min(max(math.floor(gy), 0), rows - 2)
-                    j = min(max(math.floor(gx), 0), columns - 2)
-                    a, b = gy - i, gx - j
-                    ox = oy = sx = sy = norm = 0.0
-                    w0 = w1 = w2 = 0.0
-                    for di in range(2):
-                        for dj in range(2):
-                            f = (a if di else 1 - a) * (b if dj else 1 - b)
-                            if sets == 1:
-                                w0 += f * weight[0, i + di, j + dj, s]
-                                w1 += f * weight[1, i + di, j + dj, s]
-                                w2 += f * weight[2, i + di, j + dj, s]
-                            else:
-                                w0 += f * weight[g, i + di, j + dj, s]
-                            if (
-                                origin[g, i + di, j + dj, s, 0] == origin[g, i + di, j + dj, s, 0]
-                            ):  # a ray, not NaN
-                                norm += f
-                                ox += f * origin[g, i + di, j + dj, s, 0]
-                                oy += f * origin[g, i + di, j + dj, s, 1]
-                                sx += f * slope[g, i + di, j + dj, s, 0]
-                                sy += f * slope[g, i + di, j + dj, s, 1]
-                    if norm == 0 or w0 + w1 + w2 == 0:
+                    left, right = line[g, j, s], line[g, j + 1, s]
+                    w = (ONE - b) * left[4] + b * right[4]
+                    if colours == 1 and w == 0:
                         continue
-                    p, _, u, v = _hit(ox / norm, oy / norm, oz, sx / norm, sy / norm, texels, shapes, frames)
-                    if sets == 1:
-                        if p < 0:
-                            out[y, x, 0] += w0 * background[0]
-                            out[y, x, 1] += w1 * background[1]
-                            out[y, x, 2] += w2 * background[2]
-                        else:
-                            out[y, x, 0] += w0 * _texel(texels, shapes, p, u, v, 0)
-                            out[y, x, 1] += w1 * _texel(texels, shapes, p, u, v, 1)
-                            out[y, x, 2] += w2 * _texel(texels, shapes, p, u, v, 2)
-                    elif p < 0:
-                        out[y, x, g] += w0 * background[g]
-                    else:
-                        out[y, x, g] += w0 * _texel(texels, shapes, p, u, v, g)
+                    dx, dy = spread[s, 0] + jx, spread[s, 1] + jy
+                    dx -= np.float32(1.5) if dx >= 1 else np.float32(0.5)
+                    dy -= np.float32(1.5) if dy >= 1 else np.float32(0.5)
+                    p, _, u, v = _hit(
+                        (ONE - b) * left[0] + b * right[0], (ONE - b) * left[1] + b * right[1], oz,
+                        (ONE - b) * left[2] + b * right[2] + dx * pixel_slope,
+                        (ONE - b) * left[3] + b * right[3] + dy * pixel_slope, texels, shapes, frames,
+                    )  # fmt: skip
+                    for c in range(colours):
+                        if c:
+                            w = (ONE - b) * left[4 + c] + b * right[4 + c]
+                        seen = background[g + c] if p < 0 else _texel(texels, shapes, p, u, v, g + c)
+                        out[y, x, g + c] += w * seen
 
 
 @numba.njit(cache=True, parallel=True)
@@ -218,8 +223,8 @@ def _render_chief(color, depth, grid, oz, chief, texels, shapes, frames):  # typ
             i = min(max(math.floor(gy), 0), rows - 2)
             j = min(max(math.floor(gx), 0), columns - 2)
             a, b = gy - i, gx - j
-            ray = (1 - a) * ((1 - b) * chief[i, j] + b * chief[i, j + 1])
-            ray += a * ((1 - b) * chief[i + 1, j] + b * chief[i + 1, j + 1])
+            ray = (ONE - a) * ((ONE - b) * chief[i, j] + b * chief[i, j + 1])
+            ray += a * ((ONE - b) * chief[i + 1, j] + b * chief[i + 1, j + 1])
             p, t, u, v = _hit(ray[0], ray[1], oz, ray[2], ray[3], texels, shapes, frames)
             if p >= 0:
                 depth[y, x] = oz + t
