@@ -1,4 +1,4 @@
-"""``chromaperture simulate``: photograph a calibration session, a scene or an RGB-D picture in the simulator."""
+"""``chromaperture simulate``: photograph a calibration session and scenes in the simulator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fast renderer: a picture with depth, cut into layers of equal blur and laid over each other from far to near.
+"""The fast renderer: a picture with depth, cut into layers of equal blur, laid over each other far to near.
 
     y_k = sum_l (a_l J_l * h_kl) prod_{m nearer than l} (1 - a_m * h_km)
 
@@ -171,7 +171,7 @@ def behind_edges(
 
 
 def _matte(level: np.ndarray, extension: float) -> np.ndarray:
-    """Share of a layer at a pixel ``level`` layers beyond it: falls on the far side, reaches on under the near one."""
+    """Share of a layer at a pixel ``level`` layers beyond it: falls beyond, reaches on under nearer ones."""
     return np.clip(np.minimum(1 - level, 1 + level + np.float32(extension)), 0, 1)
 
 

@@ -158,7 +158,7 @@ def lens_rays(
 
 
 def _filled(rays: np.ndarray, chief: np.ndarray, fields: np.ndarray) -> np.ndarray:
-    """Continue rays that miss the glass from the nearest image point, so that they can be interpolated; (P, S, 2).
+    """Continue rays that miss the glass from the nearest image point, for the interpolation; (P, S, 2).
 
     They carry no light themselves; what differs from the chief ray is carried over.
     """
@@ -171,7 +171,7 @@ def _filled(rays: np.ndarray, chief: np.ndarray, fields: np.ndarray) -> np.ndarr
 
 
 def _open_light(lens: Prescription, data: Paraxial, cells: int) -> float:
-    """Light of the open pupil on the axis, the unit of all weights; checks that the stop is what limits it."""
+    """Light of the open pupil on the axis, the unit of all weights; checks that the stop limits it."""
     light = lens_light(lens, DESIGNS["open"], np.zeros((1, 2)), data=data, cells=cells)[1]
     if not light.any():
         raise InputError(

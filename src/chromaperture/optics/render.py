@@ -60,15 +60,16 @@ def render(
         [np.arange(count) * 0.7548776662466927 % 1, np.arange(count) * 0.5698402909980532 % 1], -1
     )
     turn = rng.random(2)
+    jitter = rng.permutation((spread + turn) % 1).astype(np.float32)
     _render(
         out, grid, np.float32(table.z_mm), table.origin, table.slope, table.weight, _pixel_slope(table),
-        np.asarray(background, np.float32), textures, shapes, frames, rng.permutation((spread + turn) % 1).astype(np.float32), seed,
+        np.asarray(background, np.float32), textures, shapes, frames, jitter, seed,
     )  # fmt: skip
     return out
 
 
 def _pixel_slope(table: RayTable) -> np.float32:
-    """Change of a ray's slope from pixel to pixel in the middle of the image; within a pixel it serves everywhere."""
+    """Change of a ray's slope from pixel to pixel in the middle; within a pixel it serves everywhere."""
     rows, columns = table.chief.shape[:2]
     j = columns // 2
     change = table.chief[rows // 2, j, 2] - table.chief[rows // 2, j - 1, 2]
@@ -99,7 +100,7 @@ def _chief(table: RayTable, planes: Sequence[Plane]) -> tuple[np.ndarray, np.nda
 
 
 def _packed(planes: Sequence[Plane], pupil_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lay the planes out for the kernels: all texels, (P, 3) offset, height, width, (P, 12) geometry in texels."""
+    """Lay the planes out for the kernels: texels, (P, 3) offset, height, width, (P, 12) geometry."""
     if not planes:
         raise InputError("nothing to render: the scene has no planes")
     shapes = np.zeros((len(planes), 3), np.int64)

@@ -77,7 +77,7 @@ def expose(image: np.ndarray, sensor: Sensor, *, seed: int, exposure: float = 1.
 
 
 def develop(counts: np.ndarray, sensor: Sensor) -> np.ndarray:
-    """Counts back to linear light; (H, W, ...) float32, 1.0 = white level."""
+    """Turn counts back into linear light; (H, W, ...) float32, 1.0 = white level."""
     span = np.float32(sensor.white_level - sensor.black_level)
     return (np.asarray(counts, np.float32) - np.float32(sensor.black_level)) / span
 

@@ -1,4 +1,4 @@
-"""A whole calibration session photographed in the simulator, in the folder layout that ``calibrate`` reads."""
+"""A calibration session photographed in the simulator, in the folder layout that ``calibrate`` reads."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def write_session(
 
 
 def wall(camera: PupilCamera, center: Sequence[float], tilt_deg: Sequence[float]) -> list[Plane]:
-    """A wall of grey speckle that fills the picture, with a chessboard taped to its middle."""
+    """Build a wall of grey speckle that fills the picture, with a chessboard taped to its middle."""
     far = center[2] + 400.0
     texel = max(0.25, 0.5 * (center[2] - camera.sensor_to_pupil_mm) / camera.focal_px)
     width = 2.0 * far * camera.width_px / camera.focal_px

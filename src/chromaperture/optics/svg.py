@@ -137,3 +137,34 @@ def _bezier(start: np.ndarray, control: np.ndarray) -> list[np.ndarray]:
             level = (1 - t) * level[:-1] + t * level[1:]
         out.append(level[0])
     return out
+
+
+def stroke_points(commands: str) -> tuple[list[tuple[float, float]], list[int]]:
+    """Vertices and matplotlib path codes (1 move, 2 line, 79 close) of a path of moves and lines."""
+    tokens = _TOKEN.findall(commands)
+    here = np.zeros(2)
+    vertices: list[tuple[float, float]] = []
+    codes: list[int] = []
+    command, i = "", 0
+    while i < len(tokens):
+        if tokens[i].isalpha():
+            command, i = tokens[i], i + 1
+        if command.upper() == "Z":
+            vertices.append((0.0, 0.0))
+            codes.append(79)
+            continue
+        count = _ARGUMENTS[command.upper()]
+        values = [float(v) for v in tokens[i : i + count]]
+        i += count
+        origin = here if command.islower() else np.zeros(2)
+        target = here.copy()
+        if command.upper() in "HV":
+            axis = 0 if command.upper() == "H" else 1
+            target[axis] = values[0] + origin[axis]
+        else:
+            target = np.array(values) + origin
+        here = target
+        vertices.append((float(here[0]), float(here[1])))
+        codes.append(1 if command.upper() == "M" else 2)
+        command = {"M": "L", "m": "l"}.get(command, command)
+    return vertices, codes

@@ -73,7 +73,7 @@ def named(
     seed: int,
     folder: Path | None,
 ) -> np.ndarray:
-    """Make the texture a scene file asks for; (h, w, 3) float32 linear. Raises InputError for unknown names."""
+    """Make a scene file's texture; (h, w, 3) float32 linear. Raises InputError for unknown names."""
     shape = (max(2, round(height_mm / texel_mm)), max(2, round(width_mm / texel_mm)))
     if shape[0] * shape[1] > 64e6:
         raise InputError(f"a texture of {shape[1]}x{shape[0]} texels is too large: raise texel_mm")
