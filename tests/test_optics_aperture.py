@@ -86,7 +86,16 @@ def test_unmixing_doubles_the_baseline_of_complementary_discs():
 
 
 def test_efficiencies_rise_in_the_order_of_figure_11():
-    order = ["rgb_circles", "rgb_squares", "cmy_squares", "cmy_circles", "cy_halves", "magenta_annulus", "cy_open", "open"]
+    order = [
+        "rgb_circles",
+        "rgb_squares",
+        "cmy_squares",
+        "cmy_circles",
+        "cy_halves",
+        "magenta_annulus",
+        "cy_open",
+        "open",
+    ]
     light = [aperture_figures(DESIGNS[name]).efficiency_mean for name in order]
     assert light == sorted(light)
     assert aperture_figures(DESIGNS["cy_halves"]).efficiency_mean > 0.65  # section 2.1

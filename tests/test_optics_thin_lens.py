@@ -14,7 +14,7 @@ far = st.floats(1.5, 200.0)  # object distance in focal lengths
 
 
 def traced_crossing(z_o, f, height):
-    """Distance behind the lens at which a ray from an axis point, through the lens at ``height``, meets the axis.
+    """Distance behind the lens where a ray from an axis point through the lens at ``height``, meets the axis.
 
     A thin lens turns a ray by -height / f; nothing else of it is used.
     """
@@ -23,7 +23,7 @@ def traced_crossing(z_o, f, height):
 
 
 def traced_rim(z_od, z_if, f, radius):
-    """Height in the upright picture (so minus that on the sensor) of the ray from an axis point through the rim."""
+    """Height in the upright picture (so minus that on the sensor) of an axis point's rim ray."""
     return -(radius + (radius / z_od - radius / f) * z_if)
 
 

@@ -1,9 +1,10 @@
-"""The fast renderer: a picture with depth, cut into layers of equal blur, laid over each other far to near.
+"""The fast renderer: a picture with depth, cut into layers of equal blur.
 
-    y_k = sum_l (a_l J_l * h_kl) prod_{m nearer than l} (1 - a_m * h_km)
+    y_k = sum_l (a_l J_l * h_kl) (1 - sum_m a_m * h_km),    m: layers nearer than l by more than a depth edge
 
-What a near object hides and its blurred rim reveals is not in the picture; a second sheet behind the near
-sides of depth edges continues the far surface there, mirrored at the edge.
+Within a surface neighbouring layers add up; only a surface that stands clear before another hides it. What a
+near object hides and its blurred rim reveals is not in the picture; a second sheet behind the near sides of
+depth edges continues the far surface there, mirrored at the edge.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def render_layers(
         Wrong shapes, no known depth, depth behind the camera.
     """
     color = np.asarray(color, np.float32)
-    depth = np.asarray(depth_mm, np.float64)
+    depth: np.ndarray = np.asarray(depth_mm, np.float64)
     if color.shape != (camera.height_px, camera.width_px, 3) or depth.shape != color.shape[:2]:
         raise InputError(
             f"colour {color.shape} and depth {depth.shape} must both have the camera's size, "
@@ -91,23 +92,28 @@ def render_layers(
     radius = cv2.copyMakeBorder(radius, *rims, borderType=cv2.BORDER_REFLECT_101)
     behind_color, behind_radius = behind_edges(color, radius, reach, edge_px)
 
+    hidden = behind_radius != radius
     total = np.zeros((3, *size), np.float32)
     cover = np.zeros((3, *size), np.float32)
+    before = np.zeros((3, *size), np.float32)  # coverage by surfaces that stand clear in front
+    waiting: list[tuple[int, np.ndarray]] = []
     count = 0
     first, last = math.floor(float(radius.min()) / pitch_px), math.ceil(float(behind_radius.max()) / pitch_px)
-    for level in range(last, first - 1, -1):  # far to near
-        front = _matte(radius / np.float32(pitch_px) - level, edge_px / pitch_px)
-        back = _matte(behind_radius / np.float32(pitch_px) - level, edge_px / pitch_px)
-        matte = np.maximum(front, back)
-        if not matte.any():
+    for level in range(first, last + 1):  # near to far
+        front = _matte(radius / np.float32(pitch_px) - level)
+        back = np.where(hidden, _matte(behind_radius / np.float32(pitch_px) - level), np.float32(0))
+        if not (front.any() or back.any()):
             continue
         count += 1
-        shown = np.where((front >= back)[..., None], color, behind_color)
-        planes = np.concatenate([(shown * matte[..., None]).transpose(2, 0, 1), matte[None]])
+        while waiting and (level - waiting[0][0]) * pitch_px > edge_px:
+            before += waiting.pop(0)[1]
+        shown = color * front[..., None] + behind_color * back[..., None]
+        planes = np.concatenate([shown.transpose(2, 0, 1), (front + back)[None]])
         lit, veil = _blurred(planes, aperture, level * pitch_px)
-        clear = 1 - veil
-        total = total * clear + lit
-        cover = cover * clear + veil
+        seen = np.clip(1 - before, 0, 1)
+        total += lit * seen
+        cover += veil * seen
+        waiting.append((level, veil))
     image = total / np.maximum(cover, np.float32(1e-3))
     image *= channel_transmission(aperture).astype(np.float32)[:, None, None]
     crop = image[:, pad : pad + depth.shape[0], pad : pad + depth.shape[1]]
@@ -170,9 +176,9 @@ def behind_edges(
     return out_color, np.where(hidden, radius[my, mx], radius)
 
 
-def _matte(level: np.ndarray, extension: float) -> np.ndarray:
-    """Share of a layer at a pixel ``level`` layers beyond it: falls beyond, reaches on under nearer ones."""
-    return np.clip(np.minimum(1 - level, 1 + level + np.float32(extension)), 0, 1)
+def _matte(level: np.ndarray) -> np.ndarray:
+    """Share of a layer in a pixel ``level`` layers beyond it: the two nearest layers share its light."""
+    return np.maximum(1 - np.abs(level), 0)
 
 
 def _blurred(planes: np.ndarray, aperture: Aperture, radius_px: float) -> tuple[np.ndarray, np.ndarray]:

@@ -93,7 +93,7 @@ def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Parax
     to_stop = lens.surfaces[stop - 1].thickness_mm / n[stop] if stop else 0.0
     front = np.array([[1, to_stop], [0, 1]]) @ front
     rear = _matrix(lens, wave, stop, count)
-    if abs(front[0, 0]) < 1e-9 or abs(rear[1, 1]) < 1e-9:
+    if abs(front[0, 0]) < 1e-6 or abs(rear[1, 1]) < 1e-6:
         raise InputError(
             f"the stop of lens {lens.name!r} cannot be reached: it lies in a focus of the lens in front or "
             "behind"
