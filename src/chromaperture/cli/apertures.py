@@ -92,6 +92,8 @@ def apertures(
 
 def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list[float]) -> list[DesignRow]:
     """Collect the figures of designs before one lens, at equal exposure of the open aperture."""
+    import numpy as np
+
     from chromaperture.optics.accuracy import expected_accuracy
     from chromaperture.optics.metrics import aperture_figures, film_unmixing
 
@@ -99,7 +101,7 @@ def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list
     for aperture in chosen:
         light = aperture_figures(aperture)
         views = aperture_figures(aperture, film_unmixing(aperture))
-        curve = expected_accuracy(aperture, camera, distances_mm)
+        curve = expected_accuracy(aperture, camera, np.array(distances_mm))
         rows.append(
             DesignRow(
                 name=aperture.name,
@@ -170,6 +172,8 @@ def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> Non
         axes.imshow(picture)
         axes.axis("off")
         axes.set_title(
+            f"f"
+            f"f"
             f"f"
             f"{aperture.title.replace(': ', chr(10))}\n{100 * aperture_figures(aperture).efficiency_mean:.1f} %",
             fontsize=8,

@@ -75,7 +75,7 @@ def render_layers(
         Wrong shapes, no known depth, depth behind the camera.
     """
     color = np.asarray(color, np.float32)
-    depth: np.ndarray = np.asarray(depth_mm, np.float64)
+    depth = np.asarray(depth_mm, np.float64)
     if color.shape != (camera.height_px, camera.width_px, 3) or depth.shape != color.shape[:2]:
         raise InputError(
             f"colour {color.shape} and depth {depth.shape} must both have the camera's size, "
@@ -83,13 +83,12 @@ def render_layers(
         )
     radius = camera.blur_radius_px(fill_unknown(depth)).astype(np.float32)
     reach = math.ceil(float(np.abs(radius).max())) + 2
-    # A filtered picture falls to nothing at its rim: continue it by its mirror image as far as the blur
-    # reaches.
+    # A filtered picture falls to nothing at its rim: continue it by its mirror image.
     pad = min(reach, min(depth.shape) - 1)
     size = tuple(scipy.fft.next_fast_len(n + 2 * pad, real=True) for n in depth.shape)
     rims = (pad, size[0] - depth.shape[0] - pad, pad, size[1] - depth.shape[1] - pad)
-    color = cv2.copyMakeBorder(color, *rims, borderType=cv2.BORDER_REFLECT_101)
-    radius = cv2.copyMakeBorder(radius, *rims, borderType=cv2.BORDER_REFLECT_101)
+    color = np.asarray(cv2.copyMakeBorder(color, *rims, borderType=cv2.BORDER_REFLECT_101), np.float32)
+    radius = np.asarray(cv2.copyMakeBorder(radius, *rims, borderType=cv2.BORDER_REFLECT_101), np.float32)
     behind_color, behind_radius = behind_edges(color, radius, reach, edge_px)
 
     hidden = behind_radius != radius

@@ -163,9 +163,9 @@ def _texel(texels, shapes, p, u, v, channel):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
-def _render(
+def _render(  # type: ignore[no-untyped-def]
     out, grid, oz, origin, slope, weight, pixel_slope, background, texels, shapes, frames, spread, seed
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     height, width = out.shape[:2]
     sets, rows, columns, count = origin.shape[:4]
     colours = 3 if sets == 1 else 1

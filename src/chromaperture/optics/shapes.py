@@ -62,13 +62,18 @@ class Polygon:
     corners: tuple[tuple[float, float], ...]
 
     def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:  # noqa: D102 - see Shape
-        inside = np.zeros(np.shape(x), bool)
+        # Even-odd rule; points sorted by y, so that an edge meets only those beside it.
+        order = np.argsort(y, axis=None)
+        xs, ys = np.ravel(x)[order], np.ravel(y)[order]
+        inside = np.zeros(xs.shape, bool)
         for (x0, y0), (x1, y1) in zip(self.corners, self.corners[1:] + self.corners[:1], strict=True):
-            if y0 == y1:
-                continue
-            crosses = (y0 > y) != (y1 > y)
-            inside ^= crosses & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
-        return inside
+            low, high = np.searchsorted(ys, (min(y0, y1), max(y0, y1)))
+            if low < high:
+                beside = slice(low, high)
+                inside[beside] ^= xs[beside] < x0 + (ys[beside] - y0) * (x1 - x0) / (y1 - y0)
+        out = np.empty(xs.shape, bool)
+        out[order] = inside
+        return out.reshape(np.shape(x))
 
 
 @dataclass(frozen=True)

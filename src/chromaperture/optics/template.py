@@ -192,7 +192,11 @@ def _svg_to_pdf(svg: str, path: Path) -> None:
         if tag == "text":
             anchor = "center" if a.get("text-anchor") == "middle" else "left"
             axes.text(
-                float(a["x"]), float(a["y"]), element.text, fontsize=float(a["font-size"]) * point, ha=anchor
+                float(a["x"]),
+                float(a["y"]),
+                element.text or "",
+                fontsize=float(a["font-size"]) * point,
+                ha=anchor,
             )
         elif tag == "circle":
             axes.add_patch(Circle((float(a["cx"]), float(a["cy"])), float(a["r"]), fill=False, lw=width))

@@ -102,10 +102,10 @@ def _sag(r2: float, curvature: float, conic: float, coefficients: np.ndarray) ->
 
 
 @numba.njit(cache=True, parallel=True)
-def _trace(
+def _trace(  # type: ignore[no-untyped-def]
     position, direction, crossings, clear, order, vertices, curvature, conic, coefficients, semi,
     before, behind, stop, film,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Trace in place; every ray on its own."""
     for n in numba.prange(position.shape[0]):
         x, y, z = position[n, 0], position[n, 1], position[n, 2]
