@@ -6,6 +6,7 @@ python benchmarks/render_rgbd.py --data DATA/real [--out DIR]
 import argparse
 import json
 import time
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -60,9 +61,8 @@ def main():
     args = parser.parse_args()
     aperture = with_film(DESIGNS[args.design], "real")
     rows = []
-    frames = [*seven_scenes(args.data / "seven_scenes")][: args.frames] + [
-        *motorcycle(args.data / "motorcycle")
-    ]
+    scenes = seven_scenes(args.data / "seven_scenes")
+    frames = [*islice(scenes, args.frames), *motorcycle(args.data / "motorcycle")]
     for name, color, depth, focal_px, focus_mm in frames:
         camera = PupilCamera(
             color.shape[1], color.shape[0], focal_px, args.pupil_radius_mm, focus_mm, SENSOR_TO_PUPIL_MM, 0.02

@@ -46,7 +46,7 @@ def board(rotation, center):
 
 
 def compare_board(capture, table, camera, distance_mm):
-    """Fit the board's pose in the simulator, then regress the capture on the simulation, channel by channel."""
+    """Fit the board's pose in the simulator, then regress the capture on the simulation."""
     matrix = np.array(
         [[camera.focal_px, 0, camera.center_px[0]], [0, camera.focal_px, camera.center_px[1]], [0, 0, 1]]
     )

@@ -171,13 +171,8 @@ def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> Non
         picture = np.where((np.hypot(x, y) < 1)[..., None], aperture.transmission_map(x, y), 1.0)
         axes.imshow(picture)
         axes.axis("off")
-        axes.set_title(
-            f"f"
-            f"f"
-            f"f"
-            f"{aperture.title.replace(': ', chr(10))}\n{100 * aperture_figures(aperture).efficiency_mean:.1f} %",
-            fontsize=8,
-        )
+        percent = 100 * aperture_figures(aperture).efficiency_mean
+        axes.set_title(f"{aperture.title.replace(': ', chr(10))}\n{percent:.1f} %", fontsize=8)
         if aperture.views:
             below.semilogy(
                 distances, expected_accuracy(aperture, camera, distances).sigma_mm, label=aperture.title

@@ -83,8 +83,9 @@ def render_layers(
         )
     radius = camera.blur_radius_px(fill_unknown(depth)).astype(np.float32)
     reach = math.ceil(float(np.abs(radius).max())) + 2
-    # A filtered picture falls to nothing at its rim: continue it by its mirror image.
-    pad = min(reach, min(depth.shape) - 1)
+    # A filtered picture falls to nothing at its rim: continue it by its mirror image. Coarse steps keep the
+    # size, and with it the transfer functions, the same from frame to frame of a video.
+    pad = min(16 * math.ceil(reach / 16), min(depth.shape) - 1)
     size = tuple(scipy.fft.next_fast_len(n + 2 * pad, real=True) for n in depth.shape)
     rims = (pad, size[0] - depth.shape[0] - pad, pad, size[1] - depth.shape[1] - pad)
     color = np.asarray(cv2.copyMakeBorder(color, *rims, borderType=cv2.BORDER_REFLECT_101), np.float32)

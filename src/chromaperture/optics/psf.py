@@ -14,6 +14,7 @@ from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.pupil_samples import pupil_samples
 
+_LARGEST_KEPT = 500_000  # px; 48 of these are 600 MB, and a video of VGA frames needs about 30
 _CELLS = 128  # across the pupil; the disc's second moment is then right to 1e-4
 
 
@@ -29,7 +30,6 @@ def _mask(aperture: Aperture) -> tuple[np.ndarray, np.ndarray]:
     return axis, mask / np.where(total > 0, total, 1.0)
 
 
-@lru_cache(maxsize=512)
 def geometric_otf(
     aperture: Aperture, radius_px: float, shape: tuple[int, int], *, pixel: bool = False
 ) -> np.ndarray:
@@ -53,6 +53,12 @@ def geometric_otf(
     (3, h, w // 2 + 1) complex64; 1 at frequency 0 (0 for a channel without light). Shared: do not write into
     it.
     """
+    if shape[0] * shape[1] <= _LARGEST_KEPT:
+        return _kept_otf(aperture, float(radius_px), shape, pixel)
+    return _otf(aperture, float(radius_px), shape, pixel)
+
+
+def _otf(aperture: Aperture, radius_px: float, shape: tuple[int, int], pixel: bool) -> np.ndarray:
     axis, mask = _mask(aperture)
     fy = np.fft.fftfreq(shape[0])
     fx = np.fft.rfftfreq(shape[1])
@@ -62,9 +68,12 @@ def geometric_otf(
     cell = np.outer(np.sinc(2 * radius_px / _CELLS * fy), np.sinc(2 * radius_px / _CELLS * fx))
     if pixel:
         cell = cell * np.outer(np.sinc(fy), np.sinc(fx))
-    otf = (rows @ mask.astype(np.complex64) @ columns) * cell.astype(np.float32)
+    otf: np.ndarray = (rows @ mask.astype(np.complex64) @ columns) * cell.astype(np.float32)
     otf.flags.writeable = False
     return otf
+
+
+_kept_otf = lru_cache(maxsize=48)(_otf)
 
 
 def geometric_psf(aperture: Aperture, radius_px: float, size: int, *, oversampling: int = 1) -> np.ndarray:

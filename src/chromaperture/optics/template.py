@@ -26,7 +26,7 @@ def outline(shape: Shape) -> list[np.ndarray]:
 
     Returns
     -------
-    list of (N, 2) float64, pupil radii; holes are outlines of their own (even-odd)
+    list of (N, 2) float64, pupil radii; holes are outlines of their own that run the other way round
     """
     if isinstance(shape, Intersection):
         loops = [loop for part in shape.shapes if not isinstance(part, HalfPlane) for loop in outline(part)]
@@ -39,7 +39,7 @@ def outline(shape: Shape) -> list[np.ndarray]:
     if isinstance(shape, Disc):
         loops = [_circle(shape.center, shape.radius)]
         if shape.inner_radius:
-            loops.append(_circle(shape.center, shape.inner_radius))
+            loops.append(_circle(shape.center, shape.inner_radius)[::-1])  # holes run the other way round
         return [_in_pupil(loop) for loop in loops]
     if isinstance(shape, Square):
         angle = math.radians(shape.angle_deg)
@@ -109,9 +109,9 @@ def template_svg(aperture: Aperture, *, pupil_diameter_mm: float) -> str:
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{_PAGE_MM[0]:g}mm" height="{_PAGE_MM[1]:g}mm" '
         f'viewBox="0 0 {_PAGE_MM[0]:g} {_PAGE_MM[1]:g}" font-family="sans-serif">',
         f'<text x="10" y="14" font-size="6">{aperture.title}, pupil {pupil_diameter_mm:g} mm</text>',
-        '<text x="10" y="21" font-size="3.5">Print at 100 %. The side you read faces the sensor: you look '
-        "through the "
-        "lens from behind the camera. The arrow points up in the scene.</text>",
+        '<text x="10" y="20" font-size="3.2">Print at 100 %. The arrow points up in the scene.</text>',
+        '<text x="10" y="25" font-size="3.2">The side you read faces the sensor: as seen from behind the '
+        "camera.</text>",
         '<path d="M 10 32 H 60 M 10 30 V 34 M 60 30 V 34 M 20 31 V 33 M 30 31 V 33 M 40 31 V 33 M 50 31 V '
         '33" '
         'fill="none" stroke="black" stroke-width="0.2"/>',
