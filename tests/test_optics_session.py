@@ -196,6 +196,7 @@ def test_outlines_enclose_the_area_of_their_shapes(name):
     for part in DESIGNS[name].parts:
         area = 0.0
         for loop in outline(part.shape):
+            (x0, y0), (x1, y1) = loop.T, np.roll(loop, -1, axis=0).T
             area += 0.5 * np.sum(x0 * y1 - y0 * x1)  # signed: the hole of a ring must run the other way round
         expected = (part.shape.contains(x, y) & (np.hypot(x, y) < 1)).mean() * 4
         assert abs(area) == pytest.approx(expected, abs=5e-3)  # 400 cells across
