@@ -12,7 +12,7 @@ import typer
 from typer.testing import CliRunner
 
 from chromaperture.cli.apertures import apertures
-from chromaperture.cli.simulate import simulate
+from chromaperture.cli.simulate import simulate, simulate_rgbd
 from chromaperture.errors import InputError
 from chromaperture.optics.accuracy import Texture, expected_accuracy
 from chromaperture.optics.aperture import DESIGNS, channel_transmission, with_film
@@ -28,6 +28,7 @@ def app():
     made = typer.Typer()
     made.command()(apertures)
     made.command()(simulate)
+    made.command()(simulate_rgbd)
     return made
 
 
@@ -236,3 +237,39 @@ def test_templates_and_figures_are_written(tmp_path):
         template_svg(DESIGNS["open"], pupil_diameter_mm=300)
     both = runner.invoke(app(), ["apertures", "cy_halves", "open", "--template", str(files[1])])
     assert "exactly one" in str(both.exception)
+
+
+def test_an_rgbd_picture_is_photographed(tmp_path):
+    """A wall beyond focus with one bright spot: red moves right, blue left, by r times the centroid."""
+    color = np.zeros((64, 96, 3), np.uint8)
+    color[30:33, 46:49] = 255
+    depth = np.full((64, 96), 4000, np.uint16)
+    depth[:5] = 0  # unknown takes its neighbour's depth
+    cv2.imwrite(str(tmp_path / "color.png"), color)
+    cv2.imwrite(str(tmp_path / "depth.png"), depth)
+    files = [str(tmp_path / name) for name in ("color.png", "depth.png", "coded.png")]
+    result = CliRunner().invoke(app(), ["simulate-rgbd", *files, "--focal-px", "800", "--film", "ideal"])
+    assert result.exit_code == 0, result.output
+    light = np.maximum(linear(tmp_path / "coded.png") - 0.01, 0)
+    x = (light * (np.arange(96) - 47.0)[None, :, None]).sum(axis=(0, 1)) / light.sum(axis=(0, 1))
+    shift = 4 / (3 * math.pi) * 800 * 12.5 * (1 / 1950 - 1 / 4000)
+    np.testing.assert_allclose(x, [shift, 0, -shift], atol=0.1)  # the noise floor is cut off
+
+
+@pytest.mark.parametrize(
+    ("depth", "message"),
+    [
+        (np.ones((8, 8), np.uint8), "16 bits"),
+        (np.ones((8, 9), np.uint16), "differ in size"),
+        (np.zeros((8, 8), np.uint16), "no depth at all"),
+    ],
+)
+def test_rgbd_pictures_that_cannot_be(tmp_path, depth, message):
+    cv2.imwrite(str(tmp_path / "color.png"), np.zeros((8, 8, 3), np.uint8))
+    cv2.imwrite(str(tmp_path / "depth.png"), depth)
+    files = [str(tmp_path / name) for name in ("color.png", "depth.png", "coded.png")]
+    result = CliRunner().invoke(app(), ["simulate-rgbd", *files, "--focal-px", "800"])
+    assert isinstance(result.exception, InputError)
+    assert message in str(result.exception)
+    missing = CliRunner().invoke(app(), ["simulate-rgbd", "none.png", *files[1:], "--focal-px", "800"])
+    assert "cannot read none.png" in str(missing.exception)
