@@ -215,6 +215,15 @@ def test_the_surface_of_focus_bends_and_the_corner_darkens():
     assert sides[0, 0] != pytest.approx(sides[0, 1], rel=1e-2)
 
 
+def test_an_unvignetted_lens_darkens_by_the_fourth_power_of_the_cosine():
+    lens = thin_lens(radius=0.5)
+    fields = np.array([[10.0, 0.0], [0.0, -20.0], [12.0, 16.0]])
+    distance = paraxial(lens).sensor_to_entrance_pupil_mm
+    cosine2 = distance**2 / (distance**2 + (fields**2).sum(axis=1))
+    # The bundle's width, a hundredth of the distance, averages the law over a few angles.
+    np.testing.assert_allclose(vignetting(lens, fields)[1], cosine2**2, rtol=2e-3)
+
+
 def test_a_filter_off_the_stop_splits_the_light_unevenly_as_its_geometry_says():
     """Film t behind the stop is met by an oblique bundle t tan(theta) aside: it splits at h = t tan / R."""
     radius, t = 2.0, 4.0

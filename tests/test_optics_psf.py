@@ -59,8 +59,9 @@ def test_a_disc_has_the_transfer_function_of_a_disc():
     np.testing.assert_allclose(otf, 2 * j1(argument) / argument, atol=2e-4)  # 128 cells across the disc
 
 
-def test_transfer_function_and_kernel_are_one_blur():
-    aperture = with_film(DESIGNS["cy_open"], "real")
+@pytest.mark.parametrize("name", ["cy_open", "rgb_circles"])  # the discs lie off the axis in x and in y
+def test_transfer_function_and_kernel_are_one_blur(name):
+    aperture = with_film(DESIGNS[name], "real")
     psf = geometric_psf(aperture, 3.3, 15)
     padded = np.zeros((3, 32, 32))
     padded[:, :15, :15] = psf
