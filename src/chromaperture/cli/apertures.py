@@ -124,25 +124,38 @@ def _print_table(rows: list[DesignRow], camera: PupilCamera) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(
-        title=f"F = {camera.image_distance_mm:.1f} mm, pupil {2 * camera.pupil_radius_mm:.1f} mm, "
+    console = Console()
+    lens = (
+        f"image distance {camera.image_distance_mm:.1f} mm, pupil {2 * camera.pupil_radius_mm:.1f} mm, "
         f"focus {camera.focus_mm:.0f} mm"
     )
-    table.add_column("design")
-    for heading in ("R", "G", "B", "mean %", "luminance %", "baseline mm"):
-        table.add_column(heading, justify="right")
-    for z in rows[0].distances_mm:
-        table.add_column(f"{z:.0f} mm\nd px, σ mm", justify="right")
+    light = Table(title=f"Light and baseline: {lens}")
+    for heading in ("design", "R", "G", "B", "mean", "luminance", "baseline"):
+        light.add_column(heading, justify="left" if heading == "design" else "right")
     for row in rows:
-        light = [f"{t:.3f}" for t in row.transmission_rgb]
-        shares = [f"{100 * row.efficiency_mean:.1f}", f"{100 * row.efficiency_luminance:.1f}"]
-        base = f"{row.baseline_mm:.2f}" if row.baseline_mm else "-"
-        errors = [
-            f"{d:+.2f}, {s:.2f}" if s is not None else "-"
-            for d, s in zip(row.disparity_px, row.depth_sigma_mm, strict=True)
-        ]
-        table.add_row(row.title, *light, *shares, base, *errors)
-    Console().print(table)
+        shares = [*row.transmission_rgb, row.efficiency_mean, row.efficiency_luminance]
+        baseline = f"{row.baseline_mm:.2f} mm" if row.baseline_mm else "-"
+        light.add_row(row.name, *(f"{100 * share:.1f} %" for share in shares), baseline)
+    console.print(light)
+
+    columns = [f"{z:.0f} mm" for z in rows[0].distances_mm]
+    titles = ("Least depth error, mm", "Disparity, px", "Disparity per mm, px")
+    numbers = (
+        [[f"{s:.1f}" if s is not None else "-" for s in row.depth_sigma_mm] for row in rows],
+        [[f"{d:+.2f}" for d in row.disparity_px] for row in rows],
+        [[f"{d:.5f}" for d in row.disparity_px_per_mm] for row in rows],
+    )
+    for title, cells in zip(titles, numbers, strict=True):
+        table = Table("design", title=title)
+        for column in columns:
+            table.add_column(column, justify="right")
+        for row, values in zip(rows, cells, strict=True):
+            if row.baseline_mm:
+                table.add_row(row.name, *values)
+        if table.row_count:
+            console.print(table)
+    blur = ", ".join(f"{r:+.1f} px at {z}" for r, z in zip(rows[0].blur_radius_px, columns, strict=True))
+    console.print(f"Blur radius of the whole pupil (- nearer than the focus): {blur}")
 
 
 def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> None:
@@ -170,6 +183,7 @@ def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> Non
         axes = drawing.add_subplot(grid[0, i])
         picture = np.where((np.hypot(x, y) < 1)[..., None], aperture.transmission_map(x, y), 1.0)
         axes.imshow(picture)
+        axes.add_patch(pyplot.Circle((99.5, 99.5), 99.5, fill=False, color="0.4", linewidth=0.8))
         axes.axis("off")
         percent = 100 * aperture_figures(aperture).efficiency_mean
         axes.set_title(f"{aperture.title.replace(': ', chr(10))}\n{percent:.1f} %", fontsize=8)

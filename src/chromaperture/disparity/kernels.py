@@ -28,7 +28,7 @@ import numba
 import numpy as np
 
 from chromaperture.config import MatcherConfig
-from chromaperture.disparity import bands, reference, strips
+from chromaperture.disparity import bands, layout, reference, strips
 from chromaperture.disparity.inputs import MatchInputs, is_even, view_pairs
 from chromaperture.disparity.simd import LANES
 from chromaperture.disparity.subpixel import Winner
@@ -78,7 +78,7 @@ def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
                 curvature,
             )
 
-        _in_parallel(take_winners, -(-width // bands.BLOCK))
+        _in_parallel(take_winners, -(-width // layout.BLOCK))
     return Winner(disparity, peak, curvature)
 
 
@@ -175,7 +175,7 @@ def _whole_slabs(layers: int) -> int:
 
 def _filtered_scores(
     inputs: MatchInputs, config: MatcherConfig, near: np.float32, workspace: Workspace, *, weights_only: bool = False
-) -> tuple[np.ndarray, bands.RowMaps]:
+) -> tuple[np.ndarray, layout.RowMaps]:
     """Score all layers and filter the scores along x; see `bands.score_bands`."""
     height, width = inputs.mask.shape
     pad = reference.padding(inputs)
@@ -189,7 +189,7 @@ def _filtered_scores(
     band_rows = -(-rows_of_thread // (-(-rows_of_thread // max(_BAND_ROWS, least))))
 
     padded = width + 2 * pad[0]
-    rows = band_rows + 2 * halo + 4 * pad[1] + 3 * bands.GROUP
+    rows = band_rows + 2 * halo + 4 * pad[1] + 3 * layout.GROUP
     views = inputs.views.shape[2]
     pairs = len(layers.pairs)
     samples = (rows + 1) * samplings.row_length + 64
@@ -201,30 +201,30 @@ def _filtered_scores(
         ring=pairs * (rows + 1) * padded * LANES,
         carry=(-(-len(samplings.owner) // 4) + len(layers.ceiling) // LANES * pairs) * padded * LANES,
         state=pairs * padded * LANES,
-        lanes=(views * bands.GROUP + 2) * (padded + LANES) * LANES,
+        lanes=(views * layout.GROUP + 2) * (padded + LANES) * LANES,
         scores=width * LANES,
         line=width + 2 * samplings.margin + 16,
     )
-    scratch = bands.Scratch(
+    scratch = layout.Scratch(
         *(
             workspace.array(name, (threads, -(-size // 16) * 16), np.float32)
             for name, size in sizes.items()
         )
     )
-    wide = -(-width // bands.BLOCK) * bands.BLOCK
+    wide = -(-width // layout.BLOCK) * layout.BLOCK
     volume = workspace.array("volume", (wide * height * len(layers.ceiling),), np.int16)
     widths = dict(weights=width, links=width + 1, links_y=wide, share=wide, scale=width)
-    maps = bands.RowMaps(
+    maps = layout.RowMaps(
         *(workspace.array(name, (height, size), np.float32) for name, size in widths.items())
     )
-    pictures = bands.Pictures(
+    pictures = layout.Pictures(
         views=_planes(inputs.views),
         noise=_planes(inputs.noise_variance),
         covariance=_planes(inputs.noise_covariance),
         mask=np.ascontiguousarray(inputs.mask, np.float32),
         guide=np.ascontiguousarray(inputs.guide, np.float32),
     )
-    numbers = bands.Numbers(
+    numbers = layout.Numbers(
         decay=np.float32(config.window_decay),
         debias=np.float32(config.noise_debiasing),
         weighting=config.texture_weighting,
@@ -235,7 +235,7 @@ def _filtered_scores(
     )
 
     def score_bands(thread: int, first: int, last: int) -> None:
-        own = bands.Scratch(*(array[thread] for array in scratch))
+        own = layout.Scratch(*(array[thread] for array in scratch))
         for band in range(first, last):
             top, bottom = band * band_rows, min((band + 1) * band_rows, height)
             begin = band == first
@@ -249,7 +249,7 @@ def _filtered_scores(
 
 def _plan(
     inputs: MatchInputs, config: MatcherConfig, pad: tuple[int, int]
-) -> tuple[bands.Samplings, bands.Layers]:
+) -> tuple[layout.Samplings, layout.Layers]:
     """Decide which sub-pixel phases of the views are sampled, where they are kept, and how the layers find them."""
     width = inputs.mask.shape[1]
     count = len(inputs.layers_px)
@@ -320,7 +320,7 @@ def _plan(
     overlap = np.zeros((len(pairs), lanes), np.float32)
     overlap[:, :count] = inputs.noise_overlap.T * config.noise_debiasing
     ceiling = np.where(np.arange(lanes) < count, 1, -1).astype(np.float32)
-    samplings = bands.Samplings(
+    samplings = layout.Samplings(
         owner=np.array(owner),
         taps_x=np.ascontiguousarray(taps[:, 0]),
         taps_y=np.ascontiguousarray(taps[:, 1]),
@@ -330,7 +330,7 @@ def _plan(
         row_length=length,
         margin=margin,
     )
-    return samplings, bands.Layers(
+    return samplings, layout.Layers(
         direct, start, step, entry, whole, overlap.ravel(), ceiling, np.array(pairs)
     )
 

@@ -11,10 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.disparity import simd as v
-from chromaperture.disparity.bands import BLOCK, SCORE_SCALE, compiled, inner
+from chromaperture.disparity.layout import BLOCK, ONE, SCORE_SCALE, ZERO, compiled, inner
 
-_ONE = np.float32(1)
-_ZERO = np.float32(0)
 _HALF = np.float32(0.5)
 STRIP = 4  # columns filtered together: for 1000 rows of 32 layers they fill half a megabyte
 BATCH = 8  # rows whose winners are refined together
@@ -77,8 +75,8 @@ def _tags(slabs):
 def _block_maps(share, links_y, near, left, links, scale, inverse):
     """Links of a block of columns, weights of its int16 scores, and one over the weights filtered along y."""
     height = share.shape[0]
-    endless, unit = v.spread(_ONE / (_ONE - near)), v.spread(_ONE / SCORE_SCALE)
-    one, nothing = v.spread(_ONE), v.spread(_ZERO)
+    endless, unit = v.spread(ONE / (ONE - near)), v.spread(ONE / SCORE_SCALE)
+    one, nothing = v.spread(ONE), v.spread(ZERO)
     for j in range(0, BLOCK, v.LANES):
         v.store(links, height * BLOCK + j, nothing)
         state = nothing
@@ -105,7 +103,7 @@ def _take_strip(
     volume_row = BLOCK * lanes
     column = left % BLOCK
     at_volume = left // BLOCK * height * volume_row + column * v.LANES
-    endless = v.spread(_ONE / (_ONE - near))
+    endless = v.spread(ONE / (ONE - near))
     # Upwards; in the volume a slab's columns are neighbours, in the scratch a column's slabs.
     for y in range(height - 1, -1, -1):
         ahead = at_volume + max(y - AHEAD, 0) * volume_row
@@ -144,7 +142,7 @@ def _score_rows(top, bottom, height, lanes, column, near, links, inverse, tags, 
     """Scores of a batch of rows, raised by `_RAISED`, and of each pixel the largest with its tag."""
     tag_values = tags.view(np.float32)
     best = np.empty(STRIP * v.LANES, np.float32)
-    raised, gain, endless = v.spread(_RAISED), v.spread(_ONE - near), v.spread(_ONE / (_ONE - near))
+    raised, gain, endless = v.spread(_RAISED), v.spread(ONE - near), v.spread(ONE / (ONE - near))
     keep = v.load(tag_values, 0)
     row_size = STRIP * lanes
     for y in range(top, bottom):
@@ -153,7 +151,7 @@ def _score_rows(top, bottom, height, lanes, column, near, links, inverse, tags, 
             link = v.spread_at(links, y * BLOCK + column + j)
             link_below = v.spread_at(links, (y + 1) * BLOCK + column + j)
             share = v.spread_at(inverse, y * BLOCK + column + j)
-            most = v.spread(_ZERO)
+            most = v.spread(ZERO)
             here = y * row_size + j * lanes
             for i in range(0, lanes, v.LANES):
                 up, below = v.load(scratch, here + i), v.load(scratch, here + i + row_size)
@@ -182,11 +180,11 @@ def _refine(winners, mask, scores, lanes, layers, first, step, found):
         at = i * lanes + inner
         low[i], center[i], high[i] = scores[at - 1], scores[at], scores[at + 1]
         found[0, i] = np.float32(inner) if winner == inner else np.float32(np.nan)
-    square = _ONE / (step * step)
+    square = ONE / (step * step)
     for i in range(count):
-        bend = max(center[i] + center[i] - low[i] - high[i], _ZERO)
+        bend = max(center[i] + center[i] - low[i] - high[i], ZERO)
         slope = high[i] - low[i]
-        ratio = slope / bend if bend > _BEND_FLOOR else _ZERO
+        ratio = slope / bend if bend > _BEND_FLOOR else ZERO
         found[0, i] = first + step * (found[0, i] + min(max(_HALF * ratio, -_HALF), _HALF))
         found[1, i] = center[i] - _RAISED + np.float32(1 / 8) * slope * ratio
         found[2, i] = bend * square
