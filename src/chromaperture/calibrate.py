@@ -35,7 +35,8 @@ from chromaperture.session import Session, read_session
 _MEASURED: tuple[Quality, ...] = ("paper", "real-time")
 _MIDDLE = 1 / 3  # share of the width and height that stands for the axis
 _GRID_PX = 6  # every sixth px each way: neighbours share their window anyway
-_FIELD_DEGREE = 4
+_FIELD_DEGREES = (4, 2)  # the second where the first is drawn by noise
+_LEAST_SCALE = 0.1  # of the median: vignetting cuts the rim of the pupil, where an open design has its film
 _MIN_FIELD_BOARDS = 5
 _MIN_SIGMA_PX = 0.05  # two halves blur as mirror images, not as shifted copies: a shift reads that much wrong
 _RANGE_MARGIN = (0.9, 1.3)  # the working range reaches a little beyond the boards
@@ -265,16 +266,15 @@ def _fit_field(
     inverse, y, x = np.meshgrid(
         [1 / (board.ruler_mm - delta) for board in boards], rows, columns, indexing="ij"
     )
-    try:
-        field, _ = fit_depth_field(
-            x.ravel(), y.ravel(), inverse.ravel(), grids.ravel().astype(float), np.ones(grids.size),
-            size_px=size, degree=_FIELD_DEGREE, sensor_to_pupil_mm=delta, covariance=fit.model.covariance,
-        )  # fmt: skip
-        model = field.model(*size)
-        if len(boards) >= _MIN_FIELD_BOARDS and np.min(model.scale_px_mm) > 0.3 * np.max(model.scale_px_mm):
-            return field
-    except InputError:
-        pass
+    if len(boards) >= _MIN_FIELD_BOARDS:
+        for degree in _FIELD_DEGREES:
+            field, _ = fit_depth_field(
+                x.ravel(), y.ravel(), inverse.ravel(), grids.ravel().astype(float), np.ones(grids.size),
+                size_px=size, degree=degree, sensor_to_pupil_mm=delta, covariance=fit.model.covariance,
+            )  # fmt: skip
+            scale = field.model(*size).scale_px_mm
+            if np.min(scale) > _LEAST_SCALE * np.median(scale):
+                return field
     notes.append(f"{quality}: too little to fit fields over the frame, one depth curve for all of it")
     return DepthField.constant(fit.model)
 
