@@ -10,6 +10,7 @@ from chromaperture.disparity import reference, semiglobal, semiglobal_kernels
 from chromaperture.disparity.confidence import disparity_sigma
 from chromaperture.disparity.inputs import MatchInputs
 from chromaperture.disparity.optimise import log_likelihood, match, optimise_volume, relative_scale
+from chromaperture.disparity.reference import three_view_score
 from chromaperture.disparity.semiglobal import layer_field
 from chromaperture.disparity.subpixel import Winner
 from chromaperture.errors import InputError
@@ -37,9 +38,10 @@ def test_likelihood_is_that_of_gaussian_views():
         alone = x**2 + y**2
         gain = (alone - together).mean() / 2
         assert log_likelihood(np.array(rho), view_count=2) == pytest.approx(gain, abs=0.01)  # sampling error
-    # Three views of which only two are related know no more than those two.
+    # Three views of which only two are related know no more than those two: det R = 1 - rho^2 for both.
     pair = log_likelihood(np.array(0.5), view_count=2)
-    assert log_likelihood(np.array(0.5**2), view_count=3) == pytest.approx(pair, rel=1e-6)
+    score = three_view_score(np.array(0.5), np.array(0.0), np.array(0.0))
+    assert log_likelihood(score, view_count=3) == pytest.approx(pair, rel=1e-6)
 
 
 def test_anticorrelation_is_no_evidence_and_certainty_is_finite():

@@ -28,7 +28,7 @@ def demo(
             reports.append(
                 measure_file(
                     sample_image(name),
-                    load_camera(sample_camera(name)),
+                    load_camera(sample_camera(name), quality="accurate"),
                     out=out,
                     listener=lambda stage, i=i, name=name: update(f"{name}: {stage}", i, len(SAMPLES)),  # type: ignore[misc]
                 )

@@ -1,7 +1,7 @@
 """Apertures as data: where each colour filter sits in the pupil, and what follows from that alone.
 
-Pupil coordinates are in units of the pupil radius, seen from behind the camera looking at the scene, x right, y down
-(``docs/conventions.md``). Nothing here knows a lens or an image.
+Pupil coordinates are in units of the pupil radius, seen from behind the camera looking at the scene, x right,
+y down (``docs/conventions.md``). Nothing here knows a lens or an image.
 """
 
 from __future__ import annotations
@@ -10,75 +10,45 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Protocol
 
 import numpy as np
 
 from chromaperture.errors import InputError
+from chromaperture.optics.film import (
+    BLUE,
+    CLEAR,
+    CYAN,
+    FIXED,
+    GREEN,
+    MAGENTA,
+    OPAQUE,
+    RED,
+    YELLOW,
+    Filter,
+    film_named,
+)
+from chromaperture.optics.shapes import Disc, HalfPlane, Intersection, Polygon, Shape, Square
 
+__all__ = [
+    "DESIGNS",
+    "Aperture",
+    "Disc",
+    "Filter",
+    "HalfPlane",
+    "Polygon",
+    "Shape",
+    "Square",
+    "SubAperture",
+    "centroids",
+    "channel_transmission",
+    "checked_aperture",
+    "design_named",
+    "made_of",
+    "open_band",
+    "open_disc",
+]
 
-class Shape(Protocol):
-    """A region of the pupil plane."""
-
-    def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Tell which points lie inside; bool array of the shape of ``x``."""
-        ...
-
-
-@dataclass(frozen=True)
-class Disc:
-    """A disc, or with ``inner_radius`` a ring, in pupil radii."""
-
-    center: tuple[float, float] = (0.0, 0.0)
-    radius: float = 1.0
-    inner_radius: float = 0.0
-
-    def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:  # noqa: D102 - see Shape
-        r2 = (x - self.center[0]) ** 2 + (y - self.center[1]) ** 2
-        return (r2 < self.radius**2) & (r2 >= self.inner_radius**2)
-
-
-@dataclass(frozen=True)
-class HalfPlane:
-    """The points with ``normal . (x, y) >= offset``; ``normal`` is a unit vector."""
-
-    normal: tuple[float, float]
-    offset: float = 0.0
-
-    def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:  # noqa: D102 - see Shape
-        return self.normal[0] * x + self.normal[1] * y >= self.offset
-
-
-@dataclass(frozen=True)
-class Square:
-    """A square of the given side, turned by ``angle_deg`` about its centre."""
-
-    center: tuple[float, float]
-    side: float
-    angle_deg: float = 0.0
-
-    def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:  # noqa: D102 - see Shape
-        c, s = math.cos(math.radians(self.angle_deg)), math.sin(math.radians(self.angle_deg))
-        dx, dy = x - self.center[0], y - self.center[1]
-        return np.maximum(np.abs(c * dx + s * dy), np.abs(c * dy - s * dx)) < self.side / 2
-
-
-@dataclass(frozen=True)
-class Filter:
-    """A colour filter: the share of light it passes in the sensor's red, green and blue channel."""
-
-    name: str
-    transmission: tuple[float, float, float]
-
-
-RED = Filter("red", (1.0, 0.0, 0.0))
-GREEN = Filter("green", (0.0, 1.0, 0.0))
-BLUE = Filter("blue", (0.0, 0.0, 1.0))
-CYAN = Filter("cyan", (0.0, 1.0, 1.0))
-MAGENTA = Filter("magenta", (1.0, 0.0, 1.0))
-YELLOW = Filter("yellow", (1.0, 1.0, 0.0))
-CLEAR = Filter("clear", (1.0, 1.0, 1.0))
-OPAQUE = Filter("opaque", (0.0, 0.0, 0.0))
+_LARGEST_OVERLAP = 1e-3  # share of the pupil; neighbours that touch overlap by less than a row of grid cells
 
 
 @dataclass(frozen=True)
@@ -104,8 +74,8 @@ class Aperture:
     remainder : Filter
         What fills the pupil outside the pieces: ``CLEAR`` or ``OPAQUE``.
     views : tuple of str
-        Names of the filters whose views are matched, in order: two (complementary halves), three, or none where the
-        design has no parallax.
+        Names of the filters whose views are matched, in order: two (complementary halves), three, or none
+        where the design has no parallax.
     """
 
     name: str
@@ -162,18 +132,37 @@ def pupil_grid(samples: int = 1000) -> tuple[np.ndarray, np.ndarray]:
     return x, y
 
 
+@cache
+def _piece_moments(shapes: tuple[Shape, ...], samples: int = 1000) -> np.ndarray:
+    """Area and first moments of every piece and, last, of the rest of the pupil; (P + 1, 3).
+
+    Film does not enter, so that one integration serves every film and every combination of channels.
+    """
+    x, y = pupil_grid(samples)
+    piece = np.full(x.shape, len(shapes), np.int8)
+    for i, shape in enumerate(shapes):
+        piece[shape.contains(x, y)] = i
+    inside = np.hypot(x, y) < 1
+    rows = [np.bincount(piece[inside], weights, len(shapes) + 1) for weights in (None, x[inside], y[inside])]
+    return np.stack(rows, axis=1) / np.count_nonzero(inside)
+
+
+def channel_moments(aperture: Aperture) -> np.ndarray:
+    """Light and its first moments (x, y) in the pupil for R, G, B; (3, 3) float64, open pupil = 1."""
+    film = [part.filter.transmission for part in aperture.parts] + [aperture.remainder.transmission]
+    return np.array(film).T @ _piece_moments(tuple(part.shape for part in aperture.parts))
+
+
 def channel_transmission(aperture: Aperture) -> np.ndarray:
     """Share of the light of an open pupil that reaches each sensor channel; (3,) float64."""
-    x, y = pupil_grid()
-    inside = np.hypot(x, y) < 1
-    return aperture.transmission_map(x, y)[inside].mean(axis=0)
+    return channel_moments(aperture)[:, 0]
 
 
 def centroids(aperture: Aperture, unmixing: np.ndarray | None = None) -> np.ndarray:
     """Centroid of the pupil as each channel sees it.
 
-    A linear combination ``q`` of the sensor channels sees the pupil function ``sum_k q_k A_k``, so unmixing moves the
-    centroids outwards: that is why CYX separates the views of an open design further than RGB does.
+    A linear combination ``q`` of the sensor channels sees the pupil function ``sum_k q_k A_k``, so unmixing
+    moves the centroids outwards: that is why CYX separates the views of an open design further than RGB does.
 
     Parameters
     ----------
@@ -186,16 +175,66 @@ def centroids(aperture: Aperture, unmixing: np.ndarray | None = None) -> np.ndar
     (K, 2) float64, pupil radii; NaN for a channel that sees no light.
     """
     rows = np.eye(3) if unmixing is None else np.asarray(unmixing, float)
-    x, y = pupil_grid()
-    weights = aperture.transmission_map(x, y) @ rows.T
-    mass = weights.sum(axis=(0, 1))
-    moments = np.stack([(weights * x[..., None]).sum(axis=(0, 1)), (weights * y[..., None]).sum(axis=(0, 1))], -1)
-    lit = np.abs(mass) > 1e-9 * x.size
-    return np.where(lit[:, None], moments / np.where(lit, mass, 1.0)[:, None], np.nan)
+    moments = rows @ channel_moments(aperture)
+    mass = moments[:, :1]
+    lit = np.abs(mass) > 1e-9
+    return np.where(lit, moments[:, 1:] / np.where(lit, mass, 1.0), np.nan)
+
+
+def made_of(aperture: Aperture, film: str) -> Aperture:
+    """Give the same design made of another film (``ideal``, ``real``, ``leaky``).
+
+    Raises
+    ------
+    InputError
+        The film has no such colour, or its name is unknown.
+    """
+    sheets = film_named(film) | FIXED
+    missing = sorted({part.filter.name for part in aperture.parts} - set(sheets))
+    if missing:
+        raise InputError(f"film {film!r} has no {', '.join(missing)} sheet: it has {', '.join(sheets)}")
+    return aperture.with_film({name: sheet.transmission for name, sheet in sheets.items()})
+
+
+def checked_aperture(aperture: Aperture) -> Aperture:
+    """Check a user's design and give it back.
+
+    Pieces may reach beyond the pupil, as film reaches under the rim of a stop; the pupil cuts them.
+
+    Raises
+    ------
+    InputError
+        A piece lies wholly outside the pupil, two pieces overlap, a view names no piece, or no light passes.
+    """
+    x, y = pupil_grid(400)
+    inside = np.hypot(x, y) < 1
+    covers = [part.shape.contains(x, y) & inside for part in aperture.parts]
+    for i, (part, cover) in enumerate(zip(aperture.parts, covers, strict=True)):
+        if not cover.any():
+            raise InputError(
+                f"piece {i + 1} ({part.filter.name}) of {aperture.name!r} lies outside the pupil: "
+                "coordinates are in "
+                "pupil radii, from -1 to 1"
+            )
+        for j in range(i):
+            shared = np.count_nonzero(cover & covers[j]) / np.count_nonzero(inside)
+            if shared > _LARGEST_OVERLAP:
+                raise InputError(
+                    f"pieces {j + 1} ({aperture.parts[j].filter.name}) and {i + 1} ({part.filter.name}) of "
+                    f"{aperture.name!r} overlap over {100 * shared:.1f} % of the pupil: move or shrink one"
+                )
+    for view in aperture.views:
+        aperture.filter_named(view)
+    if not aperture.transmission_map(x, y).any():
+        raise InputError(
+            f"aperture {aperture.name!r} passes no light: add a piece of film or a clear remainder"
+        )
+    return aperture
 
 
 _SQUARE_SIDE = math.sqrt(0.5)
 _TANGENT_RADIUS = 1 / (1 + 2 / math.sqrt(3))  # three equal discs touching each other and the pupil's rim
+_LEFT, _RIGHT = (-1.0, 0.0), (1.0, 0.0)
 
 
 def _three_discs(filters: Sequence[Filter], radius: float, distance: float) -> tuple[SubAperture, ...]:
@@ -218,6 +257,25 @@ def _three_squares(filters: Sequence[Filter]) -> tuple[SubAperture, ...]:
     )
 
 
+def open_band(half_width: float, *, name: str = "cy_open") -> Aperture:
+    """Design VII: cyan and yellow caps left and right of an open band |x| < half_width, in pupil radii."""
+    caps = (
+        SubAperture(HalfPlane(_LEFT, half_width), CYAN),
+        SubAperture(HalfPlane(_RIGHT, half_width), YELLOW),
+    )
+    return Aperture(name, "VII: cyan and yellow, open band", caps, CLEAR, ("cyan", "yellow"))
+
+
+def open_disc(radius: float, *, name: str = "cy_open_disc") -> Aperture:
+    """Design VII read as a ring: cyan and yellow half rings around an open disc of that radius."""
+    ring = Disc(inner_radius=radius, radius=2.0)
+    halves = tuple(
+        SubAperture(Intersection((ring, HalfPlane(side))), colour)
+        for side, colour in ((_LEFT, CYAN), (_RIGHT, YELLOW))
+    )
+    return Aperture(name, "VII b: cyan and yellow, open disc", halves, CLEAR, ("cyan", "yellow"))
+
+
 DESIGNS: dict[str, Aperture] = {
     design.name: design
     for design in (
@@ -231,13 +289,12 @@ DESIGNS: dict[str, Aperture] = {
                  _three_discs((CYAN, MAGENTA, YELLOW), _TANGENT_RADIUS, 1 - _TANGENT_RADIUS), OPAQUE,
                  ("cyan", "magenta", "yellow")),
         Aperture("cy_halves", "V: cyan and yellow halves",
-                 (SubAperture(HalfPlane((-1.0, 0.0)), CYAN), SubAperture(HalfPlane((1.0, 0.0)), YELLOW)), OPAQUE,
+                 (SubAperture(HalfPlane(_LEFT), CYAN), SubAperture(HalfPlane(_RIGHT), YELLOW)), OPAQUE,
                  ("cyan", "yellow")),
         Aperture("magenta_annulus", "VI: magenta annulus",
                  (SubAperture(Disc(inner_radius=0.59), MAGENTA),), CLEAR, ()),
-        Aperture("cy_open", "VII: cyan and yellow, open band",
-                 (SubAperture(HalfPlane((-1.0, 0.0), 0.60), CYAN), SubAperture(HalfPlane((1.0, 0.0), 0.60), YELLOW)),
-                 CLEAR, ("cyan", "yellow")),
+        open_band(0.60),
+        open_disc(0.835),
         Aperture("open", "VIII: open", (), CLEAR, ()),
     )
 }  # fmt: skip

@@ -1,0 +1,185 @@
+"""``chromaperture apertures``: compare designs for a lens, and print one to cut."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from chromaperture.errors import InputError
+
+if TYPE_CHECKING:
+    from chromaperture.optics.aperture import Aperture
+    from chromaperture.optics.pinhole import PupilCamera
+
+
+@dataclass(frozen=True)
+class DesignRow:
+    """One line of the table; lists run over the distances."""
+
+    name: str
+    title: str
+    transmission_rgb: list[float]
+    efficiency_mean: float
+    efficiency_luminance: float
+    baseline_mm: float
+    distances_mm: list[float]
+    disparity_px: list[float]
+    disparity_px_per_mm: list[float]
+    blur_radius_px: list[float]
+    depth_sigma_mm: list[float | None]
+
+
+def apertures(
+    design: Annotated[
+        list[str] | None, typer.Argument(help="Designs or files to compare; all when absent.")
+    ] = None,
+    lens: Annotated[
+        str, typer.Option(help="Lens that comes with the package, or a .toml file.")
+    ] = "double_gauss_50",
+    focus_mm: Annotated[float, typer.Option(help="Focus distance from the sensor, mm.")] = 2000.0,
+    at_mm: Annotated[list[float] | None, typer.Option(help="Distance to judge at; repeatable.")] = None,
+    film: Annotated[str, typer.Option(help="ideal, real or leaky.")] = "real",
+    width: Annotated[int, typer.Option(help="Image width, px.")] = 720,
+    sensor_width_mm: Annotated[float, typer.Option(help="Width of the sensor, mm.")] = 22.3,
+    figure: Annotated[
+        Path | None, typer.Option(help="Write a figure of masks and depth errors (.png, .svg).")
+    ] = None,
+    template: Annotated[
+        Path | None, typer.Option(help="Write a 1:1 template of the one design (.svg, .pdf).")
+    ] = None,
+    pupil_mm: Annotated[float | None, typer.Option(help="Diameter of the stop for the template, mm.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
+) -> None:
+    """Compare aperture designs: light, baseline, disparity, blur, and the best depth error they allow.
+
+    Example: chromaperture apertures cy_halves --template cy.pdf --pupil-mm 17.1
+    """
+    from chromaperture.optics.aperture import DESIGNS, made_of
+    from chromaperture.optics.aperture_file import load_aperture
+    from chromaperture.optics.paraxial import focused_at
+    from chromaperture.optics.pinhole import pupil_camera
+    from chromaperture.optics.prescription import load_lens
+
+    names = design or list(DESIGNS)
+    chosen = [made_of(load_aperture(n), film) if n in DESIGNS else load_aperture(n) for n in names]
+    optics = focused_at(load_lens(lens), focus_mm)
+    pitch = sensor_width_mm / width
+    camera = pupil_camera(optics, width_px=width, height_px=round(width * 2 / 3), pixel_pitch_mm=pitch)
+    rows = design_table(chosen, camera, at_mm or [1000.0, 1500.0, 2000.0, 3000.0, 4000.0])
+    if template:
+        from chromaperture.optics.template import write_template
+
+        if len(chosen) != 1:
+            raise InputError("--template needs exactly one design")
+        stop = next(s for s in optics.surfaces if s.role == "stop")
+        write_template(template, chosen[0], pupil_diameter_mm=pupil_mm or 2 * stop.semi_diameter_mm)
+    if figure:
+        draw_designs(figure, chosen, camera)
+    if as_json:
+        typer.echo(json.dumps([asdict(row) for row in rows], indent=1))
+    elif not quiet:
+        _print_table(rows, camera)
+    for path in (template, figure):
+        if path and not quiet and not as_json:
+            typer.echo(f"Wrote {path}")
+
+
+def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list[float]) -> list[DesignRow]:
+    """Collect the figures of designs before one lens, at equal exposure of the open aperture."""
+    import numpy as np
+
+    from chromaperture.optics.accuracy import expected_accuracy
+    from chromaperture.optics.metrics import aperture_figures, film_unmixing
+
+    rows = []
+    for aperture in chosen:
+        light = aperture_figures(aperture)
+        views = aperture_figures(aperture, film_unmixing(aperture))
+        curve = expected_accuracy(aperture, camera, np.array(distances_mm))
+        rows.append(
+            DesignRow(
+                name=aperture.name,
+                title=aperture.title,
+                transmission_rgb=light.channel_transmission.round(4).tolist(),
+                efficiency_mean=round(light.efficiency_mean, 4),
+                efficiency_luminance=round(light.efficiency_luminance, 4),
+                baseline_mm=round(views.baseline * camera.pupil_radius_mm if aperture.views else 0.0, 3),
+                distances_mm=[float(z) for z in distances_mm],
+                disparity_px=curve.disparity_px.round(3).tolist(),
+                disparity_px_per_mm=curve.disparity_per_mm.round(6).tolist(),
+                blur_radius_px=curve.blur_px.round(3).tolist(),
+                depth_sigma_mm=[round(float(s), 3) if math.isfinite(s) else None for s in curve.sigma_mm],
+            )
+        )
+    return rows
+
+
+def _print_table(rows: list[DesignRow], camera: PupilCamera) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(
+        title=f"F = {camera.image_distance_mm:.1f} mm, pupil {2 * camera.pupil_radius_mm:.1f} mm, "
+        f"focus {camera.focus_mm:.0f} mm"
+    )
+    table.add_column("design")
+    for heading in ("R", "G", "B", "mean %", "luminance %", "baseline mm"):
+        table.add_column(heading, justify="right")
+    for z in rows[0].distances_mm:
+        table.add_column(f"{z:.0f} mm\nd px, σ mm", justify="right")
+    for row in rows:
+        light = [f"{t:.3f}" for t in row.transmission_rgb]
+        shares = [f"{100 * row.efficiency_mean:.1f}", f"{100 * row.efficiency_luminance:.1f}"]
+        base = f"{row.baseline_mm:.2f}" if row.baseline_mm else "-"
+        errors = [
+            f"{d:+.2f}, {s:.2f}" if s is not None else "-"
+            for d, s in zip(row.disparity_px, row.depth_sigma_mm, strict=True)
+        ]
+        table.add_row(row.title, *light, *shares, base, *errors)
+    Console().print(table)
+
+
+def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> None:
+    """Draw the masks in their colours and the depth error over distance."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import numpy as np
+    from matplotlib import pyplot
+
+    from chromaperture.optics.accuracy import expected_accuracy
+    from chromaperture.optics.aperture import pupil_grid
+    from chromaperture.optics.metrics import aperture_figures
+
+    columns = max(len(chosen), 4)
+    drawing = pyplot.figure(figsize=(1.7 * columns, 6.2), layout="constrained")
+    grid = drawing.add_gridspec(2, columns, height_ratios=(1, 2.2))
+    below = drawing.add_subplot(grid[1, :])
+    x, y = pupil_grid(200)
+    last = 4000.0 if math.isinf(camera.focus_mm) else 2 * camera.focus_mm
+    distances = np.linspace(
+        max(0.25 * last, 1.5 * camera.sensor_to_pupil_mm + camera.image_distance_mm), last, 40
+    )
+    for i, aperture in enumerate(chosen):
+        axes = drawing.add_subplot(grid[0, i])
+        picture = np.where((np.hypot(x, y) < 1)[..., None], aperture.transmission_map(x, y), 1.0)
+        axes.imshow(picture)
+        axes.axis("off")
+        percent = 100 * aperture_figures(aperture).efficiency_mean
+        axes.set_title(f"{aperture.title.replace(': ', chr(10))}\n{percent:.1f} %", fontsize=8)
+        if aperture.views:
+            below.semilogy(
+                distances, expected_accuracy(aperture, camera, distances).sigma_mm, label=aperture.title
+            )
+    below.set(xlabel="distance from the sensor, mm", ylabel="bound on the depth error σ, mm")
+    below.grid(alpha=0.3)
+    if below.lines:
+        below.legend(fontsize=8)
+    drawing.savefig(path, dpi=110)
+    pyplot.close(drawing)

@@ -1,0 +1,164 @@
+"""How well a design can measure depth: the Cramer-Rao bound of its disparity under shot and read noise.
+
+The scene is grey with an unknown texture of 1/f amplitudes. With h(w) the transfer functions of the channels,
+S their noise covariance and I(w) the texture, each frequency informs about the disparity d by
+
+    |I|^2 h'^H P h',    P = S^-1 - S^-1 h h^H S^-1 / (h^H S^-1 h),    ' = d/dd:
+
+what is left of a change of the pictures once any change of the texture is allowed to explain it. For two
+channels that is |I|^2 |h2' h1 - h1' h2|^2 / (v1 |h2|^2 + v2 |h1|^2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from chromaperture.optics.aperture import Aperture, channel_transmission
+from chromaperture.optics.metrics import aperture_figures, film_unmixing
+from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.psf import geometric_otf
+from chromaperture.optics.sensor import Sensor
+
+_FIELD = 128  # side of the patch whose frequencies are summed, px
+_STEP = 1e-2  # px of blur radius, for the derivative
+
+
+@dataclass(frozen=True)
+class Texture:
+    """What the scene offers and how much of it is listened to.
+
+    Attributes
+    ----------
+    mean, contrast : float
+        Reflectance and its standard deviation, linear.
+    exponent : float
+        Amplitudes fall as frequency^-exponent, from the lowest frequency of ``patch_px`` on.
+    patch_px : int
+        Size of the picture the contrast belongs to.
+    window_px2 : float
+        Independent pixels in the matching window. 320 is that of 0.80^(|x| + |y|), the default of the
+        matcher.
+    """
+
+    mean: float = 0.45
+    contrast: float = 0.18
+    exponent: float = 1.0
+    patch_px: int = 512
+    window_px2: float = 320.0
+
+
+@dataclass(frozen=True)
+class ExpectedAccuracy:
+    """Figures of one design at several distances.
+
+    Attributes
+    ----------
+    depth_mm : (N,) float64
+        From the sensor plane.
+    disparity_px, blur_px : (N,) float64
+        Half disparity of the unmixed views, and signed blur radius.
+    disparity_per_mm : (N,) float64
+        Slope of the disparity, px/mm.
+    sigma_px, sigma_mm : (N,) float64
+        Bound on one standard deviation; inf for designs without disparity.
+    """
+
+    depth_mm: np.ndarray
+    disparity_px: np.ndarray
+    blur_px: np.ndarray
+    disparity_per_mm: np.ndarray
+    sigma_px: np.ndarray
+    sigma_mm: np.ndarray
+
+
+def expected_accuracy(
+    aperture: Aperture,
+    camera: PupilCamera,
+    depth_mm: np.ndarray,
+    *,
+    sensor: Sensor | None = None,
+    texture: Texture | None = None,
+    exposure: float = 1.0,
+) -> ExpectedAccuracy:
+    """Bound the depth error of a design.
+
+    Parameters
+    ----------
+    aperture : Aperture
+    camera : PupilCamera
+    depth_mm : (N,) float
+        From the sensor plane.
+    sensor : Sensor, optional
+    texture : Texture, optional
+    exposure : float
+        Factor on the light, the same for all designs that are to be compared.
+
+    Returns
+    -------
+    ExpectedAccuracy
+
+    Raises
+    ------
+    InputError
+        A distance behind the camera.
+    """
+    sensor, texture = sensor or Sensor(), texture or Texture()
+    depth = np.atleast_1d(np.asarray(depth_mm, float))
+    radius = camera.blur_radius_px(depth)
+    beta = aperture_figures(aperture, film_unmixing(aperture)).beta if aperture.views else 0.0
+    z = depth - camera.sensor_to_pupil_mm
+    slope = camera.focal_px * camera.pupil_radius_mm / z**2 * beta
+    sigma = np.array([disparity_bound(aperture, r, beta, sensor, texture, exposure) for r in radius])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma_mm = np.where(np.isfinite(sigma), sigma / slope, np.inf)
+    return ExpectedAccuracy(depth, beta * radius, radius, slope, sigma, sigma_mm)
+
+
+def disparity_bound(
+    aperture: Aperture, radius_px: float, beta: float, sensor: Sensor, texture: Texture, exposure: float
+) -> float:
+    """Smallest standard deviation of the half disparity at a blur radius, px; inf if nothing is learned."""
+    if beta == 0:
+        return float("inf")
+    light = channel_transmission(aperture)
+    rows = film_unmixing(aperture)
+    shot = light * texture.mean * exposure / sensor.full_well_electrons
+    variance = shot + (sensor.read_noise_electrons / sensor.full_well_electrons) ** 2
+    noise = rows @ np.diag(variance) @ rows.T
+    # Transfer functions of the unmixed views: what is matched.
+    shape = (_FIELD, _FIELD)
+
+    def views(r: float) -> np.ndarray:
+        otf = (
+            geometric_otf(aperture, float(r), shape, pixel=True).astype(complex)
+            * (exposure * light)[:, None, None]
+        )
+        return np.einsum("kc,chw->hwk", rows, otf)
+
+    h = views(radius_px)
+    slope = (views(radius_px + _STEP) - views(radius_px - _STEP)) / (2 * _STEP * beta)  # r = d / beta
+    inverse = np.linalg.inv(noise)
+    own = np.einsum("hwk,kl,hwl->hw", h.conj(), inverse, h).real
+    moved = np.einsum("hwk,kl,hwl->hw", slope.conj(), inverse, slope).real
+    both = np.einsum("hwk,kl,hwl->hw", h.conj(), inverse, slope)
+    information = np.maximum(moved - np.abs(both) ** 2 / np.maximum(own, 1e-30), 0)
+    # The half plane of `rfft2` stands for all frequencies: its inner columns count twice.
+    twice = np.full(h.shape[1], 2.0)
+    twice[[0, -1]] = 1
+    per_pixel = float((information * _spectrum(texture) * twice).sum())
+    return float("inf") if per_pixel <= 0 else float(1 / np.sqrt(per_pixel * texture.window_px2))
+
+
+def _spectrum(texture: Texture) -> np.ndarray:
+    """Variance of the texture in each cell of the frequency plane; (_FIELD, _FIELD // 2 + 1)."""
+    side = texture.patch_px
+    fy, fx = np.fft.fftfreq(side)[:, None], np.fft.fftfreq(side)[None]
+    fine = np.hypot(fy, fx)
+    fine[0, 0] = np.inf
+    total = (fine ** (-2 * texture.exponent)).sum()
+    coarse = np.hypot(np.fft.fftfreq(_FIELD)[:, None], np.fft.rfftfreq(_FIELD)[None])
+    coarse[0, 0] = np.inf
+    density = coarse ** (-2 * texture.exponent) / total * (side / _FIELD) ** 2
+    return texture.contrast**2 * density

@@ -1,0 +1,74 @@
+"""What the masks of an aperture alone decide: light, centroids, baseline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from chromaperture.optics.aperture import Aperture, centroids, channel_transmission
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # ITU-R BT.709
+
+
+@dataclass(frozen=True)
+class ApertureFigures:
+    """Figures of one design.
+
+    Attributes
+    ----------
+    channel_transmission : (3,) float64
+        Share of the open pupil's light in R, G, B.
+    efficiency_mean, efficiency_luminance : float
+        Mean of the three, and weighted as the eye does (.2126, .7152, .0722).
+    centroids : (K, 2) float64
+        Centroids in pupil radii of the K channels looked at, NaN where a channel sees no light.
+    beta : float
+        r_c / R, mean distance of the outlying centroids from the pupil's centre: Eq. (6).
+    baseline : float
+        Largest distance of two centroids, in pupil radii; 0 without parallax.
+    """
+
+    channel_transmission: np.ndarray
+    efficiency_mean: float
+    efficiency_luminance: float
+    centroids: np.ndarray
+    beta: float
+    baseline: float
+
+
+def film_unmixing(aperture: Aperture) -> np.ndarray:
+    """Least-squares unmixing of white light into the views; (K, 3) float64, identity without views."""
+    if not aperture.views:
+        return np.eye(3)
+    colours = np.array([aperture.filter_named(name).transmission for name in aperture.views])
+    return np.linalg.pinv(colours.T)
+
+
+def aperture_figures(aperture: Aperture, unmixing: np.ndarray | None = None) -> ApertureFigures:
+    """Collect the figures of a design as the sensor's channels see it, or any combinations of them.
+
+    Parameters
+    ----------
+    aperture : Aperture
+    unmixing : (K, 3) float, optional
+        Rows are combinations of R, G, B; see `film_unmixing`. The sensor channels themselves when absent.
+
+    Returns
+    -------
+    ApertureFigures
+    """
+    transmission = channel_transmission(aperture)
+    rho = centroids(aperture, unmixing)
+    seen = rho[np.isfinite(rho).all(axis=1)]
+    distance = np.linalg.norm(seen, axis=1)
+    outlying = distance > 1e-6  # the green of complementary halves is the reference, not a side
+    return ApertureFigures(
+        channel_transmission=transmission,
+        efficiency_mean=float(transmission.mean()),
+        efficiency_luminance=float(transmission @ LUMINANCE),
+        centroids=rho,
+        beta=float(distance[outlying].mean()) if outlying.any() else 0.0,
+        baseline=max((float(np.linalg.norm(a - b)) for a, b in combinations(seen, 2)), default=0.0),
+    )

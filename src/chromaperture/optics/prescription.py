@@ -1,0 +1,264 @@
+"""Lens prescriptions: surfaces, glasses and apertures as data, shipped or from a TOML file of one's own."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from chromaperture.errors import InputError
+
+_LINE_F, _LINE_D, _LINE_C = 0.4861, 0.5876, 0.6563  # um
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One surface and the medium behind it; all lengths in mm, light travels towards +z, to the sensor.
+
+    Attributes
+    ----------
+    radius_mm : float
+        Radius of curvature, + with the centre towards the sensor, inf for a plane.
+    thickness_mm : float
+        Distance to the next surface.
+    index_d, abbe : float
+        Refractive index at 587.6 nm and Abbe number (inf without dispersion) of the medium behind.
+    semi_diameter_mm : float
+        Half the clear diameter; inf when unlimited.
+    conic : float
+        0 sphere, -1 paraboloid.
+    coefficients : tuple of float
+        Even asphere: factors of r^4, r^6, ... in mm.
+    role : str
+        ``""``, ``"stop"``, or ``"filter"`` for a plane that only carries the colour filters.
+    """
+
+    radius_mm: float = math.inf
+    thickness_mm: float = 0.0
+    index_d: float = 1.0
+    abbe: float = math.inf
+    semi_diameter_mm: float = math.inf
+    conic: float = 0.0
+    coefficients: tuple[float, ...] = ()
+    role: str = ""
+
+    def index(self, wavelength_um: float) -> float:
+        """Refractive index: Cauchy's two terms through ``index_d`` and ``abbe``."""
+        if math.isinf(self.abbe):
+            return self.index_d
+        slope = (self.index_d - 1) / self.abbe / (_LINE_F**-2 - _LINE_C**-2)
+        return self.index_d + slope * (wavelength_um**-2 - _LINE_D**-2)
+
+
+@dataclass(frozen=True)
+class Prescription:
+    """A lens in front of a sensor.
+
+    Attributes
+    ----------
+    name, title, source : str
+        Identifier, what a person calls it, where the figures come from.
+    surfaces : tuple of Surface
+        From the scene to the sensor.
+    sensor_gap_mm : float
+        Last vertex to sensor: the focus setting.
+    wavelengths_um : tuple of float
+        One wavelength each for R, G, B.
+    """
+
+    name: str
+    title: str
+    source: str
+    surfaces: tuple[Surface, ...]
+    sensor_gap_mm: float
+    wavelengths_um: tuple[float, float, float]
+
+    @property
+    def vertices_mm(self) -> np.ndarray:
+        """(N,) float64: where each surface meets the axis, from the first vertex."""
+        return np.concatenate([[0.0], np.cumsum([s.thickness_mm for s in self.surfaces[:-1]])])
+
+    @property
+    def first_vertex_to_sensor_mm(self) -> float:
+        """Distance of the first vertex from the sensor plane."""
+        return float(self.vertices_mm[-1]) + self.sensor_gap_mm
+
+    @property
+    def stop_index(self) -> int:
+        """Number of the surface that is the stop."""
+        return next(i for i, s in enumerate(self.surfaces) if s.role == "stop")
+
+    @property
+    def filter_index(self) -> int:
+        """Number of the surface that carries the colour filters: the stop, or a filter plane put in."""
+        return next((i for i, s in enumerate(self.surfaces) if s.role == "filter"), self.stop_index)
+
+    def indices(self, wavelength_um: float) -> np.ndarray:
+        """(N + 1,) float64: refractive index before the first and behind every surface."""
+        return np.array([1.0] + [s.index(wavelength_um) for s in self.surfaces])
+
+
+def lens_names() -> list[str]:
+    """Names of the prescriptions that come with the package."""
+    folder = resources.files("chromaperture.optics") / "prescriptions"
+    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+
+
+def load_lens(name_or_path: str | Path) -> Prescription:
+    """Give a lens that comes with the package by its name, or one of your own from a TOML file.
+
+    Raises
+    ------
+    InputError
+        Unknown name, missing or malformed file; see `lens_from_dict`.
+    """
+    name = str(name_or_path)
+    if not name.endswith(".toml"):
+        if name not in lens_names():
+            raise InputError(
+                f"unknown lens {name!r}: choose one of {', '.join(lens_names())}, or give a .toml file"
+            )
+        path: Any = resources.files("chromaperture.optics") / "prescriptions" / f"{name}.toml"
+    else:
+        path = Path(name)
+        if not path.is_file():
+            raise InputError(f"no lens file {path}: give a file, or one of {', '.join(lens_names())}")
+    try:
+        return lens_from_dict(
+            tomllib.loads(path.read_text(encoding="utf-8")), name=path.name.removesuffix(".toml")
+        )
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path} is not valid TOML: {error}") from None
+
+
+def lens_from_dict(data: Mapping[str, Any], *, name: str) -> Prescription:
+    """Build a lens from the contents of its TOML file.
+
+    Parameters
+    ----------
+    data : mapping
+        ``sensor_gap_mm``, optional ``title``, ``source``, ``wavelengths_um``, and a list ``surface`` of
+        tables with ``radius_mm`` (absent: plane), ``thickness_mm``, ``index_d``, ``abbe``,
+        ``clear_diameter_mm``, ``conic``, ``coefficients`` and ``stop = true`` on one of them.
+    name : str
+
+    Returns
+    -------
+    Prescription
+
+    Raises
+    ------
+    InputError
+        Unknown keys, no surface, no stop or several, a stop without diameter, values that are not physical.
+    """
+    rows = data.get("surface", ())
+    known = {
+        "radius_mm",
+        "thickness_mm",
+        "index_d",
+        "abbe",
+        "clear_diameter_mm",
+        "conic",
+        "coefficients",
+        "stop",
+    }
+    surfaces = []
+    for number, row in enumerate(rows, start=1):
+        if set(row) - known:
+            raise InputError(
+                f"lens {name!r}, surface {number}: unknown {', '.join(sorted(set(row) - known))}"
+            )
+        surfaces.append(
+            Surface(
+                radius_mm=float(row.get("radius_mm", math.inf)),
+                thickness_mm=float(row.get("thickness_mm", 0.0)),
+                index_d=float(row.get("index_d", 1.0)),
+                abbe=float(row.get("abbe", math.inf)),
+                semi_diameter_mm=float(row.get("clear_diameter_mm", math.inf)) / 2,
+                conic=float(row.get("conic", 0.0)),
+                coefficients=tuple(float(c) for c in row.get("coefficients", ())),
+                role="stop" if row.get("stop", False) else "",
+            )
+        )
+    waves = tuple(float(w) for w in data.get("wavelengths_um", (0.605, 0.540, 0.465)))
+    if len(waves) != 3:
+        raise InputError(f"lens {name!r}: wavelengths_um needs three values, for R, G and B")
+    if "sensor_gap_mm" not in data:
+        raise InputError(f"lens {name!r}: sensor_gap_mm, from the last vertex to the sensor, is missing")
+    return checked_lens(
+        Prescription(
+            name=name,
+            title=str(data.get("title", name)),
+            source=str(data.get("source", "")),
+            surfaces=tuple(surfaces),
+            sensor_gap_mm=float(data["sensor_gap_mm"]),
+            wavelengths_um=(waves[0], waves[1], waves[2]),
+        )
+    )
+
+
+def checked_lens(lens: Prescription) -> Prescription:
+    """Check a prescription and give it back; raises InputError as `lens_from_dict` says."""
+    stops = [s for s in lens.surfaces if s.role == "stop"]
+    if len(stops) != 1:
+        raise InputError(
+            f"lens {lens.name!r} has {len(stops)} stops: mark exactly one surface with stop = true"
+        )
+    if not math.isfinite(stops[0].semi_diameter_mm) or stops[0].semi_diameter_mm <= 0:
+        raise InputError(f"lens {lens.name!r}: the stop needs a clear_diameter_mm")
+    for number, s in enumerate(lens.surfaces, start=1):
+        bad = (
+            s.radius_mm == 0 or s.thickness_mm < 0 or s.index_d < 1 or s.abbe <= 0 or s.semi_diameter_mm <= 0
+        )
+        if bad or math.isnan(s.radius_mm + s.thickness_mm + s.index_d + s.conic):
+            raise InputError(
+                f"lens {lens.name!r}, surface {number} is not physical: radius must not be 0, thickness "
+                "not negative, "
+                "index at least 1, Abbe number and diameter positive"
+            )
+    if lens.surfaces[-1].index_d != 1:
+        raise InputError(f"lens {lens.name!r}: behind the last surface must be air (index_d = 1)")
+    if not (lens.sensor_gap_mm > 0 and min(lens.wavelengths_um) > 0.2):
+        raise InputError(f"lens {lens.name!r}: sensor_gap_mm must be positive and wavelengths in um")
+    return lens
+
+
+def with_filter_at(lens: Prescription, offset_mm: float) -> Prescription:
+    """Move the colour filters off the stop, along the axis.
+
+    Parameters
+    ----------
+    lens : Prescription
+    offset_mm : float
+        + towards the sensor; in front of the first vertex is allowed, as for film laid on a smartphone's
+        lens.
+
+    Returns
+    -------
+    Prescription
+        With a plane that carries the filters; pupil coordinates stay in units of the stop's radius.
+
+    Raises
+    ------
+    InputError
+        The plane would lie inside a glass or beyond the last vertex.
+    """
+    z = float(lens.vertices_mm[lens.stop_index]) + offset_mm
+    if z <= 0:
+        return replace(lens, surfaces=(Surface(thickness_mm=-z, role="filter"), *lens.surfaces))
+    after = int(np.searchsorted(lens.vertices_mm, z, side="right")) - 1
+    host = lens.surfaces[after]
+    if host.index_d != 1 or after == len(lens.surfaces) - 1:
+        raise InputError(
+            f"a filter {offset_mm:g} mm from the stop of {lens.name!r} lies inside or behind the glass: "
+            "choose an air gap"
+        )
+    rest = float(lens.vertices_mm[after]) + host.thickness_mm - z
+    split = (replace(host, thickness_mm=host.thickness_mm - rest), Surface(thickness_mm=rest, role="filter"))
+    return replace(lens, surfaces=lens.surfaces[:after] + split + lens.surfaces[after + 1 :])

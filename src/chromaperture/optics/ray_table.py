@@ -1,0 +1,352 @@
+"""Which rays reach a pixel: tables over the image and the pupil, of a first-order camera or of a traced lens.
+
+A renderer needs nothing else, so one renderer serves both. Rays are kept where they cross the plane of the
+entrance pupil, in the camera frame (mm, x right, y down, z forward, 0 at the sensor), for the upright
+picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from chromaperture.errors import InputError
+from chromaperture.optics.aperture import DESIGNS, Aperture
+from chromaperture.optics.paraxial import Paraxial, paraxial
+from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.prescription import Prescription
+from chromaperture.optics.pupil_samples import pupil_samples
+from chromaperture.optics.trace import trace
+
+_REACH = 1.2  # the exit pupil moves and stretches off the axis: sample this much more than the paraxial one
+_SPLIT = 4  # finer rays across a cell that find how much of it the stop and the rims leave
+
+
+@dataclass(frozen=True)
+class RayTable:
+    """Rays from a grid of image points through the pupil.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+        Size of the image.
+    x_px, y_px : (Gx,), (Gy,) float64
+        Image points of the table, equally spaced.
+    z_mm : float
+        Plane of ``origin``: the entrance pupil, from the sensor.
+    origin, slope : (G, Gy, Gx, S, 2) float32
+        Where ray s crosses that plane, mm, and its dx/dz, dy/dz towards the scene. G is 3 for a lens with
+        colour errors (one set a sensor channel), else 1.
+    weight : (3, Gy, Gx, S) float32
+        Light of each ray in R, G, B; the open pupil on the axis sums to 1.
+    chief : (Gy, Gx, 4) float32
+        Origin and slope of the green ray through the stop's centre.
+    """
+
+    width_px: int
+    height_px: int
+    x_px: np.ndarray
+    y_px: np.ndarray
+    z_mm: float
+    origin: np.ndarray
+    slope: np.ndarray
+    weight: np.ndarray
+    chief: np.ndarray
+
+
+def pinhole_rays(camera: PupilCamera, aperture: Aperture, *, cells: int = 20) -> RayTable:
+    """Rays of a first-order camera: linear in the image, so the four corners hold them all.
+
+    Parameters
+    ----------
+    camera : PupilCamera
+    aperture : Aperture
+    cells : int
+        Pupil samples across the pupil, even; their number is about 0.8 cells^2.
+    """
+    points, light = pupil_samples(aperture, cells)
+    lit = light.any(axis=1)
+    points, light = points[lit], light[lit]
+    x_px = np.array([0.0, max(camera.width_px - 1, 1)])
+    y_px = np.array([0.0, max(camera.height_px - 1, 1)])
+    chief = np.zeros((2, 2, 4), np.float32)
+    chief[..., 2] = (x_px - camera.center_px[0]) / camera.focal_px
+    chief[..., 3] = ((y_px - camera.center_px[1]) / camera.focal_px)[:, None]
+    pupil = camera.pupil_radius_mm * points
+    # Every ray of a pixel meets the others in the focus plane.
+    slope = chief[None, :, :, None, 2:] - pupil / (camera.focus_mm - camera.sensor_to_pupil_mm)
+    return RayTable(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        x_px=x_px,
+        y_px=y_px,
+        z_mm=camera.sensor_to_pupil_mm,
+        origin=np.broadcast_to(pupil, slope.shape).astype(np.float32),
+        slope=slope.astype(np.float32),
+        weight=np.broadcast_to(light.T[:, None, None], (3, 2, 2, len(light))).astype(np.float32),
+        chief=chief,
+    )
+
+
+def lens_rays(
+    lens: Prescription,
+    aperture: Aperture,
+    *,
+    width_px: int,
+    height_px: int,
+    pixel_pitch_mm: float,
+    cells: int = 20,
+    nodes: int = 19,
+) -> RayTable:
+    """Rays of a real lens, traced from the sensor out.
+
+    Parameters
+    ----------
+    lens : Prescription
+    aperture : Aperture
+        Pupil coordinates in stop radii, in the plane of the stop or of the filter (see `with_filter_at`).
+    width_px, height_px : int
+    pixel_pitch_mm : float
+    cells : int
+        Pupil samples across the exit pupil, even.
+    nodes : int
+        Image points of the table along the longer side; rays between them are interpolated.
+
+    Returns
+    -------
+    RayTable
+
+    Raises
+    ------
+    InputError
+        No ray from the middle of the sensor gets through, or another rim than the stop limits it.
+    """
+    data = paraxial(lens)
+    longer = max(width_px, height_px)
+    gx, gy = (max(3, round(nodes * side / longer)) for side in (width_px, height_px))
+    x_px, y_px = np.linspace(0, width_px - 1, gx), np.linspace(0, height_px - 1, gy)
+    fields = np.stack(
+        np.meshgrid(
+            (x_px - (width_px - 1) / 2) * pixel_pitch_mm, (y_px - (height_px - 1) / 2) * pixel_pitch_mm
+        ),
+        axis=-1,
+    ).reshape(-1, 2)
+
+    unit = _open_light(lens, data, cells)
+    light = lens_light(lens, aperture, fields, data=data, cells=cells) / unit
+    bundles = [
+        lens_bundle(lens, fields, wavelength_um=w, data=data, cells=cells) for w in lens.wavelengths_um
+    ]
+    used = light.any(axis=(0, 1))
+    chief = chief_rays(lens, fields, data=data)
+    origin, slope = (
+        np.stack([_filled(bundle[i][:, used], chief[:, 2 * i : 2 * i + 2], fields) for bundle in bundles])
+        for i in range(2)
+    )
+    return RayTable(
+        width_px=width_px,
+        height_px=height_px,
+        x_px=x_px,
+        y_px=y_px,
+        z_mm=data.sensor_to_entrance_pupil_mm,
+        origin=origin.reshape(3, gy, gx, -1, 2).astype(np.float32),
+        slope=slope.reshape(3, gy, gx, -1, 2).astype(np.float32),
+        weight=light[..., used].reshape(3, gy, gx, -1).astype(np.float32),
+        chief=chief.reshape(gy, gx, 4).astype(np.float32),
+    )
+
+
+def _filled(rays: np.ndarray, chief: np.ndarray, fields: np.ndarray) -> np.ndarray:
+    """Continue rays that miss the glass from the nearest image point, for the interpolation; (P, S, 2).
+
+    They carry no light themselves; what differs from the chief ray is carried over.
+    """
+    rays = rays - chief[:, None]
+    for s in np.flatnonzero(np.isnan(rays).any(axis=(0, 2))):
+        missing = np.isnan(rays[:, s, 0])
+        apart = ((fields[missing, None] - fields[None, ~missing]) ** 2).sum(axis=-1)
+        rays[missing, s] = rays[~missing, s][apart.argmin(axis=1)]
+    return rays + chief[:, None]
+
+
+def _open_light(lens: Prescription, data: Paraxial, cells: int) -> float:
+    """Light of the open pupil on the axis, the unit of all weights; checks that the stop limits it."""
+    light = lens_light(lens, DESIGNS["open"], np.zeros((1, 2)), data=data, cells=cells)[1]
+    if not light.any():
+        raise InputError(
+            f"no ray from the sensor's middle passes lens {lens.name!r}: check its stop and diameters"
+        )
+    rim = np.stack([np.cos(np.linspace(0, 2 * np.pi, 64)), np.sin(np.linspace(0, 2 * np.pi, 64))], -1)
+    _, _, hit = _from_sensor(lens, data, np.zeros((1, 2)), 0.97 * rim, lens.wavelengths_um[1])
+    if not hit.clear[np.hypot(*hit.at_stop.T) < 0.985].all():
+        raise InputError(
+            f"the stop of lens {lens.name!r} is larger than its glass lets through on the axis: make the "
+            "stop's "
+            "clear_diameter_mm smaller"
+        )
+    return float(light.sum())
+
+
+def _from_sensor(lens, data, fields, pupil, wavelength_um):  # type: ignore[no-untyped-def]
+    """Trace all fields x exit-pupil points; gives origins and slopes at the entrance pupil, and the rays."""
+    first = lens.first_vertex_to_sensor_mm
+    # Upright picture: the image point (x, y) lies at (-x, -y) on the sensor.
+    start = np.concatenate([-fields, np.full((len(fields), 1), first)], axis=1)
+    target = np.concatenate(
+        [pupil * data.exit_diameter_mm / 2, np.full((len(pupil), 1), data.exit_pupil_mm)], axis=1
+    )
+    direction = (target[None] - start[:, None]).reshape(-1, 3)
+    if (
+        data.exit_pupil_mm > first
+    ):  # the pupil's image lies behind the sensor: the same lines, walked the other way
+        direction = -direction
+    rays = trace(
+        lens, np.repeat(start, len(pupil), axis=0), direction, wavelength_um=wavelength_um, from_sensor=True
+    )
+    slope = (
+        -rays.direction[:, :2] / rays.direction[:, 2:]
+    )  # lens frame z points to the sensor, camera frame away
+    along = rays.position[:, 2:] - data.entrance_pupil_mm
+    return rays.position[:, :2] + slope * along, slope, rays
+
+
+def _exit_points(cells: int) -> np.ndarray:
+    """Give the sampled points of the exit pupil, in paraxial radii; (S, 2)."""
+    axis = ((np.arange(cells) + 0.5) * 2 / cells - 1) * _REACH
+    points = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    return points[np.hypot(*points.T) < _REACH]
+
+
+def lens_bundle(
+    lens: Prescription,
+    fields_mm: np.ndarray,
+    *,
+    wavelength_um: float,
+    data: Paraxial | None = None,
+    cells: int = 20,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rays from image points through a lens to the scene.
+
+    Parameters
+    ----------
+    lens : Prescription
+    fields_mm : (P, 2) float
+        Image points from the image's centre, upright picture, mm on the sensor.
+    wavelength_um : float
+    data : Paraxial, optional
+        To save its computation.
+    cells : int
+        Samples across the exit pupil.
+
+    Returns
+    -------
+    origin, slope : (P, S, 2) float64
+        Camera frame, origin in the plane of the entrance pupil, mm. NaN where no ray passes the glass.
+    """
+    data = data or paraxial(lens)
+    points = _exit_points(cells)
+    origin, slope, _ = _from_sensor(lens, data, fields_mm, points, wavelength_um)
+    shape = (len(fields_mm), len(points), 2)
+    return origin.reshape(shape), slope.reshape(shape)
+
+
+def lens_light(
+    lens: Prescription,
+    aperture: Aperture,
+    fields_mm: np.ndarray,
+    *,
+    data: Paraxial | None = None,
+    cells: int = 20,
+) -> np.ndarray:
+    """Light of each ray of `lens_bundle` in R, G, B, proportional to the irradiance on the sensor.
+
+    Green rays decide where stop and rims cut: over the colours these points of the pupil move by about 1e-3
+    radii.
+
+    Parameters
+    ----------
+    lens : Prescription
+    aperture : Aperture
+    fields_mm : (P, 2) float
+    data : Paraxial, optional
+    cells : int
+
+    Returns
+    -------
+    (3, P, S) float64; 0 where stop, rims or film hold the ray back
+    """
+    data = data or paraxial(lens)
+    points = _exit_points(cells)
+    offsets = ((np.arange(_SPLIT) + 0.5) / _SPLIT - 0.5) * 2 * _REACH / cells
+    distance2 = (lens.first_vertex_to_sensor_mm - data.exit_pupil_mm) ** 2
+    light = np.zeros((len(fields_mm) * len(points), 3))
+    for dx in offsets:
+        for dy in offsets:
+            fine = points + np.array([dx, dy])
+            _, _, rays = _from_sensor(lens, data, fields_mm, fine, lens.wavelengths_um[1])
+            passed = _film(aperture, np.nan_to_num(rays.at_filter, nan=2.0))
+            # Irradiance of a uniform scene: equal areas of the exit pupil's plane count cos^4 of their slope.
+            side2 = ((fields_mm[:, None] + fine * data.exit_diameter_mm / 2) ** 2).sum(axis=-1).ravel()
+            light += passed * (rays.clear * (distance2 / (distance2 + side2)) ** 2)[:, None]
+    return light.T.reshape(3, len(fields_mm), len(points)) / _SPLIT**2
+
+
+def _film(aperture: Aperture, points: np.ndarray) -> np.ndarray:
+    """Film without the pupil's rim: the stop cuts the light, and film off its plane may be wider; (N, 3)."""
+    out = np.broadcast_to(np.array(aperture.remainder.transmission), (len(points), 3)).copy()
+    for part in aperture.parts:
+        out[part.shape.contains(points[:, 0], points[:, 1])] = part.filter.transmission
+    return out
+
+
+def chief_rays(lens: Prescription, fields_mm: np.ndarray, *, data: Paraxial | None = None) -> np.ndarray:
+    """Green rays through the stop's centre.
+
+    Parameters
+    ----------
+    lens : Prescription
+    fields_mm : (P, 2) float
+        Image points from the image's centre, upright picture.
+    data : Paraxial, optional
+
+    Returns
+    -------
+    (P, 4) float64: origin x, y in the plane of the entrance pupil (mm), slope x, y
+
+    Raises
+    ------
+    InputError
+        The stop's centre cannot be reached from an image point.
+    """
+    data = data or paraxial(lens)
+    aim = np.zeros((len(fields_mm), 2))
+    step = 1e-3
+    for _ in range(20):  # Newton with a finite-difference Jacobian on where the ray crosses the stop
+        trial = aim[:, None] + step * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+        hits, ends = [], []
+        for i in range(3):
+            origin, slope, rays = _paired(lens, data, fields_mm, trial[:, i])
+            hits.append(rays.at_stop)
+            ends.append(np.hstack([origin, slope]))
+        jacobian = np.stack([(hits[1] - hits[0]) / step, (hits[2] - hits[0]) / step], axis=-1)
+        if not np.isfinite(jacobian).all():
+            break
+        if np.abs(hits[0]).max() < 1e-10:
+            return ends[0]
+        aim = aim - np.linalg.solve(jacobian, hits[0][..., None])[..., 0]
+    raise InputError(
+        f"the stop of lens {lens.name!r} cannot be reached from the whole sensor: use a smaller sensor or "
+        "check the stop"
+    )
+
+
+def _paired(lens, data, fields, pupil):  # type: ignore[no-untyped-def]
+    """Trace one exit-pupil point for each field."""
+    first = lens.first_vertex_to_sensor_mm
+    start = np.concatenate([-fields, np.full((len(fields), 1), first)], axis=1)
+    end = np.concatenate([pupil * data.exit_diameter_mm / 2, np.full((len(pupil), 1), data.exit_pupil_mm)], 1)
+    direction = end - start if data.exit_pupil_mm < first else start - end
+    rays = trace(lens, start, direction, wavelength_um=lens.wavelengths_um[1], from_sensor=True)
+    slope = -rays.direction[:, :2] / rays.direction[:, 2:]
+    return rays.position[:, :2] + slope * (rays.position[:, 2:] - data.entrance_pupil_mm), slope, rays

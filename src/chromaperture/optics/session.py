@@ -1,0 +1,200 @@
+"""A calibration session photographed in the simulator, in the folder layout that ``calibrate`` reads."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from chromaperture.errors import InputError
+from chromaperture.optics import textures
+from chromaperture.optics.aperture import DESIGNS, Aperture, SubAperture
+from chromaperture.optics.film import CYAN, OPAQUE, YELLOW, Filter
+from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.ray_table import RayTable
+from chromaperture.optics.render import render, render_depth
+from chromaperture.optics.scene import Plane, plane
+from chromaperture.optics.sensor import Sensor, expose
+from chromaperture.optics.shapes import Disc
+
+_WHITE_LEVEL = 0.9  # white paper reaches this in the brightest channel
+_CORNERS, _SQUARE_MM = (9, 6), 30.0
+
+
+@dataclass(frozen=True)
+class SessionPlan:
+    """What is photographed.
+
+    Attributes
+    ----------
+    distances_mm : tuple of float
+        Board distances from the sensor plane.
+    tilts : int
+        Tilted views of the board.
+    ruler_error_mm : float
+        The board stands off the distance written down by up to this much.
+    seed : int
+    sensor : Sensor
+    """
+
+    distances_mm: tuple[float, ...] = tuple(float(d) for d in range(1000, 4001, 100))
+    tilts: int = 12
+    ruler_error_mm: float = 3.0
+    seed: int = 0
+    sensor: Sensor = field(default_factory=Sensor)
+
+
+def write_session(
+    folder: Path,
+    *,
+    aperture: Aperture,
+    camera: PupilCamera,
+    rays: Callable[[Aperture], RayTable],
+    scenes: dict[str, Sequence[Plane]],
+    plan: SessionPlan,
+    report: Callable[[str], None] = lambda name: None,
+) -> None:
+    """Photograph a session.
+
+    Parameters
+    ----------
+    folder : Path
+        Becomes the session's folder; ``white`` and ``truth`` are written beside it.
+    aperture : Aperture
+    camera : PupilCamera
+        For what the person at the camera knows, and for the true pupil.
+    rays : callable
+        Gives the ray table of the camera with any aperture in it.
+    scenes : dict of str to planes
+    plan : SessionPlan
+    report : callable
+        Told the name of each file before it is made.
+
+    Raises
+    ------
+    InputError
+        No distances, or a board behind the camera.
+    """
+    if not plan.distances_mm:
+        raise InputError("a session needs at least one board distance")
+    table, open_table = rays(aperture), rays(DESIGNS["open"])
+    sheet = [plane(np.ones((2, 2, 3), np.float32), center_mm=(0, 0, 500.0), width_mm=4000)]
+    white, open_white = render(table, sheet), render(open_table, sheet)
+    for_scene = _WHITE_LEVEL / float(white.max())
+    for_white = _WHITE_LEVEL / float(open_white.max())
+    rng = np.random.default_rng(plan.seed)
+
+    def photograph(path: Path, picture: np.ndarray, exposure: float) -> None:
+        report(str(path))
+        counts = expose(picture, plan.sensor, seed=int(rng.integers(2**31)), exposure=exposure)
+        _write_png(path, counts[..., ::-1])
+
+    whites = folder.parent / "white"
+    photograph(whites / f"{aperture.name}.png", white, for_white)
+    photograph(whites / "open.png", open_white, for_white)
+    for part_name, sheet_filter in _sheets(aperture).items():
+        full = Aperture(part_name, part_name, (SubAperture(Disc(radius=2.0), sheet_filter),), OPAQUE, ())
+        photograph(whites / f"{part_name}.png", render(rays(full), sheet), for_white)
+
+    truth = folder.parent / "truth"
+    lines = ["file,ruler_mm"]
+    stood = {}
+    for distance in plan.distances_mm:
+        true_mm = distance + float(rng.uniform(-plan.ruler_error_mm, plan.ruler_error_mm))
+        name = f"board/{distance:04.0f}.png"
+        photograph(folder / name, render(table, wall(camera, (0, 0, true_mm), (0, 0, 0))), for_scene)
+        lines.append(f"{name},{distance:.0f}")
+        stood[name] = true_mm
+    for i in range(plan.tilts):
+        around = 2 * math.pi * i / max(plan.tilts, 1)
+        tilt = (18 * math.sin(around), 22 * math.cos(around), float(rng.uniform(-8, 8)))
+        distance = float(rng.uniform(0.85, 1.25)) * (2000 if math.isinf(camera.focus_mm) else camera.focus_mm)
+        side = 0.15 * distance * camera.width_px / camera.focal_px
+        center = (side * math.cos(1.7 * around), 0.6 * side * math.sin(around), distance)
+        photograph(folder / f"tilt/{i:02d}.png", render(table, wall(camera, center, tilt)), for_scene)
+    for name, planes in scenes.items():
+        photograph(folder / f"scene/{name}.png", render(table, planes), for_scene)
+        depth = render_depth(table, planes)
+        _write_png(
+            truth / f"{name}.depth_0.1mm.png", np.nan_to_num(np.rint(10 * depth)).clip(0, 65535).astype("u2")
+        )
+    (folder / "distances.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (folder / "session.toml").write_text(
+        _session_toml(aperture, camera, plan, for_scene / for_white), "utf-8"
+    )
+    truth.mkdir(parents=True, exist_ok=True)
+    (truth / "camera.json").write_text(json.dumps(_truth(camera, aperture, stood), indent=1) + "\n", "utf-8")
+
+
+def wall(camera: PupilCamera, center: Sequence[float], tilt_deg: Sequence[float]) -> list[Plane]:
+    """Build a wall of grey speckle that fills the picture, with a chessboard taped to its middle."""
+    far = center[2] + 400.0
+    texel = max(0.25, 0.5 * (center[2] - camera.sensor_to_pupil_mm) / camera.focal_px)
+    width = 2.0 * far * camera.width_px / camera.focal_px
+    shape = (round(width * camera.height_px / camera.width_px / texel), round(width / texel))
+    grey = textures.noise(shape, exponent=0.8, seed=11, mean=0.42, contrast=0.16)
+    board_texel = min(texel, 1.0)
+    board = textures.chessboard(_CORNERS, _SQUARE_MM, board_texel)
+    pieces = (grey, width), (board, board.shape[1] * board_texel)
+    made = [
+        plane(np.repeat(p[..., None], 3, axis=2), center_mm=center, width_mm=w, tilt_deg=tilt_deg)
+        for p, w in pieces
+    ]
+    normal = np.cross(made[1].right, made[1].down)
+    front = made[1]  # the board lies on the wall, a sheet of paper before it
+    lifted = Plane(front.texture, front.center_mm - 0.1 * normal, front.right, front.down, front.texel_mm)
+    return [made[0], lifted]
+
+
+def _sheets(aperture: Aperture) -> dict[str, Filter]:
+    """Full sheets of the film of two-filter designs, photographed for the unmixing."""
+    names = {CYAN.name: "sheet_c", YELLOW.name: "sheet_y"}
+    return {names[p.filter.name]: p.filter for p in aperture.parts if p.filter.name in names}
+
+
+def _session_toml(aperture: Aperture, camera: PupilCamera, plan: SessionPlan, relative: float) -> str:
+    focused = "inf" if math.isinf(camera.focus_mm) else f"{round(camera.focus_mm, -2):.0f}"
+    return f"""# What the person at the camera knows. Nothing here was measured from the images.
+design = "{aperture.name}"            # {aperture.title}
+[sensor]
+width_px = {camera.width_px}
+height_px = {camera.height_px}
+pixel_pitch_mm = {camera.pixel_pitch_mm:g}
+black_level = {plan.sensor.black_level}
+white_level = {plan.sensor.white_level}
+full_well_electrons = {plan.sensor.full_well_electrons:g}
+read_noise_electrons = {plan.sensor.read_noise_electrons:.1f}
+linear = true
+[lens]
+nominal_focal_length_mm = {camera.image_distance_mm:.1f}
+nominal_f_number = {camera.f_number:.1f}
+focused_at_about_mm = {focused}    # from the sensor plane
+[board]
+inner_corners = [{_CORNERS[0]}, {_CORNERS[1]}]
+square_mm = {_SQUARE_MM:.1f}
+ruler_error_mm = {plan.ruler_error_mm:.1f}
+[exposure]
+relative_to_open = {relative:.4f}
+"""
+
+
+def _truth(camera: PupilCamera, aperture: Aperture, stood: dict[str, float]) -> dict[str, object]:
+    return {
+        "focal_px": camera.focal_px,
+        "sensor_to_entrance_pupil_mm": camera.sensor_to_pupil_mm,
+        "entrance_pupil_radius_mm": camera.pupil_radius_mm,
+        "in_focus_mm": camera.focus_mm if math.isfinite(camera.focus_mm) else None,
+        "filters": {p.filter.name: p.filter.transmission for p in aperture.parts},
+        "board_mm": stood,
+    }
+
+
+def _write_png(path: Path, array: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(path), array):
+        raise InputError(f"could not write {path}")

@@ -1,0 +1,98 @@
+"""Pictures to put on planes: noise of known statistics, chessboards, plain paper, files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from chromaperture.errors import InputError
+
+
+def noise(
+    shape: tuple[int, int], *, exponent: float, seed: int, mean: float = 0.45, contrast: float = 0.18
+) -> np.ndarray:
+    """Gaussian noise with amplitudes falling as frequency^-exponent.
+
+    Parameters
+    ----------
+    shape : (int, int)
+    exponent : float
+        0 white, 1 as photographs of nature have.
+    seed : int
+    mean, contrast : float
+        Mean and standard deviation before clipping to [0.02, 0.98].
+
+    Returns
+    -------
+    (h, w) float32
+    """
+    spectrum = np.fft.rfft2(np.random.default_rng(seed).normal(size=shape))
+    frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None])
+    frequency[0, 0] = np.inf
+    picture = np.fft.irfft2(spectrum * frequency**-exponent if exponent else spectrum, shape)
+    picture *= contrast / picture.std()
+    return np.clip(picture - picture.mean() + mean, 0.02, 0.98).astype(np.float32)
+
+
+def chessboard(
+    inner_corners: tuple[int, int], square_mm: float, texel_mm: float, *, margin_mm: float | None = None
+) -> np.ndarray:
+    """Black and white chessboard with a white margin of one square, black in the top-left corner.
+
+    Parameters
+    ----------
+    inner_corners : (int, int)
+        Along x and y.
+    square_mm, texel_mm : float
+    margin_mm : float, optional
+        White rim; a square wide when absent.
+
+    Returns
+    -------
+    (h, w) float32, reflectance 0.04 and 0.92
+    """
+    nx, ny = inner_corners[0] + 1, inner_corners[1] + 1
+    margin = square_mm if margin_mm is None else margin_mm
+    width, height = (round((n * square_mm + 2 * margin) / texel_mm) for n in (nx, ny))
+    x = ((np.arange(width) + 0.5) * texel_mm - margin) / square_mm
+    y = ((np.arange(height) + 0.5) * texel_mm - margin) / square_mm
+    inside = ((x >= 0) & (x < nx))[None] & ((y >= 0) & (y < ny))[:, None]
+    black = (np.floor(x)[None] + np.floor(y)[:, None]) % 2 == 0
+    return np.where(inside & black, 0.04, 0.92).astype(np.float32)
+
+
+def named(
+    name: str,
+    *,
+    width_mm: float,
+    height_mm: float,
+    texel_mm: float,
+    color: tuple[float, float, float],
+    seed: int,
+    folder: Path | None,
+) -> np.ndarray:
+    """Make a scene file's texture; (h, w, 3) float32 linear. Raises InputError for unknown names."""
+    shape = (max(2, round(height_mm / texel_mm)), max(2, round(width_mm / texel_mm)))
+    if shape[0] * shape[1] > 64e6:
+        raise InputError(f"a texture of {shape[1]}x{shape[0]} texels is too large: raise texel_mm")
+    tint = np.asarray(color, np.float32)
+    if name == "plain":
+        return np.broadcast_to(tint, (*shape, 3)).astype(np.float32)
+    if name in ("speckle", "clouds"):
+        grey = noise(shape, exponent=1.0 if name == "speckle" else 1.6, seed=seed)
+        return np.clip(grey[..., None] * tint / 0.45, 0, 1).astype(np.float32)
+    if name == "chessboard":
+        board = chessboard((9, 6), width_mm / 12, texel_mm)
+        return np.repeat(board[..., None], 3, axis=2)
+    path = (folder or Path()) / name
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
+    if picture is None:
+        raise InputError(
+            f"unknown texture {name!r}: choose plain, speckle, clouds, chessboard or a readable picture file"
+        )
+    value = picture[..., ::-1].astype(np.float32) / 255
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(
+        np.float32
+    )  # sRGB

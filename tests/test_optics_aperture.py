@@ -1,0 +1,228 @@
+"""Apertures: closed forms of the masks, the paper's figures, and what a design file can get wrong."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from chromaperture.errors import InputError
+from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of, open_band, open_disc
+from chromaperture.optics.aperture_file import aperture_from_dict, load_aperture
+from chromaperture.optics.metrics import aperture_figures, film_unmixing
+
+# Areas and centroids below are closed forms of discs, squares and circle segments, in pupil radii. The grid
+# of 1000^2 midpoints is good to 4e-4.
+TOLERANCE = 1e-3
+TANGENT = 2 * math.sqrt(3) - 3  # radius of three discs touching each other inside the unit disc
+
+
+def segment(h):
+    """Area share and first moment / pi of the cap x > h of the unit disc."""
+    return (math.acos(h) - h * math.sqrt(1 - h * h)) / math.pi, 2 / 3 * (1 - h * h) ** 1.5 / math.pi
+
+
+@pytest.mark.parametrize(
+    ("name", "transmission"),
+    [
+        ("rgb_circles", (0.09, 0.09, 0.09)),
+        ("rgb_squares", (0.5 / math.pi,) * 3),
+        ("cmy_squares", (1 / math.pi,) * 3),
+        ("cmy_circles", (2 * TANGENT**2,) * 3),
+        ("cy_halves", (0.5, 1, 0.5)),
+        ("magenta_annulus", (1, 0.59**2, 1)),
+        ("cy_open_disc", ((1 + 0.835**2) / 2, 1, (1 + 0.835**2) / 2)),
+        ("open", (1, 1, 1)),
+    ],
+)
+def test_light_of_each_design_is_the_area_of_its_shapes(name, transmission):
+    figures = aperture_figures(DESIGNS[name])
+    np.testing.assert_allclose(figures.channel_transmission, transmission, atol=TOLERANCE)
+    assert figures.efficiency_mean == pytest.approx(np.mean(transmission), abs=TOLERANCE)
+
+
+@pytest.mark.parametrize(
+    ("name", "red", "green", "blue"),
+    [
+        ("rgb_circles", (0, -0.6), (-0.3 * math.sqrt(3), 0.3), (0.3 * math.sqrt(3), 0.3)),
+        ("rgb_squares", (0.5, 0), (0, -0.5), (-0.5, 0)),
+        ("cmy_squares", (-0.25, -0.25), (0, 0), (0.25, -0.25)),
+        ("cy_halves", (4 / (3 * math.pi), 0), (0, 0), (-4 / (3 * math.pi), 0)),
+        ("magenta_annulus", (0, 0), (0, 0), (0, 0)),
+    ],
+)
+def test_centroids_in_sensor_colours(name, red, green, blue):
+    np.testing.assert_allclose(aperture_figures(DESIGNS[name]).centroids, [red, green, blue], atol=TOLERANCE)
+
+
+def test_open_band_has_the_centroids_of_a_circle_without_a_segment():
+    area, moment = segment(0.582)
+    figures = aperture_figures(open_band(0.582))
+    assert figures.beta == pytest.approx(moment / (1 - area), abs=TOLERANCE)
+    np.testing.assert_allclose(figures.channel_transmission, [1 - area, 1, 1 - area], atol=TOLERANCE)
+    # Unmixing two of cyan and yellow: C = (2B + G - R) / 3, so the band weighs 2/3 in the cyan view and its
+    # cap 1.
+    unmixed = aperture_figures(open_band(0.582), film_unmixing(open_band(0.582)))
+    assert unmixed.beta == pytest.approx(moment / (area + 2 / 3 * (1 - 2 * area)), abs=TOLERANCE)
+    assert unmixed.beta > 1.35 * figures.beta
+
+
+def test_half_a_ring_of_film_around_an_open_disc():
+    radius = 0.835
+    # Red sees all but the cyan half ring, whose first moment is that of the half discs' difference.
+    moment = 4 / (3 * math.pi) * (1 - radius**3) / 2
+    assert aperture_figures(open_disc(radius)).beta == pytest.approx(
+        moment / ((1 + radius**2) / 2), abs=TOLERANCE
+    )
+
+
+def test_unmixing_doubles_the_baseline_of_complementary_discs():
+    design = DESIGNS["cmy_circles"]
+    plain, unmixed = aperture_figures(design), aperture_figures(design, film_unmixing(design))
+    assert plain.beta == pytest.approx((1 - TANGENT) / 2, abs=TOLERANCE)
+    assert unmixed.beta == pytest.approx(1 - TANGENT, abs=TOLERANCE)
+    assert unmixed.baseline == pytest.approx(math.sqrt(3) * (1 - TANGENT), abs=TOLERANCE)
+
+
+def test_efficiencies_rise_in_the_order_of_figure_11():
+    order = [
+        "rgb_circles",
+        "rgb_squares",
+        "cmy_squares",
+        "cmy_circles",
+        "cy_halves",
+        "magenta_annulus",
+        "cy_open",
+        "open",
+    ]
+    light = [aperture_figures(DESIGNS[name]).efficiency_mean for name in order]
+    assert light == sorted(light)
+    assert aperture_figures(DESIGNS["cy_halves"]).efficiency_mean > 0.65  # section 2.1
+
+
+def test_real_film_reproduces_table_1_and_the_integral_efficiencies():
+    low_high = {
+        "cy_open": [(0.84, 0.97), (0.90, 0.98), (0.78, 0.89)],
+        "cy_halves": [(0.46, 0.54), (0.72, 0.76), (0.34, 0.41)],
+    }
+    for name, ranges in low_high.items():
+        for value, (low, high) in zip(
+            channel_transmission(made_of(DESIGNS[name], "real")), ranges, strict=True
+        ):
+            assert low <= value <= high
+    # 86, 55 and 5.5 % of section 4.1, to the percent the film values themselves are good to.
+    for name, percent in (("cy_open", 86), ("cy_halves", 55), ("rgb_circles", 5.5)):
+        assert 100 * aperture_figures(made_of(DESIGNS[name], "real")).efficiency_mean == pytest.approx(
+            percent, abs=1
+        )
+
+
+def test_yellow_lies_right_in_every_two_filter_design():
+    """A swapped half would turn the sign of every disparity."""
+    for name in ("cy_halves", "cy_open", "cy_open_disc"):
+        red, _, blue = aperture_figures(DESIGNS[name]).centroids
+        assert red[0] > 0.1 > -0.1 > blue[0]
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.05, 0.5), st.floats(-0.4, 0.4), st.floats(-0.4, 0.4))
+def test_a_disc_anywhere_has_its_centre_for_centroid(radius, x, y):
+    part = {"filter": "red", "disc": {"center": [x, y], "radius": radius}}
+    figures = aperture_figures(aperture_from_dict({"part": [part]}, name="one"))
+    # A small disc holds fewer grid cells: 0.05 pupil radii are 25 cells, whose rim errs by a few hundredths
+    # of one.
+    np.testing.assert_allclose(figures.centroids[0], (x, y), atol=TOLERANCE)
+    assert figures.channel_transmission[0] == pytest.approx(radius**2, rel=0.03)
+
+
+TWO_DISCS = """
+title = "Two discs"
+film = "real"
+remainder = "clear"
+[filters.teal]
+transmission = [0.05, 0.5, 0.5]
+[[part]]
+filter = "teal"
+disc = { center = [-0.5, 0.0], radius = 0.4 }
+[[part]]
+filter = "yellow"
+polygon = [[0.2, -0.4], [0.8, -0.4], [0.8, 0.4], [0.2, 0.4]]
+"""
+
+
+def test_a_toml_design_keeps_its_own_filters(tmp_path):
+    (tmp_path / "two.toml").write_text(TWO_DISCS)
+    design = load_aperture(tmp_path / "two.toml")
+    assert design.views == ("teal", "yellow")
+    assert design.filter_named("yellow").transmission[0] == 0.92
+    expected = 1 - 0.16 * (1 - 0.05) - 0.48 / math.pi * (1 - 0.92)
+    assert channel_transmission(design)[0] == pytest.approx(expected, abs=TOLERANCE)
+
+
+def test_a_drawing_gives_the_same_aperture_as_its_description(tmp_path):
+    """Circle, rect, polygon and a curved path; the right half circle out of two quarter curves."""
+    k = 4 / 3 * (math.sqrt(2) - 1)  # the Bezier handle of a quarter circle, off by 3e-4 of the radius
+    path = f"M 50 10 c {40 * k} 0 40 {40 - 40 * k} 40 40 C 90 {50 + 40 * k} {50 + 40 * k} 90 50 90 Z"
+    (tmp_path / "half.svg").write_text(
+        f'<svg xmlns="http://www.w3.org/2000/svg"><circle id="pupil" cx="50" cy="50" r="40"/>'
+        f'<path fill="yellow" d="{path}"/><rect data-filter="cyan" fill="none" x="0" y="0" width="50" '
+        'height="100"/></svg>'
+    )
+    drawn, known = (
+        aperture_figures(load_aperture(tmp_path / "half.svg")),
+        aperture_figures(DESIGNS["cy_halves"]),
+    )
+    np.testing.assert_allclose(drawn.centroids, known.centroids, atol=TOLERANCE)
+    np.testing.assert_allclose(drawn.channel_transmission, known.channel_transmission, atol=TOLERANCE)
+
+
+DISC = {"filter": "red", "disc": {"radius": 0.5}}
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"part": [DISC, {"filter": "blue", "disc": {"center": [0.3, 0], "radius": 0.5}}]}, "overlap"),
+        ({"part": [{"filter": "red", "disc": {"center": [1.6, 0], "radius": 0.5}}]}, "outside the pupil"),
+        ({"part": [DISC | {"filter": "mauve"}]}, "unknown filter 'mauve'"),
+        ({"part": [DISC], "film": "best"}, "unknown film"),
+        ({"part": [DISC], "remainder": "red"}, "remainder"),
+        ({"part": [DISC], "views": ["blue"]}, "no 'blue' filter"),
+        ({"part": [{"filter": "red"}]}, "a part needs"),
+        ({"part": [{"filter": "red", "polygon": [[0, 0], [1, 0]]}]}, "three corners"),
+        ({"part": [{"filter": "red", "disc": {"size": 1}}]}, "cannot read disc"),
+        ({"part": [], "remainder": "opaque"}, "no light"),
+        ({"parts": [DISC]}, "unknown keys parts"),
+        ({"part": [DISC], "filters": {"dark": {"transmission": [0, 0, 2]}}}, "between 0 and 1"),
+    ],
+)
+def test_bad_designs_say_what_is_wrong(data, message):
+    with pytest.raises(InputError, match=message):
+        aperture_from_dict(data, name="mine")
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ('<circle cx="0" cy="0" r="1" fill="red"/>', "pupil"),
+        ('<circle id="pupil" r="10"/><path fill="red" d="M0 0 A 5 5 0 0 1 3 3 Z"/>', "arcs"),
+        ('<circle id="pupil" r="10"/><circle r="3" fill="red" transform="scale(2)"/>', "transform"),
+        ('<circle id="pupil" r="10"/><circle r="3"/>', "data-filter"),
+        ("<circle", "not valid SVG"),
+    ],
+)
+def test_bad_drawings_say_what_is_wrong(tmp_path, body, message):
+    (tmp_path / "bad.svg").write_text(f"<svg>{body}</svg>")
+    with pytest.raises(InputError, match=message):
+        load_aperture(tmp_path / "bad.svg")
+
+
+def test_unknown_names_and_files(tmp_path):
+    with pytest.raises(InputError, match="unknown aperture design"):
+        load_aperture("cy_halfs")
+    with pytest.raises(InputError, match="no aperture file"):
+        load_aperture(tmp_path / "none.toml")
+    (tmp_path / "bad.toml").write_text("part = [")
+    with pytest.raises(InputError, match="not valid TOML"):
+        load_aperture(tmp_path / "bad.toml")

@@ -1,0 +1,314 @@
+"""Traced lenses against published first-order data, closed forms of geometry, and their paraxial limit."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from chromaperture.errors import InputError
+from chromaperture.optics.aperture import DESIGNS, made_of
+from chromaperture.optics.lens import field_blur, in_focus_depth, vignetting
+from chromaperture.optics.paraxial import focused_at, paraxial
+from chromaperture.optics.pinhole import pupil_camera
+from chromaperture.optics.prescription import (
+    Prescription,
+    Surface,
+    checked_lens,
+    lens_from_dict,
+    lens_names,
+    load_lens,
+    with_filter_at,
+)
+from chromaperture.optics.ray_table import lens_rays, pinhole_rays
+from chromaperture.optics.trace import trace
+
+WAVES = (0.605, 0.540, 0.465)
+
+# A widely published sample, a double Gauss of f = 100 mm, at half size; radius, thickness, index and Abbe
+# number at d.
+SAMPLE = [
+    (56.20238, 8.75, 1.62230, 53.1),
+    (152.28580, 0.5, 1, math.inf),
+    (37.68262, 12.5, 1.60738, 56.65),
+    (math.inf, 3.8, 1.60342, 38.03),
+    (24.23130, 16.369445, 1, math.inf),
+    (math.inf, 13.747957, 1, math.inf),
+    (-28.37731, 3.8, 1.60342, 38.03),
+    (math.inf, 11, 1.62041, 60.32),
+    (-37.92546, 0.5, 1, math.inf),
+    (177.41176, 7, 1.62041, 60.32),
+    (-79.41143, 0, 1, math.inf),
+]
+
+
+def sample_double_gauss():
+    surfaces = tuple(
+        Surface(r / 2, t / 2, n, v, 5.0 if i == 5 else math.inf, role="stop" if i == 5 else "")
+        for i, (r, t, n, v) in enumerate(SAMPLE)
+    )
+    return Prescription("sample", "", "", surfaces, 35.0, WAVES)
+
+
+def thin_lens(f=50.0, radius=10.0, z_of=2000.0, offset=0.0):
+    """As near to a thin lens as glass gets: an almost flat, very dense pair of paraboloids at its stop."""
+    n = 20.0
+    curvature = 1 / (2 * f * (n - 1))
+    surfaces = (
+        Surface(thickness_mm=1e-6 + offset, semi_diameter_mm=radius, role="stop"),
+        Surface(1 / curvature, 1e-6, n, conic=-1.0),
+        Surface(-1 / curvature, conic=-1.0),
+    )
+    return focused_at(Prescription("thin", "", "", surfaces, 1.0, WAVES), z_of)
+
+
+def test_first_order_data_agree_with_two_independent_packages():
+    """Figures for this sample from optiland 0.6.3 and rayoptics 0.9.8 (EPD 25)."""
+    data = paraxial(sample_double_gauss(), wavelength_um=0.5876)
+    # The glasses are entered by index and Abbe number to five digits, the packages took them from a
+    # catalogue.
+    assert data.focal_length_mm == pytest.approx(50.00187, abs=5e-4)
+    assert data.entrance_pupil_mm == pytest.approx(28.956, abs=1e-3)
+    assert data.front_principal_mm == pytest.approx(35.3415, abs=1e-3)
+    assert data.exit_diameter_mm / data.entrance_diameter_mm == pytest.approx(28.660 / 25, abs=1e-4)
+    infinity = sum(t for _, t, _, _ in SAMPLE) / 2 + data.back_focus_mm
+    assert data.exit_pupil_mm - infinity == pytest.approx(-57.322, abs=1e-3)
+
+
+def test_the_patent_double_gauss_is_the_lens_of_the_captures():
+    data = paraxial(load_lens("double_gauss_50"))
+    assert data.focal_length_mm == pytest.approx(50.3422, abs=1e-4)
+    assert data.sensor_to_entrance_pupil_mm == pytest.approx(49.5001, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", lens_names())
+def test_rays_near_the_axis_agree_with_the_paraxial_trace(name):
+    lens = load_lens(name)
+    data = paraxial(lens)
+    height = 1e-4
+    rays = trace(lens, [[0.0, height, -10.0]], [[0.0, 0.0, 1.0]], wavelength_um=lens.wavelengths_um[1])
+    slope = rays.direction[0, 1] / rays.direction[0, 2]
+    assert -height / slope == pytest.approx(data.focal_length_mm, rel=1e-6)  # what is left is third order
+    crossing = rays.position[0, 2] - rays.position[0, 1] / slope
+    assert crossing == pytest.approx(lens.vertices_mm[-1] + data.back_focus_mm, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", lens_names())
+def test_light_runs_back_the_way_it_came(name):
+    lens = load_lens(name)
+    rng = np.random.default_rng(0)
+    radius = 0.3 * paraxial(lens).entrance_diameter_mm
+    start = np.column_stack([rng.uniform(-radius, radius, (200, 2)), np.full(200, -5.0 * radius)])
+    aim = np.column_stack([rng.uniform(-0.05, 0.05, (200, 2)), np.ones(200)])
+    there = trace(lens, start, aim, wavelength_um=0.54)
+    back = trace(lens, there.position, -there.direction, wavelength_um=0.54, from_sensor=True)
+    home = (
+        back.position + back.direction * ((start[:, 2] - back.position[:, 2]) / back.direction[:, 2])[:, None]
+    )
+    assert there.clear.mean() > 0.8
+    through = there.clear
+    np.testing.assert_allclose(home[through], start[through], atol=1e-8)  # Newton stops at 1e-11 mm a surface
+    np.testing.assert_allclose(back.at_stop[through], there.at_stop[through], atol=1e-8)
+
+
+def test_a_paraboloid_mirrorless_singlet_focuses_without_spherical_aberration():
+    """A plano-hyperbolic lens, conic -n^2, brings every axial ray to one point: the closed form."""
+    n, f = 1.5, 50.0
+    surfaces = (
+        Surface(thickness_mm=5.0, index_d=n, semi_diameter_mm=15.0, role="stop"),
+        Surface(-f * (n - 1), conic=-(n**2)),
+    )
+    lens = Prescription("hyperbola", "", "", surfaces, f, WAVES)
+    heights = np.linspace(1, 14, 14)
+    rays = trace(
+        lens,
+        np.column_stack([heights * 0, heights, heights * 0 - 1]),
+        np.tile([0.0, 0, 1], (14, 1)),
+        wavelength_um=0.54,
+    )
+    crossing = rays.position[:, 2] - rays.position[:, 1] * rays.direction[:, 2] / rays.direction[:, 1]
+    np.testing.assert_allclose(crossing, 5.0 + f, atol=1e-9)
+
+
+def test_even_asphere_coefficients_continue_the_conic():
+    """A sphere written as a paraboloid plus its r^4 ... r^12 terms must bend rays alike."""
+    r = 30.0
+    terms = (1 / (8 * r**3), 1 / (16 * r**5), 5 / (128 * r**7), 7 / (256 * r**9), 21 / (1024 * r**11))
+    sphere = Surface(r, 0.0, 1.0, semi_diameter_mm=6.0)
+    series = replace(sphere, conic=-1.0, coefficients=terms)
+
+    def through(surface):
+        stop = Surface(thickness_mm=1.0, index_d=1.6, semi_diameter_mm=6.0, role="stop")
+        lens = Prescription("x", "", "", (stop, surface), 40.0, WAVES)
+        rays = trace(lens, [[1.0, 5.0, -1.0]], [[0.02, -0.03, 1.0]], wavelength_um=0.54)
+        return np.hstack([rays.position, rays.direction])
+
+    np.testing.assert_allclose(
+        through(series), through(sphere), atol=1e-9
+    )  # the next term is 33/2048 r^14/R^13
+
+
+def test_a_thin_lens_of_glass_blurs_as_equation_5_says():
+    """Sign and size of every channel's shift, near, in focus and far, from rays alone."""
+    lens = thin_lens(radius=1.0)
+    sensor_to_pupil = paraxial(lens).sensor_to_entrance_pupil_mm
+    for depth in (1000.0, 2000.0, 4000.0):
+        blur = field_blur(lens, DESIGNS["cy_halves"], np.array([[0.0, 0.0]]), depth_mm=depth)
+        z_of, z_od = 2000.0 - sensor_to_pupil, depth - sensor_to_pupil
+        c = 50.0 * 2.0 * (z_od - z_of) / (z_od * (z_of - 50.0))  # Eq. (5)
+        # The glass has a spherical aberration of 5e-5 mm in the centroid; the largest shift here is 0.012 mm.
+        half = 4 / (3 * math.pi) * c / 2
+        np.testing.assert_allclose(blur.centroid_mm[:, 0, 0], [half, 0, -half], atol=1e-4)
+        np.testing.assert_allclose(blur.centroid_mm[:, 0, 1], 0, atol=1e-6)
+        assert blur.rms_mm[1, 0] == pytest.approx(abs(c) / 2 / math.sqrt(2), rel=5e-3, abs=2e-4)
+
+
+def test_first_order_camera_and_traced_lens_hold_the_same_rays():
+    """Paraxial table against traced table of the near-thin lens, middle of the image."""
+    lens = thin_lens(radius=2.0)
+    camera = pupil_camera(lens, width_px=21, height_px=13, pixel_pitch_mm=0.05)
+    traced = lens_rays(
+        lens, DESIGNS["cy_halves"], width_px=21, height_px=13, pixel_pitch_mm=0.05, cells=12, nodes=5
+    )
+    ideal = pinhole_rays(camera, DESIGNS["cy_halves"], cells=12)
+    assert traced.z_mm == pytest.approx(ideal.z_mm)
+    np.testing.assert_allclose(traced.chief[[0, -1]][:, [0, -1]], ideal.chief, atol=1e-6)
+    np.testing.assert_allclose(
+        traced.weight.sum(axis=3)[:, 1, 2], ideal.weight.sum(axis=3)[:, 0, 0], atol=2e-3
+    )
+    # All rays of the middle pixel meet in the focus plane on the axis.
+    meet = traced.origin[1, 1, 2] + (camera.focus_mm - traced.z_mm) * traced.slope[1, 1, 2]
+    np.testing.assert_allclose(meet[traced.weight[1, 1, 2] > 0], 0, atol=0.08)  # the rim errs by 0.06
+
+
+def test_focusing_makes_the_distance_sharp():
+    lens = load_lens("double_gauss_50")
+    for distance in (700.0, 2000.0, 20000.0):
+        data = paraxial(focused_at(lens, distance))
+        assert data.in_focus_mm + data.sensor_to_entrance_pupil_mm == pytest.approx(distance, rel=1e-9)
+    assert paraxial(focused_at(lens, math.inf)).in_focus_mm == math.inf
+
+
+def test_the_phone_lens_is_what_it_claims():
+    lens = load_lens("phone_4")
+    data = paraxial(lens)
+    assert data.focal_length_mm == pytest.approx(4.0, abs=0.005)
+    assert data.focal_length_mm / data.entrance_diameter_mm == pytest.approx(2.4, abs=0.02)
+    fields = np.array([[0.0, 0.0], [0.0, 0.7], [0.0, 1.4], [0.0, 2.0]])  # to 27 degrees
+    far = field_blur(focused_at(lens, 2000.0), DESIGNS["open"], fields, depth_mm=2000.0)
+    assert (far.rms_mm < 7e-3).all()  # 1 to 5 um for the focus it was designed at
+
+
+def test_the_surface_of_focus_bends_and_the_corner_darkens():
+    lens = load_lens("double_gauss_50")
+    fields = np.array([[0.0, 0.0], [5.0, 0.0], [11.0, 0.0]])
+    focus = in_focus_depth(lens, DESIGNS["cy_halves"], fields)
+    assert 1900 < focus[0] < 2150  # focused by hand at about 2 m; spherical and chromatic errors move it
+    assert abs(focus[2] - focus[0]) > 100  # field curvature of hundreds of mm towards the corners
+    light = vignetting(lens, np.array([[0.0, 0.0], [11.0, 0.0], [11.0, 7.3]]))
+    assert 1.01 > light[1, 0] > light[1, 1] > light[1, 2] > 0.4
+    # Mirror images of the halves: red and blue darken alike on opposite sides.
+    sides = vignetting(
+        lens, np.array([[-9.0, 0.0], [9.0, 0.0]]), aperture=made_of(DESIGNS["cy_halves"], "ideal")
+    )
+    assert sides[0, 0] == pytest.approx(sides[2, 1], rel=1e-3)
+    assert sides[0, 0] != pytest.approx(sides[0, 1], rel=1e-2)
+
+
+def test_an_unvignetted_lens_darkens_by_the_fourth_power_of_the_cosine():
+    lens = thin_lens(radius=0.5)
+    fields = np.array([[10.0, 0.0], [0.0, -20.0], [12.0, 16.0]])
+    distance = paraxial(lens).sensor_to_entrance_pupil_mm
+    cosine2 = distance**2 / (distance**2 + (fields**2).sum(axis=1))
+    # The bundle's width, a hundredth of the distance, averages the law over a few angles.
+    np.testing.assert_allclose(vignetting(lens, fields)[1], cosine2**2, rtol=2e-3)
+
+
+def test_a_filter_off_the_stop_splits_the_light_unevenly_as_its_geometry_says():
+    """Film t behind the stop is met by an oblique bundle t tan(theta) aside: it splits at h = t tan / R."""
+    radius, t = 2.0, 4.0
+    lens = thin_lens(radius=radius, offset=10.0)
+    shifted = with_filter_at(lens, t)
+    field = np.array([[10.0, 0.0]])
+    chief = lens_rays(
+        lens, DESIGNS["open"], width_px=3, height_px=3, pixel_pitch_mm=10.0, cells=4, nodes=3
+    ).chief
+    h = (
+        t * -chief[1, 2, 2] / radius
+    )  # looking back, the bundle leans against its picture side behind the stop
+    area = (math.acos(-h) + h * math.sqrt(1 - h * h)) / math.pi  # share of the disc with x > -h
+    blur = field_blur(shifted, DESIGNS["cy_halves"], field, depth_mm=1500.0)
+    share = blur.light[:, 0].sum(axis=1)
+    # Red passes yellow, on the right. The bundle is not quite parallel inside the camera: 2 %.
+    assert share[0] / share[1] == pytest.approx(area, abs=0.02)
+    assert abs(share[0] / share[1] - 0.5) > 0.08
+
+
+def test_psf_of_a_field_is_light_in_pixels():
+    lens = load_lens("double_gauss_50")
+    blur = field_blur(lens, DESIGNS["cy_halves"], np.array([[0.0, 0.0]]), depth_mm=4000.0)
+    psf = blur.psf(0, pixel_pitch_mm=0.031, size=31)
+    np.testing.assert_allclose(psf.sum(axis=(1, 2)), 1, atol=1e-9)
+    x = (np.arange(31) - 15) * 0.031
+    moved = (psf.sum(axis=1) * x).sum(axis=1)
+    np.testing.assert_allclose(
+        moved, blur.centroid_mm[:, 0, 0], atol=5e-3
+    )  # pixels round by less than a sixth
+    assert moved[0] > 0.02 > -0.02 > moved[2]  # far: red, through the right half, moves right
+
+
+GOOD = {
+    "sensor_gap_mm": 50.0,
+    "surface": [
+        {"radius_mm": 50.0, "thickness_mm": 3.0, "index_d": 1.5},
+        {"radius_mm": -50.0, "clear_diameter_mm": 10.0, "stop": True},
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"surface": GOOD["surface"][:1]}, "0 stops"),
+        ({"surface": [*GOOD["surface"], {"stop": True, "clear_diameter_mm": 1.0}]}, "2 stops"),
+        ({"surface": [GOOD["surface"][0], {"stop": True}]}, "clear_diameter_mm"),
+        ({"surface": [{"radius_mm": 0.0}, GOOD["surface"][1]]}, "not physical"),
+        ({"surface": [{"radius": 5.0}, GOOD["surface"][1]]}, "unknown radius"),
+        ({"surface": [GOOD["surface"][0], GOOD["surface"][1] | {"index_d": 1.5}]}, "must be air"),
+        ({"sensor_gap_mm": -1.0}, "sensor_gap_mm"),
+        ({"wavelengths_um": [0.5]}, "three values"),
+    ],
+)
+def test_prescriptions_that_cannot_be(change, message):
+    with pytest.raises(InputError, match=message):
+        lens_from_dict(GOOD | change, name="mine")
+
+
+def test_lenses_that_cannot_take_pictures():
+    lens = load_lens("double_gauss_50")
+    with pytest.raises(InputError, match="unknown lens"):
+        load_lens("double_gaus")
+    with pytest.raises(InputError, match="nearest is"):
+        focused_at(lens, 150.0)
+    with pytest.raises(InputError, match="inside the focus"):
+        paraxial(replace(lens, sensor_gap_mm=20.0))
+    hollow = (Surface(-50.0, 2.0, 1.5, role="stop", semi_diameter_mm=5.0), Surface(50.0))
+    diverging = Prescription("d", "", "", hollow, 40.0, WAVES)
+    with pytest.raises(InputError, match="does not collect"):
+        paraxial(diverging)
+    wide = replace(
+        lens, surfaces=tuple(replace(s, semi_diameter_mm=20.0) if s.role else s for s in lens.surfaces)
+    )
+    with pytest.raises(InputError, match="larger than its glass"):
+        lens_rays(wide, DESIGNS["open"], width_px=9, height_px=9, pixel_pitch_mm=0.5, cells=8)
+    single = (
+        Surface(50.0, 1e-6, 1.5),
+        Surface(-50.0, 50.0),
+        Surface(role="stop", semi_diameter_mm=4.0),
+    )
+    with pytest.raises(InputError, match="cannot be reached"):
+        paraxial(checked_lens(Prescription("t", "", "", single, 10.0, (0.605, 0.5876, 0.465))))
+    with pytest.raises(InputError, match="inside or behind the glass"):
+        with_filter_at(lens, 6.0)
+    with pytest.raises(InputError, match="no disparity"):
+        in_focus_depth(lens, DESIGNS["open"], np.zeros((1, 2)))
