@@ -58,6 +58,15 @@ def progress(*, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
         yield update
 
 
+def announce_compilation(*, quiet: bool) -> None:
+    """Say beforehand that the first run takes longer, where no compiled matcher lies beside its source."""
+    import chromaperture.disparity
+
+    folders = [Path(folder, "__pycache__") for folder in chromaperture.disparity.__path__]
+    if not quiet and not any(any(folder.glob("*.nbi")) for folder in folders):
+        err.print("Compiling the matcher once for this machine (half a minute); later runs start at once.")
+
+
 def report_table(reports: list[Report]) -> Table:
     """Give the summary of measured images: fill rate, depth percentiles, time per stage."""
     calibrated = any(r.summary["depth_percentiles_mm"] for r in reports)

@@ -18,10 +18,11 @@ def demo(
 
     from chromaperture.camera import load_camera
     from chromaperture.cli.console import out as console
-    from chromaperture.cli.console import print_files, print_json, progress, report_table
+    from chromaperture.cli.console import announce_compilation, print_files, print_json, progress, report_table
     from chromaperture.pipeline import measure_file
     from chromaperture.samples import SAMPLES, sample_camera, sample_image
 
+    announce_compilation(quiet=quiet or json)
     reports = []
     with progress(quiet=quiet or json) as update:
         for i, name in enumerate(SAMPLES):

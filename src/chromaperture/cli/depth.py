@@ -36,13 +36,14 @@ def depth(
     chromaperture depth photo.jpg --design rgb_squares        (no calibration: disparity in px)
     """
     from chromaperture.cli.console import out as console
-    from chromaperture.cli.console import print_files, print_json, progress, report_table, say_error
+    from chromaperture.cli.console import announce_compilation, print_files, print_json, progress, report_table, say_error
     from chromaperture.cli.setup import camera_for
     from chromaperture.errors import ChromapertureError, InputError
     from chromaperture.pipeline import measure_file
 
     if len({(out or image.parent, image.stem) for image in images}) < len(images):
         raise InputError("two images would write the same files; measure them into different --out folders")
+    announce_compilation(quiet=quiet or json)
     reports, failed = [], 0
     with progress(quiet=quiet or json) as update:
         for i, image in enumerate(images):
