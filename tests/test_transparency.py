@@ -18,8 +18,8 @@ def sheets(rng, truth, height=120, width=180):
 def test_vignetting_grain_and_noise_cancel(rng):
     truth = np.array([0.51, 0.74, 0.375])
     found = transparency(*sheets(rng, truth))
-    # 0.01 noise over a blur of 4.5 px leaves 0.01 / sqrt(4 pi 4.5^2) = 6e-4; in a corner, where the border mirrors, twice
-    # that, of a light of 0.36 only, in both sheets: 4e-3 at most, three of those
+    # 0.01 noise over a blur of 4.5 px leaves 0.01 / sqrt(4 pi 4.5^2) = 6e-4; in a corner, where the border mirrors,
+    # twice that, of a light of 0.36 only, in both sheets: 4e-3 at most, three of those
     np.testing.assert_allclose(found, np.broadcast_to(truth, found.shape), atol=12e-3)
     np.testing.assert_allclose(found.mean(axis=(0, 1)), truth, atol=5e-4)
 

@@ -12,7 +12,7 @@ import numpy as np
 from chromaperture.calibration import Calibration
 from chromaperture.capture.checks import check_capture
 from chromaperture.color.alignment import align_channels, channel_directions, white_balance
-from chromaperture.color.noise import estimate_noise_variance, photon_noise_variance
+from chromaperture.color.noise import photon_noise_variance
 from chromaperture.config import Config, DepthConfig, MatcherConfig, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.disparity.estimate import Disparity, colour_spaces, estimate_disparity
@@ -142,11 +142,11 @@ def layer_fields(calibration: Calibration, config: MatcherConfig) -> list[LayerF
     ]
 
 
-def sensor_noise(image: np.ndarray, calibration: Calibration) -> np.ndarray:
-    """Noise variance of every channel: from the sensor's electrons where known, else from the image; (H, W, 3)."""
+def sensor_noise(image: np.ndarray, calibration: Calibration) -> np.ndarray | None:
+    """Noise variance of every channel from the sensor's electrons, (H, W, 3); None where they are not known."""
     sensor = calibration.sensor
     if sensor.full_well_electrons is None or sensor.read_noise_electrons is None:
-        return estimate_noise_variance(image)
+        return None
     return photon_noise_variance(
         image,
         full_well_electrons=sensor.full_well_electrons,

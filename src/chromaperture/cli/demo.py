@@ -17,8 +17,8 @@ def demo(
     from rich.markup import escape
 
     from chromaperture.camera import load_camera
-    from chromaperture.cli.console import out as console
     from chromaperture.cli.console import announce_compilation, print_files, print_json, progress, report_table
+    from chromaperture.cli.console import out as console
     from chromaperture.pipeline import measure_file
     from chromaperture.samples import SAMPLES, sample_camera, sample_image
 

@@ -35,8 +35,15 @@ def depth(
 
     chromaperture depth photo.jpg --design rgb_squares        (no calibration: disparity in px)
     """
+    from chromaperture.cli.console import (
+        announce_compilation,
+        print_files,
+        print_json,
+        progress,
+        report_table,
+        say_error,
+    )
     from chromaperture.cli.console import out as console
-    from chromaperture.cli.console import announce_compilation, print_files, print_json, progress, report_table, say_error
     from chromaperture.cli.setup import camera_for
     from chromaperture.errors import ChromapertureError, InputError
     from chromaperture.pipeline import measure_file

@@ -65,7 +65,7 @@ def estimate_disparity(
         Rows of M^-1, Eq. (1). Ideal film when absent.
     config : MatcherConfig, optional
     noise_variance : (H, W, 3) float, optional
-        Noise variance of the image; estimated from the image when absent.
+        Noise variance of the image. Estimated from the image when absent, and then not subtracted from the scores.
     fields : sequence of LayerField, optional
         For an optimiser: what equal depth means at every pixel, for each of `colour_spaces`. Without them it looks
         for surfaces of even disparity, in the first colour space only.
@@ -83,7 +83,11 @@ def estimate_disparity(
     config = config or MatcherConfig()
     aperture = design_named(aperture) if isinstance(aperture, str) else aperture
     image = checked_image(image)
-    noise = estimate_noise_variance(image) if noise_variance is None else noise_variance
+    if noise_variance is None:
+        # A blind estimate takes fine texture for noise; good enough for weights, but subtracted from the scores it would
+        # dig the very hole at disparity 0 that it should fill.
+        config = replace(config, noise_debiasing=False)
+        noise_variance = estimate_noise_variance(image)
     spaces = colour_spaces(aperture, unmixing, config)
     if config.optimiser is not None and fields is None:
         spaces = spaces[:1]
@@ -93,7 +97,7 @@ def estimate_disparity(
             directions=view_directions(aperture),
             unmixing=rows,
             guide_rgb=guide_weights(aperture),
-            noise_variance=noise,
+            noise_variance=noise_variance,
             config=config,
         )
         for rows in spaces
