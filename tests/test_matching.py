@@ -93,3 +93,13 @@ def test_what_cannot_be_matched_is_refused_with_what_to_do(image, message):
 def test_a_wrong_number_of_unmixing_rows_is_refused():
     with pytest.raises(InputError, match="unmixing"):
         estimate_disparity(np.zeros((40, 50, 3), np.float32), aperture="cmy_circles", unmixing=np.eye(3)[:2])
+
+
+@pytest.mark.parametrize("design", sorted(LAYOUT))
+def test_sharp_texture_in_focus_is_not_taken_for_noise(rng, design):
+    """Without a noise model the image itself has to tell, and a sharp one has grain-like texture."""
+    image = capture(texture(rng, blur_px=0.6), design, 0.02)
+    found = estimate_disparity(image, aperture=design, config=NARROW, backend="reference").value_px
+    inner = found[16:-16, 16:-16]
+    assert np.median(inner) == pytest.approx(0.02, abs=0.02)
+    assert np.isfinite(inner).all()

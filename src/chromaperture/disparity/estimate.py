@@ -84,8 +84,8 @@ def estimate_disparity(
     aperture = design_named(aperture) if isinstance(aperture, str) else aperture
     image = checked_image(image)
     if noise_variance is None:
-        # A blind estimate takes fine texture for noise; good enough for weights, but subtracted from the scores it would
-        # dig the very hole at disparity 0 that it should fill.
+        # A blind estimate takes fine texture for noise: good enough for weights, but subtracted from the scores it
+        # would dig the very hole at disparity 0 that it should fill.
         config = replace(config, noise_debiasing=False)
         noise_variance = estimate_noise_variance(image)
     spaces = colour_spaces(aperture, unmixing, config)
