@@ -1,0 +1,71 @@
+"""The camera as a whole, on a simulated plane seen through leaking film."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from chromaperture.calibration import Calibration, Film
+from chromaperture.camera import CodedApertureCamera, channel_shifts, default_config
+from chromaperture.capture.checks import check_capture
+from chromaperture.errors import CaptureWarning, InputError
+from planes import moved, texture
+
+CYAN, YELLOW = np.array([0.10, 0.63, 0.65]), np.array([0.92, 0.85, 0.10])
+
+
+def leaking_camera(height, width):
+    camera = Calibration.uncalibrated("cy_halves", width_px=width, height_px=height)
+    film = Film({"cyan": CYAN, "yellow": YELLOW}, np.ones(3), (CYAN + YELLOW) / 2)
+    return replace(camera, film=film)
+
+
+def leaking_capture(picture, disparity_px):
+    """Both halves of the pupil add their view in their film's colour."""
+    left, right = (moved(picture, side * disparity_px, 0.0) for side in (-1, 1))
+    return (0.5 * (left[..., None] * CYAN + right[..., None] * YELLOW)).astype(np.float32)
+
+
+@pytest.mark.parametrize("quality", ["paper", "real-time", "accurate"])
+def test_colours_come_together_at_every_quality(rng, quality):
+    picture = texture(rng, 120, 160)
+    image = leaking_capture(picture, 2.6)
+    calibration = leaking_camera(*picture.shape)
+    camera = CodedApertureCamera(calibration, default_config(calibration, quality))
+    frame = camera.measure(image)
+    inner = (slice(20, -20), slice(20, -20))
+    red, blue = frame.color[inner][..., 0], frame.color[inner][..., 2]
+    before = np.corrcoef(image[inner][..., 0].ravel(), image[inner][..., 2].ravel())[0, 1]
+    after = np.corrcoef(red.ravel(), blue.ravel())[0, 1]
+    assert before < 0.5  # 5.2 px apart, of a texture of 1.5 px; the leaks have it in common
+    # What leaks through the other half stays where it is, a tenth of the light; the rest must coincide.
+    assert after > 0.93
+    assert red.mean() == pytest.approx(blue.mean(), rel=0.01)  # a grey plane is grey
+    assert not frame.valid.any()  # no calibration, no millimetres
+    assert np.isfinite(frame.disparity_px[inner]).mean() > 0.99
+
+
+def test_pure_views_count_their_own_displacement():
+    calibration = leaking_camera(48, 64)
+    shifts = {q: channel_shifts(calibration, default_config(calibration, q).matcher) for q in ("paper", "real-time")}
+    assert np.abs(shifts["real-time"][[0, 2], 0]).mean() == pytest.approx(1.0, abs=1e-9)
+    # Two masses at +1 and -1, by the film's transmissions: (.92 - .10) / (.92 + .10) and (.65 - .10) / (.65 + .10).
+    np.testing.assert_allclose(shifts["paper"][[0, 2], 0], [0.804, -0.733], atol=5e-3)
+
+
+def test_captures_that_cannot_be_measured_say_why():
+    image = np.full((48, 64, 3), 0.3, np.float32)
+    for broken, word in (
+        (image[:, :40], "40x48"),
+        (image[..., 0], "RGB"),
+        ((image * 255).astype(np.uint8), "read_image"),
+        (image * 0, "black"),
+        (image * 0 + 1, "saturated"),
+        (image * np.nan, "finite"),
+    ):
+        with pytest.raises(InputError, match=word):
+            check_capture(broken, 64, 48)
+    partly = image.copy()
+    partly[:8] = 1.0
+    with pytest.warns(CaptureWarning, match="17%"):
+        check_capture(partly, 64, 48)
