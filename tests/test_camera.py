@@ -8,6 +8,8 @@ import pytest
 from chromaperture.calibration import Calibration, Film
 from chromaperture.camera import CodedApertureCamera, channel_shifts, default_config
 from chromaperture.capture.checks import check_capture
+from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.field import DepthField
 from chromaperture.errors import CaptureWarning, InputError
 from planes import moved, texture
 
@@ -45,12 +47,14 @@ def test_colours_come_together_at_every_quality(rng, quality):
     assert np.isfinite(frame.disparity_px[inner]).mean() > 0.99
 
 
-def test_pure_views_count_their_own_displacement():
-    calibration = leaking_camera(48, 64)
-    shifts = {q: channel_shifts(calibration, default_config(calibration, q).matcher) for q in ("paper", "real-time")}
-    assert np.abs(shifts["real-time"][[0, 2], 0]).mean() == pytest.approx(1.0, abs=1e-9)
-    # Two masses at +1 and -1, by the film's transmissions: (.92 - .10) / (.92 + .10) and (.65 - .10) / (.65 + .10).
-    np.testing.assert_allclose(shifts["paper"][[0, 2], 0], [0.804, -0.733], atol=5e-3)
+def test_a_calibrated_camera_knows_how_far_leaks_draw_the_channels_together():
+    camera = leaking_camera(48, 64)
+    np.testing.assert_allclose(channel_shifts(camera, "paper")[[0, 2], 0], [1, -1], atol=1e-3)  # nothing is known
+    curves = {q: DepthField.constant(DepthModel(4.0, b, 50.0)) for q, b in (("real-time", 7300.0), ("paper", 8700.0))}
+    known = replace(camera, depth=curves)
+    np.testing.assert_allclose(channel_shifts(known, "real-time")[[0, 2], 0], [1, -1], atol=1e-3)
+    # At the same depth the unmixed views are 8700 / 7300 times as far apart as the channels.
+    np.testing.assert_allclose(channel_shifts(known, "paper")[[0, 2], 0], [73 / 87, -73 / 87], atol=1e-3)
 
 
 def test_captures_that_cannot_be_measured_say_why():

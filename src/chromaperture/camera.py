@@ -101,7 +101,7 @@ class CodedApertureCamera:
         with stage("depth"):  # Eq. (10)
             depth_mm, sigma_mm = millimetres(disparity, self.depth_model, self.config.depth)
         with stage("color"):  # section 5.1
-            aligned = align_channels(image, disparity.value_px, channel_shifts(cal, self.config.matcher))
+            aligned = align_channels(image, disparity.value_px, channel_shifts(cal, self.config.quality))
             color = white_balance(aligned, cal.film.aperture)
         return DepthFrame(
             depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color
@@ -123,12 +123,17 @@ def millimetres(
     )
 
 
-def channel_shifts(calibration: Calibration, config: MatcherConfig) -> np.ndarray:
-    """Displacement of the sensor's R, G, B per px of the disparity that is matched; (3, 2) float64."""
-    shifts = channel_directions(calibration.aperture, calibration.film.transmissions())
-    pure = pure_channels(calibration.aperture) if config.views == "pure" else None
-    # Where the sensor's own channels are the views, disparity counts their displacement, leaks included.
-    return shifts if pure is None else shifts / np.linalg.norm(pure @ shifts, axis=1).mean()
+def channel_shifts(calibration: Calibration, quality: Quality) -> np.ndarray:
+    """Displacement of the sensor's R, G, B per px of the disparity that a quality measures; (3, 2) float64."""
+    aperture = calibration.aperture
+    if pure_channels(aperture) is None:  # every channel mixes the filters and goes with its centroid
+        return channel_directions(aperture, calibration.film.transmissions())
+    shifts = channel_directions(aperture, {})
+    if not calibration.is_calibrated:
+        return shifts
+    # Leaks draw the pure channels together: their own curve tells how far apart they are where another one was matched.
+    pure, matched = (calibration.on_axis(q).scale_px_mm for q in ("real-time", quality))
+    return shifts * (float(pure) / float(matched))
 
 
 def layer_fields(calibration: Calibration, config: MatcherConfig) -> list[LayerField] | None:
