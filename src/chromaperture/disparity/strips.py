@@ -139,11 +139,12 @@ def _take_strip(
             copy(fours, 0, largest, (y - top) * BLOCK, BLOCK)
         _refine(largest.view(np.int32), ~tags[0], scratch, at_batch + row_size, row_size, layers, first, step, found)
         for y in range(top, bottom):
+            at = y * width + left
             for j in range(used):
                 i = (y - top) * BLOCK + j
-                disparity[y, left + j] = found[0, i]
-                peak[y, left + j] = found[1, i]
-                curvature[y, left + j] = found[2, i]
+                v.put(disparity, at + j, v.get(found[0], i))
+                v.put(peak, at + j, v.get(found[1], i))
+                v.put(curvature, at + j, v.get(found[2], i))
 
 
 @inner
@@ -166,8 +167,7 @@ def _up(y, height, slabs, near, links, inverse, tags, scratch, here, at_state, b
     row_size = slabs * size
     tag_values = tags.view(np.float32)
     keep, raised = v.load(tag_values, 0), v.spread(_RAISED)
-    gain = v.spread(ONE - near if y == 0 else ONE)
-    start = v.spread(ONE / (ONE - near) if y == height - 1 else ONE)
+    gain, start = v.spread(ONE - near), v.spread(ONE / (ONE - near))
     for j in range(BLOCK):
         link, link_below = v.spread_at(links, y * BLOCK + j), v.spread_at(links, (y + 1) * BLOCK + j)
         share = v.spread_at(inverse, y * BLOCK + j)
@@ -176,8 +176,13 @@ def _up(y, height, slabs, near, links, inverse, tags, scratch, here, at_state, b
         for i in range(j * v.LANES, row_size, size):
             # What the downward recursion gained here is the weighted score.
             down = v.load(scratch, here + i)
-            x = v.mul(gain, v.fnma(link, v.load(scratch, here - row_size + i), down))
-            up = v.fma(link_below, v.load(scratch, at_state + i), v.mul(start, x))
+            if 0 < y < height - 1:
+                x = v.fnma(link, v.load(scratch, here - row_size + i), down)
+                up = v.fma(link_below, v.load(scratch, at_state + i), x)
+            elif y == 0:
+                up = v.fma(link_below, v.load(scratch, at_state + i), v.mul(gain, down))
+            else:
+                up = v.mul(start, v.fnma(link, v.load(scratch, here - row_size + i), down))
             v.store(scratch, at_state + i, up)
             score = v.fma(v.add(up, down), share, raised)
             v.store(scratch, here + i, score)
@@ -192,12 +197,13 @@ def _refine(winners, mask, scores, at_scores, row_size, layers, first, step, fou
     count = BATCH * BLOCK
     low, center, high = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
     for i in range(count):
-        winner = min(max(mask - (winners[i] & mask), 0), layers - 1)
+        winner = min(max(mask - (v.get(winners, i) & mask), 0), layers - 1)
         inner = min(max(winner, 1), layers - 2)
-        at = at_scores + i // BLOCK * row_size + i % BLOCK * v.LANES
-        low[i] = scores[at + _of_layer(inner - 1)]
-        center[i] = scores[at + _of_layer(inner)]
-        high[i] = scores[at + _of_layer(inner + 1)]
+        column = i & (BLOCK - 1)
+        at = at_scores + (i - column) // BLOCK * row_size + column * v.LANES
+        low[i] = v.get(scores, at + _of_layer(inner - 1))
+        center[i] = v.get(scores, at + _of_layer(inner))
+        high[i] = v.get(scores, at + _of_layer(inner + 1))
         found[0, i] = np.float32(inner) if winner == inner else np.float32(np.nan)
     square = ONE / (step * step)
     for i in range(count):
@@ -212,7 +218,8 @@ def _refine(winners, mask, scores, at_scores, row_size, layers, first, step, fou
 @inner
 def _of_layer(layer):
     """Where a layer lies from a column's first one."""
-    return layer // v.LANES * BLOCK * v.LANES + layer % v.LANES
+    lane = layer & (v.LANES - 1)
+    return (layer - lane) * BLOCK + lane
 
 
 @compiled
