@@ -49,10 +49,12 @@ def score_band(pictures, samplings, layers, numbers, pad, halo, top, bottom, beg
     for y in range(top, bottom):
         _weigh_row(pictures.mask[y], numbers.min_weight, len(pictures.views), maps.weights[y])
         _links_along_x(pictures.guide[y], numbers.near, maps.links[y])
-        _share_row(maps.weights[y], numbers.near, maps.links[y], maps.share[y])
+        _share_row(maps.weights[y], numbers.near, maps.links[y], scratch.line, maps.share[y])
+        here, above = pictures.guide[y], pictures.guide[max(y - 1, 0)]
+        share, scale, links_y = maps.share[y], maps.scale[y], maps.links_y[y]
         for x in range(width):
-            maps.scale[y, x] = SCORE_SCALE / maps.share[y, x]
-            maps.links_y[y, x] = fading(pictures.guide[y, x] - pictures.guide[max(y - 1, 0), x], numbers.near)
+            scale[x] = SCORE_SCALE / share[x]
+            links_y[x] = fading(here[x] - above[x], numbers.near)
 
     padded = width + 2 * pad_x
     row_size = padded * v.LANES
@@ -146,28 +148,30 @@ def fading(difference, near):
 @inner
 def _links_along_x(guide, near, links):
     """Weight with which each pixel of a row hears its left neighbour; 0 at both ends."""
-    for x in range(1, len(guide)):
-        links[x] = fading(guide[x] - guide[x - 1], near)
-    links[0] = links[len(guide)] = ZERO
+    width = len(guide)
+    here, before, out = guide[1:], guide[: width - 1], links[1:]
+    for x in range(width - 1):
+        out[x] = fading(here[x] - before[x], near)
+    links[0] = links[width] = ZERO
 
 
 @inner
-def _share_row(weights, near, links, out):
-    """Both recursions along a row of weights, without their gain: a sample at an end counts 1 / gain."""
+def _share_row(weights, near, links, other, out):
+    """Both recursions along a row of weights, without their gain: a sample at an end counts 1 / gain.
+
+    They run side by side, for each waits for itself; ``other`` holds the leftwards one.
+    """
     end = len(weights) - 1
-    gain = ONE - near
-    state = weights[end] / gain
-    out[end] = state
-    for x in range(end - 1, 0, -1):
-        state = weights[x] + links[x + 1] * state
-        out[x] = state
-    out[0] = weights[0] + links[1] * state
-    state = weights[0] / gain
-    out[0] += state
-    for x in range(1, end):
-        state = weights[x] + links[x] * state
-        out[x] += state
-    out[end] += weights[end] + links[end] * state
+    right, left = weights[0] / (ONE - near), weights[end] / (ONE - near)
+    v.put(out, 0, right)
+    v.put(other, end, left)
+    for i in range(1, end + 1):
+        right = v.get(weights, i) + v.get(links, i) * right
+        left = v.get(weights, end - i) + v.get(links, end - i + 1) * left
+        v.put(out, i, right)
+        v.put(other, end - i, left)
+    for x in range(end + 1):
+        out[x] += other[x]
 
 
 @inner

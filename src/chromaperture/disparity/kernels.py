@@ -35,7 +35,7 @@ from chromaperture.disparity.subpixel import Winner
 
 # Share of a window's weight that a band may miss; small, because products have means far above their variances.
 _FORGOTTEN = 1e-6
-_BAND_ROWS = 180
+_BAND_ROWS = 240
 
 
 def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
@@ -58,7 +58,7 @@ def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
     with _workspace() as workspace:
         volume, maps = _filtered_scores(inputs, config, near, workspace)
         scratch = workspace.array(
-            "strip", (numba.get_num_threads(), (height + 1) * strips.STRIP * _whole_slabs(layers)), np.float32
+            "strip", (numba.get_num_threads(), strips.scratch_rows(height) * layout.BLOCK * _whole_slabs(layers)), np.float32
         )
 
         def take_winners(thread: int, first: int, last: int) -> None:

@@ -31,13 +31,14 @@ def _sample_row(picture, samplings, e, y, line, out, at):
     reach = margin + 2
     a, b = picture[min(max(y - 1, 0), height - 1)], picture[min(max(y, 0), height - 1)]
     c, d = picture[min(max(y + 1, 0), height - 1)], picture[min(max(y + 2, 0), height - 1)]
+    inside = line[reach : reach + width]  # indices from 0 on: others LLVM must suspect of being negative
     t0, t1, t2, t3 = samplings.taps_y[e]
     if t1 == ONE:
         for x in range(width):
-            line[reach + x] = b[x]
+            inside[x] = b[x]
     else:
         for x in range(width):
-            line[reach + x] = t0 * a[x] + t1 * b[x] + t2 * c[x] + t3 * d[x]
+            inside[x] = t0 * a[x] + t1 * b[x] + t2 * c[x] + t3 * d[x]
     count = width + 2 * margin
     for x in range(reach):
         line[x] = line[reach]
@@ -110,8 +111,9 @@ def standardise(
                 for k in range(len(pictures.views)):
                     i = samplings.still[k] - e
                     if 0 <= i < 4:
-                        for x in range(weights_out.shape[1]):
-                            weights_out[y, x] *= lanes[(pad_x + x) * 4 + i]
+                        weights = weights_out[y]
+                        for x in range(len(weights)):
+                            weights[x] *= v.get(lanes, (pad_x + x) * 4 + i)
 
 
 @inner

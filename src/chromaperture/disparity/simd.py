@@ -247,6 +247,16 @@ def lane(typing, value, index):
 
 
 @intrinsic
+def get(typing, array, index):
+    """Give ``array[index]``, without the test for a negative index."""
+
+    def lowered(context, builder, signature, arguments):
+        return builder.load(_pointer(context, builder, signature.args[0], *arguments))
+
+    return array.dtype(array, types.int64), lowered
+
+
+@intrinsic
 def put(typing, array, index, value):
     """``array[index] = value``, without the test for a negative index."""
 

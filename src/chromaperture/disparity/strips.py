@@ -1,9 +1,10 @@
 # mypy: disallow-untyped-defs=False
 """Second half of the compiled matcher: a strip of columns from scores filtered along x to the winner.
 
-A strip is read once, upwards; the upward recursion of all its layers stays in the cache until the downward recursion
-meets it. The winner is found with the layer's number in the low bits of the score, so that the largest lane says who
-it is.
+The downward recursion runs first, over the whole strip, and leaves a mark every few rows. Then the strip is walked
+upwards in batches between the marks: the downward recursion of a batch is done again and kept, the upward recursion
+meets it, the winners of the batch are found together so that none waits for another. A batch stays in the fastest
+cache. A winner is found with its layer's number in the low bits of the score: the largest lane says who it is.
 """
 
 from __future__ import annotations
@@ -12,11 +13,10 @@ import numpy as np
 
 from chromaperture.disparity import simd as v
 from chromaperture.disparity.layout import BLOCK, ONE, SCORE_SCALE, ZERO, compiled, inner
+from chromaperture.disparity.windows import copy
 
 _HALF = np.float32(0.5)
-STRIP = 4  # columns filtered together: for 1000 rows of 32 layers they fill half a megabyte
-BATCH = 8  # rows whose winners are refined together
-AHEAD = 8  # rows by which the volume is fetched before its use
+BATCH = 8  # rows between two marks
 _RAISED = np.float32(2)  # added to scores in [-1, 1]: positive floats are ordered as their bits are
 _BEND_FLOOR = np.float32(1e-12)
 
@@ -36,10 +36,10 @@ def take_winners(
     layers : int
     first, step : float32, px; disparity of the first layer and distance of two
     first_block, last_block : int; the blocks of columns from the first to before the last
-    scratch : (H * STRIP * D8,) float32
+    scratch : (`scratch_rows` (H) * BLOCK * D8,) float32
     disparity, peak, curvature : (H, W) float32; written
     """
-    height, width = disparity.shape
+    height = len(disparity)
     slabs = (layers + v.LANES - 1) // v.LANES
     links = np.empty((height + 1) * BLOCK, np.float32)
     scale = np.empty(height * BLOCK, np.float32)
@@ -48,11 +48,15 @@ def take_winners(
     for block in range(first_block, last_block):
         left = block * BLOCK
         _block_maps(share, links_y, near, left, links, scale, inverse)
-        for x in range(left, min(left + BLOCK, width), STRIP):
-            _take_strip(
-                volume, x, slabs, near, links, scale, inverse, tags, layers, first, step, scratch,
-                disparity, peak, curvature,
-            )  # fmt: skip
+        _take_strip(
+            volume, left, slabs, near, links, scale, inverse, tags, layers, first, step, scratch,
+            disparity, peak, curvature,
+        )  # fmt: skip
+
+
+def scratch_rows(height: int) -> int:
+    """Rows of a strip that `take_winners` keeps: the marks, a batch and the row above it, the state."""
+    return -(-height // BATCH) + 1 + BATCH + 2
 
 
 @inner
@@ -98,87 +102,108 @@ def _take_strip(
     disparity, peak, curvature,
 ):  # fmt: skip
     height, width = disparity.shape
-    lanes = slabs * v.LANES
-    row_size = STRIP * lanes
-    volume_row = BLOCK * lanes
-    column = left % BLOCK
-    at_volume = left // BLOCK * height * volume_row + column * v.LANES
-    endless = v.spread(ONE / (ONE - near))
-    # Upwards; in the volume a slab's columns are neighbours, in the scratch a column's slabs.
-    for y in range(height - 1, -1, -1):
-        ahead = at_volume + max(y - AHEAD, 0) * volume_row
-        for slab in range(slabs):
-            v.prefetch(volume, ahead + slab * BLOCK * v.LANES)
-        for j in range(STRIP):
-            weight = v.spread_at(scale, y * BLOCK + column + j)
-            link = v.spread_at(links, (y + 1) * BLOCK + column + j)
-            here = y * row_size + j * lanes
-            there = at_volume + y * volume_row + j * v.LANES
-            for _ in range(slabs):
-                x = v.mul(v.load_shorts(volume, there), weight)
-                below = v.fma(link, v.load(scratch, here + row_size), x) if y < height - 1 else v.mul(endless, x)
-                v.store(scratch, here, below)
-                here, there = here + v.LANES, there + BLOCK * v.LANES
-    # Downwards, a batch of rows at a time: the winners of many pixels need not wait for each other.
-    state = np.zeros(row_size, np.float32)
-    scores = np.empty(BATCH * row_size, np.float32)
-    largest = np.empty(BATCH * STRIP + v.LANES, np.float32)
-    found = np.empty((3, BATCH * STRIP), np.float32)
-    used = min(STRIP, width - left)
-    for top in range(0, height, BATCH):
-        bottom = min(top + BATCH, height)
-        _score_rows(top, bottom, height, lanes, column, near, links, inverse, tags, scratch, state, scores, largest)
-        _refine(largest.view(np.int32), ~tags[0], scores, lanes, layers, first, step, found)
+    row_size = BLOCK * slabs * v.LANES
+    at_volume = left // BLOCK * height * row_size
+    batches = (height + BATCH - 1) // BATCH
+    at_batch = (batches + 1) * row_size
+    at_state = at_batch + (BATCH + 1) * row_size
+    # All rows of a batch write to the mark below it, which keeps the last. Above the first row there is nothing.
+    for i in range(0, row_size, v.LANES):
+        v.store(scratch, i, v.spread(ZERO))
+        v.store(scratch, at_state + i, v.spread(ZERO))
+    for y in range(height):
+        above, mark = ((y + BATCH - 1) // BATCH) * row_size, (y // BATCH + 1) * row_size
+        _down(volume, at_volume + y * row_size, scale, links, y, near, scratch, above, mark, row_size)
+    best, fours = np.empty(BLOCK * v.LANES, np.float32), np.empty(BLOCK + v.LANES, np.float32)
+    largest = np.empty(BATCH * BLOCK + v.LANES, np.float32)
+    found = np.empty((3, BATCH * BLOCK), np.float32)
+    used = min(BLOCK, width - left)
+    for batch in range(batches - 1, -1, -1):
+        top, bottom = batch * BATCH, min((batch + 1) * BATCH, height)
+        for y in range(top, bottom):  # each row of the maps is another page: have them at hand when they are written
+            v.prefetch(disparity, y * width + left)
+            v.prefetch(peak, y * width + left)
+            v.prefetch(curvature, y * width + left)
+        copy(scratch, batch * row_size, scratch, at_batch, row_size)
         for y in range(top, bottom):
+            here = at_batch + (y - top + 1) * row_size
+            _down(volume, at_volume + y * row_size, scale, links, y, near, scratch, here - row_size, here, row_size)
+        for y in range(bottom - 1, top - 1, -1):
+            here = at_batch + (y - top + 1) * row_size
+            _up(y, height, slabs, near, links, inverse, tags, scratch, here, at_state, best)
+            for i in range(0, BLOCK, 4):
+                ab = v.halves_larger(v.load(best, i * 8), v.load(best, i * 8 + 8))
+                cd = v.halves_larger(v.load(best, i * 8 + 16), v.load(best, i * 8 + 24))
+                four = v.quarters_larger(ab, cd)
+                v.store(fours, i, v.eighths_larger(four, four))
+            copy(fours, 0, largest, (y - top) * BLOCK, BLOCK)
+        _refine(largest.view(np.int32), ~tags[0], scratch, at_batch + row_size, row_size, layers, first, step, found)
+        for y in range(top, bottom):
+            at = y * width + left
             for j in range(used):
-                i = (y - top) * STRIP + j
-                disparity[y, left + j] = found[0, i]
-                peak[y, left + j] = found[1, i]
-                curvature[y, left + j] = found[2, i]
+                i = (y - top) * BLOCK + j
+                v.put(disparity, at + j, v.get(found[0], i))
+                v.put(peak, at + j, v.get(found[1], i))
+                v.put(curvature, at + j, v.get(found[2], i))
 
 
 @inner
-def _score_rows(top, bottom, height, lanes, column, near, links, inverse, tags, scratch, state, scores, largest):
-    """Scores of a batch of rows, raised by `_RAISED`, and of each pixel the largest with its tag."""
+def _down(volume, at_volume, scale, links, y, near, scratch, above, here, row_size):
+    """One row of the downward recursion, from ``above`` to ``here`` in the scratch."""
+    # An end of the column stands for itself: the recursions take it 1 / gain times.
+    start = v.spread(ONE / (ONE - near) if y == 0 else ONE)
+    for j in range(BLOCK):
+        weight = v.mul(start, v.spread_at(scale, y * BLOCK + j))
+        link = v.spread_at(links, y * BLOCK + j)
+        for i in range(j * v.LANES, row_size, BLOCK * v.LANES):
+            x = v.mul(v.load_shorts(volume, at_volume + i), weight)
+            v.store(scratch, here + i, v.fma(link, v.load(scratch, above + i), x))
+
+
+@inner
+def _up(y, height, slabs, near, links, inverse, tags, scratch, here, at_state, best):
+    """One row of the upward recursion; leaves the scores, raised by `_RAISED`, and the largest of every column."""
+    size = BLOCK * v.LANES
+    row_size = slabs * size
     tag_values = tags.view(np.float32)
-    best = np.empty(STRIP * v.LANES, np.float32)
-    raised, gain, endless = v.spread(_RAISED), v.spread(ONE - near), v.spread(ONE / (ONE - near))
-    keep = v.load(tag_values, 0)
-    row_size = STRIP * lanes
-    for y in range(top, bottom):
-        out = (y - top) * row_size
-        for j in range(STRIP):
-            link = v.spread_at(links, y * BLOCK + column + j)
-            link_below = v.spread_at(links, (y + 1) * BLOCK + column + j)
-            share = v.spread_at(inverse, y * BLOCK + column + j)
-            most = v.spread(ZERO)
-            here = y * row_size + j * lanes
-            for i in range(0, lanes, v.LANES):
-                up, below = v.load(scratch, here + i), v.load(scratch, here + i + row_size)
-                # What the upward recursion gained here is the weighted score; the row after the last is slack.
-                x = v.fnma(link_below, below, up) if y < height - 1 else v.mul(gain, up)
-                down = v.fma(link, v.load(state, j * lanes + i), x) if y > 0 else v.mul(endless, x)
-                v.store(state, j * lanes + i, down)
-                score = v.fma(v.add(down, up), share, raised)
-                v.store(scores, out + j * lanes + i, score)
-                most = v.larger(most, v.tagged(score, keep, v.load(tag_values, v.LANES + i)))
-            v.store(best, j * v.LANES, most)
-        ab = v.halves_larger(v.load(best, 0), v.load(best, v.LANES))
-        cd = v.halves_larger(v.load(best, 2 * v.LANES), v.load(best, 3 * v.LANES))
-        four = v.quarters_larger(ab, cd)
-        v.store(largest, (y - top) * STRIP, v.eighths_larger(four, four))
+    keep, raised = v.load(tag_values, 0), v.spread(_RAISED)
+    gain, start = v.spread(ONE - near), v.spread(ONE / (ONE - near))
+    for j in range(BLOCK):
+        link, link_below = v.spread_at(links, y * BLOCK + j), v.spread_at(links, (y + 1) * BLOCK + j)
+        share = v.spread_at(inverse, y * BLOCK + j)
+        most = v.spread(ZERO)
+        tag = v.LANES
+        for i in range(j * v.LANES, row_size, size):
+            # What the downward recursion gained here is the weighted score.
+            down = v.load(scratch, here + i)
+            if 0 < y < height - 1:
+                x = v.fnma(link, v.load(scratch, here - row_size + i), down)
+                up = v.fma(link_below, v.load(scratch, at_state + i), x)
+            elif y == 0:
+                up = v.fma(link_below, v.load(scratch, at_state + i), v.mul(gain, down))
+            else:
+                up = v.mul(start, v.fnma(link, v.load(scratch, here - row_size + i), down))
+            v.store(scratch, at_state + i, up)
+            score = v.fma(v.add(up, down), share, raised)
+            v.store(scratch, here + i, score)
+            most = v.larger(most, v.tagged(score, keep, v.load(tag_values, tag)))
+            tag += v.LANES
+        v.store(best, j * v.LANES, most)
 
 
 @inner
-def _refine(winners, mask, scores, lanes, layers, first, step, found):
+def _refine(winners, mask, scores, at_scores, row_size, layers, first, step, found):
     """Parabola through the best layer and its neighbours, for a batch of pixels."""
-    count = BATCH * STRIP
+    count = BATCH * BLOCK
     low, center, high = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
     for i in range(count):
-        winner = min(max(mask - (winners[i] & mask), 0), layers - 1)
+        winner = min(max(mask - (v.get(winners, i) & mask), 0), layers - 1)
         inner = min(max(winner, 1), layers - 2)
-        at = i * lanes + inner
-        low[i], center[i], high[i] = scores[at - 1], scores[at], scores[at + 1]
+        column = i & (BLOCK - 1)
+        at = at_scores + (i - column) // BLOCK * row_size + column * v.LANES
+        low[i] = v.get(scores, at + _of_layer(inner - 1))
+        center[i] = v.get(scores, at + _of_layer(inner))
+        high[i] = v.get(scores, at + _of_layer(inner + 1))
         found[0, i] = np.float32(inner) if winner == inner else np.float32(np.nan)
     square = ONE / (step * step)
     for i in range(count):
@@ -188,6 +213,13 @@ def _refine(winners, mask, scores, lanes, layers, first, step, found):
         found[0, i] = first + step * (found[0, i] + min(max(_HALF * ratio, -_HALF), _HALF))
         found[1, i] = center[i] - _RAISED + np.float32(1 / 8) * slope * ratio
         found[2, i] = bend * square
+
+
+@inner
+def _of_layer(layer):
+    """Where a layer lies from a column's first one."""
+    lane = layer & (v.LANES - 1)
+    return (layer - lane) * BLOCK + lane
 
 
 @compiled
