@@ -57,9 +57,8 @@ def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
     disparity, peak, curvature = (np.empty((height, width), np.float32) for _ in range(3))
     with _workspace() as workspace:
         volume, maps = _filtered_scores(inputs, config, near, workspace)
-        scratch = workspace.array(
-            "strip", (numba.get_num_threads(), strips.scratch_rows(height) * layout.BLOCK * _whole_slabs(layers)), np.float32
-        )
+        strip = strips.scratch_rows(height) * layout.BLOCK * _whole_slabs(layers)
+        scratch = workspace.array("strip", (numba.get_num_threads(), strip), np.float32)
 
         def take_winners(thread: int, first: int, last: int) -> None:
             strips.take_winners(
