@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from chromaperture.calibrate_blur import add_blur
 from chromaperture.calibration import Calibration, Film, Lens
 from chromaperture.camera import sensor_noise
 from chromaperture.color.unmixing import ideal_unmixing
@@ -72,6 +73,7 @@ def calibrate_session(
     folder: str | Path,
     *,
     lens_from: Calibration | None = None,
+    lens_blur: bool = True,
     progress: Progress = lambda what, done, total: None,
 ) -> CalibrationResult:
     """Calibrate the camera of a session folder.
@@ -82,6 +84,8 @@ def calibrate_session(
         Laid out as ``docs/calibration-session.md`` shows.
     lens_from : Calibration, optional
         The same lens at the same focus, for a session without tilted boards of its own.
+    lens_blur : bool
+        Fit the lens's blur too, which takes most of the time; quality ``accurate`` gains most of its accuracy by it.
     progress : callable, optional
         Called with what is being done, how many are done, and of how many.
 
@@ -139,7 +143,10 @@ def calibrate_session(
         ],
         "notes": notes,
     }
-    return CalibrationResult(_assemble(session, film, intrinsics, fields, provenance), fits, boards, notes)
+    calibration = _assemble(session, film, intrinsics, fields, provenance)
+    if lens_blur:
+        calibration, _ = add_blur(calibration, session, notes, progress=progress)
+    return CalibrationResult(calibration, fits, boards, notes)
 
 
 def _measure_film(session: Session, aperture: Aperture, notes: list[str]) -> Film:

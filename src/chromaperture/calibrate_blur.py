@@ -72,7 +72,7 @@ def add_blur(
 
 
 def _start(calibration: Calibration, axis: DepthModel) -> FieldBlur:
-    """A thin lens of the measured focus and scale: centroids sit at a known share of the pupil's radius."""
+    """Give a thin lens of the measured focus and scale: centroids sit at a known share of the pupil's radius."""
     reach = float(np.linalg.norm(centroids(calibration.aperture, ideal_unmixing(calibration.aperture)), axis=1).mean())
     model = BlurModel(float(axis.infinity_disparity_px) / reach, float(axis.scale_px_mm) / reach, **_START_RIM)
     pupil = sample_pupil(calibration.aperture.with_film(calibration.film.transmissions()))

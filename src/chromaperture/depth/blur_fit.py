@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from chromaperture.disparity.phase import phase_likelihood, tile_field
 from chromaperture.config import PhaseConfig
+from chromaperture.disparity.phase import phase_likelihood, tile_field
 from chromaperture.disparity.semiglobal import at_labels
 from chromaperture.errors import InputError
 from chromaperture.optics.blur import BlurModel, FieldBlur, PupilSamples
@@ -28,7 +28,6 @@ Progress = Callable[[str, int, int], None]
 NAMES = tuple(f.name for f in fields(BlurModel))
 
 _CORE_PX = 72  # a tile's core: small enough to reach the frame's border, where the aberrations are largest
-_TILES = 240
 _FEW_TILES = 60
 _DAMPING = 0.04
 _FLOOR = 0.02  # share of a tile's power that is never believed: the blur changes within a tile
@@ -73,6 +72,7 @@ def fit_blur(
     start: FieldBlur,
     *,
     board_count: int,
+    tile_count: int = 240,
     progress: Progress = lambda what, done, total: None,
 ) -> BlurFit:
     """Fit all numbers of the blur.
@@ -84,6 +84,8 @@ def fit_blur(
     start : FieldBlur
         Focus and scale right to a fifth, aberrations none.
     board_count : int
+    tile_count : int
+        Tiles of all boards together; time grows with it, the error of the fit falls with its root.
     progress : callable, optional
 
     Returns
@@ -95,7 +97,7 @@ def fit_blur(
     InputError
         No board, or none with texture.
     """
-    per_board = max(4, math.ceil(_TILES / max(board_count, 1)))
+    per_board = max(4, math.ceil(tile_count / max(board_count, 1)))
     size, tiles = _tile_size(start), []
     for number, (image, inverse_mm) in enumerate(boards):
         tiles += _cut(image, inverse_mm, size, per_board, seed=number)
@@ -105,11 +107,11 @@ def fit_blur(
     total = 3
     progress("blur of the lens", 0, total)
     before = float(np.mean(_cost(start, few, _tapers(start, few))))
-    blur = _gauss_newton(start, few, _FIRST, rounds=8, tolerance=0.5)
+    blur = _gauss_newton(start, few, _FIRST, rounds=8, tolerance=2e-3)
     progress("blur of the lens", 1, total)
-    blur = _gauss_newton(blur, few, NAMES, rounds=8, tolerance=0.5)
+    blur = _gauss_newton(blur, few, NAMES, rounds=8, tolerance=2e-3)
     progress("blur of the lens", 2, total)
-    blur = _gauss_newton(blur, tiles, NAMES, rounds=5, tolerance=0.2)
+    blur = _gauss_newton(blur, tiles, NAMES, rounds=5, tolerance=1e-3)
     progress("blur of the lens", 3, total)
     after = float(np.mean(_cost(blur, few, _tapers(blur, few))))
     return BlurFit(blur, after, before)
@@ -200,7 +202,7 @@ def _power(transfer: np.ndarray, a: int, b: int) -> np.ndarray:
 
 
 def _tapers(blur: FieldBlur, tiles: Sequence[_Tile]) -> list[list[np.ndarray]]:
-    """Filters of every tile and pair that stay as they are while the parameters take a step."""
+    """Give the filters of every tile and pair that stay as they are while the parameters take a step."""
     white = _whitening(tiles[0].spectrum.shape[1])
 
     def one(tile: _Tile) -> list[np.ndarray]:
@@ -213,7 +215,7 @@ def _tapers(blur: FieldBlur, tiles: Sequence[_Tile]) -> list[list[np.ndarray]]:
 
 
 def _residual(blur: FieldBlur, tile: _Tile, taper: Sequence[np.ndarray]) -> np.ndarray:
-    """What the cross-filtered channels of a tile disagree about, in its core; (pairs * core * core,) float32."""
+    """Tell what the cross-filtered channels of a tile disagree about, in its core; (pairs * core * core,) float32."""
     size = tile.spectrum.shape[1]
     margin = (size - _CORE_PX) // 2
     transfer = blur.transfer(tile.x_px, tile.y_px, tile.inverse_mm, size)
@@ -258,7 +260,8 @@ def _gauss_newton(
             return float(residual @ residual), jacobian @ jacobian.T, jacobian @ residual
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            costs, squares, slopes = (np.array(part) for part in zip(*pool.map(linearised, range(len(tiles))), strict=True))
+            results = list(pool.map(linearised, range(len(tiles))))
+        costs, squares, slopes = (np.array(part) for part in zip(*results, strict=True))
         weights = 1 / np.maximum(costs, _FLOOR)
         prior = _PRIOR / priors[free] ** 2
         matrix = np.einsum("i,ijk", weights, squares) + np.diag(prior)
@@ -276,7 +279,7 @@ def _gauss_newton(
         if after >= before:
             break
         blur, damping = _with(blur, moved), max(damping / 8, 1e-6)
-        if before - after < tolerance * len(tiles) / _TILES:
+        if before - after < tolerance * len(tiles):
             break
     return blur
 
@@ -286,7 +289,7 @@ def _with(blur: FieldBlur, values: np.ndarray) -> FieldBlur:
 
 
 def _steps(model: BlurModel) -> np.ndarray:
-    """Steps of the finite differences: a fiftieth of a px or so on the sensor."""
+    """Give the steps of the finite differences: a fiftieth of a px or so on the sensor."""
     by_name = {name: 0.05 if name.endswith("px") else 0.02 for name in NAMES}
     by_name |= {"infinity_px": 0.02, "scale_px_mm": 0.003 * model.scale_px_mm}
     by_name |= {name: 0.02 for name in NAMES if name.startswith(("axial", "lateral"))}
@@ -300,7 +303,8 @@ def _priors(model: BlurModel) -> np.ndarray:
     by_name |= {"infinity_px": 10 * size, "scale_px_mm": 5 * model.scale_px_mm}
     by_name |= {name: 2.0 * size for name in ("curvature_px", "curvature4_px", "astigmatism_px")}
     by_name |= {name: 1.5 * size for name in ("spherical_px", "oblique_px", "oblique_tangential_px")}
-    by_name |= {name: 0.5 * size for name in NAMES if name.startswith("lateral") or name.endswith(("red_px", "blue_px"))}
+    colours = [name for name in NAMES if name.startswith("lateral") or name.endswith(("red_px", "blue_px"))]
+    by_name |= {name: 0.5 * size for name in colours}
     by_name |= {name: 1.0 * size for name in NAMES if name.startswith("axial")}
     by_name |= {"front_rim_radius": 0.1, "rear_rim_radius": 0.1, "front_rim_shift": 0.15, "rear_rim_shift": 0.15}
     return np.array([by_name[name] for name in NAMES])

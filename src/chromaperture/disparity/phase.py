@@ -59,7 +59,8 @@ def match(
     -------
     Winner
     """
-    assert config.phase is not None and config.optimiser is not None
+    assert config.phase is not None
+    assert config.optimiser is not None
     layers = inputs.layers_px
     usable = np.where(np.isfinite(image), image, np.float32(0))
     likelihood = phase_likelihood(usable, blur, layers, config=config.phase)
@@ -125,8 +126,8 @@ def tile_field(blur: FieldBlur, layers_px: np.ndarray) -> LayerField:
     coarse = np.array([[blur.half_disparity(x, y) for x in columns] for y in rows])
     x = np.arange(blur.width_px, dtype=np.float32) * np.float32((_GRID - 1) / max(blur.width_px - 1, 1))
     y = np.arange(blur.height_px, dtype=np.float32) * np.float32((len(rows) - 1) / max(blur.height_px - 1, 1))
-    maps = np.meshgrid(x, y)
-    own = [cv2.remap(np.ascontiguousarray(coarse[..., i], np.float32), *maps, cv2.INTER_LINEAR) for i in (0, 1)]
+    at_x, at_y = np.meshgrid(x, y)
+    own = [cv2.remap(np.ascontiguousarray(coarse[..., i], np.float32), at_x, at_y, cv2.INTER_LINEAR) for i in (0, 1)]
     tile = np.empty((2, blur.height_px, blur.width_px), np.float32)
     for y0, x0 in tiles.corners:
         tile[:, y0 : y0 + tiles.core, x0 : x0 + tiles.core] = np.reshape(
