@@ -113,8 +113,8 @@ def test_the_terms_describe_a_traced_lens():
         for name in names:
             rows = []
             for f, points, keep in zip(fields, pupil, inside, strict=True):
-                one = displacement(BlurModel(**{"infinity_px": 0.0, "scale_px_mm": 0.0} | {name: 1.0}), points, f, 0.0, 1)
-                one = one[keep]
+                unit = BlurModel(**{"infinity_px": 0.0, "scale_px_mm": 0.0} | {name: 1.0})
+                one = displacement(unit, points, f, 0.0, 1)[keep]
                 rows.append(one - one.mean(axis=0))  # where the whole blur lies is distortion's business
             out.append(np.concatenate(rows).ravel())
         return np.stack(out, -1)

@@ -96,7 +96,9 @@ def test_the_whole_way_with_a_saturated_patch(rng):
 
 def test_a_camera_of_another_size_is_refused():
     with pytest.raises(InputError, match="160 x 120"):
-        phase_likelihood(np.zeros((100, 100, 3), np.float32), blur_for("cy_halves"), np.arange(3.0), config=PhaseConfig())
+        phase_likelihood(
+            np.zeros((100, 100, 3), np.float32), blur_for("cy_halves"), np.arange(3.0), config=PhaseConfig()
+        )
 
 
 def test_without_a_blur_it_says_so(rng):

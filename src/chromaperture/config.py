@@ -82,20 +82,26 @@ class PhaseConfig:
         Gaussian window of the correlation.
     damping : float
         eps of ``disparity/phase.py``, against noise where the blur leaves nothing.
+    fallback_weight, fallback_nats : float
+        Weight of the pairs of channels whose views lie closer together, where the best pair finds nothing; it falls to
+        1/e where that pair's best layer earns ``fallback_nats``. They agree better on strongly coloured surfaces, but
+        are less exact.
     """
 
     bands_px: tuple[tuple[float, float], ...] = ((0.6, 1.4), (1.4, 3.2))
     band_weights: tuple[float, ...] = (1.0, 0.5)
     window_sigma_px: float = 4.0
     damping: float = 0.04
+    fallback_weight: float = 0.5
+    fallback_nats: float = 0.1
 
     def __post_init__(self) -> None:
         if len(self.bands_px) != len(self.band_weights) or not self.bands_px:
             raise InputError("bands_px and band_weights must be of one length, at least 1")
         if not all(0 < fine < coarse for fine, coarse in self.bands_px) or min(self.band_weights) < 0:
             raise InputError("every band needs 0 < fine < coarse, and weights must be >= 0")
-        if self.window_sigma_px <= 0 or self.damping <= 0:
-            raise InputError("window_sigma_px and damping must be positive")
+        if min(self.window_sigma_px, self.damping, self.fallback_nats) <= 0 or self.fallback_weight < 0:
+            raise InputError("window_sigma_px, damping and fallback_nats must be positive, fallback_weight >= 0")
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 
 import cv2
 import numpy as np
@@ -22,14 +22,15 @@ from chromaperture.config import PhaseConfig
 from chromaperture.disparity.phase import phase_likelihood, tile_field
 from chromaperture.disparity.semiglobal import at_labels
 from chromaperture.errors import InputError
-from chromaperture.optics.blur import BlurModel, FieldBlur, PupilSamples
+from chromaperture.optics.blur import BlurModel, FieldBlur
 
 Progress = Callable[[str, int, int], None]
 NAMES = tuple(f.name for f in fields(BlurModel))
 
 _CORE_PX = 72  # a tile's core: small enough to reach the frame's border, where the aberrations are largest
-_FEW_TILES = 60
+_FEW_TILES = 45
 _DAMPING = 0.04
+_LEAST_CONTRAST = 1e-3  # of full scale: less is paper without print
 _FLOOR = 0.02  # share of a tile's power that is never believed: the blur changes within a tile
 _PRIOR = 5e-3  # weight of all priors against the boards; they only hold what the boards do not see
 _FIRST = (
@@ -72,7 +73,7 @@ def fit_blur(
     start: FieldBlur,
     *,
     board_count: int,
-    tile_count: int = 240,
+    tile_count: int = 180,
     progress: Progress = lambda what, done, total: None,
 ) -> BlurFit:
     """Fit all numbers of the blur.
@@ -140,6 +141,7 @@ def measured_layers(
     """
     at_infinity, scale = blur.reference
     layers = at_infinity - scale * inverse_mm + np.arange(-10, 11) * 0.1
+    config = replace(config, fallback_weight=0.0)  # boards are grey
     volume = at_labels(phase_likelihood(image, blur, layers, config=config), layers, tile_field(blur, layers))
     height, width = image.shape[:2]
     rows, columns = max(1, height // cell_px), max(1, width // cell_px)
@@ -177,7 +179,7 @@ def _cut(image: np.ndarray, inverse_mm: float, size: int, count: int, *, seed: i
             x0 = int((width - _CORE_PX) * np.clip((column + u) / columns, 0, 1))
             y0 = int((height - _CORE_PX) * np.clip((row + v) / rows, 0, 1))
             cut = padded[y0 : y0 + size, x0 : x0 + size].transpose(2, 0, 1)
-            if cut.any(axis=(1, 2)).all():
+            if cut.std(axis=(1, 2)).min() > _LEAST_CONTRAST:
                 middle = (_CORE_PX - 1) / 2
                 tiles.append(_Tile(x0 + middle, y0 + middle, inverse_mm, scipy.fft.rfft2(cut).astype(np.complex64)))
     return tiles
@@ -189,12 +191,9 @@ def _whitening(size: int) -> np.ndarray:
     return (np.sqrt(w2) * np.exp(-0.32 * w2) * (1 - np.exp(-18 * w2))).astype(np.float32)
 
 
-def _weighted_pairs(pupil: PupilSamples) -> list[tuple[int, int, float]]:
-    """Give all pairs of channels with the distance of their views, the widest one's being 1."""
-    centres = (pupil.light @ pupil.points) / pupil.light.sum(axis=1, keepdims=True)
-    far = [(a, b, float(np.hypot(*(centres[a] - centres[b])))) for a, b in ((0, 2), (0, 1), (1, 2))]
-    widest = max(f for _, _, f in far)
-    return [(a, b, f / widest) for a, b, f in far if f > 0.2 * widest]
+def _weighted_pairs(blur: FieldBlur) -> list[tuple[int, int, float]]:
+    """Give the pairs of channels with the distance of their views, the widest one's being 1."""
+    return [(a, b, blur.separations[a, b]) for a, b in (*blur.pairs, *blur.other_pairs)]
 
 
 def _power(transfer: np.ndarray, a: int, b: int) -> np.ndarray:
@@ -207,7 +206,7 @@ def _tapers(blur: FieldBlur, tiles: Sequence[_Tile]) -> list[list[np.ndarray]]:
 
     def one(tile: _Tile) -> list[np.ndarray]:
         transfer = blur.transfer(tile.x_px, tile.y_px, tile.inverse_mm, tile.spectrum.shape[1])
-        powers = (_power(transfer, a, b) for a, b, _ in _weighted_pairs(blur.pupil))
+        powers = (_power(transfer, a, b) for a, b, _ in _weighted_pairs(blur))
         return [white * np.sqrt(p / (p + _DAMPING)) for p in powers]
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -220,7 +219,7 @@ def _residual(blur: FieldBlur, tile: _Tile, taper: Sequence[np.ndarray]) -> np.n
     margin = (size - _CORE_PX) // 2
     transfer = blur.transfer(tile.x_px, tile.y_px, tile.inverse_mm, size)
     out = []
-    for (a, b, weight), edge in zip(_weighted_pairs(blur.pupil), taper, strict=True):
+    for (a, b, weight), edge in zip(_weighted_pairs(blur), taper, strict=True):
         q = edge / np.sqrt(_power(transfer, a, b) + np.float32(1e-5))
         both = scipy.fft.irfft2(np.stack([tile.spectrum[a] * transfer[b] * q, tile.spectrum[b] * transfer[a] * q]))
         both = both[:, margin : margin + _CORE_PX, margin : margin + _CORE_PX]

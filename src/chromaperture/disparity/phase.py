@@ -104,14 +104,22 @@ def phase_likelihood(
     spectra = tiles.spectra(np.ascontiguousarray(image, np.float32))
     bands = band_passes(tiles.size, config.bands_px)
     at_infinity, scale = blur.reference
-    out = np.empty((len(layers_px), height, width), np.float32)
 
-    def fill(layer: int) -> None:
-        out[layer] = _layer(blur, tiles, spectra, (at_infinity - layers_px[layer]) / scale, bands, config)
+    def volume(pairs: tuple[tuple[int, int], ...]) -> np.ndarray:
+        out = np.empty((len(layers_px), height, width), np.float32)
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(fill, range(len(layers_px))))
-    return np.ascontiguousarray(np.moveaxis(out, 0, -1))
+        def fill(layer: int) -> None:
+            out[layer] = _layer(blur, pairs, tiles, spectra, (at_infinity - layers_px[layer]) / scale, bands, config)
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(fill, range(len(layers_px))))
+        return out
+
+    likelihood = volume(blur.pairs)
+    if blur.other_pairs and config.fallback_weight > 0:
+        silent = np.exp(-likelihood.max(axis=0) / np.float32(config.fallback_nats))
+        likelihood += np.float32(config.fallback_weight) * silent * volume(blur.other_pairs)
+    return np.ascontiguousarray(np.moveaxis(likelihood, 0, -1))
 
 
 def tile_field(blur: FieldBlur, layers_px: np.ndarray) -> LayerField:
@@ -179,6 +187,7 @@ class _Tiles:
 
 def _layer(
     blur: FieldBlur,
+    pairs: tuple[tuple[int, int], ...],
     tiles: _Tiles,
     spectra: list[np.ndarray],
     inverse_mm: float,
@@ -188,14 +197,14 @@ def _layer(
     """Evidence for one distance; (H, W) float32."""
     core, margin = tiles.core, tiles.margin
     height, width = tiles.shape
-    channels = tuple(sorted({k for pair in blur.pairs for k in pair}))
-    products = np.empty((len(blur.pairs), len(bands), 3, height + core, width + core), np.float32)
+    channels = tuple(sorted({k for pair in pairs for k in pair}))
+    products = np.empty((len(pairs), len(bands), 3, height + core, width + core), np.float32)
     inner = np.s_[:, margin : margin + core, margin : margin + core]
     for (y, x), spectrum in zip(tiles.corners, spectra, strict=True):
         transfer = dict(
             zip(channels, blur.transfer(*tiles.centre(y, x), inverse_mm, tiles.size, channels), strict=True)
         )
-        for i, (a, b) in enumerate(blur.pairs):
+        for i, (a, b) in enumerate(pairs):
             q = np.sqrt((np.abs(transfer[a]) ** 2 + np.abs(transfer[b]) ** 2) / 2 + np.float32(config.damping))
             first = scipy.fft.irfft2(spectrum[a] * transfer[b] / q * bands)[inner]
             second = scipy.fft.irfft2(spectrum[b] * transfer[a] / q * bands)[inner]

@@ -28,6 +28,7 @@ from chromaperture.optics.aperture import Aperture
 _POINTS = 1500  # of the pupil: the transfer functions change by 1e-3 against ten times as many
 _RIM_SOFTNESS = 0.06  # pupil radii over which a rim fades; a rim is no image of the stop and is never sharp
 _WIDE = 0.7  # pairs of channels this far apart, of the widest pair's distance, are matched
+_NEAR = 0.3  # and those closer than that are not
 _MIN_SEPARATION = 0.05  # pupil radii
 
 
@@ -122,24 +123,24 @@ def displacement(
     (N, 2) float64, px
     """
     m = model
-    x2 = (points**2).sum(axis=-1, keepdims=True)
-    along = (points @ field)[:, None]
+    x2 = np.einsum("ij,ij->i", points, points)
+    along = points @ field
     f2 = float(field @ field)
     axial = (m.axial_red_px, 0.0, m.axial_blue_px)[channel]
     lateral = (m.lateral_red_px, 0.0, m.lateral_blue_px)[channel]
     lateral3 = (m.lateral3_red_px, 0.0, m.lateral3_blue_px)[channel]
-    spherical = m.spherical_px + (m.spherical_red_px, 0.0, m.spherical_blue_px)[channel]
+    spherical = m.spherical_px + (m.spherical_red_px, 0.0, m.spherical_blue_px)[channel] + m.oblique_px * f2
     curvature = m.curvature_px + (m.curvature_red_px, 0.0, m.curvature_blue_px)[channel]
+    coma = m.coma_px + m.coma4_px * f2
 
-    defocus = m.infinity_px - m.scale_px_mm * inverse_mm + axial + (curvature + m.curvature4_px * f2) * f2
-    out = (defocus + (spherical + m.oblique_px * f2 + m.spherical5_px * x2) * x2) * points
-    out += m.oblique_tangential_px * along * (along * points + x2 * field)
-    out += (m.astigmatism_px + m.astigmatism4_px * f2) * along * field
-    out += (m.coma_px + m.coma4_px * f2) * (x2 * field + 2 * along * points)
-    out += m.coma_zonal_px * x2 * (x2 * field + 4 * along * points)
-    out += m.coma_elliptical_px * along**2 * field
-    out += (lateral + lateral3 * f2) * field
-    return out
+    # Gradients of the wave aberration: of its even terms along the pupil vector, of its odd ones along the field too.
+    to_pupil = m.infinity_px - m.scale_px_mm * inverse_mm + axial + (curvature + m.curvature4_px * f2) * f2
+    to_pupil = to_pupil + (spherical + m.spherical5_px * x2) * x2
+    to_pupil += (2 * coma + 4 * m.coma_zonal_px * x2 + m.oblique_tangential_px * along) * along
+    to_field = (m.astigmatism_px + m.astigmatism4_px * f2 + m.oblique_tangential_px * x2) * along
+    to_field += (coma + m.coma_zonal_px * x2) * x2 + m.coma_elliptical_px * along**2
+    to_field += lateral + lateral3 * f2
+    return np.asarray(to_pupil[:, None] * points + to_field[:, None] * field)
 
 
 def rims(model: BlurModel, points: np.ndarray, field: np.ndarray) -> np.ndarray:
@@ -204,15 +205,25 @@ class FieldBlur:
         return scipy.fft.rfft2(psf)
 
     @cached_property
-    def pairs(self) -> tuple[tuple[int, int], ...]:
-        """Pairs of channels whose views are far apart, the widest first: those that tell depth."""
+    def separations(self) -> dict[tuple[int, int], float]:
+        """How far apart the views of every pair of channels are, of the widest pair, which comes first."""
         light = self.pupil.light
         centres = (light @ self.pupil.points) / light.sum(axis=1, keepdims=True)
-        far = {(a, b): float(np.hypot(*(centres[a] - centres[b]))) for a, b in ((0, 2), (0, 1), (1, 2))}
-        widest = max(far.values())
+        apart = {(a, b): float(np.hypot(*(centres[a] - centres[b]))) for a, b in ((0, 2), (0, 1), (1, 2))}
+        widest = max(apart.values())
         if widest < _MIN_SEPARATION:
             raise InputError("the aperture shows every channel the same view: blur alone cannot tell near from far")
-        return tuple(sorted((p for p in far if far[p] >= _WIDE * widest), key=lambda p: -far[p]))
+        return {pair: apart[pair] / widest for pair in sorted(apart, key=lambda p: -apart[p])}
+
+    @cached_property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of channels whose views are far apart, the widest first: those that tell depth best."""
+        return tuple(pair for pair, apart in self.separations.items() if apart >= _WIDE)
+
+    @cached_property
+    def other_pairs(self) -> tuple[tuple[int, int], ...]:
+        """Pairs that tell depth too, but worse: for surfaces of a colour that the wide pairs do not share."""
+        return tuple(pair for pair, apart in self.separations.items() if _NEAR <= apart < _WIDE)
 
     @cached_property
     def axis(self) -> np.ndarray:
