@@ -16,11 +16,15 @@ class DeviceLostError(Exception):
     """The device stopped delivering: unplugged, switched off, or taken by another program."""
 
 
+class StreamEndedError(Exception):
+    """The device has nothing more to deliver, as at the end of a replayed recording."""
+
+
 class Device(Protocol):
     """One opened camera. The thread that opens it is the only one that touches it."""
 
     def read(self, index: int) -> Frame | None:
-        """Wait up to about a second for a frame; None when none came; raises DeviceLostError."""
+        """Wait up to about a second for a frame; None when none came; raises DeviceLostError or StreamEndedError."""
         ...
 
     def close(self) -> None:
@@ -62,11 +66,13 @@ class LiveSource:
         self._ready = threading.Condition()
         self._opened, self._leave = threading.Event(), threading.Event()
         self._failure: BaseException | None = None
+        self._over = False
         self._thread: threading.Thread | None = None
 
     def __enter__(self) -> Self:
-        self._opened.clear(), self._leave.clear()
-        self._slot, self._failure, self.dropped = None, None, 0
+        self._opened.clear()
+        self._leave.clear()
+        self._slot, self._failure, self._over, self.dropped = None, None, False, 0
         self._thread = threading.Thread(target=self._run, name=f"capture {self.name}", daemon=True)
         self._thread.start()
         self._opened.wait()
@@ -90,7 +96,7 @@ class LiveSource:
     def _newest(self) -> Iterator[Frame]:
         while True:
             with self._ready:
-                self._ready.wait_for(lambda: self._slot or self._leave.is_set() or self._failure)
+                self._ready.wait_for(lambda: self._slot or self._leave.is_set() or self._over)
                 frame, self._slot = self._slot, None
             if frame is None or self._leave.is_set():
                 if self._failure is not None:
@@ -104,7 +110,7 @@ class LiveSource:
             device = self._connect()
             self._opened.set()
             index, last = 0, time.monotonic()
-            while not self._leave.is_set():
+            while device is not None and not self._leave.is_set():
                 try:
                     frame = device.read(index)
                     if frame is not None:
@@ -117,14 +123,17 @@ class LiveSource:
                     device.close()
                     device = self._found_again()
                     last = time.monotonic()
+        except StreamEndedError:
+            pass
         except BaseException as error:  # handed to the reader, who would wait for ever otherwise
             self._failure = error
         finally:
             if device is not None:
                 device.close()
-            self._opened.set()
             with self._ready:
+                self._over = True
                 self._ready.notify_all()
+            self._opened.set()
 
     def _found_again(self) -> Device | None:
         while not self._leave.wait(self._retry_s):
