@@ -45,14 +45,14 @@ def superpixels(
     if mosaic.ndim != 2 or min(mosaic.shape) < 2:
         raise InputError(f"a Bayer mosaic has rows and columns, got shape {mosaic.shape}")
     height, width = mosaic.shape[0] // 2, mosaic.shape[1] // 2
-    wide = np.float32 if mosaic.dtype == np.uint16 and 2 * max(int(mosaic.max()), white_level) > 65535 else np.uint16
+    wide = np.dtype(np.float32 if 2 * max(int(mosaic.max()), white_level) > 65535 else np.uint16)
     counts = np.zeros((height, width, 3), wide)
     offsets = [[0.0, 0.0] for _ in range(3)]
     for i, colour in enumerate(pattern):
         row, column = divmod(i, 2)
         channel = "RGB".index(colour)
         share = 1 if colour == "G" else 2
-        counts[..., channel] += mosaic[row : 2 * height : 2, column : 2 * width : 2].astype(wide) * wide(share)
+        counts[..., channel] += mosaic[row : 2 * height : 2, column : 2 * width : 2].astype(wide) * wide.type(share)
         offsets[channel][0] += (column - 0.5) / 2 * share / 2
         offsets[channel][1] += (row - 0.5) / 2 * share / 2
     placed: Offsets = tuple((x, y) for x, y in offsets)  # type: ignore[assignment]

@@ -29,7 +29,8 @@ def read_image(
 
     Files of 16 bit (PNG, TIFF, PPM) hold linear counts; without levels, black is 0 and white 65535. Files of 8 bit
     (JPEG, PNG, TIFF, PPM, BMP, WebP) are decoded from the sRGB curve, unless levels are given, which says that they
-    hold linear counts too. RAW files (extra ``raw``) give one pixel for every 2 x 2 cell of the mosaic. TIFF files of floats hold linear light; without levels, black is 0 and white 1.
+    hold linear counts too. TIFF files of floats hold linear light; without levels, black is 0 and white 1. RAW files
+    (extra ``raw``) give one pixel for every 2 x 2 cell of the mosaic; levels are the mosaic's own.
 
     Parameters
     ----------

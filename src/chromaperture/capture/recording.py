@@ -76,7 +76,7 @@ class Recorder:
             "file": name,
             "index": frame.index,
             "time_s": frame.time_s,
-            "crc32": zlib.crc32(np.ascontiguousarray(frame.counts)),
+            "crc32": zlib.crc32(frame.counts.tobytes()),
             "encoding": asdict(frame.encoding),
             "metadata": dict(frame.metadata),
         }
@@ -142,7 +142,7 @@ class ReplaySource(FileSource):
                 counts = np.asarray(tifffile.imread(path))
             except (OSError, ValueError, tifffile.TiffFileError):
                 counts = np.zeros(0)
-            if zlib.crc32(np.ascontiguousarray(counts)) != entry["crc32"]:
+            if zlib.crc32(counts.tobytes()) != entry["crc32"]:
                 self.listener(Event("skipped", f"{path} is damaged; its frame is left out"))
                 continue
             fields = dict(entry["encoding"])

@@ -198,9 +198,9 @@ def steady(frames: Iterable[Frame], listener: Listener) -> Iterator[Frame]:
         shape = shape or frame.counts.shape
         if frame.counts.shape != shape:
             if not odd:
-                got, size = frame.counts.shape, shape
-                listener(Event("size", f"frame {frame.index} is {got[1]}x{got[0]} px, the first was {size[1]}x{size[0]}; "
-                                       "frames of another size are skipped"))  # fmt: skip
+                (rows, columns), (height, width) = frame.counts.shape[:2], shape[:2]
+                message = f"frame {frame.index} is {columns}x{rows} px, the first was {width}x{height}"
+                listener(Event("size", f"{message}; frames of another size are skipped"))
             odd = True
             continue
         odd = False
