@@ -34,14 +34,14 @@ def read_raw(
     InputError
         A file that cannot be read, or a sensor without a Bayer mosaic.
     """
+    if not path.is_file():
+        raise InputError(f"cannot read {path}: no such file")
     try:
         import rawpy
     except ImportError:
         raise MissingDependencyError(
             f"{path.name} is a RAW file; install the extra that reads them: pip install 'chromaperture[raw]'"
         ) from None
-    if not path.is_file():
-        raise InputError(f"cannot read {path}: no such file")
     try:
         with rawpy.imread(str(path)) as raw:
             layout, names = raw.raw_pattern, raw.color_desc.decode()
