@@ -56,13 +56,13 @@ def rgbd_frames(frames: Iterable[Frame], camera: CodedApertureCamera) -> Iterato
     if not cal.is_calibrated:
         raise InputError("an RGB-D sequence needs a calibrated camera; make one with 'chromaperture calibrate'")
     size = (cal.sensor.width_px, cal.sensor.height_px)
-    matrix = cal.lens.camera_matrix
+    matrix, to_pupil_mm = cal.lens.camera_matrix, cal.depth[camera.config.quality].sensor_to_pupil_mm
     straight = cv2.initUndistortRectifyMap(matrix, cal.lens.distortion, None, matrix, size, cv2.CV_32FC1)
     for frame in frames:
         made = camera.measure(frame.image)
         color = np.rint(linear_to_srgb(made.color) * 255).astype(np.uint8)
         # A mean of two depths is a place where nothing is: the nearest pixel's is taken. Nothing outside is known.
-        z_mm = np.asarray(made.depth_mm - np.float32(cal.sensor_to_pupil_mm), np.float32)
+        z_mm = (made.depth_mm - to_pupil_mm).astype(np.float32)
         nan = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": float("nan")}
         z_mm = cv2.remap(z_mm, *straight, cv2.INTER_NEAREST, **nan)  # type: ignore[call-overload]
         yield RgbdFrame(cv2.remap(color, *straight, cv2.INTER_LINEAR), z_mm, frame.time_s, frame.index)
