@@ -1,5 +1,8 @@
 """Sources: whatever the camera, frames come in order, on one grid, the newest first where they are live."""
 
+import os
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -347,3 +350,30 @@ def test_frames_of_an_aravis_camera():
     assert all(f.counts.shape == (48, 64, 3) and f.metadata["exposure_us"] == 5000 for f in frames)
     with pytest.raises(InputError, match="Mono"), open_source("aravis:Fake_1?pixel_format=Mono8") as source:
         next(iter(source))
+
+
+TETHERED = """
+import sys
+from chromaperture.capture.open import connected_sources, open_source
+specs = connected_sources()[2].specs
+assert specs, "no virtual camera"
+with open_source(specs[0] + "?count=2") as source:
+    for frame in source:
+        print(frame.index, *frame.counts.shape)
+"""
+
+
+def test_photographs_of_a_tethered_camera(tmp_path):
+    gphoto2 = pytest.importorskip("gphoto2", reason="extra cameras is not installed")
+    drivers = Path(gphoto2.__file__).parent / "libgphoto2" / "vusb"
+    if not drivers.is_dir():
+        pytest.skip("this gphoto2 has no virtual USB camera")
+    folder = tmp_path / "DCIM" / "100CANON"
+    folder.mkdir(parents=True)
+    write(folder / "IMG_0001.JPG", (picture() // 4).astype(np.uint8))
+    environment = os.environ | {"IOLIBS": str(drivers), "VCAMERADIR": f"{tmp_path}/"}  # read when it is loaded
+    made = subprocess.run(
+        [sys.executable, "-c", TETHERED], capture_output=True, text=True, env=environment, timeout=60, check=False
+    )
+    assert made.returncode == 0, made.stderr
+    assert made.stdout.splitlines() == ["0 24 32 3", "1 24 32 3"]

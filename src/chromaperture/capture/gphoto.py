@@ -120,5 +120,6 @@ class TetheredCamera(FileSource):
 
 
 def tethered_cameras() -> list[str]:
-    """List the cameras gphoto2 sees, "model at port"."""
-    return [f"{name} at {port}" for name, port in load_gphoto2().Camera.autodetect()]
+    """List the ports of the cameras gphoto2 sees."""
+    found = load_gphoto2().Camera.autodetect()
+    return [str(found.get_value(i)) for i in range(found.count())]

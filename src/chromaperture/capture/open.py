@@ -128,7 +128,7 @@ def connected_sources() -> list[Connected]:
     ways: dict[str, Callable[[], list[str]]] = {
         "webcam": webcams,
         "aravis": aravis_cameras,
-        "gphoto2": lambda: [name.rpartition(" at ")[2] for name in tethered_cameras()],
+        "gphoto2": tethered_cameras,
     }
     kinds = []
     for kind, cameras in ways.items():
