@@ -203,8 +203,7 @@ def test_tum_folder_as_its_readers_expect(tmp_path):
 def test_export_measures_the_sample_and_takes_the_pupil_as_origin(tmp_path, monkeypatch, capfd):
     walk = tmp_path / "tum"
     code, said, complaint = run(monkeypatch, capfd, "export", sample_image("still_life_cy_halves"), walk, "--camera",
-                                sample_camera("still_life_cy_halves"), "--black-level", 16, "--white-level", 1016,
-                                "-q")  # fmt: skip
+                                sample_camera("still_life_cy_halves"), "-q")  # fmt: skip
     assert (code, said) == (0, ""), complaint
     (picture,) = (walk / "depth").iterdir()
     z_mm = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED) / 5.0

@@ -21,7 +21,7 @@ from chromaperture.capture.live import DeviceLostError, LiveSource, StreamEndedE
 from chromaperture.capture.open import connected_sources, open_source
 from chromaperture.capture.playback import played
 from chromaperture.capture.source import Encoding, FileSource, Frame
-from chromaperture.errors import InputError
+from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.optics.sensor import mosaic
 
 # Older PyGObject has an importer of the old kind.
@@ -377,3 +377,26 @@ def test_photographs_of_a_tethered_camera(tmp_path):
     )
     assert made.returncode == 0, made.stderr
     assert made.stdout.splitlines() == ["0 24 32 3", "1 24 32 3"]
+
+
+def test_the_cameras_levels_serve_where_a_file_can_hold_them(tmp_path):
+    write(tmp_path / "deep.png", picture())
+    write(tmp_path / "flat.png", (picture() // 4).astype(np.uint8))
+    with open_source(str(tmp_path), camera_levels=(16, 1016)) as source:
+        deep, flat = (f.encoding for f in source)
+    assert deep == Encoding(16, 1016)
+    assert flat == Encoding(0, 255, "srgb")
+    with open_source(str(tmp_path / "deep.png"), camera_levels=(16, 1016), white_level=900) as source:
+        assert next(iter(source)).encoding == Encoding(0, 900)
+
+
+@pytest.mark.parametrize(
+    ("module", "spec", "extra"),
+    [("rawpy", "photo.cr2", "raw"), ("gi", "aravis:any", "cameras"), ("gphoto2", "gphoto2", "cameras")],
+)
+def test_a_missing_extra_is_named(tmp_path, monkeypatch, module, spec, extra):
+    monkeypatch.setitem(sys.modules, module, None)  # importing it fails
+    (tmp_path / "photo.cr2").write_bytes(b"RAW")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(MissingDependencyError, match=rf"chromaperture\[{extra}\]"), open_source(spec) as source:
+        next(iter(source))

@@ -44,6 +44,8 @@ class AravisCamera:
         Region from the sensor's corner.
     pixel_format : str, optional
         GenICam name; default the best Bayer or RGB format there is.
+    black_level, white_level : float, optional
+        Counts of no light and of a full well; default 0 and the format's largest.
     """
 
     def __init__(
@@ -56,8 +58,11 @@ class AravisCamera:
         width: int | None = None,
         height: int | None = None,
         pixel_format: str | None = None,
+        black_level: float = 0.0,
+        white_level: float | None = None,
     ) -> None:
         self._aravis = load_aravis()
+        self._levels = (black_level, white_level)
         error = _glib_error()
         try:
             self._camera = self._aravis.Camera.new(identity or None)
@@ -95,7 +100,7 @@ class AravisCamera:
             if buffer.get_status() != self._aravis.BufferStatus.SUCCESS:
                 return None
             width, height = buffer.get_image_width(), buffer.get_image_height()
-            counts, encoding = unpack(buffer.get_data(), width, height, self._format)
+            counts, encoding = unpack(buffer.get_data(), width, height, self._format, *self._levels)
         finally:
             self._stream.push_buffer(buffer)
         return Frame(counts, encoding, time.time(), index, self._settings)
@@ -129,7 +134,14 @@ def best_format(available: list[str]) -> str:
     )
 
 
-def unpack(data: bytes, width: int, height: int, pixel_format: str) -> tuple[np.ndarray, Encoding]:
+def unpack(
+    data: bytes,
+    width: int,
+    height: int,
+    pixel_format: str,
+    black_level: float = 0.0,
+    white_level: float | None = None,
+) -> tuple[np.ndarray, Encoding]:
     """Turn a camera's bytes into counts.
 
     Parameters
@@ -139,6 +151,7 @@ def unpack(data: bytes, width: int, height: int, pixel_format: str) -> tuple[np.
         Of the mosaic or picture.
     pixel_format : str
         Bayer in 8, 10, 12 or 16 bits unpacked, or RGB8.
+    black_level, white_level : float, optional
 
     Returns
     -------
@@ -152,13 +165,14 @@ def unpack(data: bytes, width: int, height: int, pixel_format: str) -> tuple[np.
     """
     found = re.fullmatch(r"Bayer(RG|BG|GR|GB)(8|10|12|16)", pixel_format)
     if pixel_format in ("RGB8", "RGB8Packed"):
-        return np.frombuffer(data, np.uint8, 3 * width * height).reshape(height, width, 3).copy(), Encoding(0, 255)
+        counts = np.frombuffer(data, np.uint8, 3 * width * height).reshape(height, width, 3).copy()
+        return counts, Encoding(black_level, white_level or 255.0)
     if found is None:
         raise InputError(f"pixel format {pixel_format} is not read; choose Bayer (8 to 16 bit, unpacked) or RGB8")
     bits = int(found[2])
     mosaic = np.frombuffer(data, np.uint8 if bits == 8 else "<u2", width * height).reshape(height, width)
     pattern = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}[found[1]]
-    return superpixels(mosaic, pattern, black_level=0, white_level=2**bits - 1)
+    return superpixels(mosaic, pattern, black_level=black_level, white_level=white_level or 2**bits - 1)
 
 
 def aravis_cameras() -> list[str]:

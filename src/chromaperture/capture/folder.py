@@ -7,8 +7,10 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from chromaperture.capture.files import is_raw, read_counts
-from chromaperture.capture.source import Event, FileSource, Frame, Listener
+from chromaperture.capture.source import Encoding, Event, FileSource, Frame, Listener
 from chromaperture.errors import InputError, MissingDependencyError
 
 _PICTURES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
@@ -25,6 +27,8 @@ class FolderSource(FileSource):
         Gives the frames their times.
     black_level, white_level : float, optional
         See `chromaperture.read_image`.
+    camera_levels : (float, float), optional
+        Black and white level of the camera file, used without levels where a file can hold such counts.
     listener : callable, optional
     """
 
@@ -35,11 +39,15 @@ class FolderSource(FileSource):
         fps: float = 30.0,
         black_level: float | None = None,
         white_level: float | None = None,
+        camera_levels: tuple[float, float] | None = None,
         listener: Listener | None = None,
     ) -> None:
         super().__init__(pattern, listener=listener)
         self.fps, self.levels = fps, {"black_level": black_level, "white_level": white_level}
         self.paths: list[Path] = []
+        self._by_camera = camera_levels is not None and black_level is None and white_level is None
+        if camera_levels is not None and self._by_camera:
+            self.levels = {"black_level": camera_levels[0], "white_level": camera_levels[1]}
 
     def open(self) -> None:
         """Find the pictures."""
@@ -64,6 +72,8 @@ class FolderSource(FileSource):
                 self.listener(Event("skipped", str(error)))
                 continue
             read += 1
+            if self._by_camera and counts.dtype == np.uint8 and encoding.white_level > 255:
+                encoding = Encoding(0.0, 255.0, "srgb")  # the camera's counts do not fit into 8 bits
             yield Frame(counts, encoding, index / self.fps, index, {"file": path.name})
         if not read:
             raise InputError(f"none of the {len(self.paths)} files at {self.name} can be read as a colour picture")

@@ -30,7 +30,13 @@ _FILES: dict[str, Callable[..., FileSource]] = {
 _PLAYED = {"replay", "simulate"}
 
 
-def open_source(spec: str, *, listener: Listener | None = None, **settings: Any) -> Source:
+def open_source(
+    spec: str,
+    *,
+    listener: Listener | None = None,
+    camera_levels: tuple[float, float] | None = None,
+    **settings: Any,
+) -> Source:
     """Make a source from a text; it is opened by entering it.
 
     Parameters
@@ -41,6 +47,8 @@ def open_source(spec: str, *, listener: Listener | None = None, **settings: Any)
         ``replay`` deliver frame by frame, or like a live camera with ``speed=1`` (and ``loop=1``).
     listener : callable, optional
         Called with every `Event`, maybe from another thread; default: Python's logging.
+    camera_levels : (float, float), optional
+        Black and white level of the camera file, for pictures that say nothing of their own.
     **settings
         The same settings as arguments.
 
@@ -66,7 +74,8 @@ def open_source(spec: str, *, listener: Listener | None = None, **settings: Any)
     if Path(spec).suffix.lower() in VIDEOS:
         settings = {name: value for name, value in settings.items() if value is not None}
         return VideoSource(spec, listener=listener, **_checked("video", VideoSource, settings))
-    return FolderSource(spec, listener=listener, **_checked("folder", FolderSource, settings))
+    chosen = _checked("folder", FolderSource, settings)
+    return FolderSource(spec, listener=listener, camera_levels=camera_levels, **chosen)
 
 
 def _opened(kind: str, where: str, settings: dict[str, Any], listener: Listener | None) -> Source:

@@ -22,7 +22,6 @@ from chromaperture.optics.rgbd import read_rgbd
 from chromaperture.optics.scene import load_scene
 from chromaperture.optics.sensor import Sensor, expose
 
-_CELLS = 12
 _TURN = 48  # frames in one turn of the path through a scene
 
 
@@ -43,6 +42,8 @@ class SimulatedSource(FileSource):
         Radius of the circle through a scene.
     width, height : int
         Picture of a scene file.
+    cells : int
+        Rays across the pupil, even, for a scene file; fewer make blur coarser.
     count : int, optional
         Frames to make; default the sequence, or one turn.
     fps : float
@@ -66,6 +67,7 @@ class SimulatedSource(FileSource):
         orbit_mm: float = 100.0,
         width: int = 640,
         height: int = 480,
+        cells: int = 8,
         count: int | None = None,
         fps: float = 30.0,
         seed: int = 0,
@@ -75,13 +77,15 @@ class SimulatedSource(FileSource):
         self.path, self.focal_px, self.design, self.film = Path(path), focal_px, design, film
         self.optics_mm = (pupil_radius_mm, focus_mm, sensor_to_pupil_mm)
         self.depth_unit_mm, self.exposure, self.orbit_mm = depth_unit_mm, exposure, orbit_mm
-        self.size, self.count, self.fps, self.seed = (width, height), count, fps, seed
+        self.size, self.cells, self.count, self.fps, self.seed = (width, height), cells, count, fps, seed
         self.sensor = Sensor()
         self.pairs: list[tuple[Path, Path]] = []
 
     def open(self) -> None:
         """Find the pictures, check design and scene."""
         self._aperture()
+        if self.cells < 4 or self.cells % 2:
+            raise InputError(f"cells must be even and at least 4, got {self.cells}")
         if self.path.suffix == ".toml":
             load_scene(self.path)
             return
@@ -106,7 +110,7 @@ class SimulatedSource(FileSource):
 
     def _through_scene(self) -> Iterator[Frame]:
         planes, camera = load_scene(self.path), self._camera(*self.size)
-        rays = pinhole_rays(camera, self._aperture(), cells=_CELLS)
+        rays = pinhole_rays(camera, self._aperture(), cells=self.cells)
         for index in range(_TURN if self.count is None else self.count):
             angle = 2 * math.pi * index / _TURN
             position = self.orbit_mm * np.array([1 - math.cos(angle), math.sin(angle), 0.0])  # begins at the origin

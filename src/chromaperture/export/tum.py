@@ -49,7 +49,7 @@ def write_tum(folder: str | Path, frames: Iterable[RgbdFrame], *, camera_matrix:
             for part, picture in pictures.items():
                 name = f"{part}/{stamp}.png"
                 if (private / name).exists():
-                    raise InputError(f"two frames have the time {stamp} s; record again, or give the files' --fps")
+                    raise InputError(f"two frames have the same time, {stamp} s; record the sequence again")
                 (private / name).write_bytes(cv2.imencode(".png", picture)[1].tobytes())
                 rows[part].append(f"{stamp} {name}")
         for part, lines in rows.items():
