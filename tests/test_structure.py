@@ -19,7 +19,7 @@ MAX_LINES = 400
 STAGES = {"capture", "color", "disparity", "depth"}
 # The bundle, the method, and what reads and writes files around them.
 CAMERA = {"calibration", "camera", "calibrate", "session", "pipeline", "outputs", "preview", "samples"}
-LEAVES = {"effects", "reconstruction", "evaluation", "viewer"}
+LEAVES = {"effects", "export", "reconstruction", "evaluation", "viewer"}
 BELOW_LEAVES = {"optics"} | STAGES | CAMERA
 # What a part of the package may import, besides itself and COMMON.
 COMMON = {"errors", "config"}
@@ -46,7 +46,7 @@ ALLOWED: dict[str, set[str]] = {
 }
 # Depth works on any disparity map, however it was made.
 FORBIDDEN_MODULES = {"depth": ("disparity.kernels", "disparity.reference")}
-OPTIONAL = {"open3d", "viser", "rawpy", "gi", "gphoto2", "dask", "mcap", "imageio"}
+OPTIONAL = {"open3d", "viser", "rawpy", "gi", "gphoto2", "dask", "mcap", "mcap_ros2", "imageio"}
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
 
