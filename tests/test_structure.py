@@ -18,7 +18,7 @@ MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
 # The bundle, the method, and what reads and writes files around them.
-CAMERA = {"calibration", "camera", "calibrate", "session", "pipeline", "outputs", "preview", "samples"}
+CAMERA = {"calibration", "camera", "calibrate", "boards", "session", "pipeline", "outputs", "preview", "samples"}
 LEAVES = {"effects", "reconstruction", "evaluation", "viewer"}
 BELOW_LEAVES = {"optics"} | STAGES | CAMERA
 # What a part of the package may import, besides itself and COMMON.
@@ -35,7 +35,8 @@ ALLOWED: dict[str, set[str]] = {
     "calibration": {"optics", "outputs"} | STAGES,
     "camera": {"optics", "calibration"} | STAGES,
     "session": {"optics", "capture", "calibration"},
-    "calibrate": {"optics", "calibration", "camera", "session"} | STAGES,
+    "boards": {"optics", "calibration", "camera", "session", "outputs"} | STAGES,
+    "calibrate": {"optics", "calibration", "camera", "session", "boards", "outputs"} | STAGES,
     "preview": {"optics", "camera"} | STAGES,
     "samples": set(),
     "pipeline": {"optics", "calibration", "camera", "outputs", "preview"} | STAGES,

@@ -5,6 +5,7 @@ The steps are those of paper section 3.4: pinhole calibration, boards at measure
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from chromaperture.boards import MEASURED, BoardMeasurement, grid, measure_board, spread
 from chromaperture.calibration import Calibration, Film, Lens
-from chromaperture.camera import sensor_noise
 from chromaperture.color.unmixing import ideal_unmixing
 from chromaperture.config import QUALITIES, MatcherConfig, Quality
 from chromaperture.depth.chessboard import (
@@ -27,45 +28,64 @@ from chromaperture.depth.chessboard import (
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField, degree_of, fit_depth_field
 from chromaperture.depth.fit import DepthFit, RulerFit, fit_depth_model, fit_ruler
-from chromaperture.disparity.estimate import colour_spaces, estimate_disparity
+from chromaperture.disparity.estimate import colour_spaces
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids, channel_transmission, design_named
 from chromaperture.session import Session, read_session
 
-_MEASURED: tuple[Quality, ...] = ("paper", "real-time")
-_MIDDLE = 1 / 3  # share of the width and height that stands for the axis
-_GRID_PX = 6  # every sixth px each way: neighbours share their window anyway
 _FIELD_DEGREES = (4, 2)  # the second where the first is drawn by noise
 _LEAST_SCALE = 0.1  # of the median: vignetting cuts the rim of the pupil, where an open design has its film
 _MIN_FIELD_BOARDS = 5
-_MIN_SIGMA_PX = 0.05  # two halves blur as mirror images, not as shifted copies: a shift reads that much wrong
 _RANGE_MARGIN = (0.9, 1.3)  # the working range reaches a little beyond the boards
 
 Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class BoardMeasurement:
-    """One board: where it stood and what each quality measured.
-
-    ``disparity_px`` and ``sigma_px`` are of the middle of its photograph, ``grid_px`` of every few px of the frame.
-    """
-
-    name: str
-    ruler_mm: float
-    disparity_px: Mapping[Quality, float]
-    sigma_px: Mapping[Quality, float]
-    grid_px: Mapping[Quality, np.ndarray]
-
-
-@dataclass(frozen=True)
 class CalibrationResult:
-    """A camera and the evidence for it."""
+    """A camera and the evidence for it.
+
+    Attributes
+    ----------
+    calibration : Calibration
+    fits : dict of quality to DepthFit
+        The curve on the axis, with its covariance.
+    boards : list of BoardMeasurement
+    notes : list of str
+        What was missing or weak, a sentence each.
+    session : Session
+    grid_x_px : (w,) float64, grid_y_px : (h,) float64
+        Where the boards' grids lie in the frame.
+    residual_px : dict of quality to (boards, h, w) float32, px
+        Measured minus fitted disparity on the grid, at the ruler's distance; NaN unknown.
+    spread_px : dict of quality to (boards,) float64, px
+        Robust standard deviation of one pixel's disparity about its board's own median residual.
+    intrinsics : Intrinsics or None
+        None where there were too few tilted boards.
+    tilts : dict of str to (N, 2) float32, px
+        Corners of the tilted boards, by file name.
+    ruler : RulerFit or None
+        Ruler against poses; None where there were too few poses.
+    ruler_residual_mm : (boards,) float64, mm
+        Ruler minus the distance by pose; NaN where there is no pose.
+    outliers : dict of str to str
+        Boards that contradict the others, by file name, with a sentence each.
+    """
 
     calibration: Calibration
     fits: Mapping[Quality, DepthFit]
     boards: list[BoardMeasurement]
     notes: list[str]
+    session: Session
+    grid_x_px: np.ndarray
+    grid_y_px: np.ndarray
+    residual_px: Mapping[Quality, np.ndarray]
+    spread_px: Mapping[Quality, np.ndarray]
+    intrinsics: Intrinsics | None
+    tilts: Mapping[str, np.ndarray]
+    ruler: RulerFit | None
+    ruler_residual_mm: np.ndarray
+    outliers: Mapping[str, str]
 
 
 def calibrate_session(
@@ -106,14 +126,17 @@ def calibrate_session(
 
     poses = [_pose(session, corners.get(path), intrinsics) for path in session.boards]
     rulers = np.array(list(session.boards.values()))
+    unscaled = intrinsics
     pupil, intrinsics = _measure_pupil(session, rulers, np.array(poses), guess, intrinsics, notes)
+    from_sensor = pupil.scale * np.array(poses) + pupil.sensor_to_pupil_mm
     boards: list[BoardMeasurement] = []
     fits: dict[Quality, DepthFit] = {}
     for i, path in enumerate(session.boards):
         progress("board disparity", i, len(session.boards))
-        boards.append(_measure_board(session, draft, path))
+        board = measure_board(session, draft, path)
+        boards.append(dataclasses.replace(board, corners_px=corners.get(path), pose_mm=float(from_sensor[i])))
     progress("board disparity", len(boards), len(boards))
-    for quality in _MEASURED:
+    for quality in MEASURED:
         fits[quality] = fit_depth_model(
             rulers,
             np.array([board.disparity_px[quality] for board in boards]),
@@ -122,7 +145,7 @@ def calibrate_session(
             sensor_to_pupil_mm=pupil.sensor_to_pupil_mm,
             sensor_to_pupil_sigma_mm=pupil.sigma_mm,
         )
-    fields = {quality: _fit_field(session, boards, quality, fits[quality], notes) for quality in _MEASURED}
+    fields = {quality: _fit_field(session, boards, quality, fits[quality], notes) for quality in MEASURED}
     # The optimiser matches the same views with the same score and only pools them better: it needs no curve of its own,
     # and refitting one to its boards changed nothing.
     first = colour_spaces(aperture, draft.unmixing, MatcherConfig.preset("accurate"))[0]
@@ -139,7 +162,39 @@ def calibrate_session(
         ],
         "notes": notes,
     }
-    return CalibrationResult(_assemble(session, film, intrinsics, fields, provenance), fits, boards, notes)
+    calibration = _assemble(session, film, intrinsics, fields, provenance)
+    residuals = {quality: _residuals(calibration, boards, quality) for quality in MEASURED}
+    return CalibrationResult(
+        calibration=calibration,
+        fits=fits,
+        boards=boards,
+        notes=notes,
+        session=session,
+        grid_x_px=grid(session.sensor.width_px),
+        grid_y_px=grid(session.sensor.height_px),
+        residual_px=residuals,
+        spread_px={quality: spread(residual) for quality, residual in residuals.items()},
+        intrinsics=intrinsics,
+        tilts={path.name: corners[path] for path in session.tilts if path in corners},
+        ruler=pupil if unscaled is not None and np.isfinite(from_sensor).any() else None,
+        ruler_residual_mm=rulers - from_sensor,
+        outliers={},
+    )
+
+
+def _residuals(calibration: Calibration, boards: list[BoardMeasurement], quality: Quality) -> np.ndarray:
+    """Measured minus fitted disparity on the grid, at the ruler's distances; (boards, h, w) float32, px."""
+    sensor = calibration.sensor
+    model = calibration.depth_model(quality)
+    shape = (sensor.height_px, sensor.width_px)
+    rows, columns = (grid(n).astype(int) for n in shape)
+    infinity, scale = (
+        np.broadcast_to(np.asarray(m), shape)[np.ix_(rows, columns)]
+        for m in (model.infinity_disparity_px, model.scale_px_mm)
+    )
+    fitted = [infinity - scale / (board.ruler_mm - model.sensor_to_pupil_mm) for board in boards]
+    measured = [board.grid_px[quality] for board in boards]
+    return (np.stack(measured) - np.stack(fitted)).astype(np.float32)
 
 
 def _measure_film(session: Session, aperture: Aperture, notes: list[str]) -> Film:
@@ -237,24 +292,6 @@ def _pose(session: Session, corners: np.ndarray | None, intrinsics: Intrinsics |
     return board_distance(corners, intrinsics, session.inner_corners, session.square_mm)
 
 
-def _measure_board(session: Session, draft: Calibration, path: Path) -> BoardMeasurement:
-    """Median disparity of the frame's middle, with the standard error of that median, at every quality."""
-    image = session.read(path)
-    noise = sensor_noise(image, draft)
-    medians: dict[Quality, float] = {}
-    errors: dict[Quality, float] = {}
-    grids: dict[Quality, np.ndarray] = {}
-    for quality in _MEASURED:
-        low, high = draft.disparity_range_px(quality)
-        config = MatcherConfig.preset(quality).with_range(1.5 * low - 1, 1.5 * high + 1)  # the lens is not known yet
-        disparity = estimate_disparity(
-            image, aperture=draft.aperture, unmixing=draft.unmixing, noise_variance=noise, config=config
-        ).value_px
-        medians[quality], errors[quality] = _middle_median(disparity, config)
-        grids[quality] = disparity[_GRID_PX // 2 :: _GRID_PX, _GRID_PX // 2 :: _GRID_PX]
-    return BoardMeasurement(path.name, session.boards[path], medians, errors, grids)
-
-
 def _fit_field(
     session: Session, boards: list[BoardMeasurement], quality: Quality, fit: DepthFit, notes: list[str]
 ) -> DepthField:
@@ -262,7 +299,7 @@ def _fit_field(
     size = (session.sensor.width_px, session.sensor.height_px)
     grids = np.stack([board.grid_px[quality] for board in boards])
     delta = float(np.asarray(fit.model.sensor_to_pupil_mm))
-    rows, columns = (_GRID_PX // 2 + _GRID_PX * np.arange(n) for n in grids.shape[1:])
+    rows, columns = grid(session.sensor.height_px), grid(session.sensor.width_px)
     inverse, y, x = np.meshgrid(
         [1 / (board.ruler_mm - delta) for board in boards], rows, columns, indexing="ij"
     )
@@ -277,19 +314,6 @@ def _fit_field(
                 return field
     notes.append(f"{quality}: too little to fit fields over the frame, one depth curve for all of it")
     return DepthField.constant(fit.model)
-
-
-def _middle_median(disparity: np.ndarray, config: MatcherConfig) -> tuple[float, float]:
-    """Median over the middle of the frame and its standard error; NaN where too little is known."""
-    rows, columns = (slice(round(n * (1 - _MIDDLE) / 2), round(n * (1 + _MIDDLE) / 2)) for n in disparity.shape)
-    middle = disparity[rows, columns]
-    known = middle[np.isfinite(middle)]
-    if known.size < middle.size / 4:
-        return np.nan, np.nan
-    median = float(np.median(known))
-    spread = 1.4826 * float(np.median(np.abs(known - median)))
-    window_px = (1 + config.window_decay) / (1 - config.window_decay)  # neighbours share their window
-    return median, max(_MIN_SIGMA_PX, 1.2533 * spread * window_px / np.sqrt(known.size))
 
 
 def _measure_pupil(
