@@ -61,7 +61,7 @@ def measure_board(session: Session, draft: Calibration, path: Path) -> BoardMeas
     medians: dict[Quality, float] = {}
     errors: dict[Quality, float] = {}
     grids: dict[Quality, np.ndarray] = {}
-    for quality in _MEASURED:
+    for quality in MEASURED:
         low, high = draft.disparity_range_px(quality)
         config = MatcherConfig.preset(quality).with_range(1.5 * low - 1, 1.5 * high + 1)  # the lens is not known yet
         disparity = estimate_disparity(

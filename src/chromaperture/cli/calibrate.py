@@ -16,6 +16,10 @@ def calibrate(
     lens_from: Annotated[
         Path | None, typer.Option(help="Camera file of the same lens and focus, for a session without tilted boards.")
     ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="HTML report to write; default beside the camera file.", metavar="FILE")
+    ] = None,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
 ) -> None:
@@ -23,7 +27,8 @@ def calibrate(
 
     chromaperture calibrate my_session --out camera.asdf
 
-    docs/calibration-session.md shows how the folder is laid out.
+    A report with pictures is written beside it, camera.report.html. docs/calibration-session.md shows how the folder is
+    laid out.
     """
     from rich.table import Table
 
@@ -35,7 +40,14 @@ def calibrate(
     known = Calibration.load(lens_from) if lens_from else None
     with progress(quiet=quiet or json) as update:
         result = calibrate_session(session, lens_from=known, progress=update)
+    files = [out]
     result.calibration.save(out)
+    if not no_report:
+        from chromaperture.evaluation.report import write_report
+
+        page = report or out.with_suffix(".report.html")
+        write_report(page, result)
+        files.append(page)
     if json:
         print_json(result.calibration.summary())
     elif not quiet:
@@ -58,4 +70,4 @@ def calibrate(
         )
         for note in result.notes:
             console.print(f"note: {note}")
-        print_files([out])
+        print_files(files)

@@ -73,7 +73,10 @@ def draw_transparency(result: CalibrationResult) -> Figure | None:
                 panels.append((f"{name} / middle", coded[..., channel] / _middle(coded[..., channel])))
     figure = new_figure(height=2.0)
     for axes, (name, values) in zip(figure.subplots(1, len(panels), squeeze=False).ravel(), panels, strict=True):
-        shown = axes.imshow(values, cmap="viridis")
+        # Never a narrower scale than +-15 %: an even sheet shall look even.
+        center = _middle(values)
+        low, high = min(float(values.min()), 0.85 * center), max(float(values.max()), 1.15 * center)
+        shown = axes.imshow(values, cmap="viridis", vmin=low, vmax=high)
         axes.set_title(name, fontsize=8, loc="left")
         axes.set_axis_off()
         bar = figure.colorbar(shown, ax=axes, fraction=0.035)

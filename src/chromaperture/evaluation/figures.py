@@ -166,6 +166,8 @@ def draw_reach(result: CalibrationResult) -> Figure:
     axes = figure.subplots()
     axes.plot(seen.depth_mm, 100 * seen.pixel_sigma_mm / seen.depth_mm, color=BLUE, label="one pixel")
     axes.plot(seen.depth_mm, 100 * seen.curve_sigma_mm / seen.depth_mm, color=ORANGE, label="the calibration alone")
+    axes.plot(seen.depth_mm, 100 * np.abs(seen.bias_mm) / seen.depth_mm, color=GREY, linewidth=1,
+              label="error of the boards' medians")  # fmt: skip
     for share in (1, 2):
         axes.axhline(share, color=GREY, linewidth=0.8, linestyle=":")
     tidy(axes, xlabel="distance from the sensor plane, mm", ylabel="standard deviation, % of distance")

@@ -298,7 +298,7 @@ def _board_distance(seen: _Seen, calibration: Calibration) -> Check:
     elif abs(seen.expected_px) > _FAR_FROM_FOCUS_PX and 0.2 < seen.measured_px / seen.expected_px < 5:
         ratio = seen.measured_px / seen.expected_px
         figures["scale_if_aperture_changed"] = ratio
-        advice += f"; if only the aperture changed, the pupil is {ratio:.2f} times as wide: set the iris as for the calibration"
+        advice += f"; if only the aperture changed, the pupil is {ratio:.2f} times as wide: set the iris as it was"
     return Check("board distance", "warn", finding, advice, figures)
 
 

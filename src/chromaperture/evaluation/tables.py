@@ -30,13 +30,12 @@ def round_distances(near_mm: float, far_mm: float) -> np.ndarray:
 
 
 def steps(result: CalibrationResult, quality: Quality = "real-time") -> Table:
-    """What a px of disparity and one standard deviation are worth, at round distances."""
+    """Give what a px of disparity and one standard deviation are worth, at round distances."""
     seen = reach(result, quality)
     rows = []
     for distance in round_distances(result.calibration.near_mm, result.calibration.far_mm):
-        step, pixel, curve = (
-            float(np.interp(distance, seen.depth_mm, v)) for v in (seen.step_mm, seen.pixel_sigma_mm, seen.curve_sigma_mm)
-        )
+        curves = (seen.step_mm, seen.pixel_sigma_mm, seen.curve_sigma_mm)
+        step, pixel, curve = (float(np.interp(distance, seen.depth_mm, values)) for values in curves)
         rows.append((
             f"{distance:.0f}", f"{step:.0f}", f"{0.1 * step:.0f}", f"{pixel:.0f}", f"{pixel / distance:.1%}",
             f"{curve:.1f}",

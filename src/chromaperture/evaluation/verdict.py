@@ -25,6 +25,8 @@ class Reach:
         Standard deviation of one pixel on the boards, calibration included.
     curve_sigma_mm : (N,) float64
         That of the calibration alone: what averaging over many pixels leaves.
+    bias_mm : (N,) float64
+        Error of the boards' medians over the frame, between the boards; NaN beyond them.
     step_mm : (N,) float64
         What one px of disparity is worth there.
     """
@@ -32,7 +34,13 @@ class Reach:
     depth_mm: np.ndarray
     pixel_sigma_mm: np.ndarray
     curve_sigma_mm: np.ndarray
+    bias_mm: np.ndarray
     step_mm: np.ndarray
+
+    @property
+    def total_mm(self) -> np.ndarray:
+        """Root mean square error of one pixel, its bias counted; NaN beyond the boards."""
+        return np.hypot(self.pixel_sigma_mm, self.bias_mm)
 
 
 def reach(result: CalibrationResult, quality: Quality = "real-time") -> Reach:
@@ -58,7 +66,11 @@ def reach(result: CalibrationResult, quality: Quality = "real-time") -> Reach:
     sigma = np.interp(depth, rulers[known][order], spread[known][order]) if known.any() else np.full(_STEPS, np.nan)
     z = depth - float(np.asarray(model.sensor_to_pupil_mm))
     step = z**2 / float(np.asarray(model.scale_px_mm))  # d depth / d disparity of d = A - B / z
-    return Reach(depth, depth_sigma(z, model, sigma), depth_sigma(z, model, 0.0), step)
+    errors = board_errors(result, quality)
+    measured = np.isfinite(errors)
+    order = np.argsort(rulers[measured])
+    bias = np.interp(depth, rulers[measured][order], errors[measured][order], left=np.nan, right=np.nan)
+    return Reach(depth, depth_sigma(z, model, sigma), depth_sigma(z, model, 0.0), bias, step)
 
 
 def stretches(depth_mm: np.ndarray, good: np.ndarray) -> list[tuple[float, float]]:
@@ -126,8 +138,15 @@ def sentences(result: CalibrationResult, quality: Quality = "real-time") -> list
     seen = reach(result, quality)
     lines = [_accuracy(seen, share) for share in (0.01, 0.02)]
     lines.append(Sentence(
-        f"It measures from {calibration.near_mm:.0f} to {calibration.far_mm:.0f} mm and is in focus at "
-        f"{calibration.in_focus_mm:.0f} mm. Distances count from the sensor plane."
+        f"It measures from {calibration.near_mm:.0f} to {calibration.far_mm:.0f} mm (boards stood from "
+        f"{min(b.ruler_mm for b in result.boards):.0f} to {max(b.ruler_mm for b in result.boards):.0f} mm) and is in "
+        f"focus at {calibration.in_focus_mm:.0f} mm. Distances count from the sensor plane."
+    ))  # fmt: skip
+    middle = len(seen.depth_mm) // 2
+    lines.append(Sentence(
+        "A tenth of a pixel of disparity is worth " + ", ".join(
+            f"{0.1 * seen.step_mm[i]:.0f} mm at {seen.depth_mm[i]:.0f} mm" for i in (0, middle, -1)
+        ) + "."
     ))  # fmt: skip
     rulers = np.array([board.ruler_mm for board in result.boards])
     errors = board_errors(result, quality)
@@ -143,11 +162,15 @@ def sentences(result: CalibrationResult, quality: Quality = "real-time") -> list
 
 def _accuracy(seen: Reach, share: float) -> Sentence:
     """Where one pixel is good to a share of its depth."""
-    good = np.isfinite(seen.pixel_sigma_mm) & (seen.pixel_sigma_mm <= share * seen.depth_mm)
+    total = seen.total_mm / seen.depth_mm
+    good = np.isfinite(total) & (total <= share)
     ranges = stretches(seen.depth_mm, good)
     if not ranges:
-        best = float(np.nanmin(seen.pixel_sigma_mm / seen.depth_mm)) if np.isfinite(seen.pixel_sigma_mm).any() else 1
-        return Sentence(f"One pixel is nowhere good to {share:.0%}; its best is {best:.1%}.", "weak")
+        if not np.isfinite(total).any():
+            return Sentence(f"Whether a pixel is good to {share:.0%} cannot be told: too few boards were read.", "weak")
+        best = int(np.nanargmin(total))
+        where = f"{total[best]:.1%}, at {seen.depth_mm[best]:.0f} mm"
+        return Sentence(f"One pixel is nowhere good to {share:.0%}; its best is {where}.", "weak")
     text = " and ".join(f"from {a:.0f} to {b:.0f} mm" for a, b in ranges)
     return Sentence(f"One pixel is good to {share:.0%} {text} (one standard deviation, on the boards).", "good")
 
@@ -165,8 +188,8 @@ def weaknesses(result: CalibrationResult, quality: Quality) -> list[Sentence]:
     sigma = np.sqrt(np.diag(np.asarray(model.covariance)))
     if sigma[2] > 5:
         found.append(
-            f"The distance from the sensor to the pupil is known to {sigma[2]:.0f} mm only, which is that much of error "
-            "near the camera: add boards close by and tilted ones."
+            f"The distance from the sensor to the pupil is known to {sigma[2]:.0f} mm only, which is that much of "
+            "error near the camera: add boards close by and tilted ones."
         )
     if result.intrinsics is None:
         found.append("The lens was not measured, points may be off sideways by a few %: add tilted boards.")
