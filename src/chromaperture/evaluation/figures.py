@@ -22,7 +22,7 @@ def new_figure(width: float = 8.0, height: float = 3.4) -> Figure:
 
 def tidy(axes: Axes, **labels: str) -> None:
     """Label a plot and take the ink off that says nothing."""
-    axes.set(**labels)  # type: ignore[arg-type]
+    axes.set(**labels)
     axes.grid(alpha=0.25, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
 
@@ -92,7 +92,7 @@ def plane_residual(depth_mm: np.ndarray) -> tuple[np.ndarray, float]:
         return np.full(depth_mm.shape, np.nan), np.nan
     basis = np.stack([np.ones(known.sum()), x[known], y[known]], axis=1)
     values, keep = depth_mm[known], np.ones(known.sum(), bool)
-    residual = np.zeros(known.sum())
+    residual: np.ndarray = np.zeros(known.sum())
     for _ in range(5):
         solution, *_ = np.linalg.lstsq(basis[keep], values[keep], rcond=None)
         residual = values - basis @ solution
@@ -118,12 +118,11 @@ def draw_flat_board(result: CalibrationResult, quality: Quality = "real-time") -
         pictures.append(plane_residual(board_depth(result, index, quality, corrected=corrected)))
     reach_mm = max(3 * pictures[0][1], 1e-6)
     panels = figure.subplots(1, 2)
-    shown = None
     for axes, (values, rms), name in zip(panels, pictures, ("one curve", "field"), strict=True):
         shown = axes.imshow(values, cmap="RdBu_r", vmin=-reach_mm, vmax=reach_mm)
         axes.set_title(f"{name}: {rms:.0f} mm rms from a plane", fontsize=10, loc="left")
         axes.set_axis_off()
-    figure.colorbar(shown, ax=list(panels), fraction=0.025, label="from the plane, mm", extend="both")  # type: ignore[arg-type]
+    figure.colorbar(shown, ax=list(panels), fraction=0.025, label="from the plane, mm", extend="both")
     return figure
 
 

@@ -75,9 +75,9 @@ def measure_tint(image: np.ndarray) -> Tint | None:
 
 def _robust_plane(basis: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, float]:
     """Slopes in x and y and the robust scatter about the plane."""
-    weights = np.ones(len(values))
+    weights: np.ndarray = np.ones(len(values))
     scatter = 0.0
-    solution = np.zeros(3)
+    solution: np.ndarray = np.zeros(3)
     for _ in range(_ROUNDS):
         solution, *_ = np.linalg.lstsq(basis * weights[:, None], values * weights, rcond=None)
         residual = values - basis @ solution
