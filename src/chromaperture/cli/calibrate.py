@@ -41,13 +41,12 @@ def calibrate(
     with progress(quiet=quiet or json) as update:
         result = calibrate_session(session, lens_from=known, progress=update)
     files = [out]
-    result.calibration.save(out)
-    if not no_report:
+    if not no_report:  # first: a picture that cannot be read leaves no camera file without its report
         from chromaperture.evaluation.report import write_report
 
-        page = report or out.with_suffix(".report.html")
-        write_report(page, result)
-        files.append(page)
+        files.append(report or out.with_suffix(".report.html"))
+        write_report(files[-1], result)
+    result.calibration.save(out)
     if json:
         print_json(result.calibration.summary())
     elif not quiet:
