@@ -103,7 +103,7 @@ def _sections(result: CalibrationResult) -> list[Section]:
                "The open pupil shows the vignetting; the aperture's maps should be even, a ramp from side to side "
                "says that the film is off the stop."),
         _drawn("Parameters", result, evidence.draw_correlation,
-               "Near ±1 two parameters trade against each other: their sum is known better than each of them.",
+               "Near ±1 two parameters trade against each other: a combination of them is known better than each.",
                tables.parameters(result)),
         Section("Notes", lines=tuple(result.notes) or ("Nothing was missing.",)),
         Section("Where this comes from", tables=(tables.provenance(result),)),

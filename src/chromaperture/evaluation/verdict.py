@@ -208,4 +208,10 @@ def weaknesses(result: CalibrationResult, quality: Quality) -> list[Sentence]:
     ]
     if blank:
         found.append(f"Less than half of the frame has texture on {', '.join(blank[:4])}: cover the wall with speckle.")
+    trusted_mm = result.session.ruler_error_mm
+    found += [
+        f"Ruler and corners of {board.name} disagree by {off:+.0f} mm: measure that distance again."
+        for board, off in zip(result.boards, result.ruler_residual_mm, strict=False)
+        if abs(off) > 3 * trusted_mm and board.name not in result.outliers  # False where there is no pose
+    ]
     return [Sentence(text, "weak") for text in (*found, *result.outliers.values())]
