@@ -52,7 +52,8 @@ def result(tmp_path_factory):
         paths[folder / "board" / f"{ruler:.0f}.png"] = float(ruler)
         cv2.imwrite(str(folder / "board" / f"{ruler:.0f}.png"), picture)
     for name in ("open", "cy_halves"):
-        cv2.imwrite(str(folder / "white" / f"{name}.png"), np.full((HEIGHT, WIDTH, 3), (30000, 40000, 35000), np.uint16))
+        sheet = np.full((HEIGHT, WIDTH, 3), (30000, 40000, 35000), np.uint16)
+        cv2.imwrite(str(folder / "white" / f"{name}.png"), sheet)
     x, y = grid(WIDTH), grid(HEIGHT)
     boards, residuals = [], []
     for ruler in RULERS:
