@@ -86,7 +86,7 @@ def plane_residual(depth_mm: np.ndarray) -> tuple[np.ndarray, float]:
     rms_mm : float
         Of the residual within four robust standard deviations: single wrong pixels are the matcher's, not the field's.
     """
-    y, x = np.indices(depth_mm.shape)
+    y, x = np.mgrid[: depth_mm.shape[0], : depth_mm.shape[1]]
     known = np.isfinite(depth_mm)
     if known.sum() < 3:
         return np.full(depth_mm.shape, np.nan), np.nan
