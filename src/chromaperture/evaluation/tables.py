@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import metadata
 
 import numpy as np
 
-from chromaperture import __version__
 from chromaperture.calibrate import CalibrationResult
 from chromaperture.config import Quality
 from chromaperture.evaluation.verdict import board_errors, reach
@@ -112,7 +112,7 @@ def provenance(result: CalibrationResult) -> Table:
     rows = [
         (str(name).replace("_", " "), _text(value)) for name, value in known.items() if name not in ("boards", "notes")
     ]
-    return Table("", ("", ""), [*rows, ("chromaperture", __version__)])
+    return Table("", ("", ""), [*rows, ("chromaperture", metadata.version("chromaperture"))])
 
 
 def _text(value: object) -> str:
