@@ -13,10 +13,13 @@ from chromaperture.camera import sensor_noise
 from chromaperture.config import MatcherConfig, Quality
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.session import Session
+from chromaperture.store import Store
 
 MEASURED: tuple[Quality, ...] = ("paper", "real-time")
 _MIDDLE = 1 / 3  # share of the width and height that stands for the axis
-_GRID_PX = 6  # every sixth px each way: neighbours share their window anyway
+_GRID_PX = 6  # neighbours share their window anyway
+_GRID_COLUMNS = 120  # at most, so that memory does not grow with the sensor
+_BLOCK = 8  # grid points each way of a block, well beyond the matcher's reach
 _MIN_SIGMA_PX = 0.05  # two halves blur as mirror images, not as shifted copies: a shift reads that much wrong
 
 
@@ -31,7 +34,7 @@ class BoardMeasurement:
     ruler_mm : float
         Distance from the sensor plane by ruler.
     disparity_px, sigma_px : dict of quality to float, px
-        Median over the middle of the photograph and its standard error.
+        Median over the middle of the photograph and its standard error; NaN where too little is known.
     grid_px : dict of quality to (h, w) float32, px
         Disparity of every few px of the frame, NaN unknown.
     corners_px : (N, 2) float32 or None
@@ -49,27 +52,61 @@ class BoardMeasurement:
     pose_mm: float = np.nan
 
 
-def grid(count: int) -> np.ndarray:
-    """Places along one side of the frame at which boards are kept; px."""
-    return np.arange(_GRID_PX // 2, count, _GRID_PX, dtype=float)
+def grid(count: int, width_px: int) -> np.ndarray:
+    """Places along a side of ``count`` px at which boards are kept; px.
+
+    Parameters
+    ----------
+    count : int
+        Width or height of the frame, px.
+    width_px : int
+        Width of the frame, which sets the distance of two places.
+    """
+    step = max(_GRID_PX, round(width_px / _GRID_COLUMNS))
+    return np.arange(step // 2, count, step, dtype=float)
 
 
-def measure_board(session: Session, draft: Calibration, path: Path) -> BoardMeasurement:
-    """Median disparity of the frame's middle, with the standard error of that median, at every quality."""
-    image = session.read(path)
-    noise = sensor_noise(image, draft)
-    medians: dict[Quality, float] = {}
-    errors: dict[Quality, float] = {}
-    grids: dict[Quality, np.ndarray] = {}
-    for quality in MEASURED:
-        low, high = draft.disparity_range_px(quality)
-        config = MatcherConfig.preset(quality).with_range(1.5 * low - 1, 1.5 * high + 1)  # the lens is not known yet
-        disparity = estimate_disparity(
-            image, aperture=draft.aperture, unmixing=draft.unmixing, noise_variance=noise, config=config
-        ).value_px
-        medians[quality], errors[quality] = _middle_median(disparity, config)
-        grids[quality] = disparity[_GRID_PX // 2 :: _GRID_PX, _GRID_PX // 2 :: _GRID_PX]
-    return BoardMeasurement(path.name, session.boards[path], medians, errors, grids)
+def measure_board(session: Session, draft: Calibration, path: Path, *, store: Store) -> BoardMeasurement:
+    """Match one board at every quality; the photograph is not kept.
+
+    Parameters
+    ----------
+    session : Session
+    draft : Calibration
+        Film and sensor as they are, depth curves to some 20 %: they only set the search range.
+    path : Path
+    store : Store
+    """
+    sensor = draft.sensor
+    ranges = {quality: draft.disparity_range_px(quality) for quality in MEASURED}
+    # The lens is not known yet: search wider than its nominal figures say.
+    configs = {
+        quality: MatcherConfig.preset(quality).with_range(1.5 * low - 1, 1.5 * high + 1)
+        for quality, (low, high) in ranges.items()
+    }
+
+    def measured() -> dict[str, np.ndarray]:
+        image = session.read(path)
+        noise = sensor_noise(image, draft)
+        found = {}
+        rows, columns = (grid(n, sensor.width_px).astype(int) for n in (sensor.height_px, sensor.width_px))
+        for quality, config in configs.items():
+            disparity = estimate_disparity(
+                image, aperture=draft.aperture, unmixing=draft.unmixing, noise_variance=noise, config=config
+            ).value_px
+            found[f"{quality} middle"] = np.array(_middle_median(disparity, config))
+            found[f"{quality} grid"] = disparity[np.ix_(rows, columns)]
+        return found
+
+    film = {name: color.tolist() for name, color in draft.film.filters.items()}
+    kept = store.arrays(path, (draft.design, sensor, film, configs), measured)
+    return BoardMeasurement(
+        path.name,
+        session.boards[path],
+        {q: float(kept[f"{q} middle"][0]) for q in MEASURED},
+        {q: float(kept[f"{q} middle"][1]) for q in MEASURED},
+        {q: kept[f"{q} grid"] for q in MEASURED},
+    )
 
 
 def _middle_median(disparity: np.ndarray, config: MatcherConfig) -> tuple[float, float]:
@@ -89,7 +126,32 @@ def spread(residual_px: np.ndarray) -> np.ndarray:
     """Robust standard deviation of single pixels about each board's own median; (boards,) float64, px."""
     flat = residual_px.reshape(len(residual_px), -1).astype(float)
     known = np.isfinite(flat).any(axis=1)
-    spread = np.full(len(flat), np.nan)
+    found = np.full(len(flat), np.nan)
     centre = np.nanmedian(flat[known], axis=1, keepdims=True)
-    spread[known] = 1.4826 * np.nanmedian(np.abs(flat[known] - centre), axis=1)
-    return spread
+    found[known] = 1.4826 * np.nanmedian(np.abs(flat[known] - centre), axis=1)
+    return found
+
+
+def samples_per_window(residual_px: np.ndarray) -> float:
+    """How many neighbours of the grid share their errors: variance of block means against that of independent samples.
+
+    Parameters
+    ----------
+    residual_px : (boards, h, w) float
+        About a first fit; NaN unknown.
+    """
+    boards, height, width = residual_px.shape
+    down, across = height // _BLOCK, width // _BLOCK
+    if down == 0 or across == 0:
+        return float(_BLOCK)
+    cut = residual_px[:, : down * _BLOCK, : across * _BLOCK].reshape(boards, down, _BLOCK, across, _BLOCK)
+    blocks = cut.transpose(0, 1, 3, 2, 4).reshape(boards, down * across, _BLOCK**2)
+    full = np.isfinite(blocks).mean(axis=2) > 0.9
+    ratios = []
+    for board, good in zip(blocks, full, strict=True):
+        if good.sum() < 8:
+            continue
+        means = np.nanmean(board[good], axis=1)
+        inside = np.nanmean(np.nanvar(board[good], axis=1)) + np.var(means)
+        ratios.append(_BLOCK**2 * np.var(means) / max(float(inside), 1e-12))
+    return float(np.clip(np.median(ratios), 1.0, _BLOCK**2)) if ratios else float(_BLOCK)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Annotated
 
@@ -38,15 +39,11 @@ def calibrate(
     from chromaperture.cli.console import print_files, print_json, progress
 
     known = Calibration.load(lens_from) if lens_from else None
+    kept = out.parent / f".{out.stem}.calibrating"  # what an interrupted run has measured so far
     with progress(quiet=quiet or json) as update:
-        result = calibrate_session(session, lens_from=known, progress=update)
-    files = [out]
-    if not no_report:  # first: a picture that cannot be read leaves no camera file without its report
-        from chromaperture.evaluation.report import write_report
-
-        files.append(report or out.with_suffix(".report.html"))
-        write_report(files[-1], result)
+        result = calibrate_session(session, lens_from=known, progress=update, keep_in=kept)
     result.calibration.save(out)
+    shutil.rmtree(kept, ignore_errors=True)
     if json:
         print_json(result.calibration.summary())
     elif not quiet:
