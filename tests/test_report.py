@@ -18,10 +18,12 @@ from chromaperture.boards import BoardMeasurement, grid
 from chromaperture.calibrate import CalibrationResult
 from chromaperture.calibration import Calibration, Film, Lens, Sensor
 from chromaperture.cli.main import app, main
+from chromaperture.curves import Evidence
 from chromaperture.depth.chessboard import Intrinsics, centered_pinhole
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
-from chromaperture.depth.fit import DepthFit, RulerFit
+from chromaperture.depth.distances import BoardDistances
+from chromaperture.depth.fit import DepthFit
 from chromaperture.evaluation import figures
 from chromaperture.evaluation.figures import layer_errors, plane_residual
 from chromaperture.evaluation.report import report_html
@@ -88,11 +90,13 @@ def result(tmp_path_factory):
         folder, "cy_halves", calibration.sensor, 50.0, 2.0, 2000.0, (9, 6), 30.0, 3.0, paths, ()
     )  # fmt: skip
     both = ("paper", "real-time")
+    ruler = BoardDistances(RULERS - DELTA, DELTA, 1.0, 1.0, np.eye(6), np.full(5, -1.0))
+    evidence = Evidence(calibration.sensor, boards, ruler, 3.0, np.ones(5, bool))
     return CalibrationResult(
         calibration=calibration, fits=dict.fromkeys(both, fit), boards=boards, notes=["a <note> & more"],
         session=session, grid_x_px=x, grid_y_px=y, residual_px=dict.fromkeys(both, residual_px),
         spread_px=dict.fromkeys(both, np.full(5, NOISE_PX)), intrinsics=Intrinsics(matrix, np.zeros(5), 0.1), tilts={},
-        ruler=RulerFit(1.0, DELTA, 1.0), ruler_residual_mm=np.full(5, -1.0), outliers={},
+        ruler=ruler, ruler_residual_mm=ruler.residual_mm, outliers={}, evidence=evidence,
     )  # fmt: skip
 
 

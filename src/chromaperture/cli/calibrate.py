@@ -42,6 +42,12 @@ def calibrate(
     kept = out.parent / f".{out.stem}.calibrating"  # what an interrupted run has measured so far
     with progress(quiet=quiet or json) as update:
         result = calibrate_session(session, lens_from=known, progress=update, keep_in=kept)
+    files = [out]
+    if not no_report:  # first: a picture that cannot be read leaves no camera file without its report
+        from chromaperture.evaluation.report import write_report
+
+        files.append(report or out.with_suffix(".report.html"))
+        write_report(files[-1], result)
     result.calibration.save(out)
     shutil.rmtree(kept, ignore_errors=True)
     if json:
