@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 import typer
 
-from chromaperture.boards import BoardMeasurement, grid
+from chromaperture.boards import BoardMeasurement
 from chromaperture.calibrate import CalibrationResult
 from chromaperture.calibration import Calibration, Film, Lens, Sensor
 from chromaperture.cli.main import app, main
 from chromaperture.curves import Evidence
 from chromaperture.depth.chessboard import Intrinsics, centered_pinhole
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.depth.field import DepthField
 from chromaperture.depth.distances import BoardDistances
+from chromaperture.depth.field import DepthField
 from chromaperture.depth.fit import DepthFit
 from chromaperture.evaluation import figures
 from chromaperture.evaluation.figures import layer_errors, plane_residual
@@ -56,7 +56,7 @@ def result(tmp_path_factory):
     for name in ("open", "cy_halves"):
         sheet = np.full((HEIGHT, WIDTH, 3), (30000, 40000, 35000), np.uint16)
         cv2.imwrite(str(folder / "white" / f"{name}.png"), sheet)
-    x, y = grid(WIDTH), grid(HEIGHT)
+    x, y = np.arange(3.0, WIDTH, 6), np.arange(3.0, HEIGHT, 6)
     boards, residuals = [], []
     for ruler in RULERS:
         noise = rng.normal(0, NOISE_PX, (len(y), len(x)))
