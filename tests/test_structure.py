@@ -18,7 +18,10 @@ MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
 # The bundle, the method, and what reads and writes files around them.
-CAMERA = {"calibration", "camera", "calibrate", "session", "pipeline", "outputs", "preview", "samples"}
+CAMERA = {
+    "calibration", "camera", "calibrate", "boards", "curves", "store", "session", "pipeline", "outputs", "preview",
+    "samples",
+}  # fmt: skip
 LEAVES = {"effects", "export", "reconstruction", "evaluation", "viewer"}
 BELOW_LEAVES = {"optics"} | STAGES | CAMERA
 # What a part of the package may import, besides itself and COMMON.
@@ -34,8 +37,11 @@ ALLOWED: dict[str, set[str]] = {
     "outputs": {"color"},
     "calibration": {"optics", "outputs"} | STAGES,
     "camera": {"optics", "calibration"} | STAGES,
-    "session": {"optics", "capture", "calibration"},
-    "calibrate": {"optics", "calibration", "camera", "session"} | STAGES,
+    "session": {"optics", "capture", "depth", "calibration"},
+    "store": set(),
+    "boards": {"optics", "calibration", "camera", "session", "store"} | STAGES,
+    "curves": {"calibration", "boards"} | STAGES,
+    "calibrate": {"optics", "calibration", "session", "boards", "curves", "store"} | STAGES,
     "preview": {"optics", "camera"} | STAGES,
     "samples": set(),
     "pipeline": {"optics", "calibration", "camera", "outputs", "preview"} | STAGES,
