@@ -7,7 +7,7 @@ Boards pass one by one; nothing of the size of all of them together is kept but 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -86,39 +86,32 @@ def fit_depth_field(
     share = np.where(known.any(axis=1), share, 0.0)
 
     trust = known.astype(float)
+    problem = _Problem(basis, standard_q, np.zeros((0, *disparity.shape)))
     solution = np.zeros(2 * count)
-    curve: Nonlinearity | None = None
-    terms = 0
     low, high = 0.0, 1.0
     for turn in range(_ROUNDS):  # iteratively reweighted least squares with Huber's weights
-        if turn == 1 and nonlinear_terms:
-            fitted = np.stack([_linear(basis, solution, t) for t in standard_q[seen]])
-            low, high = float(fitted.min()), float(fitted.max())
-            terms = nonlinear_terms
-            solution = np.concatenate([solution, np.zeros(terms)])
-        equations = _equations(basis, standard_q, solution, terms, (low, high))
-        normal, right = np.zeros((len(solution), len(solution))), np.zeros(len(solution))
-        for i in np.flatnonzero(seen).tolist():
-            rows = equations(i)
-            weighted = rows * (share[i] ** 2 * trust[i])[:, None]
-            normal += weighted.T @ rows
-            right += weighted.T @ np.where(known[i], disparity[i], 0.0)
-        normal[2 * count :, 2 * count :] += np.eye(terms) * share.mean() ** 2 / _RIDGE_PX**2
+        if turn and nonlinear_terms:
+            linear = problem.linear(solution)
+            if turn == 1:
+                low, high = float(linear[seen].min()), float(linear[seen].max())
+            powers = chebyshev.chebvander(scaled(linear, low, high), nonlinear_terms + 1)
+            problem = _Problem(basis, standard_q, np.moveaxis(powers[..., 2:], -1, 0))
+        weights = share[:, None] ** 2 * trust
+        normal, right = problem.normal(weights), problem.project(weights * np.where(known, disparity, 0.0)).sum(axis=0)
+        idle = np.arange(2 * count, len(normal))
+        normal[idle, idle] += share.mean() ** 2 / _RIDGE_PX**2
         solution = np.linalg.lstsq(normal, right, rcond=None)[0]
-        residual = np.stack([disparity[i] - equations(i) @ solution for i in range(len(disparity))])
+        residual = disparity - problem.predict(solution)
         standard = np.abs(residual) * share[:, None]
         scale = max(1.4826 * float(np.median(standard[known])), _SMALLEST_PX)
         with np.errstate(invalid="ignore"):
             trust = np.where(standard > _HUBER * scale, _HUBER * scale / np.maximum(standard, 1e-12), 1.0)
             trust = np.where(known & (standard <= _GROSS * scale), trust, 0.0)  # a wrong layer tells nothing
-    if terms:
-        curve = Nonlinearity(low, high, solution[2 * count :])
+    curve = Nonlinearity(low, high, solution[2 * count :]) if len(problem.powers) else None
     # d = a - b (q - mean) / spread = (a + b mean / spread) - (b / spread) q
     slope = solution[count : 2 * count] / spread_q
-    covariance = _covariance(
-        equations, seen, residual, share[:, None] ** 2 * trust, normal, distances,
-        slope_at=lambda i: basis @ slope / z[i] ** 2, samples=samples_per_window,
-    )  # fmt: skip
+    per_mm = (basis @ slope) / z[:, None] ** 2  # px that a board 1 mm farther than thought reads more
+    covariance = _covariance(problem, weights, normal, residual, per_mm, distances, samples_per_window)
     back = np.eye(2 * count + 1)
     back[:count, count : 2 * count] = np.eye(count) * mean_q / spread_q
     back[count : 2 * count, count : 2 * count] = np.eye(count) / spread_q
@@ -130,58 +123,71 @@ def fit_depth_field(
     return field, residual
 
 
-def _linear(basis: np.ndarray, solution: np.ndarray, standard_q: float) -> np.ndarray:
-    """Linear disparity of one board; (P,)."""
-    count = basis.shape[-1]
-    return np.asarray(basis @ (solution[:count] - standard_q * solution[count : 2 * count]))
+@dataclass(frozen=True)
+class _Problem:
+    """The linear problem: (N, P) samples of N boards, unknowns A, B and the nonlinearity.
 
+    Its rows, ``basis``, ``-q basis`` and ``powers``, are never written out: boards share the basis.
+    """
 
-def _equations(
-    basis: np.ndarray, standard_q: np.ndarray, solution: np.ndarray, terms: int, limits: tuple[float, float]
-) -> Callable[[int], np.ndarray]:
-    """Give the rows of the linear problem, board by board, each (P, unknowns)."""
-    before = solution.copy()
+    basis: np.ndarray  # (P, C)
+    standard_q: np.ndarray  # (N,)
+    powers: np.ndarray  # (K, N, P)
 
-    def rows(board: int) -> np.ndarray:
-        parts = [basis, -standard_q[board] * basis]
-        if terms:
-            place = scaled(_linear(basis, before, standard_q[board]), *limits)
-            parts.append(chebyshev.chebvander(place, terms + 1)[:, 2:])
-        return np.concatenate(parts, axis=1)
+    def linear(self, solution: np.ndarray) -> np.ndarray:
+        """Give the linear disparity; (N, P)."""
+        count = self.basis.shape[1]
+        infinity, scale = self.basis @ solution[:count], self.basis @ solution[count : 2 * count]
+        return np.asarray(infinity - self.standard_q[:, None] * scale)
 
-    return rows
+    def predict(self, solution: np.ndarray) -> np.ndarray:
+        """Give what is measured; (N, P)."""
+        return self.linear(solution) + np.tensordot(solution[2 * self.basis.shape[1] :], self.powers, axes=1)
+
+    def project(self, values: np.ndarray) -> np.ndarray:
+        """Multiply the transposed rows of every board with (N, P) values; (N, unknowns)."""
+        smooth = values @ self.basis
+        curved = np.einsum("np,knp->nk", values, self.powers)
+        return np.concatenate([smooth, -self.standard_q[:, None] * smooth, curved], axis=1)
+
+    def normal(self, weights: np.ndarray) -> np.ndarray:
+        """Give the normal matrix for (N, P) weights; (unknowns, unknowns)."""
+        count, terms = self.basis.shape[1], len(self.powers)
+        products = (self.basis[:, :, None] * self.basis[:, None, :]).reshape(len(self.basis), -1)
+        boards = weights @ products
+        found = np.zeros((2 * count + terms, 2 * count + terms))
+        a, b = slice(0, count), slice(count, 2 * count)
+        q = self.standard_q
+        for rows, columns, factor in ((a, a, q**0), (a, b, -q), (b, a, -q), (b, b, q**2)):
+            found[rows, columns] = (factor @ boards).reshape(count, count)
+        for k, power in enumerate(self.powers):
+            column = self.project(weights * power).sum(axis=0)
+            found[:, 2 * count + k] = found[2 * count + k] = column
+        return found
 
 
 def _covariance(
-    equations: Callable[[int], np.ndarray],
-    seen: np.ndarray,
-    residual: np.ndarray,
+    problem: _Problem,
     weights: np.ndarray,
     normal: np.ndarray,
+    residual: np.ndarray,
+    per_mm: np.ndarray,
     distances: BoardDistances,
-    *,
-    slope_at: Callable[[int], np.ndarray],
     samples: float,
 ) -> np.ndarray:
     """Covariance of all unknowns and of delta: noise of the disparities, and errors of the boards' distances.
 
     A board's distance is wrong by the same mm at all its pixels, so that more pixels do not help against it.
     """
-    noise = np.zeros_like(normal)
-    by_distance = np.zeros((len(normal), len(distances.from_pupil_mm)))
-    for i in np.flatnonzero(seen).tolist():
-        rows = equations(i)
-        own = residual[i][weights[i] > 0]
-        if own.size == 0:
-            continue
-        spread = 1.4826 * float(np.median(np.abs(own - np.median(own))))
-        weighted = rows * weights[i][:, None]
-        noise += spread**2 * samples * weighted.T @ weighted
-        by_distance[:, i] = weighted.T @ slope_at(i)  # px by which a board 1 mm farther than thought reads more
-    # A board thought too near by dz reads B / z^2 dz more than expected, and the unknowns follow.
+    used = np.where(weights > 0, residual, np.nan)
+    spread = np.zeros(len(used))
+    for i in np.flatnonzero((weights > 0).any(axis=1)).tolist():
+        own = used[i][np.isfinite(used[i])]
+        spread[i] = 1.4826 * float(np.median(np.abs(own - np.median(own))))
     inverse = np.linalg.pinv(normal, hermitian=True)
-    follow = inverse @ by_distance
-    among = distances.covariance[:-1, :-1]
-    with_delta = -follow @ distances.covariance[:-1, -1]
-    found = inverse @ noise @ inverse + follow @ among @ follow.T
+    noise = inverse @ problem.normal((spread[:, None] * weights) ** 2 * samples) @ inverse
+    # A board thought too far by dz reads B / z^2 dz less than expected, and the unknowns follow.
+    follow = -inverse @ problem.project(weights * per_mm).T
+    found = noise + follow @ distances.covariance[:-1, :-1] @ follow.T
+    with_delta = follow @ distances.covariance[:-1, -1]
     return np.block([[found, with_delta[:, None]], [with_delta[None], distances.covariance[-1:, -1:]]])
