@@ -11,6 +11,7 @@ from chromaperture.calibration import Calibration, Film, Lens, Sensor
 from chromaperture.config import PhaseConfig
 from chromaperture.depth.blur_fit import fit_blur, measured_layers
 from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.distances import BoardDistances
 from chromaperture.depth.field import DepthField
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
@@ -82,6 +83,11 @@ class Boards:
         return self.images[i]
 
 
+def distances(count):
+    none = np.zeros(count)
+    return BoardDistances(np.array(DISTANCES_MM[:count]), 50.0, 0.5, 1.0, 0.1 * np.eye(count + 1), none)
+
+
 def draft():
     beta = 4 / (3 * np.pi)
     curve = DepthField.constant(DepthModel(4.4 * beta, 7300.0 * beta, 50.0))
@@ -99,12 +105,13 @@ def draft():
 
 def test_a_camera_gets_its_blur_and_keeps_it_in_its_file(tmp_path):
     notes = []
-    camera, fit = add_blur(draft(), Boards(5), notes)
+    camera, layers = add_blur(draft(), Boards(5), distances(5), np.ones(5, bool), notes)
     assert not notes
-    assert camera.blur == fit.blur.model
+    assert layers.disagreement < layers.start_disagreement / 4
     curve = camera.on_axis("accurate")
+    at_infinity, scale = camera.field_blur().reference
     for z in DISTANCES_MM:
-        layer = fit.blur.reference[0] - fit.blur.reference[1] / z
+        layer = at_infinity - scale / z
         assert curve.infinity_disparity_px - curve.scale_px_mm / z == pytest.approx(layer, abs=0.03)
     camera.save(tmp_path / "camera.asdf")
     again = Calibration.load(tmp_path / "camera.asdf")
@@ -114,7 +121,7 @@ def test_a_camera_gets_its_blur_and_keeps_it_in_its_file(tmp_path):
 
 def test_three_boards_are_too_few():
     notes = []
-    camera, fit = add_blur(draft(), Boards(3), notes)
-    assert fit is None
+    camera, layers = add_blur(draft(), Boards(3), distances(3), np.ones(3, bool), notes)
+    assert layers is None
     assert camera.blur is None
     assert "3 boards" in notes[0]

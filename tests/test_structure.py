@@ -18,9 +18,11 @@ MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
 # The bundle, the method, and what reads and writes files around them.
-CAMERA = {"calibration", "camera", "calibrate", "calibrate_blur", "session", "pipeline", "outputs", "preview"}
-CAMERA |= {"samples"}
-LEAVES = {"effects", "reconstruction", "evaluation", "viewer"}
+CAMERA = {
+    "calibration", "camera", "calibrate", "calibrate_blur", "boards", "curves", "store", "session", "pipeline",
+    "outputs", "preview", "samples",
+}  # fmt: skip
+LEAVES = {"effects", "export", "reconstruction", "evaluation", "viewer"}
 BELOW_LEAVES = {"optics"} | STAGES | CAMERA
 # What a part of the package may import, besides itself and COMMON.
 COMMON = {"errors", "config"}
@@ -35,9 +37,12 @@ ALLOWED: dict[str, set[str]] = {
     "outputs": {"color"},
     "calibration": {"optics", "outputs"} | STAGES,
     "camera": {"optics", "calibration"} | STAGES,
-    "session": {"optics", "capture", "calibration"},
-    "calibrate": {"optics", "calibration", "calibrate_blur", "camera", "session"} | STAGES,
-    "calibrate_blur": {"optics", "calibration", "session"} | STAGES,
+    "session": {"optics", "capture", "depth", "calibration"},
+    "store": set(),
+    "boards": {"optics", "calibration", "camera", "session", "store"} | STAGES,
+    "curves": {"calibration", "boards"} | STAGES,
+    "calibrate": {"optics", "calibration", "session", "boards", "calibrate_blur", "curves", "store"} | STAGES,
+    "calibrate_blur": {"optics", "calibration", "session", "store"} | STAGES,
     "preview": {"optics", "camera"} | STAGES,
     "samples": set(),
     "pipeline": {"optics", "calibration", "camera", "outputs", "preview"} | STAGES,
@@ -48,7 +53,7 @@ ALLOWED: dict[str, set[str]] = {
 }
 # Depth works on any disparity map, however it was made.
 FORBIDDEN_MODULES = {"depth": ("disparity.kernels", "disparity.reference")}
-OPTIONAL = {"open3d", "viser", "rawpy", "gi", "gphoto2", "dask", "mcap", "imageio"}
+OPTIONAL = {"open3d", "viser", "rawpy", "gi", "gphoto2", "dask", "mcap", "mcap_ros2", "imageio"}
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
 

@@ -5,18 +5,21 @@ The steps are those of paper section 3.4: pinhole calibration, boards at measure
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from chromaperture.calibrate_blur import add_blur
+from chromaperture.boards import MEASURED, BoardMeasurement, grid, measure_board, spread
+from chromaperture.calibrate_blur import LayerEvidence, add_blur, fit_layers
 from chromaperture.calibration import Calibration, Film, Lens
-from chromaperture.camera import sensor_noise
 from chromaperture.color.unmixing import ideal_unmixing
 from chromaperture.config import QUALITIES, MatcherConfig, Quality
+from chromaperture.curves import Evidence, doubt, fit_curve, weaknesses
 from chromaperture.depth.chessboard import (
     MIN_VIEWS,
     Intrinsics,
@@ -26,47 +29,71 @@ from chromaperture.depth.chessboard import (
     fit_intrinsics,
 )
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.depth.field import DepthField, degree_of, fit_depth_field
-from chromaperture.depth.fit import DepthFit, RulerFit, fit_depth_model, fit_ruler
-from chromaperture.disparity.estimate import colour_spaces, estimate_disparity
+from chromaperture.depth.distances import BoardDistances, check_units, fit_distances
+from chromaperture.depth.field import DepthField, degree_of
+from chromaperture.depth.fit import DepthFit
+from chromaperture.disparity.estimate import colour_spaces
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids, channel_transmission, design_named
 from chromaperture.session import Session, read_session
+from chromaperture.store import Store
 
-_MEASURED: tuple[Quality, ...] = ("paper", "real-time")
-_MIDDLE = 1 / 3  # share of the width and height that stands for the axis
-_GRID_PX = 6  # every sixth px each way: neighbours share their window anyway
-_FIELD_DEGREES = (4, 2)  # the second where the first is drawn by noise
-_LEAST_SCALE = 0.1  # of the median: vignetting cuts the rim of the pupil, where an open design has its film
-_MIN_FIELD_BOARDS = 5
-_MIN_SIGMA_PX = 0.05  # two halves blur as mirror images, not as shifted copies: a shift reads that much wrong
+_PUPIL_SIGMA_MM = 10.0  # of the guess that the pupil lies one image distance before the sensor
+_CORNER_SIGMA = 0.03  # px, and as a share of the blur radius
 _RANGE_MARGIN = (0.9, 1.3)  # the working range reaches a little beyond the boards
 
 Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class BoardMeasurement:
-    """One board: where it stood and what each quality measured.
-
-    ``disparity_px`` and ``sigma_px`` are of the middle of its photograph, ``grid_px`` of every few px of the frame.
-    """
-
-    name: str
-    ruler_mm: float
-    disparity_px: Mapping[Quality, float]
-    sigma_px: Mapping[Quality, float]
-    grid_px: Mapping[Quality, np.ndarray]
-
-
-@dataclass(frozen=True)
 class CalibrationResult:
-    """A camera and the evidence for it."""
+    """A camera and the evidence for it.
+
+    Attributes
+    ----------
+    calibration : Calibration
+    fits : dict of quality to DepthFit
+        The curve on the axis, with its covariance.
+    boards : list of BoardMeasurement
+    notes : list of str
+        What was missing or weak, a sentence each.
+    session : Session
+    grid_x_px : (w,) float64, grid_y_px : (h,) float64
+        Where the boards' grids lie in the frame.
+    residual_px : dict of quality to (boards, h, w) float32, px
+        Measured minus fitted disparity on the grid, at the ruler's distance; NaN unknown.
+    spread_px : dict of quality to (boards,) float64, px
+        Robust standard deviation of one pixel's disparity about its board's own median residual.
+    intrinsics : Intrinsics or None
+        None where there were too few tilted boards.
+    tilts : dict of str to (N, 2) float32, px
+        Corners of the tilted boards, by file name.
+    ruler : BoardDistances or None
+        Ruler against poses; None where there were too few poses.
+    ruler_residual_mm : (boards,) float64, mm
+        Ruler minus the distance by pose; NaN where there is no pose.
+    outliers : dict of str to str
+        Boards that contradict the others, by file name, with a sentence each.
+    evidence : Evidence
+        What the curves were fitted to.
+    """
 
     calibration: Calibration
     fits: Mapping[Quality, DepthFit]
     boards: list[BoardMeasurement]
     notes: list[str]
+    session: Session
+    grid_x_px: np.ndarray
+    grid_y_px: np.ndarray
+    residual_px: Mapping[Quality, np.ndarray]
+    spread_px: Mapping[Quality, np.ndarray]
+    intrinsics: Intrinsics | None
+    tilts: Mapping[str, np.ndarray]
+    ruler: BoardDistances | None
+    ruler_residual_mm: np.ndarray
+    outliers: Mapping[str, str]
+    evidence: Evidence
+    layers: LayerEvidence | None = None
 
 
 def calibrate_session(
@@ -75,6 +102,7 @@ def calibrate_session(
     lens_from: Calibration | None = None,
     lens_blur: bool = True,
     progress: Progress = lambda what, done, total: None,
+    keep_in: str | Path | None = None,
 ) -> CalibrationResult:
     """Calibrate the camera of a session folder.
 
@@ -88,6 +116,8 @@ def calibrate_session(
         Fit the lens's blur too, which takes most of the time; quality ``accurate`` gains most of its accuracy by it.
     progress : callable, optional
         Called with what is being done, how many are done, and of how many.
+    keep_in : str or Path, optional
+        Folder for what was measured in each photograph: a run that was interrupted goes on from there.
 
     Returns
     -------
@@ -99,38 +129,45 @@ def calibrate_session(
         Something is missing or does not fit; the message names it.
     """
     session = read_session(folder)
+    store = Store(None if keep_in is None else Path(keep_in))
     aperture = design_named(session.design)
     ideal_unmixing(aperture)  # refuses designs without parallax before any work is done
     notes: list[str] = []
     film = _measure_film(session, aperture, notes)
-    intrinsics, corners = _measure_intrinsics(session, lens_from, notes, progress)
+    intrinsics, corners = _measure_intrinsics(session, lens_from, notes, progress, store)
     guess = _nominal_depth_model(session, aperture)
     start = DepthField.constant(guess)
     draft = _assemble(session, film, intrinsics, {quality: start for quality in QUALITIES}, {})
 
-    poses = [_pose(session, corners.get(path), intrinsics) for path in session.boards]
-    rulers = np.array(list(session.boards.values()))
-    pupil, intrinsics = _measure_pupil(session, rulers, np.array(poses), guess, intrinsics, notes)
+    paths = list(session.boards)
+    names = [path.name for path in paths]
+    rulers = np.array([session.boards[path] for path in paths])
+    poses = np.array([_pose(session, corners.get(path), intrinsics) for path in paths])
+    check_units(rulers, poses, where="distances.csv")
+    distances = fit_distances(
+        rulers,
+        poses,
+        ruler_sigma_mm=max(session.ruler_error_mm / np.sqrt(3), 0.1),  # "errs by up to"
+        pose_sigma_mm=np.array([_pose_sigma(session, guess, corners.get(path)) for path in paths]),
+        sensor_to_pupil_mm=float(guess.sensor_to_pupil_mm),
+        sensor_to_pupil_sigma_mm=_PUPIL_SIGMA_MM,
+    )
+    intrinsics = _rescaled(intrinsics, distances, notes)
     boards: list[BoardMeasurement] = []
-    fits: dict[Quality, DepthFit] = {}
-    for i, path in enumerate(session.boards):
-        progress("board disparity", i, len(session.boards))
-        boards.append(_measure_board(session, draft, path))
+    for i, path in enumerate(paths):
+        progress("board disparity", i, len(paths))
+        board = measure_board(session, draft, path, store=store)
+        by_pose = float(rulers[i] - distances.residual_mm[i])
+        boards.append(dataclasses.replace(board, corners_px=corners.get(path), pose_mm=by_pose))
     progress("board disparity", len(boards), len(boards))
-    for quality in _MEASURED:
-        fits[quality] = fit_depth_model(
-            rulers,
-            np.array([board.disparity_px[quality] for board in boards]),
-            disparity_sigma_px=np.array([board.sigma_px[quality] for board in boards]),
-            distance_sigma_mm=max(session.ruler_error_mm / 2, 0.1),  # "errs by up to": two standard deviations
-            sensor_to_pupil_mm=pupil.sensor_to_pupil_mm,
-            sensor_to_pupil_sigma_mm=pupil.sigma_mm,
-        )
-    fields = {quality: _fit_field(session, boards, quality, fits[quality], notes) for quality in _MEASURED}
-    # The optimiser matches the same views with the same score and only pools them better: it needs no curve of its own,
-    # and refitting one to its boards changed nothing.
-    first = colour_spaces(aperture, draft.unmixing, MatcherConfig.preset("accurate"))[0]
-    fields["accurate"] = fields["paper" if np.array_equal(first, draft.unmixing) else "real-time"]
+
+    everything = Evidence(session.sensor, boards, distances, session.ruler_error_mm, np.ones(len(boards), bool))
+    evidence, outliers = doubt(everything, names, "paper")
+    curves = {quality: fit_curve(evidence, quality, notes) for quality in MEASURED}
+    fits = {quality: curve.fit for quality, curve in curves.items()}
+    notes += [*outliers.values(), *weaknesses(evidence, fits)]
+    fields: dict[Quality, DepthField] = {quality: curve.field for quality, curve in curves.items()}
+    fields["accurate"] = fields[_like_accurate(draft)]
     provenance = {
         "command": f"chromaperture calibrate {session.folder.name}",
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
@@ -143,10 +180,52 @@ def calibrate_session(
         ],
         "notes": notes,
     }
-    calibration = _assemble(session, film, intrinsics, fields, provenance)
+    residuals = {quality: curve.residual_px.astype(np.float32) for quality, curve in curves.items()}
+    calibration, layers = _assemble(session, film, intrinsics, fields, provenance), None
     if lens_blur:
-        calibration, _ = add_blur(calibration, session, notes, progress=progress)
-    return CalibrationResult(calibration, fits, boards, notes)
+        used = evidence.believed
+        calibration, layers = add_blur(calibration, session, distances, used, notes, store=store, progress=progress)
+    return CalibrationResult(
+        calibration=calibration,
+        fits=fits,
+        boards=boards,
+        notes=notes,
+        session=session,
+        grid_x_px=grid(session.sensor.width_px, session.sensor.width_px),
+        grid_y_px=grid(session.sensor.height_px, session.sensor.width_px),
+        residual_px=residuals,
+        spread_px={quality: spread(residual) for quality, residual in residuals.items()},
+        intrinsics=intrinsics,
+        tilts={path.name: corners[path] for path in session.tilts if path in corners},
+        ruler=distances if np.isfinite(distances.residual_mm).any() else None,
+        ruler_residual_mm=distances.residual_mm,
+        outliers=outliers,
+        evidence=evidence,
+        layers=layers,
+    )
+
+
+def leave_one_out(result: CalibrationResult, board: int) -> Calibration:
+    """Give the camera as it would be without one board, whose depth can then be measured as that of any scene.
+
+    Everything but the depth curves stays: film, pinhole and the lens's blur do not depend on one board.
+    """
+    evidence = result.evidence.without(board)
+    fields = {quality: fit_curve(evidence, quality, []).field for quality in MEASURED}
+    fields["accurate"] = fields[_like_accurate(result.calibration)]
+    if result.layers is not None:
+        fields["accurate"] = fit_layers(result.layers, evidence.distances, evidence.believed)
+    return dataclasses.replace(result.calibration, depth=fields)
+
+
+def _like_accurate(camera: Calibration) -> Quality:
+    """Name the quality whose curve the optimiser shares.
+
+    It matches the same views with the same score and only pools them better: it needs no curve of its own, and
+    refitting one to its boards changed nothing.
+    """
+    first = colour_spaces(camera.aperture, camera.unmixing, MatcherConfig.preset("accurate"))[0]
+    return "paper" if np.array_equal(first, camera.unmixing) else "real-time"
 
 
 def _measure_film(session: Session, aperture: Aperture, notes: list[str]) -> Film:
@@ -173,18 +252,24 @@ def _measure_film(session: Session, aperture: Aperture, notes: list[str]) -> Fil
 
 
 def _measure_intrinsics(
-    session: Session, lens_from: Calibration | None, notes: list[str], progress: Progress
+    session: Session, lens_from: Calibration | None, notes: list[str], progress: Progress, store: Store
 ) -> tuple[Intrinsics | None, dict[Path, np.ndarray]]:
     """Pinhole from the tilted boards; corners of every board that has them."""
     paths = [*session.tilts, *session.boards]
     corners = {}
     for i, path in enumerate(paths):
         progress("chessboards", i, len(paths))
-        found = find_corners(session.read(path)[..., 1], session.inner_corners)
-        if found is not None:
-            corners[path] = found
+        found = store.arrays(path, ("corners", session.inner_corners, session.sensor), partial(_corners, session, path))
+        if found["corners"].size:
+            corners[path] = found["corners"]
     progress("chessboards", len(paths), len(paths))
     if lens_from is not None:
+        size = (lens_from.sensor.width_px, lens_from.sensor.height_px)
+        if size != (session.sensor.width_px, session.sensor.height_px):
+            raise InputError(
+                f"the camera file to take the lens from is of {size[0]}x{size[1]} px and the session of "
+                f"{session.sensor.width_px}x{session.sensor.height_px}: calibrate the lens again at this size"
+            )
         return Intrinsics(lens_from.lens.camera_matrix, lens_from.lens.distortion, 0.0), corners
     tilted = [corners[p] for p in session.tilts if p in corners]
     if len(tilted) < MIN_VIEWS:
@@ -192,6 +277,12 @@ def _measure_intrinsics(
         return None, corners
     size = (session.sensor.width_px, session.sensor.height_px)
     return fit_intrinsics(tilted, size, session.inner_corners, session.square_mm), corners
+
+
+def _corners(session: Session, path: Path) -> dict[str, np.ndarray]:
+    """Corners of one board; none of them where the board is not found."""
+    found = find_corners(session.read(path)[..., 1], session.inner_corners)
+    return {"corners": np.zeros((0, 2), np.float32) if found is None else found}
 
 
 def _nominal_depth_model(session: Session, aperture: Aperture) -> DepthModel:
@@ -244,75 +335,31 @@ def _pose(session: Session, corners: np.ndarray | None, intrinsics: Intrinsics |
     return board_distance(corners, intrinsics, session.inner_corners, session.square_mm)
 
 
-def _measure_board(session: Session, draft: Calibration, path: Path) -> BoardMeasurement:
-    """Median disparity of the frame's middle, with the standard error of that median, at every quality."""
-    image = session.read(path)
-    noise = sensor_noise(image, draft)
-    medians: dict[Quality, float] = {}
-    errors: dict[Quality, float] = {}
-    grids: dict[Quality, np.ndarray] = {}
-    for quality in _MEASURED:
-        low, high = draft.disparity_range_px(quality)
-        config = MatcherConfig.preset(quality).with_range(1.5 * low - 1, 1.5 * high + 1)  # the lens is not known yet
-        disparity = estimate_disparity(
-            image, aperture=draft.aperture, unmixing=draft.unmixing, noise_variance=noise, config=config
-        ).value_px
-        medians[quality], errors[quality] = _middle_median(disparity, config)
-        grids[quality] = disparity[_GRID_PX // 2 :: _GRID_PX, _GRID_PX // 2 :: _GRID_PX]
-    return BoardMeasurement(path.name, session.boards[path], medians, errors, grids)
+def _pose_sigma(session: Session, guess: DepthModel, corners: np.ndarray | None) -> float:
+    """How well a board's corners tell its distance, mm.
+
+    Blur moves corners, the outermost above all, by a share of its radius; what that does to the distance depends on
+    how large the board is in the picture.
+    """
+    if corners is None:
+        return np.inf
+    aperture = design_named(session.design)
+    reach = float(np.linalg.norm(centroids(aperture, ideal_unmixing(aperture)), axis=1).mean())
+    width_px = float(np.ptp(corners, axis=0).max())
+    length_mm = (max(session.inner_corners) - 1) * session.square_mm
+    depth_mm = length_mm * float(guess.sensor_to_pupil_mm) / session.sensor.pixel_pitch_mm / width_px
+    disparity = guess.infinity_disparity_px - guess.scale_px_mm / depth_mm
+    return depth_mm * _CORNER_SIGMA * (1 + abs(float(disparity)) / reach) / (width_px / 2)
 
 
-def _fit_field(
-    session: Session, boards: list[BoardMeasurement], quality: Quality, fit: DepthFit, notes: list[str]
-) -> DepthField:
-    """Fields of the depth curve over the frame; one curve for all of it where the boards do not suffice."""
-    size = (session.sensor.width_px, session.sensor.height_px)
-    grids = np.stack([board.grid_px[quality] for board in boards])
-    delta = float(np.asarray(fit.model.sensor_to_pupil_mm))
-    rows, columns = (_GRID_PX // 2 + _GRID_PX * np.arange(n) for n in grids.shape[1:])
-    inverse, y, x = np.meshgrid(
-        [1 / (board.ruler_mm - delta) for board in boards], rows, columns, indexing="ij"
-    )
-    if len(boards) >= _MIN_FIELD_BOARDS:
-        for degree in _FIELD_DEGREES:
-            field, _ = fit_depth_field(
-                x.ravel(), y.ravel(), inverse.ravel(), grids.ravel().astype(float), np.ones(grids.size),
-                size_px=size, degree=degree, sensor_to_pupil_mm=delta, covariance=fit.model.covariance,
-            )  # fmt: skip
-            scale = field.model(*size).scale_px_mm
-            if np.min(scale) > _LEAST_SCALE * np.median(scale):
-                return field
-    notes.append(f"{quality}: too little to fit fields over the frame, one depth curve for all of it")
-    return DepthField.constant(fit.model)
-
-
-def _middle_median(disparity: np.ndarray, config: MatcherConfig) -> tuple[float, float]:
-    """Median over the middle of the frame and its standard error; NaN where too little is known."""
-    rows, columns = (slice(round(n * (1 - _MIDDLE) / 2), round(n * (1 + _MIDDLE) / 2)) for n in disparity.shape)
-    middle = disparity[rows, columns]
-    known = middle[np.isfinite(middle)]
-    if known.size < middle.size / 4:
-        return np.nan, np.nan
-    median = float(np.median(known))
-    spread = 1.4826 * float(np.median(np.abs(known - median)))
-    window_px = (1 + config.window_decay) / (1 - config.window_decay)  # neighbours share their window
-    return median, max(_MIN_SIGMA_PX, 1.2533 * spread * window_px / np.sqrt(known.size))
-
-
-def _measure_pupil(
-    session: Session,
-    ruler_mm: np.ndarray,
-    pose_mm: np.ndarray,
-    guess: DepthModel,
-    intrinsics: Intrinsics | None,
-    notes: list[str],
-) -> tuple[RulerFit, Intrinsics | None]:
-    """Distance from sensor to pupil from ruler and poses, which also corrects the focal length in px."""
-    seen = np.isfinite(pose_mm)
-    if intrinsics is None or seen.sum() < MIN_VIEWS:
-        notes.append("no board poses: the distance from sensor to pupil is the lens's image distance to about 10 mm")
-        return RulerFit(1.0, float(np.median(guess.sensor_to_pupil_mm)), 10.0), intrinsics
-    ruler = fit_ruler(ruler_mm[seen], pose_mm[seen], ruler_sigma_mm=session.ruler_error_mm / 2)
+def _rescaled(intrinsics: Intrinsics | None, distances: BoardDistances, notes: list[str]) -> Intrinsics | None:
+    """Correct the focal length in px by what ruler and poses say together."""
+    if intrinsics is None or not np.isfinite(distances.residual_mm).any():
+        notes.append(
+            "no board poses: the distance from sensor to pupil is the lens's image distance, to "
+            f"{_PUPIL_SIGMA_MM:.0f} mm"
+        )
+        return intrinsics
     matrix = intrinsics.camera_matrix.copy()
-    matrix[[0, 1], [0, 1]] *= ruler.scale
-    return ruler, Intrinsics(matrix, intrinsics.distortion, intrinsics.rms_px)
+    matrix[[0, 1], [0, 1]] *= distances.scale
+    return Intrinsics(matrix, intrinsics.distortion, intrinsics.rms_px)

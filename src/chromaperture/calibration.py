@@ -21,6 +21,7 @@ from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.chessboard import centered_pinhole
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
 from chromaperture.depth.field import DepthField, degree_of
+from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
 from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
@@ -32,7 +33,9 @@ _ABOUT = (
     "One camera with a colour-coded aperture, at one focus setting. Lengths are in mm, disparities are signed half "
     "disparities in px (0 in focus, + beyond). Depth from the sensor plane is sensor_to_pupil_mm + scale_px_mm / "
     "(infinity_disparity_px - disparity). The two fields are polynomials over the frame: coefficients of Chebyshev "
-    "products in x and y over [-1, 1] by rising degree in x, then in y; a single number holds for the whole frame."
+    "products in x and y over [-1, 1] by rising degree in x, then in y; a single number holds for the whole frame. "
+    "covariance is that of A, B and sensor_to_pupil_mm, or of all coefficients in that order. nonlinearity is what the "
+    "matcher reads beyond that disparity: Chebyshev coefficients of T2, T3, ... over low_px..high_px."
 )
 
 
@@ -330,7 +333,13 @@ def _depth_from_tree(tree: Mapping[str, Any]) -> DepthField:
     if len(infinity) != len(scale):
         raise ValueError("the two depth fields differ in degree")
     (delta,) = _finite([tree["sensor_to_pupil_mm"]], (1,))
-    return DepthField(infinity, scale, float(delta), _finite(tree["covariance"], (3, 3)))
+    covariance = np.array(tree["covariance"], np.float64)
+    unknowns = 3 if covariance.shape == (3, 3) else 2 * len(infinity) + 1
+    curve = tree.get("nonlinearity")
+    if curve is not None:
+        (low, high) = _finite([curve["low_px"], curve["high_px"]], (2,))
+        curve = Nonlinearity(float(low), float(high), _finite(curve["coefficients"], (len(curve["coefficients"]),)))
+    return DepthField(infinity, scale, float(delta), _finite(covariance, (unknowns, unknowns)), curve)
 
 
 def _blur_from_tree(tree: Mapping[str, Any] | None) -> BlurModel | None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from chromaperture.calibration import Sensor
 from chromaperture.capture.files import read_image
+from chromaperture.depth.distances import check_units
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import design_named
 
@@ -108,6 +109,9 @@ def read_session(folder: str | Path) -> Session:
     if not (isinstance(corners, list) and len(corners) == 2 and all(isinstance(c, int) and c > 2 for c in corners)):
         raise InputError(f"{settings}: inner_corners in [board] must be two whole numbers, such as [9, 6]")
     optional = _entry(tree, "sensor")
+    boards = _distances(folder)
+    rulers = np.array([*boards.values()])
+    check_units(rulers, number("lens", "focused_at_about_mm"), where=str(folder / "distances.csv"))
     return Session(
         folder=folder,
         design=design_named(str(tree.get("design"))).name,
@@ -128,7 +132,7 @@ def read_session(folder: str | Path) -> Session:
         inner_corners=(corners[0], corners[1]),
         square_mm=number("board", "square_mm"),
         ruler_error_mm=number("board", "ruler_error_mm", 3.0),
-        boards=_distances(folder),
+        boards=boards,
         tilts=tuple(sorted((folder / "tilt").glob("*.png"))),
     )
 

@@ -15,7 +15,7 @@ import numpy as np
 import tifffile
 from PIL import Image, JpegImagePlugin, UnidentifiedImageError
 
-from chromaperture.color.srgb import srgb_to_linear
+from chromaperture.capture.source import Encoding, develop_counts
 from chromaperture.errors import CaptureWarning, InputError
 
 _RAW_SUFFIXES = {".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2"}
@@ -29,7 +29,8 @@ def read_image(
 
     Files of 16 bit (PNG, TIFF, PPM) hold linear counts; without levels, black is 0 and white 65535. Files of 8 bit
     (JPEG, PNG, TIFF, PPM, BMP, WebP) are decoded from the sRGB curve, unless levels are given, which says that they
-    hold linear counts too. TIFF files of floats hold linear light; without levels, black is 0 and white 1.
+    hold linear counts too. TIFF files of floats hold linear light; without levels, black is 0 and white 1. RAW files
+    (extra ``raw``) give one pixel for every 2 x 2 cell of the mosaic; levels are the mosaic's own.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ def read_image(
     Raises
     ------
     InputError
-        The file is missing, damaged, grey, RAW, or the levels make no sense.
+        The file is missing, damaged, grey, or the levels make no sense.
 
     Warns
     -----
@@ -52,15 +53,25 @@ def read_image(
         Chroma subsampling has halved the very signal that is measured, or the levels look wrong.
     """
     path = Path(path)
+    return develop_counts(*read_counts(path, black_level=black_level, white_level=white_level))
+
+
+def read_counts(
+    path: Path, *, black_level: float | None = None, white_level: float | None = None
+) -> tuple[np.ndarray, Encoding]:
+    """Read a photograph as the file holds it, (H, W, 3), and how to develop it; see `read_image`."""
+    if is_raw(path):
+        from chromaperture.capture.raw import read_raw
+
+        return read_raw(path, black_level=black_level, white_level=white_level)
     counts = _colour(_decode(path), path)
     if black_level is None and white_level is None and counts.dtype == np.uint8:
-        return srgb_to_linear(counts.astype(np.float32) / 255)
+        return counts, Encoding(0.0, 255.0, "srgb")
 
     full = 1.0 if counts.dtype.kind == "f" else float(np.iinfo(counts.dtype).max)
     black = 0.0 if black_level is None else float(black_level)
     white = full if white_level is None else float(white_level)
-    if not (np.isfinite([black, white]).all() and white > black):
-        raise InputError(f"white level {white:g} must be above black level {black:g}; check the two options")
+    encoding = Encoding(black, white)
     if white_level is None and counts.dtype == np.uint16 and 0 < counts.max() < 4096:
         warnings.warn(
             f"{path.name}: no count above {counts.max()} in a 16-bit file; if the sensor has fewer bits, "
@@ -68,25 +79,30 @@ def read_image(
             CaptureWarning,
             stacklevel=2,
         )
-    return ((counts.astype(np.float32) - np.float32(black)) / np.float32(white - black)).astype(np.float32)
+    return counts, encoding
+
+
+def is_raw(path: Path) -> bool:
+    """Tell a camera's RAW file by its name."""
+    return path.suffix.lower() in _RAW_SUFFIXES
 
 
 def bit_depth(path: str | Path) -> int:
     """Bits per sample of an image file, 8, 16 or 32; camera levels only make sense for files of the camera's depth."""
-    return _decode(Path(path)).dtype.itemsize * 8
+    path = Path(path)
+    return 16 if is_raw(path) else _decode(path).dtype.itemsize * 8
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
     """Width and height of an image file, px; raises InputError like `read_image`."""
     path = Path(path)
-    height, width = _colour(_decode(path), path).shape[:2]
+    counts = read_counts(path)[0] if is_raw(path) else _colour(_decode(path), path)
+    height, width = counts.shape[:2]
     return width, height
 
 
 def _decode(path: Path) -> np.ndarray:
     """Decode to an array of counts in the file's own depth, channels in R, G, B order."""
-    if path.suffix.lower() in _RAW_SUFFIXES:
-        raise InputError(f"{path.name}: RAW files are not read; develop it to a linear 16-bit TIFF without sharpening")
     try:
         data = path.read_bytes()
     except OSError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +17,10 @@ def calibrate(
     lens_from: Annotated[
         Path | None, typer.Option(help="Camera file of the same lens and focus, for a session without tilted boards.")
     ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="HTML report to write; default beside the camera file.", metavar="FILE")
+    ] = None,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
 ) -> None:
@@ -23,7 +28,8 @@ def calibrate(
 
     chromaperture calibrate my_session --out camera.asdf
 
-    docs/calibration-session.md shows how the folder is laid out.
+    A report with pictures is written beside it, camera.report.html. docs/calibration-session.md shows how the folder is
+    laid out.
     """
     from rich.table import Table
 
@@ -33,9 +39,17 @@ def calibrate(
     from chromaperture.cli.console import print_files, print_json, progress
 
     known = Calibration.load(lens_from) if lens_from else None
+    kept = out.parent / f".{out.stem}.calibrating"  # what an interrupted run has measured so far
     with progress(quiet=quiet or json) as update:
-        result = calibrate_session(session, lens_from=known, progress=update)
+        result = calibrate_session(session, lens_from=known, progress=update, keep_in=kept)
+    files = [out]
+    if not no_report:  # first: a picture that cannot be read leaves no camera file without its report
+        from chromaperture.evaluation.report import write_report
+
+        files.append(report or out.with_suffix(".report.html"))
+        write_report(files[-1], result)
     result.calibration.save(out)
+    shutil.rmtree(kept, ignore_errors=True)
     if json:
         print_json(result.calibration.summary())
     elif not quiet:
@@ -58,4 +72,4 @@ def calibrate(
         )
         for note in result.notes:
             console.print(f"note: {note}")
-        print_files([out])
+        print_files(files)

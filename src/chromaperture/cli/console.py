@@ -26,6 +26,11 @@ def say_error(error: BaseException | str) -> None:
     print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
 
 
+def say_warning(message: str) -> None:
+    """Print one line on standard error."""
+    print(f"warning: {' '.join(message.split())}", file=sys.stderr)
+
+
 def show_warning(
     message: Warning | str,
     category: type[Warning],
@@ -36,7 +41,7 @@ def show_warning(
 ) -> None:
     """Print our own warnings as one line; others as Python does."""
     if issubclass(category, CaptureWarning):
-        print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+        say_warning(str(message))
     else:
         print(warnings.formatwarning(message, category, filename, lineno, line), file=sys.stderr)
 

@@ -9,7 +9,19 @@ from typing import Annotated
 import typer
 
 from chromaperture import __version__
-from chromaperture.cli import apertures, calibrate, demo, depth, info, simulate
+from chromaperture.cli import (
+    apertures,
+    board,
+    calibrate,
+    check,
+    demo,
+    depth,
+    export,
+    info,
+    record,
+    simulate,
+    sources,
+)
 from chromaperture.cli.console import say_error, show_warning
 from chromaperture.errors import CaptureWarning, ChromapertureError
 
@@ -24,9 +36,14 @@ app.command("demo")(demo.demo)
 app.command("depth")(depth.depth)
 app.command("calibrate")(calibrate.calibrate)
 app.command("info")(info.info)
+app.command("check")(check.check)
+app.command("board")(board.board)
 app.command("apertures")(apertures.apertures)
 app.command("simulate")(simulate.simulate)
 app.command("simulate-rgbd")(simulate.simulate_rgbd)
+app.command("sources")(sources.sources)
+app.command("record")(record.record)
+app.command("export")(export.export)
 
 
 def _print_version(wanted: bool) -> None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from chromaperture.config import DepthConfig
+from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 
 Map = np.ndarray | float
@@ -31,6 +32,8 @@ class DepthModel:
         delta: distance from the sensor plane to the entrance pupil.
     covariance : (..., 3, 3) array
         Covariance of (A, B, delta); leading dimensions must broadcast with the image. Zero: exactly known.
+    nonlinearity : Nonlinearity, optional
+        How the matcher's reading differs from the disparity that is linear in inverse depth.
 
     Raises
     ------
@@ -42,6 +45,7 @@ class DepthModel:
     scale_px_mm: Map
     sensor_to_pupil_mm: Map
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    nonlinearity: Nonlinearity | None = None
 
     def __post_init__(self) -> None:
         if np.any(np.asarray(self.scale_px_mm) <= 0):
@@ -73,6 +77,8 @@ def disparity_to_inverse_depth(disparity_px: Map, model: DepthModel) -> np.ndarr
     (H, W) float64, 1/mm; 0 at infinity, negative where the disparity exceeds that of infinity, NaN unknown.
     """
     disparity = _map(disparity_px, model)
+    if model.nonlinearity is not None:
+        disparity = model.nonlinearity.linear(disparity)
     return (np.asarray(model.infinity_disparity_px, float) - disparity) / model.scale_px_mm
 
 
@@ -130,10 +136,13 @@ def depth_sigma(z_mm: Map, model: DepthModel, sigma_px: Map) -> np.ndarray:
     """
     z = np.asarray(z_mm, float)
     c = np.asarray(model.covariance, float)
+    error = np.asarray(sigma_px, float)
+    if model.nonlinearity is not None:  # a reading that rises slower than the disparity tells less of it
+        error = error / model.nonlinearity.slope(model.infinity_disparity_px - model.scale_px_mm / z)
     by_b = z / model.scale_px_mm  # depth = B / (A - d) + delta: its derivative after B is z / B,
     by_d = z * by_b  # after d z^2 / B, after A minus that, after delta 1
     variance = (
-        by_d**2 * (np.square(np.asarray(sigma_px, float)) + c[..., 0, 0])
+        by_d**2 * (np.square(error) + c[..., 0, 0])
         + by_b**2 * c[..., 1, 1]
         + c[..., 2, 2]
         + 2 * (by_b * c[..., 1, 2] - by_d * c[..., 0, 2] - by_d * by_b * c[..., 0, 1])
@@ -142,7 +151,7 @@ def depth_sigma(z_mm: Map, model: DepthModel, sigma_px: Map) -> np.ndarray:
 
 
 def depth_to_disparity(depth_mm: Map, model: DepthModel) -> np.ndarray:
-    """Half disparity of an object at a depth: d = A - B / (depth_mm - delta).
+    """Half disparity that is measured of an object at a depth: d = A - B / (depth_mm - delta), as the matcher reads it.
 
     Parameters
     ----------
@@ -154,7 +163,8 @@ def depth_to_disparity(depth_mm: Map, model: DepthModel) -> np.ndarray:
     (H, W) float64, px, + beyond focus; NaN at or behind the entrance pupil.
     """
     z = _map(depth_mm, model) - model.sensor_to_pupil_mm
-    return np.asarray(model.infinity_disparity_px - model.scale_px_mm * _reciprocal(z, z > 0))
+    linear = np.asarray(model.infinity_disparity_px - model.scale_px_mm * _reciprocal(z, z > 0))
+    return linear if model.nonlinearity is None else model.nonlinearity.measured(linear)
 
 
 def _reciprocal(values: np.ndarray, where: np.ndarray) -> np.ndarray:

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 
-_HUBER = 1.345
-_ROUNDS = 8
+_NODES = 33
+
 
 
 @dataclass(frozen=True)
@@ -30,14 +32,17 @@ class DepthField:
         degree up to n, ordered by the degree in x, then in y; N = (n + 1)(n + 2) / 2. One number is a constant field.
     sensor_to_pupil_mm : float
         delta, the same in the whole frame.
-    covariance : (3, 3) float64
-        Of A, B, delta in the middle of the frame.
+    covariance : (3, 3) or (2 N + 1, 2 N + 1) float64
+        Of A, B, delta in the middle of the frame; or of all coefficients, those of A, then of B, then delta.
+    nonlinearity : Nonlinearity, optional
+        Between the linear disparity of this curve and what the matcher reads.
     """
 
     infinity_disparity_px: np.ndarray
     scale_px_mm: np.ndarray
     sensor_to_pupil_mm: float
     covariance: np.ndarray
+    nonlinearity: Nonlinearity | None = None
 
     @classmethod
     def constant(cls, model: DepthModel) -> DepthField:
@@ -47,6 +52,7 @@ class DepthField:
             np.atleast_1d(np.asarray(model.scale_px_mm, float)),
             float(np.asarray(model.sensor_to_pupil_mm)),
             np.asarray(model.covariance, float),
+            model.nonlinearity,
         )
 
     def on_axis(self, width_px: int, height_px: int) -> DepthModel:
@@ -57,7 +63,19 @@ class DepthField:
             float(basis @ self.infinity_disparity_px),
             float(basis @ self.scale_px_mm),
             self.sensor_to_pupil_mm,
-            self.covariance,
+            self._covariance_at(basis),
+            self.nonlinearity,
+        )
+
+    def at(self, x_px: np.ndarray, y_px: np.ndarray, width_px: int, height_px: int) -> DepthModel:
+        """Give the curves at some pixels; arrays of their shape."""
+        basis = polynomials(x_px, y_px, width_px, height_px, degree_of(len(self.scale_px_mm)))
+        return DepthModel(
+            basis @ self.infinity_disparity_px,
+            basis @ self.scale_px_mm,
+            self.sensor_to_pupil_mm,
+            self._covariance_at(basis),
+            self.nonlinearity,
         )
 
     def model(self, width_px: int, height_px: int) -> DepthModel:
@@ -69,8 +87,39 @@ class DepthField:
             _evaluate(self.infinity_disparity_px, *size),
             _evaluate(self.scale_px_mm, *size),
             self.sensor_to_pupil_mm,
-            self.covariance,
+            self._covariance_map(*size),
+            self.nonlinearity,
         )
+
+    def _covariance_at(self, basis: np.ndarray) -> np.ndarray:
+        """Covariance of A, B and delta where the polynomials are ``basis``, (..., N); (..., 3, 3)."""
+        n = basis.shape[-1]
+        if len(self.covariance) == 3 and n != 1:
+            return self.covariance
+        found = np.zeros((*basis.shape[:-1], 3, 3))
+        parts = (slice(0, n), slice(n, 2 * n))
+        for i, rows in enumerate(parts):
+            for j, columns in enumerate(parts):
+                found[..., i, j] = np.einsum("...m,...m->...", basis @ self.covariance[rows, columns], basis)
+            found[..., i, 2] = found[..., 2, i] = basis @ self.covariance[rows, 2 * n]
+        found[..., 2, 2] = self.covariance[2 * n, 2 * n]
+        return found
+
+    def _covariance_map(self, width_px: int, height_px: int) -> np.ndarray:
+        """Covariance over the frame; (3, 3), or (height, width, 3, 3) float32."""
+        if len(self.covariance) == 3:
+            return self.covariance
+        # As smooth as the fields: every few px and bilinear between them is exact to a per mille, and 30 times faster.
+        x, y = np.linspace(0, width_px - 1, _NODES), np.linspace(0, height_px - 1, _NODES)
+        basis = polynomials(*np.meshgrid(x, y), width_px, height_px, degree_of(len(self.scale_px_mm)))
+        nodes = self._covariance_at(basis).reshape(_NODES, _NODES, 9)
+        rows, columns = (np.linspace(0, _NODES - 1, n).astype(np.float32) for n in (height_px, width_px))
+        at = (np.broadcast_to(columns, (height_px, width_px)).copy(), np.repeat(rows[:, None], width_px, axis=1))
+        maps = [cv2.remap(np.ascontiguousarray(nodes[..., k]), *at, cv2.INTER_LINEAR) for k in (0, 1, 2, 4, 5, 8)]
+        found = np.empty((height_px, width_px, 3, 3))
+        for (i, j), values in zip(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), maps, strict=True):
+            found[..., i, j] = found[..., j, i] = values
+        return found
 
 
 def _evaluate(coefficients: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
@@ -98,71 +147,3 @@ def polynomials(x: np.ndarray, y: np.ndarray, width_px: int, height_px: int, deg
     products = chebyshev.chebvander2d(u, v, [degree, degree])
     i, j = np.divmod(np.arange((degree + 1) ** 2), degree + 1)
     return products[..., i + j <= degree]
-
-
-def fit_depth_field(
-    x_px: np.ndarray,
-    y_px: np.ndarray,
-    inverse_distance: np.ndarray,
-    disparity_px: np.ndarray,
-    sigma_px: np.ndarray,
-    *,
-    size_px: tuple[int, int],
-    degree: int,
-    sensor_to_pupil_mm: float,
-    covariance: np.ndarray,
-) -> tuple[DepthField, np.ndarray]:
-    """Fit both fields to disparities measured anywhere in the frame, at known distances from the pupil.
-
-    Parameters
-    ----------
-    x_px, y_px : (N,) float
-        Where in the frame.
-    inverse_distance : (N,) float, 1/mm
-        q = 1 / (distance from the sensor - delta).
-    disparity_px, sigma_px : (N,) float
-        Measured; NaN is left out.
-    size_px : (width, height)
-    degree : int
-    sensor_to_pupil_mm : float
-    covariance : (3, 3) float
-        Of A, B, delta on the axis, to be kept with the field.
-
-    Returns
-    -------
-    field : DepthField
-    residual_px : (N,) float64, measured minus fitted, NaN where nothing was measured
-
-    Raises
-    ------
-    InputError
-        Too few measurements, or all at one distance.
-    """
-    known = np.isfinite(disparity_px) & np.isfinite(sigma_px)
-    basis = polynomials(x_px, y_px, *size_px, degree)
-    count = basis.shape[-1]
-    if known.sum() < 20 * count or np.ptp(inverse_distance[known]) == 0:
-        raise InputError(
-            f"{known.sum()} measurements do not fix depth fields of degree {degree}: photograph more boards, with "
-            "texture in the whole frame"
-        )
-    mean_q = float(np.mean(inverse_distance[known]))  # a scaled and centred q keeps the equations well conditioned
-    spread_q = float(np.std(inverse_distance[known]))
-    scaled = (inverse_distance - mean_q) / spread_q
-    rows = np.concatenate([basis, -scaled[:, None] * basis], axis=1)
-    weights = np.where(known, 1 / np.maximum(sigma_px, 1e-6), 0.0)
-    target = np.where(known, disparity_px, 0.0)
-    robust = np.ones(len(rows))
-    solution = np.zeros(2 * count)
-    for _ in range(_ROUNDS):  # iteratively reweighted least squares with Huber's weights
-        weighted = rows * (weights**2 * robust)[:, None]
-        solution, *_ = np.linalg.lstsq(weighted.T @ rows, weighted.T @ target, rcond=None)
-        residual = np.where(known, disparity_px - rows @ solution, np.nan)
-        standard = np.abs(residual) * weights
-        scale = 1.4826 * float(np.nanmedian(standard[known]))
-        robust = np.where(standard > _HUBER * scale, _HUBER * scale / np.maximum(standard, 1e-12), 1.0)
-        robust = np.where(standard > 6 * scale, 0.0, robust)  # a wrong layer says nothing about the curve
-    # d = a - b (q - mean) / spread = (a + b mean / spread) - (b / spread) q
-    slope = solution[count:] / spread_q
-    field = DepthField(solution[:count] + slope * mean_q, slope, sensor_to_pupil_mm, np.asarray(covariance, float))
-    return field, residual

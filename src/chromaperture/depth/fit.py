@@ -33,37 +33,6 @@ class DepthFit:
     rms_mm: float
 
 
-@dataclass(frozen=True)
-class RulerFit:
-    """Ruler distances against board poses: ruler = scale * pose + delta.
-
-    Attributes
-    ----------
-    scale : float
-        What the focal length in px must be multiplied by: a pose is proportional to it.
-    sensor_to_pupil_mm, sigma_mm : float
-        delta and its standard deviation: the ruler starts at the sensor, a pose at the entrance pupil.
-    """
-
-    scale: float
-    sensor_to_pupil_mm: float
-    sigma_mm: float
-
-
-def fit_ruler(ruler_mm: np.ndarray, pose_mm: np.ndarray, *, ruler_sigma_mm: float) -> RulerFit:
-    """Compare ruler and poses, robustly; (N,) each, N >= 3."""
-    ruler, pose = np.asarray(ruler_mm, float), np.asarray(pose_mm, float)
-    error = np.hypot(ruler_sigma_mm, 0.001 * pose)  # corners good to a thousandth of the board
-
-    def residuals(p: np.ndarray) -> np.ndarray:
-        return (ruler - p[0] * pose - p[1]) / error
-
-    fit = least_squares(residuals, [1.0, 0.0], x_scale=[1.0, 100.0], loss="huber", f_scale=_HUBER)
-    spread = max(1.0, 1.4826 * float(np.median(np.abs(residuals(fit.x)))))
-    covariance = spread**2 * np.linalg.inv(fit.jac.T @ fit.jac)
-    return RulerFit(float(fit.x[0]), float(fit.x[1]), float(np.sqrt(covariance[1, 1])))
-
-
 def fit_depth_model(
     distance_mm: np.ndarray,
     disparity_px: np.ndarray,

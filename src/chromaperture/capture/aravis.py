@@ -1,0 +1,189 @@
+"""Machine-vision cameras over GigE Vision and USB3 Vision, through Aravis and GObject introspection."""
+
+from __future__ import annotations
+
+import re
+import time
+from typing import Any
+
+import numpy as np
+
+from chromaperture.capture.bayer import superpixels
+from chromaperture.capture.live import DeviceLostError, not_there
+from chromaperture.capture.source import Encoding, Frame
+from chromaperture.errors import InputError, MissingDependencyError
+
+_BUFFERS = 8
+_ORDER = ("12", "10", "16", "8")  # unpacked; more than 12 bits only cost bandwidth
+
+
+def load_aravis() -> Any:
+    """Import Aravis; raises MissingDependencyError saying what to install."""
+    try:
+        import gi
+
+        gi.require_version("Aravis", "0.8")
+        from gi.repository import Aravis
+    except (ImportError, ValueError):
+        raise MissingDependencyError(
+            "machine-vision cameras need Aravis: apt install gir1.2-aravis-0.8 libgirepository1.0-dev libcairo2-dev, "
+            "then pip install 'chromaperture[cameras]'"
+        ) from None
+    return Aravis
+
+
+class AravisCamera:
+    """An opened camera, acquiring.
+
+    Parameters
+    ----------
+    identity : str
+        Serial number, address or Aravis id; empty for the first one found.
+    exposure_us, gain, fps : float, optional
+    width, height : int, optional
+        Region from the sensor's corner.
+    pixel_format : str, optional
+        GenICam name; default the best Bayer or RGB format there is.
+    black_level, white_level : float, optional
+        Counts of no light and of a full well; default 0 and the format's largest.
+    """
+
+    def __init__(
+        self,
+        identity: str = "",
+        *,
+        exposure_us: float | None = None,
+        gain: float | None = None,
+        fps: float | None = None,
+        width: int | None = None,
+        height: int | None = None,
+        pixel_format: str | None = None,
+        black_level: float = 0.0,
+        white_level: float | None = None,
+    ) -> None:
+        self._aravis = load_aravis()
+        self._levels = (black_level, white_level)
+        error = _glib_error()
+        try:
+            self._camera = self._aravis.Camera.new(identity or None)
+            camera = self._camera
+            if width or height:
+                _, _, w, h = camera.get_region()
+                camera.set_region(0, 0, width or w, height or h)
+            self._format = pixel_format or best_format(list(camera.dup_available_pixel_formats_as_strings()))
+            camera.set_pixel_format_from_string(self._format)
+            for value, set_value in (
+                (fps, camera.set_frame_rate), (exposure_us, camera.set_exposure_time), (gain, camera.set_gain)
+            ):  # fmt: skip
+                if value is not None:
+                    set_value(value)
+            self._settings = {"camera": f"{camera.get_vendor_name()} {camera.get_model_name()}"}
+            self._settings |= {"exposure_us": camera.get_exposure_time(), "gain": camera.get_gain()}
+            self._stream = camera.create_stream(None, None)
+            if self._stream is None:
+                raise not_there(f"camera {identity}", "its stream is taken by another program")
+            for _ in range(_BUFFERS):
+                self._stream.push_buffer(self._aravis.Buffer.new_allocate(camera.get_payload()))
+            camera.start_acquisition()
+        except error as problem:
+            message = str(getattr(problem, "message", problem))
+            raise not_there(f"machine-vision camera {identity}".strip(), message) from None
+
+    def read(self, index: int) -> Frame | None:
+        """Wait up to a second for a whole frame; incomplete ones are left out."""
+        buffer = self._stream.timeout_pop_buffer(1_000_000)
+        if buffer is None:
+            if not self._alive():
+                raise DeviceLostError("unplugged?")
+            return None
+        try:
+            if buffer.get_status() != self._aravis.BufferStatus.SUCCESS:
+                return None
+            width, height = buffer.get_image_width(), buffer.get_image_height()
+            counts, encoding = unpack(buffer.get_data(), width, height, self._format, *self._levels)
+        finally:
+            self._stream.push_buffer(buffer)
+        return Frame(counts, encoding, time.time(), index, self._settings)
+
+    def _alive(self) -> bool:
+        try:
+            self._camera.get_region()
+        except _glib_error():
+            return False
+        return True
+
+    def close(self) -> None:
+        """Stop acquisition and let the camera go."""
+        try:
+            self._camera.stop_acquisition()
+        except _glib_error():
+            pass  # it is gone already
+        self._stream = self._camera = None
+
+
+def best_format(available: list[str]) -> str:
+    """Choose the pixel format that keeps most of the colours' detail."""
+    for bits in _ORDER:
+        for name in available:
+            if re.fullmatch(rf"Bayer(RG|BG|GR|GB){bits}", name):
+                return name
+    if "RGB8" in available or "RGB8Packed" in available:
+        return "RGB8" if "RGB8" in available else "RGB8Packed"
+    raise InputError(
+        f"the camera offers {', '.join(available) or 'no format'}; depth needs Bayer (8 to 16 bit) or RGB8"
+    )
+
+
+def unpack(
+    data: bytes,
+    width: int,
+    height: int,
+    pixel_format: str,
+    black_level: float = 0.0,
+    white_level: float | None = None,
+) -> tuple[np.ndarray, Encoding]:
+    """Turn a camera's bytes into counts.
+
+    Parameters
+    ----------
+    data : bytes
+    width, height : int
+        Of the mosaic or picture.
+    pixel_format : str
+        Bayer in 8, 10, 12 or 16 bits unpacked, or RGB8.
+    black_level, white_level : float, optional
+
+    Returns
+    -------
+    counts : (H, W, 3) uint8, uint16 or float32
+    encoding : Encoding
+
+    Raises
+    ------
+    InputError
+        Another pixel format.
+    """
+    found = re.fullmatch(r"Bayer(RG|BG|GR|GB)(8|10|12|16)", pixel_format)
+    if pixel_format in ("RGB8", "RGB8Packed"):
+        counts = np.frombuffer(data, np.uint8, 3 * width * height).reshape(height, width, 3).copy()
+        return counts, Encoding(black_level, white_level or 255.0)
+    if found is None:
+        raise InputError(f"pixel format {pixel_format} is not read; choose Bayer (8 to 16 bit, unpacked) or RGB8")
+    bits = int(found[2])
+    mosaic = np.frombuffer(data, np.uint8 if bits == 8 else "<u2", width * height).reshape(height, width)
+    pattern = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}[found[1]]
+    return superpixels(mosaic, pattern, black_level=black_level, white_level=white_level or 2**bits - 1)
+
+
+def aravis_cameras() -> list[str]:
+    """List the machine-vision cameras that answer."""
+    aravis = load_aravis()
+    aravis.update_device_list()
+    return [aravis.get_device_id(i) for i in range(aravis.get_n_devices())]
+
+
+def _glib_error() -> type[Exception]:
+    from gi.repository import GLib
+
+    error: type[Exception] = GLib.Error
+    return error

@@ -1,0 +1,46 @@
+"""What the camera wrote into the file about lens, iris and focus."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+_EXIF_IFD = 0x8769
+_FNUMBER, _SUBJECT_DISTANCE, _FOCAL_LENGTH = 0x829D, 0x9206, 0x920A
+
+
+@dataclass(frozen=True)
+class Exif:
+    """Settings of the camera; None where the file does not say."""
+
+    focal_length_mm: float | None = None
+    f_number: float | None = None
+    subject_distance_mm: float | None = None
+
+
+def read_exif(path: str | Path) -> Exif:
+    """Read the settings of a photograph; a file without them gives an empty `Exif`."""
+    try:
+        with Image.open(path) as picture:
+            tags = picture.getexif().get_ifd(_EXIF_IFD)
+    except Exception:  # whatever a decoder raises: that the picture itself can be read is checked elsewhere
+        return Exif()
+    distance_m = _positive(tags.get(_SUBJECT_DISTANCE))
+    return Exif(
+        focal_length_mm=_positive(tags.get(_FOCAL_LENGTH)),
+        f_number=_positive(tags.get(_FNUMBER)),
+        subject_distance_mm=None if distance_m is None else 1000 * distance_m,
+    )
+
+
+def _positive(value: Any) -> float | None:
+    """Give a rational as a number; None for 0, which stands for unknown, and for the infinite."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) and 0 < number < 2**31 else None

@@ -1,0 +1,82 @@
+"""Files as if they were a camera: frames come at their times, whether anyone takes them or not."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+from chromaperture.capture.live import LiveSource, StreamEndedError
+from chromaperture.capture.source import FileSource, Frame, Listener
+from chromaperture.errors import InputError
+
+_KEPT_BYTES = 512 << 20  # frames of a loop that are not read or rendered again
+_LONGEST_WAIT_S = 5.0  # a gap in the recording; leaving waits for it
+
+
+class Playback:
+    """A device that plays a file source.
+
+    Parameters
+    ----------
+    source : FileSource
+    speed : float
+        1 is the speed of recording; inf as fast as the frames can be read.
+    loop : bool
+        Begin again at the end; as much as fits half a gigabyte is kept and not made again.
+    """
+
+    def __init__(self, source: FileSource, *, speed: float, loop: bool) -> None:
+        self._source, self._speed, self._loop = source, speed, loop
+        source.__enter__()
+        self._frames: Iterator[Frame] = source.frames()
+        self._kept: list[Frame] = []
+        self._keeping = loop  # in the first round, while there is room
+        self._began = time.monotonic()
+        self._first_s: float | None = None
+
+    def read(self, index: int) -> Frame | None:
+        """Wait for the next frame's time."""
+        frame = self._next()
+        if self._first_s is None:
+            self._first_s, self._began = frame.time_s, time.monotonic()
+        wait = (frame.time_s - self._first_s) / self._speed - (time.monotonic() - self._began)
+        if wait > 0:
+            time.sleep(min(wait, _LONGEST_WAIT_S))
+        return replace(frame, index=index, time_s=time.time())
+
+    def _next(self) -> Frame:
+        for _ in range(2):
+            frame = next(self._frames, None)
+            if frame is not None:
+                self._keep(frame)
+                return frame
+            if not self._loop:
+                break
+            self._frames, self._keeping, self._first_s = iter(self._kept or self._source.frames()), False, None
+        raise StreamEndedError
+
+    def _keep(self, frame: Frame) -> None:
+        if self._keeping:
+            self._kept.append(frame)
+            if len(self._kept) * frame.counts.nbytes > _KEPT_BYTES:
+                self._kept, self._keeping = [], False
+
+    def close(self) -> None:
+        """Close the files."""
+        self._source.close()
+
+
+def played(
+    source: FileSource, *, speed: float = 1.0, loop: bool = False, listener: Listener | None = None
+) -> LiveSource:
+    """Make a live source of files: the newest frame wins.
+
+    Raises
+    ------
+    InputError
+        A speed that is not positive.
+    """
+    if not speed > 0:
+        raise InputError(f"the speed of playback must be positive, got {speed:g}")
+    return LiveSource(source.name, lambda: Playback(source, speed=speed, loop=loop), listener=listener)

@@ -1,0 +1,150 @@
+"""A simulated camera: it photographs an RGB-D sequence, or moves through a scene file, behind a coded aperture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from chromaperture.capture.folder import natural
+from chromaperture.capture.source import Encoding, FileSource, Frame, Listener
+from chromaperture.errors import InputError
+from chromaperture.optics.aperture import Aperture, made_of
+from chromaperture.optics.aperture_file import load_aperture
+from chromaperture.optics.layers import render_layers
+from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.ray_table import pinhole_rays
+from chromaperture.optics.render import render
+from chromaperture.optics.rgbd import read_rgbd
+from chromaperture.optics.scene import load_scene
+from chromaperture.optics.sensor import Sensor, expose
+
+_TURN = 48  # frames in one turn of the path through a scene
+
+
+class SimulatedSource(FileSource):
+    """Frames of the simulator, 10-bit counts with photon and read noise; the same seed gives the same frames.
+
+    Parameters
+    ----------
+    path : str
+        Folder of NAME.color.* with NAME.depth.png (and NAME.pose.txt), a folder with rgb/ and depth/, or a scene
+        file (.toml), through which the camera moves in a circle square to its axis.
+    focal_px : float, optional
+        fx; default 585/640 of the width.
+    design, film : str
+        Aperture and its film, as for ``chromaperture simulate``.
+    pupil_radius_mm, focus_mm, sensor_to_pupil_mm, depth_unit_mm, exposure : float
+    orbit_mm : float
+        Radius of the circle through a scene.
+    width, height : int
+        Picture of a scene file.
+    cells : int
+        Rays across the pupil, even, for a scene file; fewer make blur coarser.
+    count : int, optional
+        Frames to make; default the sequence, or one turn.
+    fps : float
+        Gives the frames their times.
+    seed : int
+    listener : callable, optional
+    """
+
+    def __init__(
+        self,
+        path: str,
+        *,
+        focal_px: float | None = None,
+        design: str = "cy_halves",
+        film: str = "real",
+        pupil_radius_mm: float = 12.5,
+        focus_mm: float = 2000.0,
+        sensor_to_pupil_mm: float = 50.0,
+        depth_unit_mm: float = 1.0,
+        exposure: float = 0.9,
+        orbit_mm: float = 100.0,
+        width: int = 640,
+        height: int = 480,
+        cells: int = 8,
+        count: int | None = None,
+        fps: float = 30.0,
+        seed: int = 0,
+        listener: Listener | None = None,
+    ) -> None:
+        super().__init__(f"simulate:{path}", listener=listener)
+        self.path, self.focal_px, self.design, self.film = Path(path), focal_px, design, film
+        self.optics_mm = (pupil_radius_mm, focus_mm, sensor_to_pupil_mm)
+        self.depth_unit_mm, self.exposure, self.orbit_mm = depth_unit_mm, exposure, orbit_mm
+        self.size, self.cells, self.count, self.fps, self.seed = (width, height), cells, count, fps, seed
+        self.sensor = Sensor()
+        self.pairs: list[tuple[Path, Path]] = []
+
+    def open(self) -> None:
+        """Find the pictures, check design and scene."""
+        self._aperture()
+        if self.cells < 4 or self.cells % 2:
+            raise InputError(f"cells must be even and at least 4, got {self.cells}")
+        if self.path.suffix == ".toml":
+            load_scene(self.path)
+            return
+        self.pairs = rgbd_pairs(self.path)[: self.count]
+
+    def frames(self) -> Iterator[Frame]:
+        """Photograph one position after the other."""
+        yield from self._through_scene() if self.path.suffix == ".toml" else self._through_pictures()
+
+    def _through_pictures(self) -> Iterator[Frame]:
+        for index, (color, depth) in enumerate(self.pairs):
+            picture, depth_mm = read_rgbd(
+                color, depth, depth_unit_mm=self.depth_unit_mm, sensor_to_pupil_mm=self.optics_mm[2]
+            )
+            camera = self._camera(depth_mm.shape[1], depth_mm.shape[0])
+            light = render_layers(picture, depth_mm, camera=camera, aperture=self._aperture()).image
+            found: dict[str, object] = {"file": color.name, "depth_file": str(depth)}
+            pose = depth.parent / depth.name.replace(".depth.png", ".pose.txt")
+            if pose != depth and pose.is_file():
+                found["pose_file"] = str(pose)
+            yield self._frame(light, index, found)
+
+    def _through_scene(self) -> Iterator[Frame]:
+        planes, camera = load_scene(self.path), self._camera(*self.size)
+        rays = pinhole_rays(camera, self._aperture(), cells=self.cells)
+        for index in range(_TURN if self.count is None else self.count):
+            angle = 2 * math.pi * index / _TURN
+            position = self.orbit_mm * np.array([1 - math.cos(angle), math.sin(angle), 0.0])  # begins at the origin
+            moved = [replace(plane, center_mm=plane.center_mm - position) for plane in planes]
+            light = render(rays, moved, seed=self.seed + index)
+            pose = np.eye(4)
+            pose[:3, 3] = position
+            yield self._frame(light, index, {"camera_to_world_mm": pose.tolist()})
+
+    def _frame(self, light: np.ndarray, index: int, metadata: dict[str, object]) -> Frame:
+        counts = expose(light, self.sensor, seed=self.seed + index, exposure=self.exposure)
+        encoding = Encoding(self.sensor.black_level, self.sensor.white_level)
+        return Frame(counts, encoding, index / self.fps, index, metadata)
+
+    def _camera(self, width: int, height: int) -> PupilCamera:
+        return PupilCamera(width, height, self.focal_px or 585 / 640 * width, *self.optics_mm, 0.02)
+
+    def _aperture(self) -> Aperture:
+        design = load_aperture(self.design)
+        return design if self.design.lower().endswith((".toml", ".svg")) else made_of(design, self.film)
+
+
+def rgbd_pairs(folder: Path) -> list[tuple[Path, Path]]:
+    """Find colour pictures and their depth: NAME.color.* with NAME.depth.png, or rgb/ and depth/ in equal order."""
+    if not folder.is_dir():
+        raise InputError(f"no RGB-D sequence or scene file at {folder}")
+    if (folder / "rgb").is_dir() and (folder / "depth").is_dir():
+        colors, depths = (sorted((folder / part).iterdir(), key=natural) for part in ("rgb", "depth"))
+        if len(colors) != len(depths):
+            raise InputError(f"{folder} holds {len(colors)} pictures in rgb/ and {len(depths)} in depth/")
+        pairs = list(zip(colors, depths, strict=True))
+    else:
+        found = ((p, folder / f"{p.name.split('.color.')[0]}.depth.png") for p in folder.glob("*.color.*"))
+        pairs = sorted(((c, d) for c, d in found if d.is_file()), key=lambda pair: natural(pair[0]))
+    if not pairs:
+        raise InputError(f"{folder} holds no NAME.color.* with NAME.depth.png, nor rgb/ and depth/")
+    return pairs

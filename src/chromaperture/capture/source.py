@@ -1,0 +1,217 @@
+"""One interface for everything that delivers frames: a context manager that yields `Frame`.
+
+>>> with open_source("webcam:0") as source:                                        # doctest: +SKIP
+...     for frame in source:
+...         depth = camera.measure(frame.image)
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import TracebackType
+from typing import Any, Literal, Protocol, Self
+
+import cv2
+import numpy as np
+
+from chromaperture.color.srgb import srgb_to_linear
+from chromaperture.errors import InputError
+
+Offsets = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+CENTRED: Offsets = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+_DARK = 2e-3
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How counts become linear light.
+
+    Attributes
+    ----------
+    black_level, white_level : float
+        Counts of no light and of a full well.
+    curve : {"linear", "srgb"}
+        sRGB counts are decoded; levels apply before the curve.
+    channel_offsets_px : ((dx, dy),) * 3
+        Where R, G and B were sampled, from the pixel's centre; not zero for the superpixels of a Bayer mosaic.
+    """
+
+    black_level: float = 0.0
+    white_level: float = 65535.0
+    curve: Literal["linear", "srgb"] = "linear"
+    channel_offsets_px: Offsets = CENTRED
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.black_level, self.white_level]).all() and self.white_level > self.black_level):
+            raise InputError(
+                f"white level {self.white_level:g} must be above black level {self.black_level:g}; check the options"
+            )
+        if self.curve not in ("linear", "srgb"):
+            raise InputError(f"unknown curve {self.curve!r}: choose linear or srgb")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture of a stream.
+
+    Attributes
+    ----------
+    counts : (H, W, 3) uint8, uint16 or float32
+        R, G, B as delivered; what a recording keeps.
+    encoding : Encoding
+    time_s : float
+        Live and replayed: seconds since 1970 when the frame arrived. Files: seconds since the first frame.
+    index : int
+        Number of the frame in its source, from 0; gaps are frames that were dropped.
+    metadata : Mapping
+        JSON values: exposure_us, gain, file, ... where the source knows them.
+    """
+
+    counts: np.ndarray
+    encoding: Encoding
+    time_s: float
+    index: int
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def image(self) -> np.ndarray:
+        """(H, W, 3) float32 linear RGB, 1.0 = white level, the channels on one grid; made on first use."""
+        return develop_counts(self.counts, self.encoding)
+
+
+def develop_counts(counts: np.ndarray, encoding: Encoding) -> np.ndarray:
+    """Turn (H, W, 3) counts into linear light on one grid; (H, W, 3) float32, 1.0 = white level."""
+    span = np.float32(encoding.white_level - encoding.black_level)
+    image = (counts.astype(np.float32) - np.float32(encoding.black_level)) / span
+    if encoding.curve == "srgb":
+        image = srgb_to_linear(image)
+    for channel, (dx, dy) in enumerate(encoding.channel_offsets_px):
+        if dx or dy:  # the channel itself is interpolated at the pixel's centre; no other channel takes part
+            image[..., channel] = cv2.sepFilter2D(
+                np.ascontiguousarray(image[..., channel]), -1, _cubic(-dx), _cubic(-dy), borderType=cv2.BORDER_REPLICATE
+            )
+    return image
+
+
+def _cubic(t: float) -> np.ndarray:
+    """Weights of five neighbours that interpolate at t px, |t| <= 1, from the middle one (Keys, a = -1/2)."""
+    x = np.abs(np.arange(-2, 3) - t)
+    near, far = 1 + x * x * (1.5 * x - 2.5), 2 + x * (-4 + x * (2.5 - 0.5 * x))
+    return np.where(x < 1, near, np.where(x < 2, far, 0.0)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something a person at the camera wants to know; the stream goes on.
+
+    Attributes
+    ----------
+    kind : {"lost", "reconnected", "size", "dark", "skipped"}
+    message : str
+        One line.
+    """
+
+    kind: Literal["lost", "reconnected", "size", "dark", "skipped"]
+    message: str
+
+
+Listener = Callable[[Event], None]
+
+
+def log_event(event: Event) -> None:
+    """Hand an event to Python's logging; what sources do when no listener is given."""
+    logging.getLogger("chromaperture.capture").warning(event.message)
+
+
+class Source(Protocol):
+    """Where frames come from. Enter it, iterate over it, leave it; leaving releases the device.
+
+    Attributes
+    ----------
+    name : str
+        For people.
+    live : bool
+        The newest frame wins and waiting costs frames; otherwise every frame is delivered, at the reader's pace.
+    dropped : int
+        Frames that arrived but were replaced by newer ones before anyone took them.
+    """
+
+    name: str
+    live: bool
+    dropped: int
+
+    def __enter__(self) -> Self:
+        """Open files or device; raises InputError saying what is missing."""
+        ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Release them."""
+        ...
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield frames of one size until the source ends or is left."""
+        ...
+
+
+class FileSource:
+    """A source that is read at the reader's pace: subclasses say what to open and what to yield."""
+
+    live = False
+    dropped = 0
+
+    def __init__(self, name: str, *, listener: Listener | None = None) -> None:
+        self.name, self.listener = name, listener or log_event
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __iter__(self) -> Iterator[Frame]:
+        yield from steady(self.frames(), self.listener)
+
+    def open(self) -> None:
+        """Check that there is something to read."""
+
+    def close(self) -> None:
+        """Release what was opened."""
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield frames."""
+        raise NotImplementedError
+
+
+def steady(frames: Iterable[Frame], listener: Listener) -> Iterator[Frame]:
+    """Let frames of the first one's size through; say once when others come, and when the picture goes dark."""
+    shape: tuple[int, ...] | None = None
+    odd = dark = False
+    for frame in frames:
+        shape = shape or frame.counts.shape
+        if frame.counts.shape != shape:
+            if not odd:
+                (rows, columns), (height, width) = frame.counts.shape[:2], shape[:2]
+                message = f"frame {frame.index} is {columns}x{rows} px, the first was {width}x{height}"
+                listener(Event("size", f"{message}; frames of another size are skipped"))
+            odd = True
+            continue
+        odd = False
+        was_dark, dark = dark, is_dark(frame)
+        if dark and not was_dark:
+            listener(Event("dark", f"frame {frame.index} is all black; lens cap, exposure or levels?"))
+        yield frame
+
+
+def is_dark(frame: Frame) -> bool:
+    """Tell a frame in which next to nothing is lit, from every eighth pixel."""
+    few = replace(frame.encoding, channel_offsets_px=CENTRED)
+    lit = develop_counts(frame.counts[::8, ::8], few)
+    return float(np.percentile(lit, 99)) < _DARK

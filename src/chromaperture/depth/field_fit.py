@@ -1,0 +1,193 @@
+"""Fit of the depth curve's fields to boards at known distances, with covariance (paper sections 3.3 and 3.4).
+
+Measured disparity is linear in the coefficients of A and B, d = A(x, y) - B(x, y) q, and in those of the matcher's
+nonlinearity once the linear disparity is roughly known, so that a few rounds of linear least squares fit everything.
+Boards pass one by one; nothing of the size of all of them together is kept but the disparities themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from chromaperture.depth.distances import BoardDistances
+from chromaperture.depth.field import DepthField, polynomials
+from chromaperture.depth.nonlinearity import Nonlinearity, scaled
+from chromaperture.errors import InputError
+
+_HUBER = 1.345
+_ROUNDS = 8
+_GROSS = 6.0
+_SMALLEST_PX = 1e-9
+_RIDGE_PX = 1.0  # a coefficient of the nonlinearity is some tenths of a px; this only keeps idle ones at zero
+
+
+def fit_depth_field(
+    x_px: np.ndarray,
+    y_px: np.ndarray,
+    disparity_px: np.ndarray,
+    distances: BoardDistances,
+    *,
+    size_px: tuple[int, int],
+    degree: int,
+    nonlinear_terms: int = 0,
+    samples_per_window: float = 1.0,
+    boards: np.ndarray | None = None,
+) -> tuple[DepthField, np.ndarray]:
+    """Fit both fields, and the matcher's nonlinearity, to the disparities of boards.
+
+    Parameters
+    ----------
+    x_px, y_px : (P,) float
+        Where in the frame.
+    disparity_px : (N, P) float
+        Measured on each of N boards; NaN is left out.
+    distances : BoardDistances
+        Of all N boards.
+    size_px : (width, height)
+    degree : int
+        Total degree of the fields.
+    nonlinear_terms : int
+        Chebyshev terms of the nonlinearity; 0 for none.
+    samples_per_window : float
+        How many neighbouring samples share their errors, because they share the matcher's window.
+    boards : (N,) bool, optional
+        Which boards to use; all when absent.
+
+    Returns
+    -------
+    field : DepthField
+        With the covariance of all its coefficients.
+    residual_px : (N, P) float64, measured minus fitted, for boards that were left out too
+
+    Raises
+    ------
+    InputError
+        Too few measurements, or all at one distance.
+    """
+    disparity = np.asarray(disparity_px, float)
+    used = np.ones(len(disparity), bool) if boards is None else np.asarray(boards, bool)
+    known = np.isfinite(disparity) & used[:, None]
+    basis = polynomials(x_px, y_px, *size_px, degree)
+    count = basis.shape[-1]
+    z = distances.from_pupil_mm
+    inverse = 1 / z
+    seen = known.any(axis=1)
+    if known.sum() < 20 * count or seen.sum() < 2 or np.ptp(inverse[seen]) == 0:
+        raise InputError(
+            f"{known.sum()} measurements do not fix depth fields of degree {degree}: photograph more boards, with "
+            "texture in the whole frame"
+        )
+    mean_q, spread_q = float(np.mean(inverse[seen])), float(np.std(inverse[seen]))
+    standard_q = (inverse - mean_q) / spread_q  # keeps the equations well conditioned
+    share = z / z[seen].mean()  # one px is z^2 / B mm, and what counts is the relative error of depth
+    share = np.where(known.any(axis=1), share, 0.0)
+
+    trust = known.astype(float)
+    problem = _Problem(basis, standard_q, np.zeros((0, *disparity.shape)))
+    solution = np.zeros(2 * count)
+    low, high = 0.0, 1.0
+    for turn in range(_ROUNDS):  # iteratively reweighted least squares with Huber's weights
+        if turn and nonlinear_terms:
+            linear = problem.linear(solution)
+            if turn == 1:
+                low, high = float(linear[seen].min()), float(linear[seen].max())
+            powers = chebyshev.chebvander(scaled(linear, low, high), nonlinear_terms + 1)
+            problem = _Problem(basis, standard_q, np.moveaxis(powers[..., 2:], -1, 0))
+        weights = share[:, None] ** 2 * trust
+        normal, right = problem.normal(weights), problem.project(weights * np.where(known, disparity, 0.0)).sum(axis=0)
+        idle = np.arange(2 * count, len(normal))
+        normal[idle, idle] += share.mean() ** 2 / _RIDGE_PX**2
+        solution = np.linalg.lstsq(normal, right, rcond=None)[0]
+        residual = disparity - problem.predict(solution)
+        standard = np.abs(residual) * share[:, None]
+        scale = max(1.4826 * float(np.median(standard[known])), _SMALLEST_PX)
+        with np.errstate(invalid="ignore"):
+            trust = np.where(standard > _HUBER * scale, _HUBER * scale / np.maximum(standard, 1e-12), 1.0)
+            trust = np.where(known & (standard <= _GROSS * scale), trust, 0.0)  # a wrong layer tells nothing
+    curve = Nonlinearity(low, high, solution[2 * count :]) if len(problem.powers) else None
+    # d = a - b (q - mean) / spread = (a + b mean / spread) - (b / spread) q
+    slope = solution[count : 2 * count] / spread_q
+    per_mm = (basis @ slope) / z[:, None] ** 2  # px that a board 1 mm farther than thought reads more
+    covariance = _covariance(problem, weights, normal, residual, per_mm, distances, samples_per_window)
+    back = np.eye(2 * count + 1)
+    back[:count, count : 2 * count] = np.eye(count) * mean_q / spread_q
+    back[count : 2 * count, count : 2 * count] = np.eye(count) / spread_q
+    keep = np.r_[0 : 2 * count, len(covariance) - 1]
+    covariance = back @ covariance[np.ix_(keep, keep)] @ back.T
+    field = DepthField(
+        solution[:count] + slope * mean_q, slope, distances.sensor_to_pupil_mm, covariance, curve
+    )
+    return field, residual
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The linear problem: (N, P) samples of N boards, unknowns A, B and the nonlinearity.
+
+    Its rows, ``basis``, ``-q basis`` and ``powers``, are never written out: boards share the basis.
+    """
+
+    basis: np.ndarray  # (P, C)
+    standard_q: np.ndarray  # (N,)
+    powers: np.ndarray  # (K, N, P)
+
+    def linear(self, solution: np.ndarray) -> np.ndarray:
+        """Give the linear disparity; (N, P)."""
+        count = self.basis.shape[1]
+        infinity, scale = self.basis @ solution[:count], self.basis @ solution[count : 2 * count]
+        return np.asarray(infinity - self.standard_q[:, None] * scale)
+
+    def predict(self, solution: np.ndarray) -> np.ndarray:
+        """Give what is measured; (N, P)."""
+        return self.linear(solution) + np.tensordot(solution[2 * self.basis.shape[1] :], self.powers, axes=1)
+
+    def project(self, values: np.ndarray) -> np.ndarray:
+        """Multiply the transposed rows of every board with (N, P) values; (N, unknowns)."""
+        smooth = values @ self.basis
+        curved = np.einsum("np,knp->nk", values, self.powers)
+        return np.concatenate([smooth, -self.standard_q[:, None] * smooth, curved], axis=1)
+
+    def normal(self, weights: np.ndarray) -> np.ndarray:
+        """Give the normal matrix for (N, P) weights; (unknowns, unknowns)."""
+        count, terms = self.basis.shape[1], len(self.powers)
+        products = (self.basis[:, :, None] * self.basis[:, None, :]).reshape(len(self.basis), -1)
+        boards = weights @ products
+        found = np.zeros((2 * count + terms, 2 * count + terms))
+        a, b = slice(0, count), slice(count, 2 * count)
+        q = self.standard_q
+        for rows, columns, factor in ((a, a, q**0), (a, b, -q), (b, a, -q), (b, b, q**2)):
+            found[rows, columns] = (factor @ boards).reshape(count, count)
+        for k, power in enumerate(self.powers):
+            column = self.project(weights * power).sum(axis=0)
+            found[:, 2 * count + k] = found[2 * count + k] = column
+        return found
+
+
+def _covariance(
+    problem: _Problem,
+    weights: np.ndarray,
+    normal: np.ndarray,
+    residual: np.ndarray,
+    per_mm: np.ndarray,
+    distances: BoardDistances,
+    samples: float,
+) -> np.ndarray:
+    """Covariance of all unknowns and of delta: noise of the disparities, and errors of the boards' distances.
+
+    A board's distance is wrong by the same mm at all its pixels, so that more pixels do not help against it.
+    """
+    used = np.where(weights > 0, residual, np.nan)
+    spread = np.zeros(len(used))
+    for i in np.flatnonzero((weights > 0).any(axis=1)).tolist():
+        own = used[i][np.isfinite(used[i])]
+        spread[i] = 1.4826 * float(np.median(np.abs(own - np.median(own))))
+    inverse = np.linalg.pinv(normal, hermitian=True)
+    noise = inverse @ problem.normal((spread[:, None] * weights) ** 2 * samples) @ inverse
+    # A board thought too far by dz reads B / z^2 dz less than expected, and the unknowns follow.
+    follow = -inverse @ problem.project(weights * per_mm).T
+    found = noise + follow @ distances.covariance[:-1, :-1] @ follow.T
+    with_delta = follow @ distances.covariance[:-1, -1]
+    return np.block([[found, with_delta[:, None]], [with_delta[None], distances.covariance[-1:, -1:]]])

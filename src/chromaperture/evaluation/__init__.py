@@ -1,0 +1,1 @@
+"""What is found out about a camera: the calibration report, the health check."""

@@ -1,0 +1,125 @@
+"""Tables of the calibration report, every figure with its unit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import metadata
+
+import numpy as np
+
+from chromaperture.calibrate import CalibrationResult
+from chromaperture.config import Quality
+from chromaperture.evaluation.verdict import board_errors, reach
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells as text."""
+
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+def round_distances(near_mm: float, far_mm: float) -> np.ndarray:
+    """About eight round distances within a range; mm."""
+    span = far_mm - near_mm
+    step = next((s for s in (10, 20, 50, 100, 200, 250, 500, 1000, 2000) if span / s <= 8), 5000)
+    return np.arange(np.ceil(near_mm / step) * step, far_mm + 1e-6, step)
+
+
+def steps(result: CalibrationResult, quality: Quality = "real-time") -> Table:
+    """Give what a px of disparity and one standard deviation are worth, at round distances."""
+    seen = reach(result, quality)
+    rows = []
+    for distance in round_distances(result.calibration.near_mm, result.calibration.far_mm):
+        curves = (seen.step_mm, seen.pixel_sigma_mm, seen.curve_sigma_mm)
+        step, pixel, curve = (float(np.interp(distance, seen.depth_mm, values)) for values in curves)
+        rows.append((
+            f"{distance:.0f}", f"{step:.0f}", f"{0.1 * step:.0f}", f"{pixel:.0f}", f"{pixel / distance:.1%}",
+            f"{curve:.1f}",
+        ))  # fmt: skip
+    head = ("distance, mm", "1 px, mm", "0.1 px, mm", "one pixel ±, mm", "of distance", "calibration ±, mm")
+    return Table("What a step of disparity is worth, and one standard deviation", head, rows)
+
+
+def boards(result: CalibrationResult, quality: Quality = "real-time") -> Table:
+    """One row a board."""
+    errors = board_errors(result, quality)
+    rows = []
+    for i, board in enumerate(result.boards):
+        rows.append((
+            board.name + (" (outlier)" if board.name in result.outliers else ""),
+            f"{board.ruler_mm:.0f}",
+            _number(board.pose_mm, ".1f"),
+            _number(float(board.disparity_px[quality]), "+.3f"),
+            _number(float(result.fits[quality].residual_mm[i]), "+.1f"),
+            _number(float(errors[i]), "+.1f"),
+            _number(100 * float(errors[i]) / board.ruler_mm, "+.2f"),
+            _number(float(result.spread_px[quality][i]), ".3f"),
+        ))  # fmt: skip
+    head = ("photograph", "ruler, mm", "pose, mm", "disparity, px", "error, middle, mm", "error, frame, mm", "%",
+            "spread of a pixel, px")  # fmt: skip
+    return Table(f"Boards at quality {quality}; errors are measured minus ruler", head, rows)
+
+
+def unmixing(result: CalibrationResult) -> Table:
+    """Colours of the film and the rows of M^-1."""
+    calibration = result.calibration
+    rows = [
+        (f"{name} film, colour", *(f"{v:.3f}" for v in color)) for name, color in calibration.film.filters.items()
+    ]
+    rows += [
+        (f"M⁻¹, {name}", *(f"{v:+.3f}" for v in row))
+        for name, row in zip(calibration.aperture.views, calibration.unmixing, strict=False)
+    ]
+    return Table("White light through the film, 1 = full scale, and the unmixing (Eq. 1)", ("", "R", "G", "B"), rows)
+
+
+def parameters(result: CalibrationResult) -> Table:
+    """Fitted parameters with standard deviations, and what is derived from them."""
+    calibration = result.calibration
+    rows = []
+    for quality, fit in result.fits.items():
+        sigma = np.sqrt(np.diag(np.asarray(fit.model.covariance)))
+        values = (fit.model.infinity_disparity_px, fit.model.scale_px_mm, fit.model.sensor_to_pupil_mm)
+        names = ("disparity of infinity A, px", "scale B, px mm", "sensor to pupil δ, mm")
+        rows += [
+            (f"{name} ({quality})", f"{float(np.asarray(v)):.4g}", f"{s:.2g}", "fitted on the axis")
+            for name, v, s in zip(names, values, sigma, strict=True)
+        ]
+    lens = calibration.lens
+    rows += [
+        ("focal length, mm", f"{lens.focal_length_mm:.3f}", "", "derived: 1/f = 1/z_if + 1/z_of"),
+        ("focal length, px", f"{lens.camera_matrix[0, 0]:.1f}", "", "tilted boards, scaled by the ruler"),
+        ("radial distortion k1", f"{lens.distortion[0]:+.4f}", "", "tilted boards"),
+        ("in focus at, mm", f"{calibration.in_focus_mm:.1f}", "", "derived: B / A + δ"),
+        ("baseline b, mm", f"{calibration.baseline_mm:.3f}", "", "derived: 2 μ B / F"),
+    ]
+    if result.ruler is not None:
+        rows.append(
+            ("sensor to pupil δ, mm", f"{result.ruler.sensor_to_pupil_mm:.2f}", f"{result.ruler.sigma_mm:.2g}",
+             "ruler against poses")
+        )  # fmt: skip
+        rows.append(("scale of the focal length", f"{result.ruler.scale:.5f}", "", "ruler against poses"))
+    return Table("d = A - B / (distance - δ)", ("parameter", "value", "±", "how"), rows)
+
+
+def provenance(result: CalibrationResult) -> Table:
+    """How the camera file came about."""
+    known = result.calibration.provenance
+    rows = [
+        (str(name).replace("_", " "), _text(value)) for name, value in known.items() if name not in ("boards", "notes")
+    ]
+    return Table("", ("", ""), [*rows, ("chromaperture", metadata.version("chromaperture"))])
+
+
+def _text(value: object) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{k}: {_text(v)}" for k, v in value.items())
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if np.isfinite(value) else "-"

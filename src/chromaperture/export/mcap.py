@@ -1,0 +1,118 @@
+"""MCAP files with ROS 2 messages, which Foxglove, RViz (ros2 bag) and RTAB-Map open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.export.rgbd import RgbdFrame
+from chromaperture.outputs import staged
+
+_FRAME = "camera_optical_frame"
+_HEADER = """
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+_IMAGE = """std_msgs/Header header
+uint32 height
+uint32 width
+string encoding
+uint8 is_bigendian
+uint32 step
+uint8[] data""" + _HEADER
+_CAMERA_INFO = """std_msgs/Header header
+uint32 height
+uint32 width
+string distortion_model
+float64[] d
+float64[9] k
+float64[9] r
+float64[12] p
+uint32 binning_x
+uint32 binning_y
+sensor_msgs/RegionOfInterest roi""" + _HEADER + """
+================================================================================
+MSG: sensor_msgs/RegionOfInterest
+uint32 x_offset
+uint32 y_offset
+uint32 height
+uint32 width
+bool do_rectify
+"""
+
+
+def write_mcap(path: str | Path, frames: Iterable[RgbdFrame], *, camera_matrix: np.ndarray) -> int:
+    """Write /camera/color/image_rect (rgb8), /camera/depth/image_rect (16UC1, mm) and a camera_info for each.
+
+    Parameters
+    ----------
+    path : str or Path
+    frames : iterable of RgbdFrame
+    camera_matrix : (3, 3) float, px
+
+    Returns
+    -------
+    int
+        Frames written.
+
+    Raises
+    ------
+    MissingDependencyError
+        The extra ``ros`` is not installed.
+    InputError
+        The file cannot be written, the disk is full, or there was no frame.
+    """
+    try:
+        from mcap_ros2.writer import Writer
+    except ImportError:
+        raise MissingDependencyError("MCAP files need the extra: pip install 'chromaperture[ros]'") from None
+    path, count = Path(path), 0
+    with staged(path.parent) as stage, stage.path(path.name).open("wb") as file:
+        writer = Writer(file)
+        image = writer.register_msgdef("sensor_msgs/msg/Image", _IMAGE)
+        info = writer.register_msgdef("sensor_msgs/msg/CameraInfo", _CAMERA_INFO)
+        for frame in frames:
+            nanoseconds = round(frame.time_s * 1e9)
+            sec, nanosec = divmod(nanoseconds, 10**9)
+            header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": _FRAME}
+            known = np.isfinite(frame.z_mm) & (frame.z_mm > 0) & (frame.z_mm < 65535)
+            depth = np.where(known, np.rint(np.where(known, frame.z_mm, 0)), 0).astype("<u2")
+            size = {"header": header, "height": depth.shape[0], "width": depth.shape[1]}
+            for part, encoding, pixels in (("color", "rgb8", frame.color), ("depth", "16UC1", depth)):
+                messages = (
+                    ("image_rect", image, size | _image(encoding, pixels)),
+                    ("camera_info", info, size | _info(camera_matrix)),
+                )
+                for name, schema, message in messages:
+                    topic = f"/camera/{part}/{name}"
+                    writer.write_message(
+                        topic, schema, message, log_time=nanoseconds, publish_time=nanoseconds, sequence=count
+                    )
+            count += 1
+        writer.finish()
+        if not count:
+            raise InputError("the source held no frame; nothing was written")
+    return count
+
+
+def _image(encoding: str, pixels: np.ndarray) -> dict[str, Any]:
+    step = pixels.shape[1] * pixels.itemsize * (pixels.shape[2] if pixels.ndim == 3 else 1)
+    return {"encoding": encoding, "is_bigendian": 0, "step": step, "data": pixels.tobytes()}
+
+
+def _info(camera_matrix: np.ndarray) -> dict[str, Any]:
+    k = [float(v) for v in np.asarray(camera_matrix).ravel()]
+    roi = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
+    straight = {"distortion_model": "plumb_bob", "d": [0.0] * 5, "k": k, "r": [float(v) for v in np.eye(3).ravel()]}
+    p = [*k[:3], 0.0, *k[3:6], 0.0, *k[6:9], 0.0]
+    return straight | {"p": p, "binning_x": 0, "binning_y": 0, "roi": roi}

@@ -1,0 +1,221 @@
+"""A printable chessboard of true size, in a margin of speckle that gives a matcher something to read.
+
+The chessboard tells the pose; the speckle lets the disparity be measured where the board is white. The same speckle
+fills whole pages for the wall around the board.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from chromaperture.errors import InputError
+
+PAPERS = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "letter": (279.4, 215.9)}  # landscape, mm
+SPECKLE_DPI = 100
+_EDGE_MM = 6.0  # most printers cannot print nearer to the edge
+_FOOT_MM = 12.0  # scale bar and text
+_SCALES_MM = (1.2, 2.5, 5.0, 10.0)  # half a pixel's footprint at 1 m to that of a blurred one at 4 m
+_GREYS = (40, 90, 150, 215)
+_POINT_PER_MM = 72 / 25.4
+
+
+@dataclass(frozen=True)
+class BoardPage:
+    """A page with a chessboard, measures in mm from the page's top-left corner.
+
+    Attributes
+    ----------
+    paper : str
+    size_mm : (width, height)
+    inner_corners : (columns, rows)
+    square_mm : float
+    origin_mm : (x, y)
+        Top-left corner of the first square.
+    """
+
+    paper: str
+    size_mm: tuple[float, float]
+    inner_corners: tuple[int, int]
+    square_mm: float
+    origin_mm: tuple[float, float]
+
+    @property
+    def caption(self) -> str:
+        """What the foot of the page says."""
+        columns, rows = self.inner_corners
+        return (
+            f"{columns} x {rows} inner corners, {self.square_mm:g} mm squares. Print at 100 %, no fitting to the page; "
+            "measure the bar and put what you find into session.toml."
+        )
+
+    def squares(self) -> list[tuple[float, float]]:
+        """Top-left corners of the black squares, mm."""
+        x0, y0 = self.origin_mm
+        columns, rows = self.inner_corners
+        return [
+            (x0 + i * self.square_mm, y0 + j * self.square_mm)
+            for j in range(rows + 1)
+            for i in range(columns + 1)
+            if (i + j) % 2 == 0
+        ]
+
+
+def board_page(*, columns: int = 9, rows: int = 6, square_mm: float = 22.0, paper: str = "a4") -> BoardPage:
+    """Lay out a chessboard on a page.
+
+    Parameters
+    ----------
+    columns, rows : int
+        Inner corners, one less than the squares each way.
+    square_mm : float
+    paper : {"a4", "a3", "letter"}
+
+    Raises
+    ------
+    InputError
+        An unknown paper, a board that cannot be told from itself turned round, or one that does not fit.
+    """
+    if paper.lower() not in PAPERS:
+        raise InputError(f"paper {paper!r} is not known: choose one of {', '.join(PAPERS)}")
+    if min(columns, rows) < 3 or (columns + rows) % 2 == 0:
+        raise InputError(
+            f"a board of {columns} x {rows} inner corners looks the same upside down: take at least 3 each way, one "
+            "number odd and one even, such as 9 x 6"
+        )
+    width, height = PAPERS[paper.lower()]
+    # A white rim of half a square round the board: the detector needs it, and the speckle must not touch a corner.
+    room = min(
+        (width - 2 * _EDGE_MM) / (columns + 2),
+        (height - 2 * _EDGE_MM - _FOOT_MM) / (rows + 2),
+    )
+    if not 2 <= square_mm <= room:
+        raise InputError(
+            f"squares of {square_mm:g} mm do not fit {columns} x {rows} corners on {paper}: give 2 to "
+            f"{np.floor(10 * room) / 10:g} mm, or a larger paper"
+        )
+    board = ((columns + 1) * square_mm, (rows + 1) * square_mm)
+    origin = ((width - board[0]) / 2, (height - _FOOT_MM - board[1]) / 2)
+    return BoardPage(paper.lower(), (width, height), (columns, rows), float(square_mm), origin)
+
+
+def speckle(size_mm: tuple[float, float], *, seed: int = 7) -> np.ndarray:
+    """Draw discs of several sizes and greys, as many of each size as cover the page about once.
+
+    Parameters
+    ----------
+    size_mm : (width, height)
+    seed : int
+
+    Returns
+    -------
+    (h, w) uint8, `SPECKLE_DPI` to the inch
+    """
+    rng = np.random.default_rng(seed)
+    per_mm = SPECKLE_DPI / 25.4
+    width, height = (round(s * per_mm) for s in size_mm)
+    picture = np.full((height, width), 128, np.uint8)
+    for scale in sorted(_SCALES_MM, reverse=True):  # small ones on top: every scale stays to be seen
+        count = round(0.4 * size_mm[0] * size_mm[1] / (np.pi * scale**2 / 4))
+        places = rng.uniform(0, 1, (count, 2)) * (width, height) * 16
+        for (x, y), grey in zip(places.astype(int), rng.choice(_GREYS, count), strict=True):
+            # four fractional bits: positions and radii of a sixteenth px, edges smoothed
+            cv2.circle(picture, (int(x), int(y)), round(8 * scale * per_mm), int(grey), -1, cv2.LINE_AA, 4)
+    return picture
+
+
+def board_svg(pages: Iterable[BoardPage | str]) -> list[str]:
+    """Draw pages as SVG in millimetres; a paper's name instead of a board gives a page of speckle alone."""
+    return [_page_svg(page, seed) for seed, page in enumerate(pages)]
+
+
+def _page_svg(page: BoardPage | str, seed: int) -> str:
+    width, height = PAPERS[page] if isinstance(page, str) else page.size_mm
+    texture = speckle((width - 2 * _EDGE_MM, height - 2 * _EDGE_MM), seed=seed)
+    data = base64.b64encode(cv2.imencode(".png", texture)[1].tobytes()).decode()
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{height:g}mm" '
+        f'viewBox="0 0 {width:g} {height:g}" font-family="sans-serif">',
+        f'<image x="{_EDGE_MM:g}" y="{_EDGE_MM:g}" width="{width - 2 * _EDGE_MM:g}" height="{height - 2 * _EDGE_MM:g}" '
+        f'preserveAspectRatio="none" href="data:image/png;base64,{data}"/>',
+    ]
+    if isinstance(page, BoardPage):
+        for x, y, w, h, fill in _rectangles(page):
+            parts.append(f'<rect x="{x:.4f}" y="{y:.4f}" width="{w:.4f}" height="{h:.4f}" fill="{fill}"/>')
+        for x, y, text in _texts(page):
+            parts.append(f'<text x="{x:.2f}" y="{y:.2f}" font-size="3.2">{text}</text>')
+    return "\n".join([*parts, "</svg>"]) + "\n"
+
+
+def _rectangles(page: BoardPage) -> list[tuple[float, float, float, float, str]]:
+    """White rim, foot, black squares and the scale bar: x, y, width, height, fill; in the order they are painted."""
+    square, (x0, y0) = page.square_mm, page.origin_mm
+    columns, rows = page.inner_corners
+    width, height = page.size_mm
+    foot = height - _EDGE_MM - _FOOT_MM
+    shapes = [
+        (x0 - square / 2, y0 - square / 2, (columns + 2) * square, (rows + 2) * square, "white"),
+        (_EDGE_MM, foot, width - 2 * _EDGE_MM, _FOOT_MM + 1, "white"),  # overlaps the speckle's edge
+    ]
+    shapes += [(x, y, square, square, "black") for x, y in page.squares()]
+    # 100 mm in blocks of 10: a ruler laid along it finds a printer that scales.
+    shapes += [(_EDGE_MM + 2 + 10 * i, foot + 2, 10.0, 2.0, "black" if i % 2 == 0 else "#bbbbbb") for i in range(10)]
+    return shapes
+
+
+def _texts(page: BoardPage) -> list[tuple[float, float, str]]:
+    foot = page.size_mm[1] - _EDGE_MM - _FOOT_MM
+    return [(_EDGE_MM + 104, foot + 4, "100 mm: measure it"), (_EDGE_MM + 2, foot + 9, page.caption)]
+
+
+def write_board(path: Path, page: BoardPage, *, wall_pages: int = 0) -> None:
+    """Write the board as ``.pdf`` or ``.svg``, at its true size.
+
+    Parameters
+    ----------
+    path : Path
+    page : BoardPage
+    wall_pages : int
+        Pages of speckle for the wall around the board; PDF only.
+
+    Raises
+    ------
+    InputError
+        Another suffix, or an SVG of more than one page.
+    """
+    if path.suffix.lower() == ".svg":
+        if wall_pages:
+            raise InputError("an SVG holds one page: write the wall's speckle as .pdf, or leave --wall-pages out")
+        path.write_text(board_svg([page])[0], encoding="utf-8")
+    elif path.suffix.lower() == ".pdf":
+        _write_pdf(path, page, wall_pages)
+    else:
+        raise InputError(f"a board is written as .pdf or .svg, not {path.name!r}")
+
+
+def _write_pdf(path: Path, page: BoardPage, wall_pages: int) -> None:
+    from matplotlib.backends.backend_pdf import PdfPages
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
+
+    width, height = page.size_mm
+    with PdfPages(path, metadata={"Title": f"Chessboard, {page.caption}", "CreationDate": None}) as pdf:
+        for seed in range(1 + wall_pages):
+            figure = Figure(figsize=(width / 25.4, height / 25.4))
+            axes = figure.add_axes((0, 0, 1, 1))
+            texture = speckle((width - 2 * _EDGE_MM, height - 2 * _EDGE_MM), seed=seed)
+            extent = (_EDGE_MM, width - _EDGE_MM, height - _EDGE_MM, _EDGE_MM)
+            axes.imshow(texture, cmap="gray", vmin=0, vmax=255, extent=extent, aspect="auto", interpolation="none")
+            if seed == 0:
+                for x, y, w, h, fill in _rectangles(page):
+                    axes.add_patch(Rectangle((x, y), w, h, facecolor=fill, edgecolor="none", zorder=3))
+                for x, y, text in _texts(page):
+                    axes.text(x, y, text, fontsize=3.2 * _POINT_PER_MM, zorder=4)
+            axes.set(xlim=(0, width), ylim=(height, 0))
+            axes.axis("off")
+            pdf.savefig(figure)

@@ -1,0 +1,50 @@
+"""Intermediate results on disk, so that an interrupted calibration goes on where it stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import shutil
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+
+class Store:
+    """Arrays by the content they were computed from; without a folder nothing is kept.
+
+    Parameters
+    ----------
+    folder : Path or None
+        Made on first use. A folder that cannot be written to is no error: then everything is computed again.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self.folder = folder
+
+    def arrays(
+        self, photograph: Path, settings: object, compute: Callable[[], Mapping[str, np.ndarray]]
+    ) -> Mapping[str, np.ndarray]:
+        """Give what ``compute`` returns, from disk where the same photograph was seen with the same settings."""
+        if self.folder is None:
+            return compute()
+        name = hashlib.sha256(photograph.read_bytes() + repr(settings).encode()).hexdigest()[:32]
+        path = self.folder / f"{name}.npz"
+        with contextlib.suppress(OSError, ValueError, EOFError, zipfile.BadZipFile), np.load(path) as kept:
+            return {key: kept[key] for key in kept.files}
+        arrays = compute()
+        with contextlib.suppress(OSError):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            part = path.with_suffix(f".{os.getpid()}.part")
+            with part.open("wb") as file:
+                np.savez(file, allow_pickle=False, **arrays)
+            os.replace(part, path)
+        return arrays
+
+    def clear(self) -> None:
+        """Remove everything that was kept."""
+        if self.folder is not None:
+            shutil.rmtree(self.folder, ignore_errors=True)

@@ -1,0 +1,226 @@
+"""Photographs by cameras that were changed since their calibration; the thin-lens simulator takes them."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from chromaperture.calibration import Calibration, Film, Lens
+from chromaperture.calibration import Sensor as SensorData
+from chromaperture.capture.exif import Exif, read_exif
+from chromaperture.cli.main import main
+from chromaperture.depth.chessboard import centered_pinhole
+from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.field import DepthField
+from chromaperture.errors import InputError
+from chromaperture.evaluation.health import Board, check_camera, is_healthy
+from chromaperture.evaluation.tint import measure_tint
+from chromaperture.optics.aperture import DESIGNS, centroids
+from chromaperture.optics.paraxial import focused_at
+from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.prescription import load_lens, with_filter_at
+from chromaperture.optics.ray_table import lens_rays, pinhole_rays
+from chromaperture.optics.render import render
+from chromaperture.optics.scene import plane
+from chromaperture.optics.session import wall
+
+WIDTH, HEIGHT = 300, 200
+CAMERA = PupilCamera(WIDTH, HEIGHT, 700.0, 12.5, 2000.0, 52.0, 0.0743)
+DESIGN = DESIGNS["cy_halves"]
+BOARD = Board((9, 6), 30.0)
+NEAR_MM = 1300.0
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    """The camera as it was, from its geometry alone: the centroid of a half disc lies 4 / (3 pi) off the middle."""
+    reach = 4 / (3 * np.pi)
+    assert np.abs(centroids(DESIGN)[:, 0]).max() == pytest.approx(reach, abs=0.01)
+    scale = reach * CAMERA.focal_px * CAMERA.pupil_radius_mm
+    model = DepthModel(scale / (CAMERA.focus_mm - CAMERA.sensor_to_pupil_mm), scale, CAMERA.sensor_to_pupil_mm)
+    colors = {n: np.array(DESIGN.filter_named(n).transmission) for n in DESIGN.views}
+    field = DepthField.constant(model)
+    return Calibration(
+        design="cy_halves",
+        sensor=SensorData(WIDTH, HEIGHT, CAMERA.pixel_pitch_mm),
+        lens=Lens(50.0, centered_pinhole(CAMERA.focal_px, (WIDTH, HEIGHT)), f_number=2.1),
+        film=Film(colors, np.ones(3), np.array([0.5, 1.0, 0.5])),
+        depth={"paper": field, "real-time": field, "accurate": field},
+        near_mm=900.0,
+        far_mm=4000.0,
+    )
+
+
+def photographed(camera, distance_mm=NEAR_MM, *, turned=False):
+    picture = render(pinhole_rays(camera, DESIGN, cells=10), wall(camera, (0, 0, distance_mm), (0, 0, 0)))
+    picture = np.asarray(picture, np.float32)
+    picture = 0.9 * picture / picture.max()
+    picture = picture + np.random.default_rng(5).normal(0, 0.003, picture.shape)
+    # Cyan and yellow change places with red and blue: the film is turned by 180 degrees.
+    return picture[..., ::-1].astype(np.float32).copy() if turned else picture.astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def near():
+    return photographed(CAMERA)
+
+
+def by_name(checks):
+    return {check.name: check for check in checks}
+
+
+def test_the_camera_as_calibrated_is_healthy(near, calibration):
+    checks = by_name(check_camera(near, calibration, board=BOARD))
+    assert is_healthy(list(checks.values()))
+    seen = checks["board distance"]
+    assert seen.verdict == "ok"
+    # Corners of squares of 17 px behind 2.5 px of blur: 0.1 px in a square is 0.6 % of the distance.
+    assert seen.figures["pose_mm"] == pytest.approx(NEAR_MM, rel=0.006)
+    assert checks["filter orientation"].verdict == "ok"
+    assert checks["tint over the frame"].verdict == "ok"
+
+
+@pytest.mark.parametrize("focus_mm", [1600.0, 2800.0])
+def test_a_refocused_camera_warns_and_says_where_the_focus_is(calibration, focus_mm):
+    image = photographed(replace(CAMERA, focus_mm=focus_mm))
+    checks = by_name(check_camera(image, calibration, board=BOARD))
+    seen = checks["board distance"]
+    assert seen.verdict == "warn"
+    # 0.08 px, the blur's bias of disparity, move a focus at 2.8 m by 0.08 z^2 / B = 170 mm, one at 1.6 m by 53 mm.
+    tolerance = 0.08 * focus_mm**2 / float(calibration.on_axis("real-time").scale_px_mm)
+    assert seen.figures["in_focus_if_refocused_mm"] == pytest.approx(focus_mm, abs=tolerance)
+    assert "calibrate again" in seen.advice
+
+
+def test_a_closed_iris_warns_and_says_by_how_much(calibration):
+    image = photographed(replace(CAMERA, pupil_radius_mm=8.0))
+    seen = by_name(check_camera(image, calibration, board=BOARD))["board distance"]
+    assert seen.verdict == "warn"
+    # 0.08 px of bias in the 1.0 px that are left
+    assert seen.figures["scale_if_aperture_changed"] == pytest.approx(8.0 / 12.5, abs=0.08)
+
+
+def test_a_turned_filter_is_told_from_a_moved_focus(calibration):
+    checks = by_name(check_camera(photographed(CAMERA, turned=True), calibration, board=BOARD))
+    assert checks["filter orientation"].verdict == "warn"
+    assert "180" in checks["filter orientation"].advice
+    assert not is_healthy(list(checks.values()))
+
+
+def test_near_the_focus_the_orientation_cannot_be_told(calibration):
+    checks = by_name(check_camera(photographed(CAMERA, 1950.0), calibration, board=BOARD))
+    assert checks["board distance"].verdict == "ok"
+    assert checks["filter orientation"].verdict == "cannot tell"
+
+
+@pytest.mark.parametrize(("offset_mm", "tinted"), [(0.0, False), (4.0, True), (-25.0, True)])
+def test_a_filter_off_the_stop_tints_a_white_sheet(calibration, offset_mm, tinted):
+    lens = focused_at(load_lens("double_gauss_50"), 2000)
+    lens = with_filter_at(lens, offset_mm) if offset_mm else lens
+    table = lens_rays(lens, DESIGN, width_px=WIDTH, height_px=HEIGHT, pixel_pitch_mm=22.3 / WIDTH, cells=12)
+    sheet = [plane(np.ones((2, 2, 3), np.float32), center_mm=(0, 0, 500.0), width_mm=4000)]
+    image = np.asarray(render(table, sheet), np.float32)
+    check = by_name(check_camera(0.8 * image / image.max(), calibration))["tint over the frame"]
+    assert check.verdict == ("warn" if tinted else "ok")
+
+
+def test_the_ramp_of_a_tint_comes_back(rng):
+    x = np.linspace(-1, 1, 240)[None, :, None]
+    image = 0.5 * np.exp(x * np.array([0.2, 0.0, -0.1])) * np.exp(rng.normal(0, 0.05, (160, 240, 1)))
+    tint = measure_tint(image.astype(np.float32))
+    assert tint.ramp == pytest.approx(np.expm1(0.3), rel=0.05)  # red against blue: 0.2 + 0.1; cells are 1/12 wide
+    assert abs(tint.direction[1]) < 0.01
+
+
+def test_a_coloured_scene_is_not_called_tinted(rng, calibration):
+    blocks = rng.uniform(0.1, 0.8, (8, 12, 3)).astype(np.float32)
+    image = cv2.resize(blocks, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
+    assert by_name(check_camera(image, calibration))["tint over the frame"].verdict == "cannot tell"
+
+
+def test_another_resolution_is_named_and_the_rest_left_open(near, calibration):
+    small = cv2.resize(near, (WIDTH // 2, HEIGHT // 2), interpolation=cv2.INTER_AREA)
+    checks = by_name(check_camera(small, calibration, board=BOARD))
+    assert checks["resolution"].verdict == "warn"
+    assert checks["board distance"].verdict == "cannot tell"
+    turned = by_name(check_camera(np.swapaxes(near, 0, 1).copy(), calibration))
+    assert "turned" in turned["resolution"].advice
+
+
+def test_exposure(near, calibration):
+    assert by_name(check_camera(np.minimum(3 * near, 1), calibration))["exposure"].verdict == "warn"
+    assert by_name(check_camera(0.02 * near, calibration))["exposure"].verdict == "warn"
+
+
+@pytest.mark.parametrize(
+    ("exif", "verdicts"),
+    [
+        (Exif(), ["cannot tell"] * 3),
+        (Exif(50.0, 2.1, 2000.0), ["ok"] * 3),
+        (Exif(35.0, 2.8, 1500.0), ["warn"] * 3),
+        (Exif(focal_length_mm=50.0, f_number=2.8), ["ok", "warn", "cannot tell"]),
+    ],
+)
+def test_settings_from_the_file(near, calibration, exif, verdicts):
+    checks = by_name(check_camera(near, calibration, exif=exif))
+    assert [checks[f"{n} (EXIF)"].verdict for n in ("focal length", "aperture", "focus")] == verdicts
+
+
+def test_a_camera_that_was_never_calibrated_is_refused(near):
+    with pytest.raises(InputError, match="calibrate"):
+        check_camera(near, Calibration.uncalibrated("cy_halves", width_px=WIDTH, height_px=HEIGHT))
+
+
+def jpeg(path, image, *, subsampling, tags=None):
+    exif = Image.Exif()
+    exif.get_ifd(0x8769).update(tags or {})
+    Image.fromarray((255 * np.clip(image, 0, 1) ** (1 / 2.2)).astype(np.uint8)).save(
+        path, quality=95, subsampling=subsampling, exif=exif
+    )
+
+
+def test_exif_is_read(tmp_path, near):
+    jpeg(tmp_path / "a.jpg", near, subsampling=0, tags={37386: 50.0, 33437: 2.0, 37382: 2.5})
+    assert read_exif(tmp_path / "a.jpg") == Exif(50.0, 2.0, 2500.0)
+    jpeg(tmp_path / "b.jpg", near, subsampling=0, tags={37382: 0.0})  # 0 stands for unknown
+    assert read_exif(tmp_path / "b.jpg") == Exif()
+    (tmp_path / "c.jpg").write_bytes(b"not a picture")
+    assert read_exif(tmp_path / "c.jpg") == Exif()
+
+
+@pytest.fixture
+def run(capsys, monkeypatch):
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["chromaperture", *map(str, arguments)])
+        code = 0
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code or 0
+        return code, capsys.readouterr()
+
+    return run
+
+
+def test_the_exit_code_tells(run, tmp_path, near, calibration):
+    calibration.save(tmp_path / "camera.asdf")
+    counts = np.clip(near * 65535, 0, 65535).astype(np.uint16)
+    cv2.imwrite(str(tmp_path / "good.png"), counts[..., ::-1])
+    common = ("--camera", tmp_path / "camera.asdf", "--square", "3cm")
+    code, said = run("check", tmp_path / "good.png", *common)
+    assert code == 0
+    assert "board distance" in said.out
+    jpeg(tmp_path / "bad.jpg", near, subsampling=2)
+    code, said = run("check", tmp_path / "bad.jpg", *common, "--json")
+    assert code == 1
+    assert '"ok": false' in said.out
+    assert "4:2:0" in said.out
+    for wrong in (("--board", "nine"), ("--square", "big"), ("--camera", tmp_path / "none.asdf")):
+        code, said = run("check", tmp_path / "good.png", *common, *wrong)
+        assert code == 2
+        assert said.err.count("\n") == 1

@@ -1,0 +1,245 @@
+"""Recordings: what was acknowledged is there, whatever happens; and comes back bit by bit."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import cv2
+import numpy as np
+import pytest
+
+from chromaperture.capture import recording
+from chromaperture.capture.open import open_source
+from chromaperture.capture.recording import Recorder
+from chromaperture.capture.source import Encoding, Frame
+from chromaperture.cli.main import main
+from chromaperture.errors import InputError
+from chromaperture.export.mcap import write_mcap
+from chromaperture.export.rgbd import RgbdFrame
+from chromaperture.export.tum import write_tum
+from chromaperture.samples import sample_camera, sample_image
+
+SHIFTED = Encoding(64, 1023, "linear", ((-0.25, -0.25), (0.0, 0.0), (0.25, 0.25)))
+
+
+def frame(index, dtype=np.uint16, encoding=SHIFTED):
+    counts = (np.random.default_rng(index).random((12, 16, 3)) * 250).astype(dtype)
+    return Frame(counts, encoding, 1.75e9 + index / 30, 2 * index, {"gain": 1.5, "file": "a"})
+
+
+def replayed(folder, events=None):
+    with open_source(f"replay:{folder}", listener=None if events is None else events.append) as source:
+        return list(source)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_frames_come_back_as_they_were(tmp_path, dtype):
+    made = [frame(i, dtype) for i in range(3)]
+    with Recorder(tmp_path / "walk") as recorder:
+        for f in made:
+            recorder.write(f)
+    for new, old in zip(replayed(tmp_path / "walk"), made, strict=True):
+        assert new.counts.dtype == dtype
+        np.testing.assert_array_equal(new.counts, old.counts)
+        np.testing.assert_array_equal(new.image, old.image)
+        assert (new.encoding, new.time_s, new.index, new.metadata) == (
+            old.encoding, old.time_s, old.index, old.metadata)  # fmt: skip
+
+
+def test_what_was_acknowledged_survives_kill(tmp_path):
+    script = textwrap.dedent("""
+        import sys
+        import numpy as np
+        from chromaperture.capture.recording import Recorder
+        from chromaperture.capture.source import Encoding, Frame
+        with Recorder(sys.argv[1]) as recorder:
+            for i in range(100000):
+                recorder.write(Frame(np.full((64, 64, 3), i % 60000, np.uint16), Encoding(), float(i), i))
+                print(i, flush=True)
+    """)
+    folder = tmp_path / "walk"
+    process = subprocess.Popen([sys.executable, "-c", script, str(folder)], stdout=subprocess.PIPE, text=True)
+    for line in process.stdout:
+        if int(line) == 5:
+            os.kill(process.pid, signal.SIGKILL)
+            break
+    acknowledged = [5, *map(int, process.stdout.read().split())][-1]
+    process.stdout.close()
+    assert process.wait() == -signal.SIGKILL
+    events = []
+    frames = replayed(folder, events)
+    assert [e.kind for e in events] == ["dark"]  # frame 0 holds zeros
+    assert len(frames) >= acknowledged + 1
+    assert all((f.counts == f.index).all() for f in frames)
+
+
+@pytest.mark.parametrize("cut", [1, 40, 10**6])
+def test_a_torn_last_line_is_no_frame(tmp_path, cut):
+    with Recorder(tmp_path) as recorder:
+        for i in range(3):
+            recorder.write(frame(i))
+    index = tmp_path / "index.jsonl"
+    lines = index.read_bytes().splitlines(keepends=True)
+    index.write_bytes(b"".join(lines[:2]) + lines[2][:-1][:cut])  # its newline was never written
+    assert [f.index for f in replayed(tmp_path)] == [0, 2]
+
+
+def test_a_damaged_picture_is_said_and_left_out(tmp_path):
+    with Recorder(tmp_path) as recorder:
+        for i in range(3):
+            recorder.write(frame(i))
+    picture = tmp_path / "frames" / "00000001.tiff"
+    data = bytearray(picture.read_bytes())
+    data[-10] ^= 1
+    picture.write_bytes(data)
+    (tmp_path / "frames" / "00000002.tiff").unlink()
+    events = []
+    assert [f.index for f in replayed(tmp_path, events)] == [0]
+    assert [e.kind for e in events] == ["skipped", "skipped"]
+
+
+class FullDisk:
+    """Stands in for ``os.write``: takes so many bytes, then none."""
+
+    def __init__(self, room):
+        self.room, self.write = room, os.write
+
+    def __call__(self, file, data):
+        if self.room <= 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        written = self.write(file, bytes(data[: self.room]))
+        self.room -= written
+        return written
+
+
+@pytest.mark.parametrize("room", [30, 200, 1000, 3000, 4000, *range(4190, 4320, 16)])
+def test_a_full_disk_loses_nothing_acknowledged(tmp_path, monkeypatch, room):
+    disk = FullDisk(10**9)
+    monkeypatch.setattr(recording.os, "write", disk)
+    folder, acknowledged = tmp_path / "walk", 0
+    with Recorder(folder) as recorder:
+        disk.room = room
+        with pytest.raises(InputError, match="disk is full"):
+            for i in range(100):
+                recorder.write(frame(i))
+                acknowledged = i + 1
+        disk.room = 10**9
+        assert len(list((folder / "frames").iterdir())) == acknowledged
+        recorder.write(frame(50))  # room was made
+    frames = replayed(folder)
+    assert len(frames) == acknowledged + 1
+    for new, old in zip(frames, [*map(frame, range(acknowledged)), frame(50)], strict=True):
+        np.testing.assert_array_equal(new.counts, old.counts)
+
+
+def test_a_recording_is_never_written_over(tmp_path):
+    with Recorder(tmp_path) as recorder:
+        recorder.write(frame(0))
+    with pytest.raises(InputError, match="already"), Recorder(tmp_path):
+        pass
+    assert len(replayed(tmp_path)) == 1
+
+
+def run(monkeypatch, capfd, *arguments):
+    monkeypatch.setattr(sys, "argv", ["chromaperture", *map(str, arguments)])
+    try:
+        main()
+    except SystemExit as end:
+        return end.code or 0, *capfd.readouterr()
+    return 0, *capfd.readouterr()
+
+
+def test_record_and_replay_from_the_command_line(tmp_path, monkeypatch, capfd):
+    for i in range(3):
+        cv2.imwrite(str(tmp_path / f"{i}.png"), frame(i).counts[..., ::-1])
+    walk = tmp_path / "walk"
+    code, said, _ = run(monkeypatch, capfd, "record", tmp_path / "*.png", "--out", walk, "--json",
+                        "--black-level", 64, "--white-level", 1023)  # fmt: skip
+    assert code == 0
+    assert json.loads(said)["frames"] == 3
+    for i, f in enumerate(replayed(walk)):
+        np.testing.assert_array_equal(f.counts, frame(i).counts)
+        assert f.encoding == Encoding(64, 1023)
+    code, _, complaint = run(monkeypatch, capfd, "record", tmp_path / "*.png", "--out", walk)
+    assert (code, complaint.count("\n")) == (2, 1)
+    code, _, complaint = run(monkeypatch, capfd, "record", "webcam:77", "--out", tmp_path / "new")
+    assert (code, (tmp_path / "new").exists()) == (2, False)
+
+
+# Export: a wall that other readers must find where it is.
+
+
+def walls():
+    z = np.full((6, 8), 1234.4, np.float32)
+    z[0, 0], z[0, 1], z[0, 2] = np.nan, 70_000, 0
+    color = np.random.default_rng(0).integers(0, 256, (6, 8, 3)).astype(np.uint8)
+    return [RgbdFrame(color, z, 1.75e9 + i / 8, i) for i in range(2)]
+
+
+MATRIX = np.array([[500.0, 0, 4], [0, 501, 3], [0, 0, 1]])
+
+
+def test_tum_folder_as_its_readers_expect(tmp_path):
+    folder = tmp_path / "tum"
+    assert write_tum(folder, walls(), camera_matrix=MATRIX) == 2
+    rows = [line.split() for line in (folder / "associations.txt").read_text().splitlines()]
+    for (stamp, rgb, same, depth), expected in zip(rows, walls(), strict=True):
+        assert float(stamp) == float(same) == pytest.approx(expected.time_s, abs=1e-6)
+        np.testing.assert_array_equal(cv2.imread(str(folder / rgb))[..., ::-1], expected.color)
+        metres = cv2.imread(str(folder / depth), cv2.IMREAD_UNCHANGED) / 5000
+        assert metres[0, :3].tolist() == [0, 0, 0]
+        assert np.abs(metres[1:] - 1.2344).max() <= 0.0001  # half a count
+    with pytest.raises(InputError, match="exists"):
+        write_tum(folder, walls(), camera_matrix=MATRIX)
+    with pytest.raises(InputError, match="no frame"):
+        write_tum(tmp_path / "none", [], camera_matrix=MATRIX)
+    assert [p.name for p in tmp_path.iterdir()] == ["tum"]
+
+
+def test_export_measures_the_sample_and_takes_the_pupil_as_origin(tmp_path, monkeypatch, capfd):
+    walk = tmp_path / "tum"
+    code, said, complaint = run(monkeypatch, capfd, "export", sample_image("still_life_cy_halves"), walk, "--camera",
+                                sample_camera("still_life_cy_halves"), "-q")  # fmt: skip
+    assert (code, said) == (0, ""), complaint
+    (picture,) = (walk / "depth").iterdir()
+    z_mm = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED) / 5.0
+    code, *_ = run(monkeypatch, capfd, "depth", sample_image("still_life_cy_halves"), "--camera",
+                   sample_camera("still_life_cy_halves"), "--out", tmp_path / "depth", "-q")  # fmt: skip
+    depth_mm = cv2.imread(str(tmp_path / "depth" / "still_life_cy_halves.depth.png"), cv2.IMREAD_UNCHANGED)
+    camera_info = run(monkeypatch, capfd, "info", sample_camera("still_life_cy_halves"), "--json")[1]
+    delta = json.loads(camera_info)["sensor_to_pupil_mm"]
+    both = (z_mm > 0) & (depth_mm > 0)
+    assert both.mean() > 0.2
+    assert np.median(depth_mm[both] - z_mm[both]) == pytest.approx(delta, abs=0.6)  # whole mm and fifths
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_mcap_read_back_by_another_library(tmp_path):
+    pytest.importorskip("mcap_ros2", reason="extra ros is not installed")
+    from mcap_ros2.reader import read_ros2_messages
+
+    path = tmp_path / "walk.mcap"
+    assert write_mcap(path, walls(), camera_matrix=MATRIX) == 2
+    found = {}
+    for message in read_ros2_messages(str(path)):
+        found.setdefault(message.channel.topic, []).append(message.ros_msg)
+    parts = ("color", "depth")
+    assert sorted(found) == sorted(f"/camera/{p}/{n}" for p in parts for n in ("camera_info", "image_rect"))
+    for i, expected in enumerate(walls()):
+        color, depth = (found[f"/camera/{p}/image_rect"][i] for p in parts)
+        np.testing.assert_array_equal(np.frombuffer(color.data, np.uint8).reshape(6, 8, 3), expected.color)
+        mm = np.frombuffer(depth.data, "<u2").reshape(6, 8)
+        assert mm[0, :3].tolist() == [0, 0, 0]
+        assert (mm[1:] == 1234).all()
+        assert (color.encoding, depth.encoding, depth.step) == ("rgb8", "16UC1", 16)
+        info = found["/camera/depth/camera_info"][i]
+        np.testing.assert_array_equal(np.reshape(info.k, (3, 3)), MATRIX)
+        assert depth.header.stamp.sec + depth.header.stamp.nanosec / 1e9 == pytest.approx(expected.time_s, abs=1e-6)
+        assert info.header.stamp.nanosec == depth.header.stamp.nanosec
+    with pytest.raises(InputError, match="no frame"):
+        write_mcap(tmp_path / "none.mcap", [], camera_matrix=MATRIX)
+    assert [p.name for p in tmp_path.iterdir()] == ["walk.mcap"]

@@ -1,0 +1,262 @@
+"""The calibration report of a made-up camera whose every error is known."""
+
+from __future__ import annotations
+
+import base64
+import re
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import typer
+
+from chromaperture.boards import BoardMeasurement
+from chromaperture.calibrate import CalibrationResult
+from chromaperture.calibration import Calibration, Film, Lens, Sensor
+from chromaperture.cli.main import app, main
+from chromaperture.curves import Evidence
+from chromaperture.depth.chessboard import Intrinsics, centered_pinhole
+from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.distances import BoardDistances
+from chromaperture.depth.field import DepthField
+from chromaperture.depth.fit import DepthFit
+from chromaperture.evaluation import figures
+from chromaperture.evaluation.figures import layer_errors, plane_residual
+from chromaperture.evaluation.report import report_html
+from chromaperture.evaluation.verdict import board_depth, board_errors, reach, sentences, stretches, weaknesses
+from chromaperture.session import Session
+
+WIDTH, HEIGHT = 96, 72
+A, B, DELTA = 4.3, 8200.0, 52.0
+BULGE = 0.2  # of A, from the middle of the frame to its edge
+RULERS = np.array([1000.0, 1500.0, 2000.0, 2500.0, 3500.0])
+NOISE_PX = 0.02
+
+
+def infinity_at(x):
+    """A over the frame: A (1 + BULGE x^2), x from -1 to 1."""
+    return A * (1 + BULGE * (2 * x / (WIDTH - 1) - 1) ** 2)
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    rng = np.random.default_rng(8)
+    folder = tmp_path_factory.mktemp("session")
+    (folder / "board").mkdir()
+    (folder / "white").mkdir()
+    paths = {}
+    for ruler in RULERS:
+        picture = rng.integers(2000, 60000, (HEIGHT, WIDTH, 3)).astype(np.uint16)
+        paths[folder / "board" / f"{ruler:.0f}.png"] = float(ruler)
+        cv2.imwrite(str(folder / "board" / f"{ruler:.0f}.png"), picture)
+    for name in ("open", "cy_halves"):
+        sheet = np.full((HEIGHT, WIDTH, 3), (30000, 40000, 35000), np.uint16)
+        cv2.imwrite(str(folder / "white" / f"{name}.png"), sheet)
+    x, y = np.arange(3.0, WIDTH, 6), np.arange(3.0, HEIGHT, 6)
+    boards, residuals = [], []
+    for ruler in RULERS:
+        noise = rng.normal(0, NOISE_PX, (len(y), len(x)))
+        noise[0, 0] = np.nan  # one place without texture
+        measured = (infinity_at(x)[None] - B / (ruler - DELTA) + noise).astype(np.float32)
+        both = {"paper": measured, "real-time": measured}
+        middle = {q: A - B / (ruler - DELTA) for q in both}
+        boards.append(
+            BoardMeasurement(f"{ruler:.0f}.png", ruler, middle, dict.fromkeys(both, 0.01), both, None, ruler + 1.0)
+        )
+        residuals.append(noise.astype(np.float32))
+    # x^2 = (T0 + T2) / 2: coefficients of 1, y, y2, x, xy, x2
+    infinity = A * np.array([1 + BULGE / 2, 0, 0, 0, 0, BULGE / 2])
+    covariance = np.diag([1e-4, 100.0, 4.0])
+    field = DepthField(infinity, np.array([B, 0, 0, 0, 0, 0.0]), DELTA, covariance)
+    matrix = centered_pinhole(160.0, (WIDTH, HEIGHT))
+    colors = {"cyan": np.array([0.05, 0.6, 0.7]), "yellow": np.array([0.9, 0.8, 0.05])}
+    calibration = Calibration(
+        design="cy_halves",
+        sensor=Sensor(WIDTH, HEIGHT, 0.3),
+        lens=Lens(48.0, matrix, f_number=2.0),
+        film=Film(colors, np.ones(3), np.array([0.5, 0.7, 0.4])),
+        depth={"paper": field, "real-time": field, "accurate": field},
+        near_mm=900.0,
+        far_mm=4550.0,
+        provenance={"command": "chromaperture calibrate <made up>", "date": "2026-01-01"},
+    )
+    residual_px = np.stack(residuals)
+    fit = DepthFit(DepthModel(A, B, DELTA, covariance), np.zeros(5), np.zeros(5), 0.0)
+    session = Session(
+        folder, "cy_halves", calibration.sensor, 50.0, 2.0, 2000.0, (9, 6), 30.0, 3.0, paths, ()
+    )  # fmt: skip
+    both = ("paper", "real-time")
+    ruler = BoardDistances(RULERS - DELTA, DELTA, 1.0, 1.0, np.eye(6), np.full(5, -1.0))
+    evidence = Evidence(calibration.sensor, boards, ruler, 3.0, np.ones(5, bool))
+    return CalibrationResult(
+        calibration=calibration, fits=dict.fromkeys(both, fit), boards=boards, notes=["a <note> & more"],
+        session=session, grid_x_px=x, grid_y_px=y, residual_px=dict.fromkeys(both, residual_px),
+        spread_px=dict.fromkeys(both, np.full(5, NOISE_PX)), intrinsics=Intrinsics(matrix, np.zeros(5), 0.1), tilts={},
+        ruler=ruler, ruler_residual_mm=ruler.residual_mm, outliers={}, evidence=evidence,
+    )  # fmt: skip
+
+
+def test_the_field_makes_a_flat_board_flat_again(result):
+    index, before, after = figures.flat_board(result)
+    assert RULERS[index] == 2500
+    step = (RULERS[index] - DELTA) ** 2 / B  # mm a px
+    assert after == pytest.approx(NOISE_PX * step, rel=0.15)  # 191 samples of noise: their rms is known to 5 %
+    assert before > 5 * after
+    # The bulge itself: x^2 less its mean has an rms of sqrt(4 / 45) over [-1, 1]; depth is not quite linear in it.
+    assert before == pytest.approx(A * BULGE * np.sqrt(4 / 45) * step, rel=0.4)
+    depth = board_depth(result, index)
+    assert np.isnan(depth[0, 0])
+    assert np.nanmedian(depth) == pytest.approx(RULERS[index], abs=4 * NOISE_PX * step / np.sqrt(depth.size))
+
+
+def test_a_plane_is_taken_off(rng):
+    y, x = np.indices((20, 30))
+    depth = 1000 + 3.0 * x - 2.0 * y + rng.normal(0, 1.5, x.shape)
+    depth[3, 4] += 500  # one wrong pixel is not the plane's
+    residual, rms = plane_residual(depth)
+    assert rms == pytest.approx(1.5, rel=0.1)
+    assert residual[3, 4] == pytest.approx(500, abs=10)
+
+
+def test_errors_of_boards_come_back(result):
+    moved = [replace(board, ruler_mm=board.ruler_mm) for board in result.boards]
+    offset = np.array(result.residual_px["real-time"], copy=True)
+    offset[3] += 0.1  # px
+    errors = board_errors(replace(result, boards=moved, residual_px={"real-time": offset}))
+    z = RULERS[3] - DELTA
+    assert errors[3] == pytest.approx(1 / (1 / z - 0.1 / B) - z, rel=0.05)
+    assert np.abs(errors[[0, 1, 2]]).max() < 3
+
+
+def test_the_reach_agrees_with_drawn_cameras(result):
+    """Spread of the depth over cameras drawn from the covariance and pixels drawn from the noise."""
+    rng = np.random.default_rng(4)
+    seen = reach(result)
+    a, b, delta = rng.multivariate_normal([A, B, DELTA], np.diag([1e-4, 100.0, 4.0]), 20000).T
+    for true in (1200.0, 2400.0):
+        d = A - B / (true - DELTA) + rng.normal(0, NOISE_PX, a.size)
+        spread = np.std(b / (a - d) + delta)
+        assert np.interp(true, seen.depth_mm, seen.pixel_sigma_mm) == pytest.approx(spread, rel=0.05)
+    step = np.interp(2400.0, seen.depth_mm, seen.step_mm)
+    near, far = (B / (A - d) + DELTA for d in A - B / (2400.0 - DELTA) + np.array([-0.005, 0.005]))
+    assert step == pytest.approx((far - near) / 0.01, rel=1e-3)
+
+
+def test_layers_are_coarser_than_their_parabola(result):
+    whole, layers, fine = layer_errors(result)
+    assert (whole + 1e-6 >= fine).all()
+    assert np.median(layers / fine) > 2  # a layer of 0.5 px is off by 0.12 px on average, the noise is 0.02
+
+
+def test_stretches():
+    depth = np.arange(6.0)
+    assert stretches(depth, np.array([True, True, False, False, True, True])) == [(0, 1), (4, 5)]
+    assert stretches(depth, np.zeros(6, bool)) == []
+
+
+def test_the_verdict_changes_with_the_evidence(result):
+    assert any("good to 2% from" in s.text and s.tone == "good" for s in sentences(result))
+    noisy = replace(result, spread_px={"real-time": np.full(5, 2.0)})
+    assert any("nowhere good to 2%" in s.text and s.tone == "weak" for s in sentences(noisy))
+
+
+def test_what_is_weak_is_named_with_what_to_do(result):
+    near = replace(result, boards=result.boards[:2], outliers={"1000.png": "board 1000 is 14 mm off its ruler."})
+    text = " ".join(s.text for s in weaknesses(near, "real-time"))
+    for word in ("No board stands farther", "photograph two or three", "was found in 2 of 2", "14 mm off"):
+        assert word in text
+    misread = replace(result, ruler_residual_mm=np.array([0, 0, 14.0, np.nan, 2]))
+    said = [s.text for s in weaknesses(misread, "real-time") if "disagree" in s.text]
+    assert len(said) == 1
+    assert "2000.png disagree by +14 mm" in said[0]
+    lost = replace(result, intrinsics=None)
+    assert any("add tilted boards" in s.text for s in weaknesses(lost, "real-time"))
+
+
+class _Page(HTMLParser):
+    VOID = frozenset({"meta", "img", "br"})
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.images, self.links, self.headings = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        if tag == "img":
+            self.images.append(attributes["src"])
+        self.links += [v for k, v in attrs if k in ("href", "src") and not v.startswith("data:")]
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "h2":
+            self.headings.append(data)
+
+
+def test_the_page_is_whole_and_needs_nothing_else(result):
+    text = report_html(result, title="a < b")
+    page = _Page()
+    page.feed(text)
+    assert page.open == []
+    assert page.links == []
+    assert "http" not in re.sub(r'src="data:[^"]*"', "", text)
+    assert "a &lt; b" in text
+    assert "a &lt;note&gt; &amp; more" in text
+    assert len(page.headings) == 13
+    assert len(page.images) == 11
+    for source in page.images:
+        data = base64.b64decode(source.removeprefix("data:image/png;base64,"))
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+        assert picture.std() > 5  # something is drawn on it
+
+
+def test_what_is_missing_leaves_its_section_out_of_pictures(result, tmp_path):
+    bare = replace(
+        result,
+        ruler=None, ruler_residual_mm=np.full(5, np.nan), intrinsics=None,
+        session=replace(result.session, design="cy_open", folder=result.session.folder),
+    )  # fmt: skip
+    (tmp_path / "elsewhere").mkdir()
+    text = report_html(bare, title="bare")
+    assert "nothing to compare the ruler with" in text
+    assert text.count("data:image/png") == 10
+
+
+def test_the_command_writes_the_report_beside_the_camera(result, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("chromaperture.calibrate.calibrate_session", lambda *a, **k: result)
+
+    def run(*options):
+        monkeypatch.setattr(sys, "argv", ["chromaperture", "calibrate", "session", "-q", *map(str, options)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        assert not end.value.code
+
+    run("--out", tmp_path / "a" / "camera.asdf")
+    assert {p.name for p in (tmp_path / "a").iterdir()} == {"camera.asdf", "camera.report.html"}
+    run("--out", tmp_path / "b" / "camera.asdf", "--no-report")
+    assert {p.name for p in (tmp_path / "b").iterdir()} == {"camera.asdf"}
+    run("--out", tmp_path / "c" / "camera.asdf", "--report", tmp_path / "d" / "page.html")
+    assert (tmp_path / "d" / "page.html").is_file()
+    assert not (tmp_path / "c" / "camera.report.html").exists()
+
+
+def tour_commands():
+    text = (Path(__file__).parents[1] / "docs" / "how-to-calibrate.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```sh\n(.*?)```", text, flags=re.DOTALL)
+    return [line for block in blocks for line in block.strip().splitlines()]
+
+
+@pytest.mark.parametrize("line", tour_commands())
+def test_commands_of_the_tour_are_understood(line):
+    """Parsed, not run: an option that is gone or misspelt fails here."""
+    program, name, *arguments = line.split()
+    assert program == "chromaperture"
+    command = typer.main.get_command(app).commands[name]
+    command.make_context(name, arguments)

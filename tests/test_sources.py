@@ -1,0 +1,402 @@
+"""Sources: whatever the camera, frames come in order, on one grid, the newest first where they are live."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from chromaperture.capture.aravis import best_format, unpack
+from chromaperture.capture.bayer import PATTERNS, superpixels
+from chromaperture.capture.files import read_image
+from chromaperture.capture.live import DeviceLostError, LiveSource, StreamEndedError
+from chromaperture.capture.open import connected_sources, open_source
+from chromaperture.capture.playback import played
+from chromaperture.capture.source import Encoding, FileSource, Frame
+from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.optics.sensor import mosaic
+
+# Older PyGObject has an importer of the old kind.
+pytestmark = pytest.mark.filterwarnings("ignore:DynamicImporter:ImportWarning")
+LINEAR = Encoding(0, 1000)
+
+
+def picture(seed=0, size=(24, 32)):
+    return np.random.default_rng(seed).integers(100, 900, (*size, 3)).astype(np.uint16)
+
+
+def write(path, counts):
+    assert cv2.imwrite(str(path), counts[..., ::-1])
+    return path
+
+
+# Bayer: a smooth world seen by each channel where its photosites lie must come back the same in all of them.
+
+
+def waves(x, y):
+    return 500 + 300 * np.sin(2 * np.pi * (x + 0.6 * y) / 24)  # period 12 superpixels
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_channels_of_a_mosaic_come_back_on_one_grid(pattern):
+    y, x = np.mgrid[:64, :96]
+    grey = np.repeat(waves(x, y)[..., None], 3, axis=2)
+    counts, encoding = superpixels(np.rint(mosaic(grey, pattern)).astype(np.uint16), pattern,
+                                   black_level=0, white_level=1000)  # fmt: skip
+    image = Frame(counts, encoding, 0.0, 0).image[4:-4, 4:-4]
+    centres = waves(*np.meshgrid(np.arange(48) * 2 + 0.5, np.arange(32) * 2 + 0.5))[4:-4, 4:-4] / 1000
+    # Rounding to counts is 0.0005; cubic interpolation of this wave errs by less than 0.001. Half a superpixel
+    # between R and B, left as it is, would be 0.3 * 2 pi / 12 * 0.25 = 0.04.
+    assert np.abs(image[..., [0, 2]] - centres[..., None]).max() < 2e-3
+    # G is the mean of two photosites, which is their middle but for the curvature of the wave: (0.3/2)(2 pi/24)^2.
+    assert np.abs(image[..., 1] - centres).max() < 0.012
+    raw = counts[4:-4, 4:-4] / 2000
+    assert np.abs(raw[..., 0] - raw[..., 2]).max() > 0.03
+
+
+@given(
+    pattern=st.sampled_from(PATTERNS), rows=st.integers(2, 9), columns=st.integers(2, 9), seed=st.integers(0, 99),
+    white=st.sampled_from([255, 1023, 4095, 65535]),
+)  # fmt: skip
+@settings(max_examples=40, deadline=None)
+def test_no_photosite_is_lost_or_lent_to_another_colour(pattern, rows, columns, seed, white):
+    cells = np.random.default_rng(seed).integers(0, white + 1, (rows, columns)).astype(np.uint16)
+    counts, encoding = superpixels(cells, pattern, black_level=0, white_level=white)
+    assert encoding.white_level == 2 * white
+    for i in range(rows // 2):
+        for j in range(columns // 2):
+            by_colour = {"R": [], "G": [], "B": []}
+            for colour, value in zip(pattern, cells[2 * i : 2 * i + 2, 2 * j : 2 * j + 2].ravel(), strict=True):
+                by_colour[colour].append(int(value))
+            expected = [sum(v) * 2 // len(v) for v in by_colour.values()]
+            assert counts[i, j].tolist() == expected
+
+
+def test_bytes_of_a_machine_vision_camera():
+    cells = np.arange(24, dtype="<u2").reshape(4, 6) * 100
+    counts, encoding = unpack(cells.tobytes(), 6, 4, "BayerGB12")
+    assert counts[0, 0].tolist() == [2 * cells[1, 0], cells[0, 0] + cells[1, 1], 2 * cells[0, 1]]
+    assert encoding.white_level == 2 * 4095
+    assert best_format(["Mono8", "BayerRG8", "BayerRG12", "RGB8"]) == "BayerRG12"
+    with pytest.raises(InputError, match="Mono8"):
+        best_format(["Mono8"])
+    with pytest.raises(InputError, match="YUV"):
+        unpack(b"", 2, 2, "YUV422Packed")
+
+
+# Files
+
+
+def test_a_folder_is_read_in_the_order_of_its_numbers(tmp_path):
+    pictures = {n: picture(n) for n in (1, 2, 10)}
+    for n, counts in pictures.items():
+        write(tmp_path / f"frame{n}.png", counts)
+    with open_source(str(tmp_path / "*.png"), white_level=1000, fps=10) as source:
+        frames = list(source)
+    assert [f.metadata["file"] for f in frames] == ["frame1.png", "frame2.png", "frame10.png"]
+    assert [f.time_s for f in frames] == [0.0, 0.1, 0.2]
+    for frame, (n, counts) in zip(frames, pictures.items(), strict=True):
+        np.testing.assert_array_equal(frame.counts, counts)
+        expected = read_image(tmp_path / f"frame{n}.png", white_level=1000)
+        np.testing.assert_array_equal(frame.image, expected)
+
+
+def test_odd_files_in_a_folder_are_said_and_skipped(tmp_path):
+    write(tmp_path / "0.png", picture())
+    write(tmp_path / "1.png", picture(size=(20, 20)))
+    (tmp_path / "2.png").write_bytes(b"no picture")
+    write(tmp_path / "3.png", np.full((24, 32, 3), [0, 1, 0], np.uint16))
+    write(tmp_path / "4.png", picture(4))
+    events = []
+    with open_source(str(tmp_path), listener=events.append, white_level=1000) as source:
+        assert [f.index for f in source] == [0, 3, 4]
+    assert [e.kind for e in events] == ["size", "skipped", "dark"]
+
+
+def test_a_video_gives_its_frames_in_order(tmp_path):
+    path = str(tmp_path / "clip.mkv")
+    clip = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*"FFV1"), 10.0, (64, 48))
+    if not clip.isOpened():
+        pytest.skip("this OpenCV writes no FFV1")
+    levels = [60, 120, 180]
+    for level in levels:
+        clip.write(np.full((48, 64, 3), (level, 40, 200), np.uint8))
+    clip.release()
+    with open_source(path) as source:
+        frames = list(source)
+    assert [f.time_s for f in frames] == pytest.approx([0.0, 0.1, 0.2])
+    for frame, level in zip(frames, levels, strict=True):  # conversion to YUV and back may err by 2 counts
+        assert np.abs(frame.counts.astype(int) - (200, 40, level)).max() <= 2
+
+
+@pytest.mark.parametrize(
+    ("spec", "word"),
+    [
+        ("webcam:77", "video77"),
+        ("webcam:0?focus=3", "no setting 'focus'"),
+        ("webcam:0?gain=high", "must be a number"),
+        ("firewire:0", "unknown kind"),
+        ("nowhere/", "no picture"),
+        ("nowhere/*.png", "no picture"),
+        ("nowhere.mkv", "no video"),
+        ("replay:nowhere", "no recording"),
+        ("replay:", "needs a folder"),
+        ("simulate:nowhere", "no RGB-D sequence"),
+        ("simulate:nowhere.toml", "no scene file"),
+        ("simulate:.?speed=-1", "speed"),
+    ],
+)
+def test_a_source_that_is_not_there_says_so(spec, word):
+    with pytest.raises(InputError, match=word), open_source(spec):
+        pass
+
+
+def test_every_kind_of_camera_is_listed_or_says_why_not():
+    kinds = {c.kind: c for c in connected_sources()}
+    assert set(kinds) == {"webcam", "aravis", "gphoto2"}
+    assert all(c.specs or c.note for c in kinds.values())
+
+
+# Live
+
+
+class Camera:
+    """Counts up at ``rate_hz``; unplugged after ``lasts`` frames."""
+
+    def __init__(self, rate_hz=1000.0, lasts=None, error=DeviceLostError):
+        self.pause, self.lasts, self.error, self.made, self.closed = 1 / rate_hz, lasts, error, 0, False
+
+    def read(self, index):
+        time.sleep(self.pause)
+        if self.made == self.lasts:
+            raise self.error("gone")
+        self.made += 1
+        return Frame(np.full((8, 8, 3), 500, np.uint16), LINEAR, time.time(), index)
+
+    def close(self):
+        self.closed = True
+
+
+def test_a_slow_reader_gets_the_newest_frame_and_the_rest_is_counted():
+    camera = Camera(rate_hz=200)
+    with LiveSource("test", lambda: camera) as source:
+        taken, behind = [], []
+        for frame in source:
+            taken.append(frame.index)
+            behind.append(camera.made - 1 - frame.index)
+            if len(taken) == 8:
+                break
+            time.sleep(0.05)
+        dropped, waiting = source.dropped, source._slot is not None
+        made = camera.made
+    # One frame may arrive while the counters are read.
+    assert max(behind) <= 1
+    assert abs(made - (len(taken) + dropped + waiting)) <= 1
+    assert dropped > 8
+    assert taken == sorted(set(taken))
+    assert camera.closed
+
+
+def test_an_unplugged_camera_is_found_again():
+    events, cameras = [], [Camera(lasts=3), None, None, Camera(lasts=10**6)]
+
+    def connect():
+        camera = cameras.pop(0)
+        if camera is None:
+            raise InputError("not there")
+        return camera
+
+    first = cameras[0]
+    with LiveSource("test", connect, listener=events.append, retry_s=0.01) as source:
+        for frame in source:
+            if len(events) == 2 and frame.index > 5:
+                break
+    assert [e.kind for e in events] == ["lost", "reconnected"]
+    assert first.closed
+    assert cameras == []
+
+
+def test_a_silent_camera_counts_as_lost():
+    class Silent(Camera):
+        def read(self, index):
+            time.sleep(0.005)
+
+    events, cameras = [], [Silent(), Camera()]
+    with LiveSource("test", lambda: cameras.pop(0), listener=events.append, silence_s=0.05, retry_s=0.01) as source:
+        assert next(iter(source)).index == 0
+    assert [e.kind for e in events] == ["lost", "reconnected"]
+
+
+def test_leaving_a_lost_camera_ends_the_thread():
+    lost = threading.Event()
+    cameras = [Camera(lasts=0)]
+
+    def connect():
+        if not cameras:
+            raise InputError("not there")
+        return cameras.pop()
+
+    before = threading.active_count()
+    with LiveSource("test", connect, listener=lambda event: lost.set(), retry_s=0.01):
+        assert lost.wait(10)
+    assert threading.active_count() == before
+
+
+def test_errors_of_the_camera_reach_the_reader():
+    broken = LiveSource("test", lambda: Camera(lasts=2, error=ZeroDivisionError))
+    with pytest.raises(ZeroDivisionError), broken as source:
+        for _ in source:
+            pass
+
+    def absent():
+        raise InputError("camera in use")
+
+    with pytest.raises(InputError, match="in use"), LiveSource("test", absent):
+        pass
+
+
+def test_a_stream_that_ends_delivers_its_last_frame():
+    with LiveSource("test", lambda: Camera(lasts=5, error=StreamEndedError)) as source:
+        assert [f.index for f in source][-1] == 4
+
+
+class Three(FileSource):
+    made = 0
+
+    def frames(self):
+        for index in range(3):
+            self.made += 1
+            yield Frame(np.full((8, 8, 3), 100 + index, np.uint16), LINEAR, index / 50, index)
+
+
+def test_files_played_in_a_loop_are_read_once_and_keep_their_pace():
+    source = Three("three")
+    began, seen = time.monotonic(), {}
+    with played(source, loop=True) as live:
+        for frame in live:
+            seen.setdefault(frame.index, int(frame.counts[0, 0, 0]))
+            if frame.index >= 6:
+                break
+    assert source.made == 3
+    assert all(value == 100 + index % 3 for index, value in seen.items())
+    assert time.monotonic() - began >= 4 / 50  # two rounds of two intervals; sleeping is never shorter
+
+
+def test_a_scene_moves_past_the_simulated_camera(tmp_path):
+    scene = tmp_path / "wall.toml"
+    scene.write_text('[[plane]]\ncenter_mm = [0, 0, 2000]\nwidth_mm = 3000\ntexture = "speckle"\ntexel_mm = 6\n')
+    spec = f"simulate:{scene}?width=128&height=96&count=13&design=open&focal_px=156&orbit_mm=125"
+    with open_source(spec) as source:
+        frames = list(source)
+    first, quarter = (frames[i].image[..., 1].astype(np.float64) for i in (0, 12))
+    moved, response = cv2.phaseCorrelate(first, quarter, cv2.createHanningWindow((128, 96), cv2.CV_64F))
+    np.testing.assert_allclose(np.array(frames[12].metadata["camera_to_world_mm"])[:3, 3], [125, 125, 0], atol=1e-9)
+    # 125 mm at 1950 mm from the pupil through 156 px: 10 px, against the camera's motion. Phase correlation of
+    # aliased speckle is good to 0.2 px.
+    assert moved == pytest.approx((-10, -10), abs=0.2)
+    assert response > 0.1
+
+
+# What needs an extra
+
+
+def write_dng(path: Path, cells: np.ndarray) -> None:
+    def ascii_(text):
+        return text + "\0"
+
+    tags = [
+        (33421, "H", 2, (2, 2), False), (33422, "B", 4, bytes([1, 0, 2, 1]), False),  # GRBG
+        (50706, "B", 4, bytes([1, 4, 0, 0]), False), (50707, "B", 4, bytes([1, 1, 0, 0]), False),
+        (50708, "s", 0, ascii_("test"), False), (50714, "H", 1, 64, False), (50717, "I", 1, 4095, False),
+        (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), False),
+        (50728, "2I", 3, (1, 1, 1, 1, 1, 1), False), (50778, "H", 1, 21, False),
+        (271, "s", 0, ascii_("test"), False), (272, "s", 0, ascii_("test"), False),
+    ]  # fmt: skip
+    tifffile.imwrite(path, cells, photometric=32803, extratags=tags, metadata=None)
+
+
+def test_a_raw_file_gives_its_photosites(tmp_path):
+    pytest.importorskip("rawpy", reason="extra raw is not installed")
+    cells = np.random.default_rng(3).integers(200, 4000, (64, 96)).astype(np.uint16)
+    write_dng(tmp_path / "photo.dng", cells)
+    with open_source(str(tmp_path / "photo.dng")) as source:
+        (frame,) = list(source)
+    expected, encoding = superpixels(cells, "GRBG", black_level=64, white_level=4095)
+    np.testing.assert_array_equal(frame.counts, expected)
+    assert frame.encoding == encoding
+
+
+def test_frames_of_an_aravis_camera():
+    gi = pytest.importorskip("gi", reason="PyGObject is not installed")
+    try:
+        gi.require_version("Aravis", "0.8")
+    except ValueError:
+        pytest.skip("Debian's gir1.2-aravis-0.8 is not installed")
+    from gi.repository import Aravis
+
+    Aravis.enable_interface("Fake")
+    assert "aravis:Fake_1" in connected_sources()[1].specs
+    spec = "aravis:Fake_1?pixel_format=BayerRG8&width=128&height=96&exposure_us=5000&fps=50"
+    with open_source(spec) as source:
+        frames = [frame for frame, _ in zip(source, range(4), strict=False)]
+    assert all(f.counts.shape == (48, 64, 3) and f.metadata["exposure_us"] == 5000 for f in frames)
+    with pytest.raises(InputError, match="Mono"), open_source("aravis:Fake_1?pixel_format=Mono8") as source:
+        next(iter(source))
+
+
+TETHERED = """
+import sys
+from chromaperture.capture.open import connected_sources, open_source
+specs = connected_sources()[2].specs
+assert specs, "no virtual camera"
+with open_source(specs[0] + "?count=2") as source:
+    for frame in source:
+        print(frame.index, *frame.counts.shape)
+"""
+
+
+def test_photographs_of_a_tethered_camera(tmp_path):
+    gphoto2 = pytest.importorskip("gphoto2", reason="extra cameras is not installed")
+    drivers = Path(gphoto2.__file__).parent / "libgphoto2" / "vusb"
+    if not drivers.is_dir():
+        pytest.skip("this gphoto2 has no virtual USB camera")
+    folder = tmp_path / "DCIM" / "100CANON"
+    folder.mkdir(parents=True)
+    write(folder / "IMG_0001.JPG", (picture() // 4).astype(np.uint8))
+    environment = os.environ | {"IOLIBS": str(drivers), "VCAMERADIR": f"{tmp_path}/"}  # read when it is loaded
+    made = subprocess.run(
+        [sys.executable, "-c", TETHERED], capture_output=True, text=True, env=environment, timeout=60, check=False
+    )
+    assert made.returncode == 0, made.stderr
+    assert made.stdout.splitlines() == ["0 24 32 3", "1 24 32 3"]
+
+
+def test_the_cameras_levels_serve_where_a_file_can_hold_them(tmp_path):
+    write(tmp_path / "deep.png", picture())
+    write(tmp_path / "flat.png", (picture() // 4).astype(np.uint8))
+    with open_source(str(tmp_path), camera_levels=(16, 1016)) as source:
+        deep, flat = (f.encoding for f in source)
+    assert deep == Encoding(16, 1016)
+    assert flat == Encoding(0, 255, "srgb")
+    with open_source(str(tmp_path / "deep.png"), camera_levels=(16, 1016), white_level=900) as source:
+        assert next(iter(source)).encoding == Encoding(0, 900)
+
+
+@pytest.mark.parametrize(
+    ("module", "spec", "extra"),
+    [("rawpy", "photo.cr2", "raw"), ("gi", "aravis:any", "cameras"), ("gphoto2", "gphoto2", "cameras")],
+)
+def test_a_missing_extra_is_named(tmp_path, monkeypatch, module, spec, extra):
+    monkeypatch.setitem(sys.modules, module, None)  # importing it fails
+    (tmp_path / "photo.cr2").write_bytes(b"RAW")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(MissingDependencyError, match=rf"chromaperture\[{extra}\]"), open_source(spec) as source:
+        next(iter(source))
