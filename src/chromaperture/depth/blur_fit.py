@@ -101,7 +101,8 @@ def fit_blur(
     per_board = max(4, math.ceil(tile_count / max(board_count, 1)))
     size, tiles = _tile_size(start), []
     for number, (image, inverse_mm) in enumerate(boards):
-        tiles += _cut(image, inverse_mm, size, per_board, seed=number)
+        fitting = max(4, round(2 * image.shape[0] * image.shape[1] / _CORE_PX**2))  # more would see the same pixels
+        tiles += _cut(image, inverse_mm, size, min(per_board, fitting), seed=number)
     if not tiles:
         raise InputError("no board has texture to fit the blur to: photograph a printed pattern that fills the frame")
     few = tiles[:: max(1, len(tiles) // _FEW_TILES)]
