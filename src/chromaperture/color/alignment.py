@@ -7,7 +7,11 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from chromaperture.color.unmixing import ideal_unmixing
+from chromaperture.color.visibility import fill_hidden, visible_from
+from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids
+
+_STILL = 1e-3  # displacement per px of disparity that is none
 
 
 def channel_directions(aperture: Aperture, film: dict[str, np.ndarray]) -> np.ndarray:
@@ -41,7 +45,7 @@ def fill_unknown(values: np.ndarray) -> np.ndarray:
 
 
 def align_channels(image: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Shift each channel back by its disparity.
+    """Shift each channel back by its disparity, and colour what a channel could not see past a near edge.
 
     Parameters
     ----------
@@ -53,19 +57,39 @@ def align_channels(image: np.ndarray, disparity_px: np.ndarray, directions: np.n
     Returns
     -------
     (H, W, 3) float32, linear RGB, in the view of the pupil's centre
+
+    Raises
+    ------
+    InputError
+        The disparity is of another picture's size.
     """
-    height, width = disparity_px.shape
+    if image.shape[:2] != disparity_px.shape:
+        raise InputError(
+            f"disparity {disparity_px.shape} and image {image.shape[:2]} differ in size: they are of two photographs"
+        )
     filled = fill_unknown(disparity_px).astype(np.float32)
-    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    planes = []
+    color = shift_back(image, filled, directions)
+    visible = np.stack([visible_from(filled, u) for u in np.asarray(directions, float)], axis=-1)
+    if visible.all():
+        return color
+    order = np.argsort(np.linalg.norm(directions, axis=1), kind="stable")
+    return fill_hidden(color, visible, filled, order)
+
+
+def shift_back(image: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Sample each channel at x + d u_k, cubic; disparity without NaN; (H, W, 3) float32."""
+    height, width = disparity_px.shape
+    x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
+    color = np.empty((height, width, 3), np.float32)
     for k in range(3):
         dx, dy = (np.float32(u) for u in directions[k])
+        if abs(dx) < _STILL and abs(dy) < _STILL:
+            color[..., k] = image[..., k]
+            continue
         plane = np.ascontiguousarray(image[..., k], np.float32)
-        if dx or dy:
-            source = (x + dx * filled, y + dy * filled)
-            plane[:] = cv2.remap(plane, *source, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        planes.append(plane)
-    return np.stack(planes, axis=-1)
+        source = (x + dx * disparity_px, y + dy * disparity_px)
+        color[..., k] = cv2.remap(plane, *source, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return color
 
 
 def white_balance(color: np.ndarray, white_rgb: np.ndarray) -> np.ndarray:
