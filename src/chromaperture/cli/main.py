@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from chromaperture import __version__
-from chromaperture.cli import apertures, calibrate, demo, depth, info, simulate
+from chromaperture.cli import apertures, calibrate, demo, depth, info, refocus, simulate, transparency
 from chromaperture.cli.console import say_error, show_warning
 from chromaperture.errors import CaptureWarning, ChromapertureError
 
@@ -25,6 +25,8 @@ app.command("depth")(depth.depth)
 app.command("calibrate")(calibrate.calibrate)
 app.command("info")(info.info)
 app.command("apertures")(apertures.apertures)
+app.command("refocus")(refocus.refocus)
+app.command("transparency")(transparency.transparency)
 app.command("simulate")(simulate.simulate)
 app.command("simulate-rgbd")(simulate.simulate_rgbd)
 

@@ -22,6 +22,8 @@ from chromaperture.effects.layered_model import LayeredModel
 from chromaperture.effects.wiener import colour_covariance, mirrored, padded_size, sharpen_layers
 from chromaperture.errors import InputError
 
+_DOUBT_PX, _DOUBT_SHARE = 0.5, 0.08  # error of the blur radius at which a pixel counts half
+
 Map = Callable[[np.ndarray], np.ndarray]
 
 
@@ -58,6 +60,7 @@ def all_in_focus(
     *,
     noise_variance: np.ndarray,
     aligned: np.ndarray,
+    radius_sigma_px: np.ndarray | None = None,
     config: SharpenConfig | None = None,
     center: tuple[float, float] | None = None,
 ) -> np.ndarray:
@@ -73,7 +76,9 @@ def all_in_focus(
     noise_variance : (3,) float
         Of the white-balanced image.
     aligned : (H, W, 3) float32
-        The capture with its channels aligned: tells the colour lines.
+        The capture with its channels aligned: tells the colour lines, and stays where the blur is in doubt.
+    radius_sigma_px : (H, W) float32, optional
+        Standard deviation of the blur radius.
     config : SharpenConfig, optional
     center : (x, y), optional
         Of this picture in the frame, -1 to 1.
@@ -96,13 +101,15 @@ def all_in_focus(
     start = sharpen_layers(
         image, radius_px, blur, noise_variance=noise, colour=colour_covariance(aligned), center=center
     )
+    sure = certainty(radius_px, radius_sigma_px)
+    start = sure[..., None] * start + (1 - sure[..., None]) * aligned
     if config.reweightings == 0:
         return start
     pad, size = padded_size(radius_px.shape, radius_px)
     model = LayeredModel(mirrored(radius_px.astype(np.float32), pad, size), blur, center=center)
     y, x, guide = (_planes(mirrored(v, pad, size)) for v in (image, start, aligned))
     trust = model.trust
-    precision = trust / noise[:, None, None].astype(np.float32)
+    precision = trust * mirrored(sure, pad, size) / noise[:, None, None].astype(np.float32)
     # At depth edges a layer's own estimate rings, and little data would correct it: start from the blurred picture.
     sure = cv2.GaussianBlur(trust.min(axis=0), (0, 0), 1.0) ** 2
     x = sure * x + (1 - sure) * guide
@@ -122,6 +129,18 @@ def all_in_focus(
         np.maximum(x, 0, out=x)
     crop = x[:, pad : pad + image.shape[0], pad : pad + image.shape[1]]
     return np.ascontiguousarray(crop.transpose(1, 2, 0))
+
+
+def certainty(radius_px: np.ndarray, sigma_px: np.ndarray | None) -> np.ndarray:
+    """How far a blur radius can be relied on: little where it is noisy or jumps; (H, W) float32 in [0, 1]."""
+    radius = np.asarray(radius_px, np.float32)
+    mean = cv2.boxFilter(radius, -1, (5, 5))
+    doubt = np.maximum(cv2.boxFilter(radius * radius, -1, (5, 5)) - mean * mean, 0)
+    if sigma_px is not None:
+        doubt = doubt + np.square(np.asarray(sigma_px, np.float32))
+    # A large blur forgives more: what counts is the error relative to it.
+    allowed = np.float32(_DOUBT_PX) ** 2 + (np.float32(_DOUBT_SHARE) * radius) ** 2
+    return np.asarray(1 / (1 + doubt / allowed), np.float32)
 
 
 def colour_lines(guide: np.ndarray, *, sigma_px: float) -> tuple[np.ndarray, float]:

@@ -9,11 +9,12 @@ import numpy as np
 
 from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, channel_shifts, sensor_noise
-from chromaperture.color.alignment import align_channels, fill_unknown
+from chromaperture.color.alignment import align_channels
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
 from chromaperture.effects.blur import Blur, camera_blur, radius_per_disparity
+from chromaperture.effects.steady import steady_disparity
 from chromaperture.errors import InputError
 
 Sharpness = Literal["aligned", "fast", "full"]
@@ -40,6 +41,7 @@ def restore(
     disparity_px: np.ndarray,
     camera: CodedApertureCamera,
     *,
+    sigma_px: np.ndarray | None = None,
     sharpness: Sharpness = "full",
     blur: Blur | None = None,
 ) -> SharpPicture:
@@ -48,9 +50,11 @@ def restore(
     Parameters
     ----------
     image : (H, W, 3) float, linear RGB, 1.0 = white level
-    disparity_px : (H, W) float, px; NaN is filled from the nearest known pixel
+    disparity_px : (H, W) float, px; NaN is filled along the picture's surfaces
         As this camera measured it.
     camera : CodedApertureCamera
+    sigma_px : (H, W) float, px, optional
+        Standard deviation of the disparity.
     sharpness : "aligned", "fast" or "full"
         Leave the blur; a Wiener filter a layer; all layers and channels solved for together.
     blur : Blur, optional
@@ -72,17 +76,19 @@ def restore(
     cal, quality = camera.calibration, camera.config.quality
     gains = white_gains(cal)
     balanced = np.maximum(np.asarray(image, np.float32), 0) * gains
-    disparity = fill_unknown(np.asarray(disparity_px, np.float32)).astype(np.float32)
-    aligned = np.maximum(align_channels(balanced, disparity, channel_shifts(cal, quality)), 0)
-    radius = disparity * np.float32(radius_per_disparity(cal, quality))
+    shifts, scale = channel_shifts(cal, quality), np.float32(radius_per_disparity(cal, quality))
+    disparity, spread = steady_disparity(disparity_px, sigma_px, align_channels(balanced, disparity_px, shifts))
+    aligned = np.maximum(align_channels(balanced, disparity, shifts), 0)
+    radius = disparity * scale
     if sharpness == "aligned":
         return SharpPicture(aligned, radius)
     variance = sensor_noise(image, cal)
     noise = (estimate_noise_variance(image) if variance is None else variance).mean(axis=(0, 1)) * gains**2
     settings = SharpenConfig() if sharpness == "full" else SharpenConfig(reweightings=0)
     sharp = all_in_focus(
-        balanced, radius, blur or camera_blur(cal), noise_variance=noise, aligned=aligned, config=settings
-    )
+        balanced, radius, blur or camera_blur(cal), noise_variance=noise, aligned=aligned,
+        radius_sigma_px=spread * scale, config=settings,
+    )  # fmt: skip
     return SharpPicture(sharp, radius)
 
 
