@@ -23,6 +23,7 @@ from chromaperture.effects.wiener import colour_covariance, mirrored, padded_siz
 from chromaperture.errors import InputError
 
 _DOUBT_PX, _DOUBT_SHARE = 0.5, 0.08  # error of the blur radius at which a pixel counts half
+_CONTRAST_PX = 9
 
 Map = Callable[[np.ndarray], np.ndarray]
 
@@ -38,7 +39,7 @@ class SharpenConfig:
     prior_weight : float
         1 takes the differences to be as large as the capture's own.
     model_error : float
-        What the blur model is wrong by, (white level), besides noise.
+        What the blur model is wrong by, as a share of the local contrast. The kernels of a lens are never known exactly.
     colour_sigma_px : float
         Reach of a colour line.
     reweightings, iterations : int
@@ -46,8 +47,8 @@ class SharpenConfig:
     """
 
     prior_exponent: float = 0.8
-    prior_weight: float = 2.0
-    model_error: float = 0.003
+    prior_weight: float = 1.0
+    model_error: float = 0.25
     colour_sigma_px: float = 4.0
     reweightings: int = 3
     iterations: int = 10
@@ -97,7 +98,8 @@ def all_in_focus(
         raise InputError(f"image {image.shape[:2]} and depth {radius_px.shape} differ in size: of two photographs")
     if not np.isfinite(radius_px).all():
         raise InputError("the blur radius must be known everywhere; fill the holes of the disparity first")
-    noise = np.asarray(noise_variance, float) + config.model_error**2
+    misfit = np.float32(config.model_error**2) * local_variance(aligned)
+    noise = np.asarray(noise_variance, float) + misfit.mean(axis=(0, 1))
     start = sharpen_layers(
         image, radius_px, blur, noise_variance=noise, colour=colour_covariance(aligned), center=center
     )
@@ -109,7 +111,8 @@ def all_in_focus(
     model = LayeredModel(mirrored(radius_px.astype(np.float32), pad, size), blur, center=center)
     y, x, guide = (_planes(mirrored(v, pad, size)) for v in (image, start, aligned))
     trust = model.trust
-    precision = trust * mirrored(sure, pad, size) / noise[:, None, None].astype(np.float32)
+    variance = _planes(mirrored(misfit + np.asarray(noise_variance, np.float32), pad, size))
+    precision = trust * mirrored(sure, pad, size) / variance
     # At depth edges a layer's own estimate rings, and little data would correct it: start from the blurred picture.
     sure = cv2.GaussianBlur(trust.min(axis=0), (0, 0), 1.0) ** 2
     x = sure * x + (1 - sure) * guide
@@ -129,6 +132,12 @@ def all_in_focus(
         np.maximum(x, 0, out=x)
     crop = x[:, pad : pad + image.shape[0], pad : pad + image.shape[1]]
     return np.ascontiguousarray(crop.transpose(1, 2, 0))
+
+
+def local_variance(picture: np.ndarray) -> np.ndarray:
+    """Variance of each channel around every pixel; (H, W, 3) float32."""
+    mean = cv2.boxFilter(picture, -1, (_CONTRAST_PX, _CONTRAST_PX))
+    return np.maximum(cv2.boxFilter(picture * picture, -1, (_CONTRAST_PX, _CONTRAST_PX)) - mean * mean, 0)
 
 
 def certainty(radius_px: np.ndarray, sigma_px: np.ndarray | None) -> np.ndarray:
