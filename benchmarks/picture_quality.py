@@ -8,6 +8,7 @@ import numpy as np
 from chromaperture.color.srgb import linear_to_srgb
 
 TEMPLATE, SEARCH, STRIDE = 35, 16, 14  # px
+LEAST_GRADIENT = 4e-3  # a px, of the square root of light
 
 
 def matched_exposure(picture: np.ndarray, reference: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -32,31 +33,35 @@ def compare(picture: np.ndarray, reference: np.ndarray, valid: np.ndarray) -> di
 
 
 def misalignment(picture: np.ndarray, *, least_ncc: float = 0.85) -> np.ndarray:
-    """Displacement of red and blue against green in textured windows, px; (N,) float."""
+    """Displacement of red and blue against green, px, window by window; NaN where nothing registers; (N,) float.
+
+    The windows lie on a fixed grid, so that pictures of the same size can be compared one by one.
+    """
     p = np.maximum(np.asarray(picture, np.float32), 0)
     p = cv2.GaussianBlur(np.sqrt(p), (0, 0), 1.0)  # equal noise in dark and light
     height, width = p.shape[:2]
     half, reach = TEMPLATE // 2, TEMPLATE // 2 + SEARCH
     found = []
-    noise = np.median(np.abs(p[..., 1] - cv2.GaussianBlur(p[..., 1], (0, 0), 1.0))) / 0.67
     for y in range(reach, height - reach, STRIDE):
         for x in range(reach, width - reach, STRIDE):
             area = p[y - reach : y + reach + 1, x - reach : x + reach + 1, 1]
             for k in (0, 2):
-                patch = p[y - half : y + half + 1, x - half : x + half + 1, k]
-                # both directions, or a displacement along a lone edge would be a matter of luck
-                gy, gx = np.gradient(patch)
-                weakest = np.linalg.eigvalsh(np.cov(gx.ravel(), gy.ravel()))[0] ** 0.5
-                if weakest < 2 * noise or weakest < 4e-3:
-                    continue
-                score = cv2.matchTemplate(area, patch, cv2.TM_CCOEFF_NORMED)
-                _, best, _, (i, j) = cv2.minMaxLoc(score)
-                if best < least_ncc or not (0 < i < 2 * SEARCH and 0 < j < 2 * SEARCH):
-                    continue
-                dx = _peak(score[j, i - 1], score[j, i], score[j, i + 1]) + i - SEARCH
-                dy = _peak(score[j - 1, i], score[j, i], score[j + 1, i]) + j - SEARCH
-                found.append(np.hypot(dx, dy))
+                found.append(_displacement(p[y - half : y + half + 1, x - half : x + half + 1, k], area, least_ncc))
     return np.array(found)
+
+
+def _displacement(patch: np.ndarray, area: np.ndarray, least_ncc: float) -> float:
+    gy, gx = np.gradient(patch)
+    # Structure in both directions, or a displacement along a lone edge would be a matter of luck.
+    if np.linalg.eigvalsh(np.cov(gx.ravel(), gy.ravel()))[0] ** 0.5 < LEAST_GRADIENT:
+        return np.nan
+    score = cv2.matchTemplate(area, patch, cv2.TM_CCOEFF_NORMED)
+    _, best, _, (i, j) = cv2.minMaxLoc(score)
+    if best < least_ncc or not (0 < i < 2 * SEARCH and 0 < j < 2 * SEARCH):
+        return np.nan
+    dx = _peak(score[j, i - 1], score[j, i], score[j, i + 1]) + i - SEARCH
+    dy = _peak(score[j - 1, i], score[j, i], score[j + 1, i]) + j - SEARCH
+    return float(np.hypot(dx, dy))
 
 
 def _peak(left: float, middle: float, right: float) -> float:
