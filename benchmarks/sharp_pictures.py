@@ -218,7 +218,7 @@ def _scaled(kernels: np.ndarray, at_px: float, radii: np.ndarray) -> tuple[np.nd
             for j in range(8):
                 for k in range(3):
                     # Shrunk after a blur of the pixel's size, or a small kernel would miss its samples.
-                    soft = cv2.GaussianBlur(kernels[i, j, k], (0, 0), max(0.45 / max(abs(scale), 0.05), 0.3))
+                    soft = cv2.GaussianBlur(kernels[i, j, k], (0, 0), max(0.25 / max(abs(scale), 0.05), 0.3))
                     out[i, j, n, k] = cv2.warpAffine(soft, matrix, (size, size), flags=cv2.INTER_LINEAR)
     out = np.maximum(out, 0)
     return out / np.maximum(out.sum(axis=(4, 5), keepdims=True), 1e-9), radii

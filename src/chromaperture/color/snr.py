@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chromaperture.color.noise import estimate_noise_variance
+from chromaperture.color.noise import fine_structure
 from chromaperture.errors import InputError
 
 
@@ -87,7 +87,7 @@ def expected_loss_db(transmission: float, *, read_variance_share: float = 0.0) -
 
 
 def _central(shape: tuple[int, ...]) -> np.ndarray:
-    """The middle third of width and height; the rest of the frame beyond two thirds of its half size is border."""
+    """Two thirds of width and height in the middle; what lies around them is border."""
     height, width = shape[:2]
     y, x = np.abs(np.linspace(-1, 1, height))[:, None], np.abs(np.linspace(-1, 1, width))[None]
     inside: np.ndarray = np.maximum(x, y) < 2 / 3
@@ -101,14 +101,7 @@ def _area_snr(first: np.ndarray, second: np.ndarray | None, area: np.ndarray) ->
         gain = second[area].mean(axis=0, dtype=float) / mean  # a lamp that drifts by a percent is not noise
         sigma = (difference - mean * (gain - 1)).std(axis=0, dtype=float) / np.sqrt(2)
     else:
-        # Squares of the frame that lie in the area as a whole, so that the estimator sees no seams.
-        size = max(16, min(area.shape) // 12)
-        variances = [
-            estimate_noise_variance(first[y : y + size, x : x + size])[0, 0]
-            for y in range(0, area.shape[0] - size + 1, size)
-            for x in range(0, area.shape[1] - size + 1, size)
-            if area[y : y + size, x : x + size].all()
-        ]
-        sigma = np.sqrt(np.mean(variances, axis=0))
+        # The mean absolute value of a Gaussian is sqrt(2 / pi) sigma.
+        sigma = np.sqrt(np.pi / 2) * fine_structure(first)[area].mean(axis=0, dtype=float) / 6
     with np.errstate(divide="ignore"):
         return np.asarray(20 * np.log10(mean / sigma))
