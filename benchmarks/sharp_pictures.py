@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 from picture_quality import compare
 
-from chromaperture.camera import CodedApertureCamera, default_config
 from chromaperture.calibration import Calibration
+from chromaperture.camera import CodedApertureCamera, default_config
 from chromaperture.color.alignment import align_channels
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
@@ -153,19 +154,22 @@ def cmu_rows(folder: Path, out: Path | None, *, say: Callable, save: Callable) -
         noise = estimate_noise_variance(full)[0, 0]
         begin = time.perf_counter()
 
-        def tile(piece: tuple, middle: tuple, config: SharpenConfig, image=image, radius=radius, aligned=aligned,
-                 noise=noise, blur=blur, doubt=doubt) -> np.ndarray:  # fmt: skip
+        def tile(piece: tuple, middle: tuple, *, config: SharpenConfig, radius: np.ndarray, image=image,
+                 aligned=aligned, noise=noise, blur=blur, doubt=doubt) -> np.ndarray:  # fmt: skip
             frame_position = (0.667 * middle[0], 0.667 * middle[1])  # the crop is the middle of the frame
             return all_in_focus(image[piece], radius[piece], blur, noise_variance=noise, aligned=aligned[piece],
                                 radius_sigma_px=doubt[piece], config=config, center=frame_position)  # fmt: skip
 
         made = {"capture": image, "aligned": aligned}
-        for name, config in (("layered Wiener", SharpenConfig(reweightings=0)), ("all in focus", SharpenConfig())):
-            made[name] = by_tiles(
-                (504, 672), lambda p, m, c=config: tile(p, m, c), tile_px=224, overlap_px=32  # noqa: B023
-            )
+        whole = radius
+        for factor in (1.0, 0.85):  # the blur as the matched disparity says, and a little less
+            radius = np.clip(factor * whole, radii[0], radii[-1]).astype(np.float32)
+            for name, config in (("layered Wiener", SharpenConfig(reweightings=0)), ("all in focus", SharpenConfig())):
+                made[f"{name}, {factor:g}"] = by_tiles(
+                    (504, 672), partial(tile, radius=radius, config=config), tile_px=224, overlap_px=32
+                )
+            made |= {f"{name}, {factor:g}": p for name, p in peers(image, radius, blur, 63).items()}
         seconds = time.perf_counter() - begin
-        made |= peers(image, radius, blur, 63)
         # Channels hold one grey scene: their mean is the picture.
         known = _half(_read(folder / f"{scene}_gt_defocus.png")) > 0
         valid = known if known.mean() > 0.2 else np.ones((504, 672), bool)

@@ -40,7 +40,9 @@ def test_a_textured_sheet_spoils_one_frame_not_two(rng):
     assert np.all(one < two - 5)
 
 
-@pytest.mark.parametrize(("transmission", "read"), [(0.86, 0.0), (0.55, 0.0), (0.055, 0.0), (0.055, 30.0), (0.55, 60.0)])
+@pytest.mark.parametrize(
+    ("transmission", "read"), [(0.86, 0.0), (0.55, 0.0), (0.055, 0.0), (0.055, 30.0), (0.55, 60.0)]
+)
 def test_the_expected_loss_is_the_measured_one(rng, transmission, read):
     bare, coded = (snr_db(sheet(rng, light, read), sheet(rng, light, read))[0] for light in (0.8, 0.8 * transmission))
     expected = expected_loss_db(transmission, read_variance_share=read**2 / (0.8 * FULL_WELL))

@@ -20,7 +20,7 @@ def transparency(
     ],
     bare: Annotated[Path, typer.Option(help="The same sheet without the aperture, at the same exposure.")],
     black_level: Annotated[float, typer.Option(help="Counts of no light.")] = 0.0,
-    white_level: Annotated[float | None, typer.Option(help="Counts of a full well; default the file's largest.")] = None,
+    white_level: Annotated[float | None, typer.Option(help="Counts of a full well; default the file's.")] = None,
     exposure: Annotated[
         float, typer.Option(help="Exposure of the SHEETs over that of the bare one, where they differ.")
     ] = 1.0,
@@ -138,6 +138,7 @@ def _print(rows: list[dict[str, Any]]) -> None:
         )
     out.print(table)
     out.print(
-        "Loss: in the centre / at the border, against the bare centre. Exposure: what restores the centre's SNR where photons make the noise; in brackets where the sensor's own "
+        "Loss: in the centre / at the border, against the bare centre. "
+        "Exposure: what restores the centre's SNR where photons make the noise; in brackets where the sensor's own "
         "noise does, the reading behind the paper's 30 % for 2.3 dB."
     )

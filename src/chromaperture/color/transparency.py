@@ -71,8 +71,8 @@ def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
     most = float(np.percentile(share, 99, axis=(0, 1)).max())
     if most > _MOST_LIGHT:
         raise InputError(
-            f"the coded aperture seems to pass {100 * most:.0f} % of the light: the white sheets differ in exposure, or "
-            "are swapped; photograph both at the same exposure, or give the ratio of the exposures"
+            f"the coded aperture seems to pass {100 * most:.0f} % of the light: the white sheets differ in exposure, "
+            "or are swapped; photograph both at the same exposure, or give the ratio of the exposures"
         )
     return share
 
@@ -149,9 +149,9 @@ def _smooth(sheet: np.ndarray) -> np.ndarray:
     sigma = _BLUR_SHARE * sheet.shape[1]
     first = cv2.GaussianBlur(sheet, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
     fine = cv2.GaussianBlur(sheet, (0, 0), 2.0, borderType=cv2.BORDER_REFLECT)  # noise is no dust
-    clean = (fine > (1 - _DUST) * first).all(axis=-1).astype(np.float32)
+    clean = np.asarray((fine > (1 - _DUST) * first).all(axis=-1), np.float32)
     if clean.all() or clean.mean() < 0.8:  # so much dust is a pattern, not dust
         return np.asarray(first)
-    weight = cv2.GaussianBlur(clean, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)[..., None]
-    total = cv2.GaussianBlur(sheet * clean[..., None], (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+    weight = np.asarray(cv2.GaussianBlur(clean, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))[..., None]
+    total = np.asarray(cv2.GaussianBlur(sheet * clean[..., None], (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
     return np.asarray(np.where(weight > 0.2, total / np.maximum(weight, 0.2), first))

@@ -49,15 +49,15 @@ def _visible(disparity, ux, uy, seen):  # type: ignore[no-untyped-def]
         for y in range(first, last):
             for x in range(width):
                 d = disparity[y, x]
-                ty = y if uy == 0 else int(math.floor(y + d * uy + np.float32(0.5)))
-                tx = int(math.floor(x + d * ux + np.float32(0.5)))
+                ty = y if uy == 0 else math.floor(y + d * uy + np.float32(0.5))
+                tx = math.floor(x + d * ux + np.float32(0.5))
                 if 0 <= tx < width and first <= ty < last and d < buffer[ty - first, tx]:
                     buffer[ty - first, tx] = d
         for y in range(first, last):
             for x in range(width):
                 d = disparity[y, x]
-                ty = y if uy == 0 else int(math.floor(y + d * uy + np.float32(0.5)))
-                tx = int(math.floor(x + d * ux + np.float32(0.5)))
+                ty = y if uy == 0 else math.floor(y + d * uy + np.float32(0.5))
+                tx = math.floor(x + d * ux + np.float32(0.5))
                 inside = 0 <= tx < width and first <= ty < last
                 seen[y, x] = inside and buffer[ty - first, tx] > d - np.float32(_HIDDEN)
 
@@ -80,7 +80,8 @@ def fill_hidden(color: np.ndarray, visible: np.ndarray, disparity_px: np.ndarray
     (H, W, 3) float32
     """
     out = np.array(color, np.float32)
-    _fill(np.ascontiguousarray(color, np.float32), visible, np.asarray(disparity_px, np.float32), np.asarray(order), out)
+    depth = np.asarray(disparity_px, np.float32)
+    _fill(np.ascontiguousarray(color, np.float32), visible, depth, np.asarray(order), out)
     return out
 
 

@@ -39,7 +39,7 @@ class SharpenConfig:
     prior_weight : float
         1 takes the differences to be as large as the capture's own.
     model_error : float
-        What the blur model is wrong by, as a share of the local contrast. The kernels of a lens are never known exactly.
+        What the blur model is wrong by, as a share of the local contrast: kernels are never known exactly.
     colour_sigma_px : float
         Reach of a colour line.
     reweightings, iterations : int

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,7 +19,7 @@ def tile_slices(shape: tuple[int, int], *, tile_px: int, overlap_px: int) -> Ite
         axes.append(
             [
                 slice(max(int(a) - overlap_px, 0), min(int(b) + overlap_px, size))
-                for a, b in zip(edges[:-1], edges[1:], strict=True)
+                for a, b in pairwise(edges)
             ]
         )
     for rows in axes[0]:

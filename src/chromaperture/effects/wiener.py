@@ -163,11 +163,11 @@ def continued(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
     if known.all():
         return picture
     weight = known.astype(np.float32)
-    levels = [(picture * weight[..., None], weight)]
+    levels: list[tuple[np.ndarray, np.ndarray]] = [(picture * weight[..., None], weight)]
     while min(levels[-1][1].shape) > 2 and levels[-1][1].min() < 0.5:
-        color, weight = levels[-1]
+        weight = levels[-1][1]
         half = ((weight.shape[1] + 1) // 2, (weight.shape[0] + 1) // 2)
-        color, weight = (cv2.resize(v, half, interpolation=cv2.INTER_AREA) for v in (color, weight))
+        color, weight = (np.asarray(cv2.resize(v, half, interpolation=cv2.INTER_AREA), np.float32) for v in levels[-1])
         # Full weight wherever anything is known: the next level then reaches on.
         gain = np.minimum(weight * 4, 1) / np.maximum(weight, 1e-6)
         levels.append((color * gain[..., None], weight * gain))
