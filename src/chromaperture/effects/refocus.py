@@ -17,7 +17,8 @@ import cv2
 import numpy as np
 
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
-from chromaperture.effects.layers import layer_radii, shares
+from chromaperture.effects.layers import layer_radii
+from chromaperture.effects.refocus_kernels import add_layer, layer_bounds, layer_planes, normalised
 from chromaperture.errors import InputError
 from chromaperture.optics.layers import behind_edges
 
@@ -71,7 +72,7 @@ def refocus(color: np.ndarray, radius_px: np.ndarray, focus: Focus) -> np.ndarra
         raise InputError("the depth must be known everywhere; fill the holes of the disparity first")
     if not (math.isfinite(focus.strength) and focus.strength >= 0):
         raise InputError(f"the new pupil must have a size >= 0, got {focus.strength:g}")
-    color, radius = np.asarray(color, np.float32), np.asarray(radius_px, np.float32)
+    color, radius = np.ascontiguousarray(color, np.float32), np.ascontiguousarray(radius_px, np.float32)
     new = (radius - np.float32(focus.radius_px)) * np.float32(focus.strength)
     largest = float(np.abs(new).max())
     if largest > min(_LARGEST_PX, min(radius.shape) / 2):
@@ -91,38 +92,33 @@ def _composite(
     mask = bokeh_mask(focus.bokeh)
     # Rising new blur is rising depth: the pupil's scale does not turn near and far about.
     radii = layer_radii(np.stack([new, behind_new]), growth=0.12)
+    nodes = np.array([-np.inf, *radii, np.inf], np.float32)
+    if len(radii) == 1:
+        nodes = np.array([radii[0] - 1, radii[0], radii[0] + 1], np.float32)
+    else:  # the ends' outer neighbours: no pixel lies beyond, up to rounding
+        nodes[0], nodes[-1] = 2 * radii[0] - radii[1], 2 * radii[-1] - radii[-2]
     height, width = new.shape
-    total, cover = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.float32)
-    before = np.zeros((height, width), np.float32)
-    waiting: list[tuple[float, tuple[slice, slice], np.ndarray]] = []
-    gap = _EDGE_PX * max(focus.strength, 1e-6)
-    fronts, backs = shares(new, radii), shares(behind_new, radii)
-    for radius, front, back in zip(radii, fronts, backs, strict=True):
-        alpha = front + back * hidden
-        rows, columns = np.flatnonzero(alpha.any(axis=1)), np.flatnonzero(alpha.any(axis=0))
+    total, before = np.zeros((height, width, 4), np.float32), np.zeros((height, width), np.float32)
+    waiting: list[tuple[float, int, int, np.ndarray]] = []
+    gap = max(_EDGE_PX * focus.strength, 1.0)
+    for i, radius in enumerate(float(r) for r in radii):
+        extent = layer_bounds(new, behind_new, hidden, nodes[i], nodes[i + 2])
+        rows = np.flatnonzero(extent[:, 1] >= 0)
         if not rows.size:
             continue
         # Surfaces that stand clear in front of this one; its own neighbours add up with it instead.
-        while waiting and radius - waiting[0][0] > max(gap, 2 * (radii[1] - radii[0])):
-            _, hider, veil = waiting.pop(0)
-            before[hider] += veil
+        while waiting and radius - waiting[0][0] > max(gap, 1.5 * float(nodes[i + 1] - nodes[i])):
+            _, top, left, veil = waiting.pop(0)
+            before[top : top + veil.shape[0], left : left + veil.shape[1]] += veil
         reach = math.ceil(abs(radius)) + 2 * _scale(radius)
-        box = (
-            slice(max(rows[0] - reach, 0), min(rows[-1] + reach + 1, height)),
-            slice(max(columns[0] - reach, 0), min(columns[-1] + reach + 1, width)),
-        )
-        a = front[box]
-        light = color[box] * a[..., None]
-        if hidden[box].any():
-            b = back[box] * hidden[box]
-            a = a + b
-            light += behind[box] * b[..., None]
-        blurred = _blurred(np.dstack([light, a]), float(radius), mask)
-        seen = np.clip(1 - before[box], 0, 1)
-        total[box] += blurred[..., :3] * seen[..., None]
-        cover[box] += blurred[..., 3] * seen
-        waiting.append((float(radius), box, blurred[..., 3]))
-    return np.maximum(total / np.maximum(cover, np.float32(1e-3))[..., None], 0)
+        top, bottom = max(int(rows[0]) - reach, 0), min(int(rows[-1]) + reach + 1, height)
+        left, right = max(int(extent[:, 0].min()) - reach, 0), min(int(extent[:, 1].max()) + reach + 1, width)
+        near, here, far = nodes[i : i + 3]
+        planes = layer_planes(color, new, behind, behind_new, hidden, (near, here, far), (top, bottom, left, right))
+        blurred = _blurred(planes, radius, mask)
+        add_layer(total, before, blurred, top, left)
+        waiting.append((radius, top, left, blurred[..., 3]))
+    return np.asarray(normalised(total))
 
 
 def _scale(radius_px: float) -> int:
