@@ -92,6 +92,30 @@ def test_doubtful_depth_leaves_the_aligned_picture(rng):
     np.testing.assert_allclose(out, aligned, atol=2e-3)
 
 
+def test_clipped_highlights_are_no_data(rng):
+    """Lamps on an even depth, clipped: what is known around them must fit, not the ceiling."""
+    blur, shape = ThinLensBlur(DESIGNS["cy_halves"]), (72, 96)
+    truth = np.full((*shape, 3), 0.2, np.float32)
+    for y, x in ((20, 30), (50, 60), (36, 80)):
+        truth[y : y + 4, x : x + 4] = 6.0
+    radius = np.full(shape, 5.0, np.float32)
+    model = LayeredModel(radius, blur)
+    capture = model.forward(truth.transpose(2, 0, 1)).transpose(1, 2, 0)
+    saturated = (capture > 1).any(axis=2)
+    assert 100 < saturated.sum() < 2000
+    clipped = np.clip(capture, 0, 1).astype(np.float32)
+    aligned = align_channels(clipped, radius, np.nan_to_num(centroids(DESIGNS["cy_halves"])))
+    # Contrast allowed as model error would hide the difference: here the kernels are exact.
+    kwargs = {"noise_variance": np.full(3, 1e-5), "aligned": aligned, "config": SharpenConfig(model_error=0.0)}
+    misfits = []
+    for mask in (saturated, None):
+        found = all_in_focus(clipped, radius, blur, saturated=mask, **kwargs)
+        again = model.forward(found.transpose(2, 0, 1)).transpose(1, 2, 0)
+        beside = cv2.dilate(saturated.astype(np.uint8), np.ones((5, 5))) > saturated
+        misfits.append(np.sqrt(np.mean((again - capture)[beside] ** 2)))
+    assert misfits[0] < 0.8 * misfits[1]
+
+
 def test_bad_input_is_refused(rng):
     image, radius, _, aperture = photograph("cy_halves", rng)
     kwargs = {"noise_variance": np.ones(3), "aligned": image}

@@ -62,6 +62,7 @@ def all_in_focus(
     noise_variance: np.ndarray,
     aligned: np.ndarray,
     radius_sigma_px: np.ndarray | None = None,
+    saturated: np.ndarray | None = None,
     config: SharpenConfig | None = None,
     center: tuple[float, float] | None = None,
 ) -> np.ndarray:
@@ -80,6 +81,8 @@ def all_in_focus(
         The capture with its channels aligned: tells the colour lines, and stays where the blur is in doubt.
     radius_sigma_px : (H, W) float32, optional
         Standard deviation of the blur radius.
+    saturated : (H, W) bool, optional
+        Clipped pixels of the capture, which only say "at least this much": they are no data.
     config : SharpenConfig, optional
     center : (x, y), optional
         Of this picture in the frame, -1 to 1.
@@ -118,8 +121,9 @@ def all_in_focus(
     x = sure * x + (1 - sure) * guide
     inside = np.zeros(size, np.float32)  # what lies outside the frame was not measured
     inside[pad : pad + image.shape[0], pad : pad + image.shape[1]] = 1
-    # A saturated pixel only says "at least this much".
-    precision *= inside * (y.max(axis=0) < 0.98 * float(y.max()) if y.max() > 0 else 1)
+    if saturated is not None:
+        inside *= mirrored(1 - np.asarray(saturated, np.float32), pad, size)
+    precision *= inside
     metric, scale = colour_lines(guide, sigma_px=config.colour_sigma_px)
     right = model.adjoint(precision * y)
     for _ in range(config.reweightings):

@@ -10,6 +10,7 @@ import numpy as np
 from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, channel_shifts, sensor_noise
 from chromaperture.color.alignment import align_channels
+from chromaperture.color.image import SATURATION
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
@@ -87,7 +88,7 @@ def restore(
     settings = SharpenConfig() if sharpness == "full" else SharpenConfig(reweightings=0)
     sharp = all_in_focus(
         balanced, radius, blur or camera_blur(cal), noise_variance=noise, aligned=aligned,
-        radius_sigma_px=spread * scale, config=settings,
+        radius_sigma_px=spread * scale, saturated=(np.asarray(image) >= SATURATION).any(axis=2), config=settings,
     )  # fmt: skip
     return SharpPicture(sharp, radius)
 
