@@ -88,7 +88,7 @@ def restore(
     settings = SharpenConfig() if sharpness == "full" else SharpenConfig(reweightings=0)
     sharp = all_in_focus(
         balanced, radius, blur or camera_blur(cal), noise_variance=noise, aligned=aligned,
-        radius_sigma_px=spread * scale, saturated=(np.asarray(image) >= SATURATION).any(axis=2), config=settings,
+        radius_sigma_px=spread * scale, saturated=np.asarray(image.max(axis=2) >= SATURATION), config=settings,
     )  # fmt: skip
     return SharpPicture(sharp, radius)
 
