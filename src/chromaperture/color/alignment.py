@@ -44,7 +44,9 @@ def fill_unknown(values: np.ndarray) -> np.ndarray:
     return values[rows, columns]
 
 
-def align_channels(image: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def align_channels(
+    image: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray, *, residual_px: np.ndarray | None = None
+) -> np.ndarray:
     """Shift each channel back by its disparity, and colour what a channel could not see past a near edge.
 
     Parameters
@@ -53,6 +55,8 @@ def align_channels(image: np.ndarray, disparity_px: np.ndarray, directions: np.n
     disparity_px : (H, W) float32, px; NaN is filled from the nearest known pixel
     directions : (3, 2) float
         From `channel_directions`.
+    residual_px : (3, H, W, 2) float, px, optional
+        Further displacement of each channel, from `residual_displacement`.
 
     Returns
     -------
@@ -68,7 +72,7 @@ def align_channels(image: np.ndarray, disparity_px: np.ndarray, directions: np.n
             f"disparity {disparity_px.shape} and image {image.shape[:2]} differ in size: they are of two photographs"
         )
     filled = fill_unknown(disparity_px).astype(np.float32)
-    color = shift_back(image, filled, directions)
+    color = shift_back(image, filled, directions, residual_px=residual_px)
     visible = np.stack([visible_from(filled, u) for u in np.asarray(directions, float)], axis=-1)
     if visible.all():
         return color
@@ -76,18 +80,23 @@ def align_channels(image: np.ndarray, disparity_px: np.ndarray, directions: np.n
     return fill_hidden(color, visible, filled, order)
 
 
-def shift_back(image: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Sample each channel at x + d u_k, cubic; disparity without NaN; (H, W, 3) float32."""
+def shift_back(
+    image: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray, *, residual_px: np.ndarray | None = None
+) -> np.ndarray:
+    """Sample each channel at x + d u_k (+ residual), cubic; disparity without NaN; (H, W, 3) float32."""
     height, width = disparity_px.shape
     x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
     color = np.empty((height, width, 3), np.float32)
     for k in range(3):
         dx, dy = (np.float32(u) for u in directions[k])
-        if abs(dx) < _STILL and abs(dy) < _STILL:
+        further = None if residual_px is None or not residual_px[k].any() else residual_px[k]
+        if abs(dx) < _STILL and abs(dy) < _STILL and further is None:
             color[..., k] = image[..., k]
             continue
         plane = np.ascontiguousarray(image[..., k], np.float32)
         source = (x + dx * disparity_px, y + dy * disparity_px)
+        if further is not None:
+            source = (source[0] + further[..., 0], source[1] + further[..., 1])
         color[..., k] = cv2.remap(plane, *source, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     return color
 

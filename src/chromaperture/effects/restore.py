@@ -12,6 +12,7 @@ from chromaperture.camera import CodedApertureCamera, channel_shifts, sensor_noi
 from chromaperture.color.alignment import align_channels
 from chromaperture.color.image import SATURATION
 from chromaperture.color.noise import estimate_noise_variance
+from chromaperture.color.registration import residual_displacement
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
 from chromaperture.effects.blur import Blur, camera_blur, radius_per_disparity
@@ -79,7 +80,11 @@ def restore(
     balanced = np.maximum(np.asarray(image, np.float32), 0) * gains
     shifts, scale = channel_shifts(cal, quality), np.float32(radius_per_disparity(cal, quality))
     disparity, spread = steady_disparity(disparity_px, sigma_px, align_channels(balanced, disparity_px, shifts))
-    aligned = np.maximum(align_channels(balanced, disparity, shifts), 0)
+    aligned = align_channels(balanced, disparity, shifts)
+    if len(cal.aperture.views) > 2:  # small sub-apertures blur alike; halves do not, and would mislead
+        residual = residual_displacement(aligned, disparity)
+        aligned = align_channels(balanced, disparity, shifts, residual_px=residual)
+    aligned = np.maximum(aligned, 0)
     radius = disparity * scale
     if sharpness == "aligned":
         return SharpPicture(aligned, radius)
