@@ -13,6 +13,7 @@ from chromaperture.color.alignment import align_channels
 from chromaperture.color.image import SATURATION
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.color.registration import residual_displacement
+from chromaperture.color.unmixing import pure_channels
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
 from chromaperture.effects.blur import Blur, camera_blur, radius_per_disparity
@@ -81,7 +82,8 @@ def restore(
     shifts, scale = channel_shifts(cal, quality), np.float32(radius_per_disparity(cal, quality))
     disparity, spread = steady_disparity(disparity_px, sigma_px, align_channels(balanced, disparity_px, shifts))
     aligned = align_channels(balanced, disparity, shifts)
-    if len(cal.aperture.views) > 2:  # small sub-apertures blur alike; halves do not, and would mislead
+    # Three small sub-apertures, one a channel, blur alike; halves and mixed channels do not, and would mislead.
+    if len(cal.aperture.views) > 2 and pure_channels(cal.aperture) is not None:
         residual = residual_displacement(aligned, disparity)
         aligned = align_channels(balanced, disparity, shifts, residual_px=residual)
     aligned = np.maximum(aligned, 0)
