@@ -220,3 +220,90 @@ def test_help_tells_how(run):
     result = run("depth", "--help")
     assert result.returncode == 0
     assert "chromaperture depth photo.png --camera camera.asdf" in re.sub(r"\s+", " ", result.stdout)
+
+
+@pytest.fixture(scope="module")
+def small_camera(tmp_path_factory):
+    """A photograph of a plane with its camera file, made for the sample lens."""
+    folder = tmp_path_factory.mktemp("refocus")
+    rng = np.random.default_rng(5)
+    image = capture(texture(rng, height=96, width=128), "cy_halves", 2.0)
+    cv2.imwrite(str(folder / "photo.png"), np.rint(image[..., ::-1] * 65535).astype(np.uint16))
+    return folder
+
+
+def test_refocus_writes_a_picture_and_a_film(run, small_camera, tmp_path):
+    photo = small_camera / "photo.png"
+    common = ("--design", "cy_halves", "--sharpness", "fast", "--quality", "real-time")
+    result = run("refocus", photo, *common, "--strength", "1.5", "--out", tmp_path / "a.png", "--json")
+    assert result.returncode == 0, result.stderr
+    figures = json.loads(result.stdout)
+    assert figures["strength"] == 1.5
+    # A plane 2 px beyond focus; the rim of a half pupil moves 3 pi / 4 as far as its centroid, and so does
+    # the error of the disparity, a layer of 0.5 px at worst.
+    assert figures["radius_range_px"] == pytest.approx([2 * 0.75 * np.pi] * 2, abs=1.5)
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.size == (128, 96)
+    result = run("refocus", photo, *common, "--point", "64,48", "--background", "desaturate")
+    assert result.returncode == 0, result.stderr
+    assert (small_camera / "photo.refocus.png").is_file()
+    result = run("refocus", photo, *common, "--sweep", "--out", tmp_path / "film.gif", "-q")
+    assert (result.returncode, result.stdout) == (0, "")
+    with Image.open(tmp_path / "film.gif") as film:
+        assert film.n_frames > 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--focus", "1500kg"), "1500mm"),
+        (("--focus", "-3"), "1500mm"),
+        (("--point", "5"), "X,Y"),
+        (("--point", "9999,1"), "outside"),
+        (("--focus", "1m", "--sweep"), "one of --focus"),
+        (("--focus", "1m"), "calibrat"),
+        (("--f-number", "2"), "--strength"),
+        (("--f-number", "2", "--strength", "1"), "one of"),
+        (("--strength", "-1"), "--strength"),
+        (("--bokeh", "star"), "unknown bokeh"),
+        (("--background", "sepia"), "--background"),
+        (("--sharpness", "very"), "--sharpness"),
+        (("--out", "picture.jpg"), ".png"),
+        (("--sweep", "--out", "film.avi"), ".gif or .mp4"),
+    ],
+)
+def test_refocus_refuses_in_one_line(run, small_camera, tmp_path, monkeypatch, options, message):
+    monkeypatch.chdir(tmp_path)
+    quick = () if "--sharpness" in options else ("--sharpness", "aligned")
+    result = run("refocus", small_camera / "photo.png", "--design", "cy_halves", *quick, *options)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_transparency_prints_the_tables(run, tmp_path):
+    rng = np.random.default_rng(8)
+    full, share = 0.8, np.array([0.5, 0.75, 0.375])
+    for name, light in (("bare", np.full(3, full)), ("coded", full * share)):
+        counts = rng.poisson(light * 20000, (120, 160, 3)) / 20000 * 1000 + 16
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.rint(counts[..., ::-1]).astype(np.uint16))
+    levels = ("--black-level", 16, "--white-level", 1016)
+    bare, coded = tmp_path / "bare.png", tmp_path / "coded.png"
+    result = run("transparency", coded, "--bare", bare, *levels, "--json", "--figure", tmp_path / "figure.png")
+    assert result.returncode == 0, result.stderr
+    (row,) = json.loads(result.stdout)
+    # Means over 19 200 px of 1 % noise
+    assert row["efficiency"] == pytest.approx(share.mean(), abs=2e-3)
+    loss = np.mean(-10 * np.log10(share))  # photon noise
+    assert row["snr_loss_central_db"] == pytest.approx(loss, abs=0.25)
+    assert row["exposure_shot_noise"] == pytest.approx(row["exposure_amplitude"] ** 2)
+    with Image.open(tmp_path / "figure.png") as figure:
+        assert min(figure.size) > 300
+    assert "Transparency" in run("transparency", coded, "--bare", bare, *levels).stdout
+    assert run("transparency", coded, "--bare", bare, *levels, "-q").stdout == ""
+    swapped = run("transparency", bare, "--bare", coded, *levels)
+    assert swapped.returncode == 2
+    assert "exposure" in swapped.stderr
+    assert run("transparency", coded, "--bare", bare, *levels, "--exposure", 0).returncode == 2
+    assert run("transparency", coded, "--bare", bare, *levels, "--figure", "f.gif").returncode == 2

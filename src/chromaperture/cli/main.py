@@ -19,8 +19,10 @@ from chromaperture.cli import (
     export,
     info,
     record,
+    refocus,
     simulate,
     sources,
+    transparency,
 )
 from chromaperture.cli.console import say_error, show_warning
 from chromaperture.errors import CaptureWarning, ChromapertureError
@@ -39,6 +41,8 @@ app.command("info")(info.info)
 app.command("check")(check.check)
 app.command("board")(board.board)
 app.command("apertures")(apertures.apertures)
+app.command("refocus")(refocus.refocus)
+app.command("transparency")(transparency.transparency)
 app.command("simulate")(simulate.simulate)
 app.command("simulate-rgbd")(simulate.simulate_rgbd)
 app.command("sources")(sources.sources)

@@ -7,7 +7,11 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from chromaperture.color.unmixing import ideal_unmixing
+from chromaperture.color.visibility import fill_hidden, visible_from
+from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids
+
+_STILL = 1e-3  # displacement per px of disparity that is none
 
 
 def channel_directions(aperture: Aperture, film: dict[str, np.ndarray]) -> np.ndarray:
@@ -40,8 +44,10 @@ def fill_unknown(values: np.ndarray) -> np.ndarray:
     return values[rows, columns]
 
 
-def align_channels(image: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Shift each channel back by its disparity.
+def align_channels(
+    image: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray, *, residual_px: np.ndarray | None = None
+) -> np.ndarray:
+    """Shift each channel back by its disparity, and colour what a channel could not see past a near edge.
 
     Parameters
     ----------
@@ -49,23 +55,50 @@ def align_channels(image: np.ndarray, disparity_px: np.ndarray, directions: np.n
     disparity_px : (H, W) float32, px; NaN is filled from the nearest known pixel
     directions : (3, 2) float
         From `channel_directions`.
+    residual_px : (3, H, W, 2) float, px, optional
+        Further displacement of each channel, from `residual_displacement`.
 
     Returns
     -------
     (H, W, 3) float32, linear RGB, in the view of the pupil's centre
+
+    Raises
+    ------
+    InputError
+        The disparity is of another picture's size.
     """
-    height, width = disparity_px.shape
+    if image.shape[:2] != disparity_px.shape:
+        raise InputError(
+            f"disparity {disparity_px.shape} and image {image.shape[:2]} differ in size: they are of two photographs"
+        )
     filled = fill_unknown(disparity_px).astype(np.float32)
-    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    planes = []
+    color = shift_back(image, filled, directions, residual_px=residual_px)
+    visible = np.stack([visible_from(filled, u) for u in np.asarray(directions, float)], axis=-1)
+    if visible.all():
+        return color
+    order = np.argsort(np.linalg.norm(directions, axis=1), kind="stable")
+    return fill_hidden(color, visible, filled, order)
+
+
+def shift_back(
+    image: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray, *, residual_px: np.ndarray | None = None
+) -> np.ndarray:
+    """Sample each channel at x + d u_k (+ residual), cubic; disparity without NaN; (H, W, 3) float32."""
+    height, width = disparity_px.shape
+    x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
+    color = np.empty((height, width, 3), np.float32)
     for k in range(3):
         dx, dy = (np.float32(u) for u in directions[k])
+        further = None if residual_px is None or not residual_px[k].any() else residual_px[k]
+        if abs(dx) < _STILL and abs(dy) < _STILL and further is None:
+            color[..., k] = image[..., k]
+            continue
         plane = np.ascontiguousarray(image[..., k], np.float32)
-        if dx or dy:
-            source = (x + dx * filled, y + dy * filled)
-            plane[:] = cv2.remap(plane, *source, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        planes.append(plane)
-    return np.stack(planes, axis=-1)
+        source = (x + dx * disparity_px, y + dy * disparity_px)
+        if further is not None:
+            source = (source[0] + further[..., 0], source[1] + further[..., 1])
+        color[..., k] = cv2.remap(plane, *source, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return color
 
 
 def white_balance(color: np.ndarray, white_rgb: np.ndarray) -> np.ndarray:

@@ -31,6 +31,11 @@ def photon_noise_variance(
     return signal / np.float32(full_well_electrons) + np.float32((read_noise_electrons / full_well_electrons) ** 2)
 
 
+def fine_structure(image: np.ndarray) -> np.ndarray:
+    """Absolute response to Immerkaer's kernel, whose norm is 6: noise, and little of the picture; of its shape."""
+    return np.abs(cv2.filter2D(np.asarray(image, np.float32), cv2.CV_32F, _IMMERKAER))
+
+
 def estimate_noise_variance(image: np.ndarray) -> np.ndarray:
     """Noise variance per channel from the image alone, where no noise model is known.
 
@@ -45,7 +50,7 @@ def estimate_noise_variance(image: np.ndarray) -> np.ndarray:
     (H, W, 3) float32, constant over the frame, (white level)^2
     """
     image = np.asarray(image, np.float32)
-    response = np.abs(cv2.filter2D(image, cv2.CV_32F, _IMMERKAER)).reshape(-1, image.shape[2])
+    response = fine_structure(image).reshape(-1, image.shape[2])
     response = response[np.isfinite(response).all(axis=1)]  # one bad pixel must not spoil the frame
     if len(response) == 0:
         return np.zeros(image.shape, np.float32)

@@ -1,6 +1,8 @@
-"""Light that passes the coded aperture, from two photographs of a white sheet (paper section 4.2)."""
+"""Light that passes the coded aperture, from two photographs of a white sheet (paper sections 4.2 and 4.4)."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -9,12 +11,37 @@ from chromaperture.color.image import SATURATION
 from chromaperture.errors import InputError
 
 _BLUR_SHARE = 0.025  # of the image's width: noise and paper grain go, vignetting stays
+_MOST_LIGHT = 1.03  # film only takes light away; 3 % is what a flickering lamp or a shutter is off
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
+_DUST = 0.05  # darker than its surroundings by this share: a speck on the sheet or on the sensor
+
+
+@dataclass(frozen=True)
+class LightEfficiency:
+    """What Table 1 and Figure 11 say of an aperture.
+
+    Attributes
+    ----------
+    minimum, maximum, mean : (3,) float64
+        Transparency over the frame in R, G, B.
+    efficiency : float
+        Integral light efficiency: the mean over the channels.
+    luminance : float
+        The same, weighted as the eye does.
+    """
+
+    minimum: np.ndarray
+    maximum: np.ndarray
+    mean: np.ndarray
+    efficiency: float
+    luminance: float
 
 
 def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
     """Share of the light that passes the aperture at every pixel, per sensor channel: Eq. (11), T = I^c / I^nc.
 
     Both pictures are blurred before they are divided: a ratio of means, not a mean of ratios, which noise would bias.
+    Uneven lighting cancels, being in both; dust on the sheet is left out of the means.
 
     Parameters
     ----------
@@ -28,7 +55,7 @@ def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
     Raises
     ------
     InputError
-        The pictures differ in size, or one is saturated or dark.
+        The pictures differ in size or exposure, or one is saturated or dark.
     """
     if coded.shape != bare.shape:
         raise InputError(f"the two white sheets differ in size: {coded.shape} and {bare.shape}")
@@ -37,9 +64,94 @@ def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
         sheet = np.asarray(image, np.float32)
         if not np.isfinite(sheet).all() or (sheet >= SATURATION).mean() > 0.001:
             raise InputError(f"the {name} white sheet is saturated: photograph both again at a shorter exposure")
-        blurred.append(
-            cv2.GaussianBlur(sheet, (0, 0), _BLUR_SHARE * sheet.shape[1], borderType=cv2.BORDER_REFLECT)
-        )
+        blurred.append(_smooth(sheet))
     if blurred[1].min() <= 0.01:
         raise InputError("the bare white sheet is dark: photograph both again at a longer exposure")
-    return blurred[0] / blurred[1]
+    share = blurred[0] / blurred[1]
+    most = float(np.percentile(share, 99, axis=(0, 1)).max())
+    if most > _MOST_LIGHT:
+        raise InputError(
+            f"the coded aperture seems to pass {100 * most:.0f} % of the light: the white sheets differ in exposure, "
+            "or are swapped; photograph both at the same exposure, or give the ratio of the exposures"
+        )
+    return share
+
+
+def light_efficiency(share: np.ndarray) -> LightEfficiency:
+    """Summarise a transparency map as Table 1 and Figure 11 do.
+
+    Parameters
+    ----------
+    share : (H, W, 3) float
+        From `transparency`.
+
+    Returns
+    -------
+    LightEfficiency
+    """
+    flat = np.asarray(share, float).reshape(-1, 3)
+    mean = flat.mean(axis=0)
+    return LightEfficiency(flat.min(axis=0), flat.max(axis=0), mean, float(mean.mean()), float(mean @ _LUMINANCE))
+
+
+def flat_field(sheet: np.ndarray) -> np.ndarray:
+    """Shading of a white sheet relative to its middle, channel by channel.
+
+    A coded pupil is cut by the lens's rims from one side, so that each channel falls off towards another corner: one
+    correction for all three would tint the picture.
+
+    Parameters
+    ----------
+    sheet : (H, W, 3) float, linear RGB
+        An evenly lit white sheet through the aperture.
+
+    Returns
+    -------
+    (H, W, 3) float32; 1 in the middle
+
+    Raises
+    ------
+    InputError
+        The sheet is saturated, or dark somewhere.
+    """
+    sheet = np.asarray(sheet, np.float32)
+    if not np.isfinite(sheet).all() or (sheet >= SATURATION).mean() > 0.001:
+        raise InputError("the white sheet is saturated: photograph it again at a shorter exposure")
+    smooth = _smooth(sheet)
+    rows, columns = (slice(n * 9 // 20, n * 11 // 20 + 1) for n in sheet.shape[:2])
+    middle = smooth[rows, columns].mean(axis=(0, 1))
+    if smooth.min() < 0.02 * float(middle.max()) or middle.min() <= 0:
+        raise InputError("the white sheet is dark in places: light it evenly, or fill the frame with it")
+    return smooth / middle
+
+
+def compensate_vignetting(image: np.ndarray, shading: np.ndarray) -> np.ndarray:
+    """Even out the light over the frame, each channel by its own shading.
+
+    Do this to the restored picture, not before matching: the gains raise the noise of the corners with the signal.
+
+    Parameters
+    ----------
+    image, shading : (H, W, 3) float
+        The second from `flat_field`.
+
+    Returns
+    -------
+    (H, W, 3) float32
+    """
+    if image.shape != shading.shape:
+        raise InputError(f"image {image.shape} and white sheet {shading.shape} differ in size: they are of one camera")
+    return np.asarray(image, np.float32) / np.asarray(shading, np.float32)
+
+
+def _smooth(sheet: np.ndarray) -> np.ndarray:
+    """Blur, with specks of dust left out."""
+    sigma = _BLUR_SHARE * sheet.shape[1]
+    first = cv2.GaussianBlur(sheet, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+    fine = cv2.GaussianBlur(sheet, (0, 0), 2.0, borderType=cv2.BORDER_REFLECT)  # noise is no dust
+    clean = np.asarray((fine > (1 - _DUST) * first).all(axis=-1), np.float32)
+    if clean.all() or clean.mean() < 0.8:  # so much dust is a pattern, not dust
+        return np.asarray(first)
+    weight = np.asarray(cv2.GaussianBlur(clean, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))[..., None]
+    total = np.asarray(cv2.GaussianBlur(sheet * clean[..., None], (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
+    return np.asarray(np.where(weight > 0.2, total / np.maximum(weight, 0.2), first))

@@ -1,0 +1,69 @@
+"""Measures of a picture: PSNR, SSIM, CIEDE2000, local misalignment of its channels. Needs scikit-image."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from chromaperture.color.srgb import linear_to_srgb
+
+TEMPLATE, SEARCH, STRIDE = 35, 16, 14  # px
+LEAST_GRADIENT = 4e-3  # a px, of the square root of light
+
+
+def matched_exposure(picture: np.ndarray, reference: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Scale each channel to the reference's light: exposure and white are no errors of restoration."""
+    gain = (reference * valid[..., None]).sum(axis=(0, 1)) / (picture * valid[..., None]).sum(axis=(0, 1))
+    return picture * gain.astype(np.float32)
+
+
+def compare(picture: np.ndarray, reference: np.ndarray, valid: np.ndarray) -> dict[str, float]:
+    """PSNR and SSIM of sRGB values in [0, 1], mean CIEDE2000; both linear, over the valid pixels."""
+    from skimage.color import deltaE_ciede2000, rgb2lab
+    from skimage.metrics import structural_similarity
+
+    a, b = (linear_to_srgb(p) for p in (matched_exposure(picture, reference, valid), reference))
+    error = ((a - b) ** 2)[valid].mean()
+    _, map_ = structural_similarity(b, a, channel_axis=2, data_range=1.0, gaussian_weights=True, full=True)
+    return {
+        "psnr": float(-10 * np.log10(error)),
+        "ssim": float(map_[valid].mean()),
+        "ciede2000": float(deltaE_ciede2000(rgb2lab(b), rgb2lab(a))[valid].mean()),
+    }
+
+
+def misalignment(picture: np.ndarray, *, least_ncc: float = 0.85) -> np.ndarray:
+    """Displacement of red and blue against green, px, window by window; NaN where nothing registers; (N,) float.
+
+    The windows lie on a fixed grid, so that pictures of the same size can be compared one by one.
+    """
+    p = np.maximum(np.asarray(picture, np.float32), 0)
+    p = cv2.GaussianBlur(np.sqrt(p), (0, 0), 1.0)  # equal noise in dark and light
+    height, width = p.shape[:2]
+    half, reach = TEMPLATE // 2, TEMPLATE // 2 + SEARCH
+    found = []
+    for y in range(reach, height - reach, STRIDE):
+        for x in range(reach, width - reach, STRIDE):
+            area = p[y - reach : y + reach + 1, x - reach : x + reach + 1, 1]
+            for k in (0, 2):
+                found.append(_displacement(p[y - half : y + half + 1, x - half : x + half + 1, k], area, least_ncc))
+    return np.array(found)
+
+
+def _displacement(patch: np.ndarray, area: np.ndarray, least_ncc: float) -> float:
+    gy, gx = np.gradient(patch)
+    # Structure in both directions, or a displacement along a lone edge would be a matter of luck.
+    if np.linalg.eigvalsh(np.cov(gx.ravel(), gy.ravel()))[0] ** 0.5 < LEAST_GRADIENT:
+        return np.nan
+    score = cv2.matchTemplate(area, patch, cv2.TM_CCOEFF_NORMED)
+    _, best, _, (i, j) = cv2.minMaxLoc(score)
+    if best < least_ncc or not (0 < i < 2 * SEARCH and 0 < j < 2 * SEARCH):
+        return np.nan
+    dx = _peak(score[j, i - 1], score[j, i], score[j, i + 1]) + i - SEARCH
+    dy = _peak(score[j - 1, i], score[j, i], score[j + 1, i]) + j - SEARCH
+    return float(np.hypot(dx, dy))
+
+
+def _peak(left: float, middle: float, right: float) -> float:
+    curvature = left - 2 * middle + right
+    return 0.0 if curvature >= 0 else float(0.5 * (left - right) / curvature)

@@ -1,0 +1,1 @@
+"""Pictures made with depth: everything in focus, focus elsewhere, effects."""

@@ -1,0 +1,121 @@
+"""From a measured photograph to its sharp, naturally coloured picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from chromaperture.calibration import Calibration
+from chromaperture.camera import CodedApertureCamera, channel_shifts, sensor_noise
+from chromaperture.color.alignment import align_channels
+from chromaperture.color.image import SATURATION
+from chromaperture.color.noise import estimate_noise_variance
+from chromaperture.color.registration import residual_displacement
+from chromaperture.color.unmixing import pure_channels
+from chromaperture.depth.conversion import depth_to_disparity
+from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
+from chromaperture.effects.blur import Blur, camera_blur, radius_per_disparity
+from chromaperture.effects.steady import steady_disparity
+from chromaperture.errors import InputError
+
+Sharpness = Literal["aligned", "fast", "full"]
+SHARPNESS: tuple[Sharpness, ...] = get_args(Sharpness)
+
+
+@dataclass(frozen=True)
+class SharpPicture:
+    """A restored picture.
+
+    Attributes
+    ----------
+    color : (H, W, 3) float32, linear RGB, white balanced
+    radius_px : (H, W) float32, px
+        Signed blur radius that the capture had at every pixel, + beyond focus.
+    """
+
+    color: np.ndarray
+    radius_px: np.ndarray
+
+
+def restore(
+    image: np.ndarray,
+    disparity_px: np.ndarray,
+    camera: CodedApertureCamera,
+    *,
+    sigma_px: np.ndarray | None = None,
+    sharpness: Sharpness = "full",
+    blur: Blur | None = None,
+) -> SharpPicture:
+    """Align the channels, take the filters' tint away, and sharpen what was out of focus.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float, linear RGB, 1.0 = white level
+    disparity_px : (H, W) float, px; NaN is filled along the picture's surfaces
+        As this camera measured it.
+    camera : CodedApertureCamera
+    sigma_px : (H, W) float, px, optional
+        Standard deviation of the disparity.
+    sharpness : "aligned", "fast" or "full"
+        Leave the blur; a Wiener filter a layer; all layers and channels solved for together.
+    blur : Blur, optional
+        The camera's own transfer functions; its aperture before a thin lens when absent.
+
+    Returns
+    -------
+    SharpPicture
+
+    Raises
+    ------
+    InputError
+        The disparity is of another photograph, or the sharpness is unknown.
+    """
+    if sharpness not in SHARPNESS:
+        raise InputError(f"unknown sharpness {sharpness!r}: choose {', '.join(SHARPNESS)}")
+    if image.shape[:2] != disparity_px.shape:
+        raise InputError(f"disparity {disparity_px.shape} and image {image.shape[:2]} differ in size: two photographs")
+    cal, quality = camera.calibration, camera.config.quality
+    gains = white_gains(cal)
+    balanced = np.maximum(np.asarray(image, np.float32), 0) * gains
+    shifts, scale = channel_shifts(cal, quality), np.float32(radius_per_disparity(cal, quality))
+    disparity, spread = steady_disparity(disparity_px, sigma_px, align_channels(balanced, disparity_px, shifts))
+    aligned = align_channels(balanced, disparity, shifts)
+    # Three small sub-apertures, one a channel, blur alike; halves and mixed channels do not, and would mislead.
+    if len(cal.aperture.views) > 2 and pure_channels(cal.aperture) is not None:
+        residual = residual_displacement(aligned, disparity)
+        aligned = align_channels(balanced, disparity, shifts, residual_px=residual)
+    aligned = np.maximum(aligned, 0)
+    radius = disparity * scale
+    if sharpness == "aligned":
+        return SharpPicture(aligned, radius)
+    variance = sensor_noise(image, cal)
+    noise = (estimate_noise_variance(image) if variance is None else variance).mean(axis=(0, 1)) * gains**2
+    settings = SharpenConfig() if sharpness == "full" else SharpenConfig(reweightings=0)
+    sharp = all_in_focus(
+        balanced, radius, blur or camera_blur(cal), noise_variance=noise, aligned=aligned,
+        radius_sigma_px=spread * scale, saturated=np.asarray(image.max(axis=2) >= SATURATION), config=settings,
+    )  # fmt: skip
+    return SharpPicture(sharp, radius)
+
+
+def white_gains(calibration: Calibration) -> np.ndarray:
+    """Gain of each channel that makes a white sheet behind the aperture white; (3,) float32, the smallest 1."""
+    white = np.asarray(calibration.film.aperture, np.float32)
+    return white.max() / white
+
+
+def focus_radius(camera: CodedApertureCamera, focus_mm: float) -> float:
+    """Blur radius, px, that the camera gives an object at a distance from its sensor plane, on the axis.
+
+    Raises
+    ------
+    InputError
+        The camera was never calibrated, or the distance lies behind its entrance pupil.
+    """
+    cal, quality = camera.calibration, camera.config.quality
+    model = cal.on_axis(quality)
+    if not focus_mm > float(model.sensor_to_pupil_mm):
+        raise InputError(f"--focus {focus_mm:g} mm lies inside the lens; give the distance from the sensor in mm")
+    return float(depth_to_disparity(focus_mm, model)) * radius_per_disparity(cal, quality)

@@ -1,0 +1,64 @@
+"""A focus sweep: from the nearest thing to the farthest and back, as GIF or MP4."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from chromaperture.color.srgb import linear_to_srgb
+from chromaperture.effects.refocus import Focus, refocus
+from chromaperture.errors import InputError
+
+_FRAMES_PER_SECOND = 12
+SUFFIXES = (".gif", ".mp4")
+
+
+def sweep(color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, frames: int = 24) -> Iterator[np.ndarray]:
+    """Focus from near to far.
+
+    Parameters
+    ----------
+    color, radius_px
+        As `refocus` takes them.
+    focus : Focus
+        Its pupil; where it focuses is replaced.
+    frames : int
+
+    Yields
+    ------
+    (H, W, 3) uint8, sRGB
+    """
+    if frames < 2:
+        raise InputError(f"a sweep needs at least 2 frames, got {frames}")
+    near, far = np.percentile(radius_px, (2, 98))
+    for radius in np.linspace(near, far, frames):
+        picture = refocus(color, radius_px, replace(focus, radius_px=float(radius)))
+        yield np.rint(linear_to_srgb(picture) * 255).astype(np.uint8)
+
+
+def write_sweep(path: Path, frames: Iterator[np.ndarray]) -> None:
+    """Write frames there and back again; raises InputError for a suffix other than .gif and .mp4."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"cannot write a sweep as {path.suffix or 'a file without suffix'}: choose .gif or .mp4")
+    there = list(frames)
+    shown = there + there[-2:0:-1]
+    if path.suffix.lower() == ".gif":
+        pictures = [Image.fromarray(frame).quantize(128, dither=Image.Dither.FLOYDSTEINBERG) for frame in shown]
+        pictures[0].save(
+            path, save_all=True, append_images=pictures[1:], duration=1000 // _FRAMES_PER_SECOND, loop=0, format="GIF"
+        )
+        return
+    height, width = shown[0].shape[0] // 2 * 2, shown[0].shape[1] // 2 * 2  # the codec halves its colours
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), _FRAMES_PER_SECOND, (width, height))
+    if not video.isOpened():
+        raise InputError("this OpenCV cannot write MP4; choose a .gif")
+    try:
+        for frame in shown:
+            video.write(np.ascontiguousarray(frame[:height, :width, ::-1]))
+    finally:
+        video.release()

@@ -1,0 +1,180 @@
+"""Deconvolution of all channels at once, a layer at a time: fast, and the start of the full solution.
+
+With transfer functions H_k, noise n_k and a sharp picture whose channels have the covariance C S(w), the linear
+estimate of least error is
+
+    X = (H* N^-1 H + (C S)^-1)^-1 H* N^-1 Y,
+
+a 3x3 matrix per frequency. The channels of a coded aperture have their zeros in different places, and C lets each
+help the others: what one half of the pupil has lost the other may have kept.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import scipy.fft
+
+from chromaperture.effects.blur import Blur
+from chromaperture.effects.layers import layer_radii, shares
+
+_SHARP_PX = 0.25  # blur radius below which a layer is in focus
+_SAME_PX, _SAME_SHARE = 0.8, 0.12  # difference of blur radius up to which two pixels are of one surface
+_OWN_LIGHT = 0.02  # of a channel that no other shares
+
+
+def colour_covariance(image: np.ndarray) -> np.ndarray:
+    """Covariance of the channels' fine structure, unit mean variance; (3, 3) float64.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32, linear RGB, channels aligned
+    """
+    smooth = cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), 1.5)
+    detail = (smooth - cv2.GaussianBlur(smooth, (0, 0), 4.0)).reshape(-1, 3).astype(float)
+    covariance = detail.T @ detail / len(detail)
+    mean = float(np.trace(covariance)) / 3
+    if mean <= 0:
+        return np.eye(3)
+    return np.asarray(covariance / mean + _OWN_LIGHT * np.eye(3))
+
+
+def natural_spectrum(shape: tuple[int, int]) -> np.ndarray:
+    """Power of photographs of nature over frequency, 1 / f^2, unit variance in all; (h, w // 2 + 1) float64."""
+    fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None]
+    power = 1 / np.maximum(fx**2 + fy**2, 1 / max(shape) ** 2)
+    weight = np.full(power.shape, 2.0)  # the half that rfft2 leaves out
+    weight[:, 0] = 1.0
+    return np.asarray(power / (power * weight).sum() * (shape[0] * shape[1]))
+
+
+def joint_filter(
+    spectra: np.ndarray, otf: np.ndarray, *, noise_variance: np.ndarray, signal: np.ndarray, colour: np.ndarray
+) -> np.ndarray:
+    """Estimate the sharp spectra of three channels from blurred ones.
+
+    Parameters
+    ----------
+    spectra, otf : (3, h, w) complex
+    noise_variance : (3,) float
+    signal : (h, w) float
+        S: power of the sharp picture per frequency.
+    colour : (3, 3) float
+        C: covariance of its channels.
+
+    Returns
+    -------
+    (3, h, w) complex64
+    """
+    inverse = np.linalg.inv(colour)
+    weight = (1 / np.maximum(noise_variance, 1e-12))[:, None, None]
+    right = np.conj(otf) * spectra * weight
+    prior = 1 / np.maximum(signal, 1e-30)
+    # A real symmetric 3x3 matrix a frequency, inverted by its adjugate.
+    a, d, f = (np.abs(otf[k]) ** 2 * weight[k] + inverse[k, k] * prior for k in range(3))
+    b, c, e = inverse[0, 1] * prior, inverse[0, 2] * prior, inverse[1, 2] * prior
+    m00, m11, m22 = d * f - e * e, a * f - c * c, a * d - b * b
+    m01, m02, m12 = c * e - b * f, b * e - c * d, b * c - a * e
+    determinant = a * m00 + b * m01 + c * m02
+    r, g, s = right
+    out = np.stack([m00 * r + m01 * g + m02 * s, m01 * r + m11 * g + m12 * s, m02 * r + m12 * g + m22 * s])
+    return np.asarray(out / determinant).astype(np.complex64)
+
+
+def padded_size(shape: tuple[int, int], radius_px: np.ndarray) -> tuple[int, tuple[int, int]]:
+    """Margin that keeps blur from wrapping round, and a size the transform likes."""
+    pad = min(math.ceil(float(np.abs(radius_px).max())) + 8, min(shape) - 1)
+    height, width = (scipy.fft.next_fast_len(n + 2 * pad, real=True) for n in shape)
+    return pad, (int(height), int(width))
+
+
+def mirrored(picture: np.ndarray, pad: int, size: tuple[int, int]) -> np.ndarray:
+    """Continue a picture by its mirror image to the given size."""
+    bottom, right = size[0] - picture.shape[0] - pad, size[1] - picture.shape[1] - pad
+    # A margin may exceed the picture by the few px that make the size a product of small primes.
+    return np.asarray(cv2.copyMakeBorder(picture, pad, bottom, pad, right, borderType=cv2.BORDER_REFLECT))
+
+
+def sharpen_layers(
+    image: np.ndarray,
+    radius_px: np.ndarray,
+    blur: Blur,
+    *,
+    noise_variance: np.ndarray,
+    colour: np.ndarray,
+    center: tuple[float, float] | None = None,
+) -> np.ndarray:
+    """Deconvolve a picture layer by layer, and take from each layer the pixels that lie in it.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32, linear RGB, as captured but white balanced
+    radius_px : (H, W) float32
+        Signed blur radius, no NaN.
+    blur : Blur
+    noise_variance : (3,) float
+    colour : (3, 3) float
+        From `colour_covariance`.
+    center : (x, y), optional
+        Of this picture in the frame, -1 to 1.
+
+    Returns
+    -------
+    (H, W, 3) float32
+    """
+    pad, size = padded_size(radius_px.shape, radius_px)
+    mean = image.mean(axis=(0, 1))
+    padded = mirrored(image - mean, pad, size)
+    radius = mirrored(radius_px, pad, size)
+    signal = natural_spectrum(size) * float(image.var(axis=(0, 1)).mean()) + 1e-12
+    out = np.zeros_like(image)
+    radii = layer_radii(radius_px)
+    crop = np.s_[pad : pad + image.shape[0], pad : pad + image.shape[1]]
+    with scipy.fft.set_workers(-1):
+        for center_px, share in zip(radii, shares(radius_px, radii), strict=True):
+            if not share.any():
+                continue
+            tolerance = np.float32(_SAME_PX + _SAME_SHARE * abs(center_px))
+            surface = continued(padded, np.abs(radius - np.float32(center_px)) < tolerance)
+            spectra = scipy.fft.rfft2(surface.transpose(2, 0, 1))
+            otf = blur(float(center_px) if abs(center_px) > _SHARP_PX else 0.0, size, center=center)
+            sharp = joint_filter(spectra, otf, noise_variance=noise_variance, signal=signal, colour=colour)
+            picture = scipy.fft.irfft2(sharp, s=size).transpose(1, 2, 0)
+            out += share[..., None] * picture[crop]
+    return np.maximum(out + mean, 0)
+
+
+def continued(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Continue a surface smoothly beyond its rim, so that other surfaces do not ring in it.
+
+    Known pixels are averaged down a pyramid; on the way up what is unknown takes the coarser level's colour.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) float32
+    known : (H, W) bool
+
+    Returns
+    -------
+    (H, W, 3) float32
+    """
+    if known.all():
+        return picture
+    weight = known.astype(np.float32)
+    levels: list[tuple[np.ndarray, np.ndarray]] = [(picture * weight[..., None], weight)]
+    while min(levels[-1][1].shape) > 2 and levels[-1][1].min() < 0.5:
+        weight = levels[-1][1]
+        half = ((weight.shape[1] + 1) // 2, (weight.shape[0] + 1) // 2)
+        color, weight = (np.asarray(cv2.resize(v, half, interpolation=cv2.INTER_AREA), np.float32) for v in levels[-1])
+        # Full weight wherever anything is known: the next level then reaches on.
+        gain = np.minimum(weight * 4, 1) / np.maximum(weight, 1e-6)
+        levels.append((color * gain[..., None], weight * gain))
+    color, weight = levels[-1]
+    everywhere = color.sum(axis=(0, 1)) / max(float(weight.sum()), 1e-6)  # for what lies beyond even the coarsest level
+    filled = np.where(weight[..., None] > 1e-6, color / np.maximum(weight, 1e-6)[..., None], everywhere)
+    for color, weight in reversed(levels[:-1]):
+        up = cv2.resize(filled, weight.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        filled = color + (1 - weight[..., None]) * up
+    return np.ascontiguousarray(filled, np.float32)

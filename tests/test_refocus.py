@@ -1,0 +1,202 @@
+"""The refocused picture is the one another lens would have taken."""
+
+import cv2
+import numpy as np
+import pytest
+
+from chromaperture.effects.background import apply_background, background_share, desaturate_background
+from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
+from chromaperture.effects.refocus import Focus, refocus
+from chromaperture.effects.steady import steady_disparity
+from chromaperture.effects.sweep import sweep, write_sweep
+from chromaperture.errors import InputError
+from chromaperture.optics.aperture import DESIGNS
+from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.psf import geometric_psf
+from chromaperture.optics.ray_table import pinhole_rays
+from chromaperture.optics.render import render, render_depth, render_sharp
+from chromaperture.optics.scene import plane
+from chromaperture.optics.textures import noise
+
+
+def camera(focus_mm, radius_mm=25.0):
+    return PupilCamera(160, 112, focal_px=400.0, pupil_radius_mm=radius_mm, focus_mm=focus_mm,
+                       sensor_to_pupil_mm=50.0, pixel_pitch_mm=0.05)  # fmt: skip
+
+
+def planes():
+    wall, card = (np.repeat(noise((80, 120), exponent=1.0, seed=s)[..., None], 3, 2) * c
+                  for s, c in ((1, (0.9, 0.8, 0.5)), (2, (0.3, 0.5, 0.9))))  # fmt: skip
+    return [plane(wall, center_mm=(0, 0, 1500), width_mm=900), plane(card, center_mm=(0, 0, 800), width_mm=120)]
+
+
+@pytest.fixture(scope="module")
+def world():
+    """Everything in focus, and the blur radius of a capture focused at 1 m."""
+    table = pinhole_rays(camera(1000.0), DESIGNS["open"], cells=8)
+    radius = camera(1000.0).blur_radius_px(render_depth(table, planes()))
+    return render_sharp(table, planes()), radius.astype(np.float32)
+
+
+@pytest.mark.parametrize("focus_mm", [800.0, 1000.0, 1500.0])
+@pytest.mark.parametrize("strength", [1.0, 1.6])
+def test_it_is_what_a_lens_focused_there_sees(world, focus_mm, strength):
+    color, radius = world
+    truth = render(pinhole_rays(camera(focus_mm, 25.0 * strength), DESIGNS["open"], cells=24), planes())
+    mine = refocus(color, radius, Focus(float(camera(1000.0).blur_radius_px(focus_mm)), strength))
+    inner = np.s_[16:-16, 16:-16]
+    error, before = (np.sqrt(np.mean((p[inner] - truth[inner]) ** 2)) for p in (mine, color))
+    # What the near card hides is guessed; rays through the pupil and over the pixel are samples. Contrast is 0.15.
+    assert error < 0.02
+    assert error < 0.45 * before
+
+
+def test_no_halo(world):
+    _, radius = world
+    blue, red = np.float32([0.2, 0.2, 0.9]), np.float32([0.9, 0.2, 0.2])
+    flat = np.where(radius[..., None] < 0, blue, red)
+    near, far = radius.min(), radius.max()
+    near_card = np.asarray(radius == near)
+    on_card = refocus(flat, radius, Focus(float(near), 2.0))
+    # A sharp card before a blurred wall: no light of the one in the other, up to the edge.
+    assert np.abs(on_card[near_card] - blue).max() < 0.01
+    assert np.abs(on_card[~near_card] - red).max() < 0.01
+    on_wall = refocus(flat, radius, Focus(float(far), 1.0))
+    # A blurred card before a sharp wall is a veil: mixtures only, every one on the line between the two colours.
+    share = (on_wall[..., 2] - 0.2) / 0.7
+    np.testing.assert_allclose(on_wall[..., 0], 0.9 - 0.7 * share, atol=0.01)
+    assert ((share > 0.1) & (share < 0.9)).sum() > 200
+
+
+def test_a_light_becomes_the_pupil_s_picture_far_and_near():
+    color = np.full((81, 81, 3), 0.01, np.float32)
+    color[40, 40] = 50.0
+    mask = np.zeros((64, 64), np.uint8)
+    mask[20:44, 34:] = 255  # a block on the right
+    for sign in (1, -1):
+        out = refocus(color, np.full((81, 81), sign * 10.0, np.float32), Focus(0.0, 1.0, "disc"))
+        y, x = np.nonzero(out[..., 1] > 0.05)
+        assert (np.ptp(x), np.ptp(y)) == (pytest.approx(20, abs=2), pytest.approx(20, abs=2))
+        np.testing.assert_allclose(out.sum(axis=(0, 1)), color.sum(axis=(0, 1)), rtol=0.02)  # linear light is kept
+
+
+def test_a_picture_as_pupil_turns_over_before_the_focus(tmp_path):
+    mask = np.zeros((64, 64), np.uint8)
+    mask[24:40, 36:60] = 255  # on the right
+    path = tmp_path / "pupil.png"
+    assert cv2.imwrite(str(path), mask)
+    color = np.zeros((61, 61, 3), np.float32)
+    color[30, 30] = 10.0
+    x = np.arange(61) - 30
+    for sign in (1, -1):
+        out = refocus(color, np.full((61, 61), sign * 8.0, np.float32), Focus(0.0, 1.0, str(path)))[..., 0]
+        centroid = (out * x).sum() / out.sum()
+        # The block's middle lies at (48 - 32) / 32 = half the pupil's radius.
+        # Spots of this size are drawn at half the resolution, which moves a single pixel by up to half a pixel.
+        assert centroid == pytest.approx(sign * 4.0, abs=0.6)
+
+
+@pytest.mark.parametrize("radius", [0.4, 1.7, -3.2, 9.5])
+def test_the_disc_is_that_of_an_open_pupil(radius):
+    kernel = bokeh_kernel(bokeh_mask("disc"), radius)
+    exact = geometric_psf(DESIGNS["open"], radius, kernel.shape[0])[1]
+    np.testing.assert_allclose(kernel, exact, atol=2e-3 / max(abs(radius), 1) ** 2 + 2e-4)
+    assert kernel.sum() == pytest.approx(1, abs=1e-5)
+
+
+def test_the_hexagon_has_its_area():
+    # Corners on the pupil's rim: 3 sqrt(3) / 2 of radius squared
+    assert bokeh_mask("hex").mean() * 4 == pytest.approx(3 * np.sqrt(3) / 2, rel=2e-3)
+
+
+def test_bad_pupils_and_maps_are_refused(tmp_path, world):
+    color, radius = world
+    black = tmp_path / "black.png"
+    cv2.imwrite(str(black), np.zeros((8, 8), np.uint8))
+    with pytest.raises(InputError, match="black"):
+        bokeh_mask(str(black))
+    with pytest.raises(InputError, match="unknown bokeh"):
+        bokeh_mask("star")
+    with pytest.raises(InputError, match="two photographs"):
+        refocus(color, radius[1:], Focus(0.0))
+    with pytest.raises(InputError, match="holes"):
+        refocus(color, np.full_like(radius, np.nan), Focus(0.0))
+    with pytest.raises(InputError, match="larger f-number"):
+        refocus(color, radius, Focus(0.0, 100.0))
+    with pytest.raises(InputError, match="size"):
+        refocus(color, radius, Focus(0.0, -1.0))
+
+
+def test_without_a_pupil_all_stays_sharp(world):
+    color, radius = world
+    np.testing.assert_array_equal(refocus(color, radius, Focus(2.0, 0.0)), color)
+
+
+def test_the_background_turns_grey_at_its_own_luminance(world):
+    color, radius = world
+    out = desaturate_background(color, radius, float(radius.min()))
+    share = background_share(radius, float(radius.min()))
+    far = share == 1
+    assert far.any()
+    assert np.ptp(out[far], axis=1).max() < 1e-5
+    weights = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, IEC 61966-2-1
+    np.testing.assert_allclose(out[far] @ weights, color[far] @ weights, rtol=1e-4)
+    np.testing.assert_array_equal(out[radius == radius.min()], color[radius == radius.min()])
+
+
+def test_blurring_the_background_leaves_what_is_nearer_sharp(world):
+    color, radius = world
+    out = apply_background(color, radius, Focus(0.0, 1.0), "blur")
+    near = cv2.erode((radius < -0.5).astype(np.uint8), np.ones((9, 9))) > 0
+    np.testing.assert_allclose(out[near], color[near], atol=1e-4)
+    assert np.abs(out - color)[radius > 1].mean() > 0.01
+    with pytest.raises(InputError, match="unknown background"):
+        apply_background(color, radius, Focus(0.0), "sepia")
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_a_sweep_is_a_film_from_near_to_far(tmp_path, world, suffix):
+    color, radius = world
+    frames = list(sweep(color, radius, Focus(0.0, 1.0), frames=4))
+
+    def detail(frame, where):
+        return np.abs(cv2.Laplacian(frame[..., 1].astype(np.float32), -1))[where].mean()
+
+    near = cv2.erode((radius < 0).astype(np.uint8), np.ones((9, 9))) > 0
+    assert detail(frames[0], near) > 1.5 * detail(frames[-1], near)
+    assert detail(frames[-1], ~near) > 1.5 * detail(frames[0], ~near)
+    path = tmp_path / f"film{suffix}"
+    write_sweep(path, iter(frames))
+    film = cv2.VideoCapture(str(path))
+    if suffix == ".mp4":
+        assert int(film.get(cv2.CAP_PROP_FRAME_COUNT)) == 6  # there and back without repeating the ends
+    else:
+        from PIL import Image
+
+        with Image.open(path) as picture:
+            assert picture.n_frames == 6
+    with pytest.raises(InputError, match=r"\.gif or \.mp4"):
+        write_sweep(tmp_path / "film.avi", iter(frames))
+
+
+def test_steady_disparity_fills_and_follows_the_picture_s_edges(rng):
+    truth = np.where(np.arange(90)[None, :] < 40, -2.0, 3.0) * np.ones((60, 1))
+    guide = np.where(truth[..., None] < 0, [0.8, 0.3, 0.2], [0.2, 0.4, 0.7]).astype(np.float32)
+    sigma = np.full(truth.shape, 0.3, np.float32)
+    spoiled = (truth + sigma * rng.normal(size=truth.shape)).astype(np.float32)
+    spoiled[10:20, 20:30] = np.nan
+    spoiled[30:33, 60:63] = -6.0  # a speck
+    found, spread = steady_disparity(spoiled, sigma, guide)
+    assert np.isfinite(found).all()
+    error = np.abs(found - truth)
+    # 0.3 px averaged over a few dozen px; the speck weighs a twentieth
+    assert np.median(error) < 0.06
+    assert np.percentile(error, 99) < 0.5
+    assert np.median(spread) == pytest.approx(0.3, abs=0.1)
+
+
+def test_unknown_everywhere_is_refused():
+    with pytest.raises(InputError, match="unknown everywhere"):
+        steady_disparity(np.full((9, 9), np.nan), None, np.zeros((9, 9, 3)))
+    with pytest.raises(InputError, match="two photographs"):
+        steady_disparity(np.zeros((9, 9)), None, np.zeros((9, 8, 3)))
