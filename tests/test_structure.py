@@ -18,7 +18,8 @@ MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
 # The bundle, the method, and what reads and writes files around them.
-CAMERA = {"calibration", "camera", "calibrate", "boards", "curves", "store", "session", "pipeline", "outputs", "preview", "samples"}
+CAMERA = {"calibration", "camera", "session", "store", "boards", "curves", "calibrate", "pipeline", "outputs",
+          "preview", "samples"}  # fmt: skip
 LEAVES = {"effects", "reconstruction", "evaluation", "viewer"}
 BELOW_LEAVES = {"optics"} | STAGES | CAMERA
 # What a part of the package may import, besides itself and COMMON.

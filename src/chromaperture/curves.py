@@ -20,7 +20,11 @@ from chromaperture.errors import InputError
 _FIELD_DEGREES = (4, 2)  # the second where the first is drawn by noise
 _LEAST_SCALE = 0.1  # of the median: vignetting cuts the rim of the pupil, where an open design has its film
 _MIN_FIELD_BOARDS = 5
-_NONLINEAR_TERMS = ((12, 5), (7, 2))  # from so many boards on, so many terms
+# More terms follow the boards closer and swing beyond the last of them. The sensor's own channels, undisturbed by
+# unmixing, read further from the shift than the unmixed views.
+_NONLINEAR_TERMS: dict[Quality, int] = {"paper": 3, "real-time": 5}
+_BOARDS_FOR_ALL_TERMS = 12
+_BOARDS_FOR_SOME_TERMS, _SOME_TERMS = 7, 2
 _THIN = 2  # points of the grid
 _ONE_SIDE_PX = 0.3
 
@@ -138,7 +142,8 @@ def fit_curve(evidence: Evidence, quality: Quality, notes: list[str]) -> FittedC
     y, x = np.meshgrid(rows, columns, indexing="ij")
     grids = np.stack([board.grid_px[quality] for board in boards])
     count = int(evidence.believed.sum())
-    terms = next((terms for least, terms in _NONLINEAR_TERMS if count >= least), 0)
+    terms = _NONLINEAR_TERMS[quality] if count >= _BOARDS_FOR_ALL_TERMS else _SOME_TERMS
+    terms = terms if count >= _BOARDS_FOR_SOME_TERMS else 0
     for degree in _FIELD_DEGREES if count >= _MIN_FIELD_BOARDS else ():
         for nonlinear in dict.fromkeys((terms, 0)):
             fit = partial(

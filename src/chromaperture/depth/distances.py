@@ -21,6 +21,7 @@ from chromaperture.errors import InputError
 _HUBER = 1.345
 _ROUNDS = 20
 _UNITS = {"cm": 10.0, "m": 1000.0, "inches": 25.4, "feet": 304.8}
+_OTHER_UNIT = 5.0
 _MIN_POSES = 4
 _OUTLIER = 5.0  # standard deviations, and at least twice the ruler's own error
 
@@ -121,8 +122,10 @@ def check_units(ruler_mm: np.ndarray, expected_mm: np.ndarray | float, *, where:
     where : str
         The file they come from.
     """
-    ratio = np.nanmedian(np.asarray(expected_mm, float) / np.asarray(ruler_mm, float))
-    if not np.isfinite(ratio) or ratio < 3:
+    ratios = np.asarray(expected_mm, float) / np.asarray(ruler_mm, float)
+    ratios = ratios[np.isfinite(ratios)]
+    ratio = float(np.median(ratios)) if ratios.size else 1.0
+    if ratio < _OTHER_UNIT:
         return
     unit = min(_UNITS, key=lambda name: abs(np.log(_UNITS[name] / ratio)))
     raise InputError(
