@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import os
 import shutil
 import zipfile
@@ -33,8 +34,9 @@ class Store:
             return compute()
         name = hashlib.sha256(photograph.read_bytes() + repr(settings).encode()).hexdigest()[:32]
         path = self.folder / f"{name}.npz"
-        with contextlib.suppress(OSError, ValueError, EOFError, zipfile.BadZipFile), np.load(path) as kept:
-            return {key: kept[key] for key in kept.files}
+        with contextlib.suppress(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+            with np.load(io.BytesIO(path.read_bytes())) as kept:
+                return {key: kept[key] for key in kept.files}
         arrays = compute()
         with contextlib.suppress(OSError):
             self.folder.mkdir(parents=True, exist_ok=True)
