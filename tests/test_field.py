@@ -25,7 +25,7 @@ RULERS = np.arange(1000.0, 4001, 500)
 
 def exact_distances(z=RULERS - DELTA):
     count = len(z)
-    return BoardDistances(z, DELTA, 0.0, 1.0, np.zeros((count + 1, count + 1)), np.full(count, np.nan))
+    return BoardDistances(z, DELTA, 0.0, 1.0, np.zeros((count + 1, count + 1)), *np.full((2, count), np.nan))
 
 
 def measured_boards(rng, noise_px, z=RULERS - DELTA):
@@ -102,7 +102,7 @@ def test_covariance_is_the_spread_of_many_sessions():
     for _ in range(40):
         error = root @ rng.normal(size=len(z) + 1)
         believed = BoardDistances(
-            z + error[:-1], DELTA + error[-1], 2.0, 1.0, covariance, np.full(len(z), np.nan)
+            z + error[:-1], DELTA + error[-1], 2.0, 1.0, covariance, *np.full((2, len(z)), np.nan)
         )
         field, _ = fit(x, y, clean + rng.normal(0, 0.05, clean.shape), believed, degree=2)
         places = [field.at(np.array(px), np.array(py), WIDTH, HEIGHT) for px, py in ((30.0, 20.0), (5.0, 4.0))]

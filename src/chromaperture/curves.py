@@ -100,20 +100,12 @@ def doubt(evidence: Evidence, names: list[str], quality: Quality) -> tuple[Evide
     slope = np.abs(_slope_px(fit, ruler))
     typical = 1.4826 * np.nanmedian(np.abs(fit.residual_px))  # a matcher's nonlinearity is no board's fault
     by_curve = ruler + fit.residual_mm
-    sigma = np.where(blind, np.hypot(evidence.ruler_error_mm, typical / slope), _pose_spread(evidence, ruler))
+    sigma = np.where(blind, np.hypot(evidence.ruler_error_mm, typical / slope), evidence.distances.residual_sigma_mm)
     outliers = find_outliers(
         names, ruler, np.where(blind, by_curve, by_pose), sigma, ruler_error_mm=evidence.ruler_error_mm
     )
     believed = evidence.believed & ~(blind & np.isin(names, list(outliers)))
     return replace(evidence, believed=believed), outliers
-
-
-def _pose_spread(evidence: Evidence, ruler: np.ndarray) -> np.ndarray:
-    """Give the standard deviation of ruler minus pose, from the boards around; (N,) mm."""
-    residual = np.abs(evidence.distances.residual_mm)
-    near = [residual[np.argsort(np.abs(ruler - r))[:9]] for r in ruler]
-    typical = [1.4826 * np.nanmedian(part) if np.isfinite(part).any() else np.inf for part in near]
-    return np.hypot(typical, evidence.ruler_error_mm / np.sqrt(3))
 
 
 def _slope_px(fit: DepthFit, depth_mm: np.ndarray) -> np.ndarray:

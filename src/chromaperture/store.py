@@ -35,8 +35,8 @@ class Store:
         name = hashlib.sha256(photograph.read_bytes() + repr(settings).encode()).hexdigest()[:32]
         path = self.folder / f"{name}.npz"
         with contextlib.suppress(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-            with np.load(io.BytesIO(path.read_bytes())) as kept:
-                return {key: kept[key] for key in kept.files}
+            kept = np.load(io.BytesIO(path.read_bytes()))
+            return {key: kept[key] for key in kept.files}
         arrays = compute()
         with contextlib.suppress(OSError):
             self.folder.mkdir(parents=True, exist_ok=True)

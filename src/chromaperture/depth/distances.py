@@ -42,6 +42,8 @@ class BoardDistances:
         Of the z of all boards and, last, of delta.
     residual_mm : (N,) float64
         Ruler minus the distance from the sensor by pose; NaN where there is no pose.
+    residual_sigma_mm : (N,) float64
+        Its expected standard deviation.
     """
 
     from_pupil_mm: np.ndarray
@@ -50,6 +52,7 @@ class BoardDistances:
     scale: float
     covariance: np.ndarray
     residual_mm: np.ndarray
+    residual_sigma_mm: np.ndarray
 
 
 def fit_distances(
@@ -107,7 +110,7 @@ def fit_distances(
     covariance = np.linalg.inv(information)[: n + 1, : n + 1]
     return BoardDistances(
         solution[:n], float(solution[n]), float(np.sqrt(covariance[n, n])), float(solution[n + 1]), covariance,
-        ruler - by_pose,
+        ruler - by_pose, np.where(seen, expected, np.nan),
     )  # fmt: skip
 
 
