@@ -1,14 +1,17 @@
 """A session of simulated boards comes back as the camera that took it."""
 
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from chromaperture.calibrate import calibrate_session
+from chromaperture.calibrate import calibrate_session, leave_one_out
+from chromaperture.calibration import Calibration
+from chromaperture.curves import weaknesses
 from chromaperture.depth.chessboard import board_distance, board_points, centered_pinhole, fit_intrinsics
-from chromaperture.depth.fit import fit_depth_model, fit_ruler
+from chromaperture.depth.fit import fit_depth_model
 from chromaperture.errors import InputError
 from planes import capture, texture
 
@@ -85,6 +88,8 @@ def copy_with(session, tmp_path, **files):
         ({"session__toml": SESSION.replace("= 0.031", "= 'small'")}, "pixel_pitch_mm"),
         ({"session__toml": SESSION.replace("= 144", "= 145")}, "145x108"),
         ({"session__toml": SESSION.replace("= 1950", "= 60")}, "focal length"),
+        ({"distances__csv": "file,ruler_mm\n" + "".join(f"board/{r}.png,{r / 10}\n" for r in RULERS)}, "look like cm"),
+        ({"distances__csv": "file,ruler_mm\n" + "".join(f"board/{r}.png,{r / 1000}\n" for r in RULERS)}, "like m,"),
         ({"session__toml": "design = ["}, r"session\.toml"),
         ({"distances__csv": "file,ruler_cm\nboard/1150.png,115\n"}, "ruler_mm"),
         ({"distances__csv": "file,ruler_mm\nboard/1150.png,far\n"}, "ruler_mm"),
@@ -97,6 +102,64 @@ def copy_with(session, tmp_path, **files):
 def test_sessions_that_cannot_be_used_say_why(session, tmp_path, files, word):
     with pytest.raises(InputError, match=word):
         calibrate_session(copy_with(session, tmp_path, **files), lens_blur=False)
+
+
+def test_a_board_off_its_ruler_is_named_and_left_out(session, tmp_path):
+    rows = "".join(f"board/{r}.png,{r + 260 * (r == 1800)}\n" for r in RULERS)
+    result = calibrate_session(copy_with(session, tmp_path, distances__csv="file,ruler_mm\n" + rows))
+    assert list(result.outliers) == ["1800.png"]
+    assert any("1800.png" in note and "off its ruler" in note for note in result.notes)
+    assert result.evidence.believed.sum() == len(RULERS) - 1
+    assert result.calibration.in_focus_mm == pytest.approx(B / A + DELTA, abs=20)  # four boards are left
+
+
+def test_boards_on_one_side_of_the_focus_leave_it_weak(session):
+    whole = calibrate_session(session)
+    assert weaknesses(whole.evidence, whole.fits) == [n for n in whole.notes if "in-focus" in n]
+    far = replace(whole.evidence, believed=np.array([r > 1970 for r in RULERS]))
+    near = replace(whole.evidence, believed=np.array([r < 1900 for r in RULERS]))
+    assert any("beyond the focus" in text and "nearer" in text for text in weaknesses(far, whole.fits))
+    assert any("nearer than the focus" in text for text in weaknesses(near, whole.fits))
+
+
+def test_an_interrupted_run_goes_on_where_it_stopped(session, tmp_path):
+    seen = []
+
+    def interrupt(what, done, total):
+        seen.append((what, done))
+        if (what, done) == ("board disparity", 2):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        calibrate_session(session, progress=interrupt, keep_in=tmp_path / "kept")
+    kept = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "kept").iterdir()}
+    assert len(kept) == len(RULERS) + 2  # corners of all boards, disparity of two
+    again = calibrate_session(session, keep_in=tmp_path / "kept")
+    after = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "kept").iterdir()}
+    assert len(after) == 2 * len(RULERS)
+    assert all(after[name] == stamp for name, stamp in kept.items())
+    fresh = calibrate_session(session)
+    assert again.calibration.in_focus_mm == pytest.approx(fresh.calibration.in_focus_mm, rel=1e-9)
+
+
+def test_what_was_kept_and_is_damaged_is_measured_again(session, tmp_path):
+    calibrate_session(session, keep_in=tmp_path)
+    for path in tmp_path.iterdir():
+        path.write_bytes(path.read_bytes()[:50])
+    assert calibrate_session(session, keep_in=tmp_path).calibration.in_focus_mm == pytest.approx(B / A + DELTA, abs=12)
+
+
+def test_a_lens_of_another_resolution_is_refused(session):
+    other = Calibration.uncalibrated("cy_halves", width_px=288, height_px=216)
+    with pytest.raises(InputError, match="288x216"):
+        calibrate_session(session, lens_from=other)
+
+
+def test_a_camera_without_one_board_still_knows_the_others(session):
+    result = calibrate_session(session)
+    less = leave_one_out(result, 2)
+    assert less.in_focus_mm == pytest.approx(B / A + DELTA, abs=20)
+    assert less.in_focus_mm != result.calibration.in_focus_mm
 
 
 def test_a_folder_without_a_session_is_named(tmp_path):
@@ -119,15 +182,6 @@ def test_an_outlier_board_does_not_move_the_fit(rng):
     assert np.argmax(np.abs(fit.residual_mm)) == 4
     assert fit.model.infinity_disparity_px == pytest.approx(A, abs=0.03)
     assert np.sqrt(fit.model.covariance[0, 0]) < 0.03
-
-
-def test_ruler_and_poses_give_pupil_and_scale(rng):
-    pose = np.linspace(900, 3900, 25)
-    ruler = 0.99 * pose + 47.0 + rng.uniform(-3, 3, 25)
-    ruler[7] += 60  # misread by six centimetres
-    fit = fit_ruler(ruler, pose, ruler_sigma_mm=1.5)
-    assert fit.scale == pytest.approx(0.99, abs=0.002)
-    assert abs(fit.sensor_to_pupil_mm - 47.0) < 4 * fit.sigma_mm < 12
 
 
 def test_intrinsics_of_projected_boards_come_back():

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from chromaperture.depth.conversion import DepthModel
-from chromaperture.depth.field import DepthField, degree_of, fit_depth_field, polynomials
+from chromaperture.depth.conversion import DepthModel, disparity_to_depth
+from chromaperture.depth.distances import BoardDistances
+from chromaperture.depth.field import DepthField, degree_of, polynomials
+from chromaperture.depth.field_fit import fit_depth_field
 from chromaperture.errors import InputError
 
 WIDTH, HEIGHT = 61, 41
@@ -18,20 +20,23 @@ def curved_lens(x, y):
     return 4.4 - 0.3 * r2 + 0.05 * u + 0.02 * u**2 * v**2, 8600.0 - 900 * r2 + 100 * v
 
 
-def measured_boards(rng, noise_px):
+RULERS = np.arange(1000.0, 4001, 500)
+
+
+def exact_distances(z=RULERS - DELTA):
+    count = len(z)
+    return BoardDistances(z, DELTA, 0.0, 1.0, np.zeros((count + 1, count + 1)), *np.full((2, count), np.nan))
+
+
+def measured_boards(rng, noise_px, z=RULERS - DELTA):
     y, x = (axis.ravel().astype(float) for axis in np.mgrid[0:HEIGHT:2, 0:WIDTH:2])
     infinity, scale = curved_lens(x, y)
-    inverse = 1 / (np.arange(1000, 4001, 500) - DELTA)
-    disparity = infinity - inverse[:, None] * scale + rng.normal(0, noise_px, (len(inverse), x.size))
-    grid = [np.broadcast_to(a, disparity.shape).ravel() for a in (x, y, inverse[:, None])]
-    return *grid, disparity.ravel()
+    return x, y, infinity - scale / z[:, None] + rng.normal(0, noise_px, (len(z), x.size))
 
 
-def fit(x, y, inverse, disparity, degree=4):
-    return fit_depth_field(
-        x, y, inverse, disparity, np.ones_like(disparity),
-        size_px=(WIDTH, HEIGHT), degree=degree, sensor_to_pupil_mm=DELTA, covariance=np.eye(3),
-    )  # fmt: skip
+def fit(x, y, disparity, distances=None, degree=4, **more):
+    distances = distances or exact_distances()
+    return fit_depth_field(x, y, disparity, distances, size_px=(WIDTH, HEIGHT), degree=degree, **more)
 
 
 def test_fields_of_fourth_order_come_back_exactly(rng):
@@ -42,17 +47,17 @@ def test_fields_of_fourth_order_come_back_exactly(rng):
     np.testing.assert_allclose(model.infinity_disparity_px, infinity, rtol=1e-9)
     np.testing.assert_allclose(model.scale_px_mm, scale, rtol=1e-9)
     assert np.abs(residual).max() < 1e-9
-    on_axis = field.on_axis(WIDTH, HEIGHT)
-    assert on_axis.infinity_disparity_px == pytest.approx(infinity[20, 30], rel=1e-9)
-    assert on_axis.scale_px_mm == pytest.approx(scale[20, 30], rel=1e-9)
+    for on_axis in (field.on_axis(WIDTH, HEIGHT), field.at(np.array(30.0), np.array(20.0), WIDTH, HEIGHT)):
+        assert on_axis.infinity_disparity_px == pytest.approx(infinity[20, 30], rel=1e-9)
+        assert on_axis.scale_px_mm == pytest.approx(scale[20, 30], rel=1e-9)
 
 
 def test_noise_missing_pixels_and_wrong_layers_are_survived(rng):
-    x, y, inverse, disparity = measured_boards(rng, 0.05)
-    wrong = rng.random(disparity.size)
-    disparity = np.where(wrong < 0.1, rng.uniform(-6, 4, disparity.size), disparity)
+    x, y, disparity = measured_boards(rng, 0.05)
+    wrong = rng.random(disparity.shape)
+    disparity = np.where(wrong < 0.1, rng.uniform(-6, 4, disparity.shape), disparity)
     disparity[wrong > 0.8] = np.nan
-    field, residual = fit(x, y, inverse, disparity)
+    field, residual = fit(x, y, disparity)
     rows, columns = np.mgrid[:HEIGHT, :WIDTH].astype(float)
     infinity, scale = curved_lens(columns, rows)
     model = field.model(WIDTH, HEIGHT)
@@ -60,6 +65,81 @@ def test_noise_missing_pixels_and_wrong_layers_are_survived(rng):
     # 30 numbers from 3000 samples of 0.05 px: 0.005 px in the middle, a few times that in the corners
     assert np.abs(predicted - (infinity - scale / 1950)).max() < 0.03
     assert (np.isnan(residual) == np.isnan(disparity)).all()
+
+
+def bent(linear_px):
+    """What a matcher might read: too little near focus, too much far from it."""
+    return linear_px + 0.15 * np.sin(1.1 * linear_px) - 0.1
+
+
+def test_a_matchers_nonlinearity_is_told_from_the_lens(rng):
+    z = np.linspace(1000, 4000, 16) - DELTA
+    x, y, linear = measured_boards(rng, 0.0, z)
+    disparity = bent(linear) + rng.normal(0, 0.01, linear.shape)
+    distances = exact_distances(z)
+    straight, _ = fit(x, y, disparity, distances)
+    curved, _ = fit(x, y, disparity, distances, nonlinear_terms=5)
+    between = 2 * z[:-1] * z[1:] / (z[:-1] + z[1:])  # distances at which no board stood
+    infinity, scale = curved_lens(30.0, 20.0)
+    errors = []
+    for field in (straight, curved):
+        depth, _ = disparity_to_depth(bent(infinity - scale / between), field.on_axis(WIDTH, HEIGHT))
+        errors.append(np.abs(depth - between - DELTA).max() / between.max())
+    # 0.01 px is a thousandth of the depth at 4 m before averaging
+    assert errors[1] < 0.002
+    assert errors[0] > 5 * errors[1]
+
+
+def test_covariance_is_the_spread_of_many_sessions():
+    """Forty sessions: noise of every sample, and a ruler that errs by the same mm at all samples of a board."""
+    rng = np.random.default_rng(7)
+    z = RULERS - DELTA
+    x, y, clean = measured_boards(rng, 0.0)
+    covariance = np.diag([1.7**2] * len(z) + [2.0**2])
+    covariance[-1, :-1] = covariance[:-1, -1] = -1.0
+    root = np.linalg.cholesky(covariance)
+    found, promised = [], []
+    for _ in range(40):
+        error = root @ rng.normal(size=len(z) + 1)
+        believed = BoardDistances(
+            z + error[:-1], DELTA + error[-1], 2.0, 1.0, covariance, *np.full((2, len(z)), np.nan)
+        )
+        field, _ = fit(x, y, clean + rng.normal(0, 0.05, clean.shape), believed, degree=2)
+        places = [field.at(np.array(px), np.array(py), WIDTH, HEIGHT) for px, py in ((30.0, 20.0), (5.0, 4.0))]
+        found.append([value for m in places for value in (*_numbers(m), _depth_at(m, 2200.0))])
+        promised.append([s for m in places for s in _sigmas(m)])
+    ratio = np.std(found, axis=0) / np.sqrt(np.mean(np.square(promised), axis=0))
+    # 40 sessions know a standard deviation to 11 %; twice that
+    assert np.all((ratio > 0.75) & (ratio < 1.3)), ratio
+
+
+def _numbers(model):
+    return float(model.infinity_disparity_px), float(model.scale_px_mm), model.sensor_to_pupil_mm
+
+
+def _reading(z):
+    return float(3.9 - 8300.0 / z)
+
+
+def _depth_at(model, z_mm):
+    return float(disparity_to_depth(np.array(_reading(z_mm)), model)[0])
+
+
+def _sigmas(model):
+    _, sigma = disparity_to_depth(np.array(_reading(2200.0)), model, sigma_px=np.array(0.0))
+    return (*np.sqrt(np.diag(model.covariance)), float(sigma))
+
+
+def test_error_bars_vary_over_the_frame_as_the_fields_covariance_says(rng):
+    x, y, disparity = measured_boards(rng, 0.05)
+    field, _ = fit(x, y, disparity, degree=2)
+    model = field.model(WIDTH, HEIGHT)
+    for px, py in ((30, 20), (0, 0), (60, 40), (11, 33)):
+        exact = field.at(np.array(float(px)), np.array(float(py)), WIDTH, HEIGHT).covariance
+        # bilinear between 33 nodes a side: the second difference of a quartic is a few per mille of its range
+        np.testing.assert_allclose(model.covariance[py, px], exact, rtol=0.05)
+    corner, middle = model.covariance[0, 0, 0, 0], model.covariance[20, 30, 0, 0]
+    assert corner > 4 * middle  # a polynomial is loosest where it ends
 
 
 def test_a_constant_field_is_its_model():
@@ -87,9 +167,8 @@ def test_counts_that_are_no_degree_are_refused():
 
 
 def test_too_little_to_fit_says_so(rng):
-    x, y, inverse, disparity = measured_boards(rng, 0.0)
+    x, y, disparity = measured_boards(rng, 0.0)
     with pytest.raises(InputError, match="more boards"):
-        fit(x[:50], y[:50], inverse[:50], disparity[:50])
-    one = inverse == inverse[0]
+        fit(x[:20], y[:20], disparity[:, :20])
     with pytest.raises(InputError, match="more boards"):
-        fit(x[one], y[one], inverse[one], disparity[one], degree=1)
+        fit(x, y, disparity, boards=np.arange(len(RULERS)) == 1, degree=1)

@@ -20,7 +20,11 @@ from chromaperture.errors import InputError
 _FIELD_DEGREES = (4, 2)  # the second where the first is drawn by noise
 _LEAST_SCALE = 0.1  # of the median: vignetting cuts the rim of the pupil, where an open design has its film
 _MIN_FIELD_BOARDS = 5
-_NONLINEAR_TERMS = ((12, 5), (7, 2))  # from so many boards on, so many terms
+# More terms follow the boards closer and swing beyond the last of them. The sensor's own channels, undisturbed by
+# unmixing, read further from the shift than the unmixed views.
+_NONLINEAR_TERMS: dict[Quality, int] = {"paper": 3, "real-time": 5}
+_BOARDS_FOR_ALL_TERMS = 12
+_BOARDS_FOR_SOME_TERMS, _SOME_TERMS = 7, 2
 _THIN = 2  # points of the grid
 _ONE_SIDE_PX = 0.3
 
@@ -96,20 +100,12 @@ def doubt(evidence: Evidence, names: list[str], quality: Quality) -> tuple[Evide
     slope = np.abs(_slope_px(fit, ruler))
     typical = 1.4826 * np.nanmedian(np.abs(fit.residual_px))  # a matcher's nonlinearity is no board's fault
     by_curve = ruler + fit.residual_mm
-    sigma = np.where(blind, np.hypot(evidence.ruler_error_mm, typical / slope), _pose_spread(evidence, ruler))
+    sigma = np.where(blind, np.hypot(evidence.ruler_error_mm, typical / slope), evidence.distances.residual_sigma_mm)
     outliers = find_outliers(
         names, ruler, np.where(blind, by_curve, by_pose), sigma, ruler_error_mm=evidence.ruler_error_mm
     )
     believed = evidence.believed & ~(blind & np.isin(names, list(outliers)))
     return replace(evidence, believed=believed), outliers
-
-
-def _pose_spread(evidence: Evidence, ruler: np.ndarray) -> np.ndarray:
-    """Give the standard deviation of ruler minus pose, from the boards around; (N,) mm."""
-    residual = np.abs(evidence.distances.residual_mm)
-    near = [residual[np.argsort(np.abs(ruler - r))[:9]] for r in ruler]
-    typical = [1.4826 * np.nanmedian(part) if np.isfinite(part).any() else np.inf for part in near]
-    return np.hypot(typical, evidence.ruler_error_mm / np.sqrt(3))
 
 
 def _slope_px(fit: DepthFit, depth_mm: np.ndarray) -> np.ndarray:
@@ -138,7 +134,8 @@ def fit_curve(evidence: Evidence, quality: Quality, notes: list[str]) -> FittedC
     y, x = np.meshgrid(rows, columns, indexing="ij")
     grids = np.stack([board.grid_px[quality] for board in boards])
     count = int(evidence.believed.sum())
-    terms = next((terms for least, terms in _NONLINEAR_TERMS if count >= least), 0)
+    terms = _NONLINEAR_TERMS[quality] if count >= _BOARDS_FOR_ALL_TERMS else _SOME_TERMS
+    terms = terms if count >= _BOARDS_FOR_SOME_TERMS else 0
     for degree in _FIELD_DEGREES if count >= _MIN_FIELD_BOARDS else ():
         for nonlinear in dict.fromkeys((terms, 0)):
             fit = partial(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import os
 import shutil
 import zipfile
@@ -33,7 +34,8 @@ class Store:
             return compute()
         name = hashlib.sha256(photograph.read_bytes() + repr(settings).encode()).hexdigest()[:32]
         path = self.folder / f"{name}.npz"
-        with contextlib.suppress(OSError, ValueError, EOFError, zipfile.BadZipFile), np.load(path) as kept:
+        with contextlib.suppress(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+            kept = np.load(io.BytesIO(path.read_bytes()))
             return {key: kept[key] for key in kept.files}
         arrays = compute()
         with contextlib.suppress(OSError):

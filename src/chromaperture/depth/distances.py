@@ -21,6 +21,7 @@ from chromaperture.errors import InputError
 _HUBER = 1.345
 _ROUNDS = 20
 _UNITS = {"cm": 10.0, "m": 1000.0, "inches": 25.4, "feet": 304.8}
+_OTHER_UNIT = 5.0
 _MIN_POSES = 4
 _OUTLIER = 5.0  # standard deviations, and at least twice the ruler's own error
 
@@ -41,6 +42,8 @@ class BoardDistances:
         Of the z of all boards and, last, of delta.
     residual_mm : (N,) float64
         Ruler minus the distance from the sensor by pose; NaN where there is no pose.
+    residual_sigma_mm : (N,) float64
+        Its expected standard deviation.
     """
 
     from_pupil_mm: np.ndarray
@@ -49,6 +52,7 @@ class BoardDistances:
     scale: float
     covariance: np.ndarray
     residual_mm: np.ndarray
+    residual_sigma_mm: np.ndarray
 
 
 def fit_distances(
@@ -106,7 +110,7 @@ def fit_distances(
     covariance = np.linalg.inv(information)[: n + 1, : n + 1]
     return BoardDistances(
         solution[:n], float(solution[n]), float(np.sqrt(covariance[n, n])), float(solution[n + 1]), covariance,
-        ruler - by_pose,
+        ruler - by_pose, np.where(seen, expected, np.nan),
     )  # fmt: skip
 
 
@@ -121,8 +125,10 @@ def check_units(ruler_mm: np.ndarray, expected_mm: np.ndarray | float, *, where:
     where : str
         The file they come from.
     """
-    ratio = np.nanmedian(np.asarray(expected_mm, float) / np.asarray(ruler_mm, float))
-    if not np.isfinite(ratio) or ratio < 3:
+    ratios = np.asarray(expected_mm, float) / np.asarray(ruler_mm, float)
+    ratios = ratios[np.isfinite(ratios)]
+    ratio = float(np.median(ratios)) if ratios.size else 1.0
+    if ratio < _OTHER_UNIT:
         return
     unit = min(_UNITS, key=lambda name: abs(np.log(_UNITS[name] / ratio)))
     raise InputError(

@@ -146,4 +146,4 @@ def polynomials(x: np.ndarray, y: np.ndarray, width_px: int, height_px: int, deg
     v = (2 * np.asarray(y, float) - (height_px - 1)) / max(height_px - 1, 1)
     products = chebyshev.chebvander2d(u, v, [degree, degree])
     i, j = np.divmod(np.arange((degree + 1) ** 2), degree + 1)
-    return products[..., i + j <= degree]
+    return products[..., i + j <= degree].reshape(*np.broadcast(u, v).shape, -1)
