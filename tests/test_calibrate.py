@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from chromaperture.depth.fit import fit_depth_model
 from chromaperture.errors import InputError
 from planes import capture, texture
 
+calibrated = partial(calibrate_session, lens_blur=False)  # these boards are shifted views, nothing blurred them
 A, B, DELTA = 4.3, 8200.0, 52.0
 RULERS = (1150, 1400, 1800, 2300, 3000)
 
@@ -55,7 +57,7 @@ def session(tmp_path_factory):
 
 
 def test_the_curve_comes_back(session):
-    result = calibrate_session(session)
+    result = calibrated(session)
     for quality, fit in result.fits.items():
         # Pixels of one board share their texture: the middle's median is good to about 0.02 px, 3 mm at 1.5 m.
         assert np.abs(fit.residual_px).max() < 0.03, quality
@@ -101,12 +103,12 @@ def copy_with(session, tmp_path, **files):
 )  # fmt: skip
 def test_sessions_that_cannot_be_used_say_why(session, tmp_path, files, word):
     with pytest.raises(InputError, match=word):
-        calibrate_session(copy_with(session, tmp_path, **files))
+        calibrated(copy_with(session, tmp_path, **files))
 
 
 def test_a_board_off_its_ruler_is_named_and_left_out(session, tmp_path):
     rows = "".join(f"board/{r}.png,{r + 260 * (r == 1800)}\n" for r in RULERS)
-    result = calibrate_session(copy_with(session, tmp_path, distances__csv="file,ruler_mm\n" + rows))
+    result = calibrated(copy_with(session, tmp_path, distances__csv="file,ruler_mm\n" + rows))
     assert list(result.outliers) == ["1800.png"]
     assert any("1800.png" in note and "off its ruler" in note for note in result.notes)
     assert result.evidence.believed.sum() == len(RULERS) - 1
@@ -114,7 +116,7 @@ def test_a_board_off_its_ruler_is_named_and_left_out(session, tmp_path):
 
 
 def test_boards_on_one_side_of_the_focus_leave_it_weak(session):
-    whole = calibrate_session(session)
+    whole = calibrated(session)
     assert weaknesses(whole.evidence, whole.fits) == [n for n in whole.notes if "in-focus" in n]
     far = replace(whole.evidence, believed=np.array([r > 1970 for r in RULERS]))
     near = replace(whole.evidence, believed=np.array([r < 1900 for r in RULERS]))
@@ -131,32 +133,32 @@ def test_an_interrupted_run_goes_on_where_it_stopped(session, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        calibrate_session(session, progress=interrupt, keep_in=tmp_path / "kept")
+        calibrated(session, progress=interrupt, keep_in=tmp_path / "kept")
     kept = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "kept").iterdir()}
     assert len(kept) == len(RULERS) + 2  # corners of all boards, disparity of two
-    again = calibrate_session(session, keep_in=tmp_path / "kept")
+    again = calibrated(session, keep_in=tmp_path / "kept")
     after = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "kept").iterdir()}
     assert len(after) == 2 * len(RULERS)
     assert all(after[name] == stamp for name, stamp in kept.items())
-    fresh = calibrate_session(session)
+    fresh = calibrated(session)
     assert again.calibration.in_focus_mm == pytest.approx(fresh.calibration.in_focus_mm, rel=1e-9)
 
 
 def test_what_was_kept_and_is_damaged_is_measured_again(session, tmp_path):
-    calibrate_session(session, keep_in=tmp_path)
+    calibrated(session, keep_in=tmp_path)
     for path in tmp_path.iterdir():
         path.write_bytes(path.read_bytes()[:50])
-    assert calibrate_session(session, keep_in=tmp_path).calibration.in_focus_mm == pytest.approx(B / A + DELTA, abs=12)
+    assert calibrated(session, keep_in=tmp_path).calibration.in_focus_mm == pytest.approx(B / A + DELTA, abs=12)
 
 
 def test_a_lens_of_another_resolution_is_refused(session):
     other = Calibration.uncalibrated("cy_halves", width_px=288, height_px=216)
     with pytest.raises(InputError, match="288x216"):
-        calibrate_session(session, lens_from=other)
+        calibrated(session, lens_from=other)
 
 
 def test_a_camera_without_one_board_still_knows_the_others(session):
-    result = calibrate_session(session)
+    result = calibrated(session)
     less = leave_one_out(result, 2)
     assert less.in_focus_mm == pytest.approx(B / A + DELTA, abs=20)
     assert less.in_focus_mm != result.calibration.in_focus_mm
@@ -164,7 +166,7 @@ def test_a_camera_without_one_board_still_knows_the_others(session):
 
 def test_a_folder_without_a_session_is_named(tmp_path):
     with pytest.raises(InputError, match=r"session\.toml"):
-        calibrate_session(tmp_path)
+        calibrated(tmp_path)
 
 
 def test_an_outlier_board_does_not_move_the_fit(rng):

@@ -19,8 +19,8 @@ MAX_LINES = 400
 STAGES = {"capture", "color", "disparity", "depth"}
 # The bundle, the method, and what reads and writes files around them.
 CAMERA = {
-    "calibration", "camera", "calibrate", "boards", "curves", "store", "session", "pipeline", "outputs", "preview",
-    "samples",
+    "calibration", "camera", "calibrate", "calibrate_blur", "boards", "curves", "store", "session", "pipeline",
+    "outputs", "preview", "samples",
 }  # fmt: skip
 LEAVES = {"effects", "export", "reconstruction", "evaluation", "viewer"}
 BELOW_LEAVES = {"optics"} | STAGES | CAMERA
@@ -41,7 +41,8 @@ ALLOWED: dict[str, set[str]] = {
     "store": set(),
     "boards": {"optics", "calibration", "camera", "session", "store"} | STAGES,
     "curves": {"calibration", "boards"} | STAGES,
-    "calibrate": {"optics", "calibration", "session", "boards", "curves", "store"} | STAGES,
+    "calibrate": {"optics", "calibration", "session", "boards", "calibrate_blur", "curves", "store"} | STAGES,
+    "calibrate_blur": {"optics", "calibration", "session", "store"} | STAGES,
     "preview": {"optics", "camera"} | STAGES,
     "samples": set(),
     "pipeline": {"optics", "calibration", "camera", "outputs", "preview"} | STAGES,

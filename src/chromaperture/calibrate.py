@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from chromaperture.boards import MEASURED, BoardMeasurement, grid, measure_board, spread
+from chromaperture.calibrate_blur import LayerEvidence, add_blur, fit_layers
 from chromaperture.calibration import Calibration, Film, Lens
 from chromaperture.color.unmixing import ideal_unmixing
 from chromaperture.config import QUALITIES, MatcherConfig, Quality
@@ -92,12 +93,14 @@ class CalibrationResult:
     ruler_residual_mm: np.ndarray
     outliers: Mapping[str, str]
     evidence: Evidence
+    layers: LayerEvidence | None = None
 
 
 def calibrate_session(
     folder: str | Path,
     *,
     lens_from: Calibration | None = None,
+    lens_blur: bool = True,
     progress: Progress = lambda what, done, total: None,
     keep_in: str | Path | None = None,
 ) -> CalibrationResult:
@@ -109,6 +112,8 @@ def calibrate_session(
         Laid out as ``docs/calibration-session.md`` shows.
     lens_from : Calibration, optional
         The same lens at the same focus, for a session without tilted boards of its own.
+    lens_blur : bool
+        Fit the lens's blur too, which takes most of the time; quality ``accurate`` gains most of its accuracy by it.
     progress : callable, optional
         Called with what is being done, how many are done, and of how many.
     keep_in : str or Path, optional
@@ -176,8 +181,12 @@ def calibrate_session(
         "notes": notes,
     }
     residuals = {quality: curve.residual_px.astype(np.float32) for quality, curve in curves.items()}
+    calibration, layers = _assemble(session, film, intrinsics, fields, provenance), None
+    if lens_blur:
+        used = evidence.believed
+        calibration, layers = add_blur(calibration, session, distances, used, notes, store=store, progress=progress)
     return CalibrationResult(
-        calibration=_assemble(session, film, intrinsics, fields, provenance),
+        calibration=calibration,
         fits=fits,
         boards=boards,
         notes=notes,
@@ -192,17 +201,20 @@ def calibrate_session(
         ruler_residual_mm=distances.residual_mm,
         outliers=outliers,
         evidence=evidence,
+        layers=layers,
     )
 
 
 def leave_one_out(result: CalibrationResult, board: int) -> Calibration:
     """Give the camera as it would be without one board, whose depth can then be measured as that of any scene.
 
-    Everything but the depth curves stays: film and pinhole do not depend on one board.
+    Everything but the depth curves stays: film, pinhole and the lens's blur do not depend on one board.
     """
     evidence = result.evidence.without(board)
     fields = {quality: fit_curve(evidence, quality, []).field for quality in MEASURED}
     fields["accurate"] = fields[_like_accurate(result.calibration)]
+    if result.layers is not None:
+        fields["accurate"] = fit_layers(result.layers, evidence.distances, evidence.believed)
     return dataclasses.replace(result.calibration, depth=fields)
 
 

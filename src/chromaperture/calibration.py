@@ -24,6 +24,7 @@ from chromaperture.depth.field import DepthField, degree_of
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
+from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
 from chromaperture.outputs import staged
 
 FORMAT_VERSION = 1
@@ -112,6 +113,8 @@ class Calibration:
         Range of depths that is searched, from the sensor plane.
     provenance : dict
         How the file came about: command, date, data, fit residuals.
+    blur : BlurModel or None
+        The lens's blur over the frame, for PSF-aware matching; then ``depth["accurate"]`` holds for its layers.
     """
 
     design: str
@@ -122,6 +125,7 @@ class Calibration:
     near_mm: float
     far_mm: float
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    blur: BlurModel | None = None
 
     @property
     def aperture(self) -> Aperture:
@@ -138,6 +142,13 @@ class Calibration:
     def image_distance_mm(self) -> float:
         """Distance F from the pinhole's pupil to its sensor, fx times the pixel pitch."""
         return float(self.lens.camera_matrix[0, 0]) * self.sensor.pixel_pitch_mm
+
+    def field_blur(self) -> FieldBlur | None:
+        """Give lens and film together; None where the blur was not fitted."""
+        if self.blur is None:
+            return None
+        pupil = sample_pupil(self.aperture.with_film(self.film.transmissions()))
+        return FieldBlur(self.blur, pupil, self.sensor.width_px, self.sensor.height_px)
 
     @property
     def is_calibrated(self) -> bool:
@@ -229,6 +240,7 @@ class Calibration:
                 "working_range": {"near_mm": self.near_mm, "far_mm": self.far_mm},
                 "depth": {quality: _plain(dataclasses.asdict(field)) for quality, field in self.depth.items()},
                 "lens": _plain(dataclasses.asdict(self.lens)),
+                "blur": None if self.blur is None else dataclasses.asdict(self.blur),
                 "sensor": _plain(dataclasses.asdict(self.sensor)),
                 "film": {
                     "unit": "white light as R, G, B, 1 = white level",
@@ -307,6 +319,7 @@ def _from_tree(tree: Mapping[str, Any]) -> Calibration:
         near_mm=float(tree["working_range"]["near_mm"]),
         far_mm=float(tree["working_range"]["far_mm"]),
         provenance=dict(tree["provenance"]),
+        blur=_blur_from_tree(tree.get("blur")),
     )
     _check(calibration)
     return calibration
@@ -327,6 +340,13 @@ def _depth_from_tree(tree: Mapping[str, Any]) -> DepthField:
         (low, high) = _finite([curve["low_px"], curve["high_px"]], (2,))
         curve = Nonlinearity(float(low), float(high), _finite(curve["coefficients"], (len(curve["coefficients"]),)))
     return DepthField(infinity, scale, float(delta), _finite(covariance, (unknowns, unknowns)), curve)
+
+
+def _blur_from_tree(tree: Mapping[str, Any] | None) -> BlurModel | None:
+    if tree is None:
+        return None
+    names = [f.name for f in dataclasses.fields(BlurModel)]
+    return BlurModel(**dict(zip(names, map(float, _finite([tree[n] for n in names], (len(names),))), strict=True)))
 
 
 def _finite(value: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -65,6 +65,7 @@ class CodedApertureCamera:
         self.config = config or default_config(calibration)
         self.depth_model = calibration.depth_model(self.config.quality) if calibration.is_calibrated else None
         self.fields = layer_fields(calibration, self.config.matcher)
+        self.blur = calibration.field_blur() if self.config.matcher.phase is not None else None
 
     def measure(self, image: np.ndarray, *, stage: StageTimer = lambda name: nullcontext()) -> DepthFrame:
         """Measure depth in millimetres for every pixel of one photograph.
@@ -96,6 +97,7 @@ class CodedApertureCamera:
                 unmixing=cal.unmixing,
                 noise_variance=noise,
                 fields=self.fields,
+                blur=self.blur,
                 config=self.config.matcher,
             )
         with stage("depth"):  # Eq. (10)
@@ -142,7 +144,8 @@ def layer_fields(calibration: Calibration, config: MatcherConfig) -> list[LayerF
         return None
     spaces = colour_spaces(calibration.aperture, calibration.unmixing, config)
     qualities: tuple[Quality, ...] = ("accurate", "real-time")  # of the unmixed and of the pure views
-    models = [calibration.depth_model(quality) for quality in qualities[: len(spaces)]]
+    used = qualities[:1] if config.phase is not None else qualities[: len(spaces)]
+    models = [calibration.depth_model(quality) for quality in used]
     axis = calibration.on_axis("accurate")
     reference = (float(axis.infinity_disparity_px), float(axis.scale_px_mm))
     shape = (calibration.sensor.height_px, calibration.sensor.width_px)
@@ -170,7 +173,8 @@ def sensor_noise(image: np.ndarray, calibration: Calibration) -> np.ndarray | No
 
 def default_config(calibration: Calibration, quality: Quality = "real-time") -> Config:
     """Give the settings for a camera: the quality's preset over the camera's own working range."""
-    matcher = MatcherConfig.preset(quality)
+    blur = calibration.field_blur() if quality == "accurate" else None
+    matcher = MatcherConfig.preset(quality) if blur is None else MatcherConfig.psf_aware(blur.reach)
     if calibration.is_calibrated:
         matcher = matcher.with_range(*calibration.disparity_range_px(quality))
     return Config(quality=quality, matcher=matcher)

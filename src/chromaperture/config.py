@@ -69,6 +69,42 @@ class OptimiserConfig:
 
 
 @dataclass(frozen=True)
+class PhaseConfig:
+    """PSF-aware matching (quality "accurate" of a camera whose blur is known).
+
+    Attributes
+    ----------
+    bands_px : tuple of (float, float)
+        Bands that are correlated apart: sigmas of the two Gaussians whose difference passes one, px. A coarser third
+        octave costs: its windows hold too few waves, and colours that change slowly look like displacement.
+    band_weights : tuple of float
+    window_sigma_px : float
+        Gaussian window of the correlation.
+    damping : float
+        eps of ``disparity/phase.py``, against noise where the blur leaves nothing.
+    fallback_weight, fallback_nats : float
+        Weight of the pairs of channels whose views lie closer together, where the best pair finds nothing; it falls to
+        1/e where that pair's best layer earns ``fallback_nats``. They agree better on strongly coloured surfaces, but
+        are less exact.
+    """
+
+    bands_px: tuple[tuple[float, float], ...] = ((0.6, 1.4), (1.4, 3.2))
+    band_weights: tuple[float, ...] = (1.0, 0.5)
+    window_sigma_px: float = 4.0
+    damping: float = 0.04
+    fallback_weight: float = 0.5
+    fallback_nats: float = 0.1
+
+    def __post_init__(self) -> None:
+        if len(self.bands_px) != len(self.band_weights) or not self.bands_px:
+            raise InputError("bands_px and band_weights must be of one length, at least 1")
+        if not all(0 < fine < coarse for fine, coarse in self.bands_px) or min(self.band_weights) < 0:
+            raise InputError("every band needs 0 < fine < coarse, and weights must be >= 0")
+        if min(self.window_sigma_px, self.damping, self.fallback_nats) <= 0 or self.fallback_weight < 0:
+            raise InputError("window_sigma_px, damping and fallback_nats must be positive, fallback_weight >= 0")
+
+
+@dataclass(frozen=True)
 class MatcherConfig:
     """Disparity estimation (paper section 3.1). All disparities are half disparities in px, + is beyond focus.
 
@@ -100,6 +136,8 @@ class MatcherConfig:
         Subtract the known noise covariance of the unmixed channels, which otherwise digs a hole at disparity 0.
     optimiser : OptimiserConfig or None
         Find the best surface through the whole volume instead of filtering it and taking every pixel's best layer.
+    phase : PhaseConfig or None
+        Match with the camera's blur instead of shifted views, where the camera file holds it; needs an optimiser.
     """
 
     min_disparity_px: float = -8.0
@@ -114,8 +152,11 @@ class MatcherConfig:
     texture_weighting: bool = True
     noise_debiasing: bool = True
     optimiser: OptimiserConfig | None = None
+    phase: PhaseConfig | None = None
 
     def __post_init__(self) -> None:
+        if self.phase is not None and self.optimiser is None:
+            raise InputError("phase needs an optimiser: choose quality accurate")
         numbers = (self.min_disparity_px, self.max_disparity_px, self.step_px)
         if not all(map(math.isfinite, numbers)) or self.step_px <= 0:
             raise InputError("disparity range and step must be finite and the step positive, in px")
@@ -158,6 +199,19 @@ class MatcherConfig:
         if quality == "accurate":
             return cls(step_px=0.25, window_decay=0.70, views="both", optimiser=OptimiserConfig())
         raise InputError(f"unknown quality {quality!r}: choose paper, real-time or accurate")
+
+    @classmethod
+    def psf_aware(cls, reach: float) -> MatcherConfig:
+        """Give the settings of quality ``accurate`` for a camera whose blur is known.
+
+        Parameters
+        ----------
+        reach : float
+            Px of half disparity for a px by which blur displaces the pupil's edge. Layers and slopes count in blur,
+            so that designs whose views lie close together are searched as finely.
+        """
+        optimiser = OptimiserConfig(slope_penalty=25.0 / reach, edge_range=1.0, temperature=0.8)
+        return replace(cls.preset("accurate"), step_px=0.3 * reach, optimiser=optimiser, phase=PhaseConfig())
 
     def with_range(self, min_disparity_px: float, max_disparity_px: float) -> MatcherConfig:
         """Give the same settings over another search range, widened to whole layers."""

@@ -20,6 +20,9 @@ def calibrate(
     report: Annotated[
         Path | None, typer.Option(help="HTML report to write; default beside the camera file.", metavar="FILE")
     ] = None,
+    no_blur: Annotated[
+        bool, typer.Option("--no-blur", help="Leave out the lens's blur: faster, quality accurate is less so.")
+    ] = False,
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
@@ -41,7 +44,7 @@ def calibrate(
     known = Calibration.load(lens_from) if lens_from else None
     kept = out.parent / f".{out.stem}.calibrating"  # what an interrupted run has measured so far
     with progress(quiet=quiet or json) as update:
-        result = calibrate_session(session, lens_from=known, progress=update, keep_in=kept)
+        result = calibrate_session(session, lens_from=known, lens_blur=not no_blur, progress=update, keep_in=kept)
     files = [out]
     if not no_report:  # first: a picture that cannot be read leaves no camera file without its report
         from chromaperture.evaluation.report import write_report

@@ -12,12 +12,13 @@ from chromaperture.color.image import checked_image
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions
 from chromaperture.config import MatcherConfig
-from chromaperture.disparity import optimise, reference
+from chromaperture.disparity import optimise, phase, reference
 from chromaperture.disparity.confidence import confidence, disparity_sigma
 from chromaperture.disparity.inputs import guide_weights, prepare
 from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
+from chromaperture.optics.blur import FieldBlur
 
 Backend = Literal["numba", "reference"]
 
@@ -53,6 +54,7 @@ def estimate_disparity(
     config: MatcherConfig | None = None,
     noise_variance: np.ndarray | None = None,
     fields: Sequence[LayerField] | None = None,
+    blur: FieldBlur | None = None,
     backend: Backend = "numba",
 ) -> Disparity:
     """Estimate the disparity of every pixel of one photograph.
@@ -70,6 +72,8 @@ def estimate_disparity(
     fields : sequence of LayerField, optional
         For an optimiser: what equal depth means at every pixel, for each of `colour_spaces`. Without them it looks
         for surfaces of even disparity, in the first colour space only.
+    blur : FieldBlur, optional
+        For ``config.phase``: the camera's blur.
     backend : {"numba", "reference"}
 
     Returns
@@ -90,7 +94,7 @@ def estimate_disparity(
         config = replace(config, noise_debiasing=False)
         noise_variance = estimate_noise_variance(image)
     spaces = colour_spaces(aperture, unmixing, config)
-    if config.optimiser is not None and fields is None:
+    if config.phase is not None or (config.optimiser is not None and fields is None):
         spaces = spaces[:1]
     inputs = [
         prepare(
@@ -109,7 +113,11 @@ def estimate_disparity(
 
         matcher = kernels
     share = None
-    if config.optimiser is not None:
+    if config.optimiser is not None and config.phase is not None:
+        if blur is None or fields is None:
+            raise InputError("PSF-aware matching needs the blur of a calibrated camera")
+        winner = phase.match(image, inputs[0], blur, fields[0], config, backend=backend)
+    elif config.optimiser is not None:
         winner = optimise.match(
             inputs, config, config.optimiser, score_volume=matcher.score_volume, fields=fields, backend=backend
         )

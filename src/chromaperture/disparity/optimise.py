@@ -55,19 +55,19 @@ def match(
     Winner
         As `optimise_volume`; disparities of the first colour space.
     """
-    solver = _backend(backend)
+    implementation = solver(backend)
     raw = replace(config, noise_debiasing=False)
     first = inputs[0]
     likelihood = np.zeros((*first.mask.shape, len(first.layers_px)), np.float32)
     for i, one in enumerate(inputs):
         evidence = log_likelihood(score_volume(one, raw), view_count=one.views.shape[2])
-        likelihood += evidence if fields is None else solver.at_labels(evidence, first.layers_px, fields[i])
+        likelihood += evidence if fields is None else implementation.at_labels(evidence, first.layers_px, fields[i])
     likelihood *= first.mask[..., None] / len(inputs)
     winner = optimise_volume(likelihood, first.guide, first.layers_px, config=optimiser, backend=backend)
-    return winner if fields is None else _at_pixels(winner, fields[0])
+    return winner if fields is None else at_pixels(winner, fields[0])
 
 
-def _at_pixels(winner: Winner, field: LayerField) -> Winner:
+def at_pixels(winner: Winner, field: LayerField) -> Winner:
     """Turn a winner among labels into one among the disparities of every pixel."""
     disparity = field.offset_px + field.scale * winner.disparity_px
     spread = None if winner.spread_px is None else field.scale * winner.spread_px
@@ -167,13 +167,13 @@ def optimise_volume(
             f"{len(layers_px)} layers"
         )
     step = float(layers_px[1] - layers_px[0])
-    solver = _backend(backend)
+    implementation = solver(backend)
     likelihood = np.ascontiguousarray(likelihood, np.float32)
-    cost = solver.aggregate(likelihood, guide, step, config=config)
+    cost = implementation.aggregate(likelihood, guide, step, config=config)
     paths = parabola_winner(-cost, layers_px)
     start = np.where(np.isfinite(paths.disparity_px), paths.disparity_px, layers_px[cost.argmin(axis=2)])
-    disparity = solver.coupled_variation(start, likelihood, guide, layers_px, config=config)
-    spread = solver.spread(disparity, cost, layers_px, temperature=config.temperature * config.paths)
+    disparity = implementation.coupled_variation(start, likelihood, guide, layers_px, config=config)
+    spread = implementation.spread(disparity, cost, layers_px, temperature=config.temperature * config.paths)
 
     layer = np.rint((disparity - layers_px[0]) / step).astype(np.intp)
     explained = -np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0])
@@ -183,7 +183,8 @@ def optimise_volume(
     )
 
 
-def _backend(name: Backend) -> ModuleType:
+def solver(name: Backend) -> ModuleType:
+    """Give the module that implements the optimiser."""
     if name == "reference":
         from chromaperture.disparity import semiglobal
 

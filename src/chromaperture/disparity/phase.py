@@ -1,0 +1,224 @@
+"""PSF-aware matching: how well two channels agree once each is blurred as the other was.
+
+Halves of a pupil show mirrored blurs, not shifted copies, so no shift aligns two views of a blurred surface. Where the
+blur H_k(z) of each channel is known, filtering each with the other's does align them, at the true depth only::
+
+    P = F^-1[ Y_a H_b / q ],   Q = F^-1[ Y_b H_a / q ],   q^2 = (|H_a|^2 + |H_b|^2) / 2 + eps
+
+and D = P - Q is what maximum likelihood over the unknown sharp picture leaves (``docs/equations.md``). The correlation
+of P and Q in a window, in two octaves, is the evidence for a depth. Blur changes over the frame, so this runs on tiles.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+import scipy.fft
+
+from chromaperture.config import MatcherConfig, PhaseConfig
+from chromaperture.disparity.inputs import MatchInputs
+from chromaperture.disparity.optimise import Backend, at_pixels, optimise_volume, solver
+from chromaperture.disparity.semiglobal import LayerField
+from chromaperture.disparity.subpixel import Winner
+from chromaperture.errors import InputError
+from chromaperture.optics.blur import FieldBlur
+
+_BACKGROUND_PX = 30.0  # what is smoother than this is shading, and only leaks into a tile from its border
+_MAX_CORRELATION2 = 0.999
+_GRID = 24  # places along the width at which half disparities are computed, and interpolated between
+
+
+def match(
+    image: np.ndarray,
+    inputs: MatchInputs,
+    blur: FieldBlur,
+    field: LayerField,
+    config: MatcherConfig,
+    *,
+    backend: Backend = "numba",
+) -> Winner:
+    """Match one capture with the camera's blur.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32, linear RGB
+    inputs : MatchInputs
+        Of the same image: guide, mask and layers are used.
+    blur : FieldBlur
+    field : LayerField
+        What equal depth means at every pixel, in the layers of the blur: the camera's quality "accurate".
+    config : MatcherConfig
+        With ``phase`` and ``optimiser``.
+    backend : {"numba", "reference"}
+
+    Returns
+    -------
+    Winner
+    """
+    assert config.phase is not None
+    assert config.optimiser is not None
+    layers = inputs.layers_px
+    usable = np.where(np.isfinite(image), image, np.float32(0))
+    likelihood = phase_likelihood(usable, blur, layers, config=config.phase)
+    tile = tile_field(blur, layers)
+    both = LayerField(tile.offset_px + tile.scale * field.offset_px, tile.scale * field.scale)
+    likelihood = solver(backend).at_labels(likelihood, layers, both) * inputs.mask[..., None]
+    winner = optimise_volume(likelihood, inputs.guide, layers, config=config.optimiser, backend=backend)
+    return at_pixels(winner, field)
+
+
+def phase_likelihood(
+    image: np.ndarray, blur: FieldBlur, layers_px: np.ndarray, *, config: PhaseConfig
+) -> np.ndarray:
+    """Log-likelihood of every layer, from the agreement of cross-filtered channels.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32, linear RGB, finite
+    blur : FieldBlur
+        Of the camera that took it.
+    layers_px : (D,) float, px
+        Half disparities in the middle of the frame, see ``FieldBlur.reference``: they name distances.
+    config : PhaseConfig
+
+    Returns
+    -------
+    (H, W, D) float32, nats a pixel. A layer means the distance it has in the middle of the pixel's tile: read the
+    volume through `tile_field`.
+
+    Raises
+    ------
+    InputError
+        The image is not of the blur's size.
+    """
+    height, width = image.shape[:2]
+    if (width, height) != (blur.width_px, blur.height_px):
+        raise InputError(
+            f"the camera's blur was fitted for {blur.width_px} x {blur.height_px} px, the image has {width} x {height}"
+        )
+    tiles = _Tiles(blur, layers_px)
+    spectra = tiles.spectra(np.ascontiguousarray(image, np.float32))
+    bands = band_passes(tiles.size, config.bands_px)
+    at_infinity, scale = blur.reference
+
+    def volume(pairs: tuple[tuple[int, int], ...]) -> np.ndarray:
+        out = np.empty((len(layers_px), height, width), np.float32)
+
+        def fill(layer: int) -> None:
+            out[layer] = _layer(blur, pairs, tiles, spectra, (at_infinity - layers_px[layer]) / scale, bands, config)
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(fill, range(len(layers_px))))
+        return out
+
+    likelihood = volume(blur.pairs)
+    if blur.other_pairs and config.fallback_weight > 0:
+        silent = np.exp(-likelihood.max(axis=0) / np.float32(config.fallback_nats))
+        likelihood += np.float32(config.fallback_weight) * silent * volume(blur.other_pairs)
+    return np.ascontiguousarray(np.moveaxis(likelihood, 0, -1))
+
+
+def tile_field(blur: FieldBlur, layers_px: np.ndarray) -> LayerField:
+    """Tell which layer of a pixel's tile has the half disparity that the pixel itself has in a layer.
+
+    Tiles know the blur of their middle only; within one, field curvature moves the depth of equal blur by a tenth
+    of a px. Half disparities are a - b / z at every place, so one distance has ``offset + scale * layer``.
+    """
+    tiles = _Tiles(blur, layers_px)
+    columns = np.linspace(0, blur.width_px - 1, _GRID)
+    rows = np.linspace(0, blur.height_px - 1, max(2, round(_GRID * blur.height_px / blur.width_px)))
+    coarse = np.array([[blur.half_disparity(x, y) for x in columns] for y in rows])
+    x = np.arange(blur.width_px, dtype=np.float32) * np.float32((_GRID - 1) / max(blur.width_px - 1, 1))
+    y = np.arange(blur.height_px, dtype=np.float32) * np.float32((len(rows) - 1) / max(blur.height_px - 1, 1))
+    at_x, at_y = np.meshgrid(x, y)
+    own = [cv2.remap(np.ascontiguousarray(coarse[..., i], np.float32), at_x, at_y, cv2.INTER_LINEAR) for i in (0, 1)]
+    tile = np.empty((2, blur.height_px, blur.width_px), np.float32)
+    for y0, x0 in tiles.corners:
+        tile[:, y0 : y0 + tiles.core, x0 : x0 + tiles.core] = np.reshape(
+            blur.half_disparity(*tiles.centre(y0, x0)), (2, 1, 1)
+        )
+    # a_t - b_t w_t = a - b w with w = (A0 - layer) / B0 of the pixel; back to a layer with w_t = (A0 - layer_t) / B0.
+    at_infinity, reference = blur.reference
+    scale = own[1] / tile[1]
+    offset = at_infinity * (1 - scale) - reference * (tile[0] - own[0]) / tile[1]
+    return LayerField(offset.astype(np.float32), scale.astype(np.float32))
+
+
+def band_passes(size: int, bands_px: tuple[tuple[float, float], ...]) -> np.ndarray:
+    """Differences of two Gaussians as filters of a tile's spectrum; (bands, size, size // 2 + 1) float32."""
+    w2 = (2 * np.pi * scipy.fft.fftfreq(size))[:, None] ** 2 + (2 * np.pi * scipy.fft.rfftfreq(size)) ** 2
+    return np.stack([np.exp(-w2 * fine**2 / 2) - np.exp(-w2 * coarse**2 / 2) for fine, coarse in bands_px]).astype(
+        np.float32
+    )
+
+
+class _Tiles:
+    """Cores that cover the frame, each in the middle of a larger tile that leaves room for the blur."""
+
+    def __init__(self, blur: FieldBlur, layers_px: np.ndarray) -> None:
+        room = 2 * float(np.abs(layers_px).max()) / blur.reach + 10  # both blurs, and the bands
+        self.core = max(40, round(blur.width_px / 12))
+        self.size = int(scipy.fft.next_fast_len(self.core + 2 * math.ceil(room), real=True))
+        self.size += self.size % 2
+        self.margin = (self.size - self.core) // 2
+        self.shape = (blur.height_px, blur.width_px)
+        self.corners = [
+            (y, x) for y in range(0, self.shape[0], self.core) for x in range(0, self.shape[1], self.core)
+        ]
+
+    def centre(self, y0: int, x0: int) -> tuple[float, float]:
+        """Middle (x, y) of the part of a core that lies in the frame."""
+        y1, x1 = (min(start + self.core, end) for start, end in zip((y0, x0), self.shape, strict=True))
+        return (x0 + x1 - 1) / 2, (y0 + y1 - 1) / 2
+
+    def spectra(self, image: np.ndarray) -> list[np.ndarray]:
+        """Spectra of the tiles of an image; list of (3, size, size // 2 + 1) complex64."""
+        detail = image - cv2.GaussianBlur(image, (0, 0), _BACKGROUND_PX)
+        after = self.margin + self.core
+        padded = cv2.copyMakeBorder(detail, self.margin, after, self.margin, after, cv2.BORDER_REFLECT_101)
+        return [
+            scipy.fft.rfft2(padded[y : y + self.size, x : x + self.size].transpose(2, 0, 1)) for y, x in self.corners
+        ]
+
+
+def _layer(
+    blur: FieldBlur,
+    pairs: tuple[tuple[int, int], ...],
+    tiles: _Tiles,
+    spectra: list[np.ndarray],
+    inverse_mm: float,
+    bands: np.ndarray,
+    config: PhaseConfig,
+) -> np.ndarray:
+    """Evidence for one distance; (H, W) float32."""
+    core, margin = tiles.core, tiles.margin
+    height, width = tiles.shape
+    channels = tuple(sorted({k for pair in pairs for k in pair}))
+    products = np.empty((len(pairs), len(bands), 3, height + core, width + core), np.float32)
+    inner = np.s_[:, margin : margin + core, margin : margin + core]
+    for (y, x), spectrum in zip(tiles.corners, spectra, strict=True):
+        transfer = dict(
+            zip(channels, blur.transfer(*tiles.centre(y, x), inverse_mm, tiles.size, channels), strict=True)
+        )
+        for i, (a, b) in enumerate(pairs):
+            q = np.sqrt((np.abs(transfer[a]) ** 2 + np.abs(transfer[b]) ** 2) / 2 + np.float32(config.damping))
+            first = scipy.fft.irfft2(spectrum[a] * transfer[b] / q * bands)[inner]
+            second = scipy.fft.irfft2(spectrum[b] * transfer[a] / q * bands)[inner]
+            place = products[i, ..., y : y + core, x : x + core]
+            place[:, 0], place[:, 1], place[:, 2] = first * second, first**2, second**2
+    evidence = np.zeros((height, width), np.float32)
+    for pair in products:
+        for band, weight in zip(pair, config.band_weights, strict=True):
+            cross, power_a, power_b = (
+                cv2.GaussianBlur(p[:height, :width], (0, 0), config.window_sigma_px, borderType=cv2.BORDER_REFLECT_101)
+                for p in band
+            )
+            correlation = np.maximum(cross, 0) / np.sqrt(power_a * power_b + np.float32(1e-12))
+            evidence -= np.float32(0.5 * weight / len(products)) * np.log1p(
+                -np.minimum(correlation**2, np.float32(_MAX_CORRELATION2))
+            )
+    return evidence

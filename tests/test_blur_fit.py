@@ -1,0 +1,127 @@
+"""Boards blurred by a known lens give that lens back."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.fft
+
+from chromaperture.calibrate_blur import add_blur
+from chromaperture.calibration import Calibration, Film, Lens, Sensor
+from chromaperture.config import PhaseConfig
+from chromaperture.depth.blur_fit import fit_blur, measured_layers
+from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.distances import BoardDistances
+from chromaperture.depth.field import DepthField
+from chromaperture.errors import InputError
+from chromaperture.optics.aperture import DESIGNS
+from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
+
+W, H = 160, 120
+TRUE = BlurModel(5.0, 8000.0, axial_red_px=-0.3, axial_blue_px=0.4, spherical_px=-1.0)
+DISTANCES_MM = (900.0, 1200.0, 1700.0, 2400.0, 3500.0)
+PUPIL = sample_pupil(DESIGNS["cy_halves"])
+
+
+def boards(model=TRUE, noise=0.001):
+    """The same blur in the whole frame, so that one convolution makes a board exactly."""
+    rng = np.random.default_rng(8)
+    blur = FieldBlur(model, PUPIL, W, H)
+    for z in DISTANCES_MM:
+        transfer = blur.transfer((W - 1) / 2, (H - 1) / 2, 1 / z, 256)
+        image = scipy.fft.irfft2(scipy.fft.rfft2(rng.normal(0.5, 0.15, (256, 256))) * transfer)
+        image = image[:, :H, :W].transpose(1, 2, 0)
+        yield (image + rng.normal(0, noise, image.shape)).astype(np.float32), 1 / z
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    start = FieldBlur(BlurModel(4.4, 7300.0, front_rim_radius=1.08, rear_rim_radius=1.08), PUPIL, W, H)
+    return fit_blur(boards(), start, board_count=len(DISTANCES_MM), tile_count=15)
+
+
+def test_the_lens_comes_back(fitted):
+    """Single numbers trade places (defocus with spherical aberration): what counts are the transfer functions."""
+    true = FieldBlur(TRUE, PUPIL, W, H)
+    place = ((W - 1) / 2, (H - 1) / 2)
+    for z in (1000.0, 2000.0, 3000.0):
+        expected = true.transfer(*place, 1 / z, 64)
+        found = fitted.blur.transfer(*place, 1 / z, 64)
+        error = np.abs(found - expected).max()
+        start = np.abs(FieldBlur(BlurModel(4.4, 7300.0), PUPIL, W, H).transfer(*place, 1 / z, 64) - expected).max()
+        assert error < 0.06, z
+        assert error < start / 3, z
+
+
+def test_the_fit_explains_the_boards(fitted):
+    assert fitted.disagreement < fitted.start_disagreement / 4
+
+
+def test_layers_of_the_boards_are_their_distances(fitted):
+    at_infinity, scale = fitted.blur.reference
+    for image, inverse_mm in boards():
+        *_, layer = measured_layers(image, inverse_mm, fitted.blur, cell_px=40, config=PhaseConfig())
+        # Noise of 0.1 % and a fit to 30 tiles: good to a fiftieth of a px of half disparity.
+        assert np.nanmedian(layer) == pytest.approx(at_infinity - scale * inverse_mm, abs=0.02)
+
+
+def test_boards_without_texture_are_refused():
+    flat = [(np.full((H, W, 3), 0.4, np.float32), 1e-3)] * 4
+    with pytest.raises(InputError, match="texture"):
+        fit_blur(flat, FieldBlur(TRUE, PUPIL, W, H), board_count=4)
+
+
+class Boards:
+    """As much of a session as the blur's fit looks at."""
+
+    def __init__(self, count):
+        made = list(boards())[:count]
+        self.boards = {i: 1 / inverse + 50.0 for i, (_, inverse) in enumerate(made)}
+        self.images = [image for image, _ in made]
+
+    def read(self, i):
+        return self.images[i]
+
+
+def distances(count):
+    none = np.zeros(count)
+    return BoardDistances(np.array(DISTANCES_MM[:count]), 50.0, 0.5, 1.0, 0.1 * np.eye(count + 1), none)
+
+
+def draft():
+    beta = 4 / (3 * np.pi)
+    curve = DepthField.constant(DepthModel(4.4 * beta, 7300.0 * beta, 50.0))
+    ideal = {name: np.array(DESIGNS["cy_halves"].filter_named(name).transmission) for name in ("cyan", "yellow")}
+    return Calibration(
+        design="cy_halves",
+        sensor=Sensor(W, H, 0.05),
+        lens=Lens(50.0, np.array([[1000.0, 0, (W - 1) / 2], [0, 1000.0, (H - 1) / 2], [0, 0, 1]])),
+        film=Film(ideal, np.ones(3), np.ones(3)),
+        depth={"paper": curve, "real-time": curve, "accurate": curve},
+        near_mm=900.0,
+        far_mm=4000.0,
+    )
+
+
+def test_a_camera_gets_its_blur_and_keeps_it_in_its_file(tmp_path):
+    notes = []
+    camera, layers = add_blur(draft(), Boards(5), distances(5), np.ones(5, bool), notes)
+    assert not notes
+    assert layers.disagreement < layers.start_disagreement / 4
+    curve = camera.on_axis("accurate")
+    at_infinity, scale = camera.field_blur().reference
+    for z in DISTANCES_MM:
+        layer = at_infinity - scale / z
+        assert curve.infinity_disparity_px - curve.scale_px_mm / z == pytest.approx(layer, abs=0.03)
+    camera.save(tmp_path / "camera.asdf")
+    again = Calibration.load(tmp_path / "camera.asdf")
+    assert again.blur == camera.blur
+    assert replace(again, blur=None).field_blur() is None
+
+
+def test_three_boards_are_too_few():
+    notes = []
+    camera, layers = add_blur(draft(), Boards(3), distances(3), np.ones(3, bool), notes)
+    assert layers is None
+    assert camera.blur is None
+    assert "3 boards" in notes[0]

@@ -1,0 +1,125 @@
+"""PSF-aware matching: a plane blurred by known PSFs comes back at its depth."""
+
+import numpy as np
+import pytest
+import scipy.fft
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from chromaperture.config import MatcherConfig, PhaseConfig
+from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.disparity.phase import phase_likelihood, tile_field
+from chromaperture.disparity.semiglobal import LayerField
+from chromaperture.errors import InputError
+from chromaperture.optics.aperture import DESIGNS
+from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
+
+W, H = 160, 120
+LENS = BlurModel(6.0, 12000.0, axial_red_px=-0.2, axial_blue_px=0.3, spherical_px=-0.8, lateral_red_px=0.0)
+
+
+def blur_for(design, model=LENS, width=W, height=H):
+    return FieldBlur(model, sample_pupil(DESIGNS[design]), width, height)
+
+
+def photograph(blur, layer_px, rng, noise=0.002):
+    """A grey plane at one depth; its blur is that of the frame's middle, everywhere."""
+    size = 256
+    at_infinity, scale = blur.reference
+    transfer = blur.transfer((blur.width_px - 1) / 2, (blur.height_px - 1) / 2, (at_infinity - layer_px) / scale, size)
+    spectrum = scipy.fft.rfft2(rng.normal(0.5, 0.15, (size, size)))
+    image = scipy.fft.irfft2(spectrum * transfer)[:, : blur.height_px, : blur.width_px].transpose(1, 2, 0)
+    return (image + rng.normal(0, noise, image.shape)).astype(np.float32)
+
+
+def best_layer(volume, layers):
+    sums = volume.mean(axis=(0, 1))
+    i = int(np.clip(sums.argmax(), 1, len(layers) - 2))
+    below, peak, above = sums[i - 1 : i + 2]
+    return layers[i] + (layers[1] - layers[0]) * 0.5 * (below - above) / (below - 2 * peak + above)
+
+
+@pytest.mark.parametrize("design", ["cy_halves", "cy_open", "rgb_squares", "cmy_circles"])
+@pytest.mark.parametrize("edge_px", [-5.0, -0.6, 2.5])
+def test_a_plane_is_found_at_its_depth(design, edge_px, rng):
+    blur = blur_for(design)
+    true = edge_px * blur.reach
+    layers = true + np.linspace(-1.0, 1.0, 9) * blur.reach  # a quarter of a px of blur apart
+    volume = phase_likelihood(photograph(blur, true, rng), blur, layers, config=PhaseConfig())
+    # The model is exact but for noise; the parabola through three layers locks by a tenth of a step at most.
+    assert best_layer(volume, layers) == pytest.approx(true, abs=0.03 * blur.reach)
+
+
+def test_shifted_views_would_have_been_off():
+    """The reason for it all: the disparity of best overlap of mirrored halves is not that of their centroids."""
+    blur = blur_for("cy_halves", BlurModel(6.0, 12000.0))
+    rng = np.random.default_rng(1)
+    true = 5.0 * blur.reach
+    image = photograph(blur, true, rng, noise=0.0)
+    config = MatcherConfig(min_disparity_px=0.0, max_disparity_px=4.0)
+    shifted = np.nanmedian(estimate_disparity(image, aperture="cy_halves", config=config).value_px)
+    layers = true + np.linspace(-0.5, 0.5, 9)
+    aware = best_layer(phase_likelihood(image, blur, layers, config=PhaseConfig()), layers)
+    assert abs(aware - true) < abs(shifted - true) / 3
+
+
+def test_tiles_bend_with_field_curvature():
+    """A frame of curved focus only: r = A + c f^2 - B / z, so layers differ by c (f^2 - f_tile^2) times the reach."""
+    curvature = 2.0
+    blur = blur_for("cy_halves", BlurModel(6.0, 12000.0, curvature_px=curvature))
+    layers = np.linspace(-2, 2, 17)
+    field = tile_field(blur, layers)
+    np.testing.assert_allclose(field.scale, 1, atol=1e-3)
+    # Rays of the pupil: no rims are near in this model, and the middle of the frame is the middle of a tile's corner.
+    y, x = np.mgrid[:H, :W]
+    f2 = ((x - (W - 1) / 2) ** 2 + (y - (H - 1) / 2) ** 2) / (W / 2) ** 2
+    core = 40  # of a frame this small
+    fx, fy = ((np.minimum(n // core * core + core, end) - 1 + n // core * core) / 2 for n, end in ((x, W), (y, H)))
+    tile2 = ((fx - (W - 1) / 2) ** 2 + (fy - (H - 1) / 2) ** 2) / (W / 2) ** 2
+    expected = blur.reach * curvature * (f2 - tile2)
+    # Interpolated from a grid of 7 px: its sagitta is c (3.5 / 80)^2 / 2.
+    np.testing.assert_allclose(field.offset_px, expected, atol=4e-3)
+
+
+def test_the_whole_way_with_a_saturated_patch(rng):
+    blur = blur_for("cy_halves")
+    true = -1.2
+    image = photograph(blur, true, rng)
+    image[50:60, 70:90] = 1.0
+    config = MatcherConfig.psf_aware(blur.reach).with_range(-2.0, 0.5)
+    flat = LayerField(np.zeros((H, W), np.float32), np.ones((H, W), np.float32))
+    found = estimate_disparity(image, aperture="cy_halves", config=config, fields=[flat], blur=blur)
+    assert np.nanmedian(found.value_px) == pytest.approx(true, abs=0.02)
+    assert np.nanmean(np.abs(found.value_px - true) < 0.1) > 0.9
+    assert (found.sigma_px[np.isfinite(found.value_px)] > 0).all()
+
+
+def test_a_camera_of_another_size_is_refused():
+    with pytest.raises(InputError, match="160 x 120"):
+        phase_likelihood(
+            np.zeros((100, 100, 3), np.float32), blur_for("cy_halves"), np.arange(3.0), config=PhaseConfig()
+        )
+
+
+def test_without_a_blur_it_says_so(rng):
+    image = rng.random((H, W, 3), dtype=np.float32)
+    with pytest.raises(InputError, match="blur"):
+        estimate_disparity(image, aperture="cy_halves", config=MatcherConfig.psf_aware(0.4))
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(1, 45), st.integers(1, 45), st.sampled_from(["flat", "black", "one channel", "noise"]))
+def test_any_small_picture_gives_finite_evidence(width, height, kind):
+    image = np.random.default_rng(0).random((height, width, 3), dtype=np.float32)
+    if kind == "flat":
+        image[:] = 0.4
+    elif kind == "black":
+        image[:] = 0
+    elif kind == "one channel":
+        image[..., 1:] = 0
+    volume = phase_likelihood(
+        image, blur_for("cy_halves", width=width, height=height), np.linspace(-1, 1, 3), config=PhaseConfig()
+    )
+    assert volume.shape == (height, width, 3)
+    assert np.isfinite(volume).all()
+    assert (volume >= 0).all()
