@@ -167,14 +167,14 @@ def prepare_views(
     planes = np.empty((len(views), *mask.shape), np.float32)  # one plane a view: fast to smooth and to match
     for plane, view in zip(planes, views, strict=True):
         smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
-    if min(cv2.meanStdDev(plane)[1][0, 0] for plane in planes) < 1e-6:
+    if min(cv2.norm(plane) for plane in planes) < 1e-6 * math.sqrt(mask.size):  # they have no mean
         raise InputError(
             "the image is constant in at least one view of the aperture: nothing to match. A lens cap, an even "
             "wall, a grey-scale file and a wrong aperture design look like this"
         )
     white_noise_left, overlap = _noise_autocorrelation(config, directions, view_pairs(len(views)))
     guide = smooth(guide, 1.0)
-    sparse = max(1, round(math.sqrt(guide.size / 50_000)))  # the percentiles of a subset are as good
+    sparse = max(1, round(math.sqrt(guide.size / 20_000)))  # the percentiles of a subset are as good
     low, high = np.percentile(guide[::sparse, ::sparse], (1, 99))
     guide *= np.float32(1 / (max(float(high - low), 1e-6) * config.bilateral_range))
     return MatchInputs(
