@@ -13,6 +13,7 @@ from chromaperture.calibration import Calibration
 from chromaperture.capture.checks import check_capture
 from chromaperture.color.alignment import align_channels, channel_directions, white_balance
 from chromaperture.color.noise import photon_noise_variance
+from chromaperture.color.unmixing import pure_channels
 from chromaperture.config import Config, DepthConfig, MatcherConfig, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.disparity.estimate import Disparity, colour_spaces, estimate_disparity
@@ -100,8 +101,8 @@ class CodedApertureCamera:
         with stage("depth"):  # Eq. (10)
             depth_mm, sigma_mm = millimetres(disparity, self.depth_model, self.config.depth)
         with stage("color"):  # section 5.1
-            shifts = channel_directions(cal.aperture, cal.film.transmissions())
-            color = white_balance(align_channels(image, disparity.value_px, shifts), cal.film.aperture)
+            aligned = align_channels(image, disparity.value_px, channel_shifts(cal, self.config.quality))
+            color = white_balance(aligned, cal.film.aperture)
         return DepthFrame(
             depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color
         )
@@ -120,6 +121,19 @@ def millimetres(
         sigma_px=disparity.sigma_px,
         max_depth_mm=config.max_depth_mm,
     )
+
+
+def channel_shifts(calibration: Calibration, quality: Quality) -> np.ndarray:
+    """Displacement of the sensor's R, G, B per px of the disparity that a quality measures; (3, 2) float64."""
+    aperture = calibration.aperture
+    if pure_channels(aperture) is None:  # every channel mixes the filters and goes with its centroid
+        return channel_directions(aperture, calibration.film.transmissions())
+    shifts = channel_directions(aperture, {})
+    if not calibration.is_calibrated:
+        return shifts
+    # Leaks draw the pure channels together: their own curve tells how far apart they are where another one was matched.
+    pure, matched = (calibration.on_axis(q).scale_px_mm for q in ("real-time", quality))
+    return shifts * (float(pure) / float(matched))
 
 
 def layer_fields(calibration: Calibration, config: MatcherConfig) -> list[LayerField] | None:

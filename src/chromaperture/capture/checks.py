@@ -6,9 +6,9 @@ import warnings
 
 import numpy as np
 
+from chromaperture.color.image import SATURATION, checked_image
 from chromaperture.errors import CaptureWarning, InputError
 
-SATURATION = 0.995
 _DARK = 2e-3
 
 
@@ -30,19 +30,12 @@ def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarra
     InputError
         Wrong shape, type or size; all black, saturated, or not finite.
     """
-    image = np.asarray(image)
-    if image.ndim != 3 or image.shape[2] != 3:
-        raise InputError(f"expected an RGB image of shape (height, width, 3), got {image.shape}")
-    if not np.issubdtype(image.dtype, np.floating):
-        raise InputError(
-            f"expected linear float values in [0, 1], got {image.dtype}; read files with chromaperture.read_image"
-        )
+    image = checked_image(image)
     if image.shape[:2] != (height_px, width_px):
         raise InputError(
             f"the image is {image.shape[1]}x{image.shape[0]} px but the camera was calibrated at "
             f"{width_px}x{height_px}; give an original of that size, or calibrate at this one"
         )
-    image = np.ascontiguousarray(image, np.float32)
     finite = np.isfinite(image).all(axis=2)
     if not finite.any():
         raise InputError("the image holds no finite value; export it again")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from chromaperture.color.image import SATURATION
 from chromaperture.errors import InputError
 
-_SATURATION = 0.995
 _BLUR_SHARE = 0.025  # of the image's width: noise and paper grain go, vignetting stays
 
 
@@ -35,7 +35,7 @@ def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
     blurred = []
     for name, image in (("coded", coded), ("bare", bare)):
         sheet = np.asarray(image, np.float32)
-        if not np.isfinite(sheet).all() or (sheet >= _SATURATION).mean() > 0.001:
+        if not np.isfinite(sheet).all() or (sheet >= SATURATION).mean() > 0.001:
             raise InputError(f"the {name} white sheet is saturated: photograph both again at a shorter exposure")
         blurred.append(
             cv2.GaussianBlur(sheet, (0, 0), _BLUR_SHARE * sheet.shape[1], borderType=cv2.BORDER_REFLECT)

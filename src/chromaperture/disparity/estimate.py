@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from chromaperture.color.image import checked_image
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions
 from chromaperture.config import MatcherConfig
@@ -130,17 +131,3 @@ def colour_spaces(aperture: Aperture, unmixing: np.ndarray | None, config: Match
         return [rows]
     # Three pure channels are the unmixed views but for the leaks: one of the two says it all.
     return [rows, pure] if config.views == "both" and len(rows) == 2 else [pure]
-
-
-def checked_image(image: np.ndarray) -> np.ndarray:
-    """Check that an array can be an image and give it as contiguous float32; raises InputError."""
-    image = np.asarray(image)
-    if image.ndim != 3 or image.shape[2] != 3:
-        raise InputError(f"expected an RGB image of shape (height, width, 3), got {image.shape}")
-    if not np.issubdtype(image.dtype, np.floating):
-        raise InputError(
-            f"expected linear float values in [0, 1], got {image.dtype}; read files with chromaperture.read_image"
-        )
-    if min(image.shape[:2]) < 8:
-        raise InputError(f"image of {image.shape[1]}x{image.shape[0]} px is smaller than the matching window")
-    return np.ascontiguousarray(image, dtype=np.float32)

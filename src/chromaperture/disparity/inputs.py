@@ -10,11 +10,10 @@ from itertools import combinations
 import cv2
 import numpy as np
 
+from chromaperture.color.image import SATURATION
 from chromaperture.config import MatcherConfig
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, channel_transmission
-
-SATURATION = 0.995
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,23 @@
+"""What every stage takes for an image."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from chromaperture.errors import InputError
+
+SATURATION = 0.995  # of the white level; from there on a pixel tells nothing
+
+
+def checked_image(image: np.ndarray) -> np.ndarray:
+    """Check that an array can be an image and give it as contiguous float32; raises InputError."""
+    image = np.asarray(image)
+    if image.ndim != 3 or image.shape[2] != 3:
+        raise InputError(f"expected an RGB image of shape (height, width, 3), got {image.shape}")
+    if not np.issubdtype(image.dtype, np.floating):
+        raise InputError(
+            f"expected linear float values in [0, 1], got {image.dtype}; read files with chromaperture.read_image"
+        )
+    if min(image.shape[:2]) < 8:
+        raise InputError(f"image of {image.shape[1]}x{image.shape[0]} px is smaller than the matching window")
+    return np.ascontiguousarray(image, dtype=np.float32)

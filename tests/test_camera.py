@@ -1,0 +1,75 @@
+"""The camera as a whole, on a simulated plane seen through leaking film."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from chromaperture.calibration import Calibration, Film
+from chromaperture.camera import CodedApertureCamera, channel_shifts, default_config
+from chromaperture.capture.checks import check_capture
+from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.field import DepthField
+from chromaperture.errors import CaptureWarning, InputError
+from planes import moved, texture
+
+CYAN, YELLOW = np.array([0.10, 0.63, 0.65]), np.array([0.92, 0.85, 0.10])
+
+
+def leaking_camera(height, width):
+    camera = Calibration.uncalibrated("cy_halves", width_px=width, height_px=height)
+    film = Film({"cyan": CYAN, "yellow": YELLOW}, np.ones(3), (CYAN + YELLOW) / 2)
+    return replace(camera, film=film)
+
+
+def leaking_capture(picture, disparity_px):
+    """Both halves of the pupil add their view in their film's colour."""
+    left, right = (moved(picture, side * disparity_px, 0.0) for side in (-1, 1))
+    return (0.5 * (left[..., None] * CYAN + right[..., None] * YELLOW)).astype(np.float32)
+
+
+@pytest.mark.parametrize("quality", ["paper", "real-time", "accurate"])
+def test_colours_come_together_at_every_quality(rng, quality):
+    picture = texture(rng, 120, 160)
+    image = leaking_capture(picture, 2.6)
+    calibration = leaking_camera(*picture.shape)
+    camera = CodedApertureCamera(calibration, default_config(calibration, quality))
+    frame = camera.measure(image)
+    inner = (slice(20, -20), slice(20, -20))
+    red, blue = frame.color[inner][..., 0], frame.color[inner][..., 2]
+    before = np.corrcoef(image[inner][..., 0].ravel(), image[inner][..., 2].ravel())[0, 1]
+    after = np.corrcoef(red.ravel(), blue.ravel())[0, 1]
+    assert before < 0.5  # 5.2 px apart, of a texture of 1.5 px; the leaks have it in common
+    # What leaks through the other half stays where it is, a tenth of the light; the rest must coincide.
+    assert after > 0.93
+    assert red.mean() == pytest.approx(blue.mean(), rel=0.01)  # a grey plane is grey
+    assert not frame.valid.any()  # no calibration, no millimetres
+    assert np.isfinite(frame.disparity_px[inner]).mean() > 0.99
+
+
+def test_a_calibrated_camera_knows_how_far_leaks_draw_the_channels_together():
+    camera = leaking_camera(48, 64)
+    np.testing.assert_allclose(channel_shifts(camera, "paper")[[0, 2], 0], [1, -1], atol=1e-3)  # nothing is known
+    curves = {q: DepthField.constant(DepthModel(4.0, b, 50.0)) for q, b in (("real-time", 7300.0), ("paper", 8700.0))}
+    known = replace(camera, depth=curves)
+    np.testing.assert_allclose(channel_shifts(known, "real-time")[[0, 2], 0], [1, -1], atol=1e-3)
+    # At the same depth the unmixed views are 8700 / 7300 times as far apart as the channels.
+    np.testing.assert_allclose(channel_shifts(known, "paper")[[0, 2], 0], [73 / 87, -73 / 87], atol=1e-3)
+
+
+def test_captures_that_cannot_be_measured_say_why():
+    image = np.full((48, 64, 3), 0.3, np.float32)
+    for broken, word in (
+        (image[:, :40], "40x48"),
+        (image[..., 0], "RGB"),
+        ((image * 255).astype(np.uint8), "read_image"),
+        (image * 0, "black"),
+        (image * 0 + 1, "saturated"),
+        (image * np.nan, "finite"),
+    ):
+        with pytest.raises(InputError, match=word):
+            check_capture(broken, 64, 48)
+    partly = image.copy()
+    partly[:8] = 1.0
+    with pytest.warns(CaptureWarning, match="17%"):
+        check_capture(partly, 64, 48)
