@@ -119,7 +119,7 @@ class MatcherConfig:
         numbers = (self.min_disparity_px, self.max_disparity_px, self.step_px)
         if not all(map(math.isfinite, numbers)) or self.step_px <= 0:
             raise InputError("disparity range and step must be finite and the step positive, in px")
-        if self.max_disparity_px - self.min_disparity_px < 2 * self.step_px:
+        if len(self.layers_px) < 3:
             raise InputError(
                 f"the disparity range {self.min_disparity_px:g}..{self.max_disparity_px:g} px holds fewer than three "
                 f"layers of {self.step_px:g} px: widen it"
