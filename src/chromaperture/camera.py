@@ -137,13 +137,15 @@ def channel_shifts(calibration: Calibration, quality: Quality) -> np.ndarray:
 
 
 def layer_fields(calibration: Calibration, config: MatcherConfig) -> list[LayerField] | None:
-    """Tell an optimiser what equal depth means at every pixel, in each colour space it matches."""
-    if config.optimiser is None or not calibration.is_calibrated:
+    """Tell a global method what equal depth means at every pixel, in each colour space it matches."""
+    if (config.optimiser is None and config.coarse is None) or not calibration.is_calibrated:
         return None
     spaces = colour_spaces(calibration.aperture, calibration.unmixing, config)
     qualities: tuple[Quality, ...] = ("accurate", "real-time")  # of the unmixed and of the pure views
+    if config.coarse is not None:
+        qualities = ("real-time",)
     models = [calibration.depth_model(quality) for quality in qualities[: len(spaces)]]
-    axis = calibration.on_axis("accurate")
+    axis = calibration.on_axis(qualities[0])
     reference = (float(axis.infinity_disparity_px), float(axis.scale_px_mm))
     shape = (calibration.sensor.height_px, calibration.sensor.width_px)
     return [

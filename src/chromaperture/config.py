@@ -69,6 +69,39 @@ class OptimiserConfig:
 
 
 @dataclass(frozen=True)
+class CoarseConfig:
+    """Matching at half the resolution with semi-global pooling along rows and columns (quality "real-time").
+
+    Blur is several px wide and windows are larger still, so the volume need not exist at every pixel; a guided
+    interpolation brings the answer back to full resolution. Lengths of the matcher, window and pre-smoothing, then
+    count px of the halved picture; disparities never do.
+
+    Attributes
+    ----------
+    slope_penalty, jump_penalty : float
+        Nats that a change by one layer, and by more, costs between two neighbours.
+    edge_range, edge_floor : float
+        As in `OptimiserConfig`.
+    temperature : float
+        Nats by which a layer may cost more and still count for the error bar: its one calibrated number.
+    """
+
+    slope_penalty: float = 20.0
+    jump_penalty: float = 40.0
+    edge_range: float = 0.7
+    edge_floor: float = 0.05
+    temperature: float = 4.0
+
+    def __post_init__(self) -> None:
+        if min(self.slope_penalty, self.jump_penalty, self.edge_range, self.temperature) <= 0:
+            raise InputError("penalties, edge_range and temperature must be positive")
+        if not 0 <= self.edge_floor <= 1:
+            raise InputError("edge_floor must lie in [0, 1]")
+        if not self.slope_penalty <= self.jump_penalty <= 2 * self.slope_penalty:
+            raise InputError("jump_penalty must lie between slope_penalty and twice slope_penalty")
+
+
+@dataclass(frozen=True)
 class MatcherConfig:
     """Disparity estimation (paper section 3.1). All disparities are half disparities in px, + is beyond focus.
 
@@ -100,6 +133,8 @@ class MatcherConfig:
         Subtract the known noise covariance of the unmixed channels, which otherwise digs a hole at disparity 0.
     optimiser : OptimiserConfig or None
         Find the best surface through the whole volume instead of filtering it and taking every pixel's best layer.
+    coarse : CoarseConfig or None
+        Match the halved picture, with semi-global pooling; excludes an optimiser.
     """
 
     min_disparity_px: float = -8.0
@@ -114,6 +149,7 @@ class MatcherConfig:
     texture_weighting: bool = True
     noise_debiasing: bool = True
     optimiser: OptimiserConfig | None = None
+    coarse: CoarseConfig | None = None
 
     def __post_init__(self) -> None:
         numbers = (self.min_disparity_px, self.max_disparity_px, self.step_px)
@@ -132,6 +168,8 @@ class MatcherConfig:
             raise InputError(f"views must be unmixed, pure or both, is {self.views!r}")
         if self.views == "both" and self.optimiser is None:
             raise InputError("views = both needs an optimiser: choose quality accurate")
+        if self.coarse is not None and self.optimiser is not None:
+            raise InputError("coarse and optimiser exclude each other: choose quality real-time or accurate")
         reaches = (self.bilateral_sigma_px, self.presmooth_sigma_px, self.bilateral_range)
         if not all(map(math.isfinite, reaches)) or min(reaches) < 0 or self.bilateral_range == 0:
             raise InputError(
@@ -148,13 +186,13 @@ class MatcherConfig:
     def preset(cls, quality: Quality) -> MatcherConfig:
         """Give the settings behind ``--quality``.
 
-        ``paper`` is the published method as it is; ``real-time`` adds what costs nothing; ``accurate`` matches
+        ``paper`` is the published method as it is; ``real-time`` pools the halved picture's volume; ``accurate`` matches
         all views at once and optimises the surface globally, which takes about a second a megapixel and layer set.
         """
         if quality == "paper":
             return cls(views="unmixed", texture_weighting=False, noise_debiasing=False)
         if quality == "real-time":
-            return cls()
+            return cls(window_decay=0.70, presmooth_sigma_px=0.5, noise_debiasing=False, coarse=CoarseConfig())
         if quality == "accurate":
             return cls(step_px=0.25, window_decay=0.70, views="both", optimiser=OptimiserConfig())
         raise InputError(f"unknown quality {quality!r}: choose paper, real-time or accurate")
@@ -184,5 +222,5 @@ class Config:
     """All stages together, as ``CodedApertureCamera`` takes it and ``STEM.json`` records it."""
 
     quality: Quality = "real-time"  # whose depth curve in the camera file belongs to the matcher's settings
-    matcher: MatcherConfig = field(default_factory=MatcherConfig)
+    matcher: MatcherConfig = field(default_factory=lambda: MatcherConfig.preset("real-time"))
     depth: DepthConfig = field(default_factory=DepthConfig)

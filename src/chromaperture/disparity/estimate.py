@@ -81,7 +81,7 @@ def estimate_disparity(
     InputError
         Wrong shape, nothing to match, or an aperture without parallax.
     """
-    config = config or MatcherConfig()
+    config = config or MatcherConfig.preset("real-time")
     aperture = design_named(aperture) if isinstance(aperture, str) else aperture
     image = checked_image(image)
     if noise_variance is None:
@@ -109,7 +109,9 @@ def estimate_disparity(
 
         matcher = kernels
     share = None
-    if config.optimiser is not None:
+    if config.coarse is not None:
+        winner = _coarse(backend).match(inputs[0], config, field=None if fields is None else fields[0])
+    elif config.optimiser is not None:
         winner = optimise.match(
             inputs, config, config.optimiser, score_volume=matcher.score_volume, fields=fields, backend=backend
         )
@@ -119,6 +121,16 @@ def estimate_disparity(
             share = matcher.texture_weights(inputs[0], replace(config, texture_weighting=True))
     sigma = disparity_sigma(winner, config, len(spaces[0]), share)
     return Disparity(winner.disparity_px, sigma, confidence(sigma, winner.peak))
+
+
+def _coarse(backend: Backend) -> Any:
+    if backend == "reference":
+        from chromaperture.disparity import coarse
+
+        return coarse
+    from chromaperture.disparity import coarse_kernels
+
+    return coarse_kernels
 
 
 def colour_spaces(aperture: Aperture, unmixing: np.ndarray | None, config: MatcherConfig) -> list[np.ndarray]:

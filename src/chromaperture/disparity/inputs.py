@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import cv2
@@ -38,6 +38,9 @@ class MatchInputs:
         Noise covariance of the P pairs of views (0,1), (0,2), (1,2), before any shift.
     noise_overlap : (D, P) float32
         Share of that covariance left when a layer's shift has moved the two views apart.
+    fine_guide : (H', W') float32 or None
+        The guide before everything else was halved (``config.coarse``): H = ceil(H' / 2), W alike, and all lengths
+        count px of the halved picture.
     """
 
     views: np.ndarray
@@ -48,6 +51,7 @@ class MatchInputs:
     noise_variance: np.ndarray
     noise_covariance: np.ndarray
     noise_overlap: np.ndarray
+    fine_guide: np.ndarray | None = None
 
 
 def view_pairs(view_count: int) -> list[tuple[int, int]]:
@@ -163,6 +167,8 @@ def prepare_views(
     InputError
         A view is constant, so there is nothing to match.
     """
+    if config.coarse is not None:
+        return _halved(views, guide, mask, directions=directions, config=config)
     planes = np.empty((len(views), *mask.shape), np.float32)  # one plane a view: fast to smooth and to match
     for plane, view in zip(planes, views, strict=True):
         smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
@@ -173,9 +179,7 @@ def prepare_views(
         )
     white_noise_left, overlap = _noise_autocorrelation(config, directions, view_pairs(len(views)))
     guide = smooth(guide, 1.0)
-    sparse = max(1, round(math.sqrt(guide.size / 20_000)))  # the percentiles of a subset are as good
-    low, high = np.percentile(guide[::sparse, ::sparse], (1, 99))
-    guide *= np.float32(1 / (max(float(high - low), 1e-6) * config.bilateral_range))
+    guide *= _guide_scale(guide, config)
     return MatchInputs(
         views=np.moveaxis(planes, 0, -1),
         directions=np.asarray(directions, float),
@@ -186,6 +190,47 @@ def prepare_views(
         noise_covariance=_scaled(noise_covariance, white_noise_left),
         noise_overlap=overlap.astype(np.float32),
     )
+
+
+def _halved(
+    views: Sequence[np.ndarray], guide: np.ndarray, mask: np.ndarray, *, directions: np.ndarray, config: MatcherConfig
+) -> MatchInputs:
+    """Do as `prepare_views` with everything at half the resolution; pixel (x, y) there is (2 x, 2 y) here.
+
+    Scores are not debiased and not weighted then: the noise is left out.
+    """
+    small = [cv2.pyrDown(view) for view in views]
+    usable = mask
+    if not mask.all():  # one bad pixel spoils all it is smoothed into
+        usable = cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8))[::2, ::2] > 0
+    else:
+        usable = mask[::2, ::2]
+    even = np.zeros((1, 1, len(views) + len(view_pairs(len(views)))), np.float32)
+    even = np.broadcast_to(even, (*usable.shape, even.shape[2]))
+    coarse = replace(
+        config,
+        coarse=None,
+        min_disparity_px=config.min_disparity_px / 2,
+        max_disparity_px=config.max_disparity_px / 2,
+        step_px=config.step_px / 2,
+    )
+    inputs = prepare_views(
+        small,
+        cv2.pyrDown(guide),
+        usable,
+        directions=directions,
+        noise_variance=even[..., : len(views)],
+        noise_covariance=even[..., len(views) :],
+        config=coarse,
+    )
+    return replace(inputs, layers_px=config.layers_px / 2, fine_guide=guide * _guide_scale(guide, config))
+
+
+def _guide_scale(guide: np.ndarray, config: MatcherConfig) -> np.float32:
+    """Bring a guide to units of the bilateral range."""
+    sparse = max(1, round(math.sqrt(guide.size / 20_000)))  # the percentiles of a subset are as good
+    low, high = np.percentile(guide[::sparse, ::sparse], (1, 99))
+    return np.float32(1 / (max(float(high - low), 1e-6) * config.bilateral_range))
 
 
 def _mix(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
