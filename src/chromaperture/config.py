@@ -192,7 +192,13 @@ class MatcherConfig:
         if quality == "paper":
             return cls(views="unmixed", texture_weighting=False, noise_debiasing=False)
         if quality == "real-time":
-            return cls(window_decay=0.70, presmooth_sigma_px=0.5, noise_debiasing=False, coarse=CoarseConfig())
+            return cls(
+                window_decay=0.70,
+                presmooth_sigma_px=0.5,
+                bilateral_sigma_px=8.0,
+                noise_debiasing=False,
+                coarse=CoarseConfig(),
+            )
         if quality == "accurate":
             return cls(step_px=0.25, window_decay=0.70, views="both", optimiser=OptimiserConfig())
         raise InputError(f"unknown quality {quality!r}: choose paper, real-time or accurate")

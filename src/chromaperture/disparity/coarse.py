@@ -1,7 +1,8 @@
 """Quality "real-time" in plain NumPy: the halved picture, pooled along rows and columns; the oracle of ``coarse_kernels``.
 
 Correlations of the halved views become log-likelihoods, semi-global matching (`semiglobal`) pools them along the four
-axis-parallel paths, a parabola finds the disparity between the layers, and the guide says at full resolution to which
+axis-parallel paths and name the layer; what the correlations around it say between the layers is averaged where the
+guide is even; and the guide says at full resolution to which
 of the neighbouring answers a pixel belongs.
 """
 
@@ -15,12 +16,13 @@ import numpy as np
 from chromaperture.config import CoarseConfig, MatcherConfig, OptimiserConfig
 from chromaperture.disparity import reference, semiglobal
 from chromaperture.disparity.inputs import MatchInputs
-from chromaperture.disparity.optimise import MAX_CORRELATION, log_likelihood
 from chromaperture.disparity.semiglobal import LayerField
-from chromaperture.disparity.subpixel import Winner, parabola_winner
+from chromaperture.disparity.subpixel import Winner
 from chromaperture.errors import InputError
 
 JUMP_PX = 1.0  # neighbours farther apart lie on two surfaces: a pixel between them belongs to one
+LEAST_INFORMATION = 1e-4  # where windows know nothing the layer stands
+LEAST_LEFT = 1e-5  # of the determinant of the correlations, whose logarithm is the likelihood
 SPREAD_POWER = 8  # (1 - x / 8)^8 stands for exp(-x)
 
 
@@ -50,7 +52,8 @@ def match(inputs: MatchInputs, config: MatcherConfig, *, field: LayerField | Non
     """
     coarse, fine_guide = parts(inputs, config)
     score = reference.score_volume(inputs, config)
-    likelihood = log_likelihood(score, view_count=inputs.views.shape[2]) * inputs.mask[..., None]
+    left = 1 - np.clip(score, 0, 1) ** 2 if inputs.views.shape[2] == 2 else (1 - np.clip(score, 0, 1)) ** 2
+    likelihood = -0.5 * np.log(np.maximum(left, LEAST_LEFT)) * inputs.mask[..., None]
     layers_px = 2 * inputs.layers_px
     field = None if field is None else halved_field(field)
     if field is not None:
@@ -64,12 +67,87 @@ def match(inputs: MatchInputs, config: MatcherConfig, *, field: LayerField | Non
         edge_floor=coarse.edge_floor,
     )
     cost = semiglobal.aggregate(likelihood, inputs.guide, step, config=paths)
-    winner = parabola_winner(-cost, layers_px)
-    best = cost.argmin(axis=2)
-    explained = np.take_along_axis(likelihood, best[..., None], axis=2)[..., 0]
-    labels = np.where(np.isfinite(winner.disparity_px), winner.disparity_px, layers_px[best])
-    answers = Answers(winner.disparity_px, explained, winner.curvature, spread(cost, labels, layers_px, coarse))
+    layer = cost.argmin(axis=2)
+    inside = np.clip(layer, 1, len(layers_px) - 2)
+    around = (np.take_along_axis(likelihood, (inside + o)[..., None], axis=2)[..., 0] for o in (-1, 0, 1))
+    place, weight = information(inside, *around, view_count=inputs.views.shape[2])
+    links = [smoothing_links(inputs.guide, layer, axis, config) for axis in (1, 0)]
+    information_there = two_way(two_way(weight, links[0], axis=1), links[1], axis=0)
+    label = two_way(two_way(place * weight, links[0], axis=1), links[1], axis=0) / information_there
+    answers = assemble(
+        layer, label, information_there, spread(cost, layer, layers_px, coarse), inputs, likelihood_at(likelihood, layer)
+    )
     return finish(enlarge(at_pixels(answers, field), fine_guide))
+
+
+def likelihood_at(likelihood: np.ndarray, layer: np.ndarray) -> np.ndarray:
+    """Likelihood of one layer of every pixel; (H, W)."""
+    return np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0]
+
+
+def information(
+    inside: np.ndarray, low: np.ndarray, middle: np.ndarray, high: np.ndarray, *, view_count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Give what a pixel's own correlations say near its layer: a place, and its information.
+
+    The correlations, not the costs: summed costs have been cut off at the penalties and know little between the
+    layers. Near its peak a correlation rho earns information rho rho'' / (1 - rho^2) a sample.
+
+    Parameters
+    ----------
+    inside : (H, W)
+        Layers, none of them the first or the last.
+    low, middle, high : (H, W) float, nats
+        Likelihood of the layer before, the layer, the layer after.
+    view_count : {2, 3}
+
+    Returns
+    -------
+    place, weight : two (H, W) float32; the place in layers
+    """
+    left = [np.exp(np.float32(-view_count if view_count == 2 else -1) * part) for part in (low, middle, high)]
+    low, middle, high = (np.sqrt(np.maximum(1 - part, 0)) if view_count == 2 else 1 - part for part in left)
+    bend = np.maximum(2 * middle - low - high, 0)
+    offset = np.clip((high - low) / (2 * bend + 1e-9), -1, 1)
+    weight = bend * middle / (left[1] + 1e-3) + LEAST_INFORMATION
+    return (inside + offset).astype(np.float32), weight.astype(np.float32)
+
+
+def smoothing_links(guide: np.ndarray, layer: np.ndarray, axis: int, config: MatcherConfig) -> np.ndarray:
+    """Weight with which a pixel hears the one before it: none across a step of the surface; 0 for the first; (H, W)."""
+    near = math.exp(-math.sqrt(2) / config.bilateral_sigma_px) if config.bilateral_sigma_px > 0 else 0.0
+    links = np.zeros(guide.shape, np.float32)
+    to = np.s_[:, 1:] if axis == 1 else np.s_[1:]
+    links[to] = near * np.exp(-np.abs(np.diff(guide, axis=axis)))
+    links[to] *= np.abs(np.diff(layer, axis=axis)) <= 1
+    return links
+
+
+def two_way(maps: np.ndarray, links: np.ndarray, *, axis: int) -> np.ndarray:
+    """Sum of what each sample hears from both sides along an axis, itself included once; (H, W) float64."""
+    x, link = np.moveaxis(maps, axis, 0).astype(np.float64), np.moveaxis(links, axis, 0)
+    forward, backward = x.copy(), x.copy()
+    for i in range(1, len(x)):
+        forward[i] += link[i] * forward[i - 1]
+    for i in range(len(x) - 2, -1, -1):
+        backward[i] += link[i + 1] * backward[i + 1]
+    return np.moveaxis(forward + backward - x, 0, axis)
+
+
+def assemble(
+    layer: np.ndarray,
+    label: np.ndarray,
+    information: np.ndarray,
+    spread_px: np.ndarray,
+    inputs: MatchInputs,
+    likelihood: np.ndarray,
+) -> Answers:
+    """Put together what is known of the halved picture; ends of the range are unknown; peaks are correlations."""
+    first, step = (np.float32(2 * a) for a in (inputs.layers_px[0], inputs.layers_px[1] - inputs.layers_px[0]))
+    known = (layer > 0) & (layer < len(inputs.layers_px) - 1)
+    disparity = np.where(known, first + step * label, np.nan).astype(np.float32)
+    peak = np.sqrt(np.maximum(1 - np.exp(-2 * likelihood), 0)).astype(np.float32)
+    return Answers(disparity, peak, (information / step**2).astype(np.float32), spread_px)
 
 
 def parts(inputs: MatchInputs, config: MatcherConfig) -> tuple[CoarseConfig, np.ndarray]:
@@ -92,11 +170,11 @@ def at_pixels(answers: Answers, field: LayerField | None) -> Answers:
     return Answers(disparity, answers.peak, answers.curvature / field.scale**2, field.scale * answers.spread_px)
 
 
-def spread(cost: np.ndarray, disparity_px: np.ndarray, layers_px: np.ndarray, coarse: CoarseConfig) -> np.ndarray:
-    """Root mean square distance of the layers from the answer, weighted by how little more they cost; (H, W) px."""
+def spread(cost: np.ndarray, layer: np.ndarray, layers_px: np.ndarray, coarse: CoarseConfig) -> np.ndarray:
+    """Root mean square distance of the layers from the best, weighted by how little more they cost; (H, W) px."""
     worse = (cost - cost.min(axis=2, keepdims=True)) / (SPREAD_POWER * coarse.temperature)
     weight = np.maximum(1 - worse, 0) ** SPREAD_POWER
-    away = (layers_px - disparity_px[..., None]) ** 2
+    away = (layers_px - layers_px[layer][..., None]) ** 2
     return np.sqrt((weight * away).sum(axis=2) / weight.sum(axis=2)).astype(np.float32)
 
 
@@ -133,7 +211,5 @@ def _between(maps: np.ndarray, guide: np.ndarray, *, axis: int) -> np.ndarray:
 
 
 def finish(answers: Answers) -> Winner:
-    """Turn the likelihood of the best layer into a correlation."""
-    least = math.log(1 - MAX_CORRELATION)
-    peak = np.sqrt(-np.expm1(np.maximum(-2 * answers.peak, np.float32(least))))
-    return Winner(answers.disparity_px, peak, answers.curvature, answers.spread_px)
+    """Give the answers as every matcher does."""
+    return Winner(*answers)

@@ -6,13 +6,15 @@ takes the sum of the messages. Memory: 4 bytes a score of the halved picture.
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
 from chromaperture.config import CoarseConfig, MatcherConfig
 from chromaperture.disparity import messages
-from chromaperture.disparity.coarse import Answers, at_pixels, finish, halved_field, parts
-from chromaperture.disparity.enlarge import fill_columns, fill_rows
+from chromaperture.disparity.coarse import Answers, assemble, at_pixels, finish, halved_field, information, parts
+from chromaperture.disparity.enlarge import fill_columns, fill_rows, smooth_surface
 from chromaperture.disparity.inputs import MatchInputs
 from chromaperture.disparity.kernels import _filtered_scores, _in_parallel, _workspace
 from chromaperture.disparity.semiglobal import LayerField
@@ -26,7 +28,7 @@ def match(inputs: MatchInputs, config: MatcherConfig, *, field: LayerField | Non
     coarse, fine_guide = parts(inputs, config)
     height, width = inputs.mask.shape
     layers_px = (2 * inputs.layers_px).astype(np.float32)
-    answers = Answers(*(np.empty((height, width), np.float32) for _ in range(4)))
+    layer, low, middle, high, spread = (np.empty((height, width), np.float32) for _ in range(5))
     small = None if field is None else halved_field(field)
     offset, scale = (_EVEN, _EVEN) if small is None else small
     links_x, links_y = (_links(inputs.guide, axis, coarse) for axis in (1, 0))
@@ -48,10 +50,18 @@ def match(inputs: MatchInputs, config: MatcherConfig, *, field: LayerField | Non
             messages.pool_rows(volume, sums, mask, links_x, offset, scale, penalties, two_views, top, bottom)
 
         def along_columns(_: int, first: int, last: int) -> None:
-            messages.pool_columns(volume, sums, links_y, penalties, first, last, *answers)
+            messages.pool_columns(volume, sums, links_y, penalties, first, last, layer, low, middle, high, spread)
 
         _in_parallel(along_rows, height)
         _in_parallel(along_columns, -(-width // messages.BLOCK))
+    inside = np.clip(layer, 1, len(layers_px) - 2)
+    place, weight = information(inside, low, middle, high, view_count=inputs.views.shape[2])
+    place *= weight
+    near = np.float32(math.exp(-math.sqrt(2) / config.bilateral_sigma_px) if config.bilateral_sigma_px > 0 else 0)
+    guide = np.ascontiguousarray(inputs.guide, np.float32)
+    for maps in (weight, place):
+        smooth_surface(maps, guide, layer, near)
+    answers = assemble(layer, place / weight, weight, spread, inputs, middle)
     return finish(_enlarged(at_pixels(answers, small), fine_guide))
 
 

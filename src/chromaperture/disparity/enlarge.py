@@ -1,15 +1,56 @@
 # mypy: disallow-untyped-defs=False
-"""Guided interpolation to twice the resolution, compiled; `coarse.enlarge` says what it computes."""
+"""Compiled twins of `coarse.two_way` and `coarse.enlarge`: guided smoothing, guided interpolation."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from chromaperture.disparity.bands import fading
 from chromaperture.disparity.coarse import JUMP_PX
 from chromaperture.disparity.layout import ONE, ZERO, compiled, inner
 
 _JUMP = np.float32(JUMP_PX)
 _HALF = np.float32(0.5)
+
+
+@compiled
+def smooth_surface(maps, guide, layer, near):
+    """Smooth a map (H, W) in place along x and y, as `coarse.two_way` with `coarse.smoothing_links`."""
+    height, width = maps.shape
+    links, ahead = np.empty(width + 1, np.float32), np.empty(width, np.float32)
+    for y in range(height):
+        row = maps[y]
+        _links_between(guide[y, 1:], guide[y, : width - 1], layer[y, 1:], layer[y, : width - 1], near, links[1:])
+        state = ZERO
+        for x in range(width):
+            state = row[x] + links[x] * state if x > 0 else row[x]
+            ahead[x] = state
+        state = ZERO
+        for x in range(width - 1, -1, -1):
+            own = row[x]
+            row[x] = ahead[x] + state
+            state = links[x] * (own + state)
+    down = np.empty((height, width), np.float32)
+    down[0] = maps[0]
+    for y in range(1, height):
+        _links_between(guide[y], guide[y - 1], layer[y], layer[y - 1], near, links)
+        for x in range(width):
+            down[y, x] = maps[y, x] + links[x] * down[y - 1, x]
+    below = ahead
+    below[:] = ZERO
+    for y in range(height - 1, -1, -1):
+        upper = max(y - 1, 0)
+        _links_between(guide[y], guide[upper], layer[y], layer[upper], near, links)
+        for x in range(width):
+            own = maps[y, x]
+            maps[y, x] = down[y, x] + below[x]
+            below[x] = links[x] * (own + below[x])
+
+
+@inner
+def _links_between(here, before, layer, layer_before, near, links):
+    for x in range(len(here)):
+        links[x] = fading(here[x] - before[x], near) if abs(layer[x] - layer_before[x]) <= ONE else ZERO
 
 
 @compiled

@@ -14,20 +14,18 @@ from typing import NamedTuple
 import numpy as np
 
 from chromaperture.disparity import simd as v
-from chromaperture.disparity.coarse import SPREAD_POWER
+from chromaperture.disparity.coarse import LEAST_LEFT, SPREAD_POWER
 from chromaperture.disparity.layout import BLOCK, GROUP, ONE, SCORE_SCALE, ZERO, compiled, inner
-from chromaperture.disparity.optimise import MAX_CORRELATION
 
 assert SPREAD_POWER == 8  # squared three times below
 
-_LEAST_LEFT = np.float32(1 - MAX_CORRELATION)
-_NATS = np.float32(32000 / (-0.5 * math.log(1 - MAX_CORRELATION)))  # a nat of likelihood in int16
+_LEAST_LEFT = np.float32(LEAST_LEFT)
+_NATS = np.float32(32000 / (-0.5 * math.log(LEAST_LEFT)))  # a nat of likelihood in int16
 _CLOSED = np.float32(1e4)  # cost of layers that only fill the last vector, and of those beyond the ends
 _RAISED = np.float32(8)  # makes all costs positive: positive floats are ordered as their bits are
 _FAR = np.float32(3e4)
 _HALF = np.float32(0.5)
 _EIGHTH = np.float32(0.125)
-_FLOOR = np.float32(1e-12)
 
 
 class Penalties(NamedTuple):
@@ -96,7 +94,7 @@ def pool_rows(volume, sums, mask, links, offset, scale, penalties, two_views, to
 
 
 @compiled
-def pool_columns(volume, sums, links, penalties, first_block, last_block, disparity, explained, curvature, spread):
+def pool_columns(volume, sums, links, penalties, first_block, last_block, layer, low, middle, high, spread):
     """Add the messages along y and find the best layer of every pixel.
 
     Parameters
@@ -105,16 +103,23 @@ def pool_columns(volume, sums, links, penalties, first_block, last_block, dispar
     links : (H, W) float32
     penalties : Penalties
     first_block, last_block : int; blocks of columns
-    disparity, explained, curvature, spread : (H, W) float32; written
+    layer : (H, W) float32; written: the best layer
+    low, middle, high : (H, W) float32; written: likelihoods of the layers around it, nats
+    spread : (H, W) float32, px; written: how far layers of little more cost lie
     """
-    height, width = disparity.shape
+    height, width = layer.shape
     slabs = (penalties.count + v.LANES - 1) // v.LANES
     pitch = (slabs + 2) * v.LANES
     closed = _closed(penalties.count, slabs)
     paths = np.empty((2 * BLOCK + 1) * pitch, np.float32)
     least = np.empty(BLOCK * v.LANES, np.float32)
     costs = np.empty(pitch, np.float32)
-    tags = _tags(slabs)
+    lanes = np.empty(2 * v.LANES, np.float32)
+    for i in range(v.LANES):
+        lanes[i] = np.float32(i)
+    tag_bits = _tags(slabs)
+    tags, mask = tag_bits.view(np.float32), ~tag_bits[0]
+    bits = lanes.view(np.int32)
     unit = np.float32(32000) / (np.float32(3) * penalties.jump)
     for block in range(first_block, last_block):
         left = block * BLOCK
@@ -138,23 +143,22 @@ def pool_columns(volume, sums, links, penalties, first_block, last_block, dispar
                 weight = v.get(links, (y + 1) * width + left + j) if y + 1 < height else ZERO
                 winner = _decide(
                     volume, sums, at, slabs, weight, penalties, unit, closed, tags, paths, there, here,
-                    least, j * v.LANES, costs,
+                    least, j * v.LANES, costs, lanes, bits, mask,
                 )  # fmt: skip
-                inside = min(max(winner, 1), penalties.count - 2)
-                low, middle = v.get(costs, inside - 1), v.get(costs, inside)
-                high = v.get(costs, inside + 1)
-                bend = max(low - middle + (high - middle), ZERO)
-                ratio = (low - high) / bend if bend > _FLOOR else ZERO
-                place = np.float32(inside) + min(max(_HALF * ratio, -_HALF), _HALF)
-                if winner != inside:
-                    place = np.float32(winner)
                 i = y * width + left + j
-                known = winner == inside
-                v.put(disparity, i, penalties.first + penalties.step * place if known else np.float32(np.nan))
-                own = volume[at + (winner // v.LANES) * BLOCK * v.LANES + winner % v.LANES]
-                v.put(explained, i, np.float32(own) / _NATS)
-                v.put(curvature, i, bend / (penalties.step * penalties.step))
-                v.put(spread, i, penalties.step * _spread(costs, slabs, place, v.get(costs, winner), penalties))
+                v.put(layer, i, np.float32(winner))
+                inside = min(max(winner, 1), penalties.count - 2)
+                _put_likelihood(volume, at, inside - 1, low, i)
+                _put_likelihood(volume, at, inside, middle, i)
+                _put_likelihood(volume, at, inside + 1, high, i)
+                place = np.float32(winner)
+                v.put(spread, i, penalties.step * _spread(costs, slabs, place, penalties, lanes))
+
+
+@inner
+def _put_likelihood(volume, at, layer, out, i):
+    own = v.get(volume, at + (layer >> 3) * BLOCK * v.LANES + (layer & (v.LANES - 1)))
+    v.put(out, i, np.float32(own) * (ONE / _NATS))
 
 
 @inner
@@ -261,15 +265,15 @@ def _pass_on(
 
 @inner
 def _decide(
-    volume, sums, at, slabs, weight, penalties, unit, closed, tags, paths, there, here, least, at_least, costs
+    volume, sums, at, slabs, weight, penalties, unit, closed, tags, paths, there, here, least, at_least, costs, lanes,
+    bits, mask,
 ):  # fmt: skip
     """Do as `_pass_on` with the last message; leaves the sum of all in ``costs`` and returns the best layer."""
     smallest = v.load(least, at_least)
     near, far = v.spread(weight * penalties.slope), v.spread(weight * penalties.jump)
     far = v.add(smallest, far)
     nats_sum, nats, raised = v.spread(ONE / unit), v.spread(-ONE / _NATS), v.spread(_RAISED)
-    tag_values = tags.view(np.float32)
-    keep = v.load(tag_values, 0)
+    keep = v.load(tags, 0)
     lowest, best = v.spread(_FAR), v.spread(_FAR)
     there, here = there + v.LANES, here + v.LANES
     for s in range(0, slabs * v.LANES, v.LANES):
@@ -282,21 +286,20 @@ def _decide(
         lowest = v.smaller(lowest, cost)
         total = v.add(v.fma(v.load_shorts(sums, i), nats_sum, cost), raised)
         v.store(costs, s, total)
-        best = v.smaller(best, v.tagged(total, keep, v.load(tag_values, v.LANES + s)))
+        best = v.smaller(best, v.tagged(total, keep, v.load(tags, v.LANES + s)))
     v.store(least, at_least, v.least_lane(lowest))
-    winner = np.empty(v.LANES, np.float32)
-    v.store(winner, 0, v.least_lane(best))
-    return np.int64(v.get(winner.view(np.int32), 0) & ~tags[0])
+    v.store(lanes, v.LANES, v.least_lane(best))
+    return np.int64(v.get(bits, v.LANES) & mask)
 
 
 @inner
-def _spread(costs, slabs, place, least, penalties):
+def _spread(costs, slabs, place, penalties, lanes):
     """Root mean square distance of the layers from ``place``, weighted by (1 - what they cost more)^8; layers."""
     cooling = v.spread(-_EIGHTH / penalties.temperature)
+    least = v.get(costs, np.int64(place))
     start = v.spread(ONE + least * _EIGHTH / penalties.temperature)
     nothing = v.spread(ZERO)
     weights, squares = nothing, nothing
-    lanes = np.arange(v.LANES).astype(np.float32)
     away = v.sub(v.load(lanes, 0), v.spread(place))
     eight = v.spread(np.float32(v.LANES))
     for s in range(0, slabs * v.LANES, v.LANES):
@@ -307,8 +310,4 @@ def _spread(costs, slabs, place, least, penalties):
         weights = v.add(weights, weight)
         squares = v.fma(weight, v.mul(away, away), squares)
         away = v.add(away, eight)
-    total, square = ZERO, ZERO
-    for i in range(v.LANES):
-        total += v.lane(weights, i)
-        square += v.lane(squares, i)
-    return np.sqrt(square / total)
+    return np.sqrt(v.lane(v.sum_lanes(squares), 0) / v.lane(v.sum_lanes(weights), 0))

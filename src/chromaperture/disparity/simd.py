@@ -132,10 +132,15 @@ def _inverse_root(builder, a):
     return builder.fdiv(_constant(1.0), builder.call(root, [a], fastmath=("fast",)), flags=("fast",))
 
 
-def _least_lane(builder, a):
-    for lanes in ([4, 5, 6, 7, 0, 1, 2, 3], [2, 3, 0, 1, 6, 7, 4, 5], [1, 0, 3, 2, 5, 4, 7, 6]):
-        a = _smaller(builder, a, _shuffle(builder, a, a, lanes))
-    return a
+def _over_lanes(join):
+    """Join all lanes with each other, the result in each of them."""
+
+    def emit(builder, a):
+        for lanes in ([4, 5, 6, 7, 0, 1, 2, 3], [2, 3, 0, 1, 6, 7, 4, 5], [1, 0, 3, 2, 5, 4, 7, 6]):
+            a = join(builder, a, _shuffle(builder, a, a, lanes))
+        return a
+
+    return emit
 
 
 def _logarithm(builder, a):
@@ -164,7 +169,8 @@ div = _operation(2, lambda builder, a, b: builder.fdiv(a, b))
 root = _operation(1, lambda builder, a: builder.call(_root_function(builder), [a]))
 inverse_root = _operation(1, _inverse_root)
 swapped = _operation(1, lambda builder, a: _shuffle(builder, a, a, [4, 5, 6, 7, 0, 1, 2, 3]))  # halves exchanged
-least_lane = _operation(1, _least_lane)  # to all lanes
+least_lane = _operation(1, _over_lanes(_smaller))  # to all lanes
+sum_lanes = _operation(1, _over_lanes(lambda builder, a, b: builder.fadd(a, b)))  # to all lanes
 logarithm = _operation(1, _logarithm)
 smaller = _operation(2, _smaller)
 larger = _operation(2, _larger)
