@@ -69,20 +69,13 @@ def match(inputs: MatchInputs, config: MatcherConfig, *, field: LayerField | Non
     cost = semiglobal.aggregate(likelihood, inputs.guide, step, config=paths)
     layer = cost.argmin(axis=2)
     inside = np.clip(layer, 1, len(layers_px) - 2)
-    around = (np.take_along_axis(likelihood, (inside + o)[..., None], axis=2)[..., 0] for o in (-1, 0, 1))
-    place, weight = information(inside, *around, view_count=inputs.views.shape[2])
+    low, middle, high = (np.take_along_axis(likelihood, (inside + o)[..., None], axis=2)[..., 0] for o in (-1, 0, 1))
+    place, weight = information(inside, low, middle, high, view_count=inputs.views.shape[2])
     links = [smoothing_links(inputs.guide, layer, axis, config) for axis in (1, 0)]
     information_there = two_way(two_way(weight, links[0], axis=1), links[1], axis=0)
     label = two_way(two_way(place * weight, links[0], axis=1), links[1], axis=0) / information_there
-    answers = assemble(
-        layer, label, information_there, spread(cost, layer, layers_px, coarse), inputs, likelihood_at(likelihood, layer)
-    )
+    answers = assemble(layer, label, information_there, spread(cost, layer, layers_px, coarse), inputs, middle)
     return finish(enlarge(at_pixels(answers, field), fine_guide))
-
-
-def likelihood_at(likelihood: np.ndarray, layer: np.ndarray) -> np.ndarray:
-    """Likelihood of one layer of every pixel; (H, W)."""
-    return np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0]
 
 
 def information(

@@ -16,6 +16,9 @@ from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, channel_transmission
 
 
+_FILL_SIGMA_PX = 6.0  # of the mean that stands for unusable pixels, px of the halved picture
+
+
 @dataclass(frozen=True)
 class MatchInputs:
     """Arrays of one capture, ready to be matched.
@@ -199,12 +202,10 @@ def _halved(
 
     Scores are not debiased and not weighted then: the noise is left out.
     """
-    small = [cv2.pyrDown(view) for view in views]
-    usable = mask
-    if not mask.all():  # one bad pixel spoils all it is smoothed into
-        usable = cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8))[::2, ::2] > 0
+    if mask.all():
+        small, usable = [cv2.pyrDown(view) for view in views], mask[::2, ::2]
     else:
-        usable = mask[::2, ::2]
+        small, usable = _halved_around(views, mask.astype(np.float32))
     even = np.zeros((1, 1, len(views) + len(view_pairs(len(views)))), np.float32)
     even = np.broadcast_to(even, (*usable.shape, even.shape[2]))
     coarse = replace(
@@ -224,6 +225,20 @@ def _halved(
         config=coarse,
     )
     return replace(inputs, layers_px=config.layers_px / 2, fine_guide=guide * _guide_scale(guide, config))
+
+
+def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+    """Halve views, unusable pixels replaced by the mean around them: their bright edges would outvote all texture."""
+    share = cv2.pyrDown(mask)
+    usable = share > 0.99
+    around = cv2.GaussianBlur(share, (0, 0), _FILL_SIGMA_PX)
+    small = []
+    for view in views:
+        mean = cv2.mean(view, (mask > 0).astype(np.uint8))[0]
+        part = cv2.pyrDown((view - np.float32(mean)) * mask)
+        fill = cv2.GaussianBlur(part, (0, 0), _FILL_SIGMA_PX) / (around + np.float32(1e-3))
+        small.append(np.where(usable, part, fill) + np.float32(mean))
+    return small, usable
 
 
 def _guide_scale(guide: np.ndarray, config: MatcherConfig) -> np.float32:
