@@ -18,6 +18,7 @@ from pathlib import Path
 BENCHMARKS = {
     "matcher": "matcher",
     "variational": "variational",
+    "growth": "growth",
 }
 
 

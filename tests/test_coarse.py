@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_kernels import DESIGNS, capture, inputs_of
 
 import planes
 from chromaperture.config import CoarseConfig, MatcherConfig
@@ -14,6 +13,7 @@ from chromaperture.disparity import coarse, coarse_kernels
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.errors import InputError
+from test_kernels import DESIGNS, capture, inputs_of
 
 REAL_TIME = MatcherConfig.preset("real-time")
 SMALL = REAL_TIME.with_range(-4.0, 4.0)
@@ -29,9 +29,9 @@ def assert_agree(inputs, config, field=None):
     apart = np.abs(fast.disparity_px - slow.disparity_px)
     same = (apart < DISPARITY_TOLERANCE_PX) | (np.isnan(fast.disparity_px) & np.isnan(slow.disparity_px))
     assert np.mean(~same) <= OTHER_WINNERS
-    for name, tolerance in (("peak", 2e-3), ("spread_px", 0.02)):
-        difference = np.abs(getattr(fast, name) - getattr(slow, name))
-        assert np.nanmean(difference[same] > tolerance) <= OTHER_WINNERS, name
+    # Squares: near 0 the root of a likelihood's rounding, 2e-4, is large.
+    assert np.mean(np.abs(fast.peak**2 - slow.peak**2)[same] > 1e-3) <= OTHER_WINNERS
+    assert np.mean(np.abs(fast.spread_px - slow.spread_px)[same] > 0.02) <= OTHER_WINNERS
 
 
 @pytest.mark.parametrize("design", DESIGNS)
@@ -76,10 +76,10 @@ def test_a_surface_of_the_field_is_one_plane():
     picture = planes.texture(np.random.default_rng(6), blur_px=2.0)
     image = planes.capture(picture, "cy_halves", 1.2)
     bent = LayerField(np.full(picture.shape, 0.4, np.float32), np.full(picture.shape, 0.8, np.float32))
-    found = [
-        estimate_disparity(image, aperture="cy_halves", config=SMALL, fields=fields).value_px for fields in (None, [bent])
-    ]
-    assert np.nanmedian(np.abs(found[0] - found[1])) < 0.05  # half of what linear reading between layers may move
+    plain, bent_back = (
+        estimate_disparity(image, aperture="cy_halves", config=SMALL, fields=f).value_px for f in (None, [bent])
+    )
+    assert np.nanmedian(np.abs(plain - bent_back)) < 0.05  # half of what linear reading between layers may move
 
 
 def test_saturated_pixels_get_their_neighbours_depth():

@@ -86,11 +86,11 @@ class CoarseConfig:
         Nats by which a layer may cost more and still count for the error bar: its one calibrated number.
     """
 
-    slope_penalty: float = 20.0
-    jump_penalty: float = 40.0
-    edge_range: float = 0.7
+    slope_penalty: float = 10.0
+    jump_penalty: float = 20.0
+    edge_range: float = 0.5
     edge_floor: float = 0.05
-    temperature: float = 4.0
+    temperature: float = 5.5
 
     def __post_init__(self) -> None:
         if min(self.slope_penalty, self.jump_penalty, self.edge_range, self.temperature) <= 0:
@@ -186,16 +186,18 @@ class MatcherConfig:
     def preset(cls, quality: Quality) -> MatcherConfig:
         """Give the settings behind ``--quality``.
 
-        ``paper`` is the published method as it is; ``real-time`` pools the halved picture's volume; ``accurate`` matches
-        all views at once and optimises the surface globally, which takes about a second a megapixel and layer set.
+        ``paper`` is the published method as it is; ``real-time`` pools the scores of the halved picture;
+        ``accurate`` matches all views at once and optimises the surface globally, which takes about a second a
+        megapixel and layer set.
         """
         if quality == "paper":
             return cls(views="unmixed", texture_weighting=False, noise_debiasing=False)
         if quality == "real-time":
             return cls(
-                window_decay=0.70,
-                presmooth_sigma_px=0.5,
-                bilateral_sigma_px=8.0,
+                window_decay=0.40,
+                presmooth_sigma_px=0.8,
+                bilateral_sigma_px=40.0,
+                bilateral_range=0.09,
                 noise_debiasing=False,
                 coarse=CoarseConfig(),
             )

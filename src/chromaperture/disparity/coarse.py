@@ -1,4 +1,4 @@
-"""Quality "real-time" in plain NumPy: the halved picture, pooled along rows and columns; the oracle of ``coarse_kernels``.
+"""Quality "real-time" in plain NumPy: the halved picture, pooled along rows and columns; `coarse_kernels`' oracle.
 
 Correlations of the halved views become log-likelihoods, semi-global matching (`semiglobal`) pools them along the four
 axis-parallel paths and name the layer; what the correlations around it say between the layers is averaged where the
@@ -144,7 +144,7 @@ def assemble(
 
 
 def parts(inputs: MatchInputs, config: MatcherConfig) -> tuple[CoarseConfig, np.ndarray]:
-    """Settings and guide of the full picture; InputError where the inputs were not made for this."""
+    """Give settings and guide of the full picture; InputError where the inputs were not made for this."""
     if config.coarse is None or inputs.fine_guide is None:
         raise InputError("inputs and settings do not belong together: prepare the views with the same MatcherConfig")
     return config.coarse, inputs.fine_guide

@@ -38,7 +38,7 @@ def match(inputs: MatchInputs, config: MatcherConfig, *, field: LayerField | Non
         temperature=np.float32(coarse.temperature),
         first=layers_px[0],
         step=layers_px[1] - layers_px[0],
-        count=len(layers_px),
+        layers=len(layers_px),
     )
     mask = np.ascontiguousarray(inputs.mask, np.float32)
     two_views = inputs.views.shape[2] == 2
@@ -59,8 +59,12 @@ def match(inputs: MatchInputs, config: MatcherConfig, *, field: LayerField | Non
     place *= weight
     near = np.float32(math.exp(-math.sqrt(2) / config.bilateral_sigma_px) if config.bilateral_sigma_px > 0 else 0)
     guide = np.ascontiguousarray(inputs.guide, np.float32)
-    for maps in (weight, place):
-        smooth_surface(maps, guide, layer, near)
+
+    def smooth_one(_: int, first: int, last: int) -> None:
+        for maps in (weight, place)[first:last]:
+            smooth_surface(maps, guide, layer, near)
+
+    _in_parallel(smooth_one, 2)
     answers = assemble(layer, place / weight, weight, spread, inputs, middle)
     return finish(_enlarged(at_pixels(answers, small), fine_guide))
 

@@ -15,7 +15,6 @@ from chromaperture.config import MatcherConfig
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, channel_transmission
 
-
 _FILL_SIGMA_PX = 6.0  # of the mean that stands for unusable pixels, px of the halved picture
 
 

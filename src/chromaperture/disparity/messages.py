@@ -36,7 +36,7 @@ class Penalties(NamedTuple):
     temperature: np.float32
     first: np.float32
     step: np.float32
-    count: int
+    layers: int
 
 
 @compiled
@@ -54,9 +54,9 @@ def pool_rows(volume, sums, mask, links, offset, scale, penalties, two_views, to
     top, bottom : int; the rows from ``top`` to before ``bottom``
     """
     height, width = mask.shape
-    slabs = (penalties.count + v.LANES - 1) // v.LANES
+    slabs = (penalties.layers + v.LANES - 1) // v.LANES
     pitch = (slabs + 2) * v.LANES
-    closed = _closed(penalties.count, slabs)
+    closed = _closed(penalties.layers, slabs)
     paths = np.empty((2 * GROUP + 1) * pitch, np.float32)
     evidence, labels = np.zeros(slabs * v.LANES + 1, np.float32), np.empty(slabs * v.LANES, np.float32)
     least = np.empty(GROUP * v.LANES, np.float32)
@@ -108,9 +108,9 @@ def pool_columns(volume, sums, links, penalties, first_block, last_block, layer,
     spread : (H, W) float32, px; written: how far layers of little more cost lie
     """
     height, width = layer.shape
-    slabs = (penalties.count + v.LANES - 1) // v.LANES
+    slabs = (penalties.layers + v.LANES - 1) // v.LANES
     pitch = (slabs + 2) * v.LANES
-    closed = _closed(penalties.count, slabs)
+    closed = _closed(penalties.layers, slabs)
     paths = np.empty((2 * BLOCK + 1) * pitch, np.float32)
     least = np.empty(BLOCK * v.LANES, np.float32)
     costs = np.empty(pitch, np.float32)
@@ -147,7 +147,7 @@ def pool_columns(volume, sums, links, penalties, first_block, last_block, layer,
                 )  # fmt: skip
                 i = y * width + left + j
                 v.put(layer, i, np.float32(winner))
-                inside = min(max(winner, 1), penalties.count - 2)
+                inside = min(max(winner, 1), penalties.layers - 2)
                 _put_likelihood(volume, at, inside - 1, low, i)
                 _put_likelihood(volume, at, inside, middle, i)
                 _put_likelihood(volume, at, inside + 1, high, i)
@@ -172,7 +172,7 @@ def _closed(count, slabs):
 
 @inner
 def _tags(slabs):
-    """Number of each layer as bits, behind the mask of the bits of a cost to keep."""
+    """Give the number of each layer as bits, behind the mask of the bits of a cost to keep."""
     bits = 1
     while bits < slabs * v.LANES:
         bits *= 2
@@ -218,7 +218,7 @@ def _likelihoods(volume, mask, y, height, slabs, two_views):
 @inner
 def _read_at_labels(volume, offset, scale, y, height, slabs, penalties, evidence, labels):
     """Read one row of likelihoods at the labels of a field, linearly between the layers; 0 beyond them."""
-    count = penalties.count
+    count = penalties.layers
     for x in range(len(offset)):
         at = ((x // BLOCK) * height + y) * slabs * BLOCK * v.LANES + (x % BLOCK) * v.LANES
         for s in range(slabs):
