@@ -32,12 +32,11 @@ def matching(height: int, width: int, layers: int):
     views, guide = [view[:height, :width].copy() for view in views], guide[:height, :width].copy()
     config = CONFIG.with_range(-layers / 4, layers / 4 - 0.5)
     even = np.broadcast_to(np.float32(NOISE**2), (height, width, 2))
+    noise = {"noise_variance": even, "noise_covariance": even[..., :1]}
     mask = np.ones((height, width), bool)
 
     def match() -> None:
-        inputs = prepare_views(
-            views, guide, mask, directions=directions, config=config, noise_variance=even, noise_covariance=even[..., :1]
-        )
+        inputs = prepare_views(views, guide, mask, directions=directions, config=config, **noise)
         coarse_kernels.match(inputs, config)
 
     return match
@@ -80,7 +79,8 @@ def main() -> None:
     ):
         times = [time for key, time in result[name].items() if key != "exponent"]
         axis.plot(sizes, times, "o-")
-        axis.set(xlabel=label, ylabel="ms", xlim=(0, None), ylim=(0, None), title=f"exponent {result[name]['exponent']}")
+        axis.set(xlabel=label, ylabel="ms", xlim=(0, None), ylim=(0, None))
+        axis.set_title(f"exponent {result[name]['exponent']}")
     pyplot.savefig(out, dpi=110)
     print(result, out)
 

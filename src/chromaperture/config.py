@@ -88,9 +88,9 @@ class CoarseConfig:
 
     slope_penalty: float = 10.0
     jump_penalty: float = 20.0
-    edge_range: float = 0.5
+    edge_range: float = 0.3
     edge_floor: float = 0.05
-    temperature: float = 5.5
+    temperature: float = 5.0
 
     def __post_init__(self) -> None:
         if min(self.slope_penalty, self.jump_penalty, self.edge_range, self.temperature) <= 0:
@@ -194,10 +194,10 @@ class MatcherConfig:
             return cls(views="unmixed", texture_weighting=False, noise_debiasing=False)
         if quality == "real-time":
             return cls(
-                window_decay=0.40,
-                presmooth_sigma_px=0.8,
-                bilateral_sigma_px=40.0,
-                bilateral_range=0.09,
+                window_decay=0.30,
+                presmooth_sigma_px=0.9,
+                bilateral_sigma_px=60.0,
+                bilateral_range=0.15,
                 noise_debiasing=False,
                 coarse=CoarseConfig(),
             )
