@@ -88,7 +88,7 @@ class CodedApertureCamera:
         cal = self.calibration
         with stage("check"):
             image = check_capture(image, cal.sensor.width_px, cal.sensor.height_px)
-            noise = sensor_noise(image, cal)
+            noise = None if self.config.matcher.coarse is not None else sensor_noise(image, cal)  # not used there
         with stage("disparity"):  # Eq. (1) and section 3.1
             disparity = estimate_disparity(
                 image,

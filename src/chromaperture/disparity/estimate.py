@@ -88,7 +88,8 @@ def estimate_disparity(
         # A blind estimate takes fine texture for noise: good enough for weights, but subtracted from the scores it
         # would dig the very hole at disparity 0 that it should fill.
         config = replace(config, noise_debiasing=False)
-        noise_variance = estimate_noise_variance(image)
+        unused = np.broadcast_to(np.float32(0), image.shape)  # by the halved picture's matcher
+        noise_variance = unused if config.coarse is not None else estimate_noise_variance(image)
     spaces = colour_spaces(aperture, unmixing, config)
     if config.optimiser is not None and fields is None:
         spaces = spaces[:1]
