@@ -1,7 +1,8 @@
-"""What each ingredient of quality real-time costs and gains: python benchmarks/ablation.py --data FOLDER [--scenes S...].
+"""What each ingredient of quality real-time costs and gains: python benchmarks/ablation.py --data FOLDER.
 
 FOLDER as for bench50.py. The camera is calibrated anew for every variant, because the depth curve belongs to the
-matcher's settings. Times are of the whole measurement, the fastest of five, beside StereoSGBM 3WAY on a picture as large.
+matcher's settings. Times are of the whole measurement, the fastest of five, beside StereoSGBM 3WAY on an
+equally large picture.
 """
 
 from __future__ import annotations
