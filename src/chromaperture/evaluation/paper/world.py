@@ -116,14 +116,14 @@ def still_life(*, seed: int = 0, saturation: float = 0.5) -> list[Plane]:
     rng = np.random.default_rng(seed)
     made = [
         _speckle((0, 0, 3300.0), 2200.0, 1500.0, (0.55, 0.55, 0.55), 4.0, seed + 100),
-        _speckle((0, 520.0, 2300.0), 2400.0, 2600.0, (0.6, 0.57, 0.5), 4.0, seed + 101, tilt=(80.0, 0, 0)),
+        _speckle((0, 230.0, 2300.0), 2400.0, 2200.0, (0.6, 0.57, 0.5), 4.0, seed + 101, tilt=(-80.0, 0, 0)),
     ]
     colours = np.array([(1, 1, 1), (1, 0.35, 0.3), (0.4, 0.9, 0.35), (0.35, 0.45, 1), (1, 0.85, 0.3), (0.9, 0.4, 0.9)])
     depths = np.array([1150.0, 1450.0, 1750.0, 2050.0, 2450.0, 2900.0])
     places = (-0.30, 0.32, -0.08, 0.16, -0.36, 0.36)
     for i, (z, place) in enumerate(zip(depths, places, strict=True)):
         tint = 0.62 * (1 - saturation + saturation * colours[i])
-        width = 0.13 * z
+        width = 0.11 * z
         center = (place * 0.42 * z, (0.05 - 0.10 * (i % 2)) * z, z)
         tilt = (0.0, float(rng.uniform(-25, 25)), float(rng.uniform(-10, 10)))
         made.append(_speckle(center, width, width * 1.25, tuple(tint), 0.0005 * z, seed + i, tilt=tilt))

@@ -69,7 +69,7 @@ def colour_lines(
     measure = colour_line_measure(image, directions, layers_px, side_px=side_px)
     if not optimised:
         return best_layer(-measure, layers_px)
-    likelihood = -0.5 * np.log(np.maximum(measure, np.exp(-_LOG_SPAN)))
+    likelihood = -np.log(np.maximum(measure, np.exp(-_LOG_SPAN)))
     guide = np.ascontiguousarray(image.mean(axis=2) / (0.06 * max(float(np.percentile(image, 99)), 1e-6)), np.float32)
     volume = np.ascontiguousarray(np.moveaxis(likelihood, 0, 2), np.float32)
     found = optimise_volume(volume, guide, layers_px, config=OptimiserConfig(coupling_rounds=0))
