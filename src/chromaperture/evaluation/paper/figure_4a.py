@@ -28,7 +28,7 @@ def make(context: Context) -> Made:
         axes.plot(*np.stack([np.zeros(3), tip], axis=1), color=color, linewidth=2.5)
         axes.text(*(1.08 * tip), name, color=color, fontsize=12, fontweight="bold")
     axes.set(xlabel="R", ylabel="G", zlabel="B", xlim=(-0.4, 1), ylim=(-0.4, 1.4), zlim=(-0.4, 1))
-    axes.view_init(elev=22, azim=-50)
+    axes.view_init(elev=22, azim=150)
     inverse = np.linalg.inv(mixing)
     rows = [
         (name, *(f"{v:+.3f}" for v in mixing[:, k]), *(f"{v:+.3f}" for v in inverse[k])) for k, name in enumerate("CYX")

@@ -27,6 +27,7 @@ def make(context: Context) -> Made:
         compared=[
             Compared("sub-pixel against layers", "significantly better (a picture)",
                      f"{ratio:.1f} times smaller error than whole-px layers, in the median over the boards",
-                     "Agrees. Near the focus blur is small and both are good; layers hurt where a px is worth most.")
+                     "Agrees. Near the focus blur is small and both are good; layers hurt where a px is worth most. "
+                     "A board that happens to stand on a layer flatters them.")
         ],
     )  # fmt: skip
