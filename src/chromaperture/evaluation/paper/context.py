@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from chromaperture.calibrate import CalibrationResult, calibrate_session
 from chromaperture.evaluation.paper import world
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.session import SessionPlan, write_session
 
+T = TypeVar("T")
 QUICK_MM = (1000.0, 1300.0, 1650.0, 2000.0, 2400.0, 3000.0, 4000.0)
 FULL_MM = tuple(float(d) for d in range(1000, 4001, 200))
 
@@ -61,6 +63,13 @@ class Context:
     def cells(self) -> int:
         """Rays across the pupil."""
         return 10 if self.quick else 16
+
+    def once(self, key: str, make: Callable[[], T]) -> T:
+        """Give what ``make`` makes, made once in this run: white sheets serve three exhibits."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        kept: T = self._kept[key]
+        return kept
 
     def calibrated(self) -> tuple[CalibrationResult, str]:
         """Calibrate design V, from the data folder's session or a simulated one; the result and what it is from."""

@@ -63,10 +63,14 @@ def make(context: Context) -> Made:
         errors = [100 * mean(d, condition, "median_error") for d in designs]
         axes.plot([100 * light[d] for d in designs], errors, "o", color=color, label=condition)
         views = sorted((d for d in designs if np.isfinite(bound[d, condition])), key=lambda d: light[d])
-        axes.plot([100 * light[d] for d in views], [100 * bound[d, condition] for d in views], "--", color=color, alpha=0.6)
+        axes.plot(
+            [100 * light[d] for d in views], [100 * bound[d, condition] for d in views], "--", color=color, alpha=0.6
+        )
         if condition == CONDITIONS[-1]:
             for d, error in zip(designs, errors, strict=True):
-                axes.annotate(NUMERALS[d], (100 * light[d], error), xytext=(4, 4), textcoords="offset points", fontsize=9)
+                axes.annotate(
+                    NUMERALS[d], (100 * light[d], error), xytext=(4, 4), textcoords="offset points", fontsize=9
+                )
     axes.plot([], [], "--", color=ORANGE, alpha=0.6, label=f"Cramer-Rao, grey wall at {_AT_MM:.0f} mm")
     axes.set_yscale("log")
     tidy(axes, xlabel="light efficiency, %", ylabel="median error of the depth, %")

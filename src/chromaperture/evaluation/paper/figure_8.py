@@ -26,13 +26,13 @@ def make(context: Context) -> Made:
     if context.data is not None:
         _, before, after = flat_board(result)
         figure = draw_flat_board(result)
-        compared = Compared("rms from a plane", "concave before, planar after", f"{before:.0f} and {after:.0f} mm", _WHY)
+        compared = Compared(
+            "rms from a plane", "concave before, planar after", f"{before:.0f} and {after:.0f} mm", _WHY
+        )
         return Made(source, [Drawn("flat", figure, "A flat wall by one curve and by the fields.")], (), [compared])
     camera = context.session_camera
     table = world.traced_table(camera, world.real_film("cy_halves"), context.cells)
-    shot = world.photograph(
-        table, floor_scene(), camera, seed=8, exposure=world.level_exposure("cy_halves")
-    )
+    shot = world.photograph(table, floor_scene(), camera, seed=8, exposure=world.level_exposure("cy_halves"))
     maps = [depth_by(result, shot.image, fields=fields) for fields in (False, True)]
     floor = np.abs(shot.depth_mm - 0) > 0
     floor &= shot.depth_mm > 0

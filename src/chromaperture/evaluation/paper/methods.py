@@ -51,14 +51,21 @@ def layers(design: str, camera: PupilCamera) -> np.ndarray:
     return np.asarray(np.arange(np.floor(low / _STEP_PX), np.ceil(high / _STEP_PX) + 1) * _STEP_PX)
 
 
-def our_disparity(image: np.ndarray, design: str, camera: PupilCamera, *, quality: Quality) -> Disparity:
-    """Match by the project's own method at a quality."""
+def our_disparity(
+    image: np.ndarray,
+    design: str,
+    camera: PupilCamera,
+    *,
+    quality: Quality,
+    span_px: tuple[float, float] | None = None,
+) -> Disparity:
+    """Match by the project's own method at a quality, over a range of half disparities."""
     sensor = Sensor()
     return estimate_disparity(
         image,
         aperture=DESIGNS[design],
         unmixing=film_rows(design),
-        config=MatcherConfig.preset(quality).with_range(*disparity_range(design, camera)),
+        config=MatcherConfig.preset(quality).with_range(*(span_px or disparity_range(design, camera))),
         noise_variance=photon_noise_variance(
             image,
             full_well_electrons=sensor.full_well_electrons,

@@ -20,10 +20,10 @@ _SHOWN = "cy_halves"
 
 def make(context: Context) -> Made:
     """Run every method that can read a design on a grey and a coloured still life."""
-    camera = world.camera_of(*context.scene_size)
+    camera = world.camera_of(*((240, 160) if context.quick else context.scene_size))
     rows, pictures = [], []
     truth = None
-    for design in DESIGNS_READ[:1] + DESIGNS_READ[2:] if context.quick else DESIGNS_READ:
+    for design in (_SHOWN, DESIGNS_READ[-1]) if context.quick else DESIGNS_READ:
         exposure = world.level_exposure(design)
         table = world.pinhole_table(camera, design, context.cells)
         shots = [

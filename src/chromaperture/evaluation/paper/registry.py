@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 _SESSION = ("cy_halves/session.toml", "cy_halves/distances.csv")
 _WHITE = tuple(f"white/{name}.png" for name in ("open", "rgb_squares", "cy_halves", "cy_open"))
-_BENCH = tuple(
-    f"{design}/session.toml" for design in ("cy_halves", "cy_open", "rgb_squares", "cmy_circles")
-) + tuple(f"truth/{scene}.depth_0.1mm.png" for scene in ("steps", "room", "desk"))
+_BENCH = tuple(f"{design}/session.toml" for design in ("cy_halves", "cy_open", "rgb_squares", "cmy_circles")) + tuple(
+    f"truth/{scene}.depth_0.1mm.png" for scene in ("steps", "room", "desk")
+)
 
 
 def _exhibit(name: str, title: str, files: tuple[str, ...] = (), *, only_data: bool = False) -> Exhibit:

@@ -44,9 +44,7 @@ def make(context: Context) -> Made:
         rows.append((*cells, f"{light.efficiency:.1%}"))
         ranges, efficiency = PAPER[name]
         theirs = ", ".join(f"{c} {a:.2f} to {b:.2f}" for c, (a, b) in zip("RGB", ranges, strict=True))
-        ours = ", ".join(
-            f"{c} {a:.2f} to {b:.2f}" for c, a, b in zip("RGB", light.minimum, light.maximum, strict=True)
-        )
+        ours = ", ".join(f"{c} {a:.2f} to {b:.2f}" for c, a, b in zip("RGB", light.minimum, light.maximum, strict=True))
         compared.append(Compared(f"{NUMERALS[name]}, transparency", theirs, ours, _WHY[name]))
         compared.append(
             Compared(f"{NUMERALS[name]}, light efficiency", f"{efficiency:.1%}", f"{light.efficiency:.1%}", _WHY[name])

@@ -23,7 +23,7 @@ _HD, _PAPER = (720, 1280), (1280, 1920)
 
 def make(context: Context) -> Made:
     """Time single images from linear RGB to disparity and error bar, 32 layers, after one run to compile."""
-    repeats = 2 if context.quick else 5
+    repeats = 1 if context.quick else 5
     threads = sorted({1, numba.config.NUMBA_NUM_THREADS})
     hd, large = picture(_HD), picture(_PAPER)
     disparity = np.asarray(5 * picture(_PAPER)[..., 0], np.float32)

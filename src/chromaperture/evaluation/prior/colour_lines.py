@@ -8,6 +8,7 @@ from chromaperture.config import OptimiserConfig
 from chromaperture.disparity.optimise import optimise_volume
 from chromaperture.evaluation.prior.shifts import best_layer, box, shifted
 
+_PATHS = OptimiserConfig(slope_penalty=0.5, jump_penalty=0.5, coupling_rounds=0)
 _LOG_SPAN = 6.0  # nats: below exp(-6) a window is a perfect line, and noise tells which is more so
 
 
@@ -72,5 +73,5 @@ def colour_lines(
     likelihood = -np.log(np.maximum(measure, np.exp(-_LOG_SPAN)))
     guide = np.ascontiguousarray(image.mean(axis=2) / (0.06 * max(float(np.percentile(image, 99)), 1e-6)), np.float32)
     volume = np.ascontiguousarray(np.moveaxis(likelihood, 0, 2), np.float32)
-    found = optimise_volume(volume, guide, layers_px, config=OptimiserConfig(coupling_rounds=0))
+    found = optimise_volume(volume, guide, layers_px, config=_PATHS)
     return np.asarray(found.disparity_px, float)

@@ -30,7 +30,13 @@ def stereo_sgbm(views: np.ndarray, directions: np.ndarray, layers_px: np.ndarray
     rim = count + max(0, -lowest)
     padded = [cv2.copyMakeBorder(p, 0, 0, rim, rim, cv2.BORDER_REFLECT_101) for p in pair]
     matcher = cv2.StereoSGBM.create(
-        lowest, count, block_px, P1=8 * block_px**2, P2=32 * block_px**2, uniquenessRatio=5, mode=cv2.STEREO_SGBM_MODE_HH
+        lowest,
+        count,
+        block_px,
+        P1=8 * block_px**2,
+        P2=32 * block_px**2,
+        uniquenessRatio=5,
+        mode=cv2.STEREO_SGBM_MODE_HH,
     )
     raw = np.asarray(matcher.compute(padded[0], padded[1]), np.float32)[:, rim:-rim] / 16
     half = np.where(raw < lowest, np.nan, raw / spread).astype(np.float32)
