@@ -47,7 +47,7 @@ def make(context: Context) -> Made:
     head = ("method", "design", "scene", "fill", "within 2 %", "within 5 %", "within 10 %")
     table = Table("Shares of ALL pixels with known truth", head, rows)
     return Made(f"From {len(DESIGNS_READ)} sessions in --data.", (), [Listed("bench", table)],
-                lines=["Prior methods are compared on simulated captures (prior-art), where each can be calibrated."])  # fmt: skip
+                lines=["Prior methods run on simulated captures: see prior-art."])  # fmt: skip
 
 
 def truth_mm(data: Path, scene: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What exhibits share in one run: where to write, which data, how large, and the camera that takes long to calibrate."""
+"""What exhibits share in one run: where to write, which data, how large, and the calibrated camera."""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from chromaperture.evaluation.figures import BLUE, GREY, ORANGE, RED, new_figure, tidy
@@ -52,7 +54,8 @@ def make(context: Context) -> Made:
         for name in designs for condition in CONDITIONS
     }  # fmt: skip
     rows = [
-        (f"{NUMERALS[d]} {d}", f"{light[d]:.0%}", c, f"{mean(d, c, 'median_error'):.2%}", f"{mean(d, c, 'within_2'):.1%}",
+        (f"{NUMERALS[d]} {d}", f"{light[d]:.0%}", c, f"{mean(d, c, 'median_error'):.2%}",
+         f"{mean(d, c, 'within_2'):.1%}",
          f"{mean(d, c, 'within_5'):.1%}", f"{bound[d, c]:.2%}" if np.isfinite(bound[d, c]) else "-")
         for d in designs for c in CONDITIONS
     ]  # fmt: skip
@@ -77,14 +80,14 @@ def make(context: Context) -> Made:
     axes.legend(frameon=False, fontsize=8)
     head = ("design", "light", "exposure", "median error", "within 2 %", "within 5 %", "Cramer-Rao")
     five = {(d, c): mean(d, c, "within_5") for d in designs for c in CONDITIONS}
-    order = {c: [NUMERALS[d] for d in sorted(designs, key=lambda d, c=c: -five[d, c])] for c in CONDITIONS}
+    order = {c: [NUMERALS[d] for d in sorted(designs, key=partial(_negative, five, c))] for c in CONDITIONS}
     dim = CONDITIONS[-1]
     v_vi = five["cy_halves", dim] > five["magenta_annulus", dim]
     fall = {d: five[d, dim] / max(five[d, "equal level"], 1e-9) for d in designs}
     return Made(
         source=f"Simulated: {len(seeds)} still life{'s' if len(seeds) > 1 else ''} a point, {width}x{height} px.",
-        drawn=[Drawn("equal-light", figure, "Right and low is good. Dashed: no method can be better on a grey wall with "
-                     "the same window; edges, occlusions and colours cost the rest.")],
+        drawn=[Drawn("equal-light", figure, "Right and low is good. Dashed: no method can be better on a grey wall, "
+                     "with the same window; edges, occlusions and colours cost the rest.")],
         listed=[Listed("equal-light", Table("Equal level: white paper at 0.9; equal time: 0.9 through the open pupil; "
                                             f"dim: {_DIM:g} through the open pupil", head, rows))],
         compared=[
@@ -99,6 +102,10 @@ def make(context: Context) -> Made:
                        "By the share within 5 %, best first.") for c in CONDITIONS),
         ],
     )  # fmt: skip
+
+
+def _negative(shares: dict[tuple[str, str], float], condition: str, design: str) -> float:
+    return -shares[design, condition]
 
 
 def _exposure(design: str, condition: str) -> float:

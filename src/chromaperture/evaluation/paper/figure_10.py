@@ -15,7 +15,7 @@ from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import channel_transmission
 
 _SEED = 0
-_TV_PER_RADIUS = 0.5  # fidelity times px of blur radius: the same robust step for all designs
+_TV_PER_RADIUS = 0.2  # fidelity times px of blur radius: the same robust step for all designs
 
 
 def make(context: Context) -> Made:
@@ -24,7 +24,7 @@ def make(context: Context) -> Made:
     planes = world.still_life(seed=_SEED)
     figure = new_figure(width=8.0, height=8 * 8.0 / 4 * camera.height_px / camera.width_px + 0.6)
     panels = figure.subplots(len(EIGHT), 4)
-    rows = []
+    rows: list[tuple[str, ...]] = []
     good: dict[str, float] = {}
     low, high = (float(r) for r in camera.blur_radius_px(np.array([1100.0, 3400.0])))
     for line, design in zip(panels, EIGHT, strict=True):
@@ -64,7 +64,7 @@ def make(context: Context) -> Made:
         source=f"Simulated: a still life at {camera.width_px}x{camera.height_px} px through an ideal 50 mm f/2 lens, "
         "exposed until white paper reaches the same level in every design, as the paper does.",
         drawn=[Drawn("designs", figure, "Rows I to VIII. Blue is near, yellow far; the last column is the truth.")],
-        listed=[Listed("designs", Table("Shares of ALL pixels whose depth is right; exposure time against the open pupil",
+        listed=[Listed("designs", Table("Shares of ALL pixels whose depth is right; exposure against the open pupil",
                                         head, rows))],
         compared=[
             Compared("V against VI", "V seems better at almost the same light",
@@ -77,6 +77,6 @@ def make(context: Context) -> Made:
             Compared("depth at equal image level, best first", "not ranked", ", ".join(order),
                      "At equal level noise is alike; what counts is how far apart the views are and how they blur."),
         ],
-        lines=["All designs but VI go through the same matcher (quality paper); VI has its own likelihood [5]. The same "
-               "total variation [6] regularises all."],
+        lines=["All designs but VI go through the same matcher (quality paper); VI has its own likelihood [5]. The "
+               "same total variation [6] regularises all."],
     )  # fmt: skip

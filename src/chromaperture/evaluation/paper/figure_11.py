@@ -50,7 +50,8 @@ def make(context: Context) -> Made:
             Compared("V against VI", "almost the same light",
                      f"{light['cy_halves'].efficiency:.0%} and {light['magenta_annulus'].efficiency:.0%}"
                      if "magenta_annulus" in light and "cy_halves" in light else "not both measured",
-                     "The annulus of the publication (inner radius 0.59) has an open centre that alone passes a third of the light."),
+                     "The annulus of the publication (inner radius 0.59) has an open centre that alone "
+                     "passes a third of the light."),
         ],
     )  # fmt: skip
 

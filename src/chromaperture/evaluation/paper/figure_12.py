@@ -50,18 +50,18 @@ def make(context: Context) -> Made:
             axes.set_title(title, fontsize=9, loc="left")
             axes.set_axis_off()
     return Made(
-        source="Simulated, cyan and yellow halves of real film; the telephone's lens is the package's 4 mm one, focused at "
-        f"{_PHONE_FOCUS_MM:.0f} mm.",
-        drawn=[Drawn("cameras", figure, "Above the reflex camera, below the telephone before cards of some centimetres.")],
+        source="Simulated, cyan and yellow halves of real film; the telephone's lens is the package's 4 mm one, set "
+        f"at {_PHONE_FOCUS_MM:.0f} mm.",
+        drawn=[Drawn("cameras", figure, "Above the reflex camera, below the telephone before small cards.")],
         compared=[
             Compared("reflex camera", "depth maps (pictures)",
                      f"median error {errors[0][0]:.2f} px of half disparity, {errors[0][1]:.0%} answered",
                      "Other scenes; ours have a truth to compare with."),
             Compared("telephone", "disparity maps of tiny models (pictures)",
-                     f"median error {errors[1][0]:.2f} px, {errors[1][1]:.0%} answered, {errors[1][2]:.1f} px of blur radius "
-                     "between nearest and farthest",
-                     "The simulated filter lies in the pupil; the paper's lay before the lens, at a distance it does not "
-                     "know."),
+                     f"median error {errors[1][0]:.2f} px, {errors[1][1]:.0%} answered, {errors[1][2]:.1f} px of blur "
+                     "radius between nearest and farthest",
+                     "The simulated filter lies in the pupil; the paper's lay before the lens, at a distance it "
+                     "does not know."),
         ],
     )  # fmt: skip
 

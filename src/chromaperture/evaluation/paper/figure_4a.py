@@ -37,7 +37,7 @@ def make(context: Context) -> Made:
     angle = np.degrees(np.arccos(np.dot(*[mixing[:, k] / np.linalg.norm(mixing[:, k]) for k in (0, 1)])))
     return Made(
         source="The film of the package ('real'), no photograph needed.",
-        drawn=[Drawn("cyx", figure, "Grey things seen through the two halves lie in the plane of C and Y; X leaves it.")],
+        drawn=[Drawn("cyx", figure, "Grey things seen through the two halves lie in the plane of C and Y.")],
         listed=[
             Listed("matrix", Table("Columns of M and rows of its inverse, Eq. (1)",
                                    ("axis", "R", "G", "B", "R of row", "G of row", "B of row"), rows))

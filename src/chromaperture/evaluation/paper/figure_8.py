@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from chromaperture.calibrate import CalibrationResult
@@ -34,8 +32,6 @@ def make(context: Context) -> Made:
     table = world.traced_table(camera, world.real_film("cy_halves"), context.cells)
     shot = world.photograph(table, floor_scene(), camera, seed=8, exposure=world.level_exposure("cy_halves"))
     maps = [depth_by(result, shot.image, fields=fields) for fields in (False, True)]
-    floor = np.abs(shot.depth_mm - 0) > 0
-    floor &= shot.depth_mm > 0
     bends = [bend(depth, shot.depth_mm) for depth in maps]
     figure = new_figure(height=4.4)
     panels = figure.subplots(2, 2)
@@ -53,7 +49,7 @@ def make(context: Context) -> Made:
         axes.set_axis_off()
     return Made(
         source=f"{source} The floor is photographed by the same simulated lens.",
-        drawn=[Drawn("floor", figure, "A floor that is flat is white below, one that bends is red or blue at the rim.")],
+        drawn=[Drawn("floor", figure, "A flat floor is white below; one that bends is red or blue at the rim.")],
         compared=[Compared("the floor", "concave before, planar after",
                            f"bend of {bends[0]:.1%} before and {bends[1]:.1%} after, of the depth", _WHY)],
         lines=["Bend is the rms over the frame of the error's blurred course: what is left after averaging out noise."],
@@ -61,7 +57,7 @@ def make(context: Context) -> Made:
 
 
 def floor_scene() -> list[Plane]:
-    """A floor that fills the picture, seen from above at 35 degrees, and a small upright thing in the paper's rabbit's place."""
+    """Build a floor that fills the picture, and a small upright thing in the place of the paper's rabbit."""
     from chromaperture.optics import textures
     from chromaperture.optics.scene import plane
 
@@ -85,7 +81,7 @@ def depth_by(result: CalibrationResult, image: np.ndarray, *, fields: bool) -> n
 
 
 def _one_curve(calibration: Calibration, disparity: np.ndarray) -> np.ndarray:
-    axis = dataclasses.replace(calibration.on_axis("real-time"))
+    axis = calibration.on_axis("real-time")
     inverse = disparity_to_inverse_depth(disparity, axis)
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = np.where(inverse > 0, 1 / inverse, np.nan)

@@ -62,12 +62,12 @@ def make(context: Context) -> Made:
     return Made(
         source=f"Simulated still life at {camera.width_px}x{camera.height_px} px, equal image level, real film.",
         drawn=[Drawn("methods", figure, "Depth of the coloured still life through cyan and yellow halves.")],
-        listed=[Listed("methods", Table("Shares of ALL pixels whose depth is right; every method calibrated on the same "
-                                        "boards", head, rows))],
+        listed=[Listed("methods", Table("Shares of ALL pixels whose depth is right; every method is calibrated on "
+                                        "the same boards", head, rows))],
         lines=[
             "Every prior method is written anew from its publication's formulas. Graph cuts of [4] are replaced by "
-            "semi-global paths over the same measure; the likelihood of [5] is divided by the gradient's energy, without "
-            "which the largest blur always wins on this film.",
+            "semi-global paths over the same measure; the likelihood of [5] is divided by the gradient's energy, "
+            "without which the largest blur always wins on this film.",
             "Times are of this run on this machine, prior methods in plain NumPy and OpenCV: they tell orders of size.",
             "Quality accurate runs here without the lens's blur, which only a calibrated camera knows.",
         ],

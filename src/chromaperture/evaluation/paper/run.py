@@ -80,7 +80,7 @@ def missing_files(exhibit: Exhibit, data: Path | None) -> str:
 
 
 def stamp_of(exhibit: Exhibit, context: Context) -> dict[str, Any]:
-    """What a result depends on; another stamp makes it again."""
+    """Give what a result depends on; another stamp makes it again."""
     uses_data = context.data is not None and bool(exhibit.files)
     return {
         "version": metadata.version("chromaperture"),
@@ -100,7 +100,7 @@ def _fingerprint(exhibit: Exhibit, data: Path) -> str:
 
 
 def finished_result(folder: Path, stamp: dict[str, Any]) -> dict[str, Any] | None:
-    """Read a result that was made before with the same stamp and whose files are all there; None where there is none."""
+    """Read a result with this stamp whose files are all there; None where there is none."""
     try:
         result = json.loads((folder / RESULT).read_text(encoding="utf-8"))
     except (OSError, ValueError):

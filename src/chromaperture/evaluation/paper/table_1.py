@@ -19,7 +19,8 @@ PAPER = {
 _WHY = {
     "cy_open": "The paper's film and the width of its open part are not given; ours are chosen to come near.",
     "cy_halves": "The film is chosen after this row; the spread over the frame is the lens's vignetting.",
-    "rgb_squares": "Squares of this size pass 16 % with ideal film and 13 % with ours; the paper's 5.5 % asks for darker film or smaller squares.",
+    "rgb_squares": "Squares of this size pass 16 % with ideal film and 13 % with ours: the paper's film is darker, or "
+    "its squares are smaller.",
 }
 
 

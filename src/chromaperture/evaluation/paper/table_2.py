@@ -15,8 +15,8 @@ from chromaperture.evaluation.tables import Table
 # The paper's columns have pictures for names; by their light they are the open pupil, VII, V and II.
 PAPER = {"open": (0.0, 1.5), "cy_open": (0.9, 2.3), "cy_halves": (2.3, 3.2), "rgb_squares": (14.3, 15.0)}
 _WHY = (
-    "The paper measures photographs of a chart with software of its own scale; ours is 20 log10(mean / noise) of a white "
-    "sheet, which photon noise predicts as 10 log10 of the light."
+    "The paper measures photographs of a chart with software of its own scale; ours is 20 log10(mean / noise) of a "
+    "white sheet, which photon noise predicts as 10 log10 of the light."
 )
 
 
@@ -44,8 +44,8 @@ def make(context: Context) -> Made:
     shot, amplitude = exposure_to_restore(2.3).shot, exposure_to_restore(2.3).amplitude
     compared.append(
         Compared("exposure that wins back 2.3 dB", "30 % longer", f"{amplitude - 1:.0%} or {shot - 1:.0%} longer",
-                 "The paper's figure holds where the sensor's own noise rules; where photons do, SNR grows with the root "
-                 "of the time only.")
+                 "The paper's figure holds where the sensor's own noise rules; where photons do, SNR grows with the "
+                 "root of the time only.")
     )  # fmt: skip
     head = ("design", "light", "middle, dB", "border, dB", "photon noise predicts, dB",
             "exposure, photon noise", "exposure, sensor noise")  # fmt: skip

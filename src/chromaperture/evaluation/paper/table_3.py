@@ -24,7 +24,7 @@ _HD, _PAPER = (720, 1280), (1280, 1920)
 def make(context: Context) -> Made:
     """Time single images from linear RGB to disparity and error bar, 32 layers, after one run to compile."""
     repeats = 1 if context.quick else 5
-    threads = sorted({1, numba.config.NUMBA_NUM_THREADS})
+    threads = sorted({1, numba.get_num_threads()})
     hd, large = picture(_HD), picture(_PAPER)
     disparity = np.asarray(5 * picture(_PAPER)[..., 0], np.float32)
     cases: dict[str, Callable[[], object]] = {

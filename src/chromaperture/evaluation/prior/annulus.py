@@ -87,7 +87,7 @@ def misfit(channels: np.ndarray) -> np.ndarray:
     directions = ((1.0, 0.0), (0.0, 1.0), (root, root), (root, -root))
     total, energy = np.zeros(channels.shape[:2]), np.full(channels.shape[:2], 1e-12)
     for x, y in directions:
-        slope = x * gx + y * gy
+        slope = np.asarray(x * gx + y * gy)
         kernel = _line(x, y)
         moments = np.empty((*channels.shape[:2], 3, 3))
         for a in range(3):

@@ -8,8 +8,8 @@ from chromaperture.config import OptimiserConfig
 from chromaperture.disparity.optimise import optimise_volume
 from chromaperture.evaluation.prior.shifts import best_layer, box, shifted
 
-_PATHS = OptimiserConfig(slope_penalty=0.5, jump_penalty=0.5, coupling_rounds=0)
-_LOG_SPAN = 6.0  # nats: below exp(-6) a window is a perfect line, and noise tells which is more so
+_PATHS = OptimiserConfig(slope_penalty=1.0, jump_penalty=1.0, coupling_rounds=0)
+_LOG_SPAN = 16.0  # nats: below exp(-16) a window is a perfect line, and noise tells which is more so
 
 
 def colour_line_measure(
