@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.fft
-from planes import moved, texture
 from typer.testing import CliRunner
 
 from chromaperture.cli.main import app
@@ -27,6 +26,7 @@ from chromaperture.evaluation.prior import annulus, colour_lines, correlation, s
 from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.psf import geometric_otf
+from planes import moved, texture
 
 LAYERS = np.arange(-4, 4.01, 0.25)
 INNER = np.s_[24:-24, 24:-24]
