@@ -18,13 +18,14 @@ from typer.testing import CliRunner
 from chromaperture.cli.main import app
 from chromaperture.errors import InputError
 from chromaperture.evaluation.figures import new_figure
-from chromaperture.evaluation.paper import methods, registry, run, sweep, world
+from chromaperture.evaluation.paper import figure_6, figure_8, methods, registry, run, sweep, world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Exhibit, Listed, Made
 from chromaperture.evaluation.paper.page import page_html
 from chromaperture.evaluation.prior import annulus, colour_lines, correlation, shifts, stereo
 from chromaperture.evaluation.tables import Table
-from chromaperture.optics.aperture import DESIGNS
+from chromaperture.optics.aperture import DESIGNS, centroids
+from chromaperture.optics.metrics import film_unmixing
 from chromaperture.optics.psf import geometric_otf
 from planes import moved, texture
 
@@ -121,15 +122,16 @@ def test_an_unknown_figure_is_answered_with_the_nearest_name(tmp_path):
 
 
 def test_the_command_makes_a_report_and_goes_on_where_it_stopped(tmp_path):
-    arguments = ["evaluate", "figure-4a", "--quick", "--out", str(tmp_path)]
+    arguments = ["evaluate", "figure-4a", "figure-12", "--quick", "--out", str(tmp_path)]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
-    assert "1 made" in result.output
+    assert "2 made" in result.output
     assert (tmp_path / "report.html").is_file()
-    again = CliRunner().invoke(app, [*arguments, "--json"])
-    (entry,) = json.loads(again.output)
-    assert entry["name"] == "figure-4a"
-    assert entry["compared"]
+    again = CliRunner().invoke(app, arguments)
+    assert "2 kept" in again.output
+    entries = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).output)
+    assert [entry["name"] for entry in entries] == ["figure-4a", "figure-12"]
+    assert all(entry["compared"] for entry in entries)
 
 
 def test_the_command_skips_what_the_data_lack_and_says_so_by_its_exit_code(tmp_path):
@@ -242,6 +244,31 @@ def test_designs_are_exposed_to_one_level():
         shot = world.photograph(table, sheet, camera, seed=0, exposure=exposure, noisy=False)
         # Few rays sample small discs coarsely: two per cent.
         assert shot.image.max() == pytest.approx(world.WHITE, rel=0.02)
+
+
+def test_the_apertures_colour_space_separates_the_views_of_an_open_design_further():
+    camera = world.camera_of(120, 96, pitch_mm=world.SENSOR_WIDTH_MM / 480)
+    rulers = np.array([1200.0, 3200.0])
+    ranges = []
+    for letter, design, _, unmixing in figure_6.PANELS:
+        if letter in "cd":
+            disparity, _ = figure_6.read_boards(design, unmixing, camera, rulers, cells=10)
+            ranges.append(abs(disparity[1] - disparity[0]))
+    # The centroids say by how much: of the unmixed views, and of the sensor's blue and red.
+    film = world.real_film("cy_open")
+    unmixed, sensor = (np.ptp(centroids(film, rows)[:, 0]) for rows in (film_unmixing(film), np.eye(3)[[2, 0]]))
+    # Blur of the open centre draws both readings in, not quite alike: within a quarter.
+    assert ranges[0] / ranges[1] == pytest.approx(unmixed / sensor, rel=0.25)
+
+
+def test_the_bend_of_a_floor_is_told_from_its_tilt_and_noise(rng):
+    y, x = np.mgrid[-1:1:200j, -1:1:300j]
+    truth = 2000 + 100 * y
+    bowl = 0.05 * (x**2 - 1 / 3)
+    tilted = truth * (1 + 0.1 * x + rng.normal(0, 0.03, x.shape))
+    assert figure_8.bend(tilted, truth) < 0.002  # medians of 600 pixels each: 0.03 / sqrt(600) * 1.25
+    # The rms of x^2 - 1/3 is sqrt(4 / 45); ten cells across average a little of it away.
+    assert figure_8.bend(truth * (1 + bowl), truth) == pytest.approx(0.05 * np.sqrt(4 / 45), rel=0.03)
 
 
 # The sweep

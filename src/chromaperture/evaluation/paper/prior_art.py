@@ -65,6 +65,7 @@ def make(context: Context) -> Made:
         listed=[Listed("methods", Table("Shares of ALL pixels whose depth is right; every method is calibrated on "
                                         "the same boards", head, rows))],
         lines=[
+            ranking(rows, NUMERALS[_SHOWN]),
             "Every prior method is written anew from its publication's formulas. Graph cuts of [4] are replaced by "
             "semi-global paths over the same measure; the likelihood of [5] is divided by the gradient's energy, "
             "without which the largest blur always wins on this film.",
@@ -72,6 +73,14 @@ def make(context: Context) -> Made:
             "Quality accurate runs here without the lens's blur, which only a calibrated camera knows.",
         ],
     )  # fmt: skip
+
+
+def ranking(rows: list[tuple[str, ...]], numeral: str) -> str:
+    """Say which methods put most pixels of the coloured scene within 5 %, through one design."""
+    shares = {row[0]: float(row[6].rstrip("%")) for row in rows if row[1].startswith(f"{numeral} ")}
+    best = sorted(shares, key=lambda name: -shares[name])
+    told = ", ".join(f"{name} ({shares[name]:.0f} %)" for name in best)
+    return f"Through design {numeral}, coloured scene, within 5 %, best first: {told}."
 
 
 def _radius(depth_mm: np.ndarray, camera: world.PupilCamera) -> np.ndarray:
