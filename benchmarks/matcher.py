@@ -14,13 +14,13 @@ from timing import fastest_ms
 
 from chromaperture.color.unmixing import view_directions
 from chromaperture.config import MatcherConfig
-from chromaperture.disparity import kernels
+from chromaperture.disparity import coarse_kernels
 from chromaperture.disparity.inputs import prepare_views, view_pairs
 from chromaperture.optics.aperture import design_named
 
 HEIGHT, WIDTH = 720, 1280
 NOISE = 0.004
-CONFIG = MatcherConfig(min_disparity_px=-8.0, max_disparity_px=7.5, step_px=0.5)
+CONFIG = MatcherConfig.preset("real-time")
 DESIGNS = {"hd32_two_filters": "cy_halves", "hd32_three_filters": "cmy_squares", "hd32_three_circles": "cmy_circles"}
 
 
@@ -58,7 +58,7 @@ def benchmark() -> dict:
 
         def match(views=views, guide=guide, directions=directions, mask=mask, noise=noise):
             inputs = prepare_views(views, guide, mask, directions=directions, config=CONFIG, **noise)
-            return kernels.match(inputs, CONFIG)
+            return coarse_kernels.match(inputs, CONFIG)
 
         found = match().disparity_px
         results[case] = {

@@ -19,6 +19,7 @@ BENCHMARKS = {
     "matcher": "matcher",
     "variational": "variational",
     "restoration": "restoration",
+    "growth": "growth",
 }
 
 

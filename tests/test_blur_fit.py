@@ -85,7 +85,7 @@ class Boards:
 
 def distances(count):
     none = np.zeros(count)
-    return BoardDistances(np.array(DISTANCES_MM[:count]), 50.0, 0.5, 1.0, 0.1 * np.eye(count + 1), none)
+    return BoardDistances(np.array(DISTANCES_MM[:count]), 50.0, 0.5, 1.0, 0.1 * np.eye(count + 1), none, none + 1.0)
 
 
 def draft():

@@ -90,7 +90,7 @@ def result(tmp_path_factory):
         folder, "cy_halves", calibration.sensor, 50.0, 2.0, 2000.0, (9, 6), 30.0, 3.0, paths, ()
     )  # fmt: skip
     both = ("paper", "real-time")
-    ruler = BoardDistances(RULERS - DELTA, DELTA, 1.0, 1.0, np.eye(6), np.full(5, -1.0))
+    ruler = BoardDistances(RULERS - DELTA, DELTA, 1.0, 1.0, np.eye(6), np.full(5, -1.0), np.full(5, 2.0))
     evidence = Evidence(calibration.sensor, boards, ruler, 3.0, np.ones(5, bool))
     return CalibrationResult(
         calibration=calibration, fits=dict.fromkeys(both, fit), boards=boards, notes=["a <note> & more"],

@@ -111,7 +111,7 @@ def _elements(array, out):
     v.store(out, 24, v.swapped(four))
     v.put_lane(out, 32, four, 6)
     v.put(out, 33, v.lane(four, 2))
-    v.put(out, 34, np.float32(7))
+    v.put(out, 34, v.get(array, 7))
 
 
 def test_eight_by_eight_is_transposed():

@@ -89,7 +89,7 @@ class CodedApertureCamera:
         cal = self.calibration
         with stage("check"):
             image = check_capture(image, cal.sensor.width_px, cal.sensor.height_px)
-            noise = sensor_noise(image, cal)
+            noise = None if self.config.matcher.coarse is not None else sensor_noise(image, cal)  # not used there
         with stage("disparity"):  # Eq. (1) and section 3.1
             disparity = estimate_disparity(
                 image,
@@ -139,14 +139,16 @@ def channel_shifts(calibration: Calibration, quality: Quality) -> np.ndarray:
 
 
 def layer_fields(calibration: Calibration, config: MatcherConfig) -> list[LayerField] | None:
-    """Tell an optimiser what equal depth means at every pixel, in each colour space it matches."""
-    if config.optimiser is None or not calibration.is_calibrated:
+    """Tell a global method what equal depth means at every pixel, in each colour space it matches."""
+    if (config.optimiser is None and config.coarse is None) or not calibration.is_calibrated:
         return None
     spaces = colour_spaces(calibration.aperture, calibration.unmixing, config)
     qualities: tuple[Quality, ...] = ("accurate", "real-time")  # of the unmixed and of the pure views
+    if config.coarse is not None:
+        qualities = ("real-time",)
     used = qualities[:1] if config.phase is not None else qualities[: len(spaces)]
     models = [calibration.depth_model(quality) for quality in used]
-    axis = calibration.on_axis("accurate")
+    axis = calibration.on_axis(qualities[0])
     reference = (float(axis.infinity_disparity_px), float(axis.scale_px_mm))
     shape = (calibration.sensor.height_px, calibration.sensor.width_px)
     return [

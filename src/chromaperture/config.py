@@ -105,6 +105,39 @@ class PhaseConfig:
 
 
 @dataclass(frozen=True)
+class CoarseConfig:
+    """Matching at half the resolution with semi-global pooling along rows and columns (quality "real-time").
+
+    Blur is several px wide and windows are larger still, so the volume need not exist at every pixel; a guided
+    interpolation brings the answer back to full resolution. Lengths of the matcher, window and pre-smoothing, then
+    count px of the halved picture; disparities never do.
+
+    Attributes
+    ----------
+    slope_penalty, jump_penalty : float
+        Nats that a change by one layer, and by more, costs between two neighbours.
+    edge_range, edge_floor : float
+        As in `OptimiserConfig`.
+    temperature : float
+        Nats by which a layer may cost more and still count for the error bar: its one calibrated number.
+    """
+
+    slope_penalty: float = 10.0
+    jump_penalty: float = 20.0
+    edge_range: float = 0.3
+    edge_floor: float = 0.05
+    temperature: float = 5.0
+
+    def __post_init__(self) -> None:
+        if min(self.slope_penalty, self.jump_penalty, self.edge_range, self.temperature) <= 0:
+            raise InputError("penalties, edge_range and temperature must be positive")
+        if not 0 <= self.edge_floor <= 1:
+            raise InputError("edge_floor must lie in [0, 1]")
+        if not self.slope_penalty <= self.jump_penalty <= 2 * self.slope_penalty:
+            raise InputError("jump_penalty must lie between slope_penalty and twice slope_penalty")
+
+
+@dataclass(frozen=True)
 class MatcherConfig:
     """Disparity estimation (paper section 3.1). All disparities are half disparities in px, + is beyond focus.
 
@@ -138,6 +171,8 @@ class MatcherConfig:
         Find the best surface through the whole volume instead of filtering it and taking every pixel's best layer.
     phase : PhaseConfig or None
         Match with the camera's blur instead of shifted views, where the camera file holds it; needs an optimiser.
+    coarse : CoarseConfig or None
+        Match the halved picture, with semi-global pooling; excludes an optimiser.
     """
 
     min_disparity_px: float = -8.0
@@ -153,6 +188,7 @@ class MatcherConfig:
     noise_debiasing: bool = True
     optimiser: OptimiserConfig | None = None
     phase: PhaseConfig | None = None
+    coarse: CoarseConfig | None = None
 
     def __post_init__(self) -> None:
         if self.phase is not None and self.optimiser is None:
@@ -173,6 +209,8 @@ class MatcherConfig:
             raise InputError(f"views must be unmixed, pure or both, is {self.views!r}")
         if self.views == "both" and self.optimiser is None:
             raise InputError("views = both needs an optimiser: choose quality accurate")
+        if self.coarse is not None and self.optimiser is not None:
+            raise InputError("coarse and optimiser exclude each other: choose quality real-time or accurate")
         reaches = (self.bilateral_sigma_px, self.presmooth_sigma_px, self.bilateral_range)
         if not all(map(math.isfinite, reaches)) or min(reaches) < 0 or self.bilateral_range == 0:
             raise InputError(
@@ -189,13 +227,21 @@ class MatcherConfig:
     def preset(cls, quality: Quality) -> MatcherConfig:
         """Give the settings behind ``--quality``.
 
-        ``paper`` is the published method as it is; ``real-time`` adds what costs nothing; ``accurate`` matches
-        all views at once and optimises the surface globally, which takes about a second a megapixel and layer set.
+        ``paper`` is the published method as it is; ``real-time`` pools the scores of the halved picture;
+        ``accurate`` matches all views at once and optimises the surface globally, which takes about a second a
+        megapixel and layer set.
         """
         if quality == "paper":
             return cls(views="unmixed", texture_weighting=False, noise_debiasing=False)
         if quality == "real-time":
-            return cls()
+            return cls(
+                window_decay=0.30,
+                presmooth_sigma_px=0.9,
+                bilateral_sigma_px=60.0,
+                bilateral_range=0.15,
+                noise_debiasing=False,
+                coarse=CoarseConfig(),
+            )
         if quality == "accurate":
             return cls(step_px=0.25, window_decay=0.70, views="both", optimiser=OptimiserConfig())
         raise InputError(f"unknown quality {quality!r}: choose paper, real-time or accurate")
@@ -210,7 +256,7 @@ class MatcherConfig:
             Px of half disparity for a px by which blur displaces the pupil's edge. Layers and slopes count in blur,
             so that designs whose views lie close together are searched as finely.
         """
-        optimiser = OptimiserConfig(slope_penalty=25.0 / reach, edge_range=1.0, temperature=0.8)
+        optimiser = OptimiserConfig(slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.8)
         return replace(cls.preset("accurate"), step_px=0.3 * reach, optimiser=optimiser, phase=PhaseConfig())
 
     def with_range(self, min_disparity_px: float, max_disparity_px: float) -> MatcherConfig:
@@ -238,5 +284,5 @@ class Config:
     """All stages together, as ``CodedApertureCamera`` takes it and ``STEM.json`` records it."""
 
     quality: Quality = "real-time"  # whose depth curve in the camera file belongs to the matcher's settings
-    matcher: MatcherConfig = field(default_factory=MatcherConfig)
+    matcher: MatcherConfig = field(default_factory=lambda: MatcherConfig.preset("real-time"))
     depth: DepthConfig = field(default_factory=DepthConfig)

@@ -104,4 +104,5 @@ def shift_back(
 def white_balance(color: np.ndarray, white_rgb: np.ndarray) -> np.ndarray:
     """Scale the channels so that a white sheet seen through the aperture comes out white; (H, W, 3) linear."""
     white = np.asarray(white_rgb, np.float32)
-    return np.maximum(color, 0) * (white.max() / white)
+    balanced = cv2.transform(np.ascontiguousarray(color, np.float32), np.diag(white.max() / white))
+    return np.maximum(balanced, 0, out=balanced)

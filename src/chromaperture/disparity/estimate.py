@@ -85,14 +85,15 @@ def estimate_disparity(
     InputError
         Wrong shape, nothing to match, or an aperture without parallax.
     """
-    config = config or MatcherConfig()
+    config = config or MatcherConfig.preset("real-time")
     aperture = design_named(aperture) if isinstance(aperture, str) else aperture
     image = checked_image(image)
     if noise_variance is None:
         # A blind estimate takes fine texture for noise: good enough for weights, but subtracted from the scores it
         # would dig the very hole at disparity 0 that it should fill.
         config = replace(config, noise_debiasing=False)
-        noise_variance = estimate_noise_variance(image)
+        unused = np.broadcast_to(np.float32(0), image.shape)  # by the halved picture's matcher
+        noise_variance = unused if config.coarse is not None else estimate_noise_variance(image)
     spaces = colour_spaces(aperture, unmixing, config)
     if config.phase is not None or (config.optimiser is not None and fields is None):
         spaces = spaces[:1]
@@ -113,10 +114,12 @@ def estimate_disparity(
 
         matcher = kernels
     share = None
-    if config.optimiser is not None and config.phase is not None:
+    if config.phase is not None:
         if blur is None or fields is None:
             raise InputError("PSF-aware matching needs the blur of a calibrated camera")
         winner = phase.match(image, inputs[0], blur, fields[0], config, backend=backend)
+    elif config.coarse is not None:
+        winner = _coarse(backend).match(inputs[0], config, field=None if fields is None else fields[0])
     elif config.optimiser is not None:
         winner = optimise.match(
             inputs, config, config.optimiser, score_volume=matcher.score_volume, fields=fields, backend=backend
@@ -127,6 +130,16 @@ def estimate_disparity(
             share = matcher.texture_weights(inputs[0], replace(config, texture_weighting=True))
     sigma = disparity_sigma(winner, config, len(spaces[0]), share)
     return Disparity(winner.disparity_px, sigma, confidence(sigma, winner.peak))
+
+
+def _coarse(backend: Backend) -> Any:
+    if backend == "reference":
+        from chromaperture.disparity import coarse
+
+        return coarse
+    from chromaperture.disparity import coarse_kernels
+
+    return coarse_kernels
 
 
 def colour_spaces(aperture: Aperture, unmixing: np.ndarray | None, config: MatcherConfig) -> list[np.ndarray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import cv2
@@ -14,6 +14,8 @@ from chromaperture.color.image import SATURATION
 from chromaperture.config import MatcherConfig
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, channel_transmission
+
+_FILL_SIGMA_PX = 6.0  # of the mean that stands for unusable pixels, px of the halved picture
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,9 @@ class MatchInputs:
         Noise covariance of the P pairs of views (0,1), (0,2), (1,2), before any shift.
     noise_overlap : (D, P) float32
         Share of that covariance left when a layer's shift has moved the two views apart.
+    fine_guide : (H', W') float32 or None
+        The guide before everything else was halved (``config.coarse``): H = ceil(H' / 2), W alike, and all lengths
+        count px of the halved picture.
     """
 
     views: np.ndarray
@@ -48,6 +53,7 @@ class MatchInputs:
     noise_variance: np.ndarray
     noise_covariance: np.ndarray
     noise_overlap: np.ndarray
+    fine_guide: np.ndarray | None = None
 
 
 def view_pairs(view_count: int) -> list[tuple[int, int]]:
@@ -163,19 +169,19 @@ def prepare_views(
     InputError
         A view is constant, so there is nothing to match.
     """
+    if config.coarse is not None:
+        return _halved(views, guide, mask, directions=directions, config=config)
     planes = np.empty((len(views), *mask.shape), np.float32)  # one plane a view: fast to smooth and to match
     for plane, view in zip(planes, views, strict=True):
         smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
-    if min(cv2.meanStdDev(plane)[1][0, 0] for plane in planes) < 1e-6:
+    if min(cv2.norm(plane) for plane in planes) < 1e-6 * math.sqrt(mask.size):  # they have no mean
         raise InputError(
             "the image is constant in at least one view of the aperture: nothing to match. A lens cap, an even "
             "wall, a grey-scale file and a wrong aperture design look like this"
         )
     white_noise_left, overlap = _noise_autocorrelation(config, directions, view_pairs(len(views)))
     guide = smooth(guide, 1.0)
-    sparse = max(1, round(math.sqrt(guide.size / 50_000)))  # the percentiles of a subset are as good
-    low, high = np.percentile(guide[::sparse, ::sparse], (1, 99))
-    guide *= np.float32(1 / (max(float(high - low), 1e-6) * config.bilateral_range))
+    guide *= _guide_scale(guide, config)
     return MatchInputs(
         views=np.moveaxis(planes, 0, -1),
         directions=np.asarray(directions, float),
@@ -186,6 +192,59 @@ def prepare_views(
         noise_covariance=_scaled(noise_covariance, white_noise_left),
         noise_overlap=overlap.astype(np.float32),
     )
+
+
+def _halved(
+    views: Sequence[np.ndarray], guide: np.ndarray, mask: np.ndarray, *, directions: np.ndarray, config: MatcherConfig
+) -> MatchInputs:
+    """Do as `prepare_views` with everything at half the resolution; pixel (x, y) there is (2 x, 2 y) here.
+
+    Scores are not debiased and not weighted then: the noise is left out.
+    """
+    if mask.all():
+        small, usable = [cv2.pyrDown(view) for view in views], mask[::2, ::2]
+    else:
+        small, usable = _halved_around(views, mask.astype(np.float32))
+    even = np.zeros((1, 1, len(views) + len(view_pairs(len(views)))), np.float32)
+    even = np.broadcast_to(even, (*usable.shape, even.shape[2]))
+    coarse = replace(
+        config,
+        coarse=None,
+        min_disparity_px=config.min_disparity_px / 2,
+        max_disparity_px=config.max_disparity_px / 2,
+        step_px=config.step_px / 2,
+    )
+    inputs = prepare_views(
+        small,
+        cv2.pyrDown(guide),
+        usable,
+        directions=directions,
+        noise_variance=even[..., : len(views)],
+        noise_covariance=even[..., len(views) :],
+        config=coarse,
+    )
+    return replace(inputs, layers_px=config.layers_px / 2, fine_guide=guide * _guide_scale(guide, config))
+
+
+def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+    """Halve views, unusable pixels replaced by the mean around them: their bright edges would outvote all texture."""
+    share = cv2.pyrDown(mask)
+    usable = share > 0.99
+    around = cv2.GaussianBlur(share, (0, 0), _FILL_SIGMA_PX)
+    small = []
+    for view in views:
+        mean = cv2.mean(view, (mask > 0).astype(np.uint8))[0]
+        part = cv2.pyrDown((view - np.float32(mean)) * mask)
+        fill = cv2.GaussianBlur(part, (0, 0), _FILL_SIGMA_PX) / (around + np.float32(1e-3))
+        small.append(np.where(usable, part, fill) + np.float32(mean))
+    return small, usable
+
+
+def _guide_scale(guide: np.ndarray, config: MatcherConfig) -> np.float32:
+    """Bring a guide to units of the bilateral range."""
+    sparse = max(1, round(math.sqrt(guide.size / 20_000)))  # the percentiles of a subset are as good
+    low, high = np.percentile(guide[::sparse, ::sparse], (1, 99))
+    return np.float32(1 / (max(float(high - low), 1e-6) * config.bilateral_range))
 
 
 def _mix(image: np.ndarray, weights: np.ndarray) -> np.ndarray:

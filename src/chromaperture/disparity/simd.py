@@ -11,6 +11,9 @@ Indices count elements from the start of a contiguous array and are not checked.
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core import cgutils
@@ -23,6 +26,10 @@ _I32 = ir.IntType(32)
 _FLOATS = ir.VectorType(_FLOAT, LANES)
 _INTS = ir.VectorType(_I32, LANES)
 _SHORTS = ir.VectorType(ir.IntType(16), LANES)
+# Least squares on Chebyshev nodes of ln(1.5 + t), |t| <= 1/2, highest power first; good to 2e-5.
+_LOGARITHM = np.polynomial.chebyshev.Chebyshev.interpolate(
+    lambda t: np.log(1.5 + t), 6, domain=[-0.5, 0.5]
+).convert(kind=np.polynomial.Polynomial).coef[::-1].tolist()
 _ROUNDER = 1.5 * 2**23  # added to a small float it leaves the rounded integer in the low bits
 
 
@@ -125,6 +132,30 @@ def _inverse_root(builder, a):
     return builder.fdiv(_constant(1.0), builder.call(root, [a], fastmath=("fast",)), flags=("fast",))
 
 
+def _over_lanes(join):
+    """Join all lanes with each other, the result in each of them."""
+
+    def emit(builder, a):
+        for lanes in ([4, 5, 6, 7, 0, 1, 2, 3], [2, 3, 0, 1, 6, 7, 4, 5], [1, 0, 3, 2, 5, 4, 7, 6]):
+            a = join(builder, a, _shuffle(builder, a, a, lanes))
+        return a
+
+    return emit
+
+
+def _logarithm(builder, a):
+    """Natural logarithm of normal positive floats: the exponent, and a polynomial for the mantissa in [1, 2)."""
+    bits = builder.bitcast(a, _INTS)
+    whole = [ir.Constant(_INTS, [value] * LANES) for value in (23, 127, 0x7FFFFF, 0x3F800000)]
+    exponent = builder.sitofp(builder.sub(builder.lshr(bits, whole[0]), whole[1]), _FLOATS)
+    mantissa = builder.bitcast(builder.or_(builder.and_(bits, whole[2]), whole[3]), _FLOATS)
+    t = builder.fsub(mantissa, _constant(1.5))
+    value = _constant(_LOGARITHM[0])
+    for coefficient in _LOGARITHM[1:]:
+        value = _multiply_add(builder, value, t, _constant(coefficient))
+    return _multiply_add(builder, exponent, _constant(math.log(2)), value)
+
+
 def _interleaved(lanes):
     return _operation(2, lambda builder, a, b: _shuffle(builder, a, b, lanes))
 
@@ -138,6 +169,9 @@ div = _operation(2, lambda builder, a, b: builder.fdiv(a, b))
 root = _operation(1, lambda builder, a: builder.call(_root_function(builder), [a]))
 inverse_root = _operation(1, _inverse_root)
 swapped = _operation(1, lambda builder, a: _shuffle(builder, a, a, [4, 5, 6, 7, 0, 1, 2, 3]))  # halves exchanged
+least_lane = _operation(1, _over_lanes(_smaller))  # to all lanes
+sum_lanes = _operation(1, _over_lanes(lambda builder, a, b: builder.fadd(a, b)))  # to all lanes
+logarithm = _operation(1, _logarithm)
 smaller = _operation(2, _smaller)
 larger = _operation(2, _larger)
 tagged = _operation(3, _tagged)  # (value's bits & keep) | tag
@@ -200,6 +234,19 @@ def store_shorts(typing, array, index, value):
         bits = builder.bitcast(builder.fadd(arguments[2], _constant(_ROUNDER)), _INTS)
         stored = builder.store(builder.trunc(bits, _SHORTS), pointer, align=16)
         stored.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(_I32, 1)]))
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, float8), lowered
+
+
+@intrinsic
+def put_shorts(typing, array, index, value):
+    """Round eight float32 of less than 2^15 to int16, as `store_shorts`, to be read again soon."""
+
+    def lowered(context, builder, signature, arguments):
+        pointer = _pointer(context, builder, signature.args[0], *arguments[:2], _SHORTS)
+        bits = builder.bitcast(builder.fadd(arguments[2], _constant(_ROUNDER)), _INTS)
+        builder.store(builder.trunc(bits, _SHORTS), pointer, align=2)
         return context.get_dummy_value()
 
     return types.void(array, types.int64, float8), lowered

@@ -15,6 +15,7 @@ from chromaperture.effects.refocus import Focus, refocus
 from chromaperture.errors import InputError
 
 _FRAMES_PER_SECOND = 12
+_LEAST_SWEEP_PX = 3.0
 SUFFIXES = (".gif", ".mp4")
 
 
@@ -36,6 +37,8 @@ def sweep(color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, frames: int
     if frames < 2:
         raise InputError(f"a sweep needs at least 2 frames, got {frames}")
     near, far = np.percentile(radius_px, (2, 98))
+    short = max(0.0, _LEAST_SWEEP_PX - (far - near)) / 2  # a flat scene is swept through, too
+    near, far = near - short, far + short
     for radius in np.linspace(near, far, frames):
         picture = refocus(color, radius_px, replace(focus, radius_px=float(radius)))
         yield np.rint(linear_to_srgb(picture) * 255).astype(np.uint8)
