@@ -47,6 +47,7 @@ ALLOWED: dict[str, set[str]] = {
     "samples": set(),
     "pipeline": {"optics", "calibration", "camera", "outputs", "preview"} | STAGES,
     **{leaf: BELOW_LEAVES for leaf in LEAVES},
+    "evaluation": BELOW_LEAVES | {"effects"},  # the paper's Figure 14 shows effects
     "cli": BELOW_LEAVES | LEAVES | {"__init__"},
     "__main__": {"cli"},
     "__init__": BELOW_LEAVES | LEAVES,

@@ -16,6 +16,7 @@ from chromaperture.cli import (
     check,
     demo,
     depth,
+    evaluate,
     export,
     info,
     record,
@@ -48,6 +49,7 @@ app.command("simulate-rgbd")(simulate.simulate_rgbd)
 app.command("sources")(sources.sources)
 app.command("record")(record.record)
 app.command("export")(export.export)
+app.command("evaluate")(evaluate.evaluate)
 
 
 def _print_version(wanted: bool) -> None:

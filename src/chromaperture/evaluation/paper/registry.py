@@ -1,0 +1,71 @@
+"""All exhibits by name, in the paper's order; a figure's own module is loaded when it is made."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from chromaperture.errors import InputError
+from chromaperture.evaluation.paper.exhibit import Exhibit, Made
+
+if TYPE_CHECKING:
+    from chromaperture.evaluation.paper.context import Context
+
+_SESSION = ("cy_halves/session.toml", "cy_halves/distances.csv")
+_WHITE = tuple(f"white/{name}.png" for name in ("open", "rgb_squares", "cy_halves", "cy_open"))
+_BENCH = tuple(f"{design}/session.toml" for design in ("cy_halves", "cy_open", "rgb_squares", "cmy_circles")) + tuple(
+    f"truth/{scene}.depth_0.1mm.png" for scene in ("steps", "room", "desk")
+)
+
+
+def _exhibit(name: str, title: str, files: tuple[str, ...] = (), *, only_data: bool = False) -> Exhibit:
+    module = f"chromaperture.evaluation.paper.{name.replace('-', '_')}"
+
+    def make(context: Context) -> Made:
+        made = importlib.import_module(module).make(context)
+        assert isinstance(made, Made)
+        return made
+
+    return Exhibit(name, title, make, files, only_data)
+
+
+EXHIBITS: dict[str, Exhibit] = {
+    exhibit.name: exhibit
+    for exhibit in (
+        _exhibit("figure-4a", "Figure 4(a): the CYX colour space"),
+        _exhibit("figure-6", "Figure 6: calibration on the axis, by design and colour space"),
+        _exhibit("figure-7", "Figure 7: baseline and in-focus surface over the frame", _SESSION),
+        _exhibit("figure-8", "Figure 8: a flat floor before and after the fields"),
+        _exhibit("figure-9", "Figure 9: layers against sub-pixel estimation", _SESSION),
+        _exhibit("figure-10", "Figure 10: eight designs: capture, raw disparity, regularised"),
+        _exhibit("figure-11", "Figure 11: light efficiency of the designs", _WHITE),
+        _exhibit("figure-12", "Figure 12: what two cameras see"),
+        _exhibit("figure-14", "Figure 14: effects by depth"),
+        _exhibit("table-1", "Table 1: transparency of designs VII, V and II", _WHITE),
+        _exhibit("table-2", "Table 2: loss of signal-to-noise ratio", _WHITE),
+        _exhibit("table-3", "Table 3: time for one image"),
+        _exhibit("equal-light", "Depth error against light: is the ranking the paper's?"),
+        _exhibit("prior-art", "Prior art on the same captures"),
+        _exhibit("bench", "Methods and designs on ray-traced captures", _BENCH, only_data=True),
+    )
+}
+
+
+def chosen(names: Sequence[str]) -> list[Exhibit]:
+    """Look exhibits up; ``all`` or nothing is all of them.
+
+    Raises
+    ------
+    InputError
+        An unknown name; the message suggests the nearest.
+    """
+    if not names or "all" in names:
+        return list(EXHIBITS.values())
+    for name in names:
+        if name not in EXHIBITS:
+            near = difflib.get_close_matches(name, EXHIBITS, n=1, cutoff=0.4)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise InputError(f"no figure {name!r}: {hint}Choose from {', '.join(EXHIBITS)}, or all")
+    return [exhibit for exhibit in EXHIBITS.values() if exhibit.name in names]

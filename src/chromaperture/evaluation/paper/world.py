@@ -1,0 +1,154 @@
+"""The simulated camera and the things before it: a 50 mm f/2 lens focused at 2 m, as the paper's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from chromaperture.optics import textures
+from chromaperture.optics.aperture import DESIGNS, Aperture, channel_transmission, made_of
+from chromaperture.optics.paraxial import focused_at
+from chromaperture.optics.pinhole import PupilCamera, pupil_camera
+from chromaperture.optics.prescription import Prescription, load_lens
+from chromaperture.optics.ray_table import RayTable, lens_rays, pinhole_rays
+from chromaperture.optics.render import render, render_depth
+from chromaperture.optics.scene import Plane, plane
+from chromaperture.optics.sensor import Sensor, develop, expose
+
+FOCUS_MM = 2000.0
+SENSOR_WIDTH_MM = 22.3
+EIGHT = ("rgb_circles", "rgb_squares", "cmy_squares", "cmy_circles", "cy_halves", "magenta_annulus", "cy_open", "open")
+NUMERALS = dict(zip(EIGHT, ("I", "II", "III", "IV", "V", "VI", "VII", "VIII"), strict=True))
+WHITE = 0.9  # what white paper reaches in the brightest channel
+
+
+@dataclass(frozen=True)
+class Capture:
+    """One photograph of a world whose depth is known.
+
+    Attributes
+    ----------
+    image : (H, W, 3) float32, linear
+    depth_mm : (H, W) float64
+        From the sensor plane, for the ray through the pupil's centre.
+    radius_px : (H, W) float64
+        Signed blur radius that belongs to it.
+    """
+
+    image: np.ndarray
+    depth_mm: np.ndarray
+    radius_px: np.ndarray
+
+
+def lens() -> Prescription:
+    """Give the double Gauss of the package at the paper's focus."""
+    return focused_at(load_lens("double_gauss_50"), FOCUS_MM)
+
+
+def camera_of(width_px: int, height_px: int, *, pitch_mm: float | None = None) -> PupilCamera:
+    """Give its first order; the whole sensor of 22.3 mm width unless the pitch says otherwise."""
+    return pupil_camera(
+        lens(), width_px=width_px, height_px=height_px, pixel_pitch_mm=pitch_mm or SENSOR_WIDTH_MM / width_px
+    )
+
+
+def real_film(design: str) -> Aperture:
+    """Give a design made of real film."""
+    return made_of(DESIGNS[design], "real")
+
+
+@cache
+def pinhole_table(camera: PupilCamera, design: str, cells: int) -> RayTable:
+    """Give the rays of the ideal lens through a design of real film."""
+    return pinhole_rays(camera, real_film(design), cells=cells)
+
+
+def traced_table(camera: PupilCamera, aperture: Aperture, cells: int) -> RayTable:
+    """Give the rays of the real lens: aberrations, vignetting, curved focus."""
+    size = {"width_px": camera.width_px, "height_px": camera.height_px}
+    return lens_rays(lens(), aperture, **size, pixel_pitch_mm=camera.pixel_pitch_mm, cells=cells)
+
+
+def photograph(
+    table: RayTable, planes: Sequence[Plane], camera: PupilCamera, *, seed: int, exposure: float, noisy: bool = True
+) -> Capture:
+    """Photograph planes.
+
+    Parameters
+    ----------
+    table : RayTable
+    planes : sequence of Plane
+    camera : PupilCamera
+    seed : int
+    exposure : float
+        White level that a reflectance of 1 through an open pupil reaches.
+    noisy : bool
+
+    Returns
+    -------
+    Capture
+    """
+    light = render(table, planes, seed=seed)
+    sensor = Sensor()
+    image = develop(expose(light, sensor, seed=seed, exposure=exposure), sensor) if noisy else light * exposure
+    depth = np.asarray(render_depth(table, planes), float)
+    return Capture(np.asarray(image, np.float32), depth, camera.blur_radius_px(depth))
+
+
+def level_exposure(design: str) -> float:
+    """Exposure at which white paper reaches the same level in the brightest channel of every design."""
+    return WHITE / float(channel_transmission(real_film(design)).max())
+
+
+def still_life(*, seed: int = 0, saturation: float = 0.5) -> list[Plane]:
+    """Build a room corner: wall, floor and six boards standing from 1.15 to 2.9 m, in grey and in colours.
+
+    Parameters
+    ----------
+    seed : int
+        Of textures and places.
+    saturation : float
+        0 grey; 1 colours of which one channel is black.
+    """
+    rng = np.random.default_rng(seed)
+    made = [
+        _speckle((0, 0, 3300.0), 2200.0, 1500.0, (0.55, 0.55, 0.55), 4.0, seed + 100),
+        _speckle((0, 230.0, 2300.0), 2400.0, 2200.0, (0.6, 0.57, 0.5), 4.0, seed + 101, tilt=(-80.0, 0, 0)),
+    ]
+    colours = np.array([(1, 1, 1), (1, 0.35, 0.3), (0.4, 0.9, 0.35), (0.35, 0.45, 1), (1, 0.85, 0.3), (0.9, 0.4, 0.9)])
+    depths = np.array([1150.0, 1450.0, 1750.0, 2050.0, 2450.0, 2900.0])
+    places = (-0.30, 0.32, -0.08, 0.16, -0.36, 0.36)
+    for i, (z, place) in enumerate(zip(depths, places, strict=True)):
+        tint = 0.62 * (1 - saturation + saturation * colours[i])
+        width = 0.11 * z
+        center = (place * 0.42 * z, (0.05 - 0.10 * (i % 2)) * z, z)
+        tilt = (0.0, float(rng.uniform(-25, 25)), float(rng.uniform(-10, 10)))
+        made.append(_speckle(center, width, width * 1.25, tuple(tint), 0.0005 * z, seed + i, tilt=tilt))
+    return made
+
+
+def board(camera: PupilCamera, distance_mm: float, *, seed: int) -> list[Plane]:
+    """Build a wall of grey speckle that fills the picture, square to the axis."""
+    width = 1.3 * distance_mm * camera.width_px / camera.focal_px
+    texel = 0.5 * distance_mm / camera.focal_px
+    height = width * camera.height_px / camera.width_px
+    return [_speckle((0, 0, distance_mm), width, height, (0.45, 0.45, 0.45), texel, seed)]
+
+
+def _speckle(
+    center: tuple[float, float, float],
+    width: float,
+    height: float,
+    tint: tuple[float, ...],
+    texel: float,
+    seed: int,
+    *,
+    tilt: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Plane:
+    shape = (max(2, round(height / texel)), max(2, round(width / texel)))
+    grey = textures.noise(shape, exponent=0.9, seed=seed)
+    picture = np.clip(grey[..., None] * np.asarray(tint, np.float32) / 0.45, 0.01, 1)
+    return plane(picture, center_mm=center, width_mm=width, tilt_deg=tilt)

@@ -1,0 +1,322 @@
+"""The frame of `chromaperture evaluate`, the prior methods on worlds that are known, and the parallel sweep."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.fft
+from typer.testing import CliRunner
+
+from chromaperture.cli.main import app
+from chromaperture.errors import InputError
+from chromaperture.evaluation.figures import new_figure
+from chromaperture.evaluation.paper import figure_6, figure_8, methods, registry, run, sweep, world
+from chromaperture.evaluation.paper.context import Context
+from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Exhibit, Listed, Made
+from chromaperture.evaluation.paper.page import page_html
+from chromaperture.evaluation.prior import annulus, colour_lines, correlation, shifts, stereo
+from chromaperture.evaluation.tables import Table
+from chromaperture.optics.aperture import DESIGNS, centroids
+from chromaperture.optics.metrics import film_unmixing
+from chromaperture.optics.psf import geometric_otf
+from planes import moved, texture
+
+LAYERS = np.arange(-4, 4.01, 0.25)
+INNER = np.s_[24:-24, 24:-24]
+
+
+def exhibit(made=None, *, name="figure-x", files=(), calls=None):
+    def make(context):
+        if calls is not None:
+            calls.append(name)
+        if isinstance(made, Exception):
+            raise made
+        return made
+
+    return Exhibit(name, f"Title of {name}", make, files)
+
+
+def small_made():
+    figure = new_figure(2, 1)
+    figure.subplots().plot([0, 1])
+    table = Table("caption", ("a", "b"), [("1", "two, and three")])
+    compared = [Compared("light <&>", "55 %", "54 %", "A sentence.")]
+    return Made("Made up.", [Drawn("picture", figure, "Look.")], [Listed("figures", table)], compared, ["Last line."])
+
+
+# The frame
+
+
+def test_pictures_tables_and_the_papers_numbers_are_written_and_shown(tmp_path):
+    one = exhibit(small_made())
+    outcomes = run.evaluate([one], Context(tmp_path))
+    folder = tmp_path / "figure-x"
+    assert (folder / "picture.png").read_bytes().startswith(b"\x89PNG")
+    lines = (folder / "figures.csv").read_text(encoding="utf-8").splitlines()
+    assert list(csv.reader(lines)) == [["a", "b"], ["1", "two, and three"]]
+    page = page_html(tmp_path, outcomes, quick=True)
+    for shown in ("Title of figure-x", "55 %", "54 %", "A sentence.", "Last line.", "light &lt;&amp;&gt;"):
+        assert shown in page
+    assert page.count("data:image/png;base64,") == 1
+    assert 'src="http' not in page  # self-contained
+
+
+def test_what_is_finished_is_kept_and_what_is_not_is_made(tmp_path):
+    calls: list[str] = []
+    first = exhibit(small_made(), name="first", calls=calls)
+    second = exhibit(small_made(), name="second", calls=calls)
+    run.evaluate([first], Context(tmp_path))
+    outcomes = run.evaluate([first, second], Context(tmp_path))
+    assert calls == ["first", "second"]
+    assert [outcome.kept for outcome in outcomes] == [True, False]
+    (tmp_path / "first" / "picture.png").unlink()  # half a result is none
+    run.evaluate([first], Context(tmp_path))
+    run.evaluate([first], Context(tmp_path, quick=True))  # of another size
+    run.evaluate([first], Context(tmp_path, quick=True), again=True)
+    assert calls == ["first", "second", "first", "first", "first"]
+
+
+def test_one_that_fails_stops_no_other(tmp_path):
+    outcomes = run.evaluate([exhibit(InputError("too dark"), name="bad"), exhibit(small_made())], Context(tmp_path))
+    assert [outcome.problem for outcome in outcomes] == ["too dark", ""]
+    assert "Not made: too dark" in page_html(tmp_path, outcomes, quick=False)
+    assert not (tmp_path / "bad").exists()
+
+
+def test_missing_data_names_the_files_and_changed_data_is_read_again(tmp_path):
+    data = tmp_path / "data"
+    (data / "white").mkdir(parents=True)
+    calls: list[str] = []
+    one = exhibit(small_made(), files=("white/open.png", "white/cy.png"), calls=calls)
+    (data / "white" / "open.png").write_bytes(b"x")
+    (outcome,) = run.evaluate([one], Context(tmp_path / "out", data=data))
+    assert "white/cy.png" in outcome.problem
+    assert "white/open.png" not in outcome.problem
+    assert calls == []
+    (data / "white" / "cy.png").write_bytes(b"x")
+    for content in (b"x", b"x", b"longer"):
+        (data / "white" / "cy.png").write_bytes(content)
+        os.utime(data / "white" / "cy.png", (1, 1))
+        run.evaluate([one], Context(tmp_path / "out", data=data))
+    assert len(calls) == 2
+
+
+def test_every_exhibit_has_its_own_file():
+    for name in registry.EXHIBITS:
+        assert Path(run.__file__).with_name(f"{name.replace('-', '_')}.py").is_file()
+
+
+def test_an_unknown_figure_is_answered_with_the_nearest_name(tmp_path):
+    with pytest.raises(InputError, match=r"figure-13.*did you mean 'figure-1"):
+        registry.chosen(["figure-13"])
+    assert [e.name for e in registry.chosen(["table-2", "figure-9"])] == ["figure-9", "table-2"]  # the paper's order
+    assert len(registry.chosen(["all"])) == len(registry.EXHIBITS)
+
+
+def test_the_command_makes_a_report_and_goes_on_where_it_stopped(tmp_path):
+    arguments = ["evaluate", "figure-4a", "figure-12", "--quick", "--out", str(tmp_path)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert "2 made" in result.output
+    assert (tmp_path / "report.html").is_file()
+    again = CliRunner().invoke(app, arguments)
+    assert "2 kept" in again.output
+    entries = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).output)
+    assert [entry["name"] for entry in entries] == ["figure-4a", "figure-12"]
+    assert all(entry["compared"] for entry in entries)
+
+
+def test_the_command_skips_what_the_data_lack_and_says_so_by_its_exit_code(tmp_path):
+    (tmp_path / "data").mkdir()
+    arguments = ["evaluate", "table-1", "figure-4a", "-q", "--quick", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, [*arguments, "--data", str(tmp_path / "data")])
+    assert result.exit_code == 1
+    assert (tmp_path / "out" / "figure-4a" / "cyx.png").is_file()
+    assert "white/cy_halves.png" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("arguments", [["--data", "nowhere"], ["--workers", "-1"], ["bench"], ["figure-99"]])
+def test_bad_arguments_are_told(tmp_path, arguments):
+    result = CliRunner().invoke(app, ["evaluate", *arguments, "--out", str(tmp_path / "out")])
+    assert isinstance(result.exception, InputError)
+    assert not (tmp_path / "out").exists()
+
+
+# Prior art: a perfect world, spoiled by noise, and asked for back
+
+
+def moved_views(rng, directions, disparity, noise=0.004):
+    picture = texture(rng, height=112, width=128)
+    views = [moved(picture, disparity * u, disparity * v) for u, v in directions]
+    return np.stack(views, axis=-1) + rng.normal(0, noise, (112, 128, len(directions)))
+
+
+THREE = np.array([(1.0, 0.0), (0.0, 0.0), (-1.0, 0.0)])
+TRIANGLE = np.array([(0.0, -1.0), (-0.866, 0.5), (0.866, 0.5)])
+
+
+@pytest.mark.parametrize("directions", [THREE, TRIANGLE], ids=["line", "triangle"])
+@pytest.mark.parametrize("disparity", [-2.6, 0.0, 1.35])
+@pytest.mark.parametrize(
+    "method",
+    [
+        correlation.cross_correlation,
+        correlation.phase_correlation,
+        lambda *a: colour_lines.colour_lines(*a, optimised=False),
+        colour_lines.colour_lines,
+    ],
+    ids=["ncc", "phase", "lines", "lines-optimised"],
+)
+def test_prior_methods_find_a_shift_and_its_sign(rng, method, directions, disparity):
+    found = method(moved_views(rng, directions, disparity), directions, LAYERS)[INNER]
+    assert np.isfinite(found).mean() > 0.98
+    # A tenth of a px: layers of a quarter px, a parabola between them, noise of a twentieth of the texture. Blocks cut
+    # out at one place share the less the more the picture moved, which draws the phase towards 0: 6 % of 2.6 px.
+    most = 0.16 if method is correlation.phase_correlation else 0.1
+    assert abs(np.nanmedian(found) - disparity) < most
+    assert np.nanmedian(np.abs(found - disparity)) < most + 0.05
+
+
+@pytest.mark.parametrize("disparity", [-2.5, 1.5])
+def test_stereo_matcher_finds_a_shift_and_its_sign(rng, disparity):
+    ends = THREE[[0, 2]]
+    found = stereo.stereo_sgbm(moved_views(rng, ends, disparity), ends, LAYERS)[INNER]
+    assert np.nanmedian(np.abs(found - disparity)) < 0.15  # whole px of stereo disparity and OpenCV's own parabola
+
+
+def test_the_colour_line_measure_is_the_product_of_eigenvalues(rng):
+    image = rng.uniform(0, 1, (15, 15, 3))
+    measure = colour_lines.colour_line_measure(image, np.zeros((3, 2)), np.array([0.0]), side_px=15)[0, 7, 7]
+    covariance = np.cov(image.reshape(-1, 3).T, bias=True)
+    expected = np.prod(np.linalg.eigvalsh(covariance)) / np.prod(np.diag(covariance))
+    assert measure == pytest.approx(expected, rel=1e-5)  # views are resampled in float32
+
+
+def test_the_annulus_knows_the_size_of_the_blur_but_not_its_side(rng):
+    aperture, shape = DESIGNS["magenta_annulus"], (128, 144)
+    radii = np.arange(0, 7.1, 0.5)
+    transfer = [geometric_otf(aperture, float(r), shape) for r in radii]
+    grey = scipy.fft.rfft2(texture(rng, height=128, width=144, blur_px=0.7))
+    for true in (-4.0, 4.0):
+        blurred = [scipy.fft.irfft2(grey * otf, s=shape) for otf in geometric_otf(aperture, true, shape)]
+        image = np.stack(blurred, axis=-1) + rng.normal(0, 2e-4, (*shape, 3))
+        found = annulus.annulus_radius(image, transfer, radii, shape)[INNER]
+        assert np.median(found) == pytest.approx(4.0, abs=0.5)  # a step of the radii
+
+
+def test_shifts_follow_the_sign_convention():
+    ramp = np.tile(np.arange(20.0, dtype=np.float32), (20, 1))
+    np.testing.assert_allclose(shifts.shifted(ramp, 1.25, 0)[8:12, 8:12], ramp[8:12, 8:12] + 1.25, atol=2e-3)
+    np.testing.assert_allclose(shifts.shifted(ramp.T, 0, -2)[8:12, 8:12], ramp.T[8:12, 8:12] - 2, atol=1e-4)
+
+
+# Judging
+
+
+def test_depth_and_blur_radius_invert_each_other():
+    camera = world.camera_of(96, 64)
+    depth = np.array([900.0, 2000.0, 5000.0])
+    np.testing.assert_allclose(methods.depth_of(camera.blur_radius_px(depth), camera), depth, rtol=1e-9)
+
+
+def test_scores_count_all_pixels_with_truth():
+    truth = np.array([1000.0, 1000.0, 1000.0, 1000.0, np.nan])
+    found = np.array([1010.0, 1040.0, np.nan, 2000.0, 1000.0])
+    result = methods.scores(found, truth)
+    assert (result["fill"], result["within_2"], result["within_5"], result["within_10"]) == (0.75, 0.25, 0.5, 0.5)
+    assert result["median_error"] == pytest.approx(0.04)
+
+
+def test_designs_are_exposed_to_one_level():
+    camera = world.camera_of(48, 32)
+    for design in ("rgb_circles", "cy_halves"):
+        table = world.pinhole_table(camera, design, 8)
+        sheet = [world.plane(np.ones((2, 2, 3)), center_mm=(0, 0, 2000.0), width_mm=4000)]
+        exposure = world.level_exposure(design)
+        shot = world.photograph(table, sheet, camera, seed=0, exposure=exposure, noisy=False)
+        # Few rays sample small discs coarsely: two per cent.
+        assert shot.image.max() == pytest.approx(world.WHITE, rel=0.02)
+
+
+def test_the_apertures_colour_space_separates_the_views_of_an_open_design_further():
+    camera = world.camera_of(120, 96, pitch_mm=world.SENSOR_WIDTH_MM / 480)
+    rulers = np.array([1200.0, 3200.0])
+    ranges = []
+    for letter, design, _, unmixing in figure_6.PANELS:
+        if letter in "cd":
+            disparity, _ = figure_6.read_boards(design, unmixing, camera, rulers, cells=10)
+            ranges.append(abs(disparity[1] - disparity[0]))
+    # The centroids say by how much: of the unmixed views, and of the sensor's blue and red.
+    film = world.real_film("cy_open")
+    unmixed, sensor = (np.ptp(centroids(film, rows)[:, 0]) for rows in (film_unmixing(film), np.eye(3)[[2, 0]]))
+    # Blur of the open centre draws both readings in, not quite alike: within a quarter.
+    assert ranges[0] / ranges[1] == pytest.approx(unmixed / sensor, rel=0.25)
+
+
+def test_the_bend_of_a_floor_is_told_from_its_tilt_and_noise(rng):
+    y, x = np.mgrid[-1:1:200j, -1:1:300j]
+    truth = 2000 + 100 * y
+    bowl = 0.05 * (x**2 - 1 / 3)
+    tilted = truth * (1 + 0.1 * x + rng.normal(0, 0.03, x.shape))
+    assert figure_8.bend(tilted, truth) < 0.002  # medians of 600 pixels each: 0.03 / sqrt(600) * 1.25
+    # The rms of x^2 - 1/3 is sqrt(4 / 45); ten cells across average a little of it away.
+    assert figure_8.bend(truth * (1 + bowl), truth) == pytest.approx(0.05 * np.sqrt(4 / 45), rel=0.03)
+
+
+# The sweep
+
+
+def trials(seeds=(0, 1)):
+    size = {"width_px": 96, "height_px": 64, "cells": 6, "exposure": 0.9}
+    names = ("normalised cross-correlation, unmixed", "phase correlation")
+    return [sweep.Trial(method=name, design="cy_halves", seed=seed, **size) for name in names for seed in seeds]
+
+
+def stored(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.json"))}
+
+
+def test_two_workers_one_killed_give_what_one_gives_byte_for_byte(tmp_path):
+    alone = sweep.sweep(trials(), workers=1, keep_in=tmp_path / "one")
+
+    def kill_one():
+        while len(children()) < 2:
+            time.sleep(0.05)
+        os.kill(children()[0], signal.SIGKILL)
+
+    def children():
+        # multiprocessing's own list would join them; /proc is read instead.
+        mine = Path(f"/proc/self/task/{os.getpid()}/children")
+        found = mine.read_text().split() if mine.is_file() else []
+        here = {
+            int(pid) for task in Path("/proc/self/task").iterdir() for pid in (task / "children").read_text().split()
+        }
+        return [p for p in here | {int(f) for f in found} if b"spawn_main" in Path(f"/proc/{p}/cmdline").read_bytes()]
+
+    if not Path("/proc/self/task").is_dir():
+        pytest.skip("needs /proc to find a worker to kill")
+    killer = threading.Thread(target=kill_one, daemon=True)
+    killer.start()
+    shared = sweep.sweep(trials(), workers=2, keep_in=tmp_path / "two")
+    killer.join(timeout=10)
+    assert not killer.is_alive()
+    assert shared == alone
+    assert stored(tmp_path / "one") == stored(tmp_path / "two")
+    assert len(stored(tmp_path / "one")) == len(trials())
+
+
+def test_a_sweep_goes_on_from_what_is_kept(tmp_path, monkeypatch):
+    for trial in trials():
+        sweep._keep(tmp_path, trial, {"fill": 0.5, "median_error": float("nan")})
+    monkeypatch.setattr(sweep, "ProcessPoolExecutor", None)  # nothing is left to compute
+    results = sweep.sweep(trials(), workers=2, keep_in=tmp_path)
+    assert [r["fill"] for r in results] == [0.5] * len(trials())
+    assert np.isnan(results[0]["median_error"])
