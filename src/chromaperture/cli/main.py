@@ -18,6 +18,7 @@ from chromaperture.cli import (
     depth,
     export,
     info,
+    reconstruct,
     record,
     refocus,
     simulate,
@@ -48,6 +49,7 @@ app.command("simulate-rgbd")(simulate.simulate_rgbd)
 app.command("sources")(sources.sources)
 app.command("record")(record.record)
 app.command("export")(export.export)
+app.command("reconstruct")(reconstruct.reconstruct)
 
 
 def _print_version(wanted: bool) -> None:

@@ -22,7 +22,7 @@ _MIN_KNOWN = 0.02
 
 @dataclass(frozen=True)
 class Placed:
-    """What became of one frame: pose (4, 4) camera to world in mm (None when lost), overlap, likeness, submap, words."""
+    """What became of one frame: pose (4, 4) camera to world in mm, None when lost; overlap, likeness, submap, words."""
 
     index: int
     time_s: float

@@ -12,7 +12,7 @@ from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.views import View
 from chromaperture.reconstruction.volume import ModelView, Volume, open3d
 
-_ITERATIONS = (10, 8, 6)  # coarse to fine
+_ITERATIONS, _FINE = (10, 8, 6), (4, 6, 8)  # coarse to fine
 _MIN_MODEL = 0.05  # share of the picture that the model must fill
 
 
@@ -105,17 +105,27 @@ def _odometry(
 
     far = max(1.0, float(np.nanmedian(view.z_mm)) / 2000)
     outlier_m = config.outlier_mm * far / 1000
-    found = slam.rgbd_odometry_multi_scale(
-        picture(view.z_mm, view.color),
-        picture(model.z_mm, model.color),
-        core.Tensor(np.ascontiguousarray(matrix, np.float64)),
-        core.Tensor(np.eye(4)),
-        1000.0,
-        config.max_distance_mm / 1000,
-        [slam.OdometryConvergenceCriteria(n) for n in _ITERATIONS],
-        slam.Method.Hybrid,
-        slam.OdometryLossParams(outlier_m, outlier_m * 0.7, 0.1),
-    )
+    pictures = picture(view.z_mm, view.color), picture(model.z_mm, model.color)
+    start = core.Tensor(np.eye(4))
+    found: Any = None
+    # Depth and colour find the valley; colour alone, which errors of depth do not pull at, finds its bottom.
+    for method, iterations in ((slam.Method.Hybrid, _ITERATIONS), (slam.Method.Intensity, _FINE)):
+        try:
+            found = slam.rgbd_odometry_multi_scale(
+                *pictures,
+                core.Tensor(np.ascontiguousarray(matrix, np.float64)),
+                start,
+                1000.0,
+                config.max_distance_mm / 1000,
+                [slam.OdometryConvergenceCriteria(n) for n in iterations],
+                method,
+                slam.OdometryLossParams(outlier_m, outlier_m * 0.7, 0.1),
+            )
+        except RuntimeError:
+            if found is None:
+                raise
+            break  # too little colour for the second step; the first one's pose stands
+        start = found.transformation
     moved = found.transformation.numpy().copy()
     moved[:3, 3] *= 1000
     known = np.isfinite(view.z_mm).mean()  # Open3D counts shares of all pixels

@@ -47,9 +47,7 @@ def undistorter(camera: CodedApertureCamera) -> Callable[[DepthFrame, float, int
     def nearest(values: np.ndarray) -> np.ndarray:
         # A mean of two depths is a place where nothing is: the nearest pixel's is taken. Nothing outside is known.
         values = np.ascontiguousarray(values, np.float32)
-        return cv2.remap(
-            values, *straight, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
-        )
+        return cv2.remap(values, *straight, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
 
     def view(frame: DepthFrame, time_s: float, index: int) -> View:
         color = np.rint(linear_to_srgb(frame.color) * 255).astype(np.uint8)

@@ -59,9 +59,7 @@ class Volume:
     max_distance_mm : float
     """
 
-    def __init__(
-        self, *, voxel_mm: float, truncation_voxels: float, memory_mb: int, max_distance_mm: float
-    ) -> None:
+    def __init__(self, *, voxel_mm: float, truncation_voxels: float, memory_mb: int, max_distance_mm: float) -> None:
         self.voxel_mm, self.truncation_voxels = voxel_mm, truncation_voxels
         self.max_distance_mm = max_distance_mm
         self.capacity = max(64, memory_mb * 2**20 // _BYTES)
