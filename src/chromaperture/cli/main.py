@@ -18,6 +18,7 @@ from chromaperture.cli import (
     depth,
     export,
     info,
+    live,
     reconstruct,
     record,
     refocus,
@@ -50,6 +51,7 @@ app.command("sources")(sources.sources)
 app.command("record")(record.record)
 app.command("export")(export.export)
 app.command("reconstruct")(reconstruct.reconstruct)
+app.command("live")(live.live)
 
 
 def _print_version(wanted: bool) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numba
 import numpy as np
 
 from chromaperture.errors import MissingDependencyError
@@ -26,6 +27,8 @@ def open3d() -> Any:
         import open3d
     except ImportError:
         raise MissingDependencyError("3D models need the extra: pip install 'chromaperture[reconstruct]'") from None
+    # Open3D brings a TBB of its own that Numba finds, thinks too old, and warns about: let it look at the others first.
+    numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]  # type: ignore[attr-defined]
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     return open3d
 
