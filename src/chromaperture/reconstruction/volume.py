@@ -19,6 +19,8 @@ EDGE = 16  # voxels along a block
 _BYTES = EDGE**3 * 4 * 5  # tsdf, weight, three colours
 _SEEN = 0.02  # weight from which a voxel counts as known
 _SIGMAS = 3.0
+# Open3D bounds rays in cells of so many px, and reads past the last whole one: pictures are cast in whole cells.
+_RANGE_PX = 8
 
 
 def open3d() -> Any:
@@ -122,18 +124,20 @@ class Volume:
             keys,
             self._tensor(camera_matrix),
             self._tensor(_metres(np.linalg.inv(camera_to_world))),
-            width,
-            height,
+            -(-width // _RANGE_PX) * _RANGE_PX,
+            -(-height // _RANGE_PX) * _RANGE_PX,
             ["depth", "color"],
             depth_scale=1000.0,
             depth_min=0.05,
             depth_max=self.max_distance_mm / 1000,
             weight_threshold=_SEEN / 2,
             trunc_voxel_multiplier=self.truncation_voxels,
+            range_map_down_factor=_RANGE_PX,
         )
         z_mm = seen["depth"].numpy()[..., 0]
         color = np.rint(np.clip(seen["color"].numpy(), 0.0, 1.0) * 255).astype(np.uint8)
-        return ModelView(np.nan_to_num(z_mm, posinf=0.0), color)
+        z_mm = np.nan_to_num(z_mm, posinf=0.0)
+        return ModelView(z_mm[:height, :width].copy(), color[:height, :width].copy())
 
     def mesh(self, *, min_weight: float = 1.5) -> Mesh:
         """Extract the surface where enough was seen."""
