@@ -126,7 +126,7 @@ class Volume:
             self._tensor(_metres(np.linalg.inv(camera_to_world))),
             -(-width // _RANGE_PX) * _RANGE_PX,
             -(-height // _RANGE_PX) * _RANGE_PX,
-            ["depth", "color"],
+            ["depth", "color", "index", "mask", "interp_ratio"],
             depth_scale=1000.0,
             depth_min=0.05,
             depth_max=self.max_distance_mm / 1000,
@@ -136,8 +136,16 @@ class Volume:
         )
         z_mm = seen["depth"].numpy()[..., 0]
         color = np.rint(np.clip(seen["color"].numpy(), 0.0, 1.0) * 255).astype(np.uint8)
-        z_mm = np.nan_to_num(z_mm, posinf=0.0)
+        z_mm = np.where(z_mm > 0, z_mm + self._left_mm(seen), 0).astype(np.float32)
         return ModelView(z_mm[:height, :width].copy(), color[:height, :width].copy())
+
+    def _left_mm(self, seen: Any) -> np.ndarray:
+        """Distance from the points of a ray cast to the surface: Open3D's stop about a voxel behind it."""
+        tsdf = self._grid.attribute("tsdf").numpy().reshape(-1)
+        share = np.where(seen["mask"].numpy(), seen["interp_ratio"].numpy(), 0.0)
+        distance = np.einsum("hwn,hwn->hw", tsdf[seen["index"].numpy()], share) / np.maximum(share.sum(axis=2), 1e-6)
+        left_mm = distance * self.truncation_voxels * self.voxel_mm
+        return left_mm.clip(-2 * self.voxel_mm, 2 * self.voxel_mm)
 
     def mesh(self, *, min_weight: float = 1.5) -> Mesh:
         """Extract the surface where enough was seen."""
