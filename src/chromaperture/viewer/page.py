@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -51,7 +53,8 @@ class LivePage:
         self.last: Measured | None = None
         self._mesh: object = None
         try:
-            self.server = viser().ViserServer(host=host, port=port, verbose=False)
+            with contextlib.redirect_stdout(sys.stderr):  # its banner is no figure
+                self.server = viser().ViserServer(host=host, port=port, verbose=False)
         except OSError as error:
             raise InputError(f"cannot serve on {host}:{port} ({error}); choose another --port") from None
         self.url = f"http://{host}:{self.server.get_port()}"
@@ -192,4 +195,5 @@ class LivePage:
 
     def close(self) -> None:
         """Stop serving."""
-        self.server.stop()
+        with contextlib.redirect_stdout(sys.stderr):
+            self.server.stop()
