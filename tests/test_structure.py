@@ -48,13 +48,14 @@ ALLOWED: dict[str, set[str]] = {
     "pipeline": {"optics", "calibration", "camera", "outputs", "preview"} | STAGES,
     **{leaf: BELOW_LEAVES for leaf in LEAVES},
     "evaluation": BELOW_LEAVES | {"effects"},  # the paper's Figure 14 shows effects
+    "viewer": BELOW_LEAVES | {"reconstruction"},  # it shows the model
     "cli": BELOW_LEAVES | LEAVES | {"__init__"},
     "__main__": {"cli"},
     "__init__": BELOW_LEAVES | LEAVES,
 }
 # Depth works on any disparity map, however it was made.
 FORBIDDEN_MODULES = {"depth": ("disparity.kernels", "disparity.reference")}
-OPTIONAL = {"open3d", "viser", "rawpy", "gi", "gphoto2", "dask", "mcap", "mcap_ros2", "imageio"}
+OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "dask", "mcap", "mcap_ros2", "imageio"}
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
 

@@ -19,6 +19,8 @@ from chromaperture.cli import (
     evaluate,
     export,
     info,
+    live,
+    reconstruct,
     record,
     refocus,
     simulate,
@@ -50,6 +52,8 @@ app.command("sources")(sources.sources)
 app.command("record")(record.record)
 app.command("export")(export.export)
 app.command("evaluate")(evaluate.evaluate)
+app.command("reconstruct")(reconstruct.reconstruct)
+app.command("live")(live.live)
 
 
 def _print_version(wanted: bool) -> None:

@@ -1,0 +1,93 @@
+"""Score tracking and mesh: python benchmarks/reconstruct.py --data FOLDER --camera CAMERA.asdf [--quality Q].
+
+FOLDER holds cy_halves/walk/*.png, truth/walk/NNN.depth_0.1mm.png and truth/walk/poses_camera_to_world_mm.txt (origin on
+the sensor plane). Positions are compared after rigid alignment without scale; vertices of the mesh with the true depth
+along the ray of the picture that sees them best, as a share of the distance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from chromaperture.camera import load_camera
+from chromaperture.capture.open import open_source
+from chromaperture.reconstruction.run import reconstruct, summary
+
+
+def rigid(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation and shift that bring points a (N, 3) onto b."""
+    ca, cb = a.mean(axis=0), b.mean(axis=0)
+    u, _, vt = np.linalg.svd((b - cb).T @ (a - ca))
+    turn = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return turn, cb - turn @ ca
+
+
+def off_surface(world: np.ndarray, poses: list[np.ndarray], truths: list[np.ndarray], cal, delta: float) -> np.ndarray:
+    """Smallest |depth - truth| / truth over the pictures whose truth the vertex is nearest to; NaN where unseen."""
+    best = np.full(len(world), np.inf)
+    for pose, truth in zip(poses, truths, strict=True):
+        inside = (world - pose[:3, 3]) @ pose[:3, :3]
+        lens = cal.lens
+        pixels = cv2.projectPoints(inside[:, None], np.zeros(3), np.zeros(3), lens.camera_matrix, lens.distortion)[0]
+        u, v = np.rint(pixels[:, 0]).astype(int).T
+        ok = (inside[:, 2] > 0) & (u >= 0) & (u < truth.shape[1]) & (v >= 0) & (v < truth.shape[0])
+        true = np.where(ok, truth[np.where(ok, v, 0), np.where(ok, u, 0)], 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = np.abs(inside[:, 2] + delta - true) / true
+        best = np.fmin(best, np.where(true > 0, error, np.inf))
+    return np.where(np.isfinite(best), best, np.nan)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--camera", type=Path, required=True)
+    parser.add_argument("--quality", default="accurate")
+    args = parser.parse_args()
+
+    camera = load_camera(args.camera, quality=args.quality)
+    cal = camera.calibration
+    delta = float(cal.depth[args.quality].sensor_to_pupil_mm)
+    levels = (cal.sensor.black_level, cal.sensor.white_level)
+    folder, began = args.data / "truth" / "walk", time.perf_counter()
+    with open_source(str(args.data / "cy_halves" / "walk"), camera_levels=levels) as source:
+        model = reconstruct(source, camera, listener=print)
+    pupil = np.eye(4)
+    pupil[2, 3] = delta  # the truth's origin is on the sensor, ours in the pupil
+    poses = [p @ pupil for p in np.loadtxt(folder / "poses_camera_to_world_mm.txt").reshape(-1, 4, 4)]
+    placed = [place for place in model.placed if place.pose is not None and place.submap == 0]
+    found = np.array([place.pose[:3, 3] for place in placed])
+    turn, shift = rigid(found, np.array([poses[place.index][:3, 3] for place in placed]))
+    errors = np.linalg.norm(found @ turn.T + shift - [poses[place.index][:3, 3] for place in placed], axis=1)
+    truths = [
+        cv2.imread(str(folder / f"{i:03d}.depth_0.1mm.png"), cv2.IMREAD_UNCHANGED) / 10 for i in range(len(poses))
+    ]
+    vertices = model.meshes()[0].vertices_mm.astype(float)
+    # The mesh stands in the world of the first camera; its own error of pose belongs to the trajectory.
+    world = vertices @ poses[placed[0].index][:3, :3].T + poses[placed[0].index][:3, 3]
+    off = off_surface(world, poses, truths, cal, delta)
+    print(
+        json.dumps(
+            {
+                "quality": args.quality,
+                "ate_rms_mm": float(np.sqrt((errors**2).mean())),
+                "ate_max_mm": float(errors.max()),
+                "mesh_median_percent": float(np.nanmedian(off) * 100),
+                "mesh_90_percent": float(np.nanquantile(off, 0.9) * 100),
+                "vertices": len(vertices),
+                "seconds": time.perf_counter() - began,
+                **{k: v for k, v in summary(model).items() if k != "per_frame"},
+            },
+            indent=1,
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""Fusion of one view into the voxels, weighted by the error bar of every pixel, which Open3D's own cannot do."""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+
+
+@nb.njit(cache=True, parallel=True, nogil=True)
+def fuse(
+    tsdf: np.ndarray,
+    weight: np.ndarray,
+    color: np.ndarray,
+    slots: np.ndarray,
+    keys: np.ndarray,
+    z_mm: np.ndarray,
+    gain: np.ndarray,
+    reach_mm: np.ndarray,
+    picture: np.ndarray,
+    matrix: np.ndarray,
+    world_to_camera: np.ndarray,
+    voxel_mm: float,
+    truncation_mm: float,
+    max_weight: float,
+) -> None:
+    """Update the running means of the blocks in ``slots``, whose corners are ``keys`` times the block's edge.
+
+    Parameters
+    ----------
+    tsdf, weight : (capacity, r, r, r) float32
+        Axes z, y, x. Signed distance in units of the truncation.
+    color : (capacity, r, r, r, 3) float32, 0..255
+    slots : (N,) int64
+    keys : (N, 3) int32
+    z_mm, gain, reach_mm : (H, W) float32
+        Distance (NaN unknown), weight and how far behind the surface a pixel speaks.
+    picture : (H, W, 3) uint8
+    matrix, world_to_camera : (3, 3), (4, 4) float64
+    voxel_mm, truncation_mm, max_weight : float
+    """
+    rows, columns = z_mm.shape
+    edge = tsdf.shape[1]
+    turn, shift = world_to_camera[:3, :3], world_to_camera[:3, 3]
+    fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    for n in nb.prange(len(slots)):
+        slot = slots[n]
+        for k in range(edge):
+            for j in range(edge):
+                y, z = (keys[n, 1] * edge + j) * voxel_mm, (keys[n, 2] * edge + k) * voxel_mm
+                for i in range(edge):
+                    x = (keys[n, 0] * edge + i) * voxel_mm
+                    depth = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z + shift[2]
+                    if depth <= 0.0:
+                        continue
+                    u = fx * (turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + shift[0]) / depth + cx
+                    v = fy * (turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z + shift[1]) / depth + cy
+                    if not (-0.5 <= u < columns - 0.5 and -0.5 <= v < rows - 0.5):
+                        continue
+                    column, row = int(u + 0.5), int(v + 0.5)
+                    measured = z_mm[row, column]
+                    distance = measured - depth
+                    if not distance >= -reach_mm[row, column]:  # unknown, or hidden behind the surface
+                        continue
+                    new, old = gain[row, column], weight[slot, k, j, i]
+                    total = old + new
+                    value = min(max(distance / truncation_mm, -1.0), 1.0)
+                    tsdf[slot, k, j, i] = (tsdf[slot, k, j, i] * old + value * new) / total
+                    for c in range(3):
+                        mean = color[slot, k, j, i, c]
+                        color[slot, k, j, i, c] = (mean * old + picture[row, column, c] * new) / total
+                    weight[slot, k, j, i] = min(total, max_weight)

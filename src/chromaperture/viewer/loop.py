@@ -1,0 +1,239 @@
+"""The live loop: capture, depth and tracking in threads of their own, one item between each two.
+
+A stage that is slow costs frames, never latency: what it takes is the newest there is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from chromaperture.camera import CodedApertureCamera, DepthFrame
+from chromaperture.capture.recording import Recorder
+from chromaperture.capture.source import Frame, Source
+from chromaperture.errors import ChromapertureError
+from chromaperture.reconstruction.fusion import Placed, Reconstruction
+from chromaperture.reconstruction.settings import ReconstructionConfig
+from chromaperture.reconstruction.views import View, undistorter
+from chromaperture.reconstruction.volume import Mesh, open3d
+from chromaperture.viewer.slots import Meter, Slot
+
+STAGES = ("capture", "depth", "tracking", "view")
+_PATH = 20_000  # poses that are kept
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One frame on its way: ``arrived`` on the monotonic clock, the frame, its depth, its undistorted view."""
+
+    arrived: float
+    frame: Frame
+    made: DepthFrame
+    view: View
+
+
+class LiveLoop:
+    """Run the stages; a context manager. Leaving stops and joins them.
+
+    Parameters
+    ----------
+    source : Source
+        Entered.
+    camera : CodedApertureCamera
+        Calibrated.
+    track : bool
+        Track the camera and build the model; needs the extra ``reconstruct``.
+    config : ReconstructionConfig, optional
+    listener : callable, optional
+        Told in one line what a person wants to know, from any thread.
+    mesh_every_s : float
+        How often a mesh is made of the growing model while somebody looks.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        camera: CodedApertureCamera,
+        *,
+        track: bool = True,
+        config: ReconstructionConfig | None = None,
+        listener: Callable[[str], None] = lambda line: None,
+        mesh_every_s: float = 5.0,
+    ) -> None:
+        if track:
+            open3d()
+        self.source, self.camera, self.listener = source, camera, listener
+        self.meters = {name: Meter() for name in STAGES}
+        self.paused, self.over = threading.Event(), threading.Event()
+        self.want_mesh = threading.Event()
+        self.placed: Placed | None = None
+        self.path_mm: list[np.ndarray] = []
+        self.mesh: Mesh | None = None
+        self.track, self.config, self._mesh_every_s = track, config or ReconstructionConfig(), mesh_every_s
+        self._to_view = undistorter(camera)
+        self._leave = threading.Event()
+        self._to_depth, self._to_track = Slot[tuple[float, Frame]](), Slot[Measured]()
+        self.to_view = Slot[Measured]()
+        self._to_disk: Slot[Frame] | None = None
+        self._recorder: threading.Thread | None = None
+        self._threads: list[threading.Thread] = []
+        self.recorded = 0
+        self.failure: BaseException | None = None
+
+    def __enter__(self) -> Self:
+        stages = {"capture": self._capture, "depth": self._depth} | ({"tracking": self._tracking} if self.track else {})
+        for name, work in stages.items():
+            thread = threading.Thread(target=self._guarded, args=(work,), name=name, daemon=True)
+            thread.start()
+            self._threads.append(thread)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """End all stages; frames under way are dropped, what was recorded stays."""
+        self._leave.set()
+        for slot in (self._to_depth, self._to_track, self.to_view):
+            slot.close(drop=True)
+        self.stop_recording()
+        with contextlib.suppress(Exception):
+            self.source.__exit__(None, None, None)  # wakes a stage that waits for a frame
+        for thread in self._threads:
+            thread.join(timeout=30)
+        self.over.set()
+
+    def record(self, folder: str | Path) -> None:
+        """Record frames from now on, without slowing the loop; a full disk ends the recording, not the loop."""
+        if self._recorder is not None and self._recorder.is_alive():
+            return
+        slot = self._to_disk = Slot[Frame]()
+
+        def write() -> None:
+            try:
+                with Recorder(folder, source=self.source.name) as recorder:
+                    while (frame := slot.take()) is not None:
+                        recorder.write(frame)
+                        self.recorded = recorder.count
+                self.listener(f"recorded {recorder.count} frames to {folder}, {slot.replaced} came too fast")
+            except ChromapertureError as error:
+                self.listener(str(error))
+            finally:
+                slot.close(drop=True)
+
+        self.recorded = 0
+        self._recorder = threading.Thread(target=write, name="record", daemon=True)
+        self._recorder.start()
+
+    def stop_recording(self) -> None:
+        """Finish the recording, if there is one."""
+        if self._to_disk is not None:
+            self._to_disk.close()
+        if self._recorder is not None:
+            self._recorder.join(timeout=30)
+        self._to_disk = None
+
+    def figures(self) -> dict[str, Any]:
+        """Give rate, duration and latency of each stage, and how many frames each let go."""
+        replaced = {
+            "capture": getattr(self.source, "dropped", 0),
+            "depth": self._to_depth.replaced,
+            "tracking": self._to_track.replaced,
+            "view": self.to_view.replaced,
+        }
+        return {name: self.meters[name].summary() | {"dropped": replaced[name]} for name in STAGES}
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except BaseException as error:  # a thread has nobody to raise to: the loop ends, and says why
+            if not self._leave.is_set():
+                self.failure = error
+                self.listener(f"{type(error).__name__}: {error}")
+            for slot in (self._to_depth, self._to_track, self.to_view):
+                slot.close(drop=True)
+
+    def _capture(self) -> None:
+        meter, stream = self.meters["capture"], iter(self.source)
+        while not self._leave.is_set():
+            start = time.monotonic()
+            frame = next(stream, None)
+            if frame is None:
+                break
+            while self.paused.is_set() and not self.source.live and not self._leave.is_set():
+                time.sleep(0.05)
+            arrived = time.monotonic()
+            meter.passed(arrived - start, 0.0)
+            if self._to_disk is not None:
+                self._to_disk.put(frame)
+            if not self.paused.is_set():
+                self._to_depth.put((arrived, frame), patient=not self.source.live)
+        self._to_depth.close()
+
+    def _depth(self) -> None:
+        said = ""
+        while (item := self._to_depth.take()) is not None:
+            start = time.monotonic()
+            arrived, frame = item
+            try:
+                made = self.camera.measure(frame.image)
+            except ChromapertureError as error:
+                if str(error) != said:  # once, not thirty times a second
+                    self.listener(f"frame {frame.index}: {error}")
+                said = str(error)
+                continue
+            said = ""
+            measured = Measured(arrived, frame, made, self._to_view(made, frame.time_s, frame.index))
+            now = time.monotonic()
+            self.meters["depth"].passed(now - start, now - arrived)
+            self.to_view.put(measured)
+            if self.track:
+                self._to_track.put(measured, patient=not self.source.live)
+        self._to_track.close()
+        if not self.track:
+            self._finish()
+
+    def _tracking(self) -> None:
+        model = Reconstruction(
+            self.camera.calibration.lens.camera_matrix, self.config, listener=self.listener, verify=False
+        )
+        meshed = time.monotonic()
+        while (item := self._to_track.take()) is not None:
+            start = time.monotonic()
+            self.placed = placed = model.add(item.view)
+            del model.placed[:-1]  # the path below is what is kept, and it is bounded
+            if placed.note == "origin":
+                self.path_mm = []
+            if placed.pose is not None:
+                self.path_mm = [*self.path_mm[-_PATH:], placed.pose[:3, 3]]
+            if self.want_mesh.is_set() and start - meshed > self._mesh_every_s and model.current is not None:
+                self.mesh, meshed = model.current.volume.mesh(), start
+                self.want_mesh.clear()
+            now = time.monotonic()
+            self.meters["tracking"].passed(now - start, now - item.arrived)
+        if model.current is not None:
+            self.mesh = model.current.volume.mesh()
+        self._finish()
+
+    def _finish(self) -> None:
+        self.to_view.close()
+        self.over.set()
+
+
+def stripped(measured: Measured, *, max_sigma: float, near_mm: float, far_mm: float) -> Measured:
+    """Forget what the sliders leave out: error bars wider than a share of the distance, and what is out of range."""
+    made = measured.made
+    with np.errstate(invalid="ignore"):
+        kept = (made.sigma_mm <= max_sigma * made.depth_mm) & (made.depth_mm >= near_mm) & (made.depth_mm <= far_mm)
+    depth_mm = np.where(kept, made.depth_mm, np.float32(np.nan))
+    return replace(measured, made=replace(made, depth_mm=depth_mm))

@@ -1,0 +1,199 @@
+"""The page: pictures, points, model and path in the browser, with viser."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from chromaperture.depth.pointcloud import depth_to_points
+from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.outputs import staged
+from chromaperture.pipeline import write_maps
+from chromaperture.reconstruction.files import quaternion
+from chromaperture.viewer.loop import LiveLoop, Measured, stripped
+from chromaperture.viewer.pictures import color_picture, confidence_picture, depth_picture
+
+_POINTS = 40_000
+_MIN_PERIOD_S = 0.1  # the page is drawn at most so often
+
+
+def viser() -> Any:
+    """Import viser; raises MissingDependencyError naming the extra."""
+    try:
+        import viser
+    except ImportError:
+        raise MissingDependencyError("the live page needs the extra: pip install 'chromaperture[viewer]'") from None
+    return viser
+
+
+class LivePage:
+    """One server; any number of browsers may come and go.
+
+    Parameters
+    ----------
+    loop : LiveLoop
+    host, port
+        127.0.0.1 is this machine only.
+    out : Path
+        Folder of snapshots and recordings.
+    say : callable
+        Given a line for the person at the terminal.
+    """
+
+    def __init__(
+        self, loop: LiveLoop, *, host: str, port: int, out: Path, say: Callable[[str], None] = lambda line: None
+    ) -> None:
+        self.loop, self.out, self.say = loop, out, say
+        self.last: Measured | None = None
+        self._mesh: object = None
+        try:
+            with contextlib.redirect_stdout(sys.stderr):  # its banner is no figure
+                self.server = viser().ViserServer(host=host, port=port, verbose=False)
+        except OSError as error:
+            raise InputError(f"cannot serve on {host}:{port} ({error}); choose another --port") from None
+        self.url = f"http://{host}:{self.server.get_port()}"
+        self._build()
+
+    def _build(self) -> None:
+        gui, cal = self.server.gui, self.loop.camera.calibration
+        facts = cal.summary()
+        near, far = float(facts["near_mm"]), float(facts["far_mm"])
+        self.server.scene.set_up_direction("-y")
+        self.server.initial_camera.position = (0.6, -0.6, -0.9)
+        self.server.initial_camera.look_at = (0.0, 0.0, 2.0)
+        black = np.zeros((cal.sensor.height_px, cal.sensor.width_px, 3), np.uint8)
+        self.status = gui.add_markdown("waiting for the first frame")
+        self.depth = gui.add_image(black, label="depth, mm from the sensor", format="jpeg")
+        self.color = gui.add_image(black, label="restored colour", format="jpeg")
+        self.confidence = gui.add_image(black, label="confidence", format="jpeg")
+        self.max_sigma = gui.add_slider("error bar, at most % of distance", min=1, max=50, step=1, initial_value=10)
+        self.near = gui.add_slider("nearest, mm", min=100, max=5000, step=50, initial_value=round(near / 50) * 50)
+        self.far = gui.add_slider("farthest, mm", min=500, max=10000, step=50, initial_value=round(far / 50) * 50)
+        pause, shot = gui.add_button("pause"), gui.add_button("snapshot")
+        record = gui.add_button("record")
+
+        @pause.on_click
+        def _(event: Any) -> None:
+            paused = self.loop.paused
+            (paused.clear if paused.is_set() else paused.set)()
+            pause.label = "go on" if paused.is_set() else "pause"
+
+        @shot.on_click
+        def _(event: Any) -> None:
+            self._told(self.snapshot)
+
+        @record.on_click
+        def _(event: Any) -> None:
+            if record.label == "record":
+                folder = self.out / time.strftime("recording-%Y%m%d-%H%M%S")
+                self._told(lambda: self.loop.record(folder))
+                record.label = "stop recording"
+            else:
+                self.loop.stop_recording()
+                record.label = "record"
+
+    def _told(self, work: Callable[[], Any]) -> None:
+        try:
+            work()
+        except Exception as error:  # a click must not end the loop
+            self.say(str(error))
+
+    def snapshot(self) -> list[Path]:
+        """Write the maps of the frame that is shown."""
+        last = self.last
+        if last is None:
+            raise InputError("there is no frame yet")
+        stem = time.strftime("snapshot-%Y%m%d-%H%M%S") + f"-{last.frame.index}"
+        with staged(self.out) as stage:
+            write_maps(stage.path, stem, self.loop.camera, last.made)
+            names = list(stage.names)
+        self.say(f"wrote {stem}.* to {self.out}")
+        return [self.out / name for name in names]
+
+    def run(self, *, until: Callable[[], bool] = lambda: False) -> None:
+        """Show frames until the loop ends or ``until`` says so; nobody looking costs nothing."""
+        meter = self.loop.meters["view"]
+        while not until() and (item := self.loop.to_view.take()) is not None:
+            start = time.monotonic()
+            self.last = item
+            if self.server.get_clients():
+                self.show(item)
+                self.loop.want_mesh.set()
+            now = time.monotonic()
+            meter.passed(now - start, now - item.arrived)
+            time.sleep(max(0.0, _MIN_PERIOD_S - (now - start)))
+
+    def show(self, item: Measured) -> None:
+        """Draw one frame and the state of the model."""
+        near, far = self.near.value, max(self.far.value, self.near.value + 50)
+        shown = stripped(item, max_sigma=self.max_sigma.value / 100, near_mm=near, far_mm=far)
+        half = slice(None, None, 2)  # half size is enough for the panel
+        self.depth.image = depth_picture(shown.made.depth_mm[half, half], near_mm=near, far_mm=far)
+        self.color.image = color_picture(item.made.color[half, half])
+        self.confidence.image = confidence_picture(item.made.confidence[half, half])
+        self.status.content = self._status()
+        with self.server.atomic():
+            self._scene(shown)
+        self.server.flush()
+
+    def _scene(self, item: Measured) -> None:
+        scene, placed = self.server.scene, self.loop.placed
+        pose = placed.pose if placed is not None and placed.pose is not None else None
+        turn = np.eye(3) if pose is None else pose[:3, :3]
+        shift = np.zeros(3) if pose is None else pose[:3, 3]
+        lens, made = self.loop.camera.calibration.lens, item.made
+        step = max(1, round((made.depth_mm.size / _POINTS) ** 0.5))
+        thin = np.full_like(made.depth_mm, np.nan)
+        thin[::step, ::step] = made.depth_mm[::step, ::step]
+        cloud = depth_to_points(
+            thin,
+            made.color,
+            camera_matrix=lens.camera_matrix,
+            distortion=lens.distortion,
+            sensor_to_pupil_mm=self.loop.camera.calibration.depth[self.loop.camera.config.quality].sensor_to_pupil_mm,
+        )
+        points = (cloud.points_mm @ turn.T + shift) / 1000
+        scene.add_point_cloud("/points", points.astype(np.float32), cloud.colors, point_size=0.004)
+        x, y, z, w = quaternion(turn)
+        height, width = made.depth_mm.shape
+        scene.add_camera_frustum(
+            "/camera",
+            fov=float(2 * np.arctan(height / 2 / lens.camera_matrix[1, 1])),
+            aspect=width / height,
+            scale=0.1,
+            wxyz=(w, x, y, z),
+            position=shift / 1000,
+            color=(220, 60, 40) if placed is not None and placed.pose is None else (40, 120, 220),
+        )
+        path = np.array(self.loop.path_mm[-5000:]) / 1000
+        if len(path) > 1:
+            scene.add_line_segments("/path", np.stack([path[:-1], path[1:]], axis=1), (40, 120, 220), line_width=2)
+        mesh = self.loop.mesh
+        if mesh is not None and mesh is not self._mesh and len(mesh.triangles):
+            import trimesh
+
+            self._mesh = mesh
+            colors = np.column_stack([mesh.colors, np.full(len(mesh.colors), 255, np.uint8)])
+            solid = trimesh.Trimesh(mesh.vertices_mm / 1000, mesh.triangles, vertex_colors=colors, process=False)
+            scene.add_mesh_trimesh("/model", solid)
+
+    def _status(self) -> str:
+        rows = ["| stage | frames/s | ms | behind, ms | dropped |", "| --- | --- | --- | --- | --- |"]
+        for name, stage in self.loop.figures().items():
+            rate, taken, behind = stage["per_second"], stage["milliseconds"], stage["latency_ms"]
+            rows.append(f"| {name} | {rate:.1f} | {taken:.0f} | {behind:.0f} | {stage['dropped']} |")
+        placed = self.loop.placed
+        words = "" if placed is None else (placed.note or "tracking")
+        recorded = f", {self.loop.recorded} frames recorded" if self.loop.recorded else ""
+        return "\n".join([*rows, "", f"{words}{recorded}"])
+
+    def close(self) -> None:
+        """Stop serving."""
+        with contextlib.redirect_stdout(sys.stderr):
+            self.server.stop()

@@ -1,0 +1,191 @@
+"""The live loop: the newest frame wins, nothing that goes wrong in one part stops another."""
+
+from __future__ import annotations
+
+import threading
+import time
+import urllib.request
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from chromaperture.camera import load_camera
+from chromaperture.capture.files import read_image
+from chromaperture.capture.recording import Recorder, ReplaySource
+from chromaperture.capture.source import Encoding, FileSource, Frame
+from chromaperture.errors import InputError
+from chromaperture.samples import sample_camera, sample_image
+from chromaperture.viewer.loop import LiveLoop
+from chromaperture.viewer.pictures import depth_picture
+from chromaperture.viewer.slots import Slot
+
+WAIT_S = 60.0  # an upper bound for a busy machine; nothing waits so long
+
+
+class Running(FileSource):
+    """A camera that never waits for its reader; stops when it is left or after so many frames."""
+
+    live = True
+
+    def __init__(self, frames: int = 10**9, shape: tuple[int, int] = (480, 720)) -> None:
+        super().__init__("running")
+        self.left, self.number, self.shape = threading.Event(), frames, shape
+
+    def __iter__(self):
+        counts = np.zeros((*self.shape, 3), np.uint8)
+        for index in range(self.number):
+            if self.left.wait(0.002):
+                return
+            yield Frame(counts, Encoding(0, 255), index / 30, index)
+
+    def __exit__(self, kind, error, trace):
+        self.left.set()
+
+
+class Eye:
+    """A camera whose measuring can be held up; the rest is the sample's."""
+
+    def __init__(self) -> None:
+        real = load_camera(sample_camera("still_life_cy_halves"))
+        self.calibration, self.config = real.calibration, real.config
+        self.gate, self.seen = threading.Semaphore(0), []
+        self.fails = False
+
+    def measure(self, image: np.ndarray) -> SimpleNamespace:
+        self.gate.acquire()
+        if self.fails:
+            raise InputError("cannot measure this")
+        flat = np.full(image.shape[:2], 2000.0, np.float32)
+        return SimpleNamespace(depth_mm=flat, sigma_mm=flat / 100, confidence=flat / 2000, color=image)
+
+
+def until(condition) -> None:
+    end = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < end, "the loop does not come to what is waited for"
+        time.sleep(0.005)
+
+
+def test_the_newest_item_wins_and_a_patient_writer_waits():
+    slot: Slot[int] = Slot()
+    slot.put(1)
+    slot.put(2)
+    assert (slot.take(), slot.replaced) == (2, 1)
+    slot.put(3)
+    writer = threading.Thread(target=slot.put, args=(4,), kwargs={"patient": True})
+    writer.start()
+    assert slot.take() == 3
+    assert slot.take() == 4
+    writer.join()
+    assert slot.replaced == 1
+    slot.close()
+    assert slot.take() is None
+
+
+def test_a_slow_stage_costs_frames_and_not_latency():
+    eye, source = Eye(), Running()
+    with LiveLoop(source, eye, track=False) as loop:
+        until(lambda: loop.meters["capture"].count > 50)
+        captured = loop.meters["capture"].count
+        eye.gate.release(2)  # the one under way since the start, and the newest
+        loop.to_view.take()
+        assert loop.to_view.take().frame.index >= captured - 1
+        assert loop.figures()["depth"]["dropped"] > 40
+    assert source.left.is_set()
+
+
+def test_a_source_that_ends_loses_no_frame_when_it_can_wait():
+    eye, source = Eye(), Running(frames=5)
+    source.live = False
+    eye.gate.release(5)
+    with LiveLoop(source, eye, track=False) as loop:
+        assert loop.over.wait(WAIT_S)
+        assert loop.meters["depth"].count == 5
+
+
+def test_frames_that_cannot_be_measured_are_said_once_and_the_loop_goes_on():
+    said: list[str] = []
+    eye = Eye()
+    eye.fails = True
+    eye.gate.release(3)
+    with LiveLoop(Running(), eye, track=False, listener=said.append) as loop:
+        until(lambda: loop._to_depth.replaced > 20)
+        eye.fails = False
+        eye.gate.release(2)
+        assert loop.to_view.take() is not None
+    assert sum("cannot measure" in line for line in said) == 1
+
+
+def test_leaving_ends_every_thread():
+    before = set(threading.enumerate())
+    eye = Eye()
+    with LiveLoop(Running(), eye, track=False) as loop:
+        until(lambda: loop.meters["capture"].count > 3)
+        eye.gate.release(1000)
+    assert {thread for thread in set(threading.enumerate()) - before if thread.is_alive()} == set()
+
+
+def test_what_was_recorded_can_be_replayed(tmp_path):
+    eye = Eye()
+    with LiveLoop(Running(shape=(48, 72)), eye, track=False) as loop:
+        loop.record(tmp_path / "take")
+        until(lambda: loop.recorded >= 3)
+        eye.gate.release(10**6)
+    with ReplaySource(str(tmp_path / "take")) as replay:
+        assert len(list(replay)) == loop.recorded
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_loop(tmp_path, monkeypatch):
+    def full(self, frame):
+        raise InputError("the disk is full: recording stopped")
+
+    monkeypatch.setattr(Recorder, "write", full)
+    said: list[str] = []
+    eye = Eye()
+    with LiveLoop(Running(), eye, track=False, listener=said.append) as loop:
+        loop.record(tmp_path / "take")
+        until(lambda: said)
+        eye.gate.release(2)
+        assert loop.to_view.take() is not None
+        eye.gate.release(1000)
+    assert said == ["the disk is full: recording stopped"]
+
+
+def test_depth_is_drawn_with_a_bar_of_the_same_colours():
+    height, far, near = 101, 4000.0, 1000.0
+    rows = np.linspace(1 / near, 1 / far, height)  # even in 1 / distance, as the bar is
+    depth = np.repeat(1 / rows[:, None], 20, axis=1).astype(np.float32)
+    depth[:, 0] = np.nan
+    picture = depth_picture(depth, near_mm=near, far_mm=far)
+    assert not picture[:, 0].any()
+    np.testing.assert_allclose(picture[:, 10].astype(int), picture[:, 25].astype(int), atol=12)  # a level or two
+
+
+def test_the_page_is_served_and_a_snapshot_written(tmp_path):
+    pytest.importorskip("viser", reason="the extra 'viewer' is not installed: the page is NOT tested")
+    from chromaperture.viewer.page import LivePage
+
+    eye = load_camera(sample_camera("still_life_cy_halves"))
+    image = read_image(sample_image("still_life_cy_halves"), black_level=16, white_level=1016)
+    counts = np.clip(image, 0, 1).astype(np.float32)
+
+    class Still(Running):
+        def __iter__(self):
+            for frame in super().__iter__():
+                yield Frame(counts, Encoding(0.0, 1.0), frame.time_s, frame.index)
+
+    with LiveLoop(Still(), eye, track=False) as loop:
+        page = LivePage(loop, host="127.0.0.1", port=8765, out=tmp_path)
+        try:
+            with pytest.raises(InputError, match="no frame yet"):
+                page.snapshot()
+            page.run(until=lambda: page.last is not None)
+            page.show(page.last)  # as with somebody looking
+            assert page.depth.image.any()
+            files = page.snapshot()
+            assert all(path.stat().st_size > 0 for path in files)
+            assert urllib.request.urlopen(page.url, timeout=WAIT_S).status == 200
+            assert page.url.startswith("http://127.0.0.1:")
+        finally:
+            page.close()

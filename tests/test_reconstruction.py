@@ -1,0 +1,270 @@
+"""A textured room of known planes is photographed from known places; the reconstruction gives both back."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from chromaperture.cli.main import main
+from chromaperture.errors import InputError
+from chromaperture.reconstruction.files import quaternion, write_mesh_glb, write_mesh_ply
+from chromaperture.reconstruction.fusion import Reconstruction, orthonormal
+from chromaperture.reconstruction.settings import ReconstructionConfig
+from chromaperture.reconstruction.views import View, cleaned, near_steps
+from chromaperture.reconstruction.volume import Mesh, Volume
+from chromaperture.samples import sample_camera, sample_image
+
+MATRIX = np.array([[160.0, 0, 119.5], [0, 160.0, 89.5], [0, 0, 1]])
+SIZE = (180, 240)
+# Normal and offset of three walls of a room: n . x = c, mm.
+WALLS = ((np.array([0.0, 0, 1]), 2200.0), (np.array([0.0, 1, 0]), 600.0), (np.array([0.8, 0, 0.6]), 1700.0))
+
+
+@pytest.fixture(scope="module")
+def o3d():
+    return pytest.importorskip("open3d", reason="the extra 'reconstruct' is not installed: 3D models are NOT tested")
+
+
+def texture(points: np.ndarray) -> np.ndarray:
+    """Smooth colours that repeat nowhere in the room; (N, 3) 0..255."""
+    rng = np.random.default_rng(5)
+    waves = rng.normal(0, 1 / 60, (24, 3))
+    values = np.sin(points @ waves.T + rng.uniform(0, 6, 24)) @ rng.normal(0, 14, (24, 3))
+    return np.clip(128 + values, 0, 255)
+
+
+def photograph(pose: np.ndarray, *, noise: float = 0.0, seed: int = 0, index: int = 0) -> View:
+    """Trace a ray through every pixel to the nearest wall; depth is spoilt by correlated relative noise."""
+    v, u = np.indices(SIZE).reshape(2, -1)
+    rays = np.linalg.inv(MATRIX) @ np.array([u, v, np.ones(u.size)])
+    turned, start = pose[:3, :3] @ rays, pose[:3, 3]
+    z = np.full(u.size, np.inf)
+    for normal, offset in WALLS:
+        slope = normal @ turned
+        with np.errstate(divide="ignore"):
+            hit = (offset - normal @ start) / slope
+        z = np.where((hit > 0) & (hit < z), hit, z)
+    color = texture((turned * z + start[:, None]).T).reshape(*SIZE, 3)
+    z = z.reshape(SIZE)
+    if noise:
+        import cv2
+
+        grain = cv2.GaussianBlur(np.random.default_rng(seed).normal(0, 1, SIZE), (0, 0), 3.0)
+        z = z * (1 + noise * grain / grain.std())
+    sigma = np.full(SIZE, max(noise, 0.002)) * z
+    return View(np.rint(color).astype(np.uint8), z.astype(np.float32), sigma.astype(np.float32), index / 30, index)
+
+
+def pose_at(k: float) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("yxz", [1.2 * k, 0.6 * k, 0.3 * k], degrees=True).as_matrix()
+    pose[:3, 3] = 22 * k, 10 * np.sin(k), 4 * k
+    return pose
+
+
+def plane(z_mm: float, sigma_mm: float) -> View:
+    grey = np.full((*SIZE, 3), 100, np.uint8)
+    return View(grey, np.full(SIZE, z_mm, np.float32), np.full(SIZE, sigma_mm, np.float32))
+
+
+def small_volume(**changes) -> Volume:
+    settings = {"voxel_mm": 10.0, "truncation_voxels": 8.0, "memory_mb": 128, "max_distance_mm": 6000.0}
+    return Volume(**settings | changes)
+
+
+def test_our_fusion_is_open3ds_where_all_pixels_weigh_the_same(o3d):
+    view = photograph(pose_at(2.0))
+    ours = small_volume()
+    ours.integrate(View(view.color, view.z_mm, np.full(SIZE, 50.0, np.float32)), MATRIX, pose_at(2.0))
+    core, theirs = o3d.core, small_volume()._grid
+    image = o3d.t.geometry.Image(core.Tensor(view.z_mm))
+    extrinsic = np.linalg.inv(pose_at(2.0))
+    extrinsic[:3, 3] /= 1000
+    pinhole, outside = core.Tensor(MATRIX), core.Tensor(extrinsic)
+    keys = theirs.compute_unique_block_coordinates(image, pinhole, outside, 1000.0, 6.0, 8.0)
+    color = o3d.t.geometry.Image(core.Tensor(view.color.astype(np.float32) / 255))
+    theirs.integrate(keys, image, color, pinhole, outside, 1000.0, 6.0, 8.0)
+
+    def voxels(grid, name):
+        slots, found = grid.hashmap().find(keys)
+        assert found.numpy().all()
+        return grid.attribute(name).numpy()[slots.numpy()]
+
+    seen = (voxels(ours._grid, "weight") > 0) & (voxels(theirs, "weight") > 0)
+    assert seen.mean() > 0.1
+    gap = np.abs(voxels(ours._grid, "tsdf") - voxels(theirs, "tsdf"))[seen]
+    # Which of two pixels a voxel falls on is rounded in other ways: walls are smooth, but for their corners.
+    assert np.median(gap) < 5e-3
+    assert np.quantile(gap, 0.8) < 0.05
+
+
+def test_surfaces_are_the_inverse_variance_mean_of_what_was_measured(o3d):
+    volume = small_volume()
+    for z, sigma in ((1000.0, 4.0), (1010.0, 8.0)):
+        volume.integrate(plane(z, sigma), MATRIX, np.eye(4))
+    heights = volume.mesh(min_weight=1.0).vertices_mm[:, 2]
+    mean = np.average([1000.0, 1010.0], weights=[4.0**-2, 8.0**-2])
+    # Both planes reach every voxel near the surface, where signed distance is linear: rounding of float32 is left.
+    assert np.median(heights) == pytest.approx(mean, abs=0.05)
+
+
+def test_the_camera_is_found_on_its_way_through_a_room(o3d):
+    model = Reconstruction(MATRIX, ReconstructionConfig(tracking_scale=1, voxel_mm=15.0))
+    poses = [pose_at(k) for k in range(5)]
+    placed = [model.add(photograph(pose, noise=0.003, seed=k, index=k)) for k, pose in enumerate(poses)]
+    found = [np.linalg.norm((p.pose - np.linalg.inv(poses[0]) @ q)[:3, 3]) for p, q in zip(placed, poses, strict=True)]
+    # A pixel is 13 mm wide at 2 m: the way of 90 mm is known to two of them.
+    assert max(found) < 25.0
+    vertices = model.meshes()[0].vertices_mm
+    world = vertices @ poses[0][:3, :3].T + poses[0][:3, 3]
+    off = np.min([np.abs(world @ n - c) for n, c in WALLS], axis=0)
+    assert np.median(off) < 10.0
+
+
+def test_a_lost_camera_is_said_and_found_again(o3d):
+    said: list[str] = []
+    model = Reconstruction(MATRIX, ReconstructionConfig(tracking_scale=1, voxel_mm=15.0), listener=said.append)
+    views = [photograph(pose_at(k), index=k) for k in (0, 1, 2)]
+    blind = View(views[0].color, np.full(SIZE, np.nan, np.float32), np.full(SIZE, np.nan, np.float32), 0.1, 3)
+    placed = [model.add(view) for view in (*views, blind, blind, photograph(pose_at(0.5), index=5))]
+    assert [p.pose is None for p in placed] == [False, False, False, True, True, False]
+    assert "lost" in said[0]
+    assert "found again" in said[1]
+    assert len(said) == 2
+    expected = np.linalg.inv(pose_at(0)) @ pose_at(0.5)
+    assert np.linalg.norm((placed[-1].pose - expected)[:3, 3]) < 25.0  # two pixels, as above
+
+
+def test_another_place_begins_a_submap(o3d):
+    said: list[str] = []
+    config = ReconstructionConfig(tracking_scale=1, voxel_mm=15.0, submap_after=2)
+    model = Reconstruction(MATRIX, config, listener=said.append)
+    model.add(photograph(pose_at(0)))
+    far = pose_at(0)
+    far[:3, :3] = [[-1, 0, 0], [0, 1, 0], [0, 0, -1]]  # looks the other way
+    here = photograph(pose_at(3))
+    other = View(here.color[::-1, ::-1].copy(), here.z_mm[::-1, ::-1].copy(), here.sigma_mm, 0, 1)
+    placed = [model.add(other) for _ in range(3)]
+    assert [p.pose is None for p in placed] == [True, True, False]
+    assert placed[-1].submap == 1
+    assert len(model.meshes()) == 2
+
+
+def test_a_wall_without_texture_never_raises(o3d):
+    said: list[str] = []
+    model = Reconstruction(MATRIX, ReconstructionConfig(tracking_scale=1), listener=said.append)
+    for _ in range(3):
+        placed = model.add(plane(1500.0, 10.0))
+    assert placed.pose is None
+    assert "lost" in said[0]
+
+
+def test_a_full_volume_is_said_once_and_stays_within_its_memory(o3d):
+    said: list[str] = []
+    config = ReconstructionConfig(tracking_scale=1, voxel_mm=8.0, memory_mb=16)
+    model = Reconstruction(MATRIX, config, listener=said.append)
+    for k in range(3):
+        model.add(photograph(pose_at(k), index=k))
+    volume = model.current.volume
+    assert volume.full
+    assert volume.blocks <= volume.capacity
+    assert volume._grid.hashmap().capacity() == volume.capacity
+    assert sum("volume is full" in line for line in said) == 1
+
+
+def test_steps_are_flying_pixels_and_slopes_are_not():
+    slope = (1 / np.linspace(1 / 1000, 1 / 1500, 200, dtype=np.float32))[None].repeat(50, axis=0)
+    assert not near_steps(slope, jump=0.04, reach_px=3).any()
+    stepped = slope.copy()
+    stepped[:, 100:] += 400
+    columns = np.flatnonzero(near_steps(stepped, jump=0.04, reach_px=3).any(axis=0))
+    np.testing.assert_array_equal(columns, np.arange(97, 103))
+
+
+def test_wide_error_bars_and_far_points_are_left_out():
+    view = plane(1000.0, 10.0)
+    view.sigma_mm[:, :50] = 200.0
+    view.z_mm[:90] = 9000.0
+    kept = np.isfinite(cleaned(view, ReconstructionConfig(edge_px=0)).z_mm)
+    assert not kept[:90].any()
+    assert not kept[:, :50].any()
+    assert kept[90:, 50:].all()
+
+
+def a_mesh() -> Mesh:
+    corners = np.array([[0, 0, 1000], [100, 0, 1000], [0, 200, 1000], [100, 200, 1300]], np.float32)
+    colors = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [128, 128, 128]], np.uint8)
+    return Mesh(corners, np.array([[0, 1, 2], [1, 3, 2]], np.int32), colors)
+
+
+def test_meshes_are_read_by_another_program(o3d, tmp_path):
+    mesh = a_mesh()
+    write_mesh_ply(tmp_path / "a.ply", mesh)
+    read = o3d.t.io.read_triangle_mesh(str(tmp_path / "a.ply"))
+    np.testing.assert_array_equal(read.vertex.positions.numpy(), mesh.vertices_mm)
+    np.testing.assert_array_equal(np.rint(read.vertex.colors.numpy() * 255), mesh.colors)
+    np.testing.assert_array_equal(read.triangle.indices.numpy(), mesh.triangles)
+    trimesh = pytest.importorskip("trimesh", reason="no second reader of GLB: that file is NOT tested")
+    write_mesh_glb(tmp_path / "a.glb", mesh)
+    solid = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
+    np.testing.assert_allclose(solid.vertices * [1000, -1000, -1000], mesh.vertices_mm, atol=1e-3)
+    np.testing.assert_array_equal(solid.faces, mesh.triangles)
+    assert {"POSITION", "COLOR_0"} <= set(attributes_of(tmp_path / "a.glb"))
+
+
+def attributes_of(path) -> dict[str, int]:
+    data = path.read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    return json.loads(data[20 : 20 + length])["meshes"][0]["primitives"][0]["attributes"]
+
+
+def test_quaternions_turn_as_their_matrix_does():
+    turn = orthonormal(pose_at(7.0))[:3, :3]
+    x, y, z, w = quaternion(turn)
+    axis, point = np.array([x, y, z]), np.array([1.0, 2.0, 3.0])
+    turned = point + 2 * w * np.cross(axis, point) + 2 * np.cross(axis, np.cross(axis, point))
+    np.testing.assert_allclose(turned, turn @ point, atol=1e-12)
+
+
+def test_a_camera_that_does_not_move_is_found_where_it_was(o3d, tmp_path, monkeypatch, capsys):
+    folder, out = tmp_path / "still", tmp_path / "model"
+    folder.mkdir()
+    for name in ("0.png", "1.png"):
+        (folder / name).write_bytes(sample_image("still_life_cy_halves").read_bytes())
+    camera = str(sample_camera("still_life_cy_halves"))
+    command = ["reconstruct", str(folder), "-c", camera, "-o", str(out), "--quality", "real-time", "--json"]
+    monkeypatch.setattr(sys, "argv", ["chromaperture", *command])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code in (0, None)
+    report = json.loads(capsys.readouterr().out)
+    assert report["frames_tracked"] == 2
+    assert report == json.loads((out / "report.json").read_text())
+    rows = np.loadtxt(out / "trajectory.txt")
+    assert np.linalg.norm(rows[1, 1:4]) < 0.010  # m; the same picture twice, seen through voxels of 10 mm
+    assert report["meshes"][0]["triangles"] > 100
+    assert (out / "mesh.ply").stat().st_size > 1000
+    assert (out / "mesh.glb").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("command", ["reconstruct", "live"])
+def test_a_missing_extra_is_named(command, monkeypatch, capsys, tmp_path):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    monkeypatch.setitem(sys.modules, "viser", None)
+    camera = str(sample_camera("still_life_cy_halves"))
+    monkeypatch.setattr(sys, "argv", ["chromaperture", command, str(tmp_path), "-c", camera])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    assert "pip install 'chromaperture[" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("changes", [{"voxel_mm": 0.0}, {"memory_mb": 1}, {"edge_jump": -1.0}, {"submap_after": 0}])
+def test_senseless_settings_are_refused(changes):
+    with pytest.raises(InputError):
+        ReconstructionConfig(**changes)
