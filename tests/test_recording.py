@@ -19,9 +19,9 @@ from chromaperture.capture.source import Encoding, Frame
 from chromaperture.cli.main import main
 from chromaperture.errors import InputError
 from chromaperture.export.mcap import write_mcap
-from chromaperture.export.rgbd import RgbdFrame
 from chromaperture.export.tum import write_tum
 from chromaperture.samples import sample_camera, sample_image
+from chromaperture.views import View
 
 SHIFTED = Encoding(64, 1023, "linear", ((-0.25, -0.25), (0.0, 0.0), (0.25, 0.25)))
 
@@ -177,7 +177,7 @@ def walls():
     z = np.full((6, 8), 1234.4, np.float32)
     z[0, 0], z[0, 1], z[0, 2] = np.nan, 70_000, 0
     color = np.random.default_rng(0).integers(0, 256, (6, 8, 3)).astype(np.uint8)
-    return [RgbdFrame(color, z, 1.75e9 + i / 8, i) for i in range(2)]
+    return [View(color, z, 0.01 * z, 1.75e9 + i / 8, i) for i in range(2)]
 
 
 MATRIX = np.array([[500.0, 0, 4], [0, 501, 3], [0, 0, 1]])

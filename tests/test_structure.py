@@ -20,7 +20,7 @@ STAGES = {"capture", "color", "disparity", "depth"}
 # The bundle, the method, and what reads and writes files around them.
 CAMERA = {
     "calibration", "camera", "calibrate", "calibrate_blur", "boards", "curves", "store", "session", "pipeline",
-    "outputs", "preview", "samples",
+    "outputs", "preview", "samples", "views",
 }  # fmt: skip
 LEAVES = {"effects", "export", "reconstruction", "evaluation", "viewer"}
 BELOW_LEAVES = {"optics"} | STAGES | CAMERA
@@ -43,6 +43,7 @@ ALLOWED: dict[str, set[str]] = {
     "curves": {"calibration", "boards"} | STAGES,
     "calibrate": {"optics", "calibration", "session", "boards", "calibrate_blur", "curves", "store"} | STAGES,
     "calibrate_blur": {"optics", "calibration", "session", "store"} | STAGES,
+    "views": {"camera"} | STAGES,
     "preview": {"optics", "camera"} | STAGES,
     "samples": set(),
     "pipeline": {"optics", "calibration", "camera", "outputs", "preview"} | STAGES,

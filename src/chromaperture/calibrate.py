@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,9 +17,10 @@ import numpy as np
 from chromaperture.boards import MEASURED, BoardMeasurement, grid, measure_board, spread
 from chromaperture.calibrate_blur import LayerEvidence, add_blur, fit_layers
 from chromaperture.calibration import Calibration, Film, Lens
-from chromaperture.color.unmixing import ideal_unmixing
+from chromaperture.color.unmixing import ideal_unmixing, view_reach
 from chromaperture.config import QUALITIES, MatcherConfig, Quality
 from chromaperture.curves import Evidence, doubt, fit_curve, weaknesses
+from chromaperture.depth.blur_fit import Progress
 from chromaperture.depth.chessboard import (
     MIN_VIEWS,
     Intrinsics,
@@ -34,7 +35,7 @@ from chromaperture.depth.field import DepthField, degree_of
 from chromaperture.depth.fit import DepthFit
 from chromaperture.disparity.estimate import colour_spaces
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import Aperture, centroids, channel_transmission, design_named
+from chromaperture.optics.aperture import Aperture, channel_transmission, design_named
 from chromaperture.session import Session, read_session
 from chromaperture.store import Store
 
@@ -42,7 +43,6 @@ _PUPIL_SIGMA_MM = 10.0  # of the guess that the pupil lies one image distance be
 _CORNER_SIGMA = 0.03  # px, and as a share of the blur radius
 _RANGE_MARGIN = (0.9, 1.3)  # the working range reaches a little beyond the boards
 
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -292,7 +292,7 @@ def _nominal_depth_model(session: Session, aperture: Aperture) -> DepthModel:
     if z_f <= f:
         raise InputError(f"focused_at_about_mm = {session.focused_at_about_mm:g} lies inside the focal length")
     image_distance = f * z_f / (z_f - f)
-    reach = np.linalg.norm(centroids(aperture, ideal_unmixing(aperture)), axis=1).mean()
+    reach = view_reach(aperture)
     baseline = reach * f / session.nominal_f_number  # 2 r_c, with the pupil radius f / 2N
     scale = baseline * image_distance / (2 * session.sensor.pixel_pitch_mm)
     return DepthModel(scale / z_f, scale, image_distance)
@@ -344,7 +344,7 @@ def _pose_sigma(session: Session, guess: DepthModel, corners: np.ndarray | None)
     if corners is None:
         return np.inf
     aperture = design_named(session.design)
-    reach = float(np.linalg.norm(centroids(aperture, ideal_unmixing(aperture)), axis=1).mean())
+    reach = view_reach(aperture)
     width_px = float(np.ptp(corners, axis=0).max())
     length_mm = (max(session.inner_corners) - 1) * session.square_mm
     depth_mm = length_mm * float(guess.sensor_to_pupil_mm) / session.sensor.pixel_pitch_mm / width_px

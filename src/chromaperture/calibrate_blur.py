@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from chromaperture.calibration import Calibration
-from chromaperture.color.unmixing import ideal_unmixing
+from chromaperture.color.unmixing import view_reach
 from chromaperture.config import PhaseConfig
-from chromaperture.depth.blur_fit import fit_blur, measured_layers
+from chromaperture.depth.blur_fit import Progress, fit_blur, measured_layers
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.distances import BoardDistances
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.field_fit import fit_depth_field
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import centroids
 from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
 from chromaperture.session import Session
 from chromaperture.store import Store
 
-Progress = Callable[[str, int, int], None]
 MIN_BOARDS = 4
 _MEASURED_BOARDS = 16  # that fix the depth curve of the layers; the blur itself is fitted to all
 _CELLS = 12  # along the width, in which a board's layer is measured
@@ -149,7 +147,7 @@ def _measure(session: Session, board: int, inverse_mm: float, blur: FieldBlur) -
 
 def _start(calibration: Calibration, axis: DepthModel) -> FieldBlur:
     """Give a thin lens of the measured focus and scale: centroids sit at a known share of the pupil's radius."""
-    reach = float(np.linalg.norm(centroids(calibration.aperture, ideal_unmixing(calibration.aperture)), axis=1).mean())
+    reach = view_reach(calibration.aperture)
     model = BlurModel(float(axis.infinity_disparity_px) / reach, float(axis.scale_px_mm) / reach, **_START_RIM)
     pupil = sample_pupil(calibration.aperture.with_film(calibration.film.transmissions()))
     return FieldBlur(model, pupil, calibration.sensor.width_px, calibration.sensor.height_px)

@@ -26,8 +26,8 @@ def export(
     from chromaperture.cli.console import announce_compilation, progress, say_warning
     from chromaperture.cli.setup import camera_for
     from chromaperture.export.mcap import write_mcap
-    from chromaperture.export.rgbd import rgbd_frames
     from chromaperture.export.tum import write_tum
+    from chromaperture.views import undistorter
 
     levels = {"black_level": black_level, "white_level": white_level}
     settings: dict[str, Any] = {name: value for name, value in levels.items() if value is not None}
@@ -39,13 +39,14 @@ def export(
     def said(event: Event) -> None:
         say_warning(event.message)
 
+    to_view = undistorter(eye)
     announce_compilation(quiet=quiet)
     with open_source(source, listener=said, camera_levels=own, **settings) as stream, progress(quiet=quiet) as update:
 
         def frames() -> Any:
-            for number, frame in enumerate(rgbd_frames(stream, eye)):
+            for number, frame in enumerate(stream):
+                yield to_view(eye.measure(frame.image), frame.time_s, frame.index)
                 update(f"frame {frame.index}", number + 1, 0)
-                yield frame
 
         count = write(out, frames(), camera_matrix=matrix)
     if not quiet:

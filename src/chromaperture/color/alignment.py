@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from chromaperture.color.unmixing import ideal_unmixing
+from chromaperture.color.unmixing import view_reach
 from chromaperture.color.visibility import fill_hidden, visible_from
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids
@@ -29,8 +29,7 @@ def channel_directions(aperture: Aperture, film: dict[str, np.ndarray]) -> np.nd
     -------
     (3, 2) float64, (x, y), in units of the views' displacement
     """
-    reach = np.linalg.norm(centroids(aperture, ideal_unmixing(aperture)), axis=1).mean()
-    return np.nan_to_num(centroids(aperture.with_film(film))) / reach
+    return np.nan_to_num(centroids(aperture.with_film(film))) / view_reach(aperture)
 
 
 def fill_unknown(values: np.ndarray) -> np.ndarray:

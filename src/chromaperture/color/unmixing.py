@@ -79,6 +79,11 @@ def ideal_unmixing(aperture: Aperture) -> np.ndarray:
     return unmixing_rows(mixing_matrix(colors), len(aperture.views))
 
 
+def view_reach(aperture: Aperture) -> float:
+    """Mean distance of the unmixed views' centroids from the pupil's centre, in pupil radii: r_c / R of Eq. (6)."""
+    return float(np.linalg.norm(centroids(aperture, ideal_unmixing(aperture)), axis=1).mean())
+
+
 def pure_channels(aperture: Aperture) -> np.ndarray | None:
     """Pick the sensor channels that see one filter each, where a design has them.
 

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.fft
 
 from chromaperture.config import PhaseConfig
-from chromaperture.disparity.phase import phase_likelihood, tile_field
+from chromaperture.disparity.phase import phase_likelihood, tile_field, without_shading
 from chromaperture.disparity.semiglobal import at_labels
 from chromaperture.errors import InputError
 from chromaperture.optics.blur import BlurModel, FieldBlur
@@ -37,7 +37,6 @@ _FIRST = (
     "infinity_px", "scale_px_mm", "axial_red_px", "axial_blue_px", "curvature_px", "spherical_px", "oblique_px",
     "oblique_tangential_px", "astigmatism_px", "coma_px", "lateral_red_px", "lateral_blue_px",
 )  # fmt: skip
-_BACKGROUND_PX = 30.0
 
 
 @dataclass(frozen=True)
@@ -167,9 +166,8 @@ def _tile_size(blur: FieldBlur) -> int:
 def _cut(image: np.ndarray, inverse_mm: float, size: int, count: int, *, seed: int) -> list[_Tile]:
     """Tiles spread over a board's photograph up to its border, at places of their own on every board."""
     height, width = image.shape[:2]
-    detail = image - cv2.GaussianBlur(image, (0, 0), _BACKGROUND_PX)
     margin = (size - _CORE_PX) // 2
-    padded = cv2.copyMakeBorder(detail, margin, margin, margin, margin, cv2.BORDER_REFLECT_101)
+    padded = cv2.copyMakeBorder(without_shading(image), margin, margin, margin, margin, cv2.BORDER_REFLECT_101)
     columns = math.ceil(math.sqrt(count * width / height))
     rows = math.ceil(count / columns)
     rng = np.random.default_rng(seed)

@@ -104,21 +104,21 @@ def phase_likelihood(
     spectra = tiles.spectra(np.ascontiguousarray(image, np.float32))
     bands = band_passes(tiles.size, config.bands_px)
     at_infinity, scale = blur.reference
+    falls_back = bool(blur.other_pairs) and config.fallback_weight > 0
+    groups = (blur.pairs, blur.other_pairs) if falls_back else (blur.pairs,)
+    evidence = np.empty((len(groups), len(layers_px), height, width), np.float32)
 
-    def volume(pairs: tuple[tuple[int, int], ...]) -> np.ndarray:
-        out = np.empty((len(layers_px), height, width), np.float32)
+    def fill(layer: int) -> None:
+        inverse_mm = (at_infinity - layers_px[layer]) / scale
+        evidence[:, layer] = _layer(blur, groups, tiles, spectra, inverse_mm, bands, config)
 
-        def fill(layer: int) -> None:
-            out[layer] = _layer(blur, pairs, tiles, spectra, (at_infinity - layers_px[layer]) / scale, bands, config)
-
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(fill, range(len(layers_px))))
-        return out
-
-    likelihood = volume(blur.pairs)
-    if blur.other_pairs and config.fallback_weight > 0:
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(fill, range(len(layers_px))))
+    likelihood = evidence[0]
+    if falls_back:
         silent = np.exp(-likelihood.max(axis=0) / np.float32(config.fallback_nats))
-        likelihood += np.float32(config.fallback_weight) * silent * volume(blur.other_pairs)
+        evidence[1] *= np.float32(config.fallback_weight) * silent
+        likelihood += evidence[1]
     return np.ascontiguousarray(np.moveaxis(likelihood, 0, -1))
 
 
@@ -146,6 +146,11 @@ def tile_field(blur: FieldBlur, layers_px: np.ndarray) -> LayerField:
     scale = own[1] / tile[1]
     offset = at_infinity * (1 - scale) - reference * (tile[0] - own[0]) / tile[1]
     return LayerField(offset.astype(np.float32), scale.astype(np.float32))
+
+
+def without_shading(image: np.ndarray) -> np.ndarray:
+    """Take off what changes slowly over the picture; (H, W, 3) float32."""
+    return np.asarray(image - cv2.GaussianBlur(image, (0, 0), _BACKGROUND_PX))
 
 
 def band_passes(size: int, bands_px: tuple[tuple[float, float], ...]) -> np.ndarray:
@@ -177,9 +182,8 @@ class _Tiles:
 
     def spectra(self, image: np.ndarray) -> list[np.ndarray]:
         """Spectra of the tiles of an image; list of (3, size, size // 2 + 1) complex64."""
-        detail = image - cv2.GaussianBlur(image, (0, 0), _BACKGROUND_PX)
-        after = self.margin + self.core
-        padded = cv2.copyMakeBorder(detail, self.margin, after, self.margin, after, cv2.BORDER_REFLECT_101)
+        before, after = self.margin, self.margin + self.core
+        padded = cv2.copyMakeBorder(without_shading(image), before, after, before, after, cv2.BORDER_REFLECT_101)
         return [
             scipy.fft.rfft2(padded[y : y + self.size, x : x + self.size].transpose(2, 0, 1)) for y, x in self.corners
         ]
@@ -187,16 +191,17 @@ class _Tiles:
 
 def _layer(
     blur: FieldBlur,
-    pairs: tuple[tuple[int, int], ...],
+    groups: tuple[tuple[tuple[int, int], ...], ...],
     tiles: _Tiles,
     spectra: list[np.ndarray],
     inverse_mm: float,
     bands: np.ndarray,
     config: PhaseConfig,
 ) -> np.ndarray:
-    """Evidence for one distance; (H, W) float32."""
+    """Evidence for one distance, from each group of pairs; (groups, H, W) float32."""
     core, margin = tiles.core, tiles.margin
     height, width = tiles.shape
+    pairs = [pair for group in groups for pair in group]
     channels = tuple(sorted({k for pair in pairs for k in pair}))
     products = np.empty((len(pairs), len(bands), 3, height + core, width + core), np.float32)
     inner = np.s_[:, margin : margin + core, margin : margin + core]
@@ -210,15 +215,16 @@ def _layer(
             second = scipy.fft.irfft2(spectrum[b] * transfer[a] / q * bands)[inner]
             place = products[i, ..., y : y + core, x : x + core]
             place[:, 0], place[:, 1], place[:, 2] = first * second, first**2, second**2
-    evidence = np.zeros((height, width), np.float32)
-    for pair in products:
+    evidence = np.zeros((len(groups), height, width), np.float32)
+    group_of = [g for g, group in enumerate(groups) for _ in group]
+    for g, pair in zip(group_of, products, strict=True):
         for band, weight in zip(pair, config.band_weights, strict=True):
             cross, power_a, power_b = (
                 cv2.GaussianBlur(p[:height, :width], (0, 0), config.window_sigma_px, borderType=cv2.BORDER_REFLECT_101)
                 for p in band
             )
             correlation = np.maximum(cross, 0) / np.sqrt(power_a * power_b + np.float32(1e-12))
-            evidence -= np.float32(0.5 * weight / len(products)) * np.log1p(
+            evidence[g] -= np.float32(0.5 * weight / len(groups[g])) * np.log1p(
                 -np.minimum(correlation**2, np.float32(_MAX_CORRELATION2))
             )
     return evidence

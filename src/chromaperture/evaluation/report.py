@@ -6,10 +6,9 @@ import base64
 import io
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.figure import Figure
 
 from chromaperture.calibrate import CalibrationResult
@@ -37,6 +36,12 @@ class Section:
     lines: tuple[str, ...] = ()
 
 
+def page_template(name: str) -> Template:
+    """Give one of the templates of self-contained pages."""
+    loader = PackageLoader("chromaperture.evaluation")
+    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined).get_template(name)
+
+
 def report_html(result: CalibrationResult, *, title: str) -> str:
     """Give the report as one HTML page with its pictures inside.
 
@@ -49,8 +54,7 @@ def report_html(result: CalibrationResult, *, title: str) -> str:
     -------
     str
     """
-    source = resources.files("chromaperture.evaluation").joinpath("templates/report.html").read_text("utf-8")
-    template = Environment(autoescape=True, undefined=StrictUndefined).from_string(source)
+    template = page_template("report.html")
     calibration = result.calibration
     subtitle = (
         f"{calibration.aperture.title}, {calibration.lens.focal_length_mm:.1f} mm lens, "

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from chromaperture.errors import InputError, MissingDependencyError
-from chromaperture.export.rgbd import RgbdFrame
 from chromaperture.outputs import staged
+from chromaperture.views import View
 
 _FRAME = "camera_optical_frame"
 _HEADER = """
@@ -51,13 +51,13 @@ bool do_rectify
 """
 
 
-def write_mcap(path: str | Path, frames: Iterable[RgbdFrame], *, camera_matrix: np.ndarray) -> int:
+def write_mcap(path: str | Path, frames: Iterable[View], *, camera_matrix: np.ndarray) -> int:
     """Write /camera/color/image_rect (rgb8), /camera/depth/image_rect (16UC1, mm) and a camera_info for each.
 
     Parameters
     ----------
     path : str or Path
-    frames : iterable of RgbdFrame
+    frames : iterable of View
     camera_matrix : (3, 3) float, px
 
     Returns

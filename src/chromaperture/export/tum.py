@@ -9,20 +9,20 @@ import cv2
 import numpy as np
 
 from chromaperture.errors import InputError
-from chromaperture.export.rgbd import RgbdFrame
 from chromaperture.outputs import staged
+from chromaperture.views import View
 
 _COUNTS_PER_MM = 5.0  # 5000 a metre
 
 
-def write_tum(folder: str | Path, frames: Iterable[RgbdFrame], *, camera_matrix: np.ndarray) -> int:
+def write_tum(folder: str | Path, frames: Iterable[View], *, camera_matrix: np.ndarray) -> int:
     """Write a sequence; the folder appears when it is complete.
 
     Parameters
     ----------
     folder : str or Path
         Must not exist.
-    frames : iterable of RgbdFrame
+    frames : iterable of View
     camera_matrix : (3, 3) float, px
 
     Returns

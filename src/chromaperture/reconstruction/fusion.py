@@ -10,8 +10,9 @@ import numpy as np
 
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import track
-from chromaperture.reconstruction.views import View, cleaned
+from chromaperture.reconstruction.views import cleaned
 from chromaperture.reconstruction.volume import Mesh, Volume
+from chromaperture.views import View
 
 _KEYFRAME_MM, _KEYFRAME_DEG, _KEYFRAMES = 80.0, 5.0, 500
 _THUMBNAIL = (40, 30)

@@ -17,8 +17,8 @@ from chromaperture.outputs import staged, write_json
 from chromaperture.reconstruction.files import write_mesh_glb, write_mesh_ply, write_trajectory
 from chromaperture.reconstruction.fusion import Placed, Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
-from chromaperture.reconstruction.views import undistorter
 from chromaperture.reconstruction.volume import open3d
+from chromaperture.views import undistorter
 
 
 def reconstruct(

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from chromaperture.reconstruction.settings import ReconstructionConfig
-from chromaperture.reconstruction.views import View
 from chromaperture.reconstruction.volume import ModelView, Volume, open3d
+from chromaperture.views import View
 
 _ITERATIONS, _FINE = (10, 8, 6), (4, 6, 8)  # coarse to fine
 _MIN_MODEL = 0.05  # share of the picture that the model must fill

@@ -13,7 +13,7 @@ import numpy as np
 
 from chromaperture.errors import MissingDependencyError
 from chromaperture.reconstruction.kernels import fuse
-from chromaperture.reconstruction.views import View
+from chromaperture.views import View
 
 EDGE = 16  # voxels along a block
 _BYTES = EDGE**3 * 4 * 5  # tsdf, weight, three colours

@@ -22,9 +22,9 @@ from chromaperture.capture.source import Frame, Source
 from chromaperture.errors import ChromapertureError
 from chromaperture.reconstruction.fusion import Placed, Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
-from chromaperture.reconstruction.views import View, undistorter
 from chromaperture.reconstruction.volume import Mesh, open3d
 from chromaperture.viewer.slots import Meter, Slot
+from chromaperture.views import View, undistorter
 
 STAGES = ("capture", "depth", "tracking", "view")
 _PATH = 20_000  # poses that are kept

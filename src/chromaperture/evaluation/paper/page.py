@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
-from importlib import metadata, resources
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, StrictUndefined
-
 from chromaperture.evaluation.paper.run import Outcome
+from chromaperture.evaluation.report import page_template
 from chromaperture.outputs import staged
 
 
@@ -28,8 +27,7 @@ def page_html(out: Path, outcomes: Sequence[Outcome], *, quick: bool) -> str:
     -------
     str
     """
-    source = resources.files("chromaperture.evaluation").joinpath("templates/paper.html").read_text("utf-8")
-    template = Environment(autoescape=True, undefined=StrictUndefined).from_string(source)
+    template = page_template("paper.html")
     size = "Small pictures (--quick): figures are coarser than those of the full run." if quick else "Full run."
     return template.render(
         title="The paper, reproduced",
