@@ -25,6 +25,8 @@ MIN_BOARDS = 4
 _MEASURED_BOARDS = 16  # that fix the depth curve of the layers; the blur itself is fitted to all
 _CELLS = 12  # along the width, in which a board's layer is measured
 _DEGREES = (4, 2, 0)  # of the curve's fields; lower where few boards are there
+_NONLINEAR_TERMS = 4  # what the blur's few numbers do not follow, where the boards are many
+_BOARDS_FOR_TERMS = 12
 _START_RIM = {"front_rim_radius": 1.08, "front_rim_shift": 0.33, "rear_rim_radius": 1.08, "rear_rim_shift": 0.33}
 
 
@@ -102,7 +104,7 @@ def add_blur(
         for number, i in enumerate(chosen):
             progress("depth of the layers", number, len(chosen))
             measure = partial(_measure, session, i, float(inverse_mm[i]), fit.blur)
-            what = ("layers", fit.blur.model, float(inverse_mm[i]))
+            what = ("half layers", fit.blur.model, float(inverse_mm[i]))
             cells.append((store or Store()).arrays(paths[i], what, measure))
         progress("depth of the layers", len(chosen), len(chosen))
         layer = np.full((len(paths), len(cells[0]["x"])), np.nan)
@@ -124,18 +126,19 @@ def fit_layers(layers: LayerEvidence, distances: BoardDistances, believed: np.nd
     InputError
         The boards do not fix even one curve.
     """
-    for degree in _DEGREES:
+    measured = believed & np.isfinite(layers.layer_px).any(axis=1)
+    terms = _NONLINEAR_TERMS if measured.sum() >= _BOARDS_FOR_TERMS else 0
+    trials = [(_DEGREES[0], terms), *((degree, 0) for degree in _DEGREES)]
+    for trial, (degree, nonlinear) in enumerate(trials):
         try:
-            field, _ = fit_depth_field(
+            return fit_depth_field(
                 layers.x_px, layers.y_px, layers.layer_px, distances, size_px=layers.size_px, degree=degree,
-                boards=believed,
-            )  # fmt: skip
+                nonlinear_terms=nonlinear, boards=believed,
+            )[0]  # fmt: skip
         except InputError:
-            if degree == _DEGREES[-1]:
+            if trial == len(trials) - 1:
                 raise
-            continue
-        break
-    return field
+    raise AssertionError("unreachable")
 
 
 def _measure(session: Session, board: int, inverse_mm: float, blur: FieldBlur) -> dict[str, np.ndarray]:

@@ -66,7 +66,10 @@ def match(
     likelihood = phase_likelihood(usable, blur, layers, config=config.phase)
     tile = tile_field(blur, layers)
     both = LayerField(tile.offset_px + tile.scale * field.offset_px, tile.scale * field.scale)
-    likelihood = solver(backend).at_labels(likelihood, layers, both) * inputs.mask[..., None]
+    implementation = solver(backend)
+    likelihood = implementation.with_half_layers(likelihood)  # cheaper than to filter and correlate as many
+    layers = np.linspace(layers[0], layers[-1], likelihood.shape[2])
+    likelihood = implementation.at_labels(likelihood, layers, both) * inputs.mask[..., None]
     winner = optimise_volume(likelihood, inputs.guide, layers, config=config.optimiser, backend=backend)
     return at_pixels(winner, field)
 

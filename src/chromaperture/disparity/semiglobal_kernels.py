@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit, prange
 
 from chromaperture.config import OptimiserConfig
-from chromaperture.disparity.semiglobal import LINES, LayerField, couple
+from chromaperture.disparity.semiglobal import LEAST_SHARE, LINES, LayerField, couple
 from chromaperture.disparity.variational_kernels import iterate
 
 FAST: set[str] = {"contract", "arcp", "nsz", "reassoc", "afn", "nnan"}
@@ -75,6 +75,14 @@ def at_labels(likelihood: np.ndarray, layers_px: np.ndarray, field: LayerField) 
         np.ascontiguousarray(field.scale, np.float32),
         out,
     )
+    return out
+
+
+def with_half_layers(likelihood: np.ndarray) -> np.ndarray:
+    """Put a layer between every two, as `semiglobal.with_half_layers`; (H, W, 2 D - 1) float32."""
+    height, width, layers = likelihood.shape
+    out = np.empty((height, width, 2 * layers - 1), np.float32)
+    _with_half_layers(np.ascontiguousarray(likelihood, np.float32), np.float32(LEAST_SHARE), out)
     return out
 
 
@@ -196,3 +204,20 @@ def _at_labels(likelihood, first, step, offset, scale, out):  # type: ignore[no-
                 if 0 <= share <= 1:
                     value = (1 - share) * likelihood[y, x, below] + share * likelihood[y, x, below + 1]
                 out[y, x, k] = value
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _with_half_layers(likelihood, least, out):  # type: ignore[no-untyped-def]
+    height, width, layers = likelihood.shape
+    half, two, nine, sixteen = np.float32(0.5), np.float32(2), np.float32(9), np.float32(16)
+    for y in prange(height):
+        share = np.empty(layers + 2, np.float32)  # and a straight continuation at both ends
+        for x in range(width):
+            for k in range(layers):
+                share[k + 1] = np.exp(-two * likelihood[y, x, k])
+                out[y, x, 2 * k] = likelihood[y, x, k]
+            share[0], share[layers + 1] = two * share[1] - share[2], two * share[layers] - share[layers - 1]
+            for k in range(1, layers):
+                middle = (nine * (share[k] + share[k + 1]) - share[k - 1] - share[k + 2]) / sixteen
+                middle = max(middle, least * min(share[k], share[k + 1]))
+                out[y, x, 2 * k - 1] = max(-half * np.log(middle), np.float32(0))
