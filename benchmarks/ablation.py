@@ -1,8 +1,12 @@
-"""What each ingredient of quality real-time costs and gains: python benchmarks/ablation.py --data FOLDER.
+"""What each ingredient of a quality costs and gains.
 
-FOLDER as for bench50.py. The camera is calibrated anew for every variant, because the depth curve belongs to the
-matcher's settings. Times are of the whole measurement, the fastest of five, beside StereoSGBM 3WAY on an
-equally large picture.
+    python benchmarks/ablation.py --data FOLDER [--quality real-time]
+    python benchmarks/ablation.py --data FOLDER --quality accurate --camera CAMERA.asdf
+
+FOLDER as for bench50.py. For real-time the camera is calibrated anew for every variant, because the depth curve belongs
+to the matcher's settings; the layers of accurate name distances whatever the settings, and only shifted views need
+another calibration. Times are of the whole measurement, the fastest of five (accurate: of one), beside StereoSGBM 3WAY
+on an equally large picture.
 """
 
 from __future__ import annotations
@@ -19,8 +23,11 @@ from matcher import peers
 from timing import fastest_ms
 
 from chromaperture import calibrate
+from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, default_config
 from chromaperture.config import CoarseConfig, MatcherConfig
+from chromaperture.depth.field import DepthField
+from chromaperture.disparity import semiglobal_kernels
 from chromaperture.pipeline import read_capture
 
 REAL_TIME = MatcherConfig.preset("real-time")
@@ -36,6 +43,52 @@ VARIANTS: dict[str, MatcherConfig] = {
 }
 
 
+ACCURATE = ("everything", "shifted views", "no layers between layers", "widest pair of channels only", "one octave",
+            "three octaves", "window of 8 px", "no total variation", "four paths", "penalties a tenth",
+            "penalties not led by the guide", "one curve for the frame")  # fmt: skip
+
+
+def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertureCamera:
+    """A calibrated camera with one ingredient of quality accurate changed or taken away."""
+    if name == "shifted views":
+        plain = calibrate.calibrate_session(session, lens_blur=False).calibration
+        return CodedApertureCamera(plain, default_config(plain, "accurate"))
+    calibration = Calibration.load(camera_file)
+    if name == "one curve for the frame":
+        constant = DepthField.constant(calibration.on_axis("accurate"))
+        calibration = dataclasses.replace(calibration, depth={**calibration.depth, "accurate": constant})
+    config = default_config(calibration, "accurate")
+    phase, optimiser = config.matcher.phase, config.matcher.optimiser
+    assert phase is not None
+    assert optimiser is not None
+    octaves = {"bands_px": ((0.6, 1.4), (1.4, 3.2), (3.2, 7.0)), "band_weights": (1.0, 0.5, 0.25)}
+    changes = {
+        "widest pair of channels only": {"phase": dataclasses.replace(phase, fallback_weight=0.0)},
+        "one octave": {"phase": dataclasses.replace(phase, bands_px=((0.6, 1.4),), band_weights=(1.0,))},
+        "three octaves": {"phase": dataclasses.replace(phase, **octaves)},
+        "window of 8 px": {"phase": dataclasses.replace(phase, window_sigma_px=8.0)},
+        "no total variation": {"optimiser": dataclasses.replace(optimiser, coupling_rounds=0)},
+        "four paths": {"optimiser": dataclasses.replace(optimiser, paths=4)},
+        "penalties a tenth": {
+            "optimiser": dataclasses.replace(optimiser, slope_penalty=optimiser.slope_penalty / 10, jump_penalty=2.5)
+        },
+        "penalties not led by the guide": {"optimiser": dataclasses.replace(optimiser, edge_floor=1.0)},
+    }
+    matcher = dataclasses.replace(config.matcher, **changes.get(name, {}))
+    return CodedApertureCamera(calibration, dataclasses.replace(config, matcher=matcher))
+
+
+def measure_accurate(name: str, args: argparse.Namespace) -> dict:
+    camera = accurate_camera(name, args.camera, args.data / args.design)
+    halves = semiglobal_kernels.with_half_layers
+    if name == "no layers between layers":
+        semiglobal_kernels.with_half_layers = lambda likelihood: likelihood
+    try:
+        return figures_of(camera, args.data, args.design, args.scenes, rounds=1)
+    finally:
+        semiglobal_kernels.with_half_layers = halves
+
+
 def measure(name: str, data: Path, design: str, scenes: list[str]) -> dict:
     preset, matcher = MatcherConfig.preset, VARIANTS[name]
     MatcherConfig.preset = lambda quality: matcher if quality == "real-time" else preset(quality)  # type: ignore
@@ -46,6 +99,10 @@ def measure(name: str, data: Path, design: str, scenes: list[str]) -> dict:
         MatcherConfig.preset = preset  # type: ignore
     if name == "no field over the frame":
         camera.fields = None
+    return figures_of(camera, data, design, scenes, rounds=5)
+
+
+def figures_of(camera: CodedApertureCamera, data: Path, design: str, scenes: list[str], *, rounds: int) -> dict:
     figures = []
     for scene in scenes:
         image = read_capture(data / design / "scene" / f"{scene}.png", camera)
@@ -56,7 +113,7 @@ def measure(name: str, data: Path, design: str, scenes: list[str]) -> dict:
     mean = {key: round(float(np.mean([f[key] for f in figures])), 3) for key in figures[0]}
     pair = [np.ascontiguousarray(image[..., channel]) for channel in (0, 2)]
     work = {"measure": lambda: camera.measure(image), "sgbm": peers(pair)["sgbm_3way"]}
-    best = fastest_ms(work, threads=2, rounds=5)
+    best = fastest_ms(work, threads=2, rounds=rounds)
     return {**mean, "ms": round(best["measure"], 1), "ratio_to_sgbm_3way": round(best["measure"] / best["sgbm"], 2)}
 
 
@@ -65,10 +122,17 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--design", default="cy_halves")
     parser.add_argument("--scenes", nargs="+", default=["steps", "room", "desk"])
-    parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
+    parser.add_argument("--quality", choices=["real-time", "accurate"], default="real-time")
+    parser.add_argument("--camera", type=Path, help="camera file with a blur, for accurate")
+    parser.add_argument("--variants", nargs="+")
     args = parser.parse_args()
-    for name in args.variants:
-        print(json.dumps({name: measure(name, args.data, args.design, args.scenes)}), flush=True)
+    if args.quality == "accurate" and args.camera is None:
+        parser.error("--quality accurate needs --camera")
+    for name in args.variants or (VARIANTS if args.quality == "real-time" else ACCURATE):
+        found = measure(name, args.data, args.design, args.scenes) if args.quality == "real-time" else (
+            measure_accurate(name, args)
+        )
+        print(json.dumps({name: found}), flush=True)
 
 
 if __name__ == "__main__":

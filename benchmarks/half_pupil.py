@@ -3,9 +3,9 @@
     python benchmarks/half_pupil.py --data FOLDER [--quality paper real-time accurate] [--out DIR] [--json]
 
 FOLDER holds NNN_left.png, NNN_right.png, NNN_gt_defocus.png (0 = unknown, the middle two thirds of the frame) and
-calibration/white_sheet_*.png. Red is the left half, blue the right one, green their mean: real optics and noise, colours
-put together, at half the resolution. Spearman's correlation needs no calibration; its sign is the camera's. Coverage is
-the share of the pixels with truth that the matcher is asked about, its own error bar telling which.
+calibration/white_sheet_*.png. Red is the left half, blue the right one, green their mean: optics and noise are real,
+the colours put together, at half the resolution. Spearman's correlation needs no calibration; its sign is the camera's.
+Coverage is the share of the pixels with truth that the matcher is asked about, its own error bar telling which.
 """
 
 from __future__ import annotations

@@ -1,0 +1,117 @@
+"""Covariance of the calibrated parameters against their spread over simulated sessions.
+
+    python benchmarks/covariance.py [--sessions 30] [--width 360] [--boards 10] [--out spread.png] [--json]
+
+Every session is rendered anew: its boards stand elsewhere, so that their texture falls on other pixels, and noise and
+ruler errors are its own. Parameters are those of the middle of the frame, A, B, delta, the in-focus distance, and depth
+read at three disparities. The ratio is the standard deviation that a session states over the one found among sessions:
+1 is honest, below 1 a session is too sure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from chromaperture.calibrate import calibrate_session
+from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
+from chromaperture.errors import InputError
+from chromaperture.optics.aperture import DESIGNS, made_of
+from chromaperture.optics.paraxial import focused_at
+from chromaperture.optics.pinhole import pupil_camera
+from chromaperture.optics.prescription import load_lens
+from chromaperture.optics.ray_table import lens_rays
+from chromaperture.optics.session import SessionPlan, write_session
+
+SENSOR_MM, FOCUS_MM, CELLS = 22.3, 2000.0, 8
+NEAR_MM, FAR_MM, JITTER_MM = 1000.0, 4000.0, 40.0
+PROBES_MM = (1200.0, 2200.0, 3600.0)
+
+
+def render(folder: Path, seed: int, width: int, boards: int) -> None:
+    height, pitch = width * 2 // 3, SENSOR_MM / width
+    lens = focused_at(load_lens("double_gauss_50"), FOCUS_MM)
+    camera = pupil_camera(lens, width_px=width, height_px=height, pixel_pitch_mm=pitch)
+
+    def rays(coded):
+        return lens_rays(lens, coded, width_px=width, height_px=height, pixel_pitch_mm=pitch, cells=CELLS)
+
+    # Evenly spread in 1 / z, each a little elsewhere in every session.
+    rng = np.random.default_rng(seed)
+    stand = 1 / np.linspace(1 / NEAR_MM, 1 / FAR_MM, boards) + rng.uniform(-JITTER_MM, JITTER_MM, boards)
+    plan = replace(SessionPlan(), distances_mm=tuple(np.round(stand)), tilts=8, seed=seed)
+    write_session(
+        folder, aperture=made_of(DESIGNS["cy_halves"], "real"), camera=camera, rays=rays, scenes={}, plan=plan,
+        report=lambda name: None,
+    )  # fmt: skip
+
+
+def parameters(model: DepthModel, true: DepthModel | None) -> tuple[dict[str, float], dict[str, float]]:
+    """Values and stated standard deviations; depth is read at the disparities that ``true`` gives the probes."""
+    a, b, delta = (float(v) for v in (model.infinity_disparity_px, model.scale_px_mm, model.sensor_to_pupil_mm))
+    covariance = np.asarray(model.covariance, float)
+    found = {"A_px": a, "B_px_mm": b, "delta_mm": delta, "in_focus_mm": b / a + delta}
+    slopes = {"A_px": (1, 0, 0), "B_px_mm": (0, 1, 0), "delta_mm": (0, 0, 1), "in_focus_mm": (-b / a**2, 1 / a, 1)}
+    for probe in PROBES_MM:
+        d = float(depth_to_disparity(probe, replace(true or model, nonlinearity=None)))
+        linear = replace(model, nonlinearity=None)
+        found[f"depth_at_{probe:.0f}_mm"] = float(disparity_to_depth(np.array([d]), linear)[0][0])
+        slopes[f"depth_at_{probe:.0f}_mm"] = (-b / (a - d) ** 2, 1 / (a - d), 1)
+    return found, {name: float(np.sqrt(np.array(s) @ covariance @ np.array(s))) for name, s in slopes.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sessions", type=int, default=30)
+    parser.add_argument("--width", type=int, default=360)
+    parser.add_argument("--boards", type=int, default=10)
+    parser.add_argument("--quality", default="real-time")
+    parser.add_argument("--out", type=Path, help="picture of the sessions' values with their error bars")
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    models = []
+    for seed in range(args.sessions):
+        scratch = Path(tempfile.mkdtemp())
+        try:
+            render(scratch / "cy_halves", seed, args.width, args.boards)
+            calibration = calibrate_session(scratch / "cy_halves", lens_blur=False).calibration
+            models.append(calibration.on_axis(args.quality))
+        except InputError as error:
+            print(f"session {seed}: {error}", flush=True)
+        finally:
+            shutil.rmtree(scratch)
+    middle = replace(
+        models[0], **{n: float(np.median([getattr(m, n) for m in models]))
+                      for n in ("infinity_disparity_px", "scale_px_mm", "sensor_to_pupil_mm")}
+    )  # fmt: skip
+    rows = [parameters(model, middle) for model in models]
+    report = {}
+    for name in rows[0][0]:
+        values, sigmas = np.array([r[0][name] for r in rows]), np.array([r[1][name] for r in rows])
+        spread, stated = float(values.std(ddof=1)), float(np.sqrt(np.mean(sigmas**2)))
+        median = float(np.median(values))
+        report[name] = {"median": median, "spread": spread, "stated": stated, "ratio": stated / spread}
+    if args.out:
+        figure, axes = plt.subplots(len(report), 1, figsize=(7, 1.6 * len(report)), sharex=True)
+        for axis, name in zip(axes, report, strict=True):
+            axis.errorbar(range(len(rows)), [r[0][name] for r in rows], [r[1][name] for r in rows], fmt=".")
+            axis.set_ylabel(name, fontsize=7)
+        axes[-1].set_xlabel("session")
+        figure.tight_layout()
+        figure.savefig(args.out, dpi=110)
+    if args.json:
+        print(json.dumps(report, indent=1))
+        return
+    for name, row in report.items():
+        print(f"{name:20}" + "  ".join(f"{key} {value:.4g}" for key, value in row.items()))
+
+
+if __name__ == "__main__":
+    main()
