@@ -186,6 +186,23 @@ def test_an_outlier_board_does_not_move_the_fit(rng):
     assert np.sqrt(fit.model.covariance[0, 0]) < 0.03
 
 
+@pytest.mark.parametrize(("center", "k2"), [((359.5, 239.5), 0.0), ((374.0, 231.0), 0.3)])
+def test_the_principal_point_moves_only_where_the_corners_ask(center, k2):
+    rng = np.random.default_rng(3)
+    matrix = np.array([[700.0, 0, center[0]], [0, 700.0, center[1]], [0, 0, 1]])
+    grid = board_points((9, 6), 30.0) - np.array([120, 75, 0], np.float32)
+    views = []
+    for _ in range(12):
+        place = np.array([rng.uniform(-150, 150), rng.uniform(-90, 90), rng.uniform(450, 800)])
+        turn = rng.uniform(-0.5, 0.5, 3)
+        pixels = cv2.projectPoints(grid, turn, place, matrix, np.array([-0.2, k2, 0, 0, 0]))[0][:, 0]
+        views.append((pixels + rng.normal(0, 0.05, pixels.shape)).astype(np.float32))
+    found = fit_intrinsics(views, (720, 480), (9, 6), 30.0)
+    # 1300 coordinates of 0.05 px fix a free centre to some tenths of a px; a fixed one does not move at all.
+    assert found.camera_matrix[:2, 2] == pytest.approx(center, abs=1.0 if k2 else 1e-9)
+    assert found.camera_matrix[0, 0] == pytest.approx(700, rel=0.002)
+
+
 def test_intrinsics_of_projected_boards_come_back():
     """Corners projected by OpenCV's own camera model, so that only the fit is under test."""
     rng = np.random.default_rng(1)

@@ -29,11 +29,14 @@ def test_ruler_and_poses_give_pupil_scale_and_distances(rng):
     assert abs(found.residual_mm[7] - 60) < 5
 
 
-def test_the_promised_errors_are_those_of_many_sessions():
+@pytest.mark.parametrize("better", [0.5, 1.0, 3.0])
+def test_the_promised_errors_are_those_of_many_sessions(better):
+    """Also where the corners are better or worse than was thought."""
     rng = np.random.default_rng(5)
     found, promised = [], []
     for _ in range(60):
-        result = reconcile(Z + DELTA + rng.normal(0, 1.7, 25), Z * (1 + 2e-4 * rng.normal(size=25)))
+        pose = Z * (1 + better * 5e-4 * rng.normal(size=25))
+        result = reconcile(Z + DELTA + rng.normal(0, 1.7, 25), pose, pose_sigma_mm=5e-4 * Z)
         found.append([*result.from_pupil_mm, result.sensor_to_pupil_mm])
         promised.append(np.sqrt(np.diag(result.covariance)))
     ratio = np.std(found, axis=0) / np.mean(promised, axis=0)

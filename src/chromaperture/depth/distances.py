@@ -23,6 +23,7 @@ _ROUNDS = 20
 _UNITS = {"cm": 10.0, "m": 1000.0, "inches": 25.4, "feet": 304.8}
 _OTHER_UNIT = 5.0
 _MIN_POSES = 4
+_MOST_FACTOR, _FACTOR_SIGMA = 5.0, 1.0  # of the corners' error, the second in natural logarithms
 _OUTLIER = 5.0  # standard deviations, and at least twice the ruler's own error
 
 
@@ -95,23 +96,41 @@ def fit_distances(
     rows[2 * n + 1, n + 1], values[2 * n + 1] = 1, 1.0
     weights[2 * n + 1] = 1 / 0.05 if seen.any() else 1e6  # a focal length from Zhang's method is better than 5 %
     weights[:n] = 1 / ruler_sigma_mm
-    weights[n : 2 * n] = np.where(seen, 1 / np.asarray(pose_sigma_mm, float), 0.0)
-    trust = np.ones(n)
-    for _ in range(_ROUNDS):  # a misread ruler is outvoted by the pose, and only there can it be told
+    trust, pose_sigma = np.ones(n), np.asarray(pose_sigma_mm, float)
+    for turn in range(_ROUNDS):  # a misread ruler is outvoted by the pose, and only there can it be told
         w = weights.copy()
         w[:n] *= np.sqrt(trust)
+        w[n : 2 * n] = np.where(seen, 1 / pose_sigma, 0.0)
         information = (rows * (w**2)[:, None]).T @ rows
         solution = np.linalg.solve(information, (rows * (w**2)[:, None]).T @ values)
         by_pose = np.where(seen, solution[n + 1] * pose + solution[n], np.nan)
-        expected = np.where(seen, np.hypot(ruler_sigma_mm, np.where(seen, pose_sigma_mm, 0.0)), np.inf)
+        expected = np.where(seen, np.hypot(ruler_sigma_mm, np.where(seen, pose_sigma, 0.0)), np.inf)
         standard = np.where(seen, np.abs(ruler - by_pose) / expected, 0.0)
         trust = np.where(standard > _HUBER, _HUBER / np.maximum(standard, 1e-9), 1.0)
         trust = np.where(standard > 2 * _OUTLIER, 1e-6, trust)
+        if turn == _ROUNDS // 2 and seen.any():
+            factor = _pose_factor((ruler - by_pose)[seen], np.asarray(pose_sigma_mm, float)[seen], ruler_sigma_mm)
+            pose_sigma = factor * np.asarray(pose_sigma_mm, float)
     covariance = np.linalg.inv(information)[: n + 1, : n + 1]
     return BoardDistances(
         solution[:n], float(solution[n]), float(np.sqrt(covariance[n, n])), float(solution[n + 1]), covariance,
         ruler - by_pose, np.where(seen, expected, np.nan),
     )  # fmt: skip
+
+
+def _pose_factor(residual_mm: np.ndarray, pose_sigma_mm: np.ndarray, ruler_sigma_mm: float) -> float:
+    """How much worse or better the corners are than was thought, as the rulers tell; the most probable factor.
+
+    How well corners are found depends on the print, the light and the lens: it cannot be known beforehand to better
+    than a factor of two or so, and the rulers' own error is stated by whoever held it.
+    """
+    factors = np.geomspace(1 / _MOST_FACTOR, _MOST_FACTOR, 81)
+    variance = ruler_sigma_mm**2 + (factors[:, None] * pose_sigma_mm) ** 2
+    degrees = max(len(residual_mm) - 2, 1) / len(residual_mm)  # delta and the scale took two
+    squares = np.minimum(residual_mm**2, _OUTLIER**2 * variance)
+    cost = 0.5 * (squares / variance + degrees * np.log(variance)).sum(axis=1)
+    cost += 0.5 * (np.log(factors) / _FACTOR_SIGMA) ** 2
+    return float(factors[int(cost.argmin())])
 
 
 def check_units(ruler_mm: np.ndarray, expected_mm: np.ndarray | float, *, where: str) -> None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
@@ -29,6 +30,7 @@ from chromaperture.optics.blur import FieldBlur
 
 _BACKGROUND_PX = 30.0  # what is smoother than this is shading, and only leaks into a tile from its border
 _MAX_CORRELATION2 = 0.999
+_SILENT = 0.01  # weight of the other pairs below which a tile need not be asked
 _GRID = 24  # places along the width at which half disparities are computed, and interpolated between
 
 
@@ -105,23 +107,13 @@ def phase_likelihood(
         )
     tiles = _Tiles(blur, layers_px)
     spectra = tiles.spectra(np.ascontiguousarray(image, np.float32))
-    bands = band_passes(tiles.size, config.bands_px)
-    at_infinity, scale = blur.reference
-    falls_back = bool(blur.other_pairs) and config.fallback_weight > 0
-    groups = (blur.pairs, blur.other_pairs) if falls_back else (blur.pairs,)
-    evidence = np.empty((len(groups), len(layers_px), height, width), np.float32)
-
-    def fill(layer: int) -> None:
-        inverse_mm = (at_infinity - layers_px[layer]) / scale
-        evidence[:, layer] = _layer(blur, groups, tiles, spectra, inverse_mm, bands, config)
-
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(fill, range(len(layers_px))))
-    likelihood = evidence[0]
-    if falls_back:
+    likelihood = _evidence(blur, blur.pairs, tiles, spectra, layers_px, config)
+    if blur.other_pairs and config.fallback_weight > 0:
         silent = np.exp(-likelihood.max(axis=0) / np.float32(config.fallback_nats))
-        evidence[1] *= np.float32(config.fallback_weight) * silent
-        likelihood += evidence[1]
+        heard = [spectrum if silent[tiles.core_of(corner)].max() > _SILENT else None
+                 for corner, spectrum in zip(tiles.corners, spectra, strict=True)]  # fmt: skip
+        other = _evidence(blur, blur.other_pairs, tiles, heard, layers_px, config)
+        likelihood += np.float32(config.fallback_weight) * silent * other
     return np.ascontiguousarray(np.moveaxis(likelihood, 0, -1))
 
 
@@ -141,9 +133,7 @@ def tile_field(blur: FieldBlur, layers_px: np.ndarray) -> LayerField:
     own = [cv2.remap(np.ascontiguousarray(coarse[..., i], np.float32), at_x, at_y, cv2.INTER_LINEAR) for i in (0, 1)]
     tile = np.empty((2, blur.height_px, blur.width_px), np.float32)
     for y0, x0 in tiles.corners:
-        tile[:, y0 : y0 + tiles.core, x0 : x0 + tiles.core] = np.reshape(
-            blur.half_disparity(*tiles.centre(y0, x0)), (2, 1, 1)
-        )
+        tile[:, *tiles.core_of((y0, x0))] = np.reshape(blur.half_disparity(*tiles.centre(y0, x0)), (2, 1, 1))
     # a_t - b_t w_t = a - b w with w = (A0 - layer) / B0 of the pixel; back to a layer with w_t = (A0 - layer_t) / B0.
     at_infinity, reference = blur.reference
     scale = own[1] / tile[1]
@@ -178,6 +168,10 @@ class _Tiles:
             (y, x) for y in range(0, self.shape[0], self.core) for x in range(0, self.shape[1], self.core)
         ]
 
+    def core_of(self, corner: tuple[int, int]) -> tuple[slice, slice]:
+        """Part of the frame that a tile answers for."""
+        return slice(corner[0], corner[0] + self.core), slice(corner[1], corner[1] + self.core)
+
     def centre(self, y0: int, x0: int) -> tuple[float, float]:
         """Middle (x, y) of the part of a core that lies in the frame."""
         y1, x1 = (min(start + self.core, end) for start, end in zip((y0, x0), self.shape, strict=True))
@@ -192,23 +186,46 @@ class _Tiles:
         ]
 
 
+def _evidence(
+    blur: FieldBlur,
+    pairs: tuple[tuple[int, int], ...],
+    tiles: _Tiles,
+    spectra: Sequence[np.ndarray | None],
+    layers_px: np.ndarray,
+    config: PhaseConfig,
+) -> np.ndarray:
+    """Log-likelihood of every layer from some pairs of channels; tiles without a spectrum stay 0; (D, H, W) float32."""
+    bands = band_passes(tiles.size, config.bands_px)
+    at_infinity, scale = blur.reference
+    evidence = np.empty((len(layers_px), *tiles.shape), np.float32)
+
+    def fill(layer: int) -> None:
+        inverse_mm = (at_infinity - layers_px[layer]) / scale
+        evidence[layer] = _layer(blur, pairs, tiles, spectra, inverse_mm, bands, config)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(fill, range(len(layers_px))))
+    return evidence
+
+
 def _layer(
     blur: FieldBlur,
-    groups: tuple[tuple[tuple[int, int], ...], ...],
+    pairs: tuple[tuple[int, int], ...],
     tiles: _Tiles,
-    spectra: list[np.ndarray],
+    spectra: Sequence[np.ndarray | None],
     inverse_mm: float,
     bands: np.ndarray,
     config: PhaseConfig,
 ) -> np.ndarray:
-    """Evidence for one distance, from each group of pairs; (groups, H, W) float32."""
+    """Evidence for one distance; (H, W) float32."""
     core, margin = tiles.core, tiles.margin
     height, width = tiles.shape
-    pairs = [pair for group in groups for pair in group]
     channels = tuple(sorted({k for pair in pairs for k in pair}))
-    products = np.empty((len(pairs), len(bands), 3, height + core, width + core), np.float32)
+    products = np.zeros((len(pairs), len(bands), 3, height + core, width + core), np.float32)
     inner = np.s_[:, margin : margin + core, margin : margin + core]
     for (y, x), spectrum in zip(tiles.corners, spectra, strict=True):
+        if spectrum is None:
+            continue
         transfer = dict(
             zip(channels, blur.transfer(*tiles.centre(y, x), inverse_mm, tiles.size, channels), strict=True)
         )
@@ -218,16 +235,15 @@ def _layer(
             second = scipy.fft.irfft2(spectrum[b] * transfer[a] / q * bands)[inner]
             place = products[i, ..., y : y + core, x : x + core]
             place[:, 0], place[:, 1], place[:, 2] = first * second, first**2, second**2
-    evidence = np.zeros((len(groups), height, width), np.float32)
-    group_of = [g for g, group in enumerate(groups) for _ in group]
-    for g, pair in zip(group_of, products, strict=True):
+    evidence = np.zeros((height, width), np.float32)
+    for pair in products:
         for band, weight in zip(pair, config.band_weights, strict=True):
             cross, power_a, power_b = (
                 cv2.GaussianBlur(p[:height, :width], (0, 0), config.window_sigma_px, borderType=cv2.BORDER_REFLECT_101)
                 for p in band
             )
             correlation = np.maximum(cross, 0) / np.sqrt(power_a * power_b + np.float32(1e-12))
-            evidence[g] -= np.float32(0.5 * weight / len(groups[g])) * np.log1p(
+            evidence -= np.float32(0.5 * weight / len(pairs)) * np.log1p(
                 -np.minimum(correlation**2, np.float32(_MAX_CORRELATION2))
             )
     return evidence
