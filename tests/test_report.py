@@ -16,6 +16,7 @@ import typer
 
 from chromaperture.boards import BoardMeasurement
 from chromaperture.calibrate import CalibrationResult
+from chromaperture.calibrate_blur import LayerEvidence
 from chromaperture.calibration import Calibration, Film, Lens, Sensor
 from chromaperture.cli.main import app, main
 from chromaperture.curves import Evidence
@@ -24,10 +25,11 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.distances import BoardDistances
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.fit import DepthFit
-from chromaperture.evaluation import figures
+from chromaperture.evaluation import blur_evidence, figures
 from chromaperture.evaluation.figures import layer_errors, plane_residual
 from chromaperture.evaluation.report import report_html
 from chromaperture.evaluation.verdict import board_depth, board_errors, reach, sentences, stretches, weaknesses
+from chromaperture.optics.blur import BlurModel
 from chromaperture.session import Session
 
 WIDTH, HEIGHT = 96, 72
@@ -146,6 +148,27 @@ def test_the_reach_agrees_with_drawn_cameras(result):
     assert step == pytest.approx((far - near) / 0.01, rel=1e-3)
 
 
+def test_errors_of_the_layers_are_those_put_in(result):
+    """Layers that read every board 1 % too far by the blur alone, and a curve that knows."""
+    camera = replace(result.calibration, blur=BlurModel(A / 0.4, B / 0.4))
+    at_infinity, scale = camera.field_blur().reference
+    x = np.linspace(10, 86, 7)
+    layer = np.repeat((at_infinity - scale / (1.01 * RULERS - DELTA))[:, None], 7, axis=1)
+    layers = LayerEvidence((WIDTH, HEIGHT), x, np.full(7, 30.0), layer, 0.05, 0.2)
+    # 1 / (1.01 (z + delta) - delta) is not linear in 1 / z: here the curve is right on the first board only.
+    first = DepthModel(at_infinity, scale * (RULERS[0] - DELTA) / (1.01 * RULERS[0] - DELTA), DELTA)
+    camera = replace(camera, depth={**camera.depth, "accurate": DepthField.constant(first)})
+    exact = replace(result.evidence.distances, from_pupil_mm=RULERS - DELTA)
+    known = replace(result, calibration=camera, layers=layers, evidence=replace(result.evidence, distances=exact))
+    mm, by_blur, by_curve = blur_evidence.layer_errors(known)
+    np.testing.assert_allclose(mm, RULERS)
+    np.testing.assert_allclose(by_blur, 1.0, atol=1e-4)  # float32 depth
+    np.testing.assert_allclose(by_curve[0], 0.0, atol=1e-4)
+    page = report_html(known, title="blur")
+    assert "5.0 % of the power disagrees" in page
+    assert "Depth by blur" in page
+
+
 def test_layers_are_coarser_than_their_parabola(result):
     whole, layers, fine = layer_errors(result)
     assert (whole + 1e-6 >= fine).all()
@@ -209,7 +232,7 @@ def test_the_page_is_whole_and_needs_nothing_else(result):
     assert "http" not in re.sub(r'src="data:[^"]*"', "", text)
     assert "a &lt; b" in text
     assert "a &lt;note&gt; &amp; more" in text
-    assert len(page.headings) == 13
+    assert len(page.headings) == 15
     assert len(page.images) == 11
     for source in page.images:
         data = base64.b64decode(source.removeprefix("data:image/png;base64,"))

@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.figure import Figure
 
 from chromaperture.calibrate import CalibrationResult
-from chromaperture.evaluation import evidence, figures, tables
+from chromaperture.evaluation import blur_evidence, evidence, figures, tables
 from chromaperture.evaluation.tables import Table
 from chromaperture.evaluation.verdict import sentences
 from chromaperture.outputs import staged
@@ -103,6 +103,12 @@ def _sections(result: CalibrationResult) -> list[Section]:
                "Red dots are the corners; look for missing boards and corners off their squares."),
         _drawn("Film", result, evidence.draw_film,
                "A good pair keeps apart: the light each film should stop is near zero.", tables.unmixing(result)),
+        _drawn("The lens's blur", result, blur_evidence.draw_blur,
+               "How a point is blurred over the frame, near and far: the two halves of the pupil in their colours, cut "
+               "by the lens's rims towards the corners.", lines=blur_evidence.blur_lines(result)),
+        _drawn("Depth by blur", result, blur_evidence.draw_layers_of_blur,
+               "What quality accurate reads on every board: half and nine tenths of the cells over the frame.",
+               lines=blur_evidence.blur_lines(result)),
         _drawn("White sheets", result, evidence.draw_transparency,
                "The open pupil shows the vignetting; the aperture's maps should be even, a ramp from side to side "
                "says that the film is off the stop."),
