@@ -20,7 +20,7 @@ from chromaperture.calibrate import calibrate_session
 from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, channel_shifts, default_config
 from chromaperture.capture.files import read_image
-from chromaperture.color.alignment import align_channels, shift_back
+from chromaperture.color.alignment import align_channels, linear_displacement, shift_back
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.color.transparency import compensate_vignetting, flat_field, transparency
 from chromaperture.depth.conversion import depth_to_disparity
@@ -88,7 +88,7 @@ def alignment(data: Path, out: Path | None) -> list[dict]:
                                 sharpness="aligned").color / gains
                     )  # fmt: skip
                     true = truth_disparity(data, scene, camera)
-                    pictures["true depth, no fill"] = shift_back(image, true, u)
+                    pictures["true depth, no fill"] = shift_back(image, linear_displacement(true, u))
                     pictures["true depth"] = align_channels(image, true, u)
             floor = misalignment(bare)
             # Texture allows a figure where the open capture, whose channels are one view, registers.

@@ -35,23 +35,23 @@ def residual_displacement(aligned: np.ndarray, disparity_px: np.ndarray, *, refe
 
     Returns
     -------
-    (3, H, W, 2) float32, px, (x, y): sample channel k further by this; zero where the texture does not tell
+    (3, 2, H, W) float32, px, x before y: sample channel k further by this; zero where the texture does not tell
     """
     height, width = disparity_px.shape
     tone = np.sqrt(np.maximum(np.asarray(aligned, np.float32), 0))
     tone = np.asarray(cv2.GaussianBlur(tone, (0, 0), _SMOOTH_PX))
     basis = _basis(np.asarray(disparity_px, np.float32))
     fixed, spread = _normalised(tone[..., reference])
-    out = np.zeros((3, height, width, 2), np.float32)
+    out = np.zeros((3, 2, height, width), np.float32)
     grid_x, grid_y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     for k in {0, 1, 2} - {reference}:
         for _ in range(_ROUNDS):
-            moved = cv2.remap(tone[..., k], grid_x + out[k, ..., 0], grid_y + out[k, ..., 1], cv2.INTER_LINEAR,
+            moved = cv2.remap(tone[..., k], grid_x + out[k, 0], grid_y + out[k, 1], cv2.INTER_LINEAR,
                               borderMode=cv2.BORDER_REPLICATE)  # fmt: skip
             step = _step(np.asarray(moved), fixed, spread, basis)
             if step is None:
                 break
-            out[k] += np.tensordot(basis, step, (0, 0)).astype(np.float32)
+            out[k] += np.tensordot(step, basis, (0, 0)).astype(np.float32)
         if not np.isfinite(out[k]).all() or np.abs(out[k]).max() > _LARGEST_PX:
             out[k] = 0
     return out
