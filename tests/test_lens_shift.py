@@ -39,8 +39,8 @@ def test_a_thin_lens_s_kernels_are_the_aperture_s_shadow(design, radius):
     by_mask = ThinLensBlur(DESIGNS[design])(radius, (64, 80))
     fy, fx = np.fft.fftfreq(64)[:, None], np.fft.rfftfreq(80)[None]
     shown = np.hypot(fy, fx) < 0.45  # at the pixels' own frequency a kernel must be cut off somehow
-    # 1500 rays sample a filter's area, 100 of them its rim, to about a percent.
-    np.testing.assert_allclose(by_rays[:, shown], by_mask[:, shown], atol=0.012)
+    # 1500 rays sample a filter's area, 100 of them its rim, to about two percent.
+    np.testing.assert_allclose(by_rays[:, shown], by_mask[:, shown], atol=0.02)
 
 
 def test_lateral_colour_is_a_displacement_along_the_field():

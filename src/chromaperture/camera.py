@@ -136,7 +136,8 @@ class CodedApertureCamera:
         layer = np.asarray(disparity_px, float)
         if self.blur is None:  # other matchers read the distance; the layer that shows it is the blur's own curve
             curve = self.calibration.depth_model("accurate")
-            layer = curve.infinity_disparity_px - curve.scale_px_mm * disparity_to_inverse_depth(layer, self.depth_model)
+            inverse_mm = disparity_to_inverse_depth(layer, self.depth_model)
+            layer = curve.infinity_disparity_px - curve.scale_px_mm * inverse_mm
         return self.lens_shift.layer_radius_px(layer).astype(np.float32)
 
     def displacement(self, disparity_px: np.ndarray) -> np.ndarray | None:
