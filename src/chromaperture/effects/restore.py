@@ -23,6 +23,8 @@ from chromaperture.effects.tiles import by_tiles
 from chromaperture.errors import InputError
 
 _TILES, _LEAST_TILE_PX = 5, 96  # along the width, over each of which the blur counts as constant
+_LAYER_ERROR_PX = 0.1  # of half disparity; the error of the blur radius is that over the blur's reach
+FITTED_ERROR, UNFITTED_ERROR = 0.35, 0.7  # least and largest share of contrast by which the kernels are taken as wrong
 
 Sharpness = Literal["aligned", "fast", "full"]
 SHARPNESS: tuple[Sharpness, ...] = get_args(Sharpness)
@@ -88,6 +90,8 @@ def restore(
     lens, measured = camera.lens_shift, camera.blur_radius_px(disparity_px)
     if lens is None or measured is None:
         measured = np.asarray(disparity_px, np.float32) * scale
+    else:
+        scale = np.float32(lens.blur.model.scale_px_mm / cal.on_axis(quality).scale_px_mm)
     first = align_channels(balanced, disparity_px, shifts)
     radius, spread = steady_disparity(measured / scale, sigma_px, first)
     radius, spread = radius * scale, spread * scale
@@ -102,7 +106,8 @@ def restore(
         return SharpPicture(aligned, radius)
     variance = sensor_noise(image, cal)
     noise = (estimate_noise_variance(image) if variance is None else variance).mean(axis=(0, 1)) * gains**2
-    settings = SharpenConfig() if sharpness == "full" else SharpenConfig(reweightings=0)
+    error = UNFITTED_ERROR if lens is None or blur is not None else fitted_error(lens.blur.reach)
+    settings = SharpenConfig(model_error=error, reweightings=3 if sharpness == "full" else 0)
     saturated = np.asarray(image.max(axis=2) >= SATURATION)
     if blur is None:
         blur = camera_blur(cal) if lens is None else LensBlur(lens)
@@ -118,6 +123,14 @@ def restore(
     reach = math.ceil(float(np.abs(radius).max()))
     tile_px = max(_LEAST_TILE_PX, radius.shape[1] // _TILES)
     return SharpPicture(by_tiles(radius.shape, sharpened, tile_px=tile_px, overlap_px=reach + 4), radius)
+
+
+def fitted_error(reach: float) -> float:
+    """Share of the local contrast by which a fitted blur is taken as wrong.
+
+    A design whose views lie close together tells distance, and with it the blur's radius, less exactly.
+    """
+    return float(np.clip(_LAYER_ERROR_PX / reach, FITTED_ERROR, UNFITTED_ERROR))
 
 
 def white_gains(calibration: Calibration) -> np.ndarray:

@@ -14,7 +14,7 @@ _LEAST_LIGHT = 1e-3  # of the brightest point: rays that carry less are left out
 
 
 class Rays(NamedTuple):
-    """Where one channel's rays meet the sensor, (N, 2) px from green's chief ray, and their share of light, (N,)."""
+    """Where one channel's rays meet the sensor, (N, 2) px, and their share of light, (N,)."""
 
     places_px: np.ndarray
     weights: np.ndarray
@@ -22,6 +22,9 @@ class Rays(NamedTuple):
 
 def traced(blur: FieldBlur, place_px: tuple[float, float], inverse_mm: float) -> list[Rays]:
     """Follow the rays of a point to the sensor.
+
+    Places count from where the open pupil would put the point: a displacement that all channels share, such as coma's,
+    shows in none of their differences, so that a fit to those does not know it.
 
     Parameters
     ----------
@@ -36,11 +39,13 @@ def traced(blur: FieldBlur, place_px: tuple[float, float], inverse_mm: float) ->
     """
     field = blur.field(*place_px)
     rim = rims(blur.model, blur.pupil.points, field)
+    everywhere = displacement(blur.model, blur.pupil.points, field, inverse_mm, 1)
+    origin = rim @ everywhere / rim.sum()
     out = []
     for k in range(3):
         light = blur.pupil.light[k] * rim
         lit = light > _LEAST_LIGHT * light.max()
-        places = displacement(blur.model, blur.pupil.points[lit], field, inverse_mm, k)
+        places = displacement(blur.model, blur.pupil.points[lit], field, inverse_mm, k) - origin
         out.append(Rays(places, light[lit] / light[lit].sum()))
     return out
 
@@ -80,7 +85,7 @@ def field_kernels(blur: FieldBlur, place_px: tuple[float, float], inverse_mm: fl
 
     Returns
     -------
-    (3, s, s) float32 of unit sum, centred on green's chief ray at [s // 2, s // 2]; s is odd
+    (3, s, s) float32 of unit sum, with the centre view's place at [s // 2, s // 2]; s is odd
     """
     rays = traced(blur, place_px, inverse_mm)
     reach = math.ceil(max(float(np.abs(r.places_px).max()) for r in rays)) + _ROOM_PX
