@@ -14,9 +14,9 @@ from __future__ import annotations
 from functools import cached_property
 from itertools import product
 
+import numba
 import numpy as np
 from scipy.interpolate import make_interp_spline
-from scipy.ndimage import map_coordinates
 
 from chromaperture.optics.blur import FieldBlur
 from chromaperture.optics.field_otf import Rays, traced, transfer_at
@@ -76,28 +76,22 @@ class LensShift:
         -------
         (3, 2, H, W) float32, px, x before y: channel k shows at x + displacement what the centre view shows at x
         """
-        height, width = radius_px.shape
-        rows, columns, radii = self._table.shape[:3]
-        y = np.linspace(0, rows - 1, height, dtype=np.float32)[:, None]
-        x = np.linspace(0, columns - 1, width, dtype=np.float32)[None]
-        step = float(self.radii_px[1] - self.radii_px[0])
-        t = (np.asarray(radius_px, np.float32) - np.float32(self.radii_px[0])) / np.float32(step)
-        position = np.stack(np.broadcast_arrays(y, x, np.clip(t, 0, radii - 1)))
-        out = np.empty((3, 2, height, width), np.float32)
-        for k, axis in product(range(3), range(2)):
-            map_coordinates(self._table[..., k, axis], position, out[k, axis], order=1, mode="nearest")
+        out = np.empty((3, 2, *radius_px.shape), np.float32)
+        first, step = self.radii_px[0], self.radii_px[1] - self.radii_px[0]
+        radius = np.ascontiguousarray(radius_px, np.float32)
+        _interpolate(self._table, radius, np.float32(first), np.float32(step), out.reshape(6, *radius_px.shape))
         return out
 
     @cached_property
     def _table(self) -> np.ndarray:
-        """(rows, columns, radii, 3, 2) float32."""
+        """(rows, columns, radii, 6) float32."""
         columns, rows = _PLACES
         coarse = np.empty((rows, columns, len(self.radii_px), 3, 2), np.float32)
         xs, ys = np.linspace(0, self.blur.width_px - 1, columns), np.linspace(0, self.blur.height_px - 1, rows)
         for j, i in product(range(rows), range(columns)):
             for n, radius in enumerate(self.radii_px):
                 coarse[j, i, n] = least_fringes(traced(self.blur, (xs[i], ys[j]), float(self.inverse_mm(radius))))
-        return _refined(coarse)
+        return _refined(coarse).reshape(*_fine(rows, columns), len(self.radii_px), 6)
 
 
 def least_fringes(rays: list[Rays]) -> np.ndarray:
@@ -129,10 +123,39 @@ def least_fringes(rays: list[Rays]) -> np.ndarray:
     return shift
 
 
+def _fine(*counts: int) -> tuple[int, ...]:
+    return tuple(_FINE * (n - 1) + 1 for n in counts)
+
+
 def _refined(coarse: np.ndarray) -> np.ndarray:
     """Interpolate the places by cubics."""
     for axis in (0, 1):
         nodes = np.arange(coarse.shape[axis])
-        fine = np.linspace(0, nodes[-1], _FINE * nodes[-1] + 1)
-        coarse = make_interp_spline(nodes, coarse, k=3, axis=axis)(fine)
+        coarse = make_interp_spline(nodes, coarse, k=3, axis=axis)(np.linspace(0, nodes[-1], *_fine(len(nodes))))
     return np.ascontiguousarray(coarse, np.float32)
+
+
+@numba.njit(cache=True, parallel=True)
+def _interpolate(table, radius, first, step, out):  # type: ignore[no-untyped-def]
+    """Read the table linearly in place and radius; (6, H, W) is written, what lies outside takes the nearest."""
+    rows, columns, radii = table.shape[:3]
+    height, width = radius.shape
+    for y in numba.prange(height):
+        v = np.float32(y) * np.float32(rows - 1) / np.float32(max(height - 1, 1))
+        j = min(int(v), rows - 2)
+        v -= np.float32(j)
+        for x in range(width):
+            u = np.float32(x) * np.float32(columns - 1) / np.float32(max(width - 1, 1))
+            i = min(int(u), columns - 2)
+            u -= np.float32(i)
+            t = min(max((radius[y, x] - first) / step, np.float32(0)), np.float32(radii - 1))
+            n = min(int(t), radii - 2)
+            t -= np.float32(n)
+            for c in range(6):
+                total = np.float32(0)
+                for dj in range(2):
+                    for di in range(2):
+                        share = (v if dj else 1 - v) * (u if di else 1 - u)
+                        a, b = table[j + dj, i + di, n, c], table[j + dj, i + di, n + 1, c]
+                        total += share * (a + t * (b - a))
+                out[c, y, x] = total

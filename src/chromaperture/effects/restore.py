@@ -18,6 +18,7 @@ from chromaperture.color.unmixing import pure_channels
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
 from chromaperture.effects.blur import Blur, LensBlur, ThinLensBlur, camera_blur, radius_per_disparity
+from chromaperture.effects.same_photograph import check_same_photograph
 from chromaperture.effects.steady import steady_disparity
 from chromaperture.effects.tiles import by_tiles
 from chromaperture.errors import InputError
@@ -77,7 +78,7 @@ def restore(
     Raises
     ------
     InputError
-        The disparity is of another photograph, or the sharpness is unknown.
+        The disparity is of another photograph or unknown everywhere, or the sharpness is unknown.
     """
     if sharpness not in SHARPNESS:
         raise InputError(f"unknown sharpness {sharpness!r}: choose {', '.join(SHARPNESS)}")
@@ -93,6 +94,7 @@ def restore(
     else:
         scale = np.float32(lens.blur.model.scale_px_mm / cal.on_axis(quality).scale_px_mm)
     first = align_channels(balanced, disparity_px, shifts)
+    check_same_photograph(balanced, first)
     radius, spread = steady_disparity(measured / scale, sigma_px, first)
     radius, spread = radius * scale, spread * scale
     displacement = linear_displacement(radius / scale, shifts) if lens is None else lens(radius)
