@@ -73,7 +73,8 @@ def align_channels(
         )
     filled = fill_unknown(disparity_px).astype(np.float32)
     moved = linear_displacement(filled, directions) if displacement_px is None else displacement_px
-    color = shift_back(image, moved)
+    # Cubics smooth a channel the more, the farther it comes between pixels: an exact displacement deserves better.
+    color = shift_back(image, moved, interpolation=cv2.INTER_CUBIC if displacement_px is None else cv2.INTER_LANCZOS4)
     visible = np.stack([visible_from(filled, u) for u in np.asarray(directions, float)], axis=-1)
     if visible.all():
         return color
@@ -88,8 +89,10 @@ def linear_displacement(disparity_px: np.ndarray, directions: np.ndarray) -> np.
     return np.asarray(disparity_px, np.float32) * u[..., None, None]
 
 
-def shift_back(image: np.ndarray, displacement_px: np.ndarray) -> np.ndarray:
-    """Sample each channel at x + its displacement, (3, 2, H, W) px, cubic; (H, W, 3) float32."""
+def shift_back(
+    image: np.ndarray, displacement_px: np.ndarray, *, interpolation: int = cv2.INTER_CUBIC
+) -> np.ndarray:
+    """Sample each channel at x + its displacement, (3, 2, H, W) px, by one of OpenCV's rules; (H, W, 3) float32."""
     height, width = displacement_px.shape[2:]
     x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
     color = np.empty((height, width, 3), np.float32)
@@ -99,7 +102,7 @@ def shift_back(image: np.ndarray, displacement_px: np.ndarray) -> np.ndarray:
             color[..., k] = image[..., k]
             continue
         plane = np.ascontiguousarray(image[..., k], np.float32)
-        color[..., k] = cv2.remap(plane, x + dx, y + dy, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        color[..., k] = cv2.remap(plane, x + dx, y + dy, interpolation, borderMode=cv2.BORDER_REPLICATE)
     return color
 
 

@@ -23,8 +23,9 @@ class Rays(NamedTuple):
 def traced(blur: FieldBlur, place_px: tuple[float, float], inverse_mm: float) -> list[Rays]:
     """Follow the rays of a point to the sensor.
 
-    Places count from where the open pupil would put the point: a displacement that all channels share, such as coma's,
-    shows in none of their differences, so that a fit to those does not know it.
+    Places count from the chief ray, but for what aberrations displace the whole of the open pupil's light by: a
+    displacement that all channels share, such as coma's, shows in none of their differences, and a fit to those does
+    not know it.
 
     Parameters
     ----------
@@ -39,8 +40,10 @@ def traced(blur: FieldBlur, place_px: tuple[float, float], inverse_mm: float) ->
     """
     field = blur.field(*place_px)
     rim = rims(blur.model, blur.pupil.points, field)
-    everywhere = displacement(blur.model, blur.pupil.points, field, inverse_mm, 1)
-    origin = rim @ everywhere / rim.sum()
+    m = blur.model
+    defocus = (m.infinity_px - m.scale_px_mm * inverse_mm) * blur.pupil.points
+    aberrations = displacement(m, blur.pupil.points, field, inverse_mm, 1) - defocus
+    origin = rim @ aberrations / rim.sum()
     out = []
     for k in range(3):
         light = blur.pupil.light[k] * rim
