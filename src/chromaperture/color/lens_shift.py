@@ -91,7 +91,7 @@ class LensShift:
         for j, i in product(range(rows), range(columns)):
             for n, radius in enumerate(self.radii_px):
                 coarse[j, i, n] = least_fringes(traced(self.blur, (xs[i], ys[j]), float(self.inverse_mm(radius))))
-        return _refined(coarse).reshape(*_fine(rows, columns), len(self.radii_px), 6)
+        return _refined(coarse).reshape(_fine(rows), _fine(columns), len(self.radii_px), 6)
 
 
 def least_fringes(rays: list[Rays]) -> np.ndarray:
@@ -123,15 +123,15 @@ def least_fringes(rays: list[Rays]) -> np.ndarray:
     return shift
 
 
-def _fine(*counts: int) -> tuple[int, ...]:
-    return tuple(_FINE * (n - 1) + 1 for n in counts)
+def _fine(count: int) -> int:
+    return _FINE * (count - 1) + 1
 
 
 def _refined(coarse: np.ndarray) -> np.ndarray:
     """Interpolate the places by cubics."""
     for axis in (0, 1):
         nodes = np.arange(coarse.shape[axis])
-        coarse = make_interp_spline(nodes, coarse, k=3, axis=axis)(np.linspace(0, nodes[-1], *_fine(len(nodes))))
+        coarse = make_interp_spline(nodes, coarse, k=3, axis=axis)(np.linspace(0, nodes[-1], _fine(len(nodes))))
     return np.ascontiguousarray(coarse, np.float32)
 
 
