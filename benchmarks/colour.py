@@ -14,13 +14,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from picture_quality import compare, matched_exposure, misalignment
+from picture_quality import compare, matched_exposure, misalignment, phase_misalignment
 
 from chromaperture.calibrate import calibrate_session
 from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, channel_shifts, default_config
 from chromaperture.capture.files import read_image
-from chromaperture.color.alignment import align_channels, shift_back
+from chromaperture.color.alignment import align_channels, linear_displacement, shift_back
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.color.transparency import compensate_vignetting, flat_field, transparency
 from chromaperture.depth.conversion import depth_to_disparity
@@ -88,17 +88,19 @@ def alignment(data: Path, out: Path | None) -> list[dict]:
                                 sharpness="aligned").color / gains
                     )  # fmt: skip
                     true = truth_disparity(data, scene, camera)
-                    pictures["true depth, no fill"] = shift_back(image, true, u)
-                    pictures["true depth"] = align_channels(image, true, u)
-            floor = misalignment(bare)
+                    pictures["true depth, no fill"] = shift_back(image, linear_displacement(true, u))
+                    pictures["true depth"] = restore(image, true, camera, sharpness="aligned").color / gains
+            floor, phase_floor = misalignment(bare), phase_misalignment(bare)
+            told = (phase_floor[:, 0] < 0.1) & (phase_floor[:, 1] > 0.5)
             # Texture allows a figure where the open capture, whose channels are one view, registers.
             allowed = floor < 0.1
             for name, picture in pictures.items():
                 natural = compensate_vignetting(np.maximum(picture, 0) * gains, flat)
-                moved = misalignment(picture)[allowed]
+                moved, phase = misalignment(picture)[allowed], phase_misalignment(picture)[told]
                 rows.append({"design": design, "scene": scene, "picture": name, **compare(natural, bare, inner),
                              "misaligned_median_px": float(np.nanmedian(moved)),
                              "misaligned_90_percent_px": float(np.nanpercentile(moved, 90)),
+                             "phase_median_px": float(np.median(phase[phase[:, 1] > 0.3, 0])),
                              "open_median_px": float(np.nanmedian(floor)),
                              "windows": int(np.isfinite(moved).sum())})  # fmt: skip
                 say(rows[-1])

@@ -14,14 +14,19 @@ from picture_quality import compare
 from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, default_config
 from chromaperture.color.alignment import align_channels
+from chromaperture.color.lens_shift import least_fringes
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
 from chromaperture.effects.blur import Blur, MeasuredBlur, ThinLensBlur
 from chromaperture.effects.layers import layer_radii, shares
+from chromaperture.effects.restore import UNFITTED_ERROR
 from chromaperture.effects.steady import steady_disparity
 from chromaperture.effects.tiles import by_tiles
+from chromaperture.optics.field_otf import Rays
 
 FULL_WELL, READ_NOISE = 5000.0, 4.0  # electrons
+ROUNDS = {"layered Wiener": 0, "all in focus": 3}
+KNOWN_ERROR = SharpenConfig().model_error  # of kernels that are true
 EDGE_PER_DISPARITY = 3 * np.pi / 4  # the rim of a half disc over its centroid
 
 
@@ -53,14 +58,15 @@ def peers(image: np.ndarray, radius: np.ndarray, blur: Blur, size: int) -> dict[
 
 
 def ours(
-    image: np.ndarray, radius: np.ndarray, blur: Blur, noise: np.ndarray, aligned: np.ndarray
+    image: np.ndarray, radius: np.ndarray, blur: Blur, noise: np.ndarray, aligned: np.ndarray, error: float
 ) -> dict[str, np.ndarray]:
     return {
-        "layered Wiener": all_in_focus(
-            image, radius, blur, noise_variance=noise, aligned=aligned, config=SharpenConfig(reweightings=0)
-        ),
-        "all in focus": all_in_focus(image, radius, blur, noise_variance=noise, aligned=aligned),
-    }
+        name: all_in_focus(
+            image, radius, blur, noise_variance=noise, aligned=aligned,
+            config=SharpenConfig(model_error=error, reweightings=rounds),
+        )
+        for name, rounds in ROUNDS.items()
+    }  # fmt: skip
 
 
 def simulated_rows(out: Path | None, *, say: Callable, save: Callable) -> list[dict]:
@@ -105,7 +111,8 @@ def simulated_rows(out: Path | None, *, say: Callable, save: Callable) -> list[d
             radius = np.nan_to_num(radius)
             aligned = np.maximum(align_channels(image, radius, np.nan_to_num(centroids(aperture))), 0)
             blur = ThinLensBlur(aperture)
-            made = {"capture": image, "aligned": aligned, **ours(image, radius, blur, noise, aligned)}
+            error = KNOWN_ERROR if optics == "thin lens" else UNFITTED_ERROR
+            made = {"capture": image, "aligned": aligned, **ours(image, radius, blur, noise, aligned, error)}
             if design in ("cy_halves", "rgb_squares"):
                 made |= peers(image, radius, blur, 33)
             for name, picture in made.items():
@@ -126,6 +133,7 @@ def cmu_rows(folder: Path, out: Path | None, *, say: Callable, save: Callable) -
     whites = [_half(_read(folder / "calibration" / f"white_sheet_{s}.png") - 1024) for s in ("left", "right")]
     whites = [cv2.GaussianBlur(w, (0, 0), 12) for w in whites]
     kernels, at_px = _kernels(folder / "calibration")
+    apart = np.array([[at_px / _registered_px(stack) for stack in row] for row in kernels], np.float32)
     for scene in ("002", "012"):
         left, right = (
             _half(_read(folder / f"{scene}_{s}.png") - 1024) / w
@@ -162,13 +170,16 @@ def cmu_rows(folder: Path, out: Path | None, *, say: Callable, save: Callable) -
 
         made = {"capture": image, "aligned": aligned}
         whole = radius
-        for factor in (1.0, 0.85):  # the blur as the matched disparity says, and a little less
-            radius = np.clip(factor * whole, radii[0], radii[-1]).astype(np.float32)
-            for name, config in (("layered Wiener", SharpenConfig(reweightings=0)), ("all in focus", SharpenConfig())):
-                made[f"{name}, {factor:g}"] = by_tiles(
+        # Kernels as far apart as the disparity by their centroids, or by what registration reads between them.
+        ratio = cv2.resize(apart, full.shape[1::-1], interpolation=cv2.INTER_LINEAR)[crop]
+        for rule, share in (("centroids", np.float32(1)), ("registered", ratio)):
+            radius = np.clip(share * whole, radii[0], radii[-1]).astype(np.float32)
+            for name, rounds in ROUNDS.items():
+                config = SharpenConfig(model_error=UNFITTED_ERROR, reweightings=rounds)
+                made[f"{name}, {rule}"] = by_tiles(
                     (504, 672), partial(tile, radius=radius, config=config), tile_px=224, overlap_px=32
                 )
-            made |= {f"{name}, {factor:g}": p for name, p in peers(image, radius, blur, 63).items()}
+            made |= {f"{name}, {rule}": p for name, p in peers(image, radius, blur, 63).items()}
         seconds = time.perf_counter() - begin
         # Channels hold one grey scene: their mean is the picture.
         known = _half(_read(folder / f"{scene}_gt_defocus.png")) > 0
@@ -209,6 +220,18 @@ def _kernels(folder: Path) -> tuple[np.ndarray, float]:
             for k in range(3):
                 centred[i, j, k] = cv2.warpAffine(stack[i, j, k], shift, (61, 61), flags=cv2.INTER_LINEAR)
     return centred, float(np.mean(separation))
+
+
+def _registered_px(stack: np.ndarray) -> float:
+    """Half the displacement that registration reads between the left and the right kernel of one place."""
+    axis = np.arange(stack.shape[-1], dtype=float) - stack.shape[-1] // 2
+    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    rays = []
+    for kernel in np.maximum(stack[[0, 2, 2]], 0):
+        lit = kernel.ravel() > 1e-3 * kernel.max()
+        rays.append(Rays(places[lit], kernel.ravel()[lit] / kernel.ravel()[lit].sum()))
+    shift = least_fringes(rays)
+    return float(shift[0, 0] - shift[1, 0]) / 2
 
 
 def _scaled(kernels: np.ndarray, at_px: float, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from chromaperture.color.alignment import align_channels, channel_directions, fill_unknown, shift_back, white_balance
+from chromaperture.color.alignment import (
+    align_channels,
+    channel_directions,
+    fill_unknown,
+    linear_displacement,
+    shift_back,
+    white_balance,
+)
 from chromaperture.color.unmixing import ideal_unmixing
 from chromaperture.color.visibility import visible_from
 from chromaperture.errors import InputError
@@ -87,7 +94,7 @@ def test_strips_hidden_from_a_channel_get_their_own_surface_s_colour(rng, design
     inner[10:-10, 14:-14] = True
     hidden = ~visible & inner[..., None]
     assert hidden.sum() > 100  # there is something to fill
-    shifted, filled = shift_back(image, d, u), align_channels(image, d, u)
+    shifted, filled = shift_back(image, linear_displacement(d, u)), align_channels(image, d, u)
     before = np.sqrt(np.mean((shifted - natural)[hidden] ** 2))
     after = np.sqrt(np.mean((filled - natural)[hidden] ** 2))
     # Blurred edges mix both surfaces, which no colour line undoes; a sixth of the error at least is gone.

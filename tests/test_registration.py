@@ -15,10 +15,10 @@ def spoiled(rng):
     y, x = np.mgrid[:height, :width].astype(np.float32)
     nx, ny = 2 * x / (width - 1) - 1, 2 * y / (height - 1) - 1
     disparity = (2 * np.sign(np.sin(x / 25))).astype(np.float32)
-    truth = np.zeros((3, height, width, 2), np.float32)
-    truth[0] = np.dstack([0.6 * nx + 0.2, 0.6 * ny])
-    truth[2] = np.dstack([0.15 * disparity, np.full_like(x, -0.3)])
-    planes = [cv2.remap(picture, x - t[..., 0], y - t[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    truth = np.zeros((3, 2, height, width), np.float32)
+    truth[0] = np.stack([0.6 * nx + 0.2, 0.6 * ny])
+    truth[2] = np.stack([0.15 * disparity, np.full_like(x, -0.3)])
+    planes = [cv2.remap(picture, x - t[0], y - t[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
               for t in truth]  # fmt: skip
     image = np.dstack(planes) + 0.004 * rng.normal(size=(height, width, 3))
     return image.astype(np.float32), disparity, truth, picture
@@ -27,11 +27,11 @@ def spoiled(rng):
 def test_lateral_colour_and_moved_centroids_are_found(rng):
     image, disparity, truth, picture = spoiled(rng)
     found = residual_displacement(image, disparity)
-    inner = np.s_[:, 20:-20, 20:-20]
+    inner = np.s_[..., 20:-20, 20:-20]
     # Windows straddle the steps of the disparity, and noise of 0.004 against a contrast of 0.09 is left.
     assert np.abs(found - truth)[inner].mean() < 0.05
     np.testing.assert_array_equal(found[1], 0)
-    again = align_channels(image, disparity, np.zeros((3, 2)), residual_px=found)
+    again = align_channels(image, disparity, np.zeros((3, 2)), displacement_px=found)
     inner = np.s_[20:-20, 20:-20]
     before, after = (np.std((p[..., 0] - p[..., 1])[inner]) for p in (image, again))
     assert after < 0.5 * before

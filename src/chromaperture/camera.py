@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from chromaperture.calibration import Calibration
 from chromaperture.capture.checks import check_capture
-from chromaperture.color.alignment import align_channels, channel_directions, white_balance
+from chromaperture.color.alignment import align_channels, channel_directions, fill_unknown, white_balance
+from chromaperture.color.lens_shift import LensShift
 from chromaperture.color.noise import photon_noise_variance
 from chromaperture.color.unmixing import pure_channels
 from chromaperture.config import Config, DepthConfig, MatcherConfig, Quality
-from chromaperture.depth.conversion import DepthModel, disparity_to_depth
+from chromaperture.depth.conversion import DepthModel, disparity_to_depth, disparity_to_inverse_depth
 from chromaperture.disparity.estimate import Disparity, colour_spaces, estimate_disparity
 from chromaperture.disparity.semiglobal import LayerField, layer_field
 
@@ -103,11 +105,45 @@ class CodedApertureCamera:
         with stage("depth"):  # Eq. (10)
             depth_mm, sigma_mm = millimetres(disparity, self.depth_model, self.config.depth)
         with stage("color"):  # section 5.1
-            aligned = align_channels(image, disparity.value_px, channel_shifts(cal, self.config.quality))
+            filled = fill_unknown(disparity.value_px)
+            aligned = align_channels(
+                image, filled, channel_shifts(cal, self.config.quality), displacement_px=self.displacement(filled)
+            )
             color = white_balance(aligned, cal.film.aperture)
         return DepthFrame(
             depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color
         )
+
+    @cached_property
+    def lens_shift(self) -> LensShift | None:
+        """How the lens displaces the channels; None where its blur was not fitted."""
+        blur = self.calibration.field_blur()
+        if blur is None or not self.calibration.is_calibrated:
+            return None
+        pupil_mm = float(self.calibration.on_axis("accurate").sensor_to_pupil_mm)
+        return LensShift(blur, near_mm=self.calibration.near_mm - pupil_mm, far_mm=self.calibration.far_mm - pupil_mm)
+
+    def blur_radius_px(self, disparity_px: np.ndarray) -> np.ndarray | None:
+        """Blur radius on the axis at the distance of every pixel, see `LensShift`; None where the blur is not known.
+
+        Parameters
+        ----------
+        disparity_px : (H, W) float, px
+            As this camera measures it.
+        """
+        if self.lens_shift is None or self.depth_model is None:
+            return None
+        layer = np.asarray(disparity_px, float)
+        if self.blur is None:  # other matchers read the distance; the layer that shows it is the blur's own curve
+            curve = self.calibration.depth_model("accurate")
+            inverse_mm = disparity_to_inverse_depth(layer, self.depth_model)
+            layer = curve.infinity_disparity_px - curve.scale_px_mm * inverse_mm
+        return self.lens_shift.layer_radius_px(layer).astype(np.float32)
+
+    def displacement(self, disparity_px: np.ndarray) -> np.ndarray | None:
+        """Displacement of the channels where the matcher knows the lens's blur, (3, 2, H, W) px; else None."""
+        radius = self.blur_radius_px(disparity_px) if self.blur is not None else None
+        return None if radius is None or self.lens_shift is None else self.lens_shift(radius)
 
 
 def millimetres(

@@ -44,7 +44,7 @@ def fill_unknown(values: np.ndarray) -> np.ndarray:
 
 
 def align_channels(
-    image: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray, *, residual_px: np.ndarray | None = None
+    image: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray, *, displacement_px: np.ndarray | None = None
 ) -> np.ndarray:
     """Shift each channel back by its disparity, and colour what a channel could not see past a near edge.
 
@@ -54,8 +54,9 @@ def align_channels(
     disparity_px : (H, W) float32, px; NaN is filled from the nearest known pixel
     directions : (3, 2) float
         From `channel_directions`.
-    residual_px : (3, H, W, 2) float, px, optional
-        Further displacement of each channel, from `residual_displacement`.
+    displacement_px : (3, 2, H, W) float32, px, optional
+        Displacement, x before y, of each channel from the centre view where more is known of it than disparity times
+        direction: from `LensShift`, or with `residual_displacement`.
 
     Returns
     -------
@@ -71,7 +72,9 @@ def align_channels(
             f"disparity {disparity_px.shape} and image {image.shape[:2]} differ in size: they are of two photographs"
         )
     filled = fill_unknown(disparity_px).astype(np.float32)
-    color = shift_back(image, filled, directions, residual_px=residual_px)
+    moved = linear_displacement(filled, directions) if displacement_px is None else displacement_px
+    # Cubics smooth a channel the more, the farther it comes between pixels: an exact displacement deserves better.
+    color = shift_back(image, moved, interpolation=cv2.INTER_CUBIC if displacement_px is None else cv2.INTER_LANCZOS4)
     visible = np.stack([visible_from(filled, u) for u in np.asarray(directions, float)], axis=-1)
     if visible.all():
         return color
@@ -79,24 +82,27 @@ def align_channels(
     return fill_hidden(color, visible, filled, order)
 
 
+def linear_displacement(disparity_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Displacement d u_k of each channel, the same rule all over the frame; (3, 2, H, W) float32, px, x before y."""
+    u = np.asarray(directions, np.float32)
+    u = np.where(np.abs(u) < _STILL, np.float32(0), u)
+    return np.asarray(disparity_px, np.float32) * u[..., None, None]
+
+
 def shift_back(
-    image: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray, *, residual_px: np.ndarray | None = None
+    image: np.ndarray, displacement_px: np.ndarray, *, interpolation: int = cv2.INTER_CUBIC
 ) -> np.ndarray:
-    """Sample each channel at x + d u_k (+ residual), cubic; disparity without NaN; (H, W, 3) float32."""
-    height, width = disparity_px.shape
+    """Sample each channel at x + its displacement, (3, 2, H, W) px, by one of OpenCV's rules; (H, W, 3) float32."""
+    height, width = displacement_px.shape[2:]
     x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
     color = np.empty((height, width, 3), np.float32)
     for k in range(3):
-        dx, dy = (np.float32(u) for u in directions[k])
-        further = None if residual_px is None or not residual_px[k].any() else residual_px[k]
-        if abs(dx) < _STILL and abs(dy) < _STILL and further is None:
+        dx, dy = displacement_px[k]
+        if not dx.any() and not dy.any():
             color[..., k] = image[..., k]
             continue
         plane = np.ascontiguousarray(image[..., k], np.float32)
-        source = (x + dx * disparity_px, y + dy * disparity_px)
-        if further is not None:
-            source = (source[0] + further[..., 0], source[1] + further[..., 1])
-        color[..., k] = cv2.remap(plane, *source, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        color[..., k] = cv2.remap(plane, x + dx, y + dy, interpolation, borderMode=cv2.BORDER_REPLICATE)
     return color
 
 

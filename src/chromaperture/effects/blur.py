@@ -6,13 +6,18 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import scipy.fft
 
 from chromaperture.calibration import Calibration
 from chromaperture.camera import channel_shifts
+from chromaperture.color.lens_shift import LensShift
 from chromaperture.config import Quality
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids
+from chromaperture.optics.field_otf import field_kernels
 from chromaperture.optics.psf import geometric_otf
+
+_KEPT = 64  # transfer functions: the layers of one tile are asked for several times
 
 
 class Blur(Protocol):
@@ -98,12 +103,45 @@ class MeasuredBlur:
         share = position - below
         stack = self.kernels[row, column]
         kernel = (1 - share) * stack[below] + share * stack[min(below + 1, len(stack) - 1)]
-        size = kernel.shape[-1]
-        if size > min(shape):
-            raise InputError(f"a kernel of {size} px does not fit into a picture of {shape[1]}x{shape[0]} px")
-        padded = np.zeros((3, *shape), np.float32)
-        padded[:, :size, :size] = kernel / kernel.sum(axis=(1, 2), keepdims=True)
-        return np.asarray(np.fft.rfft2(np.roll(padded, (-(size // 2), -(size // 2)), axis=(1, 2)))).astype(np.complex64)
+        return _transfer(kernel, shape)
+
+
+class LensBlur:
+    """The blur of a calibrated lens, which changes over the frame.
+
+    Parameters
+    ----------
+    shift : LensShift
+        Of the camera: names distances by blur radii.
+    """
+
+    def __init__(self, shift: LensShift) -> None:
+        self.shift = shift
+        self._kept: dict[tuple, np.ndarray] = {}
+
+    def __call__(
+        self, radius_px: float, shape: tuple[int, int], *, center: tuple[float, float] | None = None
+    ) -> np.ndarray:
+        """See `Blur`."""
+        key = (radius_px, shape, center)
+        if key not in self._kept:
+            if len(self._kept) >= _KEPT:
+                self._kept.clear()
+            blur, (x, y) = self.shift.blur, center or (0.0, 0.0)
+            place = ((x + 1) * blur.width_px / 2 - 0.5, (y + 1) * blur.height_px / 2 - 0.5)
+            self._kept[key] = _transfer(field_kernels(blur, place, float(self.shift.inverse_mm(radius_px))), shape)
+        return self._kept[key]
+
+
+def _transfer(kernels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Transfer functions of kernels with an odd side, centred in it."""
+    size = kernels.shape[-1]
+    if size > min(shape):
+        raise InputError(f"a kernel of {size} px does not fit into a picture of {shape[1]}x{shape[0]} px")
+    padded = np.zeros((3, *shape), np.float32)
+    padded[:, :size, :size] = kernels / kernels.sum(axis=(1, 2), keepdims=True)
+    centred = np.roll(padded, (-(size // 2), -(size // 2)), axis=(1, 2))
+    return np.asarray(scipy.fft.rfft2(centred)).astype(np.complex64)
 
 
 def radius_per_disparity(calibration: Calibration, quality: Quality) -> float:

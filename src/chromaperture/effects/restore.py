@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -9,16 +10,22 @@ import numpy as np
 
 from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, channel_shifts, sensor_noise
-from chromaperture.color.alignment import align_channels
+from chromaperture.color.alignment import align_channels, linear_displacement
 from chromaperture.color.image import SATURATION
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.color.registration import residual_displacement
 from chromaperture.color.unmixing import pure_channels
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
-from chromaperture.effects.blur import Blur, camera_blur, radius_per_disparity
+from chromaperture.effects.blur import Blur, LensBlur, ThinLensBlur, camera_blur, radius_per_disparity
+from chromaperture.effects.same_photograph import check_same_photograph
 from chromaperture.effects.steady import steady_disparity
+from chromaperture.effects.tiles import by_tiles
 from chromaperture.errors import InputError
+
+_TILES, _LEAST_TILE_PX = 5, 96  # along the width, over each of which the blur counts as constant
+_LAYER_ERROR_PX = 0.1  # of half disparity; the error of the blur radius is that over the blur's reach
+FITTED_ERROR, UNFITTED_ERROR = 0.35, 0.7  # least and largest share of contrast by which the kernels are taken as wrong
 
 Sharpness = Literal["aligned", "fast", "full"]
 SHARPNESS: tuple[Sharpness, ...] = get_args(Sharpness)
@@ -61,7 +68,8 @@ def restore(
     sharpness : "aligned", "fast" or "full"
         Leave the blur; a Wiener filter a layer; all layers and channels solved for together.
     blur : Blur, optional
-        The camera's own transfer functions; its aperture before a thin lens when absent.
+        The camera's transfer functions; when absent those of its calibrated blur, or else of its aperture before a
+        thin lens.
 
     Returns
     -------
@@ -70,7 +78,7 @@ def restore(
     Raises
     ------
     InputError
-        The disparity is of another photograph, or the sharpness is unknown.
+        The disparity is of another photograph or unknown everywhere, or the sharpness is unknown.
     """
     if sharpness not in SHARPNESS:
         raise InputError(f"unknown sharpness {sharpness!r}: choose {', '.join(SHARPNESS)}")
@@ -80,24 +88,51 @@ def restore(
     gains = white_gains(cal)
     balanced = np.maximum(np.asarray(image, np.float32), 0) * gains
     shifts, scale = channel_shifts(cal, quality), np.float32(radius_per_disparity(cal, quality))
-    disparity, spread = steady_disparity(disparity_px, sigma_px, align_channels(balanced, disparity_px, shifts))
-    aligned = align_channels(balanced, disparity, shifts)
+    lens, measured = camera.lens_shift, camera.blur_radius_px(disparity_px)
+    if lens is None or measured is None:
+        measured = np.asarray(disparity_px, np.float32) * scale
+    else:
+        scale = np.float32(lens.blur.model.scale_px_mm / cal.on_axis(quality).scale_px_mm)
+    first = align_channels(balanced, disparity_px, shifts)
+    check_same_photograph(balanced, first)
+    radius, spread = steady_disparity(measured / scale, sigma_px, first)
+    radius, spread = radius * scale, spread * scale
+    displacement = linear_displacement(radius / scale, shifts) if lens is None else lens(radius)
+    aligned = align_channels(balanced, radius / scale, shifts, displacement_px=displacement)
     # Three small sub-apertures, one a channel, blur alike; halves and mixed channels do not, and would mislead.
     if len(cal.aperture.views) > 2 and pure_channels(cal.aperture) is not None:
-        residual = residual_displacement(aligned, disparity)
-        aligned = align_channels(balanced, disparity, shifts, residual_px=residual)
+        displacement = displacement + residual_displacement(aligned, radius / scale)
+        aligned = align_channels(balanced, radius / scale, shifts, displacement_px=displacement)
     aligned = np.maximum(aligned, 0)
-    radius = disparity * scale
     if sharpness == "aligned":
         return SharpPicture(aligned, radius)
     variance = sensor_noise(image, cal)
     noise = (estimate_noise_variance(image) if variance is None else variance).mean(axis=(0, 1)) * gains**2
-    settings = SharpenConfig() if sharpness == "full" else SharpenConfig(reweightings=0)
-    sharp = all_in_focus(
-        balanced, radius, blur or camera_blur(cal), noise_variance=noise, aligned=aligned,
-        radius_sigma_px=spread * scale, saturated=np.asarray(image.max(axis=2) >= SATURATION), config=settings,
-    )  # fmt: skip
-    return SharpPicture(sharp, radius)
+    error = UNFITTED_ERROR if lens is None or blur is not None else fitted_error(lens.blur.reach)
+    settings = SharpenConfig(model_error=error, reweightings=3 if sharpness == "full" else 0)
+    saturated = np.asarray(image.max(axis=2) >= SATURATION)
+    if blur is None:
+        blur = camera_blur(cal) if lens is None else LensBlur(lens)
+
+    def sharpened(piece: tuple[slice, slice], center: tuple[float, float] | None) -> np.ndarray:
+        return all_in_focus(
+            balanced[piece], radius[piece], blur, noise_variance=noise, aligned=aligned[piece],
+            radius_sigma_px=spread[piece], saturated=saturated[piece], config=settings, center=center,
+        )  # fmt: skip
+
+    if isinstance(blur, ThinLensBlur):  # the same all over the frame
+        return SharpPicture(sharpened((slice(None), slice(None)), None), radius)
+    reach = math.ceil(float(np.abs(radius).max()))
+    tile_px = max(_LEAST_TILE_PX, radius.shape[1] // _TILES)
+    return SharpPicture(by_tiles(radius.shape, sharpened, tile_px=tile_px, overlap_px=reach + 4), radius)
+
+
+def fitted_error(reach: float) -> float:
+    """Share of the local contrast by which a fitted blur is taken as wrong.
+
+    A design whose views lie close together tells distance, and with it the blur's radius, less exactly.
+    """
+    return float(np.clip(_LAYER_ERROR_PX / reach, FITTED_ERROR, UNFITTED_ERROR))
 
 
 def white_gains(calibration: Calibration) -> np.ndarray:
@@ -118,4 +153,6 @@ def focus_radius(camera: CodedApertureCamera, focus_mm: float) -> float:
     model = cal.on_axis(quality)
     if not focus_mm > float(model.sensor_to_pupil_mm):
         raise InputError(f"--focus {focus_mm:g} mm lies inside the lens; give the distance from the sensor in mm")
-    return float(depth_to_disparity(focus_mm, model)) * radius_per_disparity(cal, quality)
+    if camera.lens_shift is None:
+        return float(depth_to_disparity(focus_mm, model)) * radius_per_disparity(cal, quality)
+    return float(camera.lens_shift.layer_radius_px(depth_to_disparity(focus_mm, cal.on_axis("accurate"))))
