@@ -204,25 +204,23 @@ class LiveLoop:
             self._finish()
 
     def _tracking(self) -> None:
-        model = Reconstruction(
-            self.camera.calibration.lens.camera_matrix, self.config, listener=self.listener, verify=False
-        )
-        meshed = time.monotonic()
+        model = Reconstruction(self.camera.calibration.lens.camera_matrix, self.config, listener=self.listener)
+        meshed, root = time.monotonic(), 0
         while (item := self._to_track.take()) is not None:
             start = time.monotonic()
-            self.placed = placed = model.add(item.view)
+            self.placed = placed = model.in_root(model.add(item.view))
             del model.placed[:-1]  # the path below is what is kept, and it is bounded
-            if placed.note == "origin":
-                self.path_mm = []
+            if placed.pose is not None and placed.submap != root:  # another world frame
+                root, self.path_mm = placed.submap, []
             if placed.pose is not None:
                 self.path_mm = [*self.path_mm[-_PATH:], placed.pose[:3, 3]]
             if self.want_mesh.is_set() and start - meshed > self._mesh_every_s and model.current is not None:
-                self.mesh, meshed = model.current.volume.mesh(), start
+                self.mesh, meshed = model.mesh(model.current.root), start
                 self.want_mesh.clear()
             now = time.monotonic()
             self.meters["tracking"].passed(now - start, now - item.arrived)
         if model.current is not None:
-            self.mesh = model.current.volume.mesh()
+            self.mesh = model.mesh(model.current.root)
         self._finish()
 
     def _finish(self) -> None:
