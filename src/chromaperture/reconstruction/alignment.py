@@ -13,12 +13,12 @@ import cv2
 import numba as nb
 import numpy as np
 
-_PARTS = 16  # of the points, summed side by side
 _UNKNOWNS = 8  # three of place, three of turn, gain, offset
-_MAX_POINTS = 16_000
+_MAX_POINTS = 8_000
 _LEAST_SIDE_PX = 40
 _LEVELS = 4
 _ROUNDS = 12
+_ENOUGH_PX = 0.02  # a smaller step ends the search
 _HUBER = 1.345
 _MAD = 1.4826
 _LEAST_GREY = 0.5  # grey levels: rounding alone
@@ -40,7 +40,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Fit:
-    """What was found: motion (4, 4) keyframe to camera, share of the points that are seen, that fit, likeness, if solved."""
+    """What was found: motion (4, 4) keyframe to camera, shares of points seen and fitting, likeness, if solved."""
 
     motion: np.ndarray
     seen: float
@@ -112,7 +112,7 @@ def align(
     for cloud, level in reversed(list(zip(points, camera, strict=False))):
         if len(cloud) < 50:
             continue
-        grey_sigma = 20.0
+        grey_sigma, distance_mm = 20.0, float(np.median(cloud[:, 2]))
         residual = np.empty(len(cloud), np.float32)
         matched = np.empty(len(cloud), np.float32)
         close = np.empty(len(cloud), np.uint8)
@@ -120,7 +120,7 @@ def align(
             sums = normal_equations(
                 cloud, level.grey, level.across, level.down, level.z_mm, level.sigma_mm, level.matrix, motion,
                 brightness, grey_sigma, depth_weight, outlier_mm, residual, matched, close,
-            ).sum(axis=0)  # fmt: skip
+            )  # fmt: skip
             here = np.isfinite(residual)
             seen = float(here.mean())
             if here.sum() < 50:
@@ -129,14 +129,15 @@ def align(
             if round_ == 0:
                 continue  # the first looks how far apart the pictures are
             normal = np.zeros((_UNKNOWNS, _UNKNOWNS))
-            normal[np.triu_indices(_UNKNOWNS)] = sums[: -_UNKNOWNS]
+            normal[np.triu_indices(_UNKNOWNS)] = sums[:-_UNKNOWNS]
             normal += np.triu(normal, 1).T
             update, solved = _solved(normal, sums[-_UNKNOWNS:])
             if not solved:
                 return Fit(motion, seen, 0.0, 0.0, solved=False)
             motion = _moved(update[:6]) @ motion
             brightness += update[6:]
-            if np.abs(update[:3]).max() < 0.02 and np.abs(update[3:6]).max() < 1e-5:
+            step_px = level.matrix[0, 0] * (np.abs(update[:3]).max() / distance_mm + np.abs(update[3:6]).max())
+            if step_px < _ENOUGH_PX:
                 break
         fitting = float((close[here] > 0).mean()) * seen
         like = _correlation(cloud[here, 3], matched[here])
@@ -164,7 +165,7 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(a @ b) / power if power > len(a) else 0.0  # less than one grey level says nothing
 
 
-@nb.njit(cache=True, parallel=True, nogil=True)
+@nb.njit(cache=True, nogil=True)
 def normal_equations(
     points: np.ndarray,
     grey: np.ndarray,
@@ -182,91 +183,85 @@ def normal_equations(
     matched: np.ndarray,
     close: np.ndarray,
 ) -> np.ndarray:
-    """Sum J^T W J (upper triangle) and J^T W r over the points, in parts; (16, 44) float64.
+    """Sum J^T W J (upper triangle) and J^T W r over the points; (44,) float64.
 
     Fills ``residual`` (grey levels, NaN where a point is not seen), ``matched`` (grey that it meets) and ``close``
     (1 where its distance agrees).
     """
     rows, columns = grey.shape
-    size = 36 + 8
-    sums = np.zeros((_PARTS, size))
+    total, j = np.zeros(44), np.zeros(8)
     fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
     gain, offset = brightness[0], brightness[1]
-    each = (len(points) + _PARTS - 1) // _PARTS
-    for part in nb.prange(_PARTS):
-        total = np.zeros(size)
-        j = np.zeros(8)
-        for n in range(part * each, min(len(points), (part + 1) * each)):
-            residual[n], close[n] = np.nan, 0
-            px, py, pz = points[n, 0], points[n, 1], points[n, 2]
-            x = motion[0, 0] * px + motion[0, 1] * py + motion[0, 2] * pz + motion[0, 3]
-            y = motion[1, 0] * px + motion[1, 1] * py + motion[1, 2] * pz + motion[1, 3]
-            z = motion[2, 0] * px + motion[2, 1] * py + motion[2, 2] * pz + motion[2, 3]
-            if z <= 1.0:
-                continue
-            u, v = fx * x / z + cx, fy * y / z + cy
-            if not (0 <= u < columns - 1 and 0 <= v < rows - 1):
-                continue
-            column, row = int(u), int(v)
-            s, t = u - column, v - row
-            near_column, near_row = int(u + 0.5), int(v + 0.5)
-            measured = z_mm[near_row, near_column]
-            apart = measured - z
-            if apart < -outlier_mm:  # something stands before it now
-                continue
-            w00, w01, w10, w11 = (1 - s) * (1 - t), s * (1 - t), (1 - s) * t, s * t
-            value = (
-                w00 * grey[row, column] + w01 * grey[row, column + 1]
-                + w10 * grey[row + 1, column] + w11 * grey[row + 1, column + 1]
-            )  # fmt: skip
-            gx = (
-                w00 * across[row, column] + w01 * across[row, column + 1]
-                + w10 * across[row + 1, column] + w11 * across[row + 1, column + 1]
-            )  # fmt: skip
-            gy = (
-                w00 * down[row, column] + w01 * down[row, column + 1]
-                + w10 * down[row + 1, column] + w11 * down[row + 1, column + 1]
-            )  # fmt: skip
-            r = value - gain * points[n, 3] - offset
-            residual[n], matched[n] = r, value
-            # Mean of both gradients: second order in the motion, where they are alike.
-            gx, gy = 0.5 * (gx + gain * points[n, 4]) * fx / z, 0.5 * (gy + gain * points[n, 5]) * fy / z
-            gz = -(gx * x + gy * y) / z
-            j[0], j[1], j[2] = gx, gy, gz
-            j[3], j[4], j[5] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
-            j[6], j[7] = -points[n, 3], -1.0
-            ratio = abs(r) / grey_sigma
-            weight = (1.0 if ratio <= _HUBER else _HUBER / ratio) / (grey_sigma * grey_sigma)
-            k = 0
-            for a in range(8):
-                wa = weight * j[a]
-                for b in range(a, 8):
+    for n in range(len(points)):
+        residual[n], close[n] = np.nan, 0
+        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
+        x = motion[0, 0] * px + motion[0, 1] * py + motion[0, 2] * pz + motion[0, 3]
+        y = motion[1, 0] * px + motion[1, 1] * py + motion[1, 2] * pz + motion[1, 3]
+        z = motion[2, 0] * px + motion[2, 1] * py + motion[2, 2] * pz + motion[2, 3]
+        if z <= 1.0:
+            continue
+        u, v = fx * x / z + cx, fy * y / z + cy
+        if not (0 <= u < columns - 1 and 0 <= v < rows - 1):
+            continue
+        column, row = int(u), int(v)
+        s, t = u - column, v - row
+        near_column, near_row = int(u + 0.5), int(v + 0.5)
+        measured = z_mm[near_row, near_column]
+        apart = measured - z
+        if apart < -outlier_mm:  # something stands before it now
+            continue
+        w00, w01, w10, w11 = (1 - s) * (1 - t), s * (1 - t), (1 - s) * t, s * t
+        value = (
+            w00 * grey[row, column] + w01 * grey[row, column + 1]
+            + w10 * grey[row + 1, column] + w11 * grey[row + 1, column + 1]
+        )  # fmt: skip
+        gx = (
+            w00 * across[row, column] + w01 * across[row, column + 1]
+            + w10 * across[row + 1, column] + w11 * across[row + 1, column + 1]
+        )  # fmt: skip
+        gy = (
+            w00 * down[row, column] + w01 * down[row, column + 1]
+            + w10 * down[row + 1, column] + w11 * down[row + 1, column + 1]
+        )  # fmt: skip
+        r = value - gain * points[n, 3] - offset
+        residual[n], matched[n] = r, value
+        # Mean of both gradients: second order in the motion, where they are alike.
+        gx, gy = 0.5 * (gx + gain * points[n, 4]) * fx / z, 0.5 * (gy + gain * points[n, 5]) * fy / z
+        gz = -(gx * x + gy * y) / z
+        j[0], j[1], j[2] = gx, gy, gz
+        j[3], j[4], j[5] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
+        j[6], j[7] = -points[n, 3], -1.0
+        ratio = abs(r) / grey_sigma
+        weight = (1.0 if ratio <= _HUBER else _HUBER / ratio) / (grey_sigma * grey_sigma)
+        k = 0
+        for a in range(8):
+            wa = weight * j[a]
+            for b in range(a, 8):
+                total[k] += wa * j[b]
+                k += 1
+            total[36 + a] += wa * r
+        if not abs(apart) <= outlier_mm:  # unknown, or another surface
+            continue
+        close[n] = 1
+        sigma = sigma_mm[near_row, near_column]
+        if not (1 <= near_column < columns - 1 and 1 <= near_row < rows - 1 and sigma > 0):
+            continue
+        dx = 0.5 * (z_mm[near_row, near_column + 1] - z_mm[near_row, near_column - 1])
+        dy = 0.5 * (z_mm[near_row + 1, near_column] - z_mm[near_row - 1, near_column])
+        if not (abs(dx) < 0.02 * z and abs(dy) < 0.02 * z):
+            continue
+        dx, dy = dx * fx / z, dy * fy / z
+        dz = -(dx * x + dy * y) / z - 1.0
+        j[0], j[1], j[2] = dx, dy, dz
+        j[3], j[4], j[5] = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
+        ratio = abs(apart) / sigma
+        weight = depth_weight * (1.0 if ratio <= _HUBER else _HUBER / ratio) / (sigma * sigma)
+        k = 0
+        for a in range(6):
+            wa = weight * j[a]
+            for b in range(a, 8):
+                if b < 6:
                     total[k] += wa * j[b]
-                    k += 1
-                total[36 + a] += wa * r
-            if not abs(apart) <= outlier_mm:  # unknown, or another surface
-                continue
-            close[n] = 1
-            sigma = sigma_mm[near_row, near_column]
-            if not (1 <= near_column < columns - 1 and 1 <= near_row < rows - 1 and sigma > 0):
-                continue
-            dx = 0.5 * (z_mm[near_row, near_column + 1] - z_mm[near_row, near_column - 1])
-            dy = 0.5 * (z_mm[near_row + 1, near_column] - z_mm[near_row - 1, near_column])
-            if not (abs(dx) < 0.02 * z and abs(dy) < 0.02 * z):
-                continue
-            dx, dy = dx * fx / z, dy * fy / z
-            dz = -(dx * x + dy * y) / z - 1.0
-            j[0], j[1], j[2] = dx, dy, dz
-            j[3], j[4], j[5] = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
-            ratio = abs(apart) / sigma
-            weight = depth_weight * (1.0 if ratio <= _HUBER else _HUBER / ratio) / (sigma * sigma)
-            k = 0
-            for a in range(6):
-                wa = weight * j[a]
-                for b in range(a, 8):
-                    if b < 6:
-                        total[k] += wa * j[b]
-                    k += 1
-                total[36 + a] += wa * apart
-        sums[part] = total
-    return sums
+                k += 1
+            total[36 + a] += wa * apart
+    return total

@@ -20,6 +20,7 @@ _REFRESH = 4  # views fused until the keyframe takes its distances from the mode
 _VOXELS_OF_DISTANCE = 200
 _MIN_KNOWN = 0.02
 _JOIN_LIKENESS, _JOIN_OVERLAP = 0.75, 0.5  # stricter than tracking: nothing says that the place was seen before
+_JOIN_EVERY = 3  # frames from one look into older submaps to the next
 _JOIN_MM, _JOIN_DEG = 40.0, 2.0  # two finds in a row that agree so well are no accident
 
 
@@ -104,6 +105,11 @@ class Reconstruction:
         """Number of the submap that grows."""
         return max(0, len(self.submaps) - 1)
 
+    @property
+    def roots(self) -> list[int]:
+        """Submaps that were not joined to an older one: each is a world frame of its own."""
+        return sorted({submap.root for submap in self.submaps})
+
     def add(self, view: View) -> Placed:
         """Track and fuse one view; never raises because of what it shows."""
         clean = cleaned(view, self.config)
@@ -124,8 +130,7 @@ class Reconstruction:
 
     def meshes(self) -> list[Mesh]:
         """Give one mesh for every world frame, the first first, each of all submaps joined to it; empty ones too."""
-        roots = sorted({submap.root for submap in self.submaps})
-        return [self.mesh(root) for root in roots]
+        return [self.mesh(root) for root in self.roots]
 
     def mesh(self, root: int) -> Mesh:
         """Give the mesh of all submaps joined to one."""
@@ -163,6 +168,8 @@ class Reconstruction:
             near = [(self._keyframe(self._pose, seen, submap), self._pose)]
             for keyframe, guess in near + [(key, key.pose) for key in similar(seen, submap.keyframes)]:
                 found = track(seen, keyframe, guess, config=self.config)
+                if keyframe is not self._active:
+                    keyframe.forget_points()
                 if not found.lost:
                     break
         if found.lost:
@@ -175,6 +182,8 @@ class Reconstruction:
         self.lost_in_row = 0
         self._pose = orthonormal(found.pose)
         self._fuse(view, seen, submap)
+        if view.index % _JOIN_EVERY == 0:
+            self._join(view, seen, submap)
         return Placed(view.index, view.time_s, self._pose.copy(), found.overlap, found.likeness, self.submap)
 
     def _lost(self, view: View, why: str) -> Placed:
@@ -197,7 +206,6 @@ class Reconstruction:
         if all(key.apart(self._pose, seen.median_mm) > _APART for key in submap.keyframes):
             submap.keyframes.append(seen.keyframe(self._pose))
             del submap.keyframes[1 : 1 + max(0, len(submap.keyframes) - _KEYFRAMES)]
-            self._join(view, seen, submap)
 
     def _keyframe(self, pose: np.ndarray, seen: Sight, submap: Submap) -> Keyframe:
         """Give the oldest keyframe that sees much of what a camera there does: the older, the less it has drifted."""

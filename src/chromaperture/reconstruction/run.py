@@ -71,7 +71,7 @@ def reconstruct(
 def write_model(
     folder: str | Path, model: Reconstruction, *, facts: dict[str, Any] | None = None
 ) -> tuple[dict[str, Any], list[Path]]:
-    """Write ``mesh.ply``, ``mesh.glb`` (``mesh_N.*`` of submaps that were not joined), ``trajectory.txt`` and ``report.json``.
+    """Write ``mesh.ply`` and ``.glb`` (``mesh_N.*`` of submaps not joined), ``trajectory.txt`` and ``report.json``.
 
     Returns the report and the files; raises InputError when the folder cannot be written to.
     """
@@ -79,7 +79,7 @@ def write_model(
     report = (facts or {}) | summary(model)
     sizes = []
     with staged(folder) as stage:
-        for number, mesh in enumerate(model.meshes()):
+        for number, mesh in zip(model.roots, model.meshes(), strict=True):
             sizes.append({"submap": number, "vertices": len(mesh.vertices_mm), "triangles": len(mesh.triangles)})
             if len(mesh.triangles) == 0:
                 continue
