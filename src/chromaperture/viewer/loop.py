@@ -24,7 +24,7 @@ from chromaperture.reconstruction.fusion import Placed, Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.volume import Mesh, open3d
 from chromaperture.viewer.slots import Meter, Slot
-from chromaperture.views import View, undistorter
+from chromaperture.views import undistorter
 
 STAGES = ("capture", "depth", "tracking", "view")
 _PATH = 20_000  # poses that are kept
@@ -32,12 +32,11 @@ _PATH = 20_000  # poses that are kept
 
 @dataclass(frozen=True)
 class Measured:
-    """One frame on its way: ``arrived`` on the monotonic clock, the frame, its depth, its undistorted view."""
+    """One frame on its way: ``arrived`` on the monotonic clock, the frame, its depth."""
 
     arrived: float
     frame: Frame
     made: DepthFrame
-    view: View
 
 
 class LiveLoop:
@@ -78,7 +77,6 @@ class LiveLoop:
         self.path_mm: list[np.ndarray] = []
         self.mesh: Mesh | None = None
         self.track, self.config, self._mesh_every_s = track, config or ReconstructionConfig(), mesh_every_s
-        self._to_view = undistorter(camera)
         self._leave = threading.Event()
         self._to_depth, self._to_track = Slot[tuple[float, Frame]](), Slot[Measured]()
         self.to_view = Slot[Measured]()
@@ -193,7 +191,7 @@ class LiveLoop:
                 said = str(error)
                 continue
             said = ""
-            measured = Measured(arrived, frame, made, self._to_view(made, frame.time_s, frame.index))
+            measured = Measured(arrived, frame, made)
             now = time.monotonic()
             self.meters["depth"].passed(now - start, now - arrived)
             self.to_view.put(measured)
@@ -205,10 +203,12 @@ class LiveLoop:
 
     def _tracking(self) -> None:
         model = Reconstruction(self.camera.calibration.lens.camera_matrix, self.config, listener=self.listener)
+        to_view = undistorter(self.camera)
         meshed, root = time.monotonic(), 0
         while (item := self._to_track.take()) is not None:
             start = time.monotonic()
-            self.placed = placed = model.in_root(model.add(item.view))
+            view = to_view(item.made, item.frame.time_s, item.frame.index)
+            self.placed = placed = model.in_root(model.add(view))
             del model.placed[:-1]  # the path below is what is kept, and it is bounded
             if placed.pose is not None and placed.submap != root:  # another world frame
                 root, self.path_mm = placed.submap, []
