@@ -2,7 +2,7 @@
 
 SOURCE is a live one, as "replay:FOLDER?speed=1&loop=1" or "simulate:FOLDER?speed=1&loop=1". Without a browser; --page
 draws the page as if somebody looked. CPU seconds a frame say what two free cores could do where the machine is busy
-with other things. The first quarter warms up: compilation, and the model of the place grows. --out FOLDER keeps the
+with other things. The first third warms up: compilation, and the model of the place grows. --out FOLDER keeps the
 curve of memory as memory.csv and memory.png.
 """
 
@@ -49,7 +49,7 @@ def write_curve(folder: Path, rows: np.ndarray, warm_s: float) -> None:
     import matplotlib.pyplot as plt
 
     folder.mkdir(parents=True, exist_ok=True)
-    np.savetxt(folder / "memory.csv", rows, "%.2f", ",", header="seconds,resident_mb,frames", comments="")
+    np.savetxt(folder / "memory.csv", rows, "%.2f", ",", header="seconds,resident_mb,frames,blocks,keyframes", comments="")
     figure, axes = plt.subplots(figsize=(8, 3.5), layout="constrained")
     axes.plot(rows[:, 0] / 60, rows[:, 1])
     axes.axvline(warm_s / 60, color="0.6", linestyle="--", label="end of warm-up")
@@ -71,7 +71,7 @@ def main() -> None:
     camera = load_camera(args.camera)
     rows, said = [], []
     levels = (camera.calibration.sensor.black_level, camera.calibration.sensor.white_level)
-    warm_s = args.seconds / 4
+    warm_s = args.seconds / 3
     with (
         tempfile.TemporaryDirectory() as folder,
         open_source(args.source, camera_levels=levels) as source,
@@ -80,7 +80,9 @@ def main() -> None:
         page, thread = looked_at(loop, folder) if args.page else (None, None)
         start, warm = time.monotonic(), None
         while (now := time.monotonic() - start) < args.seconds and not loop.over.is_set():
-            rows.append((now, resident_mb(), loop.meters["depth"].count))
+            model = loop.model.current if loop.model else None
+            grown = (model.volume.blocks, len(model.keyframes)) if model and model.volume else (0, 0)
+            rows.append((now, resident_mb(), loop.meters["depth"].count, *grown))
             if warm is None and now >= warm_s:
                 warm = (now, time.process_time(), loop.meters["depth"].count)
             loop.over.wait(1.0)

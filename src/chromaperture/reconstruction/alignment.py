@@ -22,6 +22,7 @@ _ENOUGH_PX = 0.02  # a smaller step ends the search
 _HUBER = 1.345
 _MAD = 1.4826
 _LEAST_GREY = 0.5  # grey levels: rounding alone
+_AGREES, _DIFFERS = 1, 2
 _DAMPING = 1e-4
 _CONDITION = 1e-7
 
@@ -139,7 +140,8 @@ def align(
             step_px = level.matrix[0, 0] * (np.abs(update[:3]).max() / distance_mm + np.abs(update[3:6]).max())
             if step_px < _ENOUGH_PX:
                 break
-        fitting = float((close[here] > 0).mean()) * seen
+        agrees, differs = np.count_nonzero(close == _AGREES), np.count_nonzero(close == _DIFFERS)
+        fitting = seen * agrees / max(agrees + differs, 1)  # nothing is known of the rest
         like = _correlation(cloud[here, 3], matched[here])
     return Fit(motion, seen, fitting, like, solved)
 
@@ -186,7 +188,7 @@ def normal_equations(
     """Sum J^T W J (upper triangle) and J^T W r over the points; (44,) float64.
 
     Fills ``residual`` (grey levels, NaN where a point is not seen), ``matched`` (grey that it meets) and ``close``
-    (1 where its distance agrees).
+    (whether its distance agrees or differs, 0 where it is unknown).
     """
     rows, columns = grey.shape
     total, j = np.zeros(44), np.zeros(8)
@@ -209,6 +211,7 @@ def normal_equations(
         measured = z_mm[near_row, near_column]
         apart = measured - z
         if apart < -outlier_mm:  # something stands before it now
+            close[n] = _DIFFERS
             continue
         w00, w01, w10, w11 = (1 - s) * (1 - t), s * (1 - t), (1 - s) * t, s * t
         value = (
@@ -241,8 +244,9 @@ def normal_equations(
                 k += 1
             total[36 + a] += wa * r
         if not abs(apart) <= outlier_mm:  # unknown, or another surface
+            close[n] = _DIFFERS if apart > outlier_mm else 0
             continue
-        close[n] = 1
+        close[n] = _AGREES
         sigma = sigma_mm[near_row, near_column]
         if not (1 <= near_column < columns - 1 and 1 <= near_row < rows - 1 and sigma > 0):
             continue

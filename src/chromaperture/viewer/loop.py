@@ -76,6 +76,7 @@ class LiveLoop:
         self.placed: Placed | None = None
         self.path_mm: list[np.ndarray] = []
         self.mesh: Mesh | None = None
+        self.model: Reconstruction | None = None
         self.track, self.config, self._mesh_every_s = track, config or ReconstructionConfig(), mesh_every_s
         self._leave = threading.Event()
         self._to_depth, self._to_track = Slot[tuple[float, Frame]](), Slot[Measured]()
@@ -203,6 +204,7 @@ class LiveLoop:
 
     def _tracking(self) -> None:
         model = Reconstruction(self.camera.calibration.lens.camera_matrix, self.config, listener=self.listener)
+        self.model = model
         to_view = undistorter(self.camera)
         meshed, root = time.monotonic(), 0
         while (item := self._to_track.take()) is not None:
