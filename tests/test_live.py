@@ -13,8 +13,9 @@ import pytest
 
 from chromaperture.camera import load_camera
 from chromaperture.capture.files import read_image
+from chromaperture.capture.live import DeviceLostError, LiveSource
 from chromaperture.capture.recording import Recorder, ReplaySource
-from chromaperture.capture.source import Encoding, FileSource, Frame
+from chromaperture.capture.source import Encoding, Event, FileSource, Frame
 from chromaperture.errors import InputError
 from chromaperture.samples import sample_camera, sample_image
 from chromaperture.viewer.loop import LiveLoop
@@ -151,6 +152,54 @@ def test_a_full_disk_ends_the_recording_and_not_the_loop(tmp_path, monkeypatch):
         assert loop.to_view.take() is not None
         eye.gate.release(1000)
     assert said == ["the disk is full: recording stopped"]
+
+
+class Pluggable:
+    """A device that delivers so many frames and is then pulled out."""
+
+    def __init__(self, lasts: int) -> None:
+        self.left = lasts
+
+    def read(self, index: int) -> Frame:
+        time.sleep(0.002)
+        self.left -= 1
+        if self.left < 0:
+            raise DeviceLostError("unplugged?")
+        return Frame(np.full((48, 72, 3), 20 + index % 200, np.uint8), Encoding(0, 255), time.time(), index)
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_camera_that_is_unplugged_comes_back_to_the_loop_and_to_its_recording(tmp_path):
+    devices = [Pluggable(30), None, Pluggable(10**9)]
+
+    def connect() -> Pluggable:
+        device = devices.pop(0)
+        if device is None:
+            raise InputError("not there yet")
+        return device
+
+    events: list[Event] = []
+    eye = Eye()
+    eye.gate.release(10**6)
+    with (
+        LiveSource("camera", connect, listener=events.append, retry_s=0.2) as source,
+        LiveLoop(source, eye, track=False) as loop,
+    ):
+        loop.record(tmp_path / "take")
+        until(lambda: len(events) == 2)
+        before = loop.meters["depth"].count
+        until(lambda: loop.meters["depth"].count > before + 5)
+        recorded = loop.recorded
+        until(lambda: loop.recorded > recorded + 2)
+        assert loop.failure is None
+    assert [event.kind for event in events] == ["lost", "reconnected"]
+    with ReplaySource(str(tmp_path / "take")) as replay:
+        indices = [frame.index for frame in replay if (frame.counts == 20 + frame.index % 200).all()]
+    assert len(indices) == loop.recorded
+    assert max(indices) > 30  # frames of the second life are there
+    assert indices == sorted(set(indices))
 
 
 def test_depth_is_drawn_with_a_bar_of_the_same_colours():
