@@ -49,7 +49,9 @@ def write_curve(folder: Path, rows: np.ndarray, warm_s: float) -> None:
     import matplotlib.pyplot as plt
 
     folder.mkdir(parents=True, exist_ok=True)
-    np.savetxt(folder / "memory.csv", rows, "%.2f", ",", header="seconds,resident_mb,frames,blocks,keyframes", comments="")
+    np.savetxt(
+        folder / "memory.csv", rows, "%.2f", ",", header="seconds,resident_mb,frames,blocks,keyframes", comments=""
+    )
     figure, axes = plt.subplots(figsize=(8, 3.5), layout="constrained")
     axes.plot(rows[:, 0] / 60, rows[:, 1])
     axes.axvline(warm_s / 60, color="0.6", linestyle="--", label="end of warm-up")

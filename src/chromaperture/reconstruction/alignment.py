@@ -140,7 +140,7 @@ def align(
             step_px = level.matrix[0, 0] * (np.abs(update[:3]).max() / distance_mm + np.abs(update[3:6]).max())
             if step_px < _ENOUGH_PX:
                 break
-        agrees, differs = np.count_nonzero(close == _AGREES), np.count_nonzero(close == _DIFFERS)
+        agrees, differs = int((close == _AGREES).sum()), int((close == _DIFFERS).sum())
         fitting = seen * agrees / max(agrees + differs, 1)  # nothing is known of the rest
         like = _correlation(cloud[here, 3], matched[here])
     return Fit(motion, seen, fitting, like, solved)
