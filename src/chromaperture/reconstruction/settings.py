@@ -26,7 +26,7 @@ class ReconstructionConfig:
     edge_px : int
         Half width of the neighbourhood in which a step is looked for.
     memory_mb : int
-        Memory of the volume, taken at once.
+        Memory of the volume, reserved at once and used as the model grows.
     tracking_scale : int
         Tracking works on pictures reduced by this factor.
     outlier_mm : float
