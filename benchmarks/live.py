@@ -1,24 +1,63 @@
 """Rate and memory of the live loop: python benchmarks/live.py SOURCE --camera CAMERA.asdf [--seconds 60].
 
-SOURCE is a live one, as "replay:FOLDER?speed=1&loop=1". Without a browser; CPU seconds a frame say what two free cores
-could do where the machine is busy with other things.
+SOURCE is a live one, as "replay:FOLDER?speed=1&loop=1" or "simulate:FOLDER?speed=1&loop=1". Without a browser; --page
+draws the page as if somebody looked. CPU seconds a frame say what two free cores could do where the machine is busy
+with other things. The first third warms up: compilation, and the model of the place grows. --out FOLDER keeps the
+curve of memory as memory.csv and memory.png.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import tempfile
+import threading
 import time
 from pathlib import Path
+
+import numpy as np
 
 from chromaperture.camera import load_camera
 from chromaperture.capture.open import open_source
 from chromaperture.viewer.loop import LiveLoop
+from chromaperture.viewer.page import LivePage
 
 
 def resident_mb() -> float:
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * 4096 / 2**20
+
+
+def looked_at(loop: LiveLoop, folder: str) -> tuple[LivePage, threading.Thread]:
+    """Draw the page for nobody."""
+    page = LivePage(loop, host="127.0.0.1", port=8990, out=Path(folder))
+
+    def show() -> None:
+        while (item := loop.to_view.take()) is not None:
+            start = time.monotonic()
+            page.show(item)
+            loop.want_mesh.set()
+            loop.meters["view"].passed(time.monotonic() - start, time.monotonic() - item.arrived)
+            time.sleep(0.1)
+
+    thread = threading.Thread(target=show, daemon=True)
+    thread.start()
+    return page, thread
+
+
+def write_curve(folder: Path, rows: np.ndarray, warm_s: float) -> None:
+    import matplotlib.pyplot as plt
+
+    folder.mkdir(parents=True, exist_ok=True)
+    np.savetxt(
+        folder / "memory.csv", rows, "%.2f", ",", header="seconds,resident_mb,frames,blocks,keyframes", comments=""
+    )
+    figure, axes = plt.subplots(figsize=(8, 3.5), layout="constrained")
+    axes.plot(rows[:, 0] / 60, rows[:, 1])
+    axes.axvline(warm_s / 60, color="0.6", linestyle="--", label="end of warm-up")
+    axes.set(xlabel="minutes", ylabel="resident memory, MB", ylim=(0, None))
+    axes.legend()
+    figure.savefig(folder / "memory.png", dpi=110)
 
 
 def main() -> None:
@@ -27,28 +66,53 @@ def main() -> None:
     parser.add_argument("--camera", type=Path, required=True)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--no-model", action="store_true")
+    parser.add_argument("--page", action="store_true")
+    parser.add_argument("--out", type=Path)
     args = parser.parse_args()
 
     camera = load_camera(args.camera)
-    memory: list[float] = []
+    rows, said = [], []
     levels = (camera.calibration.sensor.black_level, camera.calibration.sensor.white_level)
+    warm_s = args.seconds / 3
     with (
+        tempfile.TemporaryDirectory() as folder,
         open_source(args.source, camera_levels=levels) as source,
-        LiveLoop(source, camera, track=not args.no_model, listener=lambda line: None) as loop,
+        LiveLoop(source, camera, track=not args.no_model, listener=said.append) as loop,
     ):
-        loop.over.wait(args.seconds / 4)  # compilation, and the model of the place grow in this time
-        began, cpu, done = time.monotonic(), time.process_time(), loop.meters["depth"].count
-        while time.monotonic() - began < args.seconds * 0.75 and not loop.over.is_set():
-            memory.append(resident_mb())
+        page, thread = looked_at(loop, folder) if args.page else (None, None)
+        start, warm = time.monotonic(), None
+        while (now := time.monotonic() - start) < args.seconds and not loop.over.is_set():
+            model = loop.model.current if loop.model else None
+            grown = (model.volume.blocks, len(model.keyframes)) if model and model.volume else (0, 0)
+            rows.append((now, resident_mb(), loop.meters["depth"].count, *grown))
+            if warm is None and now >= warm_s:
+                warm = (now, time.process_time(), loop.meters["depth"].count)
             loop.over.wait(1.0)
-        frames, spent = loop.meters["depth"].count - done, time.process_time() - cpu
-        seconds, figures = time.monotonic() - began, loop.figures()
-    early, late = memory[: len(memory) // 4 + 1], memory[-len(memory) // 4 - 1 :]
-    growth = sum(late) / len(late) / (sum(early) / len(early)) - 1
-    rates = {"frames_per_second": frames / seconds, "cpu_seconds_per_frame": spent / max(frames, 1)}
+        seconds, frames = now - warm[0], loop.meters["depth"].count - warm[2]
+        spent, figures = time.process_time() - warm[1], loop.figures()
+        loop.stop()
+        if page is not None:
+            thread.join()
+            page.close()
+    curve = np.array(rows)
+    if args.out:
+        write_curve(args.out, curve, warm_s)
+    late = curve[curve[:, 0] >= warm_s]
+    tenth = max(1, len(late) // 10)
+    growth = late[-tenth:, 1].mean() / late[:tenth, 1].mean() - 1
     print(
         json.dumps(
-            rates | {"memory_growth_percent": 100 * growth, "memory_mb": memory[-1], "stages": figures}, indent=1
+            {
+                "frames_per_second": frames / seconds,
+                "cpu_seconds_per_frame": spent / max(frames, 1),
+                "memory_growth_percent": 100 * growth,
+                "memory_mb": curve[-1, 1],
+                "frames": int(curve[-1, 2]),
+                "said": sorted(set(said))[:20],
+                "lines_said": len(said),
+                "stages": figures,
+            },
+            indent=1,
         )
     )
 

@@ -7,13 +7,15 @@ import time
 import urllib.request
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
 from chromaperture.camera import load_camera
 from chromaperture.capture.files import read_image
+from chromaperture.capture.live import DeviceLostError, LiveSource
 from chromaperture.capture.recording import Recorder, ReplaySource
-from chromaperture.capture.source import Encoding, FileSource, Frame
+from chromaperture.capture.source import Encoding, Event, FileSource, Frame
 from chromaperture.errors import InputError
 from chromaperture.samples import sample_camera, sample_image
 from chromaperture.viewer.loop import LiveLoop
@@ -152,6 +154,54 @@ def test_a_full_disk_ends_the_recording_and_not_the_loop(tmp_path, monkeypatch):
     assert said == ["the disk is full: recording stopped"]
 
 
+class Pluggable:
+    """A device that delivers so many frames and is then pulled out."""
+
+    def __init__(self, lasts: int) -> None:
+        self.left = lasts
+
+    def read(self, index: int) -> Frame:
+        time.sleep(0.002)
+        self.left -= 1
+        if self.left < 0:
+            raise DeviceLostError("unplugged?")
+        return Frame(np.full((48, 72, 3), 20 + index % 200, np.uint8), Encoding(0, 255), time.time(), index)
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_camera_that_is_unplugged_comes_back_to_the_loop_and_to_its_recording(tmp_path):
+    devices = [Pluggable(30), None, Pluggable(10**9)]
+
+    def connect() -> Pluggable:
+        device = devices.pop(0)
+        if device is None:
+            raise InputError("not there yet")
+        return device
+
+    events: list[Event] = []
+    eye = Eye()
+    eye.gate.release(10**6)
+    with (
+        LiveSource("camera", connect, listener=events.append, retry_s=0.2) as source,
+        LiveLoop(source, eye, track=False) as loop,
+    ):
+        loop.record(tmp_path / "take")
+        until(lambda: len(events) == 2)
+        before = loop.meters["depth"].count
+        until(lambda: loop.meters["depth"].count > before + 5)
+        recorded = loop.recorded
+        until(lambda: loop.recorded > recorded + 2)
+        assert loop.failure is None
+    assert [event.kind for event in events] == ["lost", "reconnected"]
+    with ReplaySource(str(tmp_path / "take")) as replay:
+        indices = [frame.index for frame in replay if (frame.counts == 20 + frame.index % 200).all()]
+    assert len(indices) == loop.recorded
+    assert max(indices) > 30  # frames of the second life are there
+    assert indices == sorted(set(indices))
+
+
 def test_depth_is_drawn_with_a_bar_of_the_same_colours():
     height, far, near = 101, 4000.0, 1000.0
     rows = np.linspace(1 / near, 1 / far, height)  # even in 1 / distance, as the bar is
@@ -162,19 +212,21 @@ def test_depth_is_drawn_with_a_bar_of_the_same_colours():
     np.testing.assert_allclose(picture[:, 10].astype(int), picture[:, 25].astype(int), atol=12)  # a level or two
 
 
+class Still(Running):
+    """The sample's photograph, over and over."""
+
+    def __iter__(self):
+        image = read_image(sample_image("still_life_cy_halves"), black_level=16, white_level=1016)
+        counts = np.clip(image, 0, 1).astype(np.float32)
+        for frame in super().__iter__():
+            yield Frame(counts, Encoding(0.0, 1.0), frame.time_s, frame.index)
+
+
 def test_the_page_is_served_and_a_snapshot_written(tmp_path):
     pytest.importorskip("viser", reason="the extra 'viewer' is not installed: the page is NOT tested")
     from chromaperture.viewer.page import LivePage
 
     eye = load_camera(sample_camera("still_life_cy_halves"))
-    image = read_image(sample_image("still_life_cy_halves"), black_level=16, white_level=1016)
-    counts = np.clip(image, 0, 1).astype(np.float32)
-
-    class Still(Running):
-        def __iter__(self):
-            for frame in super().__iter__():
-                yield Frame(counts, Encoding(0.0, 1.0), frame.time_s, frame.index)
-
     with LiveLoop(Still(), eye, track=False) as loop:
         page = LivePage(loop, host="127.0.0.1", port=8765, out=tmp_path)
         try:
@@ -183,9 +235,57 @@ def test_the_page_is_served_and_a_snapshot_written(tmp_path):
             page.run(until=lambda: page.last is not None)
             page.show(page.last)  # as with somebody looking
             assert page.depth.image.any()
+            plain, page.refocus.value, page.focus.value = page.color.image.copy(), True, 1200
+            page.show(page.last)
+            detail = [cv2.Laplacian(picture, cv2.CV_64F).std() for picture in (plain, page.color.image)]
+            assert 0.02 * detail[0] < detail[1] < 0.9 * detail[0]  # most of it lies behind, and is blurred now
             files = page.snapshot()
             assert all(path.stat().st_size > 0 for path in files)
             assert urllib.request.urlopen(page.url, timeout=WAIT_S).status == 200
             assert page.url.startswith("http://127.0.0.1:")
         finally:
+            page.close()
+
+
+def test_viewers_come_and_go_and_one_that_dies_stops_nothing(tmp_path):
+    viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed: the page is NOT tested")
+    import msgspec
+    from websockets.sync.client import connect
+
+    from chromaperture.viewer.page import LivePage
+
+    camera = {
+        "type": "ViewerCameraMessage",
+        "wxyz": (1, 0, 0, 0),
+        "position": (0, 0, -1),
+        "fov": 1.0,
+        "near": 0.01,
+        "far": 100.0,
+        "image_height": 480,
+        "image_width": 640,
+        "look_at": (0, 0, 1),
+        "up_direction": (0, -1, 0),
+    }
+    with LiveLoop(Still(), load_camera(sample_camera("still_life_cy_halves")), track=False) as loop:
+        page = LivePage(loop, host="127.0.0.1", port=8775, out=tmp_path)
+        drawing = threading.Thread(target=page.run, daemon=True)
+        drawing.start()
+        try:
+            where = page.url.replace("http", "ws")
+            first, second = (connect(where, subprotocols=[f"viser-v{viser.__version__}"]) for _ in range(2))
+            for browser in (first, second):  # one counts from when it has said where it looks from
+                browser.send(msgspec.msgpack.encode(camera))
+            until(lambda: len(page.server.get_clients()) == 2)
+            first.socket.close()  # without a word, as a browser that is killed
+            until(lambda: len(page.server.get_clients()) == 1)
+            shown = loop.meters["view"].count
+            until(lambda: loop.meters["view"].count > shown + 2)
+            for _ in range(3):
+                assert second.recv(timeout=WAIT_S)
+            assert drawing.is_alive()
+            assert loop.failure is None
+            second.close()
+        finally:
+            loop.stop()
+            drawing.join(WAIT_S)
             page.close()

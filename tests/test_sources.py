@@ -352,6 +352,54 @@ def test_frames_of_an_aravis_camera():
         next(iter(source))
 
 
+GIGE_CAMERA = """
+import time
+import gi
+gi.require_version("Aravis", "0.8")
+from gi.repository import Aravis
+camera = Aravis.GvFakeCamera.new("127.0.0.1", "GV01")
+assert camera.is_running()
+print("on", flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_gige_camera_that_loses_power_is_found_again():
+    gi = pytest.importorskip("gi", reason="PyGObject is not installed")
+    try:
+        gi.require_version("Aravis", "0.8")
+    except ValueError:
+        pytest.skip("Debian's gir1.2-aravis-0.8 is not installed")
+
+    def switched_on():
+        process = subprocess.Popen([sys.executable, "-c", GIGE_CAMERA], stdout=subprocess.PIPE, text=True)
+        assert process.stdout.readline() == "on\n"
+        return process
+
+    camera, events, after = switched_on(), [], 0
+    end = time.monotonic() + 120  # an upper bound for a busy machine
+    try:
+        spec = "aravis:127.0.0.1?pixel_format=BayerRG8&width=128&height=96&fps=25"
+        with open_source(spec, listener=events.append) as source:
+            for taken, _ in enumerate(source):
+                kinds = [event.kind for event in events]
+                if taken == 5:
+                    camera.kill()
+                    camera.wait()
+                    camera.stdout.close()
+                    camera = switched_on()
+                if "reconnected" in kinds:
+                    after += 1
+                if after == 5:
+                    break
+                assert time.monotonic() < end, "the camera was not found again"
+    finally:
+        camera.kill()
+        camera.wait()
+        camera.stdout.close()
+    assert kinds == ["lost", "reconnected"]
+
+
 TETHERED = """
 import sys
 from chromaperture.capture.open import connected_sources, open_source

@@ -49,7 +49,7 @@ ALLOWED: dict[str, set[str]] = {
     "pipeline": {"optics", "calibration", "camera", "outputs", "preview"} | STAGES,
     **{leaf: BELOW_LEAVES for leaf in LEAVES},
     "evaluation": BELOW_LEAVES | {"effects"},  # the paper's Figure 14 shows effects
-    "viewer": BELOW_LEAVES | {"reconstruction"},  # it shows the model
+    "viewer": BELOW_LEAVES | {"reconstruction", "effects"},  # it shows the model, and the picture focused elsewhere
     "cli": BELOW_LEAVES | LEAVES | {"__init__"},
     "__main__": {"cli"},
     "__init__": BELOW_LEAVES | LEAVES,

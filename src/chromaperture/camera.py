@@ -68,6 +68,7 @@ class CodedApertureCamera:
         self.depth_model = calibration.depth_model(self.config.quality) if calibration.is_calibrated else None
         self.fields = layer_fields(calibration, self.config.matcher)
         self.blur = calibration.field_blur() if self.config.matcher.phase is not None else None
+        self.shifts = channel_shifts(calibration, self.config.quality)
 
     def measure(self, image: np.ndarray, *, stage: StageTimer = lambda name: nullcontext()) -> DepthFrame:
         """Measure depth in millimetres for every pixel of one photograph.
@@ -106,9 +107,7 @@ class CodedApertureCamera:
             depth_mm, sigma_mm = millimetres(disparity, self.depth_model, self.config.depth)
         with stage("color"):  # section 5.1
             filled = fill_unknown(disparity.value_px)
-            aligned = align_channels(
-                image, filled, channel_shifts(cal, self.config.quality), displacement_px=self.displacement(filled)
-            )
+            aligned = align_channels(image, filled, self.shifts, displacement_px=self.displacement(filled))
             color = white_balance(aligned, cal.film.aperture)
         return DepthFrame(
             depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color

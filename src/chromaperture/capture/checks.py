@@ -41,7 +41,7 @@ def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarra
     finite = np.isfinite(cv2.transform(image, np.ones((1, 3), np.float32)))  # a sum with a NaN in it is not finite
     if not finite.any():
         raise InputError("the image holds no finite value; export it again")
-    sparse = max(1, round(math.sqrt(finite.size / 100_000)))  # a subset tells the shares as well
+    sparse = max(1, round(math.sqrt(finite.size / 20_000)))  # a subset tells the shares as well
     lit = image[::sparse, ::sparse][finite[::sparse, ::sparse]]
     lit = lit if lit.size else image[finite]
     saturated = float((lit.max(axis=1) >= SATURATION).mean())

@@ -1,24 +1,27 @@
-"""The loop: clean a view, find the camera, fuse; say when it is lost, find it again, or begin a submap."""
+"""The loop: clean a view, find the camera, fuse; say when it is lost, find it again, begin a submap, join it later."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 
 from chromaperture.reconstruction.settings import ReconstructionConfig
-from chromaperture.reconstruction.tracking import track
+from chromaperture.reconstruction.tracking import Keyframe, Sight, Track, scaled, sight, track, turn_deg
 from chromaperture.reconstruction.views import cleaned
-from chromaperture.reconstruction.volume import Mesh, Volume
+from chromaperture.reconstruction.volume import Mesh, Volume, joined
 from chromaperture.views import View
 
-_KEYFRAME_MM, _KEYFRAME_DEG, _KEYFRAMES = 80.0, 5.0, 500
-_THUMBNAIL = (40, 30)
+_KEYFRAMES = 300
+_APART = 0.3  # of the picture's width: farther from every keyframe, a new one is made
 _TRIES = 3  # keyframes tried a lost frame
+_REFRESH = 4  # views fused until the keyframe takes its distances from the model again
 _VOXELS_OF_DISTANCE = 200
 _MIN_KNOWN = 0.02
+_JOIN_LIKENESS, _JOIN_OVERLAP = 0.75, 0.5  # stricter than tracking: nothing says that the place was seen before
+_JOIN_EVERY = 3  # frames from one look into older submaps to the next
+_JOIN_MM, _JOIN_DEG = 40.0, 2.0  # two finds in a row that agree so well are no accident
 
 
 @dataclass(frozen=True)
@@ -35,17 +38,32 @@ class Placed:
 
 
 @dataclass
-class _Keyframe:
-    pose: np.ndarray
-    thumbnail: np.ndarray
-
-
-@dataclass
 class Submap:
-    """A volume with its own world frame, that of its first view."""
+    """A model with a world frame of its own, that of its first view.
 
-    volume: Volume
-    keyframes: list[_Keyframe] = field(default_factory=list)
+    Attributes
+    ----------
+    volume : Volume or None
+        While it grows.
+    mesh : Mesh or None
+        Afterwards.
+    keyframes : list of Keyframe
+    root, to_root : int, (4, 4) float64
+        The submap that it was joined to, itself at first, and its pose there.
+    """
+
+    volume: Volume | None
+    mesh: Mesh | None = None
+    keyframes: list[Keyframe] = field(default_factory=list)
+    root: int = 0
+    to_root: np.ndarray = field(default_factory=lambda: np.eye(4))
+
+    def surface(self) -> Mesh:
+        """Give its mesh in its own frame."""
+        if self.mesh is not None:
+            return self.mesh
+        assert self.volume is not None
+        return self.volume.mesh()
 
 
 class Reconstruction:
@@ -56,9 +74,7 @@ class Reconstruction:
     camera_matrix : (3, 3) float, px
     config : ReconstructionConfig
     listener : callable, optional
-        Told in one line when tracking is lost or found again, a submap begins, or the volume is full.
-    verify : bool
-        Check every pose by the model's picture from it.
+        Told in one line when tracking is lost or found again, a submap begins or is joined, or the volume is full.
     """
 
     def __init__(
@@ -67,43 +83,66 @@ class Reconstruction:
         config: ReconstructionConfig | None = None,
         *,
         listener: Callable[[str], None] = lambda line: None,
-        verify: bool = True,
     ) -> None:
         self.camera_matrix, self.config = np.asarray(camera_matrix, float), config or ReconstructionConfig()
-        self.listener, self.verify = listener, verify
+        self.listener = listener
         self.placed: list[Placed] = []
-        self.finished: list[Mesh] = []
-        self.current: Submap | None = None
+        self.submaps: list[Submap] = []
         self.lost_in_row = 0
         self._pose, self._motion = np.eye(4), np.eye(4)
         self._said_full = False
+        self._active: Keyframe | None = None
+        self._fused = 0
+        self._joining: tuple[int, np.ndarray] | None = None
+
+    @property
+    def current(self) -> Submap | None:
+        """The submap that grows."""
+        return self.submaps[-1] if self.submaps else None
 
     @property
     def submap(self) -> int:
         """Number of the submap that grows."""
-        return len(self.finished)
+        return max(0, len(self.submaps) - 1)
+
+    @property
+    def roots(self) -> list[int]:
+        """Submaps that were not joined to an older one: each is a world frame of its own."""
+        return sorted({submap.root for submap in self.submaps})
 
     def add(self, view: View) -> Placed:
         """Track and fuse one view; never raises because of what it shows."""
         clean = cleaned(view, self.config)
+        seen = sight(clean, self.camera_matrix, self.config)
         if self.current is None or self.lost_in_row >= self.config.submap_after:
-            placed = self._begin(clean)
+            placed = self._begin(clean, seen)
         else:
-            placed = self._follow(clean, self.current)
+            placed = self._follow(clean, seen, self.current)
         self.placed.append(placed)
         return placed
 
-    def meshes(self) -> list[Mesh]:
-        """Give one mesh a submap, the first first; empty ones are there too."""
-        return [*self.finished, *([self.current.volume.mesh()] if self.current else [])]
+    def in_root(self, placed: Placed) -> Placed:
+        """Give a frame's pose in the frame of the submap that its own was joined to."""
+        if placed.pose is None:
+            return placed
+        submap = self.submaps[placed.submap]
+        return replace(placed, pose=submap.to_root @ placed.pose, submap=submap.root)
 
-    def _begin(self, view: View) -> Placed:
+    def meshes(self) -> list[Mesh]:
+        """Give one mesh for every world frame, the first first, each of all submaps joined to it; empty ones too."""
+        return [self.mesh(root) for root in self.roots]
+
+    def mesh(self, root: int) -> Mesh:
+        """Give the mesh of all submaps joined to one."""
+        return joined([(s.surface(), s.to_root) for s in self.submaps if s.root == root])
+
+    def _begin(self, view: View, seen: Sight) -> Placed:
         known = np.isfinite(view.z_mm)
         if known.mean() < _MIN_KNOWN:
             return self._lost(view, "hardly any pixel has a depth that can be trusted; light, texture or range?")
         if self.current is not None:
-            self.finished.append(self.current.volume.mesh())
-            self.listener(f"frame {view.index}: still lost, so a new submap begins (number {self.submap})")
+            self.current.mesh, self.current.volume = self.current.surface(), None
+            self.listener(f"frame {view.index}: still lost, so a new submap begins (number {len(self.submaps)})")
         self.lost_in_row = 0
         c = self.config
         voxel_mm = c.voxel_mm or float(np.clip(np.median(view.z_mm[known]) / _VOXELS_OF_DISTANCE, 0.5, 50.0))
@@ -113,24 +152,25 @@ class Reconstruction:
             memory_mb=c.memory_mb,
             max_distance_mm=c.max_distance_mm,
         )
-        self.current = Submap(volume)
-        self._pose, self._motion = np.eye(4), np.eye(4)
-        self._fuse(view, self.current)
+        self.submaps.append(Submap(volume, root=len(self.submaps)))
+        self._pose, self._motion, self._said_full, self._joining = np.eye(4), np.eye(4), False, None
+        self._fuse(view, seen, self.submaps[-1])
         return Placed(view.index, view.time_s, self._pose.copy(), submap=self.submap, note="origin")
 
-    def _follow(self, view: View, submap: Submap) -> Placed:
-        options = {"camera_matrix": self.camera_matrix, "config": self.config}
-        verify = self.verify or self.lost_in_row > 0
-        guess = self._pose if self.lost_in_row else self._pose @ self._motion
-        found = track(view, submap.volume, guess, verify=verify, **options)  # type: ignore[arg-type]
-        if found.lost and not self.lost_in_row:
-            again = track(view, submap.volume, self._pose, verify=True, **options)  # type: ignore[arg-type]
-            found = again if not again.lost else found
-        if found.lost and self.lost_in_row:
-            for pose in self._similar(view, submap):
-                again = track(view, submap.volume, pose, verify=True, **options)  # type: ignore[arg-type]
-                if not again.lost:
-                    found = again
+    def _follow(self, view: View, seen: Sight, submap: Submap) -> Placed:
+        found = Track(self._pose, 0.0, 0.0, "")
+        if not self.lost_in_row:
+            for guess in (self._pose @ self._motion, self._pose):
+                found = track(seen, self._keyframe(guess, seen, submap), guess, config=self.config)
+                if not found.lost:
+                    break
+        else:
+            near = [(self._keyframe(self._pose, seen, submap), self._pose)]
+            for keyframe, guess in near + [(key, key.pose) for key in similar(seen, submap.keyframes)]:
+                found = track(seen, keyframe, guess, config=self.config)
+                if keyframe is not self._active:
+                    keyframe.forget_points()
+                if not found.lost:
                     break
         if found.lost:
             return self._lost(view, found.lost)
@@ -141,7 +181,9 @@ class Reconstruction:
             self._motion = np.linalg.inv(self._pose) @ found.pose
         self.lost_in_row = 0
         self._pose = orthonormal(found.pose)
-        self._fuse(view, submap)
+        self._fuse(view, seen, submap)
+        if view.index % _JOIN_EVERY == 0:
+            self._join(view, seen, submap)
         return Placed(view.index, view.time_s, self._pose.copy(), found.overlap, found.likeness, self.submap)
 
     def _lost(self, view: View, why: str) -> Placed:
@@ -150,30 +192,69 @@ class Reconstruction:
         self.lost_in_row += 1
         return Placed(view.index, view.time_s, None, 0.0, 0.0, self.submap, f"lost: {why}")
 
-    def _fuse(self, view: View, submap: Submap) -> None:
-        submap.volume.integrate(view, self.camera_matrix, self._pose)
-        if submap.volume.full and not self._said_full:
+    def _fuse(self, view: View, seen: Sight, submap: Submap) -> None:
+        volume = submap.volume
+        assert volume is not None
+        volume.integrate(view, self.camera_matrix, self._pose)
+        self._fused += 1
+        if volume.full and not self._said_full:
             self._said_full = True
             self.listener(
                 f"frame {view.index}: the volume is full ({self.config.memory_mb} MB); new surface is NOT added. "
                 "Use --memory-mb or a larger --voxel-mm"
             )
-        if not any(_close(self._pose, key.pose) for key in submap.keyframes) and len(submap.keyframes) < _KEYFRAMES:
-            submap.keyframes.append(_Keyframe(self._pose.copy(), thumbnail(view.color)))
+        if all(key.apart(self._pose, seen.median_mm) > _APART for key in submap.keyframes):
+            submap.keyframes.append(seen.keyframe(self._pose))
+            del submap.keyframes[1 : 1 + max(0, len(submap.keyframes) - _KEYFRAMES)]
 
-    def _similar(self, view: View, submap: Submap) -> list[np.ndarray]:
-        """Poses of the keyframes that look most like the view."""
-        mine = thumbnail(view.color)
-        likest = sorted(submap.keyframes, key=lambda key: -float((key.thumbnail * mine).sum()))
-        return [key.pose for key in likest[:_TRIES]]
+    def _keyframe(self, pose: np.ndarray, seen: Sight, submap: Submap) -> Keyframe:
+        """Give the oldest keyframe that sees much of what a camera there does: the older, the less it has drifted."""
+        apart = [key.apart(pose, seen.median_mm) for key in submap.keyframes]
+        close = [key for key, far in zip(submap.keyframes, apart, strict=True) if far <= _APART]
+        chosen = close[0] if close else submap.keyframes[int(np.argmin(apart))]
+        if chosen is not self._active or self._fused >= _REFRESH:
+            if self._active is not None:
+                self._active.forget_points()
+            self._active, self._fused = chosen, 0
+            self._look(chosen, submap)
+        return chosen
+
+    def _look(self, keyframe: Keyframe, submap: Submap) -> None:
+        """Give a keyframe the model's distances: frames are tracked against the model, not against one measurement."""
+        assert submap.volume is not None
+        height, width = keyframe.grey.shape
+        z_mm = submap.volume.look(scaled(self.camera_matrix, self.config.tracking_scale), keyframe.pose, width, height)
+        keyframe.see(np.where(z_mm > 0, z_mm, np.float32(np.nan)))
+
+    def _join(self, view: View, seen: Sight, submap: Submap) -> None:
+        """Look for the view in older submaps; two finds that agree join this one to theirs."""
+        older = [s for s in self.submaps if s.root != submap.root]
+        config = replace(self.config, min_likeness=_JOIN_LIKENESS, min_overlap=_JOIN_OVERLAP)
+        for other in older:
+            for keyframe in similar(seen, other.keyframes):
+                found = track(seen, keyframe, keyframe.pose, config=config)
+                keyframe.forget_points()
+                if found.lost:
+                    continue
+                to_other = found.pose @ np.linalg.inv(self._pose)
+                number, before = self._joining or (-1, np.eye(4))
+                self._joining = (other.root, other.to_root @ to_other)
+                if number == other.root and _alike(before, self._joining[1], self._pose):
+                    self._placed_in(other, self._joining[1], submap, view.index)
+                return
+
+    def _placed_in(self, other: Submap, to_root: np.ndarray, submap: Submap, index: int) -> None:
+        old_root, change = submap.root, orthonormal(to_root) @ np.linalg.inv(submap.to_root)
+        for each in self.submaps:
+            if each.root == old_root:
+                each.root, each.to_root = other.root, change @ each.to_root
+        self._joining = None
+        self.listener(f"frame {index}: seen before; submap {old_root} is joined to submap {other.root}")
 
 
-def thumbnail(color: np.ndarray) -> np.ndarray:
-    """Small grey picture of mean 0 and norm 1, blurred enough to forgive some motion."""
-    small = cv2.resize(color.astype(np.float32).mean(axis=2), _THUMBNAIL, interpolation=cv2.INTER_AREA)
-    small = cv2.GaussianBlur(small, (0, 0), 1.0)
-    small -= small.mean()
-    return small / max(float(np.linalg.norm(small)), 1e-6)
+def similar(seen: Sight, keyframes: list[Keyframe]) -> list[Keyframe]:
+    """Give the few keyframes that look most like the view."""
+    return sorted(keyframes, key=lambda key: -float((key.thumbnail * seen.thumbnail).sum()))[:_TRIES]
 
 
 def orthonormal(pose: np.ndarray) -> np.ndarray:
@@ -184,7 +265,6 @@ def orthonormal(pose: np.ndarray) -> np.ndarray:
     return clean
 
 
-def _close(a: np.ndarray, b: np.ndarray) -> bool:
-    moved = np.linalg.inv(a) @ b
-    turn = np.degrees(np.arccos(np.clip((np.trace(moved[:3, :3]) - 1) / 2, -1, 1)))
-    return float(np.linalg.norm(moved[:3, 3])) < _KEYFRAME_MM and turn < _KEYFRAME_DEG
+def _alike(a: np.ndarray, b: np.ndarray, here: np.ndarray) -> bool:
+    moved = np.linalg.inv(a @ here) @ b @ here
+    return float(np.linalg.norm(moved[:3, 3])) < _JOIN_MM and turn_deg(moved) < _JOIN_DEG

@@ -71,7 +71,7 @@ def reconstruct(
 def write_model(
     folder: str | Path, model: Reconstruction, *, facts: dict[str, Any] | None = None
 ) -> tuple[dict[str, Any], list[Path]]:
-    """Write ``mesh.ply``, ``mesh.glb`` (and ``mesh_N.*`` of submaps), ``trajectory.txt`` and ``report.json``.
+    """Write ``mesh.ply`` and ``.glb`` (``mesh_N.*`` of submaps not joined), ``trajectory.txt`` and ``report.json``.
 
     Returns the report and the files; raises InputError when the folder cannot be written to.
     """
@@ -79,14 +79,14 @@ def write_model(
     report = (facts or {}) | summary(model)
     sizes = []
     with staged(folder) as stage:
-        for number, mesh in enumerate(model.meshes()):
+        for number, mesh in zip(model.roots, model.meshes(), strict=True):
             sizes.append({"submap": number, "vertices": len(mesh.vertices_mm), "triangles": len(mesh.triangles)})
             if len(mesh.triangles) == 0:
                 continue
             name = f"mesh_{number}" if number else "mesh"
             write_mesh_ply(stage.path(f"{name}.ply"), mesh)
             write_mesh_glb(stage.path(f"{name}.glb"), mesh)
-        write_trajectory(stage.path("trajectory.txt"), model.placed)
+        write_trajectory(stage.path("trajectory.txt"), [model.in_root(place) for place in model.placed])
         report |= {"meshes": sizes, "seconds_to_write": round(time.perf_counter() - began, 3)}
         write_json(stage.path("report.json"), report)
         files = [folder / name for name in stage.names]
@@ -106,7 +106,8 @@ def summary(model: Reconstruction) -> dict[str, Any]:
         "frames": len(model.placed),
         "frames_tracked": len(tracked),
         "frames_lost": len(model.placed) - len(tracked),
-        "submaps": model.submap + (model.current is not None),
+        "submaps": len(model.submaps),
+        "submaps_joined": sum(submap.root != number for number, submap in enumerate(model.submaps)),
         "path_mm": path_mm,
         "voxel_mm": volume.voxel_mm if volume else None,
         "blocks": volume.blocks if volume else 0,

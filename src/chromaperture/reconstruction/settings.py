@@ -26,15 +26,17 @@ class ReconstructionConfig:
     edge_px : int
         Half width of the neighbourhood in which a step is looked for.
     memory_mb : int
-        Memory of the volume, taken at once.
+        Memory of the volume, reserved at once and used as the model grows.
     tracking_scale : int
         Tracking works on pictures reduced by this factor.
     outlier_mm : float
         Points farther from the model than this do not pull at the pose, at 2 m; grows with the distance.
+    depth_weight : float
+        Weight of a pixel's distance beside its brightness in tracking; neighbours err alike, so it is far below 1.
     min_overlap : float
-        Share of the view's points that must find the model, else the frame counts as lost.
+        Share of the keyframe's points that the view must show at their distance, else the frame counts as lost.
     min_likeness : float
-        Correlation of the view with the picture of the model from the pose that was found, else lost.
+        Correlation of the view's brightness with the keyframe's from the pose that was found, else lost.
     max_step_mm, max_turn_deg : float
         The most a camera moves from one frame to the next.
     submap_after : int
@@ -50,6 +52,7 @@ class ReconstructionConfig:
     memory_mb: int = 512
     tracking_scale: int = 2
     outlier_mm: float = 150.0
+    depth_weight: float = 0.03
     min_overlap: float = 0.3
     min_likeness: float = 0.5
     max_step_mm: float = 300.0
@@ -60,7 +63,9 @@ class ReconstructionConfig:
         if self.voxel_mm is not None and not 0.1 <= self.voxel_mm <= 1000:
             raise InputError(f"a voxel must measure 0.1 to 1000 mm, got {self.voxel_mm:g}")
         positive = (self.truncation_voxels, self.max_distance_mm, self.max_relative_sigma, self.edge_jump)
-        if not all(value > 0 for value in (*positive, self.outlier_mm, self.max_step_mm, self.max_turn_deg)):
+        if not all(
+            value > 0 for value in (*positive, self.depth_weight, self.outlier_mm, self.max_step_mm, self.max_turn_deg)
+        ):
             raise InputError("lengths, jumps and error bars of the reconstruction must be positive")
         if self.memory_mb < 16 or self.tracking_scale < 1 or self.edge_px < 0 or self.submap_after < 1:
             raise InputError("memory_mb must be at least 16, tracking_scale and submap_after at least 1")

@@ -36,20 +36,23 @@ def open3d() -> Any:
 
 
 @dataclass(frozen=True)
-class ModelView:
-    """What a camera sees of the model: (H, W) z_mm float32, 0 unknown, and (H, W, 3) uint8 sRGB."""
-
-    z_mm: np.ndarray
-    color: np.ndarray
-
-
-@dataclass(frozen=True)
 class Mesh:
     """Triangles in mm, world frame: vertices (N, 3) float32, triangles (M, 3) int32, colors (N, 3) uint8 sRGB."""
 
     vertices_mm: np.ndarray
     triangles: np.ndarray
     colors: np.ndarray
+
+
+def joined(parts: list[tuple[Mesh, np.ndarray]]) -> Mesh:
+    """Make one mesh of several, each moved by its (4, 4) pose; surfaces that lie on each other stay double."""
+    vertices, triangles, colors, first = [], [], [], 0
+    for mesh, pose in parts:
+        vertices.append((mesh.vertices_mm @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32))
+        triangles.append(mesh.triangles + np.int32(first))
+        colors.append(mesh.colors)
+        first += len(mesh.vertices_mm)
+    return Mesh(np.concatenate(vertices), np.concatenate(triangles), np.concatenate(colors))
 
 
 class Volume:
@@ -114,19 +117,18 @@ class Volume:
         )
         return len(keys)
 
-    def look(self, camera_matrix: np.ndarray, camera_to_world: np.ndarray, width: int, height: int) -> ModelView:
-        """Give the model as a camera sees it."""
-        nothing = ModelView(np.zeros((height, width), np.float32), np.zeros((height, width, 3), np.uint8))
+    def look(self, camera_matrix: np.ndarray, camera_to_world: np.ndarray, width: int, height: int) -> np.ndarray:
+        """Give the distances to the model that a camera would see; (height, width) float32 mm, 0 unknown."""
         keys = self._grid.hashmap().key_tensor()[self._grid.hashmap().active_buf_indices().to(self._core.int64)]
         if len(keys) == 0:
-            return nothing
+            return np.zeros((height, width), np.float32)
         seen = self._grid.ray_cast(
             keys,
             self._tensor(camera_matrix),
             self._tensor(_metres(np.linalg.inv(camera_to_world))),
             -(-width // _RANGE_PX) * _RANGE_PX,
             -(-height // _RANGE_PX) * _RANGE_PX,
-            ["depth", "color", "index", "mask", "interp_ratio"],
+            ["depth", "index", "mask", "interp_ratio"],
             depth_scale=1000.0,
             depth_min=0.05,
             depth_max=self.max_distance_mm / 1000,
@@ -135,9 +137,8 @@ class Volume:
             range_map_down_factor=_RANGE_PX,
         )
         z_mm = seen["depth"].numpy()[..., 0]
-        color = np.rint(np.clip(seen["color"].numpy(), 0.0, 1.0) * 255).astype(np.uint8)
         z_mm = np.where(z_mm > 0, z_mm + self._left_mm(seen), 0).astype(np.float32)
-        return ModelView(z_mm[:height, :width].copy(), color[:height, :width].copy())
+        return z_mm[:height, :width].copy()
 
     def _left_mm(self, seen: Any) -> np.ndarray:
         """Distance from the points of a ray cast to the surface: Open3D's stop about a voxel behind it."""

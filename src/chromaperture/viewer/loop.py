@@ -6,6 +6,7 @@ A stage that is slow costs frames, never latency: what it takes is the newest th
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import threading
 import time
 from collections.abc import Callable
@@ -24,7 +25,7 @@ from chromaperture.reconstruction.fusion import Placed, Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.volume import Mesh, open3d
 from chromaperture.viewer.slots import Meter, Slot
-from chromaperture.views import View, undistorter
+from chromaperture.views import undistorter
 
 STAGES = ("capture", "depth", "tracking", "view")
 _PATH = 20_000  # poses that are kept
@@ -32,12 +33,11 @@ _PATH = 20_000  # poses that are kept
 
 @dataclass(frozen=True)
 class Measured:
-    """One frame on its way: ``arrived`` on the monotonic clock, the frame, its depth, its undistorted view."""
+    """One frame on its way: ``arrived`` on the monotonic clock, the frame, its depth."""
 
     arrived: float
     frame: Frame
     made: DepthFrame
-    view: View
 
 
 class LiveLoop:
@@ -77,8 +77,8 @@ class LiveLoop:
         self.placed: Placed | None = None
         self.path_mm: list[np.ndarray] = []
         self.mesh: Mesh | None = None
+        self.model: Reconstruction | None = None
         self.track, self.config, self._mesh_every_s = track, config or ReconstructionConfig(), mesh_every_s
-        self._to_view = undistorter(camera)
         self._leave = threading.Event()
         self._to_depth, self._to_track = Slot[tuple[float, Frame]](), Slot[Measured]()
         self.to_view = Slot[Measured]()
@@ -193,7 +193,7 @@ class LiveLoop:
                 said = str(error)
                 continue
             said = ""
-            measured = Measured(arrived, frame, made, self._to_view(made, frame.time_s, frame.index))
+            measured = Measured(arrived, frame, made)
             now = time.monotonic()
             self.meters["depth"].passed(now - start, now - arrived)
             self.to_view.put(measured)
@@ -204,30 +204,38 @@ class LiveLoop:
             self._finish()
 
     def _tracking(self) -> None:
-        model = Reconstruction(
-            self.camera.calibration.lens.camera_matrix, self.config, listener=self.listener, verify=False
-        )
-        meshed = time.monotonic()
+        model = Reconstruction(self.camera.calibration.lens.camera_matrix, self.config, listener=self.listener)
+        self.model = model
+        to_view = undistorter(self.camera)
+        meshed, root = time.monotonic(), 0
         while (item := self._to_track.take()) is not None:
             start = time.monotonic()
-            self.placed = placed = model.add(item.view)
+            view = to_view(item.made, item.frame.time_s, item.frame.index)
+            self.placed = placed = model.in_root(model.add(view))
             del model.placed[:-1]  # the path below is what is kept, and it is bounded
-            if placed.note == "origin":
-                self.path_mm = []
+            if placed.pose is not None and placed.submap != root:  # another world frame
+                root, self.path_mm = placed.submap, []
             if placed.pose is not None:
                 self.path_mm = [*self.path_mm[-_PATH:], placed.pose[:3, 3]]
             if self.want_mesh.is_set() and start - meshed > self._mesh_every_s and model.current is not None:
-                self.mesh, meshed = model.current.volume.mesh(), start
+                self.mesh, meshed = model.mesh(model.current.root), start
                 self.want_mesh.clear()
+                give_back_memory()
             now = time.monotonic()
             self.meters["tracking"].passed(now - start, now - item.arrived)
         if model.current is not None:
-            self.mesh = model.current.volume.mesh()
+            self.mesh = model.mesh(model.current.root)
         self._finish()
 
     def _finish(self) -> None:
         self.to_view.close()
         self.over.set()
+
+
+def give_back_memory() -> None:
+    """Return freed memory to the system: glibc keeps what many threads freed in pieces, and seems to grow for hours."""
+    with contextlib.suppress(OSError, AttributeError):  # another C library does as it likes
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 def stripped(measured: Measured, *, max_sigma: float, near_mm: float, far_mm: float) -> Measured:

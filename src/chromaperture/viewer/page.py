@@ -16,10 +16,12 @@ from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.outputs import staged
 from chromaperture.pipeline import write_maps
 from chromaperture.reconstruction.files import quaternion
+from chromaperture.viewer.focus import Refocuser
 from chromaperture.viewer.loop import LiveLoop, Measured, stripped
 from chromaperture.viewer.pictures import color_picture, confidence_picture, depth_picture
 
 _POINTS = 40_000
+_REFOCUS_REST = 3.0  # times the duration of a refocused picture until the next: depth and tracking come first
 _MIN_PERIOD_S = 0.1  # the page is drawn at most so often
 
 
@@ -52,6 +54,7 @@ class LivePage:
         self.loop, self.out, self.say = loop, out, say
         self.last: Measured | None = None
         self._mesh: object = None
+        self._refocuser, self._refocus_at = Refocuser.of(loop.camera), 0.0
         try:
             with contextlib.redirect_stdout(sys.stderr):  # its banner is no figure
                 self.server = viser().ViserServer(host=host, port=port, verbose=False)
@@ -75,6 +78,10 @@ class LivePage:
         self.max_sigma = gui.add_slider("error bar, at most % of distance", min=1, max=50, step=1, initial_value=10)
         self.near = gui.add_slider("nearest, mm", min=100, max=5000, step=50, initial_value=round(near / 50) * 50)
         self.far = gui.add_slider("farthest, mm", min=500, max=10000, step=50, initial_value=round(far / 50) * 50)
+        self.refocus = gui.add_checkbox("focus elsewhere", initial_value=False)
+        middle = round((near * far) ** 0.5 / 50) * 50
+        self.focus = gui.add_slider("focus at, mm", min=100, max=10000, step=50, initial_value=middle)
+        self.pupil = gui.add_slider("new pupil, times the camera's", min=0.5, max=4, step=0.1, initial_value=2.0)
         pause, shot = gui.add_button("pause"), gui.add_button("snapshot")
         record = gui.add_button("record")
 
@@ -135,12 +142,24 @@ class LivePage:
         shown = stripped(item, max_sigma=self.max_sigma.value / 100, near_mm=near, far_mm=far)
         half = slice(None, None, 2)  # half size is enough for the panel
         self.depth.image = depth_picture(shown.made.depth_mm[half, half], near_mm=near, far_mm=far)
-        self.color.image = color_picture(item.made.color[half, half])
+        if self.refocus.value:
+            self._show_refocused(item)
+        else:
+            self.color.image = color_picture(item.made.color[half, half])
         self.confidence.image = confidence_picture(item.made.confidence[half, half])
         self.status.content = self._status()
         with self.server.atomic():
             self._scene(shown)
         self.server.flush()
+
+    def _show_refocused(self, item: Measured) -> None:
+        start = time.monotonic()
+        if start < self._refocus_at:
+            return
+        color = self._refocuser(item.made, focus_mm=self.focus.value, strength=self.pupil.value)
+        self.color.image = color_picture(color)
+        now = time.monotonic()
+        self._refocus_at = now + _REFOCUS_REST * (now - start)
 
     def _scene(self, item: Measured) -> None:
         scene, placed = self.server.scene, self.loop.placed

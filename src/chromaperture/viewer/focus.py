@@ -1,0 +1,61 @@
+"""The page's picture, focused elsewhere: quick, without restoration, at half size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from chromaperture.camera import CodedApertureCamera, DepthFrame
+from chromaperture.effects.blur import radius_per_disparity
+from chromaperture.effects.refocus import Focus, refocus
+from chromaperture.effects.restore import focus_radius
+from chromaperture.effects.steady import steady_disparity
+from chromaperture.errors import InputError
+
+_REDUCED = 2
+
+
+@dataclass(frozen=True)
+class Refocuser:
+    """What a camera needs for it, found once.
+
+    Attributes
+    ----------
+    camera : CodedApertureCamera
+    per_disparity : float
+        Blur radius a px of disparity.
+    """
+
+    camera: CodedApertureCamera
+    per_disparity: float
+
+    @classmethod
+    def of(cls, camera: CodedApertureCamera) -> Refocuser:
+        """Make one for a calibrated camera."""
+        return cls(camera, float(radius_per_disparity(camera.calibration, camera.config.quality)))
+
+    def __call__(self, made: DepthFrame, *, focus_mm: float, strength: float) -> np.ndarray:
+        """Blur the aligned colours as a lens focused elsewhere would.
+
+        Parameters
+        ----------
+        made : DepthFrame
+        focus_mm : float
+            From the sensor plane.
+        strength : float
+            Diameter of the new pupil in units of the camera's own.
+
+        Returns
+        -------
+        (H / 2, W / 2, 3) float32, linear RGB
+            The colours as they are where nothing can be focused on.
+        """
+        part = slice(None, None, _REDUCED)
+        color = np.ascontiguousarray(made.color[part, part], np.float32)
+        disparity, sigma = made.disparity_px[part, part] / _REDUCED, made.disparity_sigma_px[part, part] / _REDUCED
+        try:
+            radius = steady_disparity(disparity, sigma, color)[0] * np.float32(self.per_disparity)
+            return refocus(color, radius, Focus(focus_radius(self.camera, focus_mm) / _REDUCED, strength))
+        except InputError:  # nothing is known, or the blur fills the picture
+            return color
