@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from chromaperture.cli.main import app
 from chromaperture.errors import InputError
 from chromaperture.evaluation.figures import new_figure
-from chromaperture.evaluation.paper import figure_6, figure_8, methods, registry, run, sweep, world
+from chromaperture.evaluation.paper import figure_6, figure_8, methods, registry, run, sweep, trial, world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Exhibit, Listed, Made
 from chromaperture.evaluation.paper.page import page_html
@@ -277,7 +277,7 @@ def test_the_bend_of_a_floor_is_told_from_its_tilt_and_noise(rng):
 def trials(seeds=(0, 1)):
     size = {"width_px": 96, "height_px": 64, "cells": 6, "exposure": 0.9}
     names = ("normalised cross-correlation, unmixed", "phase correlation")
-    return [sweep.Trial(method=name, design="cy_halves", seed=seed, **size) for name in names for seed in seeds]
+    return [trial.Trial(method=name, design="cy_halves", seed=seed, **size) for name in names for seed in seeds]
 
 
 def stored(folder):
@@ -314,8 +314,8 @@ def test_two_workers_one_killed_give_what_one_gives_byte_for_byte(tmp_path):
 
 
 def test_a_sweep_goes_on_from_what_is_kept(tmp_path, monkeypatch):
-    for trial in trials():
-        sweep._keep(tmp_path, trial, {"fill": 0.5, "median_error": float("nan")})
+    for one in trials():
+        sweep._keep(tmp_path, one, {"fill": 0.5, "median_error": float("nan")})
     monkeypatch.setattr(sweep, "ProcessPoolExecutor", None)  # nothing is left to compute
     results = sweep.sweep(trials(), workers=2, keep_in=tmp_path)
     assert [r["fill"] for r in results] == [0.5] * len(trials())

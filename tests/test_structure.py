@@ -56,7 +56,7 @@ ALLOWED: dict[str, set[str]] = {
 }
 # Depth works on any disparity map, however it was made.
 FORBIDDEN_MODULES = {"depth": ("disparity.kernels", "disparity.reference")}
-OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "dask", "mcap", "mcap_ros2", "imageio"}
+OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "mcap", "mcap_ros2", "imageio"}
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
 

@@ -10,7 +10,7 @@ from chromaperture.evaluation.figures import BLUE, GREY, ORANGE, RED, new_figure
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Listed, Made
-from chromaperture.evaluation.paper.sweep import Trial, sweep
+from chromaperture.evaluation.paper.trial import Trial
 from chromaperture.evaluation.paper.world import EIGHT, NUMERALS
 from chromaperture.evaluation.tables import Table
 from chromaperture.optics.accuracy import expected_accuracy
@@ -40,7 +40,7 @@ def make(context: Context) -> Made:
         )
         for design, condition, seed in cases
     ]
-    results = sweep(trials, workers=context.processes, keep_in=context.work / "trials")
+    results = context.sweep(trials, "trials of equal-light")
     camera = world.camera_of(width, height)
 
     def mean(design: str, condition: str, key: str) -> float:

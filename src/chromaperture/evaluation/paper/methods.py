@@ -196,11 +196,17 @@ def scores(depth_mm: np.ndarray, truth_mm: np.ndarray) -> dict[str, float]:
     -------
     dict
         Shares of ALL pixels with known truth: fill, within_2, within_5, within_10; and median_error, the median of
-        |error| / truth where there is an answer.
+        |error| / truth where there is an answer; bias, the median of error / truth, and spread, 1.4826 times the
+        median deviation from it.
     """
     known = np.isfinite(truth_mm)
-    error = np.abs(depth_mm - truth_mm)[known] / truth_mm[known]
+    signed = (depth_mm - truth_mm)[known] / truth_mm[known]
+    error = np.abs(signed)
     answered = np.isfinite(error)
     shares = {f"within_{p}": float((error[answered] < p / 100).sum() / len(error)) for p in (2, 5, 10)}
-    median = float(np.median(error[answered])) if answered.any() else float("nan")
-    return {"fill": float(answered.mean()), **shares, "median_error": median}
+    if not answered.any():
+        return {"fill": 0.0, **shares, "median_error": np.nan, "bias": np.nan, "spread": np.nan}
+    bias = float(np.median(signed[answered]))
+    spread = 1.4826 * float(np.median(np.abs(signed[answered] - bias)))
+    middle = float(np.median(error[answered]))
+    return {"fill": float(answered.mean()), **shares, "median_error": middle, "bias": bias, "spread": spread}

@@ -20,7 +20,9 @@ _BENCH = tuple(f"{design}/session.toml" for design in ("cy_halves", "cy_open", "
 )
 
 
-def _exhibit(name: str, title: str, files: tuple[str, ...] = (), *, only_data: bool = False) -> Exhibit:
+def _exhibit(
+    name: str, title: str, files: tuple[str, ...] = (), *, only_data: bool = False, reads_all: bool = False
+) -> Exhibit:
     module = f"chromaperture.evaluation.paper.{name.replace('-', '_')}"
 
     def make(context: Context) -> Made:
@@ -28,7 +30,7 @@ def _exhibit(name: str, title: str, files: tuple[str, ...] = (), *, only_data: b
         assert isinstance(made, Made)
         return made
 
-    return Exhibit(name, title, make, files, only_data)
+    return Exhibit(name, title, make, files, only_data, reads_all)
 
 
 EXHIBITS: dict[str, Exhibit] = {
@@ -48,7 +50,9 @@ EXHIBITS: dict[str, Exhibit] = {
         _exhibit("table-3", "Table 3: time for one image"),
         _exhibit("equal-light", "Depth error against light: is the ranking the paper's?"),
         _exhibit("prior-art", "Prior art on the same captures"),
-        _exhibit("bench", "Methods and designs on ray-traced captures", _BENCH, only_data=True),
+        _exhibit("accuracy", "Depth error by distance, light and colour, and the Cramer-Rao bound"),
+        _exhibit("quality", "Depth quality of a camera: flat walls by distance and by position", reads_all=True),
+        _exhibit("bench", "Methods and designs on ray-traced captures", _BENCH, only_data=True, reads_all=True),
     )
 }
 
