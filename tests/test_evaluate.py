@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.fft
+import scipy.ndimage
 from typer.testing import CliRunner
 
 from chromaperture.cli.main import app
@@ -210,6 +211,24 @@ def test_the_annulus_knows_the_size_of_the_blur_but_not_its_side(rng):
         image = np.stack(blurred, axis=-1) + rng.normal(0, 2e-4, (*shape, 3))
         found = annulus.annulus_radius(image, transfer, radii, shape)[INNER]
         assert np.median(found) == pytest.approx(4.0, abs=0.5)  # a step of the radii
+
+
+def test_largest_eigenvalues_are_those_of_the_matrices(rng):
+    matrices = rng.normal(size=(40, 3, 3))
+    matrices = matrices @ matrices.transpose(0, 2, 1)
+    matrices[0] = np.diag([2.0, 2.0, 2.0])  # all alike
+    matrices[1] = np.outer([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])  # colours on a line
+    places = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    found = annulus.largest_eigenvalue(*(matrices[:, a, b] for a, b in places))
+    # The arc cosine costs half the digits where two eigenvalues meet.
+    np.testing.assert_allclose(found, np.linalg.eigvalsh(matrices)[:, -1], rtol=1e-7)
+
+
+def test_a_shift_is_that_of_the_spline(rng):
+    view = rng.normal(size=(40, 50)).astype(np.float32)
+    for dx, dy in ((0.3, -2.6), (-7.25, 0.0), (11.0, 3.5)):
+        expected = scipy.ndimage.shift(view, (-dy, -dx), order=3, mode="mirror")
+        np.testing.assert_allclose(shifts.shifted(view, dx, dy), expected, atol=1e-5)  # float32
 
 
 def test_shifts_follow_the_sign_convention():

@@ -6,7 +6,9 @@ trials. What is finished is kept; a worker that dies takes with it only the tria
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -20,6 +22,7 @@ from chromaperture.evaluation.paper.trial import Trial, one_thread, run_trial
 from chromaperture.outputs import staged, write_json
 
 _ATTEMPTS = 4
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 Result = dict[str, float]
 
 
@@ -76,7 +79,7 @@ def _on_this_machine(trials: Sequence[Trial], workers: int) -> Iterator[tuple[Tr
     for _ in range(_ATTEMPTS):
         context = get_context("spawn")  # a fork would copy the threads' locks
         try:
-            with ProcessPoolExecutor(min(workers, len(left)), context, one_thread) as pool:
+            with _inherited(_ONE_THREAD), ProcessPoolExecutor(min(workers, len(left)), context, one_thread) as pool:
                 waiting = {pool.submit(run_trial, trial): trial for trial in left.values()}
                 for future in as_completed(waiting):
                     result = future.result()
@@ -87,6 +90,21 @@ def _on_this_machine(trials: Sequence[Trial], workers: int) -> Iterator[tuple[Tr
             if not left:
                 return
     raise InputError("worker processes died four times: run again with fewer --workers, which need less memory")
+
+
+@contextlib.contextmanager
+def _inherited(variables: dict[str, str]) -> Iterator[None]:
+    """Set environment variables for processes that start meanwhile: BLAS reads its number of threads at start."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def _kept(folder: Path, trial: Trial) -> Result | None:
