@@ -246,6 +246,19 @@ def test_depth_and_blur_radius_invert_each_other():
     np.testing.assert_allclose(methods.depth_of(camera.blur_radius_px(depth), camera), depth, rtol=1e-9)
 
 
+def test_a_calibrated_reading_gives_the_radius_back():
+    radius = np.array([3.0, -2.0, 0.0, 1.5])
+
+    def reading(r):
+        return 0.4 * r + 0.02 * r * abs(r)
+
+    curve = methods.rising(radius, reading(radius))
+    np.testing.assert_allclose(curve.radius_of(reading(radius)), radius, atol=1e-12)
+    np.testing.assert_allclose(curve.radius_of(np.array([np.nan, reading(3.0) + 0.01]))[1], 3 + 0.01 / 0.49, rtol=1e-9)
+    assert len(methods.rising(radius, -radius).reading) == 1
+    assert np.isnan(methods.rising(radius, -radius).radius_of(np.zeros((2, 2)))).all()
+
+
 def test_scores_count_all_pixels_with_truth():
     truth = np.array([1000.0, 1000.0, 1000.0, 1000.0, np.nan])
     found = np.array([1010.0, 1040.0, np.nan, 2000.0, 1000.0])

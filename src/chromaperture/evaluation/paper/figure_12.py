@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb
@@ -32,7 +34,9 @@ def make(context: Context) -> Made:
     ):
         table = world.pinhole_table(camera, _DESIGN, context.cells)
         shot = world.photograph(table, planes, camera, seed=12, exposure=exposure)
-        found = methods.our_disparity(shot.image, _DESIGN, camera, quality="real-time", span_px=span(shot.radius_px))
+        found = methods.our_disparity(
+            shot.image, replace(methods.setting_of(_DESIGN, camera), span_px=span(shot.radius_px)), quality="real-time"
+        )
         disparity = np.asarray(found.value_px, float)
         # Leaks of the film make the reading a share of the geometric disparity: one number, fitted to the truth.
         known = np.isfinite(disparity) & np.isfinite(shot.radius_px)

@@ -31,14 +31,14 @@ def make(context: Context) -> Made:
             for s in (0.0, 0.7)
         ]
         light = float(channel_transmission(world.real_film(design)).mean())
+        setting = methods.setting_of(design, camera)
         for name in methods.METHODS:
             if not methods.applies(name, design):
                 continue
-            line = methods.calibrate(name, design, camera, exposure, context.cells, 1000)
+            curve = methods.calibrate(name, design, camera, exposure, context.cells, 1000)
             start = time.perf_counter()
-            depths = [
-                methods.depth_of(line.radius_px(methods.METHODS[name](s.image, design, camera)), camera) for s in shots
-            ]
+            values = [methods.METHODS[name](s.image, setting) for s in shots]
+            depths = [methods.depth_of(curve.radius_of(value), camera) for value in values]
             seconds = (time.perf_counter() - start) / 2
             rows.append(_row(name, design, light, depths, shots, seconds))
             if name == "annulus":  # told by the truth which side of the focus it is on: what is lost to the ambiguity

@@ -19,8 +19,8 @@ def sampled(coefficients: np.ndarray, dx: float, dy: float) -> np.ndarray:
     Splines, because OpenCV's cubic resampling moves a ramp by up to 0.05 px. All pixels move alike, so that the four
     weights of an axis are one filter.
     """
-    kernels = [_weights(shift) for shift in (dx, dy)]
-    return np.asarray(cv2.sepFilter2D(coefficients, -1, *kernels, borderType=cv2.BORDER_REFLECT_101))
+    x, y = _weights(dx), _weights(dy)
+    return np.asarray(cv2.sepFilter2D(coefficients, -1, x, y, borderType=cv2.BORDER_REFLECT_101))
 
 
 def shifted(view: np.ndarray, dx: float, dy: float) -> np.ndarray:
