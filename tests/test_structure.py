@@ -48,7 +48,7 @@ ALLOWED: dict[str, set[str]] = {
     "samples": set(),
     "pipeline": {"optics", "calibration", "camera", "outputs", "preview"} | STAGES,
     **{leaf: BELOW_LEAVES for leaf in LEAVES},
-    "evaluation": BELOW_LEAVES | {"effects"},  # the paper's Figure 14 shows effects
+    "evaluation": BELOW_LEAVES | {"effects", "reconstruction"},  # the paper's Figures 14 and 15 show them
     "viewer": BELOW_LEAVES | {"reconstruction"},  # it shows the model
     "cli": BELOW_LEAVES | LEAVES | {"__init__"},
     "__main__": {"cli"},

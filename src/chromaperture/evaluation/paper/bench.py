@@ -143,12 +143,14 @@ def _shown(
 def _cell(scores: list[dict[str, float]]) -> str:
     if not scores:
         return ""
+    if not any(s["fill"] for s in scores):
+        return "boards not read"
     two, five, fill = (float(np.mean([s[k] for s in scores])) for k in ("within_2", "within_5", "fill"))
     return f"{two:.1%} / {five:.1%}, {fill:.0%}"
 
 
 def _mean_ms(rows: list[Row], method: str) -> str:
-    return f"{1000 * float(np.mean([r[4] for r in rows if r[0] == method])):.0f}"
+    return f"{1000 * float(np.nanmean([r[4] for r in rows if r[0] == method])):.0f}"
 
 
 def truth_mm(data: Path, scene: str) -> np.ndarray:

@@ -18,6 +18,7 @@ from chromaperture.calibrate import CalibrationResult
 from chromaperture.curves import Evidence, fit_curve
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.distances import fit_distances
+from chromaperture.errors import InputError
 from chromaperture.evaluation.paper import methods
 from chromaperture.session import Session, read_session
 from chromaperture.store import Store
@@ -59,7 +60,12 @@ def measured(
         def read(image: np.ndarray, method: methods.Method = method) -> np.ndarray:
             return method(image, setting)
 
-        model = fitted(result.evidence, session, name, read, keep_in=keep_in)
+        try:
+            model = fitted(result.evidence, session, name, read, keep_in=keep_in)
+        except InputError:  # what it reads on the boards has no course
+            nothing = np.full((session.sensor.height_px, session.sensor.width_px), np.nan)
+            yield from ((name, scene, nothing, float("nan")) for scene in scenes)
+            continue
         yield from _scenes(session, name, read, model, scenes)
 
 

@@ -49,6 +49,7 @@ EXHIBITS: dict[str, Exhibit] = {
         _exhibit("figure-11", "Figure 11: light efficiency of the designs", _WHITE),
         _exhibit("figure-12", "Figure 12: what two cameras see"),
         _exhibit("figure-14", "Figure 14: effects by depth"),
+        _exhibit("figure-15", "Figure 15: a 3D model from a moving camera"),
         _exhibit("table-1", "Table 1: transparency of designs VII, V and II", _WHITE),
         _exhibit("table-2", "Table 2: loss of signal-to-noise ratio", _WHITE),
         _exhibit("table-3", "Table 3: time for one image"),
