@@ -63,7 +63,7 @@ class Context:
     @property
     def scene_size(self) -> tuple[int, int]:
         """Width and height of simulated scenes, px."""
-        return (300, 200) if self.quick else (480, 320)
+        return (240, 160) if self.quick else (480, 320)
 
     @property
     def session_camera(self) -> PupilCamera:

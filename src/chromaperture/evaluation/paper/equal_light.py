@@ -25,7 +25,7 @@ _COLORS = dict(zip(CONDITIONS, (GREY, BLUE, RED), strict=True))
 def make(context: Context) -> Made:
     """Sweep designs, light and seeds on all cores."""
     designs = [name for name in EIGHT if name != "open"]
-    width, height = (240, 160) if context.quick else context.scene_size
+    width, height = context.scene_size
     seeds = range(1 if context.quick else 3)
     cases = [(design, condition, seed) for design in designs for condition in CONDITIONS for seed in seeds]
     trials = [

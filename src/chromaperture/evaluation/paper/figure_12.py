@@ -93,7 +93,7 @@ def _by_reflex(context: Context, seed: int) -> Seen:
     exposure = world.level_exposure(_DESIGN)
     table = world.pinhole_table(camera, _DESIGN, context.cells)
     shot = world.photograph(table, world.still_life(seed=seed, saturation=0.6), camera, seed=seed, exposure=exposure)
-    curve = methods.calibrate("ours, real-time", _DESIGN, camera, exposure, context.cells, 1000)
+    curve = methods.calibrate("ours, real-time", _DESIGN, camera, context.cells)
     found = methods.our_disparity(shot.image, methods.setting_of(_DESIGN, camera), quality="real-time")
     depth = methods.depth_of(curve.radius_of(found.value_px), camera)
     return Seen("50 mm f/2", shot.image, depth, shot.depth_mm, "mm", float(np.ptp(shot.radius_px)))

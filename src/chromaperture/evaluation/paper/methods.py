@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 import scipy.fft
@@ -195,19 +195,26 @@ class Curve:
 
 
 @cache
-def calibrate(method: str, design: str, camera: PupilCamera, exposure: float, cells: int, seed: int) -> Curve:
-    """Read boards at known distances; every method gets the same ones."""
+def calibrate(method: str, design: str, camera: PupilCamera, cells: int) -> Curve:
+    """Read boards at known distances in good light; every method gets the same ones."""
+    distances = np.array([d for d in BOARDS_MM if method != "annulus" or d > world.FOCUS_MM])
+    read = []
+    for distance in distances:
+        image, small = _board(design, camera, float(distance), cells)
+        read.append(float(np.nanmedian(METHODS[method](image, setting_of(design, small))[30:-30, 30:-30])))
+    known = np.isfinite(read)
+    return rising(camera.blur_radius_px(distances)[known], np.array(read)[known])
+
+
+@lru_cache(maxsize=64)
+def _board(design: str, camera: PupilCamera, distance_mm: float, cells: int) -> tuple[np.ndarray, PupilCamera]:
+    """Photograph a board with the middle of a camera's sensor; the picture and that smaller camera."""
     width, height = min(camera.width_px, 200), min(camera.height_px, 140)
     small = world.camera_of(width, height, pitch_mm=camera.pixel_pitch_mm)
-    distances = [d for d in BOARDS_MM if method != "annulus" or d > world.FOCUS_MM]
-    table, setting = world.pinhole_table(small, design, cells), setting_of(design, small)
-    read = []
-    for i, distance in enumerate(distances):
-        planes = world.board(small, distance, seed=seed + i)
-        shot = world.photograph(table, planes, small, seed=seed + i, exposure=exposure)
-        read.append(float(np.nanmedian(METHODS[method](shot.image, setting)[30:-30, 30:-30])))
-    known = np.isfinite(read)
-    return rising(small.blur_radius_px(np.array(distances))[known], np.array(read)[known])
+    seed = 1000 + BOARDS_MM.index(distance_mm)
+    planes = world.board(small, distance_mm, seed=seed)
+    table, exposure = world.pinhole_table(small, design, cells), world.level_exposure(design)
+    return world.photograph(table, planes, small, seed=seed, exposure=exposure).image, small
 
 
 def rising(radius_px: np.ndarray, reading: np.ndarray) -> Curve:

@@ -20,7 +20,7 @@ _SHOWN = "cy_halves"
 
 def make(context: Context) -> Made:
     """Run every method that can read a design on a grey and a coloured still life."""
-    camera = world.camera_of(*((240, 160) if context.quick else context.scene_size))
+    camera = world.camera_of(*context.scene_size)
     rows, pictures = [], []
     truth = None
     for design in (_SHOWN, DESIGNS_READ[-1]) if context.quick else DESIGNS_READ:
@@ -35,7 +35,7 @@ def make(context: Context) -> Made:
         for name in methods.METHODS:
             if not methods.applies(name, design):
                 continue
-            curve = methods.calibrate(name, design, camera, exposure, context.cells, 1000)
+            curve = methods.calibrate(name, design, camera, context.cells)
             start = time.perf_counter()
             values = [methods.METHODS[name](s.image, setting) for s in shots]
             depths = [methods.depth_of(curve.radius_of(value), camera) for value in values]

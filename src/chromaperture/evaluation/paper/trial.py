@@ -71,7 +71,7 @@ def run_trial(trial: Trial) -> dict[str, float]:
     else:
         planes = world.still_life(seed=trial.seed, saturation=trial.saturation)
     shot = world.photograph(table, planes, camera, seed=trial.seed, exposure=trial.exposure)
-    curve = methods.calibrate(trial.method, trial.design, camera, trial.exposure, trial.cells, 1000)
+    curve = methods.calibrate(trial.method, trial.design, camera, trial.cells)
     value = methods.METHODS[trial.method](shot.image, methods.setting_of(trial.design, camera))
     inner = np.s_[20:-20, 20:-20] if wall else np.s_[:, :]  # the rim, where windows are cut, would be most of a wall
     depth = methods.depth_of(curve.radius_of(np.asarray(value)), camera)
