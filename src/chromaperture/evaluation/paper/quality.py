@@ -152,6 +152,7 @@ def _shown(source: str, measured: dict[Quality, list[Measured]]) -> Made:
             axes.plot(distances, values, "o-", color=_COLORS[quality], markersize=4, label=quality)
         axes.axhline(0, color=GREY, linewidth=0.8)
         tidy(axes, xlabel="distance, mm", ylabel=title)
+    panels[0].set_ylim(0, 105)
     panels[0].legend(frameon=False, fontsize=8)
     whole = [_median([m.whole for m in found]) for found in measured.values()]
     lines = [
