@@ -45,7 +45,7 @@ def make(context: Context) -> Made:
         axes.plot(rulers, rulers, color=GREY, linewidth=0.8)
         axes.plot(rulers, rulers + fit.residual_mm, "o", color=BLUE, markersize=3.5)
         tidy(axes, xlabel="true, mm", ylabel="measured, mm")
-        axes.set_title(f"({letter}) {title}: rms {fit.rms_mm:.0f} mm", fontsize=9, loc="left")
+        axes.set_title(f"({letter}) {title}: rms {fit.rms_mm:.0f} mm", fontsize=8, loc="left")
         rows.append((
             f"({letter}) {title}", f"{fit.rms_mm:.1f}", f"{span:.2f}", f"{spans[letter][1]:.3f}",
             f"{span / spans[letter][1]:.0f}", f"{fit.model.in_focus_mm:.0f}", f"{np.isfinite(disparity).sum()}",

@@ -13,13 +13,14 @@ from chromaperture.color.alignment import channel_directions
 from chromaperture.color.noise import photon_noise_variance
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows, view_directions
 from chromaperture.config import MatcherConfig, Quality
-from chromaperture.disparity.estimate import Disparity, estimate_disparity
+from chromaperture.disparity.estimate import Disparity, colour_spaces, estimate_disparity
+from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.prior.annulus import annulus_radius
 from chromaperture.evaluation.prior.colour_lines import colour_lines
 from chromaperture.evaluation.prior.correlation import cross_correlation, phase_correlation
 from chromaperture.evaluation.prior.stereo import stereo_sgbm
-from chromaperture.optics.aperture import DESIGNS
+from chromaperture.optics.aperture import DESIGNS, centroids
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_otf
@@ -90,17 +91,28 @@ def disparity_range(design: str, camera: PupilCamera) -> tuple[float, float]:
 def our_disparity(image: np.ndarray, setting: Setting, *, quality: Quality) -> Disparity:
     """Match by the project's own method at a quality."""
     sensor = Sensor()
+    config = MatcherConfig.preset(quality).with_range(*setting.span_px)
+    spaces = colour_spaces(DESIGNS[setting.design], setting.rows, config)
     return estimate_disparity(
         image,
         aperture=DESIGNS[setting.design],
         unmixing=setting.rows,
-        config=MatcherConfig.preset(quality).with_range(*setting.span_px),
+        config=config,
+        fields=_fields(setting, spaces, image.shape[:2]) if config.optimiser is not None else None,
         noise_variance=photon_noise_variance(
             image,
             full_well_electrons=sensor.full_well_electrons,
             read_noise_electrons=sensor.read_noise_electrons,
         ),
     )
+
+
+def _fields(setting: Setting, spaces: list[np.ndarray], shape: tuple[int, ...]) -> list[LayerField]:
+    """Tell the optimiser what a calibrated camera would: leaks draw the pure channels closer than the unmixed views."""
+    film = world.real_film(setting.design)
+    reach = [float(np.linalg.norm(centroids(film, rows), axis=1).mean()) for rows in spaces]
+    even = np.zeros(shape, np.float32)
+    return [LayerField(even, even + np.float32(r / reach[0])) for r in reach]
 
 
 def _ours(quality: Quality) -> Method:
