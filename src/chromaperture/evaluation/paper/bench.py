@@ -96,7 +96,12 @@ def _shown(
     designs = [d for d in DESIGNS_READ if any(row[1] == d for row in rows)]
     names = list(dict.fromkeys(row[0] for row in rows))
     best = [
-        (name, *(_cell([r[3] for r in rows if r[:2] == (name, d)]) for d in designs), _mean_ms(rows, name))
+        (
+            name,
+            *(_cell([r[3] for r in rows if r[:2] == (name, d)]) for d in designs),
+            "no disparity",
+            _mean_ms(rows, name),
+        )
         for name in names
     ]
     every = [
@@ -104,7 +109,7 @@ def _shown(
          f"{1000 * seconds:.0f}")
         for m, d, s, scores, seconds in rows
     ]  # fmt: skip
-    head = ("method", *(f"{NUMERALS[d]} {d}" for d in designs), "time, ms")
+    head = ("method", *(f"{NUMERALS[d]} {d}" for d in (*designs, "open")), "time, ms")
     listed = [
         Listed("bench", Table("Shares of ALL pixels whose depth is right within 2 % / within 5 %, fill; mean of "
                               f"{', '.join(SCENES)}", head, best)),
