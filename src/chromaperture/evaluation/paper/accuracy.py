@@ -29,7 +29,7 @@ def make(context: Context) -> Made:
     """Sweep on all cores, or on a cluster."""
     designs = [name for name in EIGHT if name != "open"]
     distances = _QUICK_MM if context.quick else _FULL_MM
-    seeds = range(1 if context.quick else 3)
+    seeds = range(1 if context.quick else 2)
     saturations = _SATURATIONS[:1] if context.quick else _SATURATIONS
     trials = {
         case: _trial(*case, cells=context.cells)

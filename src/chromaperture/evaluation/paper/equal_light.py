@@ -20,8 +20,8 @@ _DIM = 0.03  # of white level that white paper reaches through the open pupil
 _AT_MM = 2600.0  # where the bound is taken
 CONDITIONS = ("equal level", "equal time", "equal time, dim")
 _WHY = {
-    "equal level": "Exposed as long as it takes (15 and 9 times as long as VIII), I and II are best: their openings are "
-    "small, blur little and lie far apart; the paper does not rank at equal level.",
+    "equal level": "Exposed as long as it takes (15 and 9 times as long as VIII), I and II are best: their openings "
+    "are small, blur little and lie far apart; the paper does not rank at equal level.",
     "equal time": "In good light there are photons for all, and what counts is how far apart the views are.",
     "equal time, dim": "What the paper argues: where light is short, I and II have too little of it. VII has most, but "
     "its views lie a third as far apart, which costs more than light wins.",
