@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.fft
+import scipy.ndimage
 from typer.testing import CliRunner
 
 from chromaperture.cli.main import app
 from chromaperture.errors import InputError
 from chromaperture.evaluation.figures import new_figure
-from chromaperture.evaluation.paper import figure_6, figure_8, methods, registry, run, sweep, world
+from chromaperture.evaluation.paper import figure_6, figure_8, methods, registry, run, sweep, trial, world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Exhibit, Listed, Made
 from chromaperture.evaluation.paper.page import page_html
@@ -212,6 +213,24 @@ def test_the_annulus_knows_the_size_of_the_blur_but_not_its_side(rng):
         assert np.median(found) == pytest.approx(4.0, abs=0.5)  # a step of the radii
 
 
+def test_largest_eigenvalues_are_those_of_the_matrices(rng):
+    matrices = rng.normal(size=(40, 3, 3))
+    matrices = matrices @ matrices.transpose(0, 2, 1)
+    matrices[0] = np.diag([2.0, 2.0, 2.0])  # all alike
+    matrices[1] = np.outer([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])  # colours on a line
+    places = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    found = annulus.largest_eigenvalue(*(matrices[:, a, b] for a, b in places))
+    # The arc cosine costs half the digits where two eigenvalues meet.
+    np.testing.assert_allclose(found, np.linalg.eigvalsh(matrices)[:, -1], rtol=1e-7)
+
+
+def test_a_shift_is_that_of_the_spline(rng):
+    view = rng.normal(size=(40, 50)).astype(np.float32)
+    for dx, dy in ((0.3, -2.6), (-7.25, 0.0), (11.0, 3.5)):
+        expected = scipy.ndimage.shift(view, (-dy, -dx), order=3, mode="mirror")
+        np.testing.assert_allclose(shifts.shifted(view, dx, dy), expected, atol=1e-5)  # float32
+
+
 def test_shifts_follow_the_sign_convention():
     ramp = np.tile(np.arange(20.0, dtype=np.float32), (20, 1))
     np.testing.assert_allclose(shifts.shifted(ramp, 1.25, 0)[8:12, 8:12], ramp[8:12, 8:12] + 1.25, atol=2e-3)
@@ -225,6 +244,19 @@ def test_depth_and_blur_radius_invert_each_other():
     camera = world.camera_of(96, 64)
     depth = np.array([900.0, 2000.0, 5000.0])
     np.testing.assert_allclose(methods.depth_of(camera.blur_radius_px(depth), camera), depth, rtol=1e-9)
+
+
+def test_a_calibrated_reading_gives_the_radius_back():
+    radius = np.array([3.0, -2.0, 0.0, 1.5])
+
+    def reading(r):
+        return 0.4 * r + 0.02 * r * abs(r)
+
+    curve = methods.rising(radius, reading(radius))
+    np.testing.assert_allclose(curve.radius_of(reading(radius)), radius, atol=1e-12)
+    np.testing.assert_allclose(curve.radius_of(np.array([np.nan, reading(3.0) + 0.01]))[1], 3 + 0.01 / 0.49, rtol=1e-9)
+    assert len(methods.rising(radius, -radius).reading) == 1
+    assert np.isnan(methods.rising(radius, -radius).radius_of(np.zeros((2, 2)))).all()
 
 
 def test_scores_count_all_pixels_with_truth():
@@ -277,7 +309,7 @@ def test_the_bend_of_a_floor_is_told_from_its_tilt_and_noise(rng):
 def trials(seeds=(0, 1)):
     size = {"width_px": 96, "height_px": 64, "cells": 6, "exposure": 0.9}
     names = ("normalised cross-correlation, unmixed", "phase correlation")
-    return [sweep.Trial(method=name, design="cy_halves", seed=seed, **size) for name in names for seed in seeds]
+    return [trial.Trial(method=name, design="cy_halves", seed=seed, **size) for name in names for seed in seeds]
 
 
 def stored(folder):
@@ -314,8 +346,8 @@ def test_two_workers_one_killed_give_what_one_gives_byte_for_byte(tmp_path):
 
 
 def test_a_sweep_goes_on_from_what_is_kept(tmp_path, monkeypatch):
-    for trial in trials():
-        sweep._keep(tmp_path, trial, {"fill": 0.5, "median_error": float("nan")})
+    for one in trials():
+        sweep._keep(tmp_path, one, {"fill": 0.5, "median_error": float("nan")})
     monkeypatch.setattr(sweep, "ProcessPoolExecutor", None)  # nothing is left to compute
     results = sweep.sweep(trials(), workers=2, keep_in=tmp_path)
     assert [r["fill"] for r in results] == [0.5] * len(trials())

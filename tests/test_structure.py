@@ -48,7 +48,7 @@ ALLOWED: dict[str, set[str]] = {
     "samples": set(),
     "pipeline": {"optics", "calibration", "camera", "outputs", "preview"} | STAGES,
     **{leaf: BELOW_LEAVES for leaf in LEAVES},
-    "evaluation": BELOW_LEAVES | {"effects"},  # the paper's Figure 14 shows effects
+    "evaluation": BELOW_LEAVES | {"effects", "reconstruction"},  # the paper's Figures 14 and 15 show them
     "viewer": BELOW_LEAVES | {"reconstruction", "effects"},  # it shows the model, and the picture focused elsewhere
     "cli": BELOW_LEAVES | LEAVES | {"__init__"},
     "__main__": {"cli"},
@@ -56,7 +56,7 @@ ALLOWED: dict[str, set[str]] = {
 }
 # Depth works on any disparity map, however it was made.
 FORBIDDEN_MODULES = {"depth": ("disparity.kernels", "disparity.reference")}
-OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "dask", "mcap", "mcap_ros2", "imageio"}
+OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "mcap", "mcap_ros2", "imageio"}
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
 

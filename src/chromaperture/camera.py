@@ -137,6 +137,7 @@ class CodedApertureCamera:
             curve = self.calibration.depth_model("accurate")
             inverse_mm = disparity_to_inverse_depth(layer, self.depth_model)
             layer = curve.infinity_disparity_px - curve.scale_px_mm * inverse_mm
+            layer = layer if curve.nonlinearity is None else curve.nonlinearity.measured(layer)
         return self.lens_shift.layer_radius_px(layer).astype(np.float32)
 
     def displacement(self, disparity_px: np.ndarray) -> np.ndarray | None:

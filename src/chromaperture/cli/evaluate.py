@@ -20,6 +20,12 @@ def evaluate(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the report.")] = Path("evaluation"),
     quick: Annotated[bool, typer.Option("--quick", help="Small pictures: minutes, not a quarter of an hour.")] = False,
     workers: Annotated[int, typer.Option(help="Processes for sweeps; 0 is one a core.")] = 0,
+    cluster: Annotated[
+        str | None, typer.Option(help="Dask scheduler that runs the sweeps, such as tcp://10.0.0.1:8786.")
+    ] = None,
+    camera: Annotated[
+        list[Path] | None, typer.Option("--camera", "-c", help="Camera files, one a design, instead of calibrating.")
+    ] = None,
     again: Annotated[bool, typer.Option("--again", help="Make what is finished anew too.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
@@ -33,6 +39,7 @@ def evaluate(
     """
     from chromaperture.cli.console import announce_compilation, print_json, progress, say_warning
     from chromaperture.cli.console import out as console
+    from chromaperture.evaluation.paper.cluster import dask_distributed
     from chromaperture.evaluation.paper.context import Context
     from chromaperture.evaluation.paper.page import write_page
     from chromaperture.evaluation.paper.registry import chosen
@@ -40,6 +47,13 @@ def evaluate(
 
     if workers < 0:
         raise InputError(f"--workers must be at least 0, got {workers}")
+    if camera and data is None:
+        raise InputError("--camera is used with --data, the folder of its photographs")
+    for path in camera or ():
+        if not path.is_file():
+            raise InputError(f"no camera file at {path}")
+    if cluster:
+        dask_distributed()
     if data is not None and not data.is_dir():
         raise InputError(f"--data {data} is no folder: give the one that holds the sessions, or leave it out")
     exhibits = chosen(names or [])
@@ -49,7 +63,7 @@ def evaluate(
             raise InputError(f"{', '.join(unable)} needs photographs: give their folder with --data")
         exhibits = [e for e in exhibits if not e.only_data]
     announce_compilation(quiet=quiet or json)
-    context = Context(out, data=data, quick=quick, workers=workers)
+    context = Context(out, data=data, quick=quick, workers=workers, cluster=cluster, cameras=tuple(camera or ()))
     with progress(quiet=quiet or json) as update:
         outcomes = run(exhibits, context, again=again, progress=update)
     page = write_page(out, outcomes, quick=quick)

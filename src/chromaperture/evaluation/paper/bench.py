@@ -1,53 +1,161 @@
-"""Methods and designs on ray-traced or real captures with known depth: needs ``--data``."""
+"""Methods x designs on ray-traced or real captures with known depth: needs ``--data``."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from chromaperture.calibrate import calibrate_session
+from chromaperture.calibrate import CalibrationResult, calibrate_session
 from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, default_config
 from chromaperture.config import Quality
 from chromaperture.errors import InputError
-from chromaperture.evaluation.paper import methods
+from chromaperture.evaluation.figures import new_figure
+from chromaperture.evaluation.paper import bench_prior, methods
 from chromaperture.evaluation.paper.context import Context
-from chromaperture.evaluation.paper.exhibit import Listed, Made
+from chromaperture.evaluation.paper.exhibit import Drawn, Listed, Made
+from chromaperture.evaluation.paper.world import NUMERALS
 from chromaperture.evaluation.tables import Table
+from chromaperture.optics.aperture import DESIGNS
 from chromaperture.pipeline import read_capture
 
-DESIGNS_READ = ("cy_halves", "cy_open", "rgb_squares", "cmy_circles")
+FIRST = "cy_halves"  # has tilted boards, and gives its lens to the others
+DESIGNS_READ = ("rgb_squares", "cmy_circles", "cy_halves", "magenta_annulus", "cy_open", "open")
 SCENES = ("steps", "room", "desk")
+_SHOWN = "steps"
+Row = tuple[str, str, str, dict[str, float], float]  # method, design, scene, scores, seconds
 
 
 def make(context: Context) -> Made:
-    """Calibrate each design's session, measure its scenes."""
+    """Calibrate each design's session for every method, measure its scenes."""
+    data = _folder(context)
+    qualities: tuple[Quality, ...] = ("real-time",) if context.quick else ("paper", "real-time", "accurate")
+    given = {c.design: c for c in (Calibration.load(path) for path in context.cameras)}
+    first = _calibrated(context, FIRST, None)
+    truths = {scene: truth_mm(data, scene) for scene in SCENES}
+    rows: list[Row] = []
+    found: Iterable[tuple[str, str, np.ndarray, float]]
+    pictures: dict[tuple[str, str], np.ndarray] = {}
+    for number, design in enumerate(DESIGNS_READ):
+        if not DESIGNS[design].views and design != "magenta_annulus":
+            continue
+        context.tell(f"bench: {design}", number, len(DESIGNS_READ))
+        if design == "magenta_annulus":
+            found = bench_prior.measured_by_annulus(data / design, first, truths, keep_in=_kept(context, design))
+        else:
+            result = first if design == FIRST else _calibrated(context, design, first.calibration)
+            calibration = given.get(design, result.calibration)
+            found = _measured(data / design, calibration, qualities)
+            if not context.quick:
+                found = chain(found, bench_prior.measured(result, SCENES, keep_in=_kept(context, design)))
+        for method, scene, depth, seconds in found:
+            rows.append((method, design, scene, methods.scores(depth, truths[scene]), seconds))
+            if scene == _SHOWN:
+                pictures[method, design] = depth
+    return _shown(rows, pictures, truths[_SHOWN], blurred=[d for d, c in given.items() if c.blur is not None])
+
+
+def _folder(context: Context) -> Path:
     if context.data is None:
         raise InputError("bench needs photographs: give their folder with --data")
-    lens: Calibration | None = None
-    rows = []
-    qualities: tuple[Quality, ...] = ("real-time",) if context.quick else ("paper", "real-time", "accurate")
-    for design in DESIGNS_READ:
-        kept = context.work / f"calibrating-data-{design}"
-        folder = context.data / design
-        calibration = calibrate_session(folder, lens_from=lens, lens_blur=not context.quick, keep_in=kept).calibration
-        lens = lens or calibration  # designs without tilted boards share the first one's lens
-        for quality in qualities:
-            camera = CodedApertureCamera(calibration, default_config(calibration, quality))
-            for scene in SCENES:
-                photo = folder / "scene" / f"{scene}.png"
-                if not photo.is_file():
-                    continue
-                frame = camera.measure(read_capture(photo, camera))
-                judged = methods.scores(np.asarray(frame.depth_mm, float), truth_mm(context.data, scene))
-                shares = (f"{judged[key]:.1%}" for key in ("fill", "within_2", "within_5", "within_10"))
-                rows.append((f"ours, {quality}", design, scene, *shares))
-    head = ("method", "design", "scene", "fill", "within 2 %", "within 5 %", "within 10 %")
-    table = Table("Shares of ALL pixels with known truth", head, rows)
-    return Made(f"From {len(DESIGNS_READ)} sessions in --data.", (), [Listed("bench", table)],
-                lines=["Prior methods run on simulated captures: see prior-art."])  # fmt: skip
+    return context.data
+
+
+def _kept(context: Context, design: str) -> Path:
+    return context.work / f"calibrating-data-{design}"
+
+
+def _calibrated(context: Context, design: str, lens: Calibration | None) -> CalibrationResult:
+    """Calibrate without the lens's blur, which takes long: a camera file given with --camera may have it."""
+    folder = _folder(context) / design
+    return calibrate_session(folder, lens_from=lens, lens_blur=False, keep_in=_kept(context, design))
+
+
+def _measured(
+    folder: Path, calibration: Calibration, qualities: tuple[Quality, ...]
+) -> Iterator[tuple[str, str, np.ndarray, float]]:
+    """Measure the scenes with the project's own method; method, scene, depth in mm, seconds."""
+    for quality in qualities:
+        camera = CodedApertureCamera(calibration, default_config(calibration, quality))
+        camera.measure(read_capture(folder / "scene" / f"{SCENES[0]}.png", camera))  # compiles, fills its tables
+        for scene in SCENES:
+            image = read_capture(folder / "scene" / f"{scene}.png", camera)
+            start = time.perf_counter()
+            depth = np.asarray(camera.measure(image).depth_mm, float)
+            yield f"ours, {quality}", scene, depth, time.perf_counter() - start
+
+
+def _shown(
+    rows: list[Row], pictures: dict[tuple[str, str], np.ndarray], truth: np.ndarray, *, blurred: list[str]
+) -> Made:
+    designs = [d for d in DESIGNS_READ if any(row[1] == d for row in rows)]
+    names = list(dict.fromkeys(row[0] for row in rows))
+    best = [
+        (
+            name,
+            *(_cell([r[3] for r in rows if r[:2] == (name, d)]) for d in designs),
+            "no disparity",
+            _mean_ms(rows, name),
+        )
+        for name in names
+    ]
+    every = [
+        (m, d, s, *(f"{scores[k]:.4f}" for k in ("fill", "within_2", "within_5", "within_10", "median_error")),
+         f"{1000 * seconds:.0f}")
+        for m, d, s, scores, seconds in rows
+    ]  # fmt: skip
+    head = ("method", *(f"{NUMERALS[d]} {d}" for d in (*designs, "open")), "time, ms")
+    listed = [
+        Listed("bench", Table("Shares of ALL pixels whose depth is right within 2 % / within 5 %, fill; mean of "
+                              f"{', '.join(SCENES)}", head, best)),
+        Listed("scenes", Table("Every scene", ("method", "design", "scene", "fill", "within 2 %", "within 5 %",
+                                               "within 10 %", "median error", "time, ms"), every)),
+    ]  # fmt: skip
+    figure = new_figure(width=1.9 * len(designs) + 1.2, height=1.15 * len(names) + 0.5)
+    low, high = (float(v) for v in np.nanpercentile(truth, (1, 99)))
+    panels = figure.subplots(len(names), len(designs), squeeze=False)
+    for line, name in zip(panels, names, strict=True):
+        for axes, design in zip(line, designs, strict=True):
+            axes.set_xticks([])
+            axes.set_yticks([])
+            if (name, design) in pictures:
+                axes.imshow(pictures[name, design][::2, ::2], cmap="viridis", vmin=low, vmax=high)
+            else:
+                axes.set_frame_on(False)
+        line[0].set_ylabel(name.replace(", ", ",\n").replace(" cross-", "\ncross-"), fontsize=7)
+    for axes, design in zip(panels[0], designs, strict=True):
+        axes.set_title(f"{NUMERALS[design]} {design}", fontsize=8)
+    accurate = f"with the lens's blur for {', '.join(blurred)} and without for the others" if blurred else "without it"
+    return Made(
+        f"From {len(designs)} sessions in --data.",
+        [Drawn("scenes", figure, f"Depth of {_SHOWN}; blue is near, yellow far, white unknown.")],
+        listed,
+        lines=[
+            "Every method has the same calibration: curve and fields of d = A - B / z, fitted to its own readings of "
+            "the design's boards (prior methods: at most eight). Where there is no cell, a method cannot read the "
+            "design: stereo pairs must move along x, and the annulus has a method of its own. VIII, the open pupil, "
+            "has no disparity and no method here can read it.",
+            f"Quality accurate knows the lens's blur from the camera file only; here {accurate}.",
+        ],
+    )
+
+
+def _cell(scores: list[dict[str, float]]) -> str:
+    if not scores:
+        return ""
+    if not any(s["fill"] for s in scores):
+        return "boards not read"
+    two, five, fill = (float(np.mean([s[k] for s in scores])) for k in ("within_2", "within_5", "fill"))
+    return f"{two:.1%} / {five:.1%}, {fill:.0%}"
+
+
+def _mean_ms(rows: list[Row], method: str) -> str:
+    return f"{1000 * float(np.nanmean([r[4] for r in rows if r[0] == method])):.0f}"
 
 
 def truth_mm(data: Path, scene: str) -> np.ndarray:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from chromaperture.calibrate import CalibrationResult, calibrate_session
 from chromaperture.evaluation.paper import world
+from chromaperture.evaluation.paper.sweep import sweep
+from chromaperture.evaluation.paper.trial import Trial
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.session import SessionPlan, write_session
 
@@ -31,12 +33,21 @@ class Context:
     quick : bool
     workers : int
         Processes of a sweep; 0 is one a core.
+    cluster : str or None
+        Address of a Dask scheduler for sweeps.
+    cameras : tuple of Path
+        Camera files, used instead of calibrating.
+    tell : callable
+        Told what is made, how much is done, and of how much.
     """
 
     out: Path
     data: Path | None = None
     quick: bool = False
     workers: int = 0
+    cluster: str | None = None
+    cameras: tuple[Path, ...] = ()
+    tell: Callable[[str, int, int], None] = lambda what, done, total: None
     _kept: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -52,7 +63,7 @@ class Context:
     @property
     def scene_size(self) -> tuple[int, int]:
         """Width and height of simulated scenes, px."""
-        return (300, 200) if self.quick else (480, 320)
+        return (240, 160) if self.quick else (480, 320)
 
     @property
     def session_camera(self) -> PupilCamera:
@@ -63,6 +74,16 @@ class Context:
     def cells(self) -> int:
         """Rays across the pupil."""
         return 10 if self.quick else 16
+
+    def sweep(self, trials: Sequence[Trial], what: str) -> list[dict[str, float]]:
+        """Run trials on this machine's cores or on the cluster, and keep them in the work folder."""
+        return sweep(
+            trials,
+            workers=self.processes,
+            cluster=self.cluster,
+            keep_in=self.work / "trials",
+            tell=lambda done, total: self.tell(what, done, total),
+        )
 
     def once(self, key: str, make: Callable[[], T]) -> T:
         """Give what ``make`` makes, made once in this run: white sheets serve three exhibits."""
@@ -85,7 +106,7 @@ class Context:
 
     def _session_folder(self) -> Path:
         if self.data is not None:
-            return self.data / "cy_halves"
+            return self.data if (self.data / "session.toml").is_file() else self.data / "cy_halves"
         folder = self.work / "session" / "cy_halves"
         if not (folder / "session.toml").is_file():  # written last
             camera = self.session_camera

@@ -43,10 +43,11 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Listed:
-    """A table and the stem of its CSV file."""
+    """A table and the stem of its CSV file; one that is too long for the page is in the file alone."""
 
     stem: str
     table: Table
+    on_page: bool = True
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,8 @@ class Exhibit:
         What it reads below ``--data`` where such a folder is given.
     only_data : bool
         Whether it has no simulated input.
+    reads_all : bool
+        Whether it reads more of the data folder than ``files``, and camera files.
     """
 
     name: str
@@ -88,3 +91,4 @@ class Exhibit:
     make: Callable[[Context], Made]
     files: tuple[str, ...] = ()
     only_data: bool = False
+    reads_all: bool = False

@@ -41,8 +41,8 @@ def make(context: Context) -> Made:
             rows.append((f"{NUMERALS[design]} {design}", f"{light:.0%}", f"{1:.2f}", "-", "-", "-", "-", "-"))
             continue
         method = "annulus" if design == "magenta_annulus" else "ours, paper"
-        calibrated = methods.calibrate(method, design, camera, exposure, context.cells, 1000)
-        raw = calibrated.radius_px(methods.METHODS[method](shot.image, design, camera))
+        calibrated = methods.calibrate(method, design, camera, context.cells)
+        raw = calibrated.radius_of(methods.METHODS[method](shot.image, methods.setting_of(design, camera)))
         smooth = smooth_disparity(raw, fidelity=_TV_PER_RADIUS, bounds_px=(low - 1, high + 1)).disparity_px
         for axes, radius in zip(line[1:3], (raw, smooth), strict=True):
             axes.imshow(radius, cmap="viridis", vmin=low, vmax=high)

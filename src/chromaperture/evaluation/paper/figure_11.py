@@ -47,6 +47,10 @@ def make(context: Context) -> Made:
             Compared("order by light", ", ".join(paper), ", ".join(order), _difference(paper, order)),
             Compared("V with ideal filters", "over 65 %", f"{halves:.1%}",
                      "Geometry: each half passes two of three channels."),
+            Compared("light of the prior art [4, 11] (II, I)", "less than 20 %",
+                     " and ".join(f"{NUMERALS[n]} {light[n].efficiency:.0%}" for n in ("rgb_squares", "rgb_circles")
+                                  if n in light) or "not measured", "Agrees: every filter passes one channel of three, "
+                     "and three of them do not fill the pupil."),
             Compared("V against VI", "almost the same light",
                      f"{light['cy_halves'].efficiency:.0%} and {light['magenta_annulus'].efficiency:.0%}"
                      if "magenta_annulus" in light and "cy_halves" in light else "not both measured",

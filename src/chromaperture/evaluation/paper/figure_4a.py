@@ -29,6 +29,7 @@ def make(context: Context) -> Made:
         axes.text(*(1.08 * tip), name, color=color, fontsize=12, fontweight="bold")
     axes.set(xlabel="R", ylabel="G", zlabel="B", xlim=(-0.4, 1), ylim=(-0.4, 1.4), zlim=(-0.4, 1))
     axes.view_init(elev=22, azim=150)
+    axes.set_box_aspect(None, zoom=0.88)  # the label of B has room
     inverse = np.linalg.inv(mixing)
     rows = [
         (name, *(f"{v:+.3f}" for v in mixing[:, k]), *(f"{v:+.3f}" for v in inverse[k])) for k, name in enumerate("CYX")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 import scipy.fft
@@ -13,22 +13,65 @@ from chromaperture.color.alignment import channel_directions
 from chromaperture.color.noise import photon_noise_variance
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows, view_directions
 from chromaperture.config import MatcherConfig, Quality
-from chromaperture.disparity.estimate import Disparity, estimate_disparity
+from chromaperture.disparity.estimate import Disparity, colour_spaces, estimate_disparity
+from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.prior.annulus import annulus_radius
 from chromaperture.evaluation.prior.colour_lines import colour_lines
 from chromaperture.evaluation.prior.correlation import cross_correlation, phase_correlation
 from chromaperture.evaluation.prior.stereo import stereo_sgbm
-from chromaperture.optics.aperture import DESIGNS
+from chromaperture.optics.aperture import DESIGNS, centroids
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_otf
 from chromaperture.optics.sensor import Sensor
 
 NEAREST_MM, FARTHEST_MM = 1000.0, 4500.0
-BOARDS_MM = (1150.0, 1400.0, 1700.0, 2400.0, 2900.0, 3500.0)
+BOARDS_MM = (1150.0, 1350.0, 1600.0, 2050.0, 2400.0, 2900.0, 3500.0)
 _STEP_PX = 0.25  # of the prior methods' layers, half disparity
-Method = Callable[[np.ndarray, str, PupilCamera], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a method may know of a camera.
+
+    Attributes
+    ----------
+    design : str
+    rows : (K, 3) float64
+        Unmixing of its film.
+    span_px : (float, float)
+        Half disparities of the working range.
+    blur_px : float
+        Largest blur radius in it.
+    """
+
+    design: str
+    rows: np.ndarray
+    span_px: tuple[float, float]
+    blur_px: float
+
+    @property
+    def layers_px(self) -> np.ndarray:
+        """Layers of the prior methods; (D,) float64."""
+        low, high = self.span_px
+        return np.asarray(np.arange(np.floor(low / _STEP_PX), np.ceil(high / _STEP_PX) + 1) * _STEP_PX)
+
+    @property
+    def directions(self) -> np.ndarray:
+        """How the sensor's channels move per px; leaks only scale the disparity; (3, 2) float64."""
+        return channel_directions(DESIGNS[self.design], {})
+
+
+Method = Callable[[np.ndarray, Setting], np.ndarray]
+
+
+def setting_of(design: str, camera: PupilCamera) -> Setting:
+    """Give what is known of a simulated camera."""
+    reach = camera.blur_radius_px(np.array([NEAREST_MM, FARTHEST_MM]))
+    rows = film_rows(design) if DESIGNS[design].views else np.zeros((0, 3))
+    span = disparity_range(design, camera) if DESIGNS[design].views else (0.0, 0.0)
+    return Setting(design, rows, span, float(np.abs(reach).max()))
 
 
 def film_rows(design: str) -> np.ndarray:
@@ -45,27 +88,17 @@ def disparity_range(design: str, camera: PupilCamera) -> tuple[float, float]:
     return low - 0.75, high + 0.75
 
 
-def layers(design: str, camera: PupilCamera) -> np.ndarray:
-    """Layers of the prior methods; (D,) float64, px."""
-    low, high = disparity_range(design, camera)
-    return np.asarray(np.arange(np.floor(low / _STEP_PX), np.ceil(high / _STEP_PX) + 1) * _STEP_PX)
-
-
-def our_disparity(
-    image: np.ndarray,
-    design: str,
-    camera: PupilCamera,
-    *,
-    quality: Quality,
-    span_px: tuple[float, float] | None = None,
-) -> Disparity:
-    """Match by the project's own method at a quality, over a range of half disparities."""
+def our_disparity(image: np.ndarray, setting: Setting, *, quality: Quality) -> Disparity:
+    """Match by the project's own method at a quality."""
     sensor = Sensor()
+    config = MatcherConfig.preset(quality).with_range(*setting.span_px)
+    spaces = colour_spaces(DESIGNS[setting.design], setting.rows, config)
     return estimate_disparity(
         image,
-        aperture=DESIGNS[design],
-        unmixing=film_rows(design),
-        config=MatcherConfig.preset(quality).with_range(*(span_px or disparity_range(design, camera))),
+        aperture=DESIGNS[setting.design],
+        unmixing=setting.rows,
+        config=config,
+        fields=_fields(setting, spaces, image.shape[:2]) if config.optimiser is not None else None,
         noise_variance=photon_noise_variance(
             image,
             full_well_electrons=sensor.full_well_electrons,
@@ -74,49 +107,49 @@ def our_disparity(
     )
 
 
+def _fields(setting: Setting, spaces: list[np.ndarray], shape: tuple[int, ...]) -> list[LayerField]:
+    """Tell the optimiser what a calibrated camera would: leaks draw the pure channels closer than the unmixed views."""
+    film = world.real_film(setting.design)
+    reach = [float(np.linalg.norm(centroids(film, rows), axis=1).mean()) for rows in spaces]
+    even = np.zeros(shape, np.float32)
+    return [LayerField(even, even + np.float32(r / reach[0])) for r in reach]
+
+
 def _ours(quality: Quality) -> Method:
-    def method(image: np.ndarray, design: str, camera: PupilCamera) -> np.ndarray:
-        return np.asarray(our_disparity(image, design, camera, quality=quality).value_px, float)
+    def method(image: np.ndarray, setting: Setting) -> np.ndarray:
+        return np.asarray(our_disparity(image, setting, quality=quality).value_px, float)
 
     return method
 
 
-def _channels(image: np.ndarray, design: str) -> tuple[np.ndarray, np.ndarray]:
-    """Sensor channels that move, and how; their leaks only scale the disparity."""
-    directions = channel_directions(DESIGNS[design], {})
-    return image, directions
+def _ncc(image: np.ndarray, setting: Setting) -> np.ndarray:
+    return cross_correlation(image, setting.directions, setting.layers_px)
 
 
-def _ncc(image: np.ndarray, design: str, camera: PupilCamera) -> np.ndarray:
-    return cross_correlation(*_channels(image, design), layers(design, camera))
+def _ncc_views(image: np.ndarray, setting: Setting) -> np.ndarray:
+    return cross_correlation(image @ setting.rows.T, view_directions(DESIGNS[setting.design]), setting.layers_px)
 
 
-def _ncc_views(image: np.ndarray, design: str, camera: PupilCamera) -> np.ndarray:
-    return cross_correlation(image @ film_rows(design).T, view_directions(DESIGNS[design]), layers(design, camera))
+def _phase(image: np.ndarray, setting: Setting) -> np.ndarray:
+    return phase_correlation(image, setting.directions, setting.layers_px)
 
 
-def _phase(image: np.ndarray, design: str, camera: PupilCamera) -> np.ndarray:
-    return phase_correlation(*_channels(image, design), layers(design, camera))
+def _lines(image: np.ndarray, setting: Setting) -> np.ndarray:
+    return colour_lines(image, setting.directions, setting.layers_px, optimised=False)
 
 
-def _lines(image: np.ndarray, design: str, camera: PupilCamera) -> np.ndarray:
-    return colour_lines(*_channels(image, design), layers(design, camera), optimised=False)
+def _lines_optimised(image: np.ndarray, setting: Setting) -> np.ndarray:
+    return colour_lines(image, setting.directions, setting.layers_px)
 
 
-def _lines_optimised(image: np.ndarray, design: str, camera: PupilCamera) -> np.ndarray:
-    return colour_lines(*_channels(image, design), layers(design, camera))
+def _sgbm(image: np.ndarray, setting: Setting) -> np.ndarray:
+    return stereo_sgbm(image[..., [0, 2]], setting.directions[[0, 2]], setting.layers_px)
 
 
-def _sgbm(image: np.ndarray, design: str, camera: PupilCamera) -> np.ndarray:
-    directions = channel_directions(DESIGNS[design], {})
-    return stereo_sgbm(image[..., [0, 2]], directions[[0, 2]], layers(design, camera))
-
-
-def _annulus(image: np.ndarray, design: str, camera: PupilCamera) -> np.ndarray:
-    reach = camera.blur_radius_px(np.array([NEAREST_MM, FARTHEST_MM]))
-    radii = np.arange(0, float(np.abs(reach).max()) + 1.0, 0.5)
+def _annulus(image: np.ndarray, setting: Setting) -> np.ndarray:
+    radii = np.arange(0, setting.blur_px + 1.0, 0.5)
     height, width = (scipy.fft.next_fast_len(n + 32, real=True) for n in image.shape[:2])
-    aperture = world.real_film(design)
+    aperture = world.real_film(setting.design)
     transfer = [geometric_otf(aperture, float(r), (height, width)) for r in radii]
     return annulus_radius(image, transfer, radii, (height, width))
 
@@ -146,36 +179,63 @@ def applies(method: str, design: str) -> bool:
 
 
 @dataclass(frozen=True)
-class Line:
-    """A method's reading on flat boards: value = gain * blur radius + offset."""
+class Curve:
+    """A method's reading on flat boards over their blur radius: straight between the boards and beyond them.
 
-    gain: float
-    offset: float
+    Attributes
+    ----------
+    radius_px : (N,) float64
+        Rising.
+    reading : (N,) float64
+        Rising; empty where fewer than two boards were read.
+    """
 
-    def radius_px(self, value: np.ndarray) -> np.ndarray:
-        """Blur radius from a reading; (H, W), px."""
-        return (value - self.offset) / self.gain
+    radius_px: np.ndarray
+    reading: np.ndarray
+
+    def radius_of(self, value: np.ndarray) -> np.ndarray:
+        """Blur radius from a reading; (H, W) float64, px."""
+        value = np.asarray(value, float)
+        if len(self.reading) < 2:
+            return np.full(value.shape, np.nan)
+        inside = np.interp(value, self.reading, self.radius_px)
+        low, high = (
+            (self.radius_px[j] - self.radius_px[i]) / (self.reading[j] - self.reading[i]) for i, j in ((0, 1), (-2, -1))
+        )
+        beyond = np.maximum(value - self.reading[-1], 0) * high + np.minimum(value - self.reading[0], 0) * low
+        return np.asarray(inside + beyond)
 
 
 @cache
-def calibrate(method: str, design: str, camera: PupilCamera, exposure: float, cells: int, seed: int) -> Line:
-    """Read boards at known distances and fit the line; every method gets the same ones."""
+def calibrate(method: str, design: str, camera: PupilCamera, cells: int) -> Curve:
+    """Read boards at known distances in good light; every method gets the same ones."""
+    distances = np.array([d for d in BOARDS_MM if method != "annulus" or d > world.FOCUS_MM])
+    read = []
+    for distance in distances:
+        image, small = _board(design, camera, float(distance), cells)
+        read.append(float(np.nanmedian(METHODS[method](image, setting_of(design, small))[30:-30, 30:-30])))
+    known = np.isfinite(read)
+    return rising(camera.blur_radius_px(distances)[known], np.array(read)[known])
+
+
+@lru_cache(maxsize=64)
+def _board(design: str, camera: PupilCamera, distance_mm: float, cells: int) -> tuple[np.ndarray, PupilCamera]:
+    """Photograph a board with the middle of a camera's sensor; the picture and that smaller camera."""
     width, height = min(camera.width_px, 200), min(camera.height_px, 140)
     small = world.camera_of(width, height, pitch_mm=camera.pixel_pitch_mm)
-    distances = [d for d in BOARDS_MM if method != "annulus" or d > world.FOCUS_MM]
-    read = []
-    for i, distance in enumerate(distances):
-        planes = world.board(small, distance, seed=seed + i)
-        table = world.pinhole_table(small, design, cells)
-        shot = world.photograph(table, planes, small, seed=seed + i, exposure=exposure)
-        value = METHODS[method](shot.image, design, small)
-        read.append(float(np.nanmedian(value[30:-30, 30:-30])))
-    radius = small.blur_radius_px(np.array(distances))
-    known = np.isfinite(read)
-    if known.sum() < 2:
-        return Line(np.nan, np.nan)
-    gain, offset = np.polyfit(radius[known], np.array(read)[known], 1)
-    return Line(float(gain), float(offset))
+    seed = 1000 + BOARDS_MM.index(distance_mm)
+    planes = world.board(small, distance_mm, seed=seed)
+    table, exposure = world.pinhole_table(small, design, cells), world.level_exposure(design)
+    return world.photograph(table, planes, small, seed=seed, exposure=exposure).image, small
+
+
+def rising(radius_px: np.ndarray, reading: np.ndarray) -> Curve:
+    """Make a curve of boards, without those that read no more than a nearer one."""
+    order = np.argsort(radius_px)
+    radius, value = radius_px[order], reading[order]
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(value)[:-1]])
+    keep = value > before
+    return Curve(radius[keep], value[keep])
 
 
 def depth_of(radius_px: np.ndarray, camera: PupilCamera) -> np.ndarray:
@@ -196,11 +256,17 @@ def scores(depth_mm: np.ndarray, truth_mm: np.ndarray) -> dict[str, float]:
     -------
     dict
         Shares of ALL pixels with known truth: fill, within_2, within_5, within_10; and median_error, the median of
-        |error| / truth where there is an answer.
+        |error| / truth where there is an answer; bias, the median of error / truth, and spread, 1.4826 times the
+        median deviation from it.
     """
     known = np.isfinite(truth_mm)
-    error = np.abs(depth_mm - truth_mm)[known] / truth_mm[known]
+    signed = (depth_mm - truth_mm)[known] / truth_mm[known]
+    error = np.abs(signed)
     answered = np.isfinite(error)
     shares = {f"within_{p}": float((error[answered] < p / 100).sum() / len(error)) for p in (2, 5, 10)}
-    median = float(np.median(error[answered])) if answered.any() else float("nan")
-    return {"fill": float(answered.mean()), **shares, "median_error": median}
+    if not answered.any():
+        return {"fill": 0.0, **shares, "median_error": np.nan, "bias": np.nan, "spread": np.nan}
+    bias = float(np.median(signed[answered]))
+    spread = 1.4826 * float(np.median(np.abs(signed[answered] - bias)))
+    middle = float(np.median(error[answered]))
+    return {"fill": float(answered.mean()), **shares, "median_error": middle, "bias": bias, "spread": spread}

@@ -15,12 +15,18 @@ if TYPE_CHECKING:
 
 _SESSION = ("cy_halves/session.toml", "cy_halves/distances.csv")
 _WHITE = tuple(f"white/{name}.png" for name in ("open", "rgb_squares", "cy_halves", "cy_open"))
-_BENCH = tuple(f"{design}/session.toml" for design in ("cy_halves", "cy_open", "rgb_squares", "cmy_circles")) + tuple(
-    f"truth/{scene}.depth_0.1mm.png" for scene in ("steps", "room", "desk")
+_DESIGNS = ("cy_halves", "cy_open", "rgb_squares", "cmy_circles", "magenta_annulus")
+_SCENES = ("steps", "room", "desk")
+_BENCH = (
+    *(f"{design}/session.toml" for design in _DESIGNS),
+    *(f"{design}/scene/{scene}.png" for design in _DESIGNS for scene in _SCENES),
+    *(f"truth/{scene}.depth_0.1mm.png" for scene in _SCENES),
 )
 
 
-def _exhibit(name: str, title: str, files: tuple[str, ...] = (), *, only_data: bool = False) -> Exhibit:
+def _exhibit(
+    name: str, title: str, files: tuple[str, ...] = (), *, only_data: bool = False, reads_all: bool = False
+) -> Exhibit:
     module = f"chromaperture.evaluation.paper.{name.replace('-', '_')}"
 
     def make(context: Context) -> Made:
@@ -28,7 +34,7 @@ def _exhibit(name: str, title: str, files: tuple[str, ...] = (), *, only_data: b
         assert isinstance(made, Made)
         return made
 
-    return Exhibit(name, title, make, files, only_data)
+    return Exhibit(name, title, make, files, only_data, reads_all)
 
 
 EXHIBITS: dict[str, Exhibit] = {
@@ -43,12 +49,15 @@ EXHIBITS: dict[str, Exhibit] = {
         _exhibit("figure-11", "Figure 11: light efficiency of the designs", _WHITE),
         _exhibit("figure-12", "Figure 12: what two cameras see"),
         _exhibit("figure-14", "Figure 14: effects by depth"),
+        _exhibit("figure-15", "Figure 15: a 3D model from a moving camera"),
         _exhibit("table-1", "Table 1: transparency of designs VII, V and II", _WHITE),
         _exhibit("table-2", "Table 2: loss of signal-to-noise ratio", _WHITE),
         _exhibit("table-3", "Table 3: time for one image"),
         _exhibit("equal-light", "Depth error against light: is the ranking the paper's?"),
         _exhibit("prior-art", "Prior art on the same captures"),
-        _exhibit("bench", "Methods and designs on ray-traced captures", _BENCH, only_data=True),
+        _exhibit("accuracy", "Depth error by distance, light and colour, and the Cramer-Rao bound"),
+        _exhibit("quality", "Depth quality of a camera: flat walls by distance and by position", reads_all=True),
+        _exhibit("bench", "Methods and designs on ray-traced captures", _BENCH, only_data=True, reads_all=True),
     )
 }
 

@@ -52,6 +52,7 @@ def evaluate(
     -------
     list of Outcome, one an exhibit; what could not be made says why and stops none of the others
     """
+    context.tell = progress
     outcomes = []
     for number, exhibit in enumerate(exhibits):
         progress(exhibit.title, number, len(exhibits))
@@ -81,21 +82,24 @@ def missing_files(exhibit: Exhibit, data: Path | None) -> str:
 
 def stamp_of(exhibit: Exhibit, context: Context) -> dict[str, Any]:
     """Give what a result depends on; another stamp makes it again."""
-    uses_data = context.data is not None and bool(exhibit.files)
-    return {
-        "version": metadata.version("chromaperture"),
-        "quick": context.quick,
-        "data": _fingerprint(exhibit, context.data) if uses_data and context.data else "",
-    }
+    stamp = {"version": metadata.version("chromaperture"), "quick": context.quick, "data": ""}
+    data = context.data
+    if data is not None and exhibit.reads_all:
+        paths = [*sorted(data.rglob("*")), *context.cameras]
+    elif data is not None and exhibit.files:
+        paths = [data / name for name in exhibit.files]
+    else:
+        return stamp
+    return stamp | {"data": _fingerprint(data, paths)}
 
 
-def _fingerprint(exhibit: Exhibit, data: Path) -> str:
+def _fingerprint(data: Path, paths: Sequence[Path]) -> str:
     """Of the files' names, sizes and times: another folder, or photographs taken again, make it anew."""
     total = hashlib.sha256(str(data.resolve()).encode())
-    for name in exhibit.files:
-        if (data / name).is_file():
-            stat = (data / name).stat()
-            total.update(f"{name} {stat.st_size} {stat.st_mtime_ns}".encode())
+    for path in paths:
+        if path.is_file():
+            stat = path.stat()
+            total.update(f"{path} {stat.st_size} {stat.st_mtime_ns}".encode())
     return total.hexdigest()[:16]
 
 
@@ -135,7 +139,7 @@ def write_made(folder: Path, exhibit: Exhibit, made: Made, stamp: dict[str, Any]
             "seconds": round(seconds, 1),
             "files": list(stage.names),
             "pictures": [{"file": f"{d.stem}.png", "caption": d.caption} for d in made.drawn],
-            "tables": [{"file": f"{t.stem}.csv", **asdict(t.table)} for t in made.listed],
+            "tables": [{"file": f"{t.stem}.csv", **asdict(t.table)} for t in made.listed if t.on_page],
             "compared": [asdict(c) for c in made.compared],
             "lines": list(made.lines),
         }

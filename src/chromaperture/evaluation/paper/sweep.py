@@ -6,84 +6,47 @@ trials. What is finished is kept; a worker that dies takes with it only the tria
 
 from __future__ import annotations
 
-import hashlib
+import contextlib
 import json
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 
 from chromaperture.errors import InputError
-from chromaperture.outputs import staged
+from chromaperture.evaluation.paper.cluster import on_cluster
+from chromaperture.evaluation.paper.trial import Trial, one_thread, run_trial
+from chromaperture.outputs import staged, write_json
 
 _ATTEMPTS = 4
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+Result = dict[str, float]
 
 
-@dataclass(frozen=True)
-class Trial:
-    """One capture and one method.
-
-    Attributes
-    ----------
-    method, design : str
-    exposure : float
-        White level that a reflectance of 1 through an open pupil reaches.
-    width_px, height_px, cells : int
-        Picture, and rays across the pupil.
-    seed : int
-    saturation : float
-        Of the scene's colours.
-    """
-
-    method: str
-    design: str
-    exposure: float
-    width_px: int
-    height_px: int
-    cells: int
-    seed: int
-    saturation: float = 0.5
-
-    @property
-    def key(self) -> str:
-        """Name of the file that keeps the result."""
-        text = json.dumps(asdict(self), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:24]
-
-
-def run_trial(trial: Trial) -> dict[str, float]:
-    """Photograph the still life, measure, and judge.
-
-    Returns
-    -------
-    dict
-        As `methods.scores`.
-    """
-    import numpy as np
-
-    from chromaperture.evaluation.paper import methods, world
-
-    camera = world.camera_of(trial.width_px, trial.height_px)
-    table = world.pinhole_table(camera, trial.design, trial.cells)
-    planes = world.still_life(seed=trial.seed, saturation=trial.saturation)
-    shot = world.photograph(table, planes, camera, seed=trial.seed, exposure=trial.exposure)
-    line = methods.calibrate(trial.method, trial.design, camera, trial.exposure, trial.cells, 1000 + trial.seed)
-    value = methods.METHODS[trial.method](shot.image, trial.design, camera)
-    return methods.scores(methods.depth_of(line.radius_px(np.asarray(value)), camera), shot.depth_mm)
-
-
-def sweep(trials: Sequence[Trial], *, workers: int, keep_in: Path) -> list[dict[str, float]]:
+def sweep(
+    trials: Sequence[Trial],
+    *,
+    workers: int,
+    keep_in: Path,
+    cluster: str | None = None,
+    tell: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Result]:
     """Run trials in parallel.
 
     Parameters
     ----------
     trials : sequence of Trial
     workers : int
-        Processes, at least 1.
+        Processes on this machine, at least 1.
     keep_in : Path
         Folder for the finished trials: a run that was interrupted goes on from there.
+    cluster : str, optional
+        Address of a Dask scheduler, whose workers run the trials instead.
+    tell : callable, optional
+        Told how many are done, and of how many.
 
     Returns
     -------
@@ -92,37 +55,59 @@ def sweep(trials: Sequence[Trial], *, workers: int, keep_in: Path) -> list[dict[
     Raises
     ------
     InputError
-        Workers died again and again, as they do where memory is short.
+        Workers died again and again, as they do where memory is short; or the cluster cannot be reached.
+    MissingDependencyError
+        A cluster is given and the extra ``cluster`` is not installed.
     """
     results = {trial.key: _kept(keep_in, trial) for trial in trials}
+    missing = list({t.key: t for t in trials if results[t.key] is None}.values())
+    done = len(results) - len(missing)
+    tell(done, len(results))
+    if missing:
+        finished = on_cluster(missing, cluster) if cluster else _on_this_machine(missing, workers)
+        for trial, result in finished:
+            results[trial.key] = _keep(keep_in, trial, result)
+            done += 1
+            tell(done, len(results))
+    in_order = [results[trial.key] for trial in trials]
+    return [result for result in in_order if result is not None]
+
+
+def _on_this_machine(trials: Sequence[Trial], workers: int) -> Iterator[tuple[Trial, Result]]:
+    """Give trials and their results as they finish; raises InputError when workers keep dying."""
+    left = {trial.key: trial for trial in trials}
     for _ in range(_ATTEMPTS):
-        open_trials = list({t.key: t for t in trials if results[t.key] is None}.values())
-        if not open_trials:
-            break
         context = get_context("spawn")  # a fork would copy the threads' locks
         try:
-            with ProcessPoolExecutor(min(workers, len(open_trials)), context, _one_thread) as pool:
-                waiting = {pool.submit(run_trial, trial): trial for trial in open_trials}
+            with _inherited(_ONE_THREAD), ProcessPoolExecutor(min(workers, len(left)), context, one_thread) as pool:
+                waiting = {pool.submit(run_trial, trial): trial for trial in left.values()}
                 for future in as_completed(waiting):
-                    results[waiting[future].key] = _keep(keep_in, waiting[future], future.result())
+                    result = future.result()
+                    del left[waiting[future].key]
+                    yield waiting[future], result
+            return
         except BrokenProcessPool:
-            continue
-    done = [results[trial.key] for trial in trials]
-    if any(result is None for result in done):
-        raise InputError("worker processes died four times: run again with fewer --workers, which need less memory")
-    return [result for result in done if result is not None]
+            if not left:
+                return
+    raise InputError("worker processes died four times: run again with fewer --workers, which need less memory")
 
 
-def _one_thread() -> None:
-    """Keep a worker to one thread: sums of many threads depend on their number."""
-    import cv2
-    import numba
+@contextlib.contextmanager
+def _inherited(variables: dict[str, str]) -> Iterator[None]:
+    """Set environment variables for processes that start meanwhile: BLAS reads its number of threads at start."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
-    cv2.setNumThreads(1)
-    numba.set_num_threads(1)
 
-
-def _kept(folder: Path, trial: Trial) -> dict[str, float] | None:
+def _kept(folder: Path, trial: Trial) -> Result | None:
     try:
         content = json.loads((folder / f"{trial.key}.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -130,9 +115,7 @@ def _kept(folder: Path, trial: Trial) -> dict[str, float] | None:
     return {name: float("nan") if value is None else float(value) for name, value in content["result"].items()}
 
 
-def _keep(folder: Path, trial: Trial, result: dict[str, float]) -> dict[str, float]:
-    from chromaperture.outputs import write_json
-
+def _keep(folder: Path, trial: Trial, result: Result) -> Result:
     with staged(folder) as stage:
         write_json(stage.path(f"{trial.key}.json"), {"trial": asdict(trial), "result": result})
     return result

@@ -24,6 +24,8 @@ EIGHT = ("rgb_circles", "rgb_squares", "cmy_squares", "cmy_circles", "cy_halves"
 NUMERALS = dict(zip(EIGHT, ("I", "II", "III", "IV", "V", "VI", "VII", "VIII"), strict=True))
 WHITE = 0.9  # what white paper reaches in the brightest channel
 
+_HUES = np.array([(1, 1, 1), (1, 0.35, 0.3), (0.4, 0.9, 0.35), (0.35, 0.45, 1), (1, 0.85, 0.3), (0.9, 0.4, 0.9)])
+
 
 @dataclass(frozen=True)
 class Capture:
@@ -118,11 +120,10 @@ def still_life(*, seed: int = 0, saturation: float = 0.5) -> list[Plane]:
         _speckle((0, 0, 3300.0), 2200.0, 1500.0, (0.55, 0.55, 0.55), 4.0, seed + 100),
         _speckle((0, 230.0, 2300.0), 2400.0, 2200.0, (0.6, 0.57, 0.5), 4.0, seed + 101, tilt=(-80.0, 0, 0)),
     ]
-    colours = np.array([(1, 1, 1), (1, 0.35, 0.3), (0.4, 0.9, 0.35), (0.35, 0.45, 1), (1, 0.85, 0.3), (0.9, 0.4, 0.9)])
     depths = np.array([1150.0, 1450.0, 1750.0, 2050.0, 2450.0, 2900.0])
     places = (-0.30, 0.32, -0.08, 0.16, -0.36, 0.36)
     for i, (z, place) in enumerate(zip(depths, places, strict=True)):
-        tint = 0.62 * (1 - saturation + saturation * colours[i])
+        tint = 0.62 * (1 - saturation + saturation * _HUES[i])
         width = 0.11 * z
         center = (place * 0.42 * z, (0.05 - 0.10 * (i % 2)) * z, z)
         tilt = (0.0, float(rng.uniform(-25, 25)), float(rng.uniform(-10, 10)))
@@ -130,12 +131,17 @@ def still_life(*, seed: int = 0, saturation: float = 0.5) -> list[Plane]:
     return made
 
 
-def board(camera: PupilCamera, distance_mm: float, *, seed: int) -> list[Plane]:
-    """Build a wall of grey speckle that fills the picture, square to the axis."""
+def board(camera: PupilCamera, distance_mm: float, *, seed: int, saturation: float = 0.0) -> list[Plane]:
+    """Build a wall of speckle that fills the picture, square to the axis; grey, or in patches of colour."""
     width = 1.3 * distance_mm * camera.width_px / camera.focal_px
     texel = 0.5 * distance_mm / camera.focal_px
     height = width * camera.height_px / camera.width_px
-    return [_speckle((0, 0, distance_mm), width, height, (0.45, 0.45, 0.45), texel, seed)]
+    shape = (max(2, round(height / texel)), max(2, round(width / texel)))
+    grey = np.repeat(textures.noise(shape, exponent=0.9, seed=seed)[..., None], 3, axis=2)
+    hues = np.random.default_rng(seed).choice(_HUES, (4, 6))
+    patches = hues.repeat(-(-shape[0] // 4), axis=0).repeat(-(-shape[1] // 6), axis=1)[: shape[0], : shape[1]]
+    tint = 1 - saturation + saturation * patches
+    return [plane(np.clip(grey * tint, 0.01, 1), center_mm=(0, 0, distance_mm), width_mm=width)]
 
 
 def _speckle(

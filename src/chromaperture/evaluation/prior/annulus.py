@@ -88,33 +88,49 @@ def misfit(channels: np.ndarray) -> np.ndarray:
     total, energy = np.zeros(channels.shape[:2]), np.full(channels.shape[:2], 1e-12)
     for x, y in directions:
         slope = np.asarray(x * gx + y * gy)
-        kernel = _line(x, y)
-        moments = np.empty((*channels.shape[:2], 3, 3))
-        for a in range(3):
-            for b in range(a + 1):
-                moments[..., a, b] = moments[..., b, a] = cv2.filter2D(
-                    slope[..., a] * slope[..., b], -1, kernel, borderType=cv2.BORDER_REFLECT_101
-                )
-        trace = np.trace(moments, axis1=2, axis2=3)
-        total += trace - _largest_eigenvalue(moments)
+        rr, gg, bb, rg, rb, gb = (
+            _mean_along(slope[..., a] * slope[..., b], x, y)
+            for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+        )
+        trace = rr + gg + bb
+        total += trace - largest_eigenvalue(rr, gg, bb, rg, rb, gb)
         energy += trace
     return total / energy
 
 
-def _line(x: float, y: float) -> np.ndarray:
-    """Mean along a line of 15 px; (15, 15) or smaller, float64."""
-    half = _WINDOW_PX // 2
-    kernel = np.zeros((_WINDOW_PX, _WINDOW_PX))
-    steps = np.arange(-half, half + 1)
-    scale = 1 / max(abs(x), abs(y))
-    kernel[np.rint(half + steps * y * scale).astype(int), np.rint(half + steps * x * scale).astype(int)] = 1
-    return kernel / kernel.sum()
+def _mean_along(values: np.ndarray, x: float, y: float) -> np.ndarray:
+    """Mean over 15 px of a row, a column or a diagonal; (H, W) float64."""
+    if 0 in (x, y):
+        size = (_WINDOW_PX, 1) if x else (1, _WINDOW_PX)
+        return np.asarray(cv2.blur(values, size, borderType=cv2.BORDER_REFLECT_101))
+    half, (height, width) = _WINDOW_PX // 2, values.shape
+    big = cv2.copyMakeBorder(values, half, half, half, half, cv2.BORDER_REFLECT_101)
+    down = range(_WINDOW_PX) if x * y > 0 else range(_WINDOW_PX - 1, -1, -1)
+    total = np.zeros_like(values)
+    for j, i in enumerate(down):
+        total += big[i : i + height, j : j + width]
+    return total / _WINDOW_PX
 
 
-def _largest_eigenvalue(moments: np.ndarray, *, rounds: int = 6) -> np.ndarray:
-    """Largest eigenvalue of symmetric 3 x 3 matrices by power iteration; (H, W) float64."""
-    vector = np.full((*moments.shape[:2], 3), 1 / np.sqrt(3))
-    for _ in range(rounds):
-        vector = np.einsum("hwab,hwb->hwa", moments, vector)
-        vector /= np.maximum(np.linalg.norm(vector, axis=2, keepdims=True), 1e-30)
-    return np.asarray(np.einsum("hwa,hwab,hwb->hw", vector, moments, vector))
+def largest_eigenvalue(
+    rr: np.ndarray, gg: np.ndarray, bb: np.ndarray, rg: np.ndarray, rb: np.ndarray, gb: np.ndarray
+) -> np.ndarray:
+    """Largest eigenvalue of symmetric 3 x 3 matrices, by the cosine solution of the cubic.
+
+    With q the mean of the diagonal and p^2 = |A - q|^2 / 6 it is q + 2 p cos(arccos(det((A - q) / p) / 2) / 3).
+
+    Parameters
+    ----------
+    rr, gg, bb, rg, rb, gb : (H, W) float
+        Diagonal, and the rest.
+
+    Returns
+    -------
+    (H, W) float64
+    """
+    q = (rr + gg + bb) / 3
+    r, g, b = rr - q, gg - q, bb - q
+    p = np.sqrt(np.maximum((r * r + g * g + b * b + 2 * (rg * rg + rb * rb + gb * gb)) / 6, 1e-60))
+    determinant = r * (g * b - gb * gb) - rg * (rg * b - gb * rb) + rb * (rg * gb - g * rb)
+    angle = np.arccos(np.clip(determinant / (2 * p**3), -1, 1)) / 3
+    return np.asarray(q + 2 * p * np.cos(angle))

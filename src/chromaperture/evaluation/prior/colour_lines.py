@@ -6,7 +6,7 @@ import numpy as np
 
 from chromaperture.config import OptimiserConfig
 from chromaperture.disparity.optimise import optimise_volume
-from chromaperture.evaluation.prior.shifts import best_layer, box, shifted
+from chromaperture.evaluation.prior.shifts import best_layer, box, sampled, spline
 
 _PATHS = OptimiserConfig(slope_penalty=1.0, jump_penalty=1.0, coupling_rounds=0)
 _LOG_SPAN = 16.0  # nats: below exp(-16) a window is a perfect line, and noise tells which is more so
@@ -33,9 +33,9 @@ def colour_line_measure(
     (D, H, W) float64
     """
     measure = np.empty((len(layers_px), *image.shape[:2]))
-    planes = [np.asarray(image[..., c], np.float64) for c in range(3)]
+    planes = [spline(image[..., c]) for c in range(3)]
     for i, d in enumerate(layers_px):
-        r, g, b = (shifted(p, d * u, d * v).astype(np.float64) for p, (u, v) in zip(planes, directions, strict=True))
+        r, g, b = (sampled(p, d * u, d * v).astype(np.float64) for p, (u, v) in zip(planes, directions, strict=True))
         mr, mg, mb = box(r, side_px), box(g, side_px), box(b, side_px)
         rr, gg, bb = box(r * r, side_px) - mr * mr, box(g * g, side_px) - mg * mg, box(b * b, side_px) - mb * mb
         rg, rb, gb = box(r * g, side_px) - mr * mg, box(r * b, side_px) - mr * mb, box(g * b, side_px) - mg * mb

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from chromaperture.evaluation.prior.shifts import best_layer, box, shifted
+from chromaperture.evaluation.prior.shifts import best_layer, box, sampled, spline
 
 
 def cross_correlation(
@@ -28,10 +28,10 @@ def cross_correlation(
     -------
     (H, W) float64, px; NaN at the ends of the range
     """
-    planes = [np.asarray(views[..., k], np.float64) for k in range(views.shape[2])]
+    planes = [spline(views[..., k]) for k in range(views.shape[2])]
     score = np.zeros((len(layers_px), *views.shape[:2]))
     for i, d in enumerate(layers_px):
-        moved = [shifted(p, d * u, d * v).astype(np.float64) for p, (u, v) in zip(planes, directions, strict=True)]
+        moved = [sampled(p, d * u, d * v).astype(np.float64) for p, (u, v) in zip(planes, directions, strict=True)]
         means = [box(p, side_px) for p in moved]
         variances = [np.maximum(box(p * p, side_px) - m * m, 1e-10) for p, m in zip(moved, means, strict=True)]
         for a, b in combinations(range(len(planes)), 2):
@@ -85,7 +85,8 @@ def phase_correlation(
             cross /= np.maximum(np.abs(cross), 1e-12)
             u, v = directions[a] - directions[b]
             turns = np.exp(1j * np.outer(wx * u + wy * v, layers_px))
-            coarse[:, i] += (cross @ turns).real.T
+            # Not as a product of matrices: the threads of BLAS wait for each other longer than they count here.
+            coarse[:, i] += np.einsum("bw,wd->db", cross, turns).real
     # Block centres lie on the grid's pixels; map every pixel to its place between them.
     x, y = np.meshgrid(np.arange(width, dtype=np.float32) / step_px, np.arange(height, dtype=np.float32) / step_px)
     fine = [cv2.remap(s.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for s in coarse]

@@ -7,12 +7,36 @@ import numpy as np
 import scipy.ndimage
 
 
+def spline(view: np.ndarray) -> np.ndarray:
+    """Cubic spline through a view; its coefficients, (H, W) float32, for `sampled`."""
+    view = np.asarray(view, np.float32)
+    return np.asarray(scipy.ndimage.spline_filter(view, order=3, output=np.float32, mode="mirror"))
+
+
+def sampled(coefficients: np.ndarray, dx: float, dy: float) -> np.ndarray:
+    """Sample a view's spline at (x + dx, y + dy); (H, W) float32, mirrored at the rim.
+
+    Splines, because OpenCV's cubic resampling moves a ramp by up to 0.05 px. All pixels move alike, so that the four
+    weights of an axis are one filter.
+    """
+    x, y = _weights(dx), _weights(dy)
+    return np.asarray(cv2.sepFilter2D(coefficients, -1, x, y, borderType=cv2.BORDER_REFLECT_101))
+
+
 def shifted(view: np.ndarray, dx: float, dy: float) -> np.ndarray:
     """Sample a view at (x + dx, y + dy); (H, W) float32, cubic, mirrored at the rim."""
-    if dx == 0 and dy == 0:
-        return np.asarray(view, np.float32)
-    # Splines: OpenCV's cubic resampling moves a ramp by up to 0.05 px.
-    return np.asarray(scipy.ndimage.shift(np.asarray(view, np.float32), (-dy, -dx), order=3, mode="mirror"))
+    return sampled(spline(view), dx, dy)
+
+
+def _weights(shift: float) -> np.ndarray:
+    """Weights of the coefficients about a pixel, for a value ``shift`` px beside it; float32."""
+    whole = int(np.floor(shift))
+    t = shift - whole
+    reach = max(abs(whole - 1), abs(whole + 2))
+    kernel = np.zeros(2 * reach + 1, np.float32)
+    four = np.array([(1 - t) ** 3, 4 - 6 * t**2 + 3 * t**3, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3]) / 6
+    kernel[reach + whole - 1 : reach + whole + 3] = four
+    return kernel
 
 
 def box(picture: np.ndarray, side_px: int) -> np.ndarray:

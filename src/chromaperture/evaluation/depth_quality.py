@@ -1,0 +1,115 @@
+"""Depth quality as depth cameras are judged by: flat walls at known distances, over the frame and zone by zone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+ZONES = ("top left", "top", "top right", "left", "middle", "right", "bottom left", "bottom", "bottom right")
+_OUTLIER = 4.0  # robust standard deviations from the plane: the matcher's errors, which are counted by themselves
+_ROUNDS = 5
+
+
+@dataclass(frozen=True)
+class PlaneQuality:
+    """How well a piece of a flat wall was measured.
+
+    Attributes
+    ----------
+    fill : float
+        Share of the pixels with a depth.
+    accuracy : float
+        Z accuracy: median of (measured - true) / true; signed.
+    plane_rms : float
+        Root mean square distance from the best plane, as a share of the distance.
+    subpixel_rms_px : float
+        The same in px of half disparity, which does not grow with distance.
+    outliers : float
+        Share of the pixels with a depth that lie more than four robust standard deviations off the plane; the two
+        figures before leave them out.
+    """
+
+    fill: float
+    accuracy: float
+    plane_rms: float
+    subpixel_rms_px: float
+    outliers: float
+
+
+def plane_quality(
+    depth_mm: np.ndarray, truth_mm: float, *, sensor_to_pupil_mm: float, scale_px_mm: np.ndarray | float
+) -> PlaneQuality:
+    """Judge a flat wall that stands square to the axis.
+
+    Parameters
+    ----------
+    depth_mm : (H, W) float
+        From the sensor plane; NaN unknown.
+    truth_mm : float
+        Its distance from the sensor plane.
+    sensor_to_pupil_mm : float
+        delta.
+    scale_px_mm : float or (H, W)
+        B of ``d = A - B / (depth - delta)``.
+
+    Returns
+    -------
+    PlaneQuality
+        NaN where fewer than a dozen pixels are known.
+    """
+    known = np.isfinite(depth_mm)
+    fill = float(known.mean())
+    if known.sum() < 12:
+        return PlaneQuality(fill, np.nan, np.nan, np.nan, np.nan)
+    depth = np.asarray(depth_mm, float)[known]
+    inverse = 1 / (depth - sensor_to_pupil_mm)
+    y, x = np.mgrid[-1 : 1 : depth_mm.shape[0] * 1j, -1 : 1 : depth_mm.shape[1] * 1j]
+    # A plane in space is a plane in inverse depth over the picture of a pinhole, whatever its tilt.
+    basis = np.stack([np.ones(len(inverse)), x[known], y[known]], axis=1)
+    keep: np.ndarray = np.ones(len(inverse), bool)
+    residual = np.zeros(len(inverse))
+    for _ in range(_ROUNDS):
+        solution, *_ = np.linalg.lstsq(basis[keep], inverse[keep], rcond=None)
+        residual = inverse - basis @ solution
+        sigma = 1.4826 * float(np.median(np.abs(residual - np.median(residual[keep]))))
+        keep = np.abs(residual) <= _OUTLIER * sigma + 1e-12
+    scale = np.broadcast_to(np.asarray(scale_px_mm, float), depth_mm.shape)[known]
+    z = truth_mm - sensor_to_pupil_mm
+    return PlaneQuality(
+        fill,
+        float(np.median(depth) / truth_mm - 1),
+        float(np.sqrt(np.mean(residual[keep] ** 2)) * z**2 / truth_mm),  # |d depth| = z^2 |d (1 / z)|
+        float(np.sqrt(np.mean((scale * residual)[keep] ** 2))),
+        float(1 - keep.mean()),
+    )
+
+
+def cells(height: int, width: int, rows: int, columns: int) -> list[tuple[slice, slice]]:
+    """Cut a frame into rows and columns, row by row."""
+    down, across = (np.linspace(0, n, count + 1).round().astype(int) for n, count in ((height, rows), (width, columns)))
+    return [
+        (slice(int(a), int(b)), slice(int(c), int(d)))
+        for a, b in pairwise(down)
+        for c, d in pairwise(across)
+    ]
+
+
+def by_cell(
+    depth_mm: np.ndarray,
+    truth_mm: float,
+    *,
+    sensor_to_pupil_mm: float,
+    scale_px_mm: np.ndarray | float,
+    rows: int = 3,
+    columns: int = 3,
+) -> list[PlaneQuality]:
+    """Judge every cell of the frame by itself, each against a plane of its own; row by row, see `plane_quality`."""
+    scale = np.broadcast_to(np.asarray(scale_px_mm, float), depth_mm.shape)
+    return [
+        plane_quality(
+            depth_mm[cell], truth_mm, sensor_to_pupil_mm=sensor_to_pupil_mm, scale_px_mm=scale[cell]
+        )
+        for cell in cells(depth_mm.shape[0], depth_mm.shape[1], rows, columns)
+    ]

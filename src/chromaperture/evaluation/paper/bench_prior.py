@@ -1,0 +1,159 @@
+"""Prior methods on photographs: calibrated on the same boards, with the same fields over the frame, as the project's.
+
+A method reads every board; the curve d = A - B / z with its fields and its nonlinearity is fitted to what it reads by
+the very code that fits the project's own. What is left to tell them apart is the matching.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from chromaperture.boards import BoardMeasurement, grid
+from chromaperture.calibrate import CalibrationResult
+from chromaperture.curves import Evidence, fit_curve
+from chromaperture.depth.conversion import DepthModel, disparity_to_depth
+from chromaperture.depth.distances import fit_distances
+from chromaperture.errors import InputError
+from chromaperture.evaluation.paper import methods
+from chromaperture.session import Session, read_session
+from chromaperture.store import Store
+
+_BOARDS = 8  # at most, for each method
+_SPAN = (1.2, 0.75)  # how much farther than the camera's own range is searched: factor, and px
+_BETA = 0.42  # half disparity of the halves per px of blur radius: 4 / (3 pi)
+Read = Callable[[np.ndarray], np.ndarray]
+
+
+def measured(
+    result: CalibrationResult, scenes: Sequence[str], *, keep_in: Path
+) -> Iterator[tuple[str, str, np.ndarray, float]]:
+    """Measure scenes by every prior method that can read the design.
+
+    Parameters
+    ----------
+    result : CalibrationResult
+        Of the design's session.
+    scenes : sequence of str
+    keep_in : Path
+        Folder for what was read on the boards.
+
+    Yields
+    ------
+    method, scene : str
+    depth_mm : (H, W) float64
+    seconds : float
+    """
+    calibration, session = result.calibration, result.session
+    low, high = calibration.disparity_range_px("real-time")
+    factor, more = _SPAN
+    span = (factor * low - more, factor * high + more)
+    setting = methods.Setting(session.design, calibration.unmixing, span, max(np.abs(span)) / _BETA)
+    for name, method in methods.METHODS.items():
+        if name.startswith("ours") or not methods.applies(name, session.design):
+            continue
+
+        def read(image: np.ndarray, method: methods.Method = method) -> np.ndarray:
+            return method(image, setting)
+
+        try:
+            model = fitted(result.evidence, session, name, read, keep_in=keep_in)
+        except InputError:  # what it reads on the boards has no course
+            nothing = np.full((session.sensor.height_px, session.sensor.width_px), np.nan)
+            yield from ((name, scene, nothing, float("nan")) for scene in scenes)
+            continue
+        yield from _scenes(session, name, read, model, scenes)
+
+
+def measured_by_annulus(
+    folder: Path, lens: CalibrationResult, truths: Mapping[str, np.ndarray], *, keep_in: Path
+) -> Iterator[tuple[str, str, np.ndarray, float]]:
+    """Measure scenes through the magenta annulus, which reads the size of the blur; see `measured`.
+
+    Its boards' distances are the rulers', the pupil lies where another session of the same lens found it. On the boards
+    the side of the focus is known, so that all of them can be used; in scenes everything is taken to be beyond, and
+    once more, for what the ambiguity costs, on the side where the truth (mm, by scene) is.
+    """
+    session = read_session(folder)
+    rulers = np.array([*session.boards.values()])
+    unknown = np.full(len(rulers), np.nan)
+    distances = fit_distances(
+        rulers,
+        unknown,
+        ruler_sigma_mm=max(session.ruler_error_mm / np.sqrt(3), 0.1),
+        pose_sigma_mm=np.full(len(rulers), np.inf),
+        sensor_to_pupil_mm=lens.evidence.distances.sensor_to_pupil_mm,
+        sensor_to_pupil_sigma_mm=lens.evidence.distances.sigma_mm,
+    )
+    boards = [BoardMeasurement(p.name, r, {}, {}, {}) for p, r in session.boards.items()]
+    evidence = Evidence(session.sensor, boards, distances, session.ruler_error_mm, np.ones(len(boards), bool))
+    reach = np.abs(lens.calibration.disparity_range_px("paper")).max() / _BETA
+    setting = methods.Setting(session.design, np.zeros((0, 3)), (0.0, 0.0), float(1.1 * reach))
+
+    def read(image: np.ndarray) -> np.ndarray:
+        return methods.METHODS["annulus"](image, setting)
+
+    focus = lens.calibration.in_focus_mm
+    model = fitted(evidence, session, "annulus", read, keep_in=keep_in, sided=focus)
+    for scene, truth in truths.items():
+        start = time.perf_counter()
+        size = read(session.read(session.folder / "scene" / f"{scene}.png"))
+        seconds = time.perf_counter() - start
+        sign = np.where(truth < model.in_focus_mm, -1.0, 1.0)
+        for name, value in (("annulus", size), ("annulus, told the side", sign * size)):
+            yield name, scene, disparity_to_depth(value, model)[0].astype(float), seconds
+
+
+def fitted(
+    evidence: Evidence, session: Session, name: str, read: Read, *, keep_in: Path, sided: float | None = None
+) -> DepthModel:
+    """Read boards and fit the curve and its fields; ``sided`` is the focus where a method reads sizes only, mm."""
+    store = Store(keep_in)
+    paths = list(session.boards)
+    chosen = np.unique(np.linspace(0, len(paths) - 1, min(_BOARDS, len(paths))).round().astype(int))
+    used = np.zeros(len(paths), bool)
+    used[chosen] = True
+    used &= evidence.believed
+    width, height = session.sensor.width_px, session.sensor.height_px
+    rows, columns = (grid(n, width).astype(int) for n in (height, width))
+    middle = np.s_[height // 3 : -height // 3, width // 3 : -width // 3]
+    boards = []
+    for board, path, believed in zip(evidence.boards, paths, used, strict=True):
+        if not believed:
+            nothing = np.full((len(rows), len(columns)), np.nan, np.float32)
+            boards.append(_read_as(board, np.nan, nothing))
+            continue
+
+        def look(path: Path = path) -> dict[str, np.ndarray]:
+            value = read(session.read(path))
+            return {"middle": np.array(np.nanmedian(value[middle])), "grid": value[np.ix_(rows, columns)]}
+
+        found = store.arrays(path, ("prior", name, session.design), look)
+        sign = -1.0 if sided is not None and board.ruler_mm < sided else 1.0
+        boards.append(_read_as(board, sign * float(found["middle"]), sign * found["grid"].astype(np.float32)))
+    curve = fit_curve(replace(evidence, boards=boards, believed=used), "real-time", [])
+    return curve.field.model(width, height)
+
+
+def _read_as(board: BoardMeasurement, middle_px: float, grid_px: np.ndarray) -> BoardMeasurement:
+    sigma = 0.05  # px, of the median; the boards' own error is larger
+    return replace(
+        board,
+        disparity_px={"real-time": middle_px},
+        sigma_px={"real-time": sigma},
+        grid_px={"real-time": grid_px},
+    )
+
+
+def _scenes(
+    session: Session, name: str, read: Read, model: DepthModel, scenes: Sequence[str]
+) -> Iterator[tuple[str, str, np.ndarray, float]]:
+    for scene in scenes:
+        image = session.read(session.folder / "scene" / f"{scene}.png")
+        start = time.perf_counter()
+        depth, _ = disparity_to_depth(read(image), model)
+        yield name, scene, depth.astype(float), time.perf_counter() - start

@@ -1,0 +1,219 @@
+"""Depth quality of one's own camera: flat walls at known distances, by distance and by position in the frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from chromaperture.calibrate import leave_one_out
+from chromaperture.calibration import Calibration
+from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.config import Quality
+from chromaperture.errors import InputError
+from chromaperture.evaluation.depth_quality import ZONES, PlaneQuality, by_cell, plane_quality
+from chromaperture.evaluation.figures import BLUE, GREY, ORANGE, new_figure, tidy
+from chromaperture.evaluation.paper import world
+from chromaperture.evaluation.paper.context import Context
+from chromaperture.evaluation.paper.exhibit import Drawn, Listed, Made
+from chromaperture.evaluation.tables import Table
+from chromaperture.session import Session, read_session
+
+_MOST_QUICK = 6  # boards of a quick run
+_MAP_CELLS = (6, 9)
+_COLORS: dict[Quality, str] = {"real-time": BLUE, "accurate": ORANGE}
+_NAMES = ("fill", "Z accuracy", "plane-fit RMS", "sub-pixel RMS, px", "outliers")
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A photographed wall, where it stands, and the camera to measure it with."""
+
+    image: np.ndarray
+    truth_mm: float
+    calibration: Calibration
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One wall at one quality: as a whole, in nine zones, and in the cells of a map."""
+
+    truth_mm: float
+    whole: PlaneQuality
+    zones: list[PlaneQuality]
+    map: list[PlaneQuality]
+
+
+def make(context: Context) -> Made:
+    """Measure every wall there is."""
+    source, walls = _walls(context)
+    qualities: tuple[Quality, ...] = ("real-time",) if context.quick else ("real-time", "accurate")
+    measured: dict[Quality, list[Measured]] = {quality: [] for quality in qualities}
+    for number, wall in enumerate(walls):
+        context.tell("walls", number, 0)
+        for quality in qualities:
+            measured[quality].append(measure(wall, quality))
+    for found in measured.values():
+        found.sort(key=lambda m: m.truth_mm)
+    return _shown(source, measured)
+
+
+def measure(wall: Wall, quality: Quality) -> Measured:
+    """Measure a wall and judge it."""
+    camera = CodedApertureCamera(wall.calibration, default_config(wall.calibration, quality))
+    depth = np.asarray(camera.measure(wall.image).depth_mm, float)
+    model = wall.calibration.depth_model(quality)
+    delta, scale = float(np.mean(model.sensor_to_pupil_mm)), np.asarray(model.scale_px_mm, float)
+
+    def cut(rows: int, columns: int) -> list[PlaneQuality]:
+        return by_cell(
+            depth, wall.truth_mm, sensor_to_pupil_mm=delta, scale_px_mm=scale, rows=rows, columns=columns
+        )
+
+    whole = plane_quality(depth, wall.truth_mm, sensor_to_pupil_mm=delta, scale_px_mm=scale)
+    return Measured(wall.truth_mm, whole, cut(3, 3), cut(*_MAP_CELLS))
+
+
+def _walls(context: Context) -> tuple[str, Iterator[Wall]]:
+    """Choose the walls: a session's boards, or simulated ones that the camera was not calibrated on."""
+    if context.data is None:
+        result, source = context.calibrated()
+        return f"{source} Other walls are photographed by the same simulated lens.", _simulated(
+            context, result.calibration
+        )
+    if context.cameras:
+        cameras = {c.design: c for c in (Calibration.load(path) for path in context.cameras)}
+        session = read_session(session_folder(context.data, tuple(cameras)))
+        calibration = cameras.get(session.design)
+        if calibration is None:
+            raise InputError(f"--camera is of {', '.join(cameras)}, {session.folder} of {session.design}")
+        boards = chosen_boards(session, quick=context.quick)
+        known = {str(b.get("file")) for b in calibration.provenance.get("boards", ())}
+        seen = sum(path.name in known for path in boards)
+        source = f"{len(boards)} boards of {session.folder.name}, measured with {calibration.design}'s camera file."
+        if seen:
+            source += f" {seen} of them have names that it was calibrated on: others would tell more."
+        return source, (Wall(session.read(path), mm, calibration) for path, mm in boards.items())
+    result, source = context.calibrated()
+    boards = chosen_boards(result.session, quick=context.quick)
+    number = {path: i for i, path in enumerate(result.session.boards)}
+    return (
+        f"{source} Each board is measured by a camera whose depth curve was fitted without it.",
+        (Wall(result.session.read(path), mm, leave_one_out(result, number[path])) for path, mm in boards.items()),
+    )
+
+
+def session_folder(data: Path, designs: tuple[str, ...] = ("cy_halves",)) -> Path:
+    """Find the session: the data folder itself, or a folder in it that is called as a design."""
+    for folder in (data, *(data / design for design in designs)):
+        if (folder / "session.toml").is_file():
+            return folder
+    raise InputError(f"{data} has no session.toml, nor has {' or '.join(designs)} in it: give a session's folder")
+
+
+def chosen_boards(session: Session, *, quick: bool) -> dict[Path, float]:
+    """Give all boards, or few evenly spaced ones."""
+    paths = sorted(session.boards, key=lambda path: session.boards[path])
+    if not paths:
+        raise InputError(f"{session.folder} has no boards: depth quality needs walls at known distances")
+    if quick:
+        paths = [paths[i] for i in np.unique(np.linspace(0, len(paths) - 1, _MOST_QUICK).round().astype(int))]
+    return {path: session.boards[path] for path in paths}
+
+
+def _simulated(context: Context, calibration: Calibration) -> Iterator[Wall]:
+    camera = context.session_camera
+    table = world.traced_table(camera, world.real_film("cy_halves"), context.cells)
+    distances = np.linspace(1150, 3750, 4 if context.quick else 9)
+    for seed, distance in enumerate(distances):
+        planes = world.board(camera, float(distance), seed=500 + seed)
+        exposure = world.level_exposure("cy_halves")
+        shot = world.photograph(table, planes, camera, seed=500 + seed, exposure=exposure)
+        yield Wall(shot.image, float(distance), calibration)
+
+
+def _shown(source: str, measured: dict[Quality, list[Measured]]) -> Made:
+    first: Quality = next(reversed(measured))
+    by_distance = [
+        (quality, f"{m.truth_mm:.0f}", *_cells(m.whole)) for quality, found in measured.items() for m in found
+    ]
+    zones = [(zone, *_cells(_median([m.zones[i] for m in measured[first]]))) for i, zone in enumerate(ZONES)]
+    figure = new_figure(height=4.8)
+    panels = figure.subplots(2, 2).ravel()
+    scale = (100, 100, 100, 1, 100)
+    titles = ("fill, %", "Z accuracy, %", "plane-fit RMS, %", "sub-pixel RMS, px")
+    for k, (axes, title) in enumerate(zip(panels, titles, strict=True)):
+        for quality, found in measured.items():
+            values = [scale[k] * _values(m.whole)[k] for m in found]
+            distances = [m.truth_mm for m in found]
+            axes.plot(distances, values, "o-", color=_COLORS[quality], markersize=4, label=quality)
+        axes.axhline(0, color=GREY, linewidth=0.8)
+        tidy(axes, xlabel="distance, mm", ylabel=title)
+    panels[0].set_ylim(0, 105)
+    panels[0].legend(frameon=False, fontsize=8)
+    whole = [_median([m.whole for m in found]) for found in measured.values()]
+    lines = [
+        f"Quality {quality}, median over the walls: {q.fill:.1%} filled, {_abs_accuracy(found):.2%} of Z accuracy "
+        f"(its size), {q.plane_rms:.2%} of plane-fit RMS, {q.subpixel_rms_px:.3f} px of sub-pixel RMS."
+        for (quality, found), q in zip(measured.items(), whole, strict=True)
+    ]
+    head = ("quality", "distance, mm", *_NAMES)
+    return Made(
+        source=source,
+        drawn=[
+            Drawn("distance", figure, "Flat walls over the whole frame. Sub-pixel RMS should be level; plane-fit RMS "
+                  "grows with the distance, as in every triangulating camera."),
+            Drawn("frame", _frame_figure(measured[first]), f"Over the frame, quality {first}, median over the walls."),
+        ],
+        listed=[
+            Listed("distance", Table("By distance", head, by_distance)),
+            Listed("position", Table(f"By position in the frame, quality {first}, median over the walls, each zone "
+                                     "against its own plane", ("zone", *_NAMES), zones)),
+        ],
+        lines=[*lines,
+               "Z accuracy is the median of (measured - true) / true; the RMS figures are taken from the best plane, "
+               "without pixels farther than four robust standard deviations from it, which are the outliers."],
+    )  # fmt: skip
+
+
+def _frame_figure(found: list[Measured]) -> Figure:
+    figure = new_figure(height=2.4)
+    cells = [_median([m.map[i] for m in found]) for i in range(_MAP_CELLS[0] * _MAP_CELLS[1])]
+    fill, accuracy, rms = (np.array([_values(c)[k] for c in cells]).reshape(_MAP_CELLS) for k in range(3))
+    most = max(float(np.nanmax(np.abs(100 * accuracy))), 0.5)
+    shown = (
+        (100 * fill, "fill, %", {"cmap": "viridis", "vmin": min(80.0, float(100 * fill.min())), "vmax": 100}),
+        (100 * accuracy, "Z accuracy, %", {"cmap": "RdBu_r", "vmin": -most, "vmax": most}),
+        (100 * rms, "plane-fit RMS, %", {"cmap": "magma_r", "vmin": 0}),
+    )
+    for axes, (values, title, how) in zip(figure.subplots(1, 3), shown, strict=True):
+        picture = axes.imshow(values, **how)
+        figure.colorbar(picture, ax=axes, fraction=0.035)
+        axes.set_title(title, fontsize=9, loc="left")
+        axes.set_axis_off()
+    return figure
+
+
+def _values(quality: PlaneQuality) -> tuple[float, ...]:
+    return tuple(float(getattr(quality, f.name)) for f in fields(quality))
+
+
+def _cells(quality: PlaneQuality) -> tuple[str, ...]:
+    fill, accuracy, plane, pixel, outliers = _values(quality)
+    return f"{fill:.1%}", f"{accuracy:+.2%}", f"{plane:.2%}", f"{pixel:.3f}", f"{outliers:.1%}"
+
+
+def _median(found: list[PlaneQuality]) -> PlaneQuality:
+    table = np.array([_values(q) for q in found])
+    known = np.isfinite(table).any(axis=0)
+    middle = np.full(table.shape[1], np.nan)
+    middle[known] = np.nanmedian(table[:, known], axis=0)
+    return PlaneQuality(*(float(v) for v in middle))
+
+
+def _abs_accuracy(found: list[Measured]) -> float:
+    sizes = np.abs([m.whole.accuracy for m in found])
+    return float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else float("nan")

@@ -1,0 +1,92 @@
+"""A sweep on a Dask cluster of this machine: what workers do, or that they die, does not show in the result."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.evaluation.paper import cluster, sweep
+from test_evaluate import stored, trials
+
+SLOW = "the extra 'cluster' is not installed: sweeps on Dask clusters are NOT tested"
+
+
+@pytest.fixture
+def dask():
+    return pytest.importorskip("distributed", reason=SLOW)
+
+
+@pytest.fixture
+def scheduler(dask, tmp_path):
+    """A scheduler and two workers of one thread in processes of their own, without a nanny that starts them again."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    common = ["--no-dashboard"]
+    worker = [address, "--no-nanny", "--nthreads", "1", "--local-directory", str(tmp_path / "dask"), *common]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    started = []
+
+    def start(module, *arguments):
+        command = [sys.executable, "-m", f"distributed.cli.{module}", *arguments]
+        with (tmp_path / f"{module}-{len(started)}.log").open("wb") as log:
+            started.append(subprocess.Popen(command, stdout=log, stderr=log, env=environment))
+        return started[-1]
+
+    start("dask_scheduler", "--host", "127.0.0.1", "--port", str(port), *common)
+    workers = [start("dask_worker", *worker) for _ in range(2)]
+    yield address, workers
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def test_two_dask_workers_one_killed_in_the_middle_give_the_same_files_byte_for_byte(dask, scheduler, tmp_path):
+    address, workers = scheduler
+    alone = sweep.sweep(trials(range(4)), workers=1, keep_in=tmp_path / "one")
+    with dask.Client(address, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=60)
+    killed = []
+
+    def kill_one(done, total):
+        if done == 2 and not killed:
+            killed.append(workers[0].pid)
+            os.kill(workers[0].pid, signal.SIGKILL)
+
+    shared = sweep.sweep(trials(range(4)), workers=1, keep_in=tmp_path / "two", cluster=address, tell=kill_one)
+    assert killed
+    assert workers[0].wait(timeout=10) == -signal.SIGKILL
+    assert workers[1].poll() is None
+    assert shared == alone
+    assert stored(tmp_path / "one") == stored(tmp_path / "two")
+    assert len(stored(tmp_path / "two")) == len(trials(range(4)))
+
+
+def test_a_cluster_without_workers_is_told(scheduler, monkeypatch, tmp_path):
+    address, workers = scheduler
+    for worker in workers:
+        worker.kill()
+        worker.wait()
+    monkeypatch.setattr(cluster, "_WORKERS_S", 1)
+    with pytest.raises(InputError, match="has no workers"):
+        sweep.sweep(trials(), workers=1, keep_in=tmp_path, cluster=address)
+
+
+def test_no_scheduler_is_told(dask, monkeypatch, tmp_path):
+    monkeypatch.setattr(cluster, "_CONNECT_S", 1)
+    for address in ("tcp://127.0.0.1:9", "nonsense://x"):
+        with pytest.raises(InputError, match="no Dask scheduler answers"):
+            sweep.sweep(trials(), workers=1, keep_in=tmp_path, cluster=address)
+
+
+def test_without_the_extra_its_name_is_told(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingDependencyError, match=r"chromaperture\[cluster\]"):
+        sweep.sweep(trials(), workers=1, keep_in=tmp_path, cluster="tcp://127.0.0.1:9")
