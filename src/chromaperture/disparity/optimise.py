@@ -11,6 +11,7 @@ from dataclasses import replace
 from types import ModuleType
 from typing import Literal
 
+import cv2
 import numpy as np
 
 from chromaperture.config import MatcherConfig, OptimiserConfig
@@ -21,6 +22,7 @@ from chromaperture.errors import InputError
 
 Backend = Literal["numba", "reference"]
 ScoreVolume = Callable[[MatchInputs, MatcherConfig], np.ndarray]
+EDGE_REACH_PX = 12  # three sigmas of the accurate window
 MAX_CORRELATION = 0.999  # squared, for two views: a perfect score must not outvote the whole neighbourhood
 
 
@@ -174,6 +176,7 @@ def optimise_volume(
     start = np.where(np.isfinite(paths.disparity_px), paths.disparity_px, layers_px[cost.argmin(axis=2)])
     disparity = implementation.coupled_variation(start, likelihood, guide, layers_px, config=config)
     spread = implementation.spread(disparity, cost, layers_px, temperature=config.temperature * config.paths)
+    spread = np.hypot(spread, half_range(disparity, EDGE_REACH_PX))
 
     layer = np.rint((disparity - layers_px[0]) / step).astype(np.intp)
     explained = -np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0])
@@ -181,6 +184,16 @@ def optimise_volume(
     return Winner(
         np.where(inside, disparity, np.nan).astype(np.float32), np.sqrt(explained), paths.curvature, spread
     )
+
+
+def half_range(disparity_px: np.ndarray, reach_px: int) -> np.ndarray:
+    """Half of what the disparity varies by in a square around each pixel; (H, W) float32, px.
+
+    Next to a depth edge windows see both sides, and the posterior of the wrong one may be as sharp as that of the right.
+    """
+    square = np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)
+    surface = np.asarray(disparity_px, np.float32)
+    return np.asarray((cv2.dilate(surface, square) - cv2.erode(surface, square)) / 2)
 
 
 def solver(name: Backend) -> ModuleType:
