@@ -116,10 +116,10 @@ class DepthField:
         rows, columns = (np.linspace(0, _NODES - 1, n).astype(np.float32) for n in (height_px, width_px))
         at = (np.broadcast_to(columns, (height_px, width_px)).copy(), np.repeat(rows[:, None], width_px, axis=1))
         maps = [cv2.remap(np.ascontiguousarray(nodes[..., k]), *at, cv2.INTER_LINEAR) for k in (0, 1, 2, 4, 5, 8)]
-        found = np.empty((height_px, width_px, 3, 3))
+        found = np.empty((3, 3, height_px, width_px), np.float32)  # each element in one piece: they are read one by one
         for (i, j), values in zip(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), maps, strict=True):
-            found[..., i, j] = found[..., j, i] = values
-        return found
+            found[i, j] = found[j, i] = values
+        return np.moveaxis(found, (0, 1), (2, 3))
 
 
 def _evaluate(coefficients: np.ndarray, width_px: int, height_px: int) -> np.ndarray:

@@ -189,7 +189,7 @@ def optimise_volume(
 def half_range(disparity_px: np.ndarray, reach_px: int) -> np.ndarray:
     """Half of what the disparity varies by in a square around each pixel; (H, W) float32, px.
 
-    Next to a depth edge windows see both sides, and the posterior of the wrong one may be as sharp as that of the right.
+    Next to a depth edge windows see both sides, and the posterior of the wrong one may be as sharp as the other.
     """
     square = np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)
     surface = np.asarray(disparity_px, np.float32)
