@@ -1,9 +1,9 @@
-"""How the real-time matcher's time grows with pixels and with layers: a line through the origin is linear growth.
+"""How the real-time matcher's time grows with pixels and with layers: a straight line, with a fixed part, is linear.
 
     python benchmarks/run.py growth [--json]
     python benchmarks/growth.py --out growth.png      # the same as a picture
 
-``exponent`` is the slope of log time over log size by least squares: 1 is linear.
+``fixed_ms`` and ``per_unit_ms`` are those of the straight line; ``off_line`` is the largest distance from it, relative.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ def benchmark() -> dict:
     layers = fastest_ms({str(n): matching(720, 1280, n) for n in LAYERS}, threads=threads)
     return {
         "growth": {
-            "pixels_ms": {**rounded(pixels), "exponent": exponent([h * w for h, w in SIZES], pixels)},
-            "layers_ms": {**rounded(layers), "exponent": exponent(LAYERS, layers)},
+            "pixels_ms": {**rounded(pixels), **line([h * w / 1e6 for h, w in SIZES], pixels)},
+            "layers_ms": {**rounded(layers), **line(LAYERS, layers)},
         }
     }
 
@@ -58,8 +58,12 @@ def rounded(times: dict[str, float]) -> dict[str, float]:
     return {name: round(time, 1) for name, time in times.items()}
 
 
-def exponent(sizes, times: dict[str, float]) -> float:
-    return round(float(np.polyfit(np.log(sizes), np.log(list(times.values())), 1)[0]), 2)
+def line(sizes, times: dict[str, float]) -> dict[str, float]:
+    """Fit a straight line, in relative errors."""
+    values = np.array(list(times.values()))
+    slope, fixed = np.polyfit(sizes, values, 1, w=1 / values)
+    off = float(np.max(np.abs(fixed + slope * np.array(sizes) - values) / values))
+    return {"fixed_ms": round(float(fixed), 1), "per_unit_ms": round(float(slope), 2), "off_line": round(off, 3)}
 
 
 def main() -> None:
@@ -77,10 +81,13 @@ def main() -> None:
         (left, "pixels_ms", [h * w / 1e6 for h, w in SIZES], "megapixels (32 layers)"),
         (right, "layers_ms", LAYERS, "layers (1280 x 720)"),
     ):
-        times = [time for key, time in result[name].items() if key != "exponent"]
-        axis.plot(sizes, times, "o-")
+        found = result[name]
+        times = [time for key, time in found.items() if key[0].isdigit()]
+        axis.plot(sizes, times, "o")
+        ends = np.array([0, max(sizes)])
+        axis.plot(ends, found["fixed_ms"] + found["per_unit_ms"] * ends, "-", color="grey")
         axis.set(xlabel=label, ylabel="ms", xlim=(0, None), ylim=(0, None))
-        axis.set_title(f"exponent {result[name]['exponent']}")
+        axis.set_title(f"{found['fixed_ms']} + {found['per_unit_ms']} ms each, off by {found['off_line']:.1%}")
     pyplot.savefig(out, dpi=110)
     print(result, out)
 
