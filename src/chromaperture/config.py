@@ -120,17 +120,23 @@ class CoarseConfig:
         As in `OptimiserConfig`.
     temperature : float
         Nats by which a layer may cost more and still count for the error bar: its one calibrated number.
+    floor_px : float, px
+        Least standard deviation, whatever the texture: what disparities of flat boards between 1 and 4 m scatter by,
+        because halves of a pupil blur unlike.
     """
 
     slope_penalty: float = 10.0
     jump_penalty: float = 20.0
     edge_range: float = 0.3
     edge_floor: float = 0.05
-    temperature: float = 5.0
+    temperature: float = 3.2
+    floor_px: float = 0.05
 
     def __post_init__(self) -> None:
         if min(self.slope_penalty, self.jump_penalty, self.edge_range, self.temperature) <= 0:
             raise InputError("penalties, edge_range and temperature must be positive")
+        if not (math.isfinite(self.floor_px) and self.floor_px >= 0):
+            raise InputError(f"floor_px must be >= 0, is {self.floor_px:g}")
         if not 0 <= self.edge_floor <= 1:
             raise InputError("edge_floor must lie in [0, 1]")
         if not self.slope_penalty <= self.jump_penalty <= 2 * self.slope_penalty:

@@ -38,7 +38,8 @@ def disparity_sigma(
     (H, W) float32, px
     """
     if winner.spread_px is not None:
-        spread = np.minimum(winner.spread_px, MAX_SIGMA_PX)
+        floor = 0.0 if config.coarse is None else config.coarse.floor_px
+        spread = np.minimum(np.hypot(winner.spread_px, np.float32(floor)), MAX_SIGMA_PX)
         return np.where(np.isfinite(winner.disparity_px), spread, np.nan).astype(np.float32)
     samples = effective_samples(config.window_decay) / noise_correlation_factor(config.presmooth_sigma_px)
     share = np.float32(1) if signal_share is None else np.asarray(signal_share, np.float32)

@@ -22,7 +22,7 @@ from chromaperture.errors import InputError
 
 Backend = Literal["numba", "reference"]
 ScoreVolume = Callable[[MatchInputs, MatcherConfig], np.ndarray]
-EDGE_REACH_PX = 12  # three sigmas of the accurate window
+EDGE_REACH_PX = 8  # two sigmas of the accurate window
 MAX_CORRELATION = 0.999  # squared, for two views: a perfect score must not outvote the whole neighbourhood
 
 
@@ -176,7 +176,7 @@ def optimise_volume(
     start = np.where(np.isfinite(paths.disparity_px), paths.disparity_px, layers_px[cost.argmin(axis=2)])
     disparity = implementation.coupled_variation(start, likelihood, guide, layers_px, config=config)
     spread = implementation.spread(disparity, cost, layers_px, temperature=config.temperature * config.paths)
-    spread = np.hypot(spread, half_range(disparity, EDGE_REACH_PX))
+    spread = np.hypot(spread, local_range(disparity, EDGE_REACH_PX))
 
     layer = np.rint((disparity - layers_px[0]) / step).astype(np.intp)
     explained = -np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0])
@@ -186,14 +186,15 @@ def optimise_volume(
     )
 
 
-def half_range(disparity_px: np.ndarray, reach_px: int) -> np.ndarray:
-    """Half of what the disparity varies by in a square around each pixel; (H, W) float32, px.
+def local_range(disparity_px: np.ndarray, reach_px: int) -> np.ndarray:
+    """Give what the disparity varies by in a square around each pixel; (H, W) float32, px.
 
-    Next to a depth edge windows see both sides, and the posterior of the wrong one may be as sharp as the other.
+    Next to a depth edge windows see both sides, and a pixel given to the wrong one is wrong by all of it, however
+    sharp its posterior.
     """
     square = np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)
     surface = np.asarray(disparity_px, np.float32)
-    return np.asarray((cv2.dilate(surface, square) - cv2.erode(surface, square)) / 2)
+    return np.asarray(cv2.dilate(surface, square) - cv2.erode(surface, square))
 
 
 def solver(name: Backend) -> ModuleType:
