@@ -19,7 +19,6 @@ MEASURED: tuple[Quality, ...] = ("paper", "real-time")
 _MIDDLE = 1 / 3  # share of the width and height that stands for the axis
 _GRID_PX = 6  # neighbours share their window anyway
 _GRID_COLUMNS = 120  # at most, so that memory does not grow with the sensor
-_BLOCK = 8  # grid points each way of a block, well beyond the matcher's reach
 _MIN_SIGMA_PX = 0.05  # two halves blur as mirror images, not as shifted copies: a shift reads that much wrong
 
 
@@ -130,28 +129,3 @@ def spread(residual_px: np.ndarray) -> np.ndarray:
     centre = np.nanmedian(flat[known], axis=1, keepdims=True)
     found[known] = 1.4826 * np.nanmedian(np.abs(flat[known] - centre), axis=1)
     return found
-
-
-def samples_per_window(residual_px: np.ndarray) -> float:
-    """How many neighbours of the grid share their errors: variance of block means against that of independent samples.
-
-    Parameters
-    ----------
-    residual_px : (boards, h, w) float
-        About a first fit; NaN unknown.
-    """
-    boards, height, width = residual_px.shape
-    down, across = height // _BLOCK, width // _BLOCK
-    if down == 0 or across == 0:
-        return float(_BLOCK)
-    cut = residual_px[:, : down * _BLOCK, : across * _BLOCK].reshape(boards, down, _BLOCK, across, _BLOCK)
-    blocks = cut.transpose(0, 1, 3, 2, 4).reshape(boards, down * across, _BLOCK**2)
-    full = np.isfinite(blocks).mean(axis=2) > 0.9
-    ratios = []
-    for board, good in zip(blocks, full, strict=True):
-        if good.sum() < 8:
-            continue
-        means = np.nanmean(board[good], axis=1)
-        inside = np.nanmean(np.nanvar(board[good], axis=1)) + np.var(means)
-        ratios.append(_BLOCK**2 * np.var(means) / max(float(inside), 1e-12))
-    return float(np.clip(np.median(ratios), 1.0, _BLOCK**2)) if ratios else float(_BLOCK)

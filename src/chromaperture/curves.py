@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from chromaperture.boards import BoardMeasurement, grid, samples_per_window
+from chromaperture.boards import BoardMeasurement, grid
 from chromaperture.calibration import Sensor
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import depth_to_disparity, disparity_to_depth
@@ -143,9 +143,7 @@ def fit_curve(evidence: Evidence, quality: Quality, notes: list[str]) -> FittedC
                 size_px=(sensor.width_px, sensor.height_px), boards=evidence.believed,
             )  # fmt: skip
             try:
-                _, first = fit(degree=2)
-                shared = samples_per_window(first.reshape(len(grids), *grids[0, ::_THIN, ::_THIN].shape))
-                field, _ = fit(degree=degree, nonlinear_terms=nonlinear, samples_per_window=shared)
+                field, _ = fit(degree=degree, nonlinear_terms=nonlinear)
                 scale = np.asarray(field.model(sensor.width_px, sensor.height_px).scale_px_mm)
             except InputError:  # B not positive somewhere, or a nonlinearity that turns back
                 continue

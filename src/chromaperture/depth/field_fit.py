@@ -21,6 +21,7 @@ _HUBER = 1.345
 _ROUNDS = 8
 _GROSS = 6.0
 _SMALLEST_PX = 1e-9
+_TILES = 6  # across the frame: wider than windows and than most of what a texture has
 _RIDGE_PX = 1.0  # a coefficient of the nonlinearity is some tenths of a px; this only keeps idle ones at zero
 
 
@@ -33,7 +34,6 @@ def fit_depth_field(
     size_px: tuple[int, int],
     degree: int,
     nonlinear_terms: int = 0,
-    samples_per_window: float = 1.0,
     boards: np.ndarray | None = None,
 ) -> tuple[DepthField, np.ndarray]:
     """Fit both fields, and the matcher's nonlinearity, to the disparities of boards.
@@ -51,8 +51,6 @@ def fit_depth_field(
         Total degree of the fields.
     nonlinear_terms : int
         Chebyshev terms of the nonlinearity; 0 for none.
-    samples_per_window : float
-        How many neighbouring samples share their errors, because they share the matcher's window.
     boards : (N,) bool, optional
         Which boards to use; all when absent.
 
@@ -111,7 +109,9 @@ def fit_depth_field(
     # d = a - b (q - mean) / spread = (a + b mean / spread) - (b / spread) q
     slope = solution[count : 2 * count] / spread_q
     per_mm = (basis @ slope) / z[:, None] ** 2  # px that a board 1 mm farther than thought reads more
-    covariance = _covariance(problem, weights, normal, residual, per_mm, distances, samples_per_window)
+    column, row = ((np.asarray(place) * _TILES / size_px[0]).astype(int) for place in (x_px, y_px))
+    tiles = row * _TILES + column
+    covariance = _covariance(problem, weights, normal, residual, per_mm, distances, tiles)
     back = np.eye(2 * count + 1)
     back[:count, count : 2 * count] = np.eye(count) * mean_q / spread_q
     back[count : 2 * count, count : 2 * count] = np.eye(count) / spread_q
@@ -173,21 +173,27 @@ def _covariance(
     residual: np.ndarray,
     per_mm: np.ndarray,
     distances: BoardDistances,
-    samples: float,
+    tiles: np.ndarray,
 ) -> np.ndarray:
-    """Covariance of all unknowns and of delta: noise of the disparities, and errors of the boards' distances.
+    """Covariance of all unknowns and of delta: errors of the disparities, and errors of the boards' distances.
 
-    A board's distance is wrong by the same mm at all its pixels, so that more pixels do not help against it.
+    Neighbours share the matcher's window and the board's texture, so their errors are added up by tile before they are
+    squared (a sandwich estimator with tiles for clusters: Liang and Zeger, Biometrika 73, 1986). A board's distance is
+    wrong by the same mm at all its pixels, so that more pixels do not help against it.
     """
     used = np.where(weights > 0, residual, np.nan)
-    spread = np.zeros(len(used))
+    errors = np.zeros(used.shape)
     for i in np.flatnonzero((weights > 0).any(axis=1)).tolist():
-        own = used[i][np.isfinite(used[i])]
-        spread[i] = 1.4826 * float(np.median(np.abs(own - np.median(own))))
+        errors[i] = np.nan_to_num(used[i] - np.nanmedian(used[i]))  # what all pixels share is the distance's error
     inverse = np.linalg.pinv(normal, hermitian=True)
-    noise = inverse @ problem.normal((spread[:, None] * weights) ** 2 * samples) @ inverse
+    middle, clusters = np.zeros_like(normal), 0
+    for tile in np.unique(tiles):
+        pull = problem.project(weights * errors * (tiles == tile))
+        middle += pull.T @ pull
+        clusters += int(pull.any(axis=1).sum())
+    middle *= clusters / max(clusters - len(normal), 1)  # the fit has drawn the residuals to itself
     # A board thought too far by dz reads B / z^2 dz less than expected, and the unknowns follow.
     follow = -inverse @ problem.project(weights * per_mm).T
-    found = noise + follow @ distances.covariance[:-1, :-1] @ follow.T
+    found = inverse @ middle @ inverse + follow @ distances.covariance[:-1, :-1] @ follow.T
     with_delta = follow @ distances.covariance[:-1, -1]
     return np.block([[found, with_delta[:, None]], [with_delta[None], distances.covariance[-1:, -1:]]])
