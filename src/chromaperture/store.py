@@ -9,9 +9,12 @@ import os
 import shutil
 import zipfile
 from collections.abc import Callable, Mapping
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+
+_RELEASE = version("chromaperture")
 
 
 class Store:
@@ -29,10 +32,10 @@ class Store:
     def arrays(
         self, photograph: Path, settings: object, compute: Callable[[], Mapping[str, np.ndarray]]
     ) -> Mapping[str, np.ndarray]:
-        """Give what ``compute`` returns, from disk where the same photograph was seen with the same settings."""
+        """Give what ``compute`` returns, from disk where this release saw that photograph with those settings."""
         if self.folder is None:
             return compute()
-        name = hashlib.sha256(photograph.read_bytes() + repr(settings).encode()).hexdigest()[:32]
+        name = hashlib.sha256(photograph.read_bytes() + repr((_RELEASE, settings)).encode()).hexdigest()[:32]
         path = self.folder / f"{name}.npz"
         with contextlib.suppress(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
             kept = np.load(io.BytesIO(path.read_bytes()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -11,7 +12,8 @@ from chromaperture.errors import InputError
 
 MIN_VIEWS = 4
 _PERFECT_PX = 0.01
-_ENLARGED = 2.0
+_THOROUGH = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
+_SQUARE_PX = (24, 60)  # of squares to be found again: at least, and those that need no enlargement
 # A small board in the middle of the frame fixes neither the principal point nor high orders of distortion: left free
 # they run away together (centre 47 px off at 0.11 px rms) and drag the focal length along. So the richer models, with
 # how many numbers each adds to the first, are taken only where Schwarz's criterion says that the corners ask for them.
@@ -62,33 +64,44 @@ def find_corners(plane: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarra
     if not high > low:
         return None
     level = np.clip((np.asarray(plane, np.float32) - np.float32(low)) / np.float32(high - low), 0, 1)
-    flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
-    found, corners = cv2.findChessboardCornersSB((255 * np.sqrt(level)).astype(np.uint8), inner_corners, flags=flags)
-    return _refined(corners.reshape(-1, 2), level, inner_corners) if found else None
+    # Darker light levels apart and searched for long, or, what finds small squares better, as it is.
+    corners = _detect(np.sqrt(level), inner_corners, 1, _THOROUGH)
+    if corners is None:
+        corners = _detect(level, inner_corners, 1, cv2.CALIB_CB_ACCURACY)
+    return None if corners is None else _refined(corners, level, inner_corners)
+
+
+def _detect(level: np.ndarray, inner_corners: tuple[int, int], scale: int, flags: int) -> np.ndarray | None:
+    """Find corners in a picture, in [0, 1], enlarged by a whole factor; (N, 2) float32, px of the given picture."""
+    inset = (scale - 1) / 2  # of the first pixel's centre
+    if scale > 1:
+        size = (level.shape[1] * scale, level.shape[0] * scale)
+        level = cv2.warpAffine(
+            level, np.array([[scale, 0, inset], [0, scale, inset]]), size, flags=cv2.INTER_CUBIC
+        )  # fmt: skip
+    grey = np.clip(255 * level, 0, 255).astype(np.uint8)
+    found, corners = cv2.findChessboardCornersSB(grey, inner_corners, flags=flags)
+    return (corners.reshape(-1, 2) - np.float32(inset)) / np.float32(scale) if found else None
 
 
 def _refined(corners: np.ndarray, level: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarray:
-    """Find the corners again in the enlarged part of the picture that has the board; (N, 2) float32, px.
+    """Find the corners again in linear light and with the board enlarged; (N, 2) float32, px.
 
-    The detector works at a few scales of its own: at some sizes of the squares it places the corners of a sharp board
-    outwards by up to 4 in 1000. Enlarged, and in linear light, by less than 1. Where a blurred board is not found
-    twice, the first corners stand.
+    Where squares are 17 to 21 px wide the detector places corners outwards by up to 4 in 1000 of the board, above by
+    less than 1, and best in a picture twice as large. Where a blurred board is not found again, the first stand.
     """
     columns, rows = inner_corners
     square_px = float(np.median(np.linalg.norm(np.diff(corners.reshape(rows, columns, 2), axis=1), axis=2)))
     reach = 1.5 * square_px
     left, top = np.maximum(np.floor(corners.min(axis=0) - reach), 0).astype(int)
     right, bottom = np.ceil(corners.max(axis=0) + reach).astype(int) + 1
-    part = level[top:bottom, left:right]
-    grow = np.array([[_ENLARGED, 0, (_ENLARGED - 1) / 2], [0, _ENLARGED, (_ENLARGED - 1) / 2]])
-    size = (round(part.shape[1] * _ENLARGED), round(part.shape[0] * _ENLARGED))
-    large = np.clip(255 * cv2.warpAffine(part, grow, size, flags=cv2.INTER_CUBIC), 0, 255).astype(np.uint8)
-    found, again = cv2.findChessboardCornersSB(large, inner_corners, flags=cv2.CALIB_CB_ACCURACY)
-    if not found:
+    scale = 1 if square_px > _SQUARE_PX[1] else max(2, math.ceil(_SQUARE_PX[0] / square_px))
+    again = _detect(level[top:bottom, left:right], inner_corners, scale, cv2.CALIB_CB_ACCURACY)
+    if again is None:
         return corners
-    again = (again.reshape(-1, 2) - (_ENLARGED - 1) / 2) / _ENLARGED + (left, top)
+    again += np.array([left, top], np.float32)
     same = np.abs(again - corners).max() < square_px / 2  # a symmetrical board may be numbered from another corner
-    return np.asarray(again, np.float32) if same else corners
+    return again if same else corners
 
 
 def board_points(inner_corners: tuple[int, int], square_mm: float) -> np.ndarray:
