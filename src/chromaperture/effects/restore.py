@@ -99,10 +99,10 @@ def restore(
     radius, spread = radius * scale, spread * scale
     displacement = linear_displacement(radius / scale, shifts) if lens is None else lens(radius)
     aligned = align_channels(balanced, radius / scale, shifts, displacement_px=displacement)
-    # Three small sub-apertures, one a channel, blur alike; halves and mixed channels do not, and would mislead.
-    if len(cal.aperture.views) > 2 and pure_channels(cal.aperture) is not None:
-        displacement = displacement + residual_displacement(aligned, radius / scale)
-        aligned = align_channels(balanced, radius / scale, shifts, displacement_px=displacement)
+    # Three small sub-apertures, one a channel, blur alike, so that single surfaces can be registered.
+    alike = len(cal.aperture.views) > 2 and pure_channels(cal.aperture) is not None
+    displacement = displacement + residual_displacement(aligned, radius / scale, surfaces=alike)
+    aligned = align_channels(balanced, radius / scale, shifts, displacement_px=displacement)
     aligned = np.maximum(aligned, 0)
     if sharpness == "aligned":
         return SharpPicture(aligned, radius)
