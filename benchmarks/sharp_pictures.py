@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from colour_data import markdown, save, say
 from picture_quality import compare
 
 from chromaperture.calibration import Calibration
@@ -69,7 +70,7 @@ def ours(
     }  # fmt: skip
 
 
-def simulated_rows(out: Path | None, *, say: Callable, save: Callable) -> list[dict]:
+def simulated_rows(out: Path | None) -> list[dict]:
     """A small world seen by a thin lens (the kernels are true) and by a ray-traced one (they are an approximation)."""
     from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission, made_of
     from chromaperture.optics.paraxial import focused_at
@@ -120,10 +121,27 @@ def simulated_rows(out: Path | None, *, say: Callable, save: Callable) -> list[d
                 say(rows[-1])
             if out:
                 save(out / f"sharp_{design}_{optics.split()[0]}.png", [*made.values(), truth])
+    print(markdown(by_picture(rows, "design", "optics"), heading(rows, "design", "optics")), flush=True)
     return rows
 
 
-def cmu_rows(folder: Path, out: Path | None, *, say: Callable, save: Callable) -> list[dict]:
+def by_picture(rows: list[dict], *keys: str) -> list[dict]:
+    """One row for what the keys say, with PSNR / SSIM / CIEDE2000 of each picture in a column."""
+    table: dict[tuple, dict] = {}
+    for row in rows:
+        line = table.setdefault(tuple(row[k] for k in keys), {k: row[k] for k in keys} | heading(rows, *keys, blank=""))
+        line[row["picture"]] = f"{row['psnr']:.2f} / {row['ssim']:.3f} / {row['ciede2000']:.2f}"
+    return list(table.values())
+
+
+def heading(rows: list[dict], *keys: str, blank: str | None = None) -> dict[str, str]:
+    names = dict.fromkeys(row["picture"] for row in rows)
+    if blank is not None:
+        return dict.fromkeys(names, blank)
+    return {name: f"{{{name}}}" for name in (*keys, *names)}
+
+
+def cmu_rows(folder: Path, out: Path | None) -> list[dict]:
     """Real half-pupil photographs as a cyan/yellow capture (red left, blue right, green their mean), at half size.
 
     Optics and noise are real, the colours are put together: a scene without colour of its own. Depth is what our
@@ -191,6 +209,7 @@ def cmu_rows(folder: Path, out: Path | None, *, say: Callable, save: Callable) -
         say({"scene": scene, "seconds": seconds, "radius_5_95": np.percentile(radius, (5, 95)).tolist()})
         if out:
             save(out / f"cmu_{scene}.png", [*made.values(), truth])
+    print(markdown(by_picture(rows, "scene"), heading(rows, "scene")), flush=True)
     return rows
 
 
