@@ -57,7 +57,7 @@ PARTS = {
     "light": light,
     "alignment": bench_rows,
     "bando": lambda bench, out: bando_rows(bench.data / "real" / "bando2008", out),
-    "sharp": lambda bench, out: simulated_rows(out),
+    "sharp": lambda bench, out: simulated_rows(bench.calibration("cy_halves"), out),
     "cmu": lambda bench, out: cmu_rows(bench.data / "real" / "cmu_dual_pixel", out),
 }
 
