@@ -80,7 +80,7 @@ def test_clipped_highlights_stay_bright_and_colourless(run, tmp_path, photograph
     ("spoil", "message"),
     [
         (lambda p: 2e-4 * p, "all black"),
-        (lambda p: np.concatenate([p[:10], np.ones_like(p[10:])]), "saturated"),
+        (lambda p: np.concatenate([p[:2], np.ones_like(p[2:])]), "saturated"),
         (lambda p: p[:5, :5], "smaller"),
     ],
 )

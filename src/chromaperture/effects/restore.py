@@ -25,7 +25,7 @@ from chromaperture.errors import InputError
 
 _TILES, _LEAST_TILE_PX = 5, 96  # along the width, over each of which the blur counts as constant
 _LAYER_ERROR_PX = 0.1  # of half disparity; the error of the blur radius is that over the blur's reach
-FITTED_ERROR, UNFITTED_ERROR = 0.2, 0.7  # least and largest share of contrast by which the kernels are taken as wrong
+FITTED_ERROR, UNFITTED_ERROR = 0.2, 0.45  # least and largest share of contrast by which the kernels are taken as wrong
 
 Sharpness = Literal["aligned", "fast", "full"]
 SHARPNESS: tuple[Sharpness, ...] = get_args(Sharpness)
