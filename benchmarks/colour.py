@@ -3,10 +3,10 @@
     python benchmarks/colour.py --data DATA [PART...] [--work DIR] [--out DIR]
 
 DATA holds bench50/ and real/. Parts: light (Tables 1 and 2, Figure 11), alignment (misalignment and colour on all
-designs and scenes), bando (real photographs), sharp (all-in-focus against simulated truth), cmu (against real sharp
-photographs). Each prints its figures line by line and then as a table. Cameras and disparities are kept in the folder
---work and taken from there when they are there. Needs scikit-image; PSNR, SSIM and CIEDE2000 are of sRGB values after
-the exposure of each channel is matched.
+designs and scenes), windows (what the measure reads where nothing is displaced), bando (real photographs), sharp
+(all-in-focus against simulated truth), cmu (against real sharp photographs). Each prints its figures line by line and
+then as a table. Cameras and disparities are kept in the folder --work and taken from there when they are there. Needs
+scikit-image; PSNR, SSIM and CIEDE2000 are of sRGB values after the exposure of each channel is matched.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from colour_alignment import bando_rows, bench_rows
+from colour_alignment import bando_rows, bench_rows, window_rows
 from colour_data import Bench, markdown, say
 from sharp_pictures import cmu_rows, simulated_rows
 
@@ -56,6 +56,7 @@ def light(bench: Bench, out: Path | None) -> list[dict]:
 PARTS = {
     "light": light,
     "alignment": bench_rows,
+    "windows": lambda bench, out: window_rows(bench),
     "bando": lambda bench, out: bando_rows(bench.data / "real" / "bando2008", out),
     "sharp": lambda bench, out: simulated_rows(bench.calibration("cy_halves"), out),
     "cmu": lambda bench, out: cmu_rows(bench.data / "real" / "cmu_dual_pixel", out),

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from colour_data import PARALLAX, Bench, markdown, save, say
+from colour_data import PARALLAX, SCENES, Bench, markdown, save, say
 from no_parallax import sharp_scene, without_parallax
 from picture_quality import SURE_PX, compare, matched_exposure, misalignment, phase_misalignment
 
@@ -93,6 +93,18 @@ COLUMNS = {
     "SSIM": "{before[ssim]:.3f}, {after[ssim]:.3f}",
     "CIEDE2000": "{before[ciede2000]:.1f}, {after[ciede2000]:.1f}",
 }
+
+
+def window_rows(bench: Bench) -> list[dict]:
+    """What windows of the open aperture's captures read, where nothing is displaced, by their own standard error."""
+    found = np.concatenate([misalignment(bench.bare(scene)) for scene in SCENES])
+    rows = []
+    for low, high in ((0.0, 0.05), (0.05, 0.1), (0.1, 0.15), (0.15, 0.2), (0.2, 0.3), (0.3, 0.5), (0.5, 1.0)):
+        read = found[(found[:, 1] >= low) & (found[:, 1] < high), 0]
+        rows.append({"error": f"{low:g}-{high:g}", "read_px": float(np.median(read)), "windows": len(read)})
+        say(rows[-1])
+    print(markdown(rows, {"error": "{error}", "median": "{read_px:.2f}", "windows": "{windows}"}), flush=True)
+    return rows
 
 
 def bando_rows(folder: Path, out: Path | None) -> list[dict]:
