@@ -20,6 +20,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 _SMOOTH_PX = 1.0  # against grain
 _HALF, _STRIDE = 19, 16  # half side of a window and distance of two, px
 _SEARCH = 5  # px
+_ENOUGH = 1500  # windows for one smooth model: a large picture is not searched more densely
 _ROUNDS = 2  # of the smooth model, and as many of the surfaces' own
 _LARGEST_PX = 2.5  # a larger correction is no lens's
 _LEAST_GRADIENT = 4e-3  # of the square root of light, a px, in the direction in which it is least
@@ -65,13 +66,14 @@ def residual_displacement(
     tone = np.asarray(cv2.GaussianBlur(tone, (0, 0), _SMOOTH_PX))
     disparity = np.asarray(disparity_px, np.float32)
     basis = _basis(disparity)
+    stride = _STRIDE if surfaces else max(_STRIDE, round((height * width / _ENOUGH) ** 0.5))
     out = np.zeros((3, 2, height, width), np.float32)
     grid_x, grid_y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     for k in {0, 1, 2} - {reference}:
         for turn in range(2 * _ROUNDS if surfaces else _ROUNDS):
             moved = cv2.remap(tone[..., k], grid_x + out[k, 0], grid_y + out[k, 1], cv2.INTER_CUBIC,
                               borderMode=cv2.BORDER_REPLICATE)  # fmt: skip
-            places, found, error = registered_windows(np.asarray(moved), tone[..., reference], valid=valid)
+            places, found, error = registered_windows(np.asarray(moved), tone[..., reference], valid=valid, stride=stride)
             if len(places) < _LEAST_WINDOWS:
                 break
             if turn < _ROUNDS:
@@ -118,7 +120,7 @@ def by_surface(
 
 
 def registered_windows(
-    moved: np.ndarray, fixed: np.ndarray, *, valid: np.ndarray | None = None
+    moved: np.ndarray, fixed: np.ndarray, *, valid: np.ndarray | None = None, stride: int = _STRIDE
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Displacement between two pictures, window by window where they have texture in both directions.
 
@@ -127,6 +129,8 @@ def registered_windows(
     moved, fixed : (H, W) float32
     valid : (H, W) bool, optional
         Windows that leave it are left out.
+    stride : int, px
+        From window to window.
 
     Returns
     -------
@@ -146,8 +150,8 @@ def registered_windows(
         least = np.where(cv2.erode(valid.astype(np.uint8), np.ones(side, np.uint8)) > 0, least, 0)
     places, found, errors = [], [], []
     rim = _HALF + _SEARCH
-    for y in range(rim, height - rim, _STRIDE):
-        for x in range(rim, width - rim, _STRIDE):
+    for y in range(rim, height - rim, stride):
+        for x in range(rim, width - rim, stride):
             if least[y, x] < _LEAST_GRADIENT**2:
                 continue
             patch = fixed[y - _HALF : y + _HALF + 1, x - _HALF : x + _HALF + 1]
