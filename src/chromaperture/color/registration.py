@@ -73,7 +73,9 @@ def residual_displacement(
         for turn in range(2 * _ROUNDS if surfaces else _ROUNDS):
             moved = cv2.remap(tone[..., k], grid_x + out[k, 0], grid_y + out[k, 1], cv2.INTER_CUBIC,
                               borderMode=cv2.BORDER_REPLICATE)  # fmt: skip
-            places, found, error = registered_windows(np.asarray(moved), tone[..., reference], valid=valid, stride=stride)
+            places, found, error = registered_windows(
+                np.asarray(moved), tone[..., reference], valid=valid, stride=stride
+            )
             if len(places) < _LEAST_WINDOWS:
                 break
             if turn < _ROUNDS:
