@@ -22,7 +22,7 @@ from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
 from chromaperture.effects.blur import Blur, LensBlur, MeasuredBlur, ThinLensBlur
 from chromaperture.effects.layers import layer_radii, shares
-from chromaperture.effects.restore import FITTED_ERROR, UNFITTED_ERROR
+from chromaperture.effects.restore import UNFITTED_ERROR, fitted_settings
 from chromaperture.effects.steady import steady_disparity
 from chromaperture.effects.tiles import by_tiles
 from chromaperture.optics.aperture import centroids
@@ -153,7 +153,7 @@ def fitted(
     made = {"aligned": aligned}
     reach = math.ceil(float(np.abs(radius).max())) + 4
     for name, rounds in ROUNDS.items():
-        config = SharpenConfig(model_error=FITTED_ERROR, reweightings=rounds)
+        config = fitted_settings(lens.blur.reach, reweightings=rounds)
 
         def tile(piece: tuple, middle: tuple, *, config: SharpenConfig = config) -> np.ndarray:
             return all_in_focus(image[piece], radius[piece], LensBlur(lens), noise_variance=noise,
