@@ -24,14 +24,17 @@ CONFIG = MatcherConfig.preset("real-time")
 DESIGNS = {"hd32_two_filters": "cy_halves", "hd32_three_filters": "cmy_squares", "hd32_three_circles": "cmy_circles"}
 
 
-def scene(directions: np.ndarray, *, seed: int = 5) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+def scene(
+    directions: np.ndarray, *, seed: int = 5, shape: tuple[int, int] = (HEIGHT, WIDTH)
+) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
     """Views (H, W) and guide as float32 planes and the true half disparity, px."""
+    height, width = shape
     rng = np.random.default_rng(seed)
     margin = 24
-    big = (HEIGHT + 2 * margin, WIDTH + 2 * margin)
+    big = (height + 2 * margin, width + 2 * margin)
     texture = sum(s * cv2.GaussianBlur(rng.normal(size=big).astype(np.float32), (0, 0), s) for s in (1.5, 5.0))
     texture = 0.5 + 0.1 * texture / texture.std()
-    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float32)
+    y, x = np.mgrid[:height, :width].astype(np.float32)
     truth = 4 * np.sin(x / 190) * np.cos(y / 150)
     truth[150:400, 300:700] -= 2
     truth = truth.astype(np.float32)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from colour import LEVELS, SCENES
+from colour_data import LEVELS, SCENES
 
 from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, default_config

@@ -9,6 +9,8 @@ from chromaperture.color.srgb import linear_to_srgb
 
 TEMPLATE, SEARCH, STRIDE = 35, 16, 14  # px
 PHASE_SIDE, PHASE_STRIDE = 48, 28  # px
+PARTS = 3  # of a window, along each side
+SURE_PX = 0.1  # standard error up to which texture allows a figure
 LEAST_GRADIENT = 4e-3  # a px, of the square root of light
 
 
@@ -34,9 +36,10 @@ def compare(picture: np.ndarray, reference: np.ndarray, valid: np.ndarray) -> di
 
 
 def misalignment(picture: np.ndarray, *, least_ncc: float = 0.85) -> np.ndarray:
-    """Displacement of red and blue against green, px, window by window; NaN where nothing registers; (N,) float.
+    """Displacement of red and blue against green, px, window by window; (N, 2) float.
 
-    The windows lie on a fixed grid, so that pictures of the same size can be compared one by one.
+    Columns are the displacement and its standard error, from how much the parts of the window agree; NaN where nothing
+    registers. The windows lie on a fixed grid, so that pictures of the same size can be compared one by one.
     """
     p = np.maximum(np.asarray(picture, np.float32), 0)
     p = cv2.GaussianBlur(np.sqrt(p), (0, 0), 1.0)  # equal noise in dark and light
@@ -71,18 +74,34 @@ def phase_misalignment(picture: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-def _displacement(patch: np.ndarray, area: np.ndarray, least_ncc: float) -> float:
+def _displacement(patch: np.ndarray, area: np.ndarray, least_ncc: float) -> tuple[float, float]:
     gy, gx = np.gradient(patch)
     # Structure in both directions, or a displacement along a lone edge would be a matter of luck.
     if np.linalg.eigvalsh(np.cov(gx.ravel(), gy.ravel()))[0] ** 0.5 < LEAST_GRADIENT:
-        return np.nan
+        return np.nan, np.nan
     score = cv2.matchTemplate(area, patch, cv2.TM_CCOEFF_NORMED)
     _, best, _, (i, j) = cv2.minMaxLoc(score)
     if best < least_ncc or not (0 < i < 2 * SEARCH and 0 < j < 2 * SEARCH):
-        return np.nan
+        return np.nan, np.nan
     dx = _peak(score[j, i - 1], score[j, i], score[j, i + 1]) + i - SEARCH
     dy = _peak(score[j - 1, i], score[j, i], score[j + 1, i]) + j - SEARCH
-    return float(np.hypot(dx, dy))
+    middle = (area.shape[1] // 2 + dx, area.shape[0] // 2 + dy)
+    there = cv2.getRectSubPix(np.ascontiguousarray(area), patch.shape[::-1], middle)
+    return float(np.hypot(dx, dy)), _standard_error(patch, there, gx, gy)
+
+
+def _standard_error(patch: np.ndarray, there: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> float:
+    """Of a displacement: what is left of the patch after it, taken to hang together within each part of the window."""
+    tone = there - there.mean()
+    left = patch - patch.mean()
+    left = left - (left * tone).sum() / (tone * tone).sum() * tone
+    edges = np.linspace(0, len(patch), PARTS + 1).astype(int)[:-1]
+    sums = (np.add.reduceat(np.add.reduceat(g * left, edges, axis=0), edges, axis=1) for g in (gx, gy))
+    pull = np.stack([s.ravel() for s in sums])
+    pull -= pull.mean(axis=1, keepdims=True)
+    normal = np.linalg.inv(np.array([[(a * b).sum() for a in (gx, gy)] for b in (gx, gy)]))
+    parts = PARTS**2
+    return float(np.sqrt(np.trace(normal @ (pull @ pull.T) @ normal) * parts / (parts - 1)))
 
 
 def _peak(left: float, middle: float, right: float) -> float:

@@ -1,4 +1,4 @@
-"""HD colour restoration, and refocusing, beside the matcher in the same process.
+"""Colour restoration, and refocusing, beside the matcher in the same process; HD (1280x720) and full HD (1920x1080).
 
 Refocusing stands beside one blur of the whole picture by the largest of its spots, too: what no depth would need.
 """
@@ -11,20 +11,24 @@ from collections.abc import Callable
 import cv2
 import numba
 import numpy as np
-from matcher import CONFIG, HEIGHT, NOISE, WIDTH, scene
+from matcher import CONFIG, NOISE, scene
 from timing import fastest_ms
 
 from chromaperture.color.alignment import align_channels, channel_directions
 from chromaperture.color.lens_shift import LensShift
 from chromaperture.color.unmixing import view_directions
-from chromaperture.disparity import kernels
+from chromaperture.disparity import coarse_kernels
 from chromaperture.disparity.inputs import prepare_views, view_pairs
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
 from chromaperture.effects.refocus import Focus, refocus
 from chromaperture.optics.aperture import design_named
 from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
 
-DESIGNS = {"hd_restoration_two_filters": "cy_halves", "hd_restoration_three_filters": "rgb_squares"}
+CASES = {
+    "hd_restoration_two_filters": ("cy_halves", (720, 1280)),
+    "hd_restoration_three_filters": ("rgb_squares", (720, 1280)),
+    "full_hd_restoration_two_filters": ("cy_halves", (1080, 1920)),
+}
 
 THIN = BlurModel(10.0, 20000.0)  # in focus at 2 m
 
@@ -41,10 +45,10 @@ def processor_ms(work: Callable[[], object], *, rounds: int = 3) -> float:
 
 def benchmark() -> dict:
     results: dict = {}
-    for case, design in DESIGNS.items():
+    for case, (design, (height, width)) in CASES.items():
         aperture = design_named(design)
         directions = view_directions(aperture)
-        views, guide, truth = scene(directions)
+        views, guide, truth = scene(directions, shape=(height, width))
         count = len(views)
         image = np.ascontiguousarray(np.dstack([views[0], guide, views[-1]]), np.float32)
         shifts = channel_directions(aperture, {})
@@ -52,18 +56,18 @@ def benchmark() -> dict:
         radius = (2.4 * truth).astype(np.float32)
         color = cv2.cvtColor(guide, cv2.COLOR_GRAY2RGB)
 
-        def match(views=views, guide=guide, directions=directions, count=count) -> object:
+        def match(views=views, guide=guide, directions=directions, count=count, height=height, width=width) -> object:
             inputs = prepare_views(
-                views, guide, np.ones((HEIGHT, WIDTH), bool), directions=directions, config=CONFIG,
-                noise_variance=np.broadcast_to(np.float32(NOISE**2), (HEIGHT, WIDTH, count)),
-                noise_covariance=np.broadcast_to(np.float32(0), (HEIGHT, WIDTH, len(view_pairs(count)))),
+                views, guide, np.ones((height, width), bool), directions=directions, config=CONFIG,
+                noise_variance=np.broadcast_to(np.float32(NOISE**2), (height, width, count)),
+                noise_covariance=np.broadcast_to(np.float32(0), (height, width, len(view_pairs(count)))),
             )  # fmt: skip
-            return kernels.match(inputs, CONFIG)
+            return coarse_kernels.match(inputs, CONFIG)
 
         def align(image=image, truth=truth, shifts=shifts) -> object:
             return align_channels(image, truth, shifts)
 
-        edges = LensShift(FieldBlur(THIN, sample_pupil(aperture), WIDTH, HEIGHT), near_mm=900.0, far_mm=6000.0)
+        edges = LensShift(FieldBlur(THIN, sample_pupil(aperture), width, height), near_mm=900.0, far_mm=6000.0)
 
         def align_by_lens(image=image, truth=truth, shifts=shifts, radius=radius, edges=edges) -> object:
             return align_channels(image, truth, shifts, displacement_px=edges(radius))

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
+from colour_data import markdown, save, say
 from picture_quality import compare
 
 from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, default_config
 from chromaperture.color.alignment import align_channels
-from chromaperture.color.lens_shift import least_fringes
+from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
-from chromaperture.effects.blur import Blur, MeasuredBlur, ThinLensBlur
+from chromaperture.effects.blur import Blur, LensBlur, MeasuredBlur, ThinLensBlur
 from chromaperture.effects.layers import layer_radii, shares
-from chromaperture.effects.restore import UNFITTED_ERROR
+from chromaperture.effects.restore import UNFITTED_ERROR, fitted_settings
 from chromaperture.effects.steady import steady_disparity
 from chromaperture.effects.tiles import by_tiles
+from chromaperture.optics.aperture import centroids
+from chromaperture.optics.blur import BlurModel, FieldBlur
 from chromaperture.optics.field_otf import Rays
 
 FULL_WELL, READ_NOISE = 5000.0, 4.0  # electrons
@@ -69,9 +74,12 @@ def ours(
     }  # fmt: skip
 
 
-def simulated_rows(out: Path | None, *, say: Callable, save: Callable) -> list[dict]:
-    """A small world seen by a thin lens (the kernels are true) and by a ray-traced one (they are an approximation)."""
-    from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission, made_of
+def simulated_rows(calibration: Calibration, out: Path | None) -> list[dict]:
+    """A small world seen by a thin lens (the kernels are true) and by a ray-traced one (they are an approximation).
+
+    The ray-traced lens is the calibrated camera's, so that its fitted blur, scaled to these pixels, serves as well.
+    """
+    from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of
     from chromaperture.optics.paraxial import focused_at
     from chromaperture.optics.pinhole import pupil_camera
     from chromaperture.optics.prescription import load_lens
@@ -118,12 +126,65 @@ def simulated_rows(out: Path | None, *, say: Callable, save: Callable) -> list[d
             for name, picture in made.items():
                 rows.append({"design": design, "optics": optics, "picture": name, **compare(picture, truth, valid)})
                 say(rows[-1])
+            if optics != "thin lens":
+                depth = render_depth(table, planes)
+                made |= fitted(image, depth, calibration, noise, rows, truth, camera.sensor_to_pupil_mm)
             if out:
                 save(out / f"sharp_{design}_{optics.split()[0]}.png", [*made.values(), truth])
+    print(markdown(by_picture(rows, "design", "optics"), heading(rows, "design", "optics")), flush=True)
     return rows
 
 
-def cmu_rows(folder: Path, out: Path | None, *, say: Callable, save: Callable) -> list[dict]:
+def fitted(
+    image: np.ndarray, depth_mm: np.ndarray, calibration: Calibration, noise: np.ndarray, rows: list[dict],
+    truth: np.ndarray, sensor_to_pupil_mm: float,
+) -> dict[str, np.ndarray]:  # fmt: skip
+    """The calibrated camera's kernels, at the pixels of this picture."""
+    height, width = depth_mm.shape
+    scale = width / calibration.sensor.width_px
+    numbers = {k: v if "rim" in k else scale * v for k, v in asdict(calibration.blur).items()}
+    pupil = calibration.field_blur().pupil
+    lens = LensShift(FieldBlur(BlurModel(**numbers), pupil, width, height), near_mm=600.0, far_mm=6000.0)
+    at_infinity = lens.radius_px(0.0)
+    inverse_mm = 1 / np.where(np.isfinite(depth_mm), depth_mm - sensor_to_pupil_mm, np.inf)
+    radius = np.where(np.isfinite(depth_mm), lens.radius_px(inverse_mm), at_infinity).astype(np.float32)
+    u = np.nan_to_num(centroids(calibration.aperture))
+    aligned = np.maximum(align_channels(image, radius, u, displacement_px=lens(radius)), 0)
+    made = {"aligned": aligned}
+    reach = math.ceil(float(np.abs(radius).max())) + 4
+    for name, rounds in ROUNDS.items():
+        config = fitted_settings(lens.blur.reach, reweightings=rounds)
+
+        def tile(piece: tuple, middle: tuple, *, config: SharpenConfig = config) -> np.ndarray:
+            return all_in_focus(image[piece], radius[piece], LensBlur(lens), noise_variance=noise,
+                                aligned=aligned[piece], config=config, center=middle)  # fmt: skip
+
+        made[name] = by_tiles(radius.shape, tile, tile_px=96, overlap_px=reach)
+    valid = np.ones(radius.shape, bool)
+    for name, picture in made.items():
+        rows.append({"design": calibration.design, "optics": "ray-traced lens, fitted kernels", "picture": name,
+                     **compare(picture, truth, valid)})  # fmt: skip
+        say(rows[-1])
+    return {f"{name}, fitted": picture for name, picture in made.items()}
+
+
+def by_picture(rows: list[dict], *keys: str) -> list[dict]:
+    """One row for what the keys say, with PSNR / SSIM / CIEDE2000 of each picture in a column."""
+    table: dict[tuple, dict] = {}
+    for row in rows:
+        line = table.setdefault(tuple(row[k] for k in keys), {k: row[k] for k in keys} | heading(rows, *keys, blank=""))
+        line[row["picture"]] = f"{row['psnr']:.2f} / {row['ssim']:.3f} / {row['ciede2000']:.2f}"
+    return list(table.values())
+
+
+def heading(rows: list[dict], *keys: str, blank: str | None = None) -> dict[str, str]:
+    names = dict.fromkeys(row["picture"] for row in rows)
+    if blank is not None:
+        return dict.fromkeys(names, blank)
+    return {name: f"{{{name}}}" for name in (*keys, *names)}
+
+
+def cmu_rows(folder: Path, out: Path | None) -> list[dict]:
     """Real half-pupil photographs as a cyan/yellow capture (red left, blue right, green their mean), at half size.
 
     Optics and noise are real, the colours are put together: a scene without colour of its own. Depth is what our
@@ -191,6 +252,7 @@ def cmu_rows(folder: Path, out: Path | None, *, say: Callable, save: Callable) -
         say({"scene": scene, "seconds": seconds, "radius_5_95": np.percentile(radius, (5, 95)).tolist()})
         if out:
             save(out / f"cmu_{scene}.png", [*made.values(), truth])
+    print(markdown(by_picture(rows, "scene"), heading(rows, "scene")), flush=True)
     return rows
 
 

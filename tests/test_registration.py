@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from chromaperture.color.alignment import align_channels
-from chromaperture.color.registration import residual_displacement
+from chromaperture.color.registration import residual_displacement, standard_error
 from planes import texture
 
 
@@ -46,3 +46,36 @@ def test_a_picture_without_texture_is_left_alone(rng):
 def test_channels_that_have_nothing_in_common_are_left_alone(rng):
     image = np.dstack([texture(rng, 96, 96) for _ in range(3)])
     np.testing.assert_array_equal(residual_displacement(image, np.zeros((96, 96), np.float32)), 0)
+
+
+def test_without_surfaces_only_what_is_smooth_is_found(rng):
+    image, disparity, truth, _ = spoiled(rng)
+    found = residual_displacement(image, disparity, surfaces=False)
+    # What spoilt the picture is linear in the place and in the disparity.
+    assert np.abs(found - truth)[..., 20:-20, 20:-20].mean() < 0.05
+    x, y = np.meshgrid(np.linspace(-1, 1, 200), np.linspace(-1, 1, 160))
+    basis = np.stack(np.broadcast_arrays(1.0, x, y, disparity))
+    rows = basis.reshape(4, -1).T
+    for plane in found[[0, 2]].reshape(4, -1):
+        left = plane - rows @ np.linalg.lstsq(rows, plane, rcond=None)[0]
+        assert np.abs(left).max() < 1e-4  # float32
+
+
+def test_a_window_knows_its_own_error(rng):
+    picture = texture(rng, 400, 400, blur_px=1.5).astype(np.float32)
+    off, told = [], []
+    for y in range(0, 361, 40):
+        for x in range(0, 361, 40):
+            fixed = picture[y : y + 39, x : x + 39]
+            # What one channel has and the other has not: it hangs together over some px, as colours do.
+            other = 0.04 * cv2.GaussianBlur(rng.normal(size=fixed.shape), (0, 0), 1.5)
+            gy, gx = np.gradient(fixed)
+            shift = rng.uniform(-0.2, 0.2, 2)
+            moved = (0.3 + 0.8 * (fixed - shift[0] * gx - shift[1] * gy) + other).astype(np.float32)
+            score = np.stack([gx.ravel(), gy.ravel(), fixed.ravel(), np.ones(fixed.size)], axis=1)
+            a, b, gain, _ = np.linalg.lstsq(score, moved.ravel(), rcond=None)[0]
+            off.append(np.square([a / gain + shift[0], b / gain + shift[1]]).sum())
+            told.append(standard_error(moved, fixed) ** 2)
+    # 100 windows with some ten degrees of freedom each: a mean of squares is known to a tenth or two.
+    assert 0.6 < np.sqrt(np.mean(told) / np.mean(off)) < 1.6
+    assert np.mean(off) > 1e-5

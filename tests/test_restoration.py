@@ -16,7 +16,13 @@ from chromaperture.effects.blur import MeasuredBlur, ThinLensBlur
 from chromaperture.effects.layered_model import LayeredModel
 from chromaperture.effects.layers import layer_radii, shares
 from chromaperture.effects.tiles import by_tiles
-from chromaperture.effects.wiener import colour_covariance, continued, joint_filter, natural_spectrum
+from chromaperture.effects.wiener import (
+    colour_covariance,
+    continued,
+    joint_filter,
+    natural_spectrum,
+    sharpen_layers,
+)
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission
 from chromaperture.optics.pinhole import PupilCamera
@@ -248,3 +254,35 @@ def test_tiles_that_do_nothing_give_the_picture_back(rng):
     # Three columns, two rows, symmetric about the middle but for whole pixels.
     np.testing.assert_allclose(np.mean(seen, axis=0), 0, atol=0.02)
     assert len({x for x, _ in seen}) == 3
+
+
+def test_kernels_that_are_a_little_wrong_raise_no_waves(rng):
+    """A bar blurred by 8 px and sharpened as if by 8.5: between the zeros of the two a plain filter makes waves."""
+    aperture, size = DESIGNS["cy_halves"], (160, 160)
+    scene = np.full((*size, 3), 0.2, np.float32)
+    scene[70:90] = 0.7
+    image = np.fft.irfft2(np.fft.rfft2(scene.transpose(2, 0, 1)) * ThinLensBlur(aperture)(-8.0, size), size)
+    image = (image.transpose(1, 2, 0) + 0.002 * rng.normal(size=scene.shape)).astype(np.float32)
+    radius = np.full(size, -8.5, np.float32)
+    known = {"noise_variance": np.full(3, 0.002**2), "colour": colour_covariance(scene)}
+    plain, wary = (
+        sharpen_layers(image, radius, ThinLensBlur(aperture), kernel_error=e, **known) for e in (0.0, 0.15)
+    )
+    # Beyond the bar's own blur there is nothing but what the filter made.
+    away = np.r_[24:50, 110:136]
+    assert np.std(plain[away]) > 0.02
+    assert np.std(wary[away]) < 0.5 * np.std(plain[away])
+    assert rms(wary, scene) < 0.8 * rms(image, scene)  # and it sharpens
+
+
+def test_wary_of_its_kernels_it_keeps_the_colours_of_large_things(rng):
+    aperture, size = DESIGNS["cy_halves"], (96, 96)
+    scene = np.empty((*size, 3), np.float32)
+    scene[:, :48], scene[:, 48:] = (0.6, 0.2, 0.3), (0.2, 0.5, 0.3)
+    image = np.fft.irfft2(np.fft.rfft2(scene.transpose(2, 0, 1)) * ThinLensBlur(aperture)(4.0, size), size)
+    image = image.transpose(1, 2, 0).astype(np.float32)
+    grey = np.ones((3, 3)) + 0.02 * np.eye(3)  # fine structure that has no colour of its own
+    found = sharpen_layers(image, np.full(size, 4.0, np.float32), ThinLensBlur(aperture),
+                           noise_variance=np.full(3, 1e-6), colour=grey, kernel_error=0.15)  # fmt: skip
+    for half in (np.s_[30:66, 16:32], np.s_[30:66, 64:80]):
+        np.testing.assert_allclose(found[half].mean(axis=(0, 1)), scene[half].mean(axis=(0, 1)), atol=0.02)

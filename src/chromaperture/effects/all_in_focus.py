@@ -40,6 +40,8 @@ class SharpenConfig:
         1 takes the differences to be as large as the capture's own.
     model_error : float
         What the blur model is wrong by, as a share of the local contrast: kernels are never known exactly.
+    kernel_error : float
+        What the transfer functions are wrong by.
     colour_sigma_px : float
         Reach of a colour line.
     reweightings, iterations : int
@@ -49,6 +51,7 @@ class SharpenConfig:
     prior_exponent: float = 0.8
     prior_weight: float = 1.0
     model_error: float = 0.25
+    kernel_error: float = 0.15
     colour_sigma_px: float = 4.0
     reweightings: int = 3
     iterations: int = 10
@@ -104,8 +107,9 @@ def all_in_focus(
     misfit = np.float32(config.model_error**2) * local_variance(aligned)
     noise = np.asarray(noise_variance, float) + misfit.mean(axis=(0, 1))
     start = sharpen_layers(
-        image, radius_px, blur, noise_variance=noise, colour=colour_covariance(aligned), center=center
-    )
+        image, radius_px, blur, noise_variance=noise, colour=colour_covariance(aligned),
+        kernel_error=config.kernel_error, center=center,
+    )  # fmt: skip
     sure = certainty(radius_px, radius_sigma_px)
     start = sure[..., None] * start + (1 - sure[..., None]) * aligned
     if config.reweightings == 0:

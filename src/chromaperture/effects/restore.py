@@ -24,8 +24,9 @@ from chromaperture.effects.tiles import by_tiles
 from chromaperture.errors import InputError
 
 _TILES, _LEAST_TILE_PX = 5, 96  # along the width, over each of which the blur counts as constant
-_LAYER_ERROR_PX = 0.1  # of half disparity; the error of the blur radius is that over the blur's reach
-FITTED_ERROR, UNFITTED_ERROR = 0.35, 0.7  # least and largest share of contrast by which the kernels are taken as wrong
+_LAYER_ERROR_PX = 0.065  # of half disparity; the error of the blur radius is that over the blur's reach
+FITTED_ERROR, UNFITTED_ERROR = 0.2, 0.45  # least and largest share of contrast by which the kernels are taken as wrong
+_KERNEL_ERROR = (0.15, 0.3)  # least and largest error of their transfer functions
 
 Sharpness = Literal["aligned", "fast", "full"]
 SHARPNESS: tuple[Sharpness, ...] = get_args(Sharpness)
@@ -99,17 +100,20 @@ def restore(
     radius, spread = radius * scale, spread * scale
     displacement = linear_displacement(radius / scale, shifts) if lens is None else lens(radius)
     aligned = align_channels(balanced, radius / scale, shifts, displacement_px=displacement)
-    # Three small sub-apertures, one a channel, blur alike; halves and mixed channels do not, and would mislead.
-    if len(cal.aperture.views) > 2 and pure_channels(cal.aperture) is not None:
-        displacement = displacement + residual_displacement(aligned, radius / scale)
-        aligned = align_channels(balanced, radius / scale, shifts, displacement_px=displacement)
+    # Three small sub-apertures, one a channel, blur alike, so that single surfaces can be registered.
+    alike = len(cal.aperture.views) > 2 and pure_channels(cal.aperture) is not None
+    displacement = displacement + residual_displacement(aligned, radius / scale, surfaces=alike)
+    aligned = align_channels(balanced, radius / scale, shifts, displacement_px=displacement)
     aligned = np.maximum(aligned, 0)
     if sharpness == "aligned":
         return SharpPicture(aligned, radius)
     variance = sensor_noise(image, cal)
     noise = (estimate_noise_variance(image) if variance is None else variance).mean(axis=(0, 1)) * gains**2
-    error = UNFITTED_ERROR if lens is None or blur is not None else fitted_error(lens.blur.reach)
-    settings = SharpenConfig(model_error=error, reweightings=3 if sharpness == "full" else 0)
+    rounds = 3 if sharpness == "full" else 0
+    if lens is None or blur is not None:
+        settings = SharpenConfig(model_error=UNFITTED_ERROR, reweightings=rounds)
+    else:
+        settings = fitted_settings(lens.blur.reach, reweightings=rounds)
     saturated = np.asarray(image.max(axis=2) >= SATURATION)
     if blur is None:
         blur = camera_blur(cal) if lens is None else LensBlur(lens)
@@ -127,12 +131,23 @@ def restore(
     return SharpPicture(by_tiles(radius.shape, sharpened, tile_px=tile_px, overlap_px=reach + 4), radius)
 
 
-def fitted_error(reach: float) -> float:
-    """Share of the local contrast by which a fitted blur is taken as wrong.
+def fitted_settings(reach: float, *, reweightings: int = 3) -> SharpenConfig:
+    """How far a fitted blur is trusted.
 
     A design whose views lie close together tells distance, and with it the blur's radius, less exactly.
+
+    Parameters
+    ----------
+    reach : float
+        Half disparity over the radius of the blur.
+    reweightings : int
     """
-    return float(np.clip(_LAYER_ERROR_PX / reach, FITTED_ERROR, UNFITTED_ERROR))
+    error = _LAYER_ERROR_PX / reach
+    return SharpenConfig(
+        model_error=float(np.clip(error, FITTED_ERROR, UNFITTED_ERROR)),
+        kernel_error=float(np.clip(error, *_KERNEL_ERROR)),
+        reweightings=reweightings,
+    )
 
 
 def white_gains(calibration: Calibration) -> np.ndarray:

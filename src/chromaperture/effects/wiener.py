@@ -58,7 +58,7 @@ def joint_filter(
     Parameters
     ----------
     spectra, otf : (3, h, w) complex
-    noise_variance : (3,) float
+    noise_variance : (3,) or (3, h, w) float
     signal : (h, w) float
         S: power of the sharp picture per frequency.
     colour : (3, 3) float
@@ -69,7 +69,8 @@ def joint_filter(
     (3, h, w) complex64
     """
     inverse = np.linalg.inv(colour)
-    weight = (1 / np.maximum(noise_variance, 1e-12))[:, None, None]
+    noise = np.asarray(noise_variance, float)
+    weight = 1 / np.maximum(noise if noise.ndim == 3 else noise[:, None, None], 1e-12)
     right = np.conj(otf) * spectra * weight
     prior = 1 / np.maximum(signal, 1e-30)
     # A real symmetric 3x3 matrix a frequency, inverted by its adjugate.
@@ -104,6 +105,7 @@ def sharpen_layers(
     *,
     noise_variance: np.ndarray,
     colour: np.ndarray,
+    kernel_error: float = 0.0,
     center: tuple[float, float] | None = None,
 ) -> np.ndarray:
     """Deconvolve a picture layer by layer, and take from each layer the pixels that lie in it.
@@ -117,6 +119,9 @@ def sharpen_layers(
     noise_variance : (3,) float
     colour : (3, 3) float
         From `colour_covariance`.
+    kernel_error : float
+        Error of the transfer functions where they are far from 1. It turns a share of the picture into noise of the
+        picture's own spectrum, and keeps waves from rising where all channels have their zeros.
     center : (x, y), optional
         Of this picture in the frame, -1 to 1.
 
@@ -129,6 +134,7 @@ def sharpen_layers(
     padded = mirrored(image - mean, pad, size)
     radius = mirrored(radius_px, pad, size)
     signal = natural_spectrum(size) * float(image.var(axis=(0, 1)).mean()) + 1e-12
+    error = kernel_error**2 * np.diag(colour)[:, None, None] * signal
     out = np.zeros_like(image)
     radii = layer_radii(radius_px)
     crop = np.s_[pad : pad + image.shape[0], pad : pad + image.shape[1]]
@@ -140,7 +146,9 @@ def sharpen_layers(
             surface = continued(padded, np.abs(radius - np.float32(center_px)) < tolerance)
             spectra = scipy.fft.rfft2(surface.transpose(2, 0, 1))
             otf = blur(float(center_px) if abs(center_px) > _SHARP_PX else 0.0, size, center=center)
-            sharp = joint_filter(spectra, otf, noise_variance=noise_variance, signal=signal, colour=colour)
+            # What is not blurred at all is not blurred wrongly either.
+            noise = error * np.maximum(1 - np.abs(otf) ** 2, 0) + np.asarray(noise_variance)[:, None, None]
+            sharp = joint_filter(spectra, otf, noise_variance=noise, signal=signal, colour=colour)
             picture = scipy.fft.irfft2(sharp, s=size).transpose(1, 2, 0)
             out += share[..., None] * picture[crop]
     return np.maximum(out + mean, 0)
