@@ -1,9 +1,9 @@
-"""Score tracking and mesh: python benchmarks/reconstruct.py --data FOLDER --camera CAMERA.asdf [--quality Q] [--work W].
+"""Score tracking and mesh: python benchmarks/reconstruct.py --data FOLDER --camera CAMERA.asdf [--quality Q].
 
 FOLDER holds cy_halves/walk/*.png, truth/walk/NNN.depth_0.1mm.png and truth/walk/poses_camera_to_world_mm.txt (origin on
 the sensor plane). Positions are compared after rigid alignment without scale; vertices of the mesh with the true depth
-along the ray of the picture that sees them best, as a share of the distance. Measured frames are kept in W, and not
-measured again: make a new folder for another camera or another matcher.
+along the ray of the picture that sees them best, as a share of the distance. --work W keeps the measured
+frames there and does not measure them again: take a new folder for another camera or another matcher.
 """
 
 from __future__ import annotations

@@ -122,8 +122,8 @@ def disparity_to_depth(
     if not np.isfinite(max_depth_mm) or np.any(reach_mm <= 0):
         raise InputError(f"max_depth_mm must be finite and beyond the entrance pupil, got {max_depth_mm:g}")
     if sigma_px is not None and _is_picture(disparity_px, sigma_px, model):
-        parts = (np.ascontiguousarray(np.atleast_2d(v)) for v in (disparity_px, sigma_px))
-        return depth_and_sigma(*parts, *model.prepared, max_depth_mm=max_depth_mm)
+        disparity, sigma = (np.ascontiguousarray(np.atleast_2d(v)) for v in (disparity_px, sigma_px))
+        return depth_and_sigma(disparity, sigma, *model.prepared, max_depth_mm=max_depth_mm)
     return depth_by_formulas(disparity_px, model, sigma_px, max_depth_mm=max_depth_mm)
 
 

@@ -50,10 +50,11 @@ def fields_of(
     covariance: np.ndarray,
 ) -> Fields:
     """Lay a model's fields out as the kernel reads them; each must be a number or (H, W), the covariance with 3 x 3."""
-    parts = [np.ascontiguousarray(np.atleast_2d(np.asarray(v, float))) for v in (infinity_px, scale_px_mm, pupil_mm)]
+    parts = (infinity_px, scale_px_mm, pupil_mm)
+    a, b, delta = (np.ascontiguousarray(np.atleast_2d(np.asarray(part, float))) for part in parts)
     c = np.asarray(covariance)
     c = c if c.dtype == np.float32 else c.astype(float)
-    return Fields(*parts, tuple(np.ascontiguousarray(np.atleast_2d(c[..., i, j])) for i, j in _PAIRS))
+    return Fields(a, b, delta, tuple(np.ascontiguousarray(np.atleast_2d(c[..., i, j])) for i, j in _PAIRS))
 
 
 def depth_and_sigma(
@@ -89,20 +90,20 @@ def _convert(  # type: ignore[no-untyped-def]
     per_px = (len(table) - 1) / (last - first) if curved else 0.0
     for y in numba.prange(height):
         for x in range(width):
-            d, a, b, delta = float(disparity[y, x]), infinity[y * sa, x * sa], scale[y * sb, x * sb], pupil[y * sp, x * sp]
+            a, b, delta = infinity[y * sa, x * sa], scale[y * sb, x * sb], pupil[y * sp, x * sp]
+            d = float(disparity[y, x])
             if curved:
                 d = _linear(d, first, last, per_px, table)
-            inverse = (a - d) / b
-            if not inverse * (max_depth - delta) >= 1:  # at infinity, beyond the reach, or unknown
+            if not (a - d) * (max_depth - delta) >= b:  # at infinity, beyond the reach, or unknown
                 depth_out[y, x] = sigma_out[y, x] = np.nan
                 continue
-            z = 1 / inverse
+            by_b = 1 / (a - d)  # divisions are what takes the time here
+            z = b * by_b
             depth_out[y, x] = z + delta
             error = float(sigma[y * ss, x * ss])
             if curved:
                 error /= _slope(d, low, high, series)
             i, j = y * sc, x * sc
-            by_b = z / b
             by_d = z * by_b
             variance = (
                 by_d**2 * (error**2 + caa[i, j])
@@ -127,7 +128,7 @@ def _linear(measured, first, last, per_px, table):  # type: ignore[no-untyped-de
 
 @numba.njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _slope(linear, low, high, series):  # type: ignore[no-untyped-def]
-    """Derivative of the measured by the linear disparity: Clenshaw's rule for Chebyshev polynomials."""
+    """Give the derivative of the measured by the linear disparity: Clenshaw's rule for Chebyshev polynomials."""
     if linear <= low or linear >= high:
         return 1.0
     s = (2 * linear - low - high) / (high - low)
