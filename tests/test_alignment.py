@@ -11,8 +11,8 @@ from chromaperture.color.alignment import (
     shift_back,
     white_balance,
 )
-from chromaperture.color.unmixing import ideal_unmixing
 from chromaperture.color.srgb import linear_to_srgb, linear_to_srgb_bytes
+from chromaperture.color.unmixing import ideal_unmixing
 from chromaperture.color.visibility import visible_from
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission
