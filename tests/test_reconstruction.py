@@ -138,6 +138,21 @@ def test_what_was_seen_once_and_never_shown_is_forgotten(o3d):
     np.testing.assert_array_equal(*behind)
 
 
+def test_what_few_say_against_many_is_no_surface(o3d):
+    volume = small_volume()
+    for k in range(30):
+        view = plane(1000.0, 4.0)
+        if k % 15 == 0:  # two of thirty measure a corner too far, where nobody looks through the wall
+            view.z_mm[:60, :60] = 1040.0
+        volume.integrate(view, MATRIX, np.eye(4))
+    behind = volume.mesh().vertices_mm[:, 2] > 1020
+    assert behind.any()  # else this test shows nothing
+    volume.prune()
+    vertices = volume.mesh().vertices_mm
+    assert len(vertices) > 0.5 * len(behind)
+    assert not (vertices[:, 2] > 1020).any()
+
+
 def test_a_camera_that_errs_for_hours_does_not_fill_the_volume(o3d, monkeypatch):
     def blocks_over_time() -> list[int]:
         volume, rng, blocks = small_volume(voxel_mm=20.0), np.random.default_rng(0), []

@@ -91,3 +91,17 @@ def holds_surface(
             if found[n]:
                 break
     return found
+
+
+@nb.njit(cache=True, nogil=True)
+def forget_faint(weight: np.ndarray, slots: np.ndarray, share: float) -> None:
+    """Clear the voxels of a block that have less than a share of the weight of its strongest."""
+    edge = weight.shape[1]
+    for n in range(len(slots)):
+        slot = slots[n]
+        strongest = weight[slot].max()
+        for k in range(edge):
+            for j in range(edge):
+                for i in range(edge):
+                    if weight[slot, k, j, i] < share * strongest:
+                        weight[slot, k, j, i] = 0.0

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from chromaperture.errors import MissingDependencyError
-from chromaperture.reconstruction.kernels import fuse, holds_surface
+from chromaperture.reconstruction.kernels import forget_faint, fuse, holds_surface
 from chromaperture.views import View
 
 EDGE = 16  # voxels along a block
@@ -21,6 +21,7 @@ _SEEN = 0.02  # weight from which a voxel counts as known
 _SHOWN = 1.5  # weight from which the mesh shows a surface
 _SIGMAS = 3.0
 _PRUNE_EVERY, _REST = 32, 128  # views fused between two clearings, and without a block until it may be cleared
+_FAINT = 0.1  # of the weight of a block's strongest voxel: less is noise
 _BESIDE_VOXELS = 2.0  # a block that far from any surface has no part in it
 # Open3D bounds rays in cells of so many px, and reads past the last whole one: pictures are cast in whole cells.
 _RANGE_PX = 8
@@ -127,15 +128,16 @@ class Volume:
         return len(keys)
 
     def prune(self, *, rest: int | None = None) -> int:
-        """Forget blocks where the mesh shows nothing and no view has been for long; returns how many.
+        """Forget what few views say against many, and blocks that show nothing and no view asked for; returns how many.
 
-        Depth errs, and every frame puts a few of its points where nothing is: without this a camera that looks at one
-        place for hours fills the volume.
+        Depth errs, and every frame puts a few of its points where nothing is: behind surfaces, where no view looks
+        through them, they would add up to surfaces of their own, and in time to a full volume.
         """
         table = self._grid.hashmap()
         slots = table.active_buf_indices().numpy().astype(np.int64)
-        slots = slots[self._fused - self._asked[slots] >= (_REST if rest is None else rest)]
         tsdf, weight, color = self._voxels()
+        forget_faint(weight[..., 0], slots, _FAINT)
+        slots = slots[self._fused - self._asked[slots] >= (_REST if rest is None else rest)]
         reach = _BESIDE_VOXELS / self.truncation_voxels
         empty = slots[~holds_surface(tsdf[..., 0], weight[..., 0], slots, _SHOWN, reach)]
         if len(empty):

@@ -170,7 +170,7 @@ class LivePage:
         lens, made = self.loop.camera.calibration.lens, item.made
         step = max(1, round((made.depth_mm.size / _POINTS) ** 0.5))
         thin = np.full_like(made.depth_mm, np.nan)
-        c = self.loop.config  # pixels between two surfaces hang in the air: the model leaves them out, so does the cloud
+        c = self.loop.config  # pixels between two surfaces hang in the air: as in the model, they are left out
         flying = near_steps(made.depth_mm, jump=c.edge_jump, reach_px=c.edge_px)
         thin[::step, ::step] = np.where(flying, np.float32(np.nan), made.depth_mm)[::step, ::step]
         cloud = depth_to_points(
