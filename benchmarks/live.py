@@ -2,8 +2,9 @@
 
 SOURCE is a live one, as "replay:FOLDER?speed=1&loop=1" or "simulate:FOLDER?speed=1&loop=1". Without a browser; --page
 draws the page as if somebody looked. CPU seconds a frame say what two free cores could do where the machine is busy
-with other things. The first third warms up: compilation, and the model of the place grows. --out FOLDER keeps the
-curve of memory as memory.csv and memory.png.
+with other things. The first third warms up: compilation, and the model of the place grows. Growth is said of all memory
+and of what is left without the voxels in use, which a new place may ask for; straight lines fitted to the rest of the
+time. --out FOLDER keeps the curves as memory.csv and memory.png.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 
 from chromaperture.camera import load_camera
 from chromaperture.capture.open import open_source
+from chromaperture.reconstruction.volume import BLOCK_BYTES
 from chromaperture.viewer.loop import LiveLoop
 from chromaperture.viewer.page import LivePage
 
@@ -45,15 +47,25 @@ def looked_at(loop: LiveLoop, folder: str) -> tuple[LivePage, threading.Thread]:
     return page, thread
 
 
+def voxels_mb(rows: np.ndarray) -> np.ndarray:
+    return rows[:, 3] * BLOCK_BYTES / 2**20
+
+
+def growth_percent(minutes: np.ndarray, mb: np.ndarray) -> float:
+    """Growth from the first to the last minute along the straight line through the curve."""
+    line = np.polynomial.Polynomial.fit(minutes, mb, 1)
+    return float(100 * (line(minutes[-1]) / line(minutes[0]) - 1))
+
+
 def write_curve(folder: Path, rows: np.ndarray, warm_s: float) -> None:
     import matplotlib.pyplot as plt
 
     folder.mkdir(parents=True, exist_ok=True)
-    np.savetxt(
-        folder / "memory.csv", rows, "%.2f", ",", header="seconds,resident_mb,frames,blocks,keyframes", comments=""
-    )
+    names = "seconds,resident_mb,frames,blocks,keyframes,vertices"
+    np.savetxt(folder / "memory.csv", rows, "%.2f", ",", header=names, comments="")
     figure, axes = plt.subplots(figsize=(8, 3.5), layout="constrained")
-    axes.plot(rows[:, 0] / 60, rows[:, 1])
+    axes.plot(rows[:, 0] / 60, rows[:, 1], label="all")
+    axes.plot(rows[:, 0] / 60, rows[:, 1] - voxels_mb(rows), label="without the voxels in use")
     axes.axvline(warm_s / 60, color="0.6", linestyle="--", label="end of warm-up")
     axes.set(xlabel="minutes", ylabel="resident memory, MB", ylim=(0, None))
     axes.legend()
@@ -84,7 +96,8 @@ def main() -> None:
         while (now := time.monotonic() - start) < args.seconds and not loop.over.is_set():
             model = loop.model.current if loop.model else None
             grown = (model.volume.blocks, len(model.keyframes)) if model and model.volume else (0, 0)
-            rows.append((now, resident_mb(), loop.meters["depth"].count, *grown))
+            vertices = len(loop.mesh.vertices_mm) if loop.mesh else 0
+            rows.append((now, resident_mb(), loop.meters["depth"].count, *grown, vertices))
             if warm is None and now >= warm_s:
                 warm = (now, time.process_time(), loop.meters["depth"].count)
             loop.over.wait(1.0)
@@ -98,14 +111,15 @@ def main() -> None:
     if args.out:
         write_curve(args.out, curve, warm_s)
     late = curve[curve[:, 0] >= warm_s]
-    tenth = max(1, len(late) // 10)
-    growth = late[-tenth:, 1].mean() / late[:tenth, 1].mean() - 1
     print(
         json.dumps(
             {
                 "frames_per_second": frames / seconds,
                 "cpu_seconds_per_frame": spent / max(frames, 1),
-                "memory_growth_percent": 100 * growth,
+                "memory_growth_percent": growth_percent(late[:, 0], late[:, 1]),
+                "memory_growth_without_voxels_percent": growth_percent(late[:, 0], late[:, 1] - voxels_mb(late)),
+                "blocks": [int(late[0, 3]), int(late[-1, 3])],
+                "vertices": [int(late[0, 5]), int(late[-1, 5])],
                 "memory_mb": curve[-1, 1],
                 "frames": int(curve[-1, 2]),
                 "said": sorted(set(said))[:20],

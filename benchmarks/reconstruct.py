@@ -2,7 +2,8 @@
 
 FOLDER holds cy_halves/walk/*.png, truth/walk/NNN.depth_0.1mm.png and truth/walk/poses_camera_to_world_mm.txt (origin on
 the sensor plane). Positions are compared after rigid alignment without scale; vertices of the mesh with the true depth
-along the ray of the picture that sees them best, as a share of the distance.
+along the ray of the picture that sees them best, as a share of the distance. --work W keeps the measured
+frames there and does not measure them again: take a new folder for another camera or another matcher.
 """
 
 from __future__ import annotations
@@ -10,14 +11,17 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from chromaperture.camera import load_camera
+from chromaperture.camera import CodedApertureCamera, DepthFrame, load_camera
 from chromaperture.capture.open import open_source
-from chromaperture.reconstruction.run import reconstruct, summary
+from chromaperture.reconstruction.fusion import Reconstruction
+from chromaperture.reconstruction.run import summary
+from chromaperture.views import View, undistorter
 
 
 def rigid(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -44,20 +48,40 @@ def off_surface(world: np.ndarray, poses: list[np.ndarray], truths: list[np.ndar
     return np.where(np.isfinite(best), best, np.nan)
 
 
+def measured(data: Path, camera: CodedApertureCamera, work: Path | None) -> Iterator[View]:
+    """Views of the walk, from the folder where they are kept if there is one."""
+    sensor, to_view = camera.calibration.sensor, undistorter(camera)
+    levels = (sensor.black_level, sensor.white_level)
+    with open_source(str(data / "cy_halves" / "walk"), camera_levels=levels) as source:
+        for frame in source:
+            kept = work / f"{camera.config.quality}_{frame.index:03d}.npz" if work else None
+            if kept is None or not kept.exists():
+                made = camera.measure(frame.image)
+                if kept is not None:
+                    np.savez(kept, depth=made.depth_mm, sigma=made.sigma_mm, color=made.color)
+            else:
+                depth, sigma, color = (np.load(kept)[name] for name in ("depth", "sigma", "color"))
+                made = DepthFrame(depth, sigma, depth, depth, depth, color)
+            yield to_view(made, frame.time_s, frame.index)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--camera", type=Path, required=True)
     parser.add_argument("--quality", default="accurate")
+    parser.add_argument("--work", type=Path)
     args = parser.parse_args()
+    if args.work:
+        args.work.mkdir(parents=True, exist_ok=True)
 
     camera = load_camera(args.camera, quality=args.quality)
     cal = camera.calibration
     delta = float(cal.depth[args.quality].sensor_to_pupil_mm)
-    levels = (cal.sensor.black_level, cal.sensor.white_level)
     folder, began = args.data / "truth" / "walk", time.perf_counter()
-    with open_source(str(args.data / "cy_halves" / "walk"), camera_levels=levels) as source:
-        model = reconstruct(source, camera, listener=print)
+    model = Reconstruction(cal.lens.camera_matrix, listener=print)
+    for view in measured(args.data, camera, args.work):
+        model.add(view)
     pupil = np.eye(4)
     pupil[2, 3] = delta  # the truth's origin is on the sensor, ours in the pupil
     poses = [p @ pupil for p in np.loadtxt(folder / "poses_camera_to_world_mm.txt").reshape(-1, 4, 4)]

@@ -11,6 +11,7 @@ from chromaperture.color.alignment import (
     shift_back,
     white_balance,
 )
+from chromaperture.color.srgb import linear_to_srgb, linear_to_srgb_bytes
 from chromaperture.color.unmixing import ideal_unmixing
 from chromaperture.color.visibility import visible_from
 from chromaperture.errors import InputError
@@ -118,3 +119,10 @@ def test_a_channel_sees_past_an_edge_on_its_own_side_only():
 def test_depth_of_another_photograph_is_refused():
     with pytest.raises(InputError, match="two photographs"):
         align_channels(np.zeros((9, 9, 3), np.float32), np.zeros((8, 9), np.float32), np.zeros((3, 2)))
+
+
+def test_bytes_from_the_table_are_the_curve_rounded():
+    light = np.concatenate([np.linspace(-0.1, 1.1, 40_001), [np.nan, np.inf, -np.inf]]).astype(np.float32)
+    # Half a level by rounding, and half a step of the table, 1 / 131070, where the curve is steepest: 12.92 x 255.
+    assert np.abs(linear_to_srgb_bytes(light) - 255.0 * linear_to_srgb(light))[:-2].max() < 0.5 + 0.03
+    assert linear_to_srgb_bytes(light)[-3:].tolist() == [0, 255, 0]

@@ -115,6 +115,68 @@ def test_surfaces_are_the_inverse_variance_mean_of_what_was_measured(o3d):
     assert np.median(heights) == pytest.approx(mean, abs=0.05)
 
 
+def test_what_was_seen_once_and_never_shown_is_forgotten(o3d):
+    wall, ghost = plane(1000.0, 4.0), plane(1600.0, 16.0)  # a sixteenth of the weight
+    volume, alone = small_volume(), small_volume()
+    for _ in range(3):
+        volume.integrate(wall, MATRIX, np.eye(4))
+        alone.integrate(wall, MATRIX, np.eye(4))
+    blocks, before = volume.blocks, volume.mesh()
+    volume.integrate(ghost, MATRIX, np.eye(4))
+    assert volume.blocks > blocks
+    assert volume.prune(rest=5) == 0  # it may still be confirmed
+    ghosts = volume.blocks - blocks
+    # The ghost's own blocks go, and those of the wall's that hold nothing but air before it or behind.
+    assert volume.prune(rest=0) >= ghosts
+    assert volume.blocks <= blocks
+    np.testing.assert_array_equal(np.sort(volume.mesh().vertices_mm, axis=0), np.sort(before.vertices_mm, axis=0))
+    # Blocks that take the place of the forgotten ones remember nothing of them.
+    for each in (volume, alone):
+        each.integrate(plane(1600.0, 16.0), MATRIX, np.eye(4))
+    kinds = [each.mesh(min_weight=0.05).vertices_mm for each in (volume, alone)]
+    behind = [np.sort(vertices[vertices[:, 2] > 1300], axis=0) for vertices in kinds]
+    np.testing.assert_array_equal(*behind)
+
+
+def test_what_few_say_against_many_is_no_surface(o3d):
+    volume = small_volume()
+    for k in range(30):
+        view = plane(1000.0, 4.0)
+        if k % 15 == 0:  # two of thirty measure a corner too far, where nobody looks through the wall
+            view.z_mm[:60, :60] = 1040.0
+        volume.integrate(view, MATRIX, np.eye(4))
+    behind = volume.mesh().vertices_mm[:, 2] > 1020
+    assert behind.any()  # else this test shows nothing
+    volume.prune()
+    vertices = volume.mesh().vertices_mm
+    assert len(vertices) > 0.5 * len(behind)
+    assert not (vertices[:, 2] > 1020).any()
+
+
+def test_a_camera_that_errs_for_hours_does_not_fill_the_volume(o3d, monkeypatch):
+    def blocks_over_time() -> list[int]:
+        volume, rng, blocks = small_volume(voxel_mm=20.0), np.random.default_rng(0), []
+        for _ in range(120):
+            view = plane(1500.0, 10.0)
+            rows, columns = rng.integers(0, SIZE[0], 12), rng.integers(0, SIZE[1], 12)
+            view.z_mm[rows, columns] = rng.uniform(800, 4000, 12)  # a few pixels lie
+            view.sigma_mm[rows, columns] = 60.0
+            volume.integrate(view, MATRIX, np.eye(4))
+            blocks.append(volume.blocks)
+        return blocks
+
+    monkeypatch.setattr("chromaperture.reconstruction.volume._REST", 16)
+    monkeypatch.setattr("chromaperture.reconstruction.volume._PRUNE_EVERY", 8)
+    kept = blocks_over_time()
+    monkeypatch.setattr("chromaperture.reconstruction.volume._PRUNE_EVERY", 10**9)
+    control = blocks_over_time()
+    wall = small_volume(voxel_mm=20.0)
+    wall.integrate(plane(1500.0, 10.0), MATRIX, np.eye(4))
+    # What is kept is the wall and the lies of the last 24 views, a fifth of all, but some repeat themselves.
+    assert max(kept[80:]) < 1.2 * max(kept[40:80])
+    assert kept[-1] - wall.blocks < 0.5 * (control[-1] - wall.blocks)
+
+
 def test_the_camera_is_found_on_its_way_through_a_room(o3d):
     model = Reconstruction(MATRIX, ReconstructionConfig(tracking_scale=1, voxel_mm=15.0))
     poses = [pose_at(k) for k in range(5)]

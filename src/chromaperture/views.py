@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, DepthFrame
-from chromaperture.color.srgb import linear_to_srgb
+from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.errors import InputError
 
 
@@ -49,7 +49,7 @@ def undistorter(camera: CodedApertureCamera) -> Callable[[DepthFrame, float, int
         return cv2.remap(values, *straight, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
 
     def view(frame: DepthFrame, time_s: float, index: int) -> View:
-        color = np.rint(linear_to_srgb(frame.color) * 255).astype(np.uint8)
+        color = linear_to_srgb_bytes(frame.color)
         color = cv2.remap(color, *straight, cv2.INTER_LINEAR)
         return View(color, nearest(frame.depth_mm - np.float32(to_pupil_mm)), nearest(frame.sigma_mm), time_s, index)
 

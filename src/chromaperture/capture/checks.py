@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 
-import cv2
 import numpy as np
 
 from chromaperture.color.image import SATURATION, checked_image
@@ -38,21 +37,26 @@ def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarra
             f"the image is {image.shape[1]}x{image.shape[0]} px but the camera was calibrated at "
             f"{width_px}x{height_px}; give an original of that size, or calibrate at this one"
         )
-    finite = np.isfinite(cv2.transform(image, np.ones((1, 3), np.float32)))  # a sum with a NaN in it is not finite
-    if not finite.any():
+    sparse = max(1, round(math.sqrt(width_px * height_px / 20_000)))  # a subset tells the shares as well
+    lit = _finite(image[::sparse, ::sparse])
+    lit = lit if lit.size else _finite(image)
+    if not lit.size:
         raise InputError("the image holds no finite value; export it again")
-    sparse = max(1, round(math.sqrt(finite.size / 20_000)))  # a subset tells the shares as well
-    lit = image[::sparse, ::sparse][finite[::sparse, ::sparse]]
-    lit = lit if lit.size else image[finite]
-    saturated = float((lit.max(axis=1) >= SATURATION).mean())
+    saturated = float((np.maximum(np.maximum(lit[:, 0], lit[:, 1]), lit[:, 2]) >= SATURATION).mean())
     if saturated > 0.98:
         raise InputError(
             f"{saturated:.0%} of the image is saturated; lower the exposure, or check --black-level and --white-level"
         )
-    if float(np.percentile(lit, 99)) < _DARK:
+    if np.count_nonzero(lit < _DARK) > 0.99 * lit.size:
         raise InputError("the image is all black; remove the lens cap, expose longer, or check the levels")
     if saturated > 0.05:
         warnings.warn(
             f"{saturated:.0%} of the image is saturated; depth is guessed there", CaptureWarning, stacklevel=3
         )
     return image
+
+
+def _finite(image: np.ndarray) -> np.ndarray:
+    """Pixels without NaN or infinity, (N, 3): a sum with one of them is not finite."""
+    pixels = np.ascontiguousarray(image).reshape(-1, 3)
+    return pixels[np.isfinite(pixels.sum(axis=1))]

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from chromaperture.color.shift_kernels import shift_along_rows
 from chromaperture.color.unmixing import view_reach
 from chromaperture.color.visibility import fill_hidden, visible_from
 from chromaperture.errors import InputError
@@ -75,11 +76,13 @@ def align_channels(
     moved = linear_displacement(filled, directions) if displacement_px is None else displacement_px
     # Cubics smooth a channel the more, the farther it comes between pixels: an exact displacement deserves better.
     color = shift_back(image, moved, interpolation=cv2.INTER_CUBIC if displacement_px is None else cv2.INTER_LANCZOS4)
-    visible = np.stack([visible_from(filled, u) for u in np.asarray(directions, float)], axis=-1)
+    visible = np.empty(image.shape, bool)
+    for k, u in enumerate(np.asarray(directions, float)):
+        visible[..., k] = visible_from(filled, u)
     if visible.all():
         return color
     order = np.argsort(np.linalg.norm(directions, axis=1), kind="stable")
-    return fill_hidden(color, visible, filled, order)
+    return fill_hidden(color, visible, filled, order, out=color)
 
 
 def linear_displacement(disparity_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -96,12 +99,16 @@ def shift_back(
     height, width = displacement_px.shape[2:]
     x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
     color = np.empty((height, width, 3), np.float32)
+    image = np.ascontiguousarray(image, np.float32)
     for k in range(3):
         dx, dy = displacement_px[k]
         if not dx.any() and not dy.any():
             color[..., k] = image[..., k]
             continue
-        plane = np.ascontiguousarray(image[..., k], np.float32)
+        if interpolation == cv2.INTER_CUBIC and not dy.any():
+            shift_along_rows(image, dx, k, color)
+            continue
+        plane = np.ascontiguousarray(image[..., k])
         color[..., k] = cv2.remap(plane, x + dx, y + dy, interpolation, borderMode=cv2.BORDER_REPLICATE)
     return color
 

@@ -35,34 +35,58 @@ def visible_from(disparity_px: np.ndarray, direction: np.ndarray) -> np.ndarray:
     if math.hypot(ux, uy) < 1e-3:
         return np.ones(disparity_px.shape, bool)
     seen = np.empty(disparity_px.shape, np.bool_)
-    _visible(np.ascontiguousarray(disparity_px, np.float32), np.float32(ux), np.float32(uy), seen)
+    disparity = np.ascontiguousarray(disparity_px, np.float32)
+    if abs(uy) < 1e-3:  # rows do not meddle with each other
+        _visible_rows(disparity, np.float32(ux), seen)
+    else:
+        _visible(disparity, np.float32(ux), np.float32(uy), seen)
     return seen
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, parallel=True, nogil=True, error_model="numpy")
+def _visible_rows(disparity, ux, seen):  # type: ignore[no-untyped-def]
+    height, width = disparity.shape
+    for y in numba.prange(height):
+        nearest, place = np.full(width, np.float32(1e9)), np.empty(width, np.int32)
+        for x in range(width):
+            d = disparity[y, x]
+            t = min(max(np.float32(x) + d * ux, np.float32(-2)), np.float32(width + 1)) + np.float32(4.5)
+            place[x] = np.int32(t) - 4  # towards zero is down there
+        for x in range(width):
+            t = place[x]
+            if 0 <= t < width:
+                nearest[t] = min(nearest[t], disparity[y, x])
+        for x in range(width):
+            t = place[x]
+            seen[y, x] = 0 <= t < width and nearest[t] > disparity[y, x] - np.float32(_HIDDEN)
+
+
+@numba.njit(cache=True, nogil=True)
 def _visible(disparity, ux, uy, seen):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
-    bands = 16 if uy == 0 else 1  # with a displacement in y rows write into each other's buffer
-    for band in numba.prange(bands):
-        first, last = band * height // bands, (band + 1) * height // bands
-        buffer = np.full((last - first, width), np.float32(1e9))
-        for y in range(first, last):
-            for x in range(width):
-                d = disparity[y, x]
-                ty = y if uy == 0 else math.floor(y + d * uy + np.float32(0.5))
-                tx = math.floor(x + d * ux + np.float32(0.5))
-                if 0 <= tx < width and first <= ty < last and d < buffer[ty - first, tx]:
-                    buffer[ty - first, tx] = d
-        for y in range(first, last):
-            for x in range(width):
-                d = disparity[y, x]
-                ty = y if uy == 0 else math.floor(y + d * uy + np.float32(0.5))
-                tx = math.floor(x + d * ux + np.float32(0.5))
-                inside = 0 <= tx < width and first <= ty < last
-                seen[y, x] = inside and buffer[ty - first, tx] > d - np.float32(_HIDDEN)
+    nearest = np.full((height, width), np.float32(1e9))
+    for y in range(height):
+        for x in range(width):
+            d = disparity[y, x]
+            ty, tx = math.floor(y + d * uy + np.float32(0.5)), math.floor(x + d * ux + np.float32(0.5))
+            if 0 <= tx < width and 0 <= ty < height and d < nearest[ty, tx]:
+                nearest[ty, tx] = d
+    for y in range(height):
+        for x in range(width):
+            d = disparity[y, x]
+            ty, tx = math.floor(y + d * uy + np.float32(0.5)), math.floor(x + d * ux + np.float32(0.5))
+            inside = 0 <= tx < width and 0 <= ty < height
+            seen[y, x] = inside and nearest[ty, tx] > d - np.float32(_HIDDEN)
 
 
-def fill_hidden(color: np.ndarray, visible: np.ndarray, disparity_px: np.ndarray, order: np.ndarray) -> np.ndarray:
+def fill_hidden(
+    color: np.ndarray,
+    visible: np.ndarray,
+    disparity_px: np.ndarray,
+    order: np.ndarray,
+    *,
+    out: np.ndarray | None = None,
+) -> np.ndarray:
     """Give hidden samples the colour line of their own surface.
 
     Parameters
@@ -74,12 +98,15 @@ def fill_hidden(color: np.ndarray, visible: np.ndarray, disparity_px: np.ndarray
     disparity_px : (H, W) float32, px, no NaN
     order : (3,) int
         Channels, the best guide first: the one that moves least sees most.
+    out : (H, W, 3) float32, optional
+        Where to; may be ``color``, of which only visible samples are read.
 
     Returns
     -------
     (H, W, 3) float32
     """
-    out = np.array(color, np.float32)
+    if out is None:
+        out = np.array(color, np.float32)
     depth = np.asarray(disparity_px, np.float32)
     _fill(np.ascontiguousarray(color, np.float32), visible, depth, np.asarray(order), out)
     return out

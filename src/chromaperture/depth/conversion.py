@@ -8,10 +8,12 @@ Eqs. (7) to (10), which are in ``paper_form.py``; ``docs/equations.md`` derives 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from chromaperture.config import DepthConfig
+from chromaperture.depth.conversion_kernels import Curve, Fields, curve_of, depth_and_sigma, fields_of
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 
@@ -60,6 +62,12 @@ class DepthModel:
     def in_focus_mm(self) -> Map:
         """Depth of the focus surface, where the disparity is 0; mm from the sensor, inf when A is 0."""
         return self.sensor_to_pupil_mm + focus_from_pupil(self.infinity_disparity_px, self.scale_px_mm)
+
+    @cached_property
+    def prepared(self) -> tuple[Fields, Curve]:
+        """What the compiled conversion reads, laid out once for all pictures."""
+        parts = (self.infinity_disparity_px, self.scale_px_mm, self.sensor_to_pupil_mm)
+        return fields_of(*parts, self.covariance), curve_of(self.nonlinearity)
 
 
 def disparity_to_inverse_depth(disparity_px: Map, model: DepthModel) -> np.ndarray:
@@ -113,6 +121,17 @@ def disparity_to_depth(
     reach_mm = max_depth_mm - np.asarray(model.sensor_to_pupil_mm, float)
     if not np.isfinite(max_depth_mm) or np.any(reach_mm <= 0):
         raise InputError(f"max_depth_mm must be finite and beyond the entrance pupil, got {max_depth_mm:g}")
+    if sigma_px is not None and _is_picture(disparity_px, sigma_px, model):
+        disparity, sigma = (np.ascontiguousarray(np.atleast_2d(v)) for v in (disparity_px, sigma_px))
+        return depth_and_sigma(disparity, sigma, *model.prepared, max_depth_mm=max_depth_mm)
+    return depth_by_formulas(disparity_px, model, sigma_px, max_depth_mm=max_depth_mm)
+
+
+def depth_by_formulas(
+    disparity_px: Map, model: DepthModel, sigma_px: Map | None = None, *, max_depth_mm: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """`disparity_to_depth` for any shape, to be read; it is compiled for pictures in ``conversion_kernels``."""
+    reach_mm = max_depth_mm - np.asarray(model.sensor_to_pupil_mm, float)
     inverse = disparity_to_inverse_depth(disparity_px, model)
     z = _reciprocal(inverse, inverse * reach_mm >= 1)
     depth = (z + model.sensor_to_pupil_mm).astype(np.float32)
@@ -177,6 +196,16 @@ def focus_from_pupil(infinity_disparity_px: Map, scale_px_mm: Map) -> np.ndarray
     """Give the distance z_of = B / A of the focus surface from the entrance pupil; inf where A is 0."""
     at_infinity, scale = np.broadcast_arrays(np.asarray(infinity_disparity_px, float), scale_px_mm)
     return np.divide(scale, at_infinity, out=np.full(scale.shape, np.inf), where=at_infinity != 0)
+
+
+def _is_picture(disparity_px: Map, sigma_px: Map, model: DepthModel) -> bool:
+    """Whether these are floats, (H, W), and the model's fields are numbers or (H, W): what the kernel takes."""
+    disparity, sigma = np.asarray(disparity_px), np.asarray(sigma_px)
+    if disparity.ndim != 2 or disparity.dtype.kind != "f" or sigma.dtype.kind != "f":
+        return False
+    parts = (model.infinity_disparity_px, model.scale_px_mm, model.sensor_to_pupil_mm)
+    shapes = [np.shape(part) for part in parts] + [sigma.shape, np.shape(model.covariance)[:-2]]
+    return all(shape in ((), disparity.shape) for shape in shapes)
 
 
 def _map(values: Map, model: DepthModel) -> np.ndarray:

@@ -9,6 +9,7 @@ curve serves the whole camera. The paper's form and its inverse hold for the lin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -16,6 +17,7 @@ from numpy.polynomial import chebyshev
 from chromaperture.errors import InputError
 
 _KNOTS = 512  # of the table that inverts the curve: linear between them it is good to 1e-4 px
+_FINE = 8  # times denser is the curve that the table is read from
 _MIN_SLOPE = 0.2
 
 
@@ -49,7 +51,7 @@ class Nonlinearity:
     @property
     def is_folded(self) -> bool:
         """Whether the measured disparity falls, or hardly rises, where the linear one rises."""
-        return bool(np.min(self.slope(self._knots())) < _MIN_SLOPE)
+        return bool(np.min(self.slope(np.linspace(self.low_px, self.high_px, _KNOTS))) < _MIN_SLOPE)
 
     def measured(self, linear_px: np.ndarray | float) -> np.ndarray:
         """Disparity that the matcher reads; same shape, px."""
@@ -58,29 +60,35 @@ class Nonlinearity:
 
     def linear(self, measured_px: np.ndarray | float) -> np.ndarray:
         """Disparity that is linear in inverse depth; same shape, px, NaN stays NaN."""
-        measured = np.asarray(measured_px, float)
-        knots = self._knots()
-        table = self.measured(knots)
-        inside = np.interp(measured, table, knots)  # NaN stays NaN
-        beyond = measured - np.clip(measured, table[0], table[-1])
+        measured, (knots, table) = np.asarray(measured_px, float), self.inverse_table
+        inside = np.interp(measured, knots, table)  # NaN stays NaN
+        beyond = measured - np.clip(measured, knots[0], knots[-1])
         return inside + beyond
+
+    @cached_property
+    def inverse_table(self) -> tuple[np.ndarray, np.ndarray]:
+        """Measured disparities, evenly over their range, and the linear ones there; two (N,) float64, px."""
+        linear = np.linspace(self.low_px, self.high_px, _FINE * _KNOTS)
+        measured = self.measured(linear)
+        knots = np.linspace(measured[0], measured[-1], _KNOTS)
+        return knots, np.interp(knots, measured, linear)
 
     def slope(self, linear_px: np.ndarray | float) -> np.ndarray:
         """Give the derivative of the measured by the linear disparity; same shape."""
         linear = np.asarray(linear_px, float)
         scaled = self._scaled(linear)
         inside = (linear > self.low_px) & (linear < self.high_px)
-        by_linear = chebyshev.chebval(scaled, chebyshev.chebder(self._series())) * 2 / (self.high_px - self.low_px)
-        return np.where(inside | np.isnan(linear), 1 + by_linear, 1.0)
+        return np.where(inside | np.isnan(linear), 1 + chebyshev.chebval(scaled, self.slope_series()), 1.0)
+
+    def slope_series(self) -> np.ndarray:
+        """Coefficients of h's derivative, of T_0, T_1, ... over the range."""
+        return chebyshev.chebder(self._series()) * 2 / (self.high_px - self.low_px)
 
     def _series(self) -> np.ndarray:
         return np.concatenate([[0.0, 0.0], self.coefficients])
 
     def _scaled(self, linear_px: np.ndarray) -> np.ndarray:
         return scaled(linear_px, self.low_px, self.high_px)
-
-    def _knots(self) -> np.ndarray:
-        return np.linspace(self.low_px, self.high_px, _KNOTS)
 
 
 def scaled(linear_px: np.ndarray, low_px: float, high_px: float) -> np.ndarray:

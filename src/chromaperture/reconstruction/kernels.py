@@ -69,3 +69,39 @@ def fuse(
                         mean = color[slot, k, j, i, c]
                         color[slot, k, j, i, c] = (mean * old + picture[row, column, c] * new) / total
                     weight[slot, k, j, i] = min(total, max_weight)
+
+
+@nb.njit(cache=True, nogil=True)
+def holds_surface(
+    tsdf: np.ndarray, weight: np.ndarray, slots: np.ndarray, least_weight: float, reach: float
+) -> np.ndarray:
+    """Tell which blocks have a voxel of that weight within ``reach`` truncations of a surface; (N,) bool."""
+    found = np.zeros(len(slots), np.bool_)
+    edge = tsdf.shape[1]
+    for n in range(len(slots)):
+        slot = slots[n]
+        for k in range(edge):
+            for j in range(edge):
+                for i in range(edge):
+                    if weight[slot, k, j, i] >= least_weight and abs(tsdf[slot, k, j, i]) <= reach:
+                        found[n] = True
+                        break
+                if found[n]:
+                    break
+            if found[n]:
+                break
+    return found
+
+
+@nb.njit(cache=True, nogil=True)
+def forget_faint(weight: np.ndarray, slots: np.ndarray, share: float) -> None:
+    """Clear the voxels of a block that have less than a share of the weight of its strongest."""
+    edge = weight.shape[1]
+    for n in range(len(slots)):
+        slot = slots[n]
+        strongest = weight[slot].max()
+        for k in range(edge):
+            for j in range(edge):
+                for i in range(edge):
+                    if weight[slot, k, j, i] < share * strongest:
+                        weight[slot, k, j, i] = 0.0

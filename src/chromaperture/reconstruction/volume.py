@@ -12,13 +12,17 @@ import numba
 import numpy as np
 
 from chromaperture.errors import MissingDependencyError
-from chromaperture.reconstruction.kernels import fuse
+from chromaperture.reconstruction.kernels import forget_faint, fuse, holds_surface
 from chromaperture.views import View
 
 EDGE = 16  # voxels along a block
-_BYTES = EDGE**3 * 4 * 5  # tsdf, weight, three colours
+BLOCK_BYTES = EDGE**3 * 4 * 5  # tsdf, weight, three colours
 _SEEN = 0.02  # weight from which a voxel counts as known
+_SHOWN = 1.5  # weight from which the mesh shows a surface
 _SIGMAS = 3.0
+_PRUNE_EVERY, _REST = 32, 128  # views fused between two clearings, and without a block until it may be cleared
+_FAINT = 0.1  # of the weight of a block's strongest voxel: less is noise
+_BESIDE_VOXELS = 2.0  # a block that far from any surface has no part in it
 # Open3D bounds rays in cells of so many px, and reads past the last whole one: pictures are cast in whole cells.
 _RANGE_PX = 8
 
@@ -70,8 +74,9 @@ class Volume:
     def __init__(self, *, voxel_mm: float, truncation_voxels: float, memory_mb: int, max_distance_mm: float) -> None:
         self.voxel_mm, self.truncation_voxels = voxel_mm, truncation_voxels
         self.max_distance_mm = max_distance_mm
-        self.capacity = max(64, memory_mb * 2**20 // _BYTES)
+        self.capacity = max(64, memory_mb * 2**20 // BLOCK_BYTES)
         self.blocks, self.full = 0, False
+        self._fused, self._asked = 0, np.zeros(self.capacity, np.int64)  # when each block was last fused into
         self._sigma_mm: float | None = None
         o3d = open3d()
         self._o3d, self._core = o3d, o3d.core
@@ -90,8 +95,11 @@ class Volume:
         if len(keys) == 0:
             return 0
         table = self._grid.hashmap()
-        slots, _ = table.find(self._core.Tensor(keys, device=self._device))
-        tsdf, weight, color = (self._grid.attribute(name).numpy() for name in ("tsdf", "weight", "color"))
+        found, _ = table.find(self._core.Tensor(keys, device=self._device))
+        slots = found.numpy().astype(np.int64)
+        tsdf, weight, color = self._voxels()
+        self._fused += 1
+        self._asked[slots] = self._fused
         truncation_mm = self.voxel_mm * self.truncation_voxels
         known = np.isfinite(view.z_mm)
         sigma = np.where(known, view.sigma_mm, 1.0)
@@ -103,7 +111,7 @@ class Volume:
             tsdf[..., 0],
             weight[..., 0],
             color,
-            slots.numpy().astype(np.int64),
+            slots,
             keys,
             np.ascontiguousarray(view.z_mm, np.float32),
             gain.astype(np.float32),
@@ -115,7 +123,35 @@ class Volume:
             truncation_mm,
             64.0,
         )
+        if self._fused % _PRUNE_EVERY == 0:
+            self.prune()
         return len(keys)
+
+    def prune(self, *, rest: int | None = None) -> int:
+        """Forget what few views say against many, and blocks that show nothing and no view asked for; returns how many.
+
+        Depth errs, and every frame puts a few of its points where nothing is: behind surfaces, where no view looks
+        through them, they would add up to surfaces of their own, and in time to a full volume.
+        """
+        table = self._grid.hashmap()
+        slots = table.active_buf_indices().numpy().astype(np.int64)
+        tsdf, weight, color = self._voxels()
+        forget_faint(weight[..., 0], slots, _FAINT)
+        slots = slots[self._fused - self._asked[slots] >= (_REST if rest is None else rest)]
+        reach = _BESIDE_VOXELS / self.truncation_voxels
+        empty = slots[~holds_surface(tsdf[..., 0], weight[..., 0], slots, _SHOWN, reach)]
+        if len(empty):
+            keys = table.key_tensor().numpy()[empty].copy()
+            table.erase(self._core.Tensor(keys, device=self._device))
+            for values in (tsdf, weight, color):  # the next block in their place begins with nothing
+                values[empty] = 0
+            self.blocks -= len(empty)
+            self.full = False
+        return len(empty)
+
+    def _voxels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        tsdf, weight, color = (self._grid.attribute(name).numpy() for name in ("tsdf", "weight", "color"))
+        return tsdf, weight, color
 
     def look(self, camera_matrix: np.ndarray, camera_to_world: np.ndarray, width: int, height: int) -> np.ndarray:
         """Give the distances to the model that a camera would see; (height, width) float32 mm, 0 unknown."""
@@ -148,7 +184,7 @@ class Volume:
         left_mm = distance * self.truncation_voxels * self.voxel_mm
         return left_mm.clip(-2 * self.voxel_mm, 2 * self.voxel_mm)
 
-    def mesh(self, *, min_weight: float = 1.5) -> Mesh:
+    def mesh(self, *, min_weight: float = _SHOWN) -> Mesh:
         """Extract the surface where enough was seen."""
         empty = Mesh(np.empty((0, 3), np.float32), np.empty((0, 3), np.int32), np.empty((0, 3), np.uint8))
         if self.blocks == 0:

@@ -16,6 +16,7 @@ from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.outputs import staged
 from chromaperture.pipeline import write_maps
 from chromaperture.reconstruction.files import quaternion
+from chromaperture.reconstruction.views import near_steps
 from chromaperture.viewer.focus import Refocuser
 from chromaperture.viewer.loop import LiveLoop, Measured, stripped
 from chromaperture.viewer.pictures import color_picture, confidence_picture, depth_picture
@@ -169,7 +170,9 @@ class LivePage:
         lens, made = self.loop.camera.calibration.lens, item.made
         step = max(1, round((made.depth_mm.size / _POINTS) ** 0.5))
         thin = np.full_like(made.depth_mm, np.nan)
-        thin[::step, ::step] = made.depth_mm[::step, ::step]
+        c = self.loop.config  # pixels between two surfaces hang in the air: as in the model, they are left out
+        flying = near_steps(made.depth_mm, jump=c.edge_jump, reach_px=c.edge_px)
+        thin[::step, ::step] = np.where(flying, np.float32(np.nan), made.depth_mm)[::step, ::step]
         cloud = depth_to_points(
             thin,
             made.color,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from chromaperture.color.srgb import linear_to_srgb
+from chromaperture.color.srgb import linear_to_srgb_bytes
 
 _BAR_PX = 70
 
@@ -37,7 +37,7 @@ def confidence_picture(confidence: np.ndarray) -> np.ndarray:
 
 def color_picture(color: np.ndarray) -> np.ndarray:
     """8-bit sRGB of linear light; (H, W, 3) uint8."""
-    return np.rint(linear_to_srgb(color) * 255).astype(np.uint8)
+    return linear_to_srgb_bytes(color)
 
 
 def _turbo(share: np.ndarray) -> np.ndarray:

@@ -1,0 +1,72 @@
+"""The compiled conversion says what the formulas say; they are the oracle, the kernel is what pictures go through."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from chromaperture.depth.conversion import DepthModel, depth_by_formulas, disparity_to_depth
+from chromaperture.depth.nonlinearity import Nonlinearity
+
+SHAPE = (9, 13)
+CURVE = Nonlinearity(-4.0, 2.0, np.array([0.15, -0.05, 0.02]))
+
+
+def fields(seed: int, *, maps: bool, known: bool, curved: bool) -> DepthModel:
+    """Make a model of numbers or of maps, with correlated errors or exactly known."""
+    draw = np.random.default_rng(seed)
+    shape = SHAPE if maps else ()
+    root = draw.normal(size=(*shape, 3, 3)) * np.array([0.01, 20.0, 1.0])[:, None]
+    covariance = np.zeros((3, 3)) if known else (root @ np.moveaxis(root, -1, -2)).astype(np.float32 if maps else float)
+    a, b = 2.3 + 0.1 * draw.normal(size=shape), 4500.0 + 100 * draw.normal(size=shape)
+    return DepthModel(a, b, 47.0, covariance, CURVE if curved else None)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    maps=st.booleans(),
+    known=st.booleans(),
+    curved=st.booleans(),
+    single=st.booleans(),
+    sigma_is_map=st.booleans(),
+    odd=st.lists(st.sampled_from([np.nan, np.inf, -np.inf, 0.0, 2.3, 1e9, -1e9]), max_size=6),
+)
+def test_kernel_and_formulas_agree(seed, maps, known, curved, single, sigma_is_map, odd):
+    model = fields(seed, maps=maps, known=known, curved=curved)
+    draw = np.random.default_rng(seed + 1)
+    # From in front of the curve's range to beyond infinity, so that a good part lies beyond the greatest depth too.
+    disparity = draw.uniform(-6, 3, SHAPE).astype(np.float32 if single else float)
+    disparity.flat[: len(odd)] = odd
+    sigma = np.abs(draw.normal(size=SHAPE if sigma_is_map else ())).astype(disparity.dtype)
+    if sigma_is_map:
+        sigma[0, -1] = np.nan
+    with np.errstate(all="ignore"):  # the formulas divide by what is not there
+        depth, error = depth_by_formulas(disparity, model, sigma, max_depth_mm=9000.0)
+    found, found_error = disparity_to_depth(disparity, model, sigma, max_depth_mm=9000.0)
+    assert found.dtype == found_error.dtype == np.float32
+    # Both calculate in double precision and round once: one last place of float32 apart, 1.2e-7, at the most; the error
+    # bar's terms cancel by up to 1e3 where errors are correlated.
+    np.testing.assert_allclose(found, depth, rtol=2e-7)
+    np.testing.assert_allclose(found_error, error, rtol=1e-6, atol=1e-9)
+
+
+def test_beyond_the_greatest_depth_nothing_is_known():
+    model = fields(3, maps=True, known=False, curved=True)
+    depth, sigma = disparity_to_depth(np.full(SHAPE, 2.25), model, np.ones(SHAPE), max_depth_mm=3000.0)
+    assert np.isnan(depth).any()
+    assert np.array_equal(np.isnan(depth), np.isnan(sigma))
+    assert np.nanmax(depth, initial=0) <= 3000.0
+
+
+@pytest.mark.parametrize("step", [1, 2])
+def test_rows_need_not_lie_one_after_the_other(step):
+    model = fields(5, maps=False, known=False, curved=True)
+    wide = np.random.default_rng(0).uniform(-3, 1, (SHAPE[0], SHAPE[1] * step))
+    sliced, whole = wide[:, ::step], np.ascontiguousarray(wide[:, ::step])
+    for a, b in zip(
+        disparity_to_depth(sliced, model, sliced + 9), disparity_to_depth(whole, model, whole + 9), strict=True
+    ):
+        np.testing.assert_array_equal(a, b)
