@@ -53,6 +53,10 @@ def session(tmp_path_factory):
         cv2.imwrite(str(folder / "board" / f"{ruler}.png"), counts[..., ::-1])
         rows.append(f"board/{ruler}.png,{ruler}")
     (folder / "distances.csv").write_text("\n".join(rows) + "\n")
+    (folder / "white").mkdir()
+    for name, colour in (("sheet_c", (0, 1, 1)), ("sheet_y", (1, 1, 0))):  # this world's film is ideal
+        sheet = np.broadcast_to(np.array(colour) * 45000 + 100, (108, 144, 3)).astype(np.uint16)
+        cv2.imwrite(str(folder / "white" / f"{name}.png"), sheet[..., ::-1])
     return folder
 
 

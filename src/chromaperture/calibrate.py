@@ -17,6 +17,7 @@ import numpy as np
 from chromaperture.boards import MEASURED, BoardMeasurement, grid, measure_board, spread
 from chromaperture.calibrate_blur import LayerEvidence, add_blur, fit_layers
 from chromaperture.calibration import Calibration, Film, Lens
+from chromaperture.color.film import completed_film
 from chromaperture.color.unmixing import ideal_unmixing, view_reach
 from chromaperture.config import QUALITIES, MatcherConfig, Quality
 from chromaperture.curves import Evidence, doubt, fit_curve, weaknesses
@@ -229,26 +230,27 @@ def _like_accurate(camera: Calibration) -> Quality:
 
 
 def _measure_film(session: Session, aperture: Aperture, notes: list[str]) -> Film:
-    """Colours of the filters from the white sheets; ideal film where a sheet is missing."""
+    """Colours of the filters from the white sheets; usual film where a sheet is missing."""
     clear = session.white("open")
     if clear is None:
         notes.append("no white sheet through the open pupil: colours are relative to full scale")
         clear = np.ones(3)
-    colors, ideal = {}, []
-    for name in aperture.views:
-        measured = session.sheet(name)
-        if measured is None:
-            ideal.append(name)
-            measured = np.array(aperture.filter_named(name).transmission) * clear
-        colors[name] = measured
-    if ideal:
-        notes.append(f"no sheet of {', '.join(ideal)} film: assumed ideal, so the views mix a little")
+    sheets = {name: session.sheet(name) for name in aperture.views}
+    measured = {name: sheet for name, sheet in sheets.items() if sheet is not None}
     white = session.white(session.design)
+    film = completed_film(
+        aperture,
+        {name: sheet / clear for name, sheet in measured.items()},
+        light=None if white is None else white / clear,
+    )
+    missing = [name for name in aperture.views if name not in measured]
+    if missing:
+        means = "" if white is None else ", as much of it as the white sheet through the aperture shows"
+        notes.append(f"no sheet of {', '.join(missing)} film: taken as usual film{means}; the views may mix a little")
     if white is None:
         notes.append("no white sheet through the aperture: the colour balance is computed from the film")
-        film = aperture.with_film({n: c / clear for n, c in colors.items()})
-        white = np.maximum(channel_transmission(film), 1e-3) * clear
-    return Film(colors, clear, white)
+        white = np.maximum(channel_transmission(aperture.with_film(film)), 1e-3) * clear
+    return Film({name: film[name] * clear for name in aperture.views}, clear, white)
 
 
 def _measure_intrinsics(
