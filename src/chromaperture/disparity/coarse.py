@@ -22,6 +22,7 @@ from chromaperture.errors import InputError
 
 JUMP_PX = 1.0  # neighbours farther apart lie on two surfaces: a pixel between them belongs to one
 LEAST_INFORMATION = 1e-4  # where windows know nothing the layer stands
+LEAST_UNEXPLAINED = 3e-3  # by the best correlation
 LEAST_LEFT = 1e-5  # of the determinant of the correlations, whose logarithm is the likelihood
 SPREAD_POWER = 8  # (1 - x / 8)^8 stands for exp(-x)
 
@@ -52,12 +53,12 @@ def match(inputs: MatchInputs, config: MatcherConfig, *, field: LayerField | Non
     """
     coarse, fine_guide = parts(inputs, config)
     score = reference.score_volume(inputs, config)
-    left = 1 - np.clip(score, 0, 1) ** 2 if inputs.views.shape[2] == 2 else (1 - np.clip(score, 0, 1)) ** 2
-    likelihood = -0.5 * np.log(np.maximum(left, LEAST_LEFT)) * inputs.mask[..., None]
     layers_px = 2 * inputs.layers_px
     field = None if field is None else halved_field(field)
     if field is not None:
-        likelihood = semiglobal.at_labels(likelihood, layers_px, field)
+        score = scores_at_labels(score, layers_px, field)
+    left = 1 - np.clip(score, 0, 1) ** 2 if inputs.views.shape[2] == 2 else (1 - np.clip(score, 0, 1)) ** 2
+    likelihood = -0.5 * np.log(np.maximum(left, LEAST_LEFT)) * inputs.mask[..., None]
     step = float(layers_px[1] - layers_px[0])
     paths = OptimiserConfig(
         paths=4,
@@ -78,13 +79,42 @@ def match(inputs: MatchInputs, config: MatcherConfig, *, field: LayerField | Non
     return finish(enlarge(at_pixels(answers, field), fine_guide))
 
 
+def scores_at_labels(score: np.ndarray, layers_px: np.ndarray, field: LayerField) -> np.ndarray:
+    """Read scores at the labels of a field, by Catmull and Rom's cubics through four layers.
+
+    Straight lines would cut off the peaks between the layers, by more the farther from them, and a frame of even depth
+    would be drawn towards the layers as a whole.
+
+    Parameters
+    ----------
+    score : (H, W, D) float
+    layers_px : (D,) float, px
+    field : LayerField
+
+    Returns
+    -------
+    (H, W, D) float32; 0, no evidence, beyond the layers
+    """
+    count = len(layers_px)
+    disparity = field.offset_px[..., None] + field.scale[..., None] * layers_px
+    place = (disparity - layers_px[0]) / (layers_px[1] - layers_px[0])
+    low = np.clip(np.floor(place).astype(np.intp), 0, count - 2)
+    t = place - low
+    taps = [np.take_along_axis(score, np.clip(low + i, 0, count - 1), axis=2) for i in (-1, 0, 1, 2)]
+    third = 3 * (taps[1] - taps[2]) + taps[3] - taps[0]
+    second = 2 * taps[0] - 5 * taps[1] + 4 * taps[2] - taps[3]
+    value = taps[1] + t / 2 * (taps[2] - taps[0] + t * (second + t * third))
+    return np.where((t >= 0) & (t <= 1), value, 0).astype(np.float32)
+
+
 def information(
     inside: np.ndarray, low: np.ndarray, middle: np.ndarray, high: np.ndarray, *, view_count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Give what a pixel's own correlations say near its layer: a place, and its information.
 
     The correlations, not the costs: summed costs have been cut off at the penalties and know little between the
-    layers. Near its peak a correlation rho earns information rho rho'' / (1 - rho^2) a sample.
+    layers. At its peak a correlation rho earns information rho rho'' / (1 - rho^2) a sample; taken at the layer instead
+    it would be least for peaks between the layers, and averages over neighbours would be drawn to the layers.
 
     Parameters
     ----------
@@ -102,7 +132,9 @@ def information(
     low, middle, high = (np.sqrt(np.maximum(1 - part, 0)) if view_count == 2 else 1 - part for part in left)
     bend = np.maximum(2 * middle - low - high, 0)
     offset = np.clip((high - low) / (2 * bend + 1e-9), -1, 1)
-    weight = bend * middle / (left[1] + 1e-3) + LEAST_INFORMATION
+    peak = np.minimum(middle + offset * (high - low) / 4, 1)
+    unexplained = 1 - peak**2 if view_count == 2 else 1 - peak
+    weight = bend * peak / (unexplained + LEAST_UNEXPLAINED) + LEAST_INFORMATION
     return (inside + offset).astype(np.float32), weight.astype(np.float32)
 
 

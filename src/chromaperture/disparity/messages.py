@@ -25,6 +25,7 @@ _CLOSED = np.float32(1e4)  # cost of layers that only fill the last vector, and 
 _RAISED = np.float32(8)  # makes all costs positive: positive floats are ordered as their bits are
 _FAR = np.float32(3e4)
 _HALF = np.float32(0.5)
+_THREE, _FOUR, _FIVE = np.float32(3), np.float32(4), np.float32(5)
 _EIGHTH = np.float32(0.125)
 
 
@@ -58,16 +59,16 @@ def pool_rows(volume, sums, mask, links, offset, scale, penalties, two_views, to
     pitch = (slabs + 2) * v.LANES
     closed = _closed(penalties.layers, slabs)
     paths = np.empty((2 * GROUP + 1) * pitch, np.float32)
-    evidence, labels = np.zeros(slabs * v.LANES + 1, np.float32), np.empty(slabs * v.LANES, np.float32)
+    evidence, labels = np.zeros(slabs * v.LANES + 3, np.float32), np.empty(slabs * v.LANES, np.float32)
     least = np.empty(GROUP * v.LANES, np.float32)
     unit = np.float32(32000) / (np.float32(3) * penalties.jump)
     for row in range(top, bottom, GROUP):
         rows = min(GROUP, bottom - row)
         for j in range(rows):
             y = row + j
-            _likelihoods(volume, mask[y], y, height, slabs, two_views)
             if len(scale) > 1:
                 _read_at_labels(volume, offset[y], scale[y], y, height, slabs, penalties, evidence, labels)
+            _likelihoods(volume, mask[y], y, height, slabs, two_views)
         _start(paths, least, rows, pitch)
         for x in range(width):
             for j in range(rows):
@@ -217,20 +218,25 @@ def _likelihoods(volume, mask, y, height, slabs, two_views):
 
 @inner
 def _read_at_labels(volume, offset, scale, y, height, slabs, penalties, evidence, labels):
-    """Read one row of likelihoods at the labels of a field, linearly between the layers; 0 beyond them."""
+    """Read one row of scores at the labels of a field, by cubics through four layers; 0 beyond them."""
     count = penalties.layers
     for x in range(len(offset)):
         at = ((x // BLOCK) * height + y) * slabs * BLOCK * v.LANES + (x % BLOCK) * v.LANES
         for s in range(slabs):
-            v.store(evidence, s * v.LANES, v.load_shorts(volume, at + s * BLOCK * v.LANES))
+            v.store(evidence, s * v.LANES + 1, v.load_shorts(volume, at + s * BLOCK * v.LANES))
+        evidence[0] = evidence[1]
+        evidence[count + 1] = evidence[count]
         begin = (offset[x] + (scale[x] - ONE) * penalties.first) / penalties.step
         for k in range(count):
             place = begin + scale[x] * np.float32(k)
             below = min(max(int(place), 0), count - 2)
-            share = place - np.float32(below)
-            low, high = v.get(evidence, below), v.get(evidence, below + 1)
-            value = low + share * (high - low)
-            labels[k] = value if ZERO <= share <= ONE else ZERO
+            t = place - np.float32(below)
+            before, low = v.get(evidence, below), v.get(evidence, below + 1)
+            high, after = v.get(evidence, below + 2), v.get(evidence, below + 3)
+            third = _THREE * (low - high) + after - before  # Catmull and Rom's cubic
+            second = before + before - _FIVE * low + _FOUR * high - after
+            value = low + _HALF * t * (high - before + t * (second + t * third))
+            labels[k] = value if ZERO <= t <= ONE else ZERO
         for k in range(count, slabs * v.LANES):
             labels[k] = ZERO
         for s in range(slabs):
