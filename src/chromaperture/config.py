@@ -262,7 +262,7 @@ class MatcherConfig:
             Px of half disparity for a px by which blur displaces the pupil's edge. Layers and slopes count in blur,
             so that designs whose views lie close together are searched as finely.
         """
-        optimiser = OptimiserConfig(slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.33)
+        optimiser = OptimiserConfig(slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.3)
         return replace(cls.preset("accurate"), step_px=0.3 * reach, optimiser=optimiser, phase=PhaseConfig())
 
     def with_range(self, min_disparity_px: float, max_disparity_px: float) -> MatcherConfig:
