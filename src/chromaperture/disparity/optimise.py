@@ -60,12 +60,14 @@ def match(
     implementation = solver(backend)
     raw = replace(config, noise_debiasing=False)
     first = inputs[0]
-    likelihood = np.zeros((*first.mask.shape, len(first.layers_px)), np.float32)
+    layers = np.linspace(first.layers_px[0], first.layers_px[-1], 2 * len(first.layers_px) - 1)
+    likelihood = np.zeros((*first.mask.shape, len(layers)), np.float32)
     for i, one in enumerate(inputs):
         evidence = log_likelihood(score_volume(one, raw), view_count=one.views.shape[2])
-        likelihood += evidence if fields is None else implementation.at_labels(evidence, first.layers_px, fields[i])
+        evidence = implementation.with_half_layers(evidence)  # the likelihood has a cusp, and surfaces would lock to it
+        likelihood += evidence if fields is None else implementation.at_labels(evidence, layers, fields[i])
     likelihood *= first.mask[..., None] / len(inputs)
-    winner = optimise_volume(likelihood, first.guide, first.layers_px, config=optimiser, backend=backend)
+    winner = optimise_volume(likelihood, first.guide, layers, config=optimiser, backend=backend)
     return winner if fields is None else at_pixels(winner, fields[0])
 
 
