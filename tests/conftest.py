@@ -1,7 +1,12 @@
 from __future__ import annotations
 
+import sys
+from typing import NamedTuple
+
 import numpy as np
 import pytest
+
+from chromaperture.cli.main import main
 
 
 @pytest.fixture
@@ -11,3 +16,26 @@ def rng() -> np.random.Generator:
     NumPy's floating-point warnings are errors here already, because pytest turns every warning into one.
     """
     return np.random.default_rng(20160626)
+
+
+class Result(NamedTuple):
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def run(capfd, monkeypatch):
+    """Run the command line in this process."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["chromaperture", *map(str, arguments)])
+        capfd.readouterr()
+        code = 0
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code or 0
+        return Result(code, *capfd.readouterr())
+
+    return run

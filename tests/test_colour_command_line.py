@@ -1,41 +1,17 @@
 """What people hand to `refocus` and `transparency`, through the command line: one clear line, or a graceful result."""
 
 import json
-import sys
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
 
 from chromaperture.capture.files import read_image
-from chromaperture.cli.main import main
 from planes import capture, texture
 
 QUICK = ("--design", "cy_halves", "--quality", "real-time", "--sharpness", "fast", "--strength", "1.5")
 LEVELS = ("--black-level", 16, "--white-level", 1016)
 SHARE = np.array([0.5, 0.75, 0.375])
-
-
-class Result(NamedTuple):
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-@pytest.fixture
-def run(capfd, monkeypatch):
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["chromaperture", *map(str, arguments)])
-        capfd.readouterr()
-        code = 0
-        try:
-            main()
-        except SystemExit as end:
-            code = end.code or 0
-        return Result(code, *capfd.readouterr())
-
-    return run
 
 
 def write(path, image):

@@ -5,7 +5,6 @@ import os
 import re
 import subprocess
 import sys
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,36 +13,12 @@ import tifffile
 from PIL import Image
 
 from chromaperture.calibration import Calibration
-from chromaperture.cli.main import main
 from chromaperture.samples import SAMPLES, sample_camera, sample_image
 from planes import capture, texture
 
 SUFFIXES = (
     "depth.tiff", "sigma.tiff", "disparity.tiff", "depth.png", "color.png", "ply", "preview.png", "json",
 )  # fmt: skip
-
-
-class Result(NamedTuple):
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-@pytest.fixture
-def run(capfd, monkeypatch):
-    """Run the command line in this process; the demo is run as a process of its own."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["chromaperture", *map(str, arguments)])
-        capfd.readouterr()
-        code = 0
-        try:
-            main()
-        except SystemExit as end:
-            code = end.code or 0
-        return Result(code, *capfd.readouterr())
-
-    return run
 
 
 @pytest.fixture(scope="module")
