@@ -64,7 +64,7 @@ def find_corners(plane: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarra
     if not high > low:
         return None
     level = np.clip((np.asarray(plane, np.float32) - np.float32(low)) / np.float32(high - low), 0, 1)
-    # Darker light levels apart and searched for long, or, what finds small squares better, as it is.
+    # Gamma and a long search find blurred boards; in linear light, without it, small squares are found better.
     corners = _detect(np.sqrt(level), inner_corners, 1, _THOROUGH)
     if corners is None:
         corners = _detect(level, inner_corners, 1, cv2.CALIB_CB_ACCURACY)
@@ -76,9 +76,8 @@ def _detect(level: np.ndarray, inner_corners: tuple[int, int], scale: int, flags
     inset = (scale - 1) / 2  # of the first pixel's centre
     if scale > 1:
         size = (level.shape[1] * scale, level.shape[0] * scale)
-        level = cv2.warpAffine(
-            level, np.array([[scale, 0, inset], [0, scale, inset]]), size, flags=cv2.INTER_CUBIC
-        )  # fmt: skip
+        grow = np.array([[scale, 0, inset], [0, scale, inset]])
+        level = cv2.warpAffine(level, grow, size, flags=cv2.INTER_CUBIC)
     grey = np.clip(255 * level, 0, 255).astype(np.uint8)
     found, corners = cv2.findChessboardCornersSB(grey, inner_corners, flags=flags)
     return (corners.reshape(-1, 2) - np.float32(inset)) / np.float32(scale) if found else None
