@@ -7,6 +7,7 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
+import tifffile
 
 from chromaperture.calibrate import calibrate_session, leave_one_out
 from chromaperture.calibration import Calibration
@@ -74,6 +75,7 @@ def test_the_curve_comes_back(session):
     assert calibration.in_focus_mm == pytest.approx(B / A + DELTA, abs=12)  # 0.03 px there
     assert any("white sheet" in note for note in result.notes)
     assert any("intrinsics" in note for note in result.notes)
+    assert any("how noise grows" in note for note in result.notes)  # these sheets have none
 
 
 def copy_with(session, tmp_path, **files):
@@ -153,6 +155,20 @@ def test_what_was_kept_and_is_damaged_is_measured_again(session, tmp_path):
     for path in tmp_path.iterdir():
         path.write_bytes(path.read_bytes()[:50])
     assert calibrated(session, keep_in=tmp_path).calibration.in_focus_mm == pytest.approx(B / A + DELTA, abs=12)
+
+
+def test_the_sensors_noise_is_read_from_the_sheets(session, tmp_path, rng):
+    folder = copy_with(session, tmp_path)
+    shutil.rmtree(folder / "white")
+    (folder / "white").mkdir()
+    ramp = np.linspace(0.8, 1, 144)[None, :, None]
+    for name, colour in (("sheet_c", (0.02, 0.7, 0.75)), ("sheet_y", (0.75, 0.7, 0.02)), ("open", (0.8, 0.8, 0.8))):
+        electrons = rng.poisson(np.broadcast_to(np.array(colour) * ramp, (108, 144, 3)) * 4000)
+        tifffile.imwrite(folder / "white" / f"{name}.tif", (electrons * 15 + 100).astype(np.uint16))
+    result = calibrated(folder)
+    # 3 sheets of 108 blocks that are known to 8.6 %, seven in nine of them bright: .6 %
+    assert result.calibration.sensor.full_well_electrons == pytest.approx(4000, rel=0.03)
+    assert any("full well" in note for note in result.notes)
 
 
 def test_a_lens_of_another_resolution_is_refused(session):

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from numpy.polynomial import chebyshev
 
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.distances import BoardDistances
 from chromaperture.depth.field import DepthField, degree_of, polynomials
 from chromaperture.depth.field_fit import fit_depth_field
+from chromaperture.depth.field_terms import choose_terms
 from chromaperture.errors import InputError
 
 WIDTH, HEIGHT = 61, 41
@@ -88,6 +90,35 @@ def test_a_matchers_nonlinearity_is_told_from_the_lens(rng):
     # 0.01 px is a thousandth of the depth at 4 m before averaging
     assert errors[1] < 0.002
     assert errors[0] > 5 * errors[1]
+
+
+@pytest.mark.parametrize("true_terms", [0, 3, 6])
+def test_as_many_terms_as_the_matcher_needs(rng, true_terms):
+    z = np.linspace(1000, 4000, 31) - DELTA
+    x, y, linear = measured_boards(rng, 0.0, z)
+    series = np.zeros(true_terms + 2)
+    series[-1:] = 0.03 * bool(true_terms)  # T_(K+1) alone: fewer terms see nothing of it
+    low, high = linear.min(), linear.max()
+    read = linear + chebyshev.chebval((2 * linear - low - high) / (high - low), series)
+    read += rng.normal(0, 0.002, (len(z), 1)) + rng.normal(0, 0.01, linear.shape)  # of boards, and of pixels
+    found = choose_terms(
+        x, y, read, exact_distances(z), size_px=(WIDTH, HEIGHT), degree=4, boards=np.ones(len(z), bool)
+    )
+    assert found == true_terms
+
+
+def test_few_boards_carry_no_terms(rng):
+    x, y, linear = measured_boards(rng, 0.01)
+    everything = np.ones(len(RULERS), bool)
+    found = choose_terms(
+        x, y, bent(linear), exact_distances(), size_px=(WIDTH, HEIGHT), degree=2, boards=everything
+    )
+    assert found <= len(RULERS) // 3
+    with pytest.raises(InputError):
+        fit(x, y, linear, boards=everything & (RULERS == 1000.0))
+    assert choose_terms(
+        x, y, linear, exact_distances(), size_px=(WIDTH, HEIGHT), degree=2, boards=everything & (RULERS < 2000)
+    ) == 0  # fmt: skip
 
 
 def test_covariance_is_the_spread_of_many_sessions():

@@ -3,7 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chromaperture.color.noise import estimate_noise_variance, photon_noise_variance
+from chromaperture.color.noise import (
+    estimate_noise_variance,
+    fit_photon_noise,
+    noise_samples,
+    photon_noise_variance,
+)
 
 
 def test_photon_noise_is_that_of_counted_electrons(rng):
@@ -61,3 +66,36 @@ def test_one_bad_pixel_does_not_spoil_the_frame(rng):
 
 def test_a_frame_without_a_finite_pixel_has_no_noise_estimate():
     assert (estimate_noise_variance(np.full((16, 16, 3), np.nan)) == 0).all()
+
+
+def counted(rng, level, full_well=6000.0, read=5.0):
+    return ((rng.poisson(level * full_well) + rng.normal(0, read, level.shape)) / full_well).astype(np.float32)
+
+
+def test_the_sensor_is_found_from_sheets_at_a_few_levels(rng):
+    colours = ((0.05, 0.7, 0.8), (0.75, 0.7, 0.06), (0.9, 0.88, 0.85))
+    shading = 1 - 0.3 * np.linspace(-1, 1, 320)[None, :, None] ** 2
+    sheets = [counted(rng, np.broadcast_to(np.array(c) * shading, (240, 320, 3))) for c in colours]
+    samples = [noise_samples(sheet) for sheet in sheets]
+    full_well, read = fit_photon_noise(*(np.concatenate(part) for part in zip(*samples, strict=True)))
+    # 630 blocks of 8.6 % know a slope to about 0.5 %; read noise is a seventh of the darkest blocks' variance
+    assert full_well == pytest.approx(6000, rel=0.02)
+    assert read == pytest.approx(5, rel=0.3)
+
+
+def test_texture_in_most_blocks_does_not_hide_the_noise(rng):
+    y, x = np.mgrid[0:640, 0:640] / 640
+    level = np.clip(0.45 + 0.4 * np.sin(5 * x + [[[0]], [[1]], [[2]]] + 4 * y), 0.05, 0.95).transpose(1, 2, 0)
+    textured = (x < 0.6)[..., None]
+    level = level * (1 + 0.1 * textured * rng.uniform(-1, 1, level.shape))
+    full_well, _ = fit_photon_noise(*noise_samples(counted(rng, level)))
+    assert full_well == pytest.approx(6000, rel=0.05)
+
+
+def test_without_noise_or_without_levels_nothing_is_claimed(rng):
+    flat = np.full((320, 320, 3), 0.5)
+    assert fit_photon_noise(*noise_samples(counted(rng, flat))) is None
+    ramp = np.linspace(0.05, 0.9, 320)[None, :, None].repeat(320, 0).repeat(3, 2).astype(np.float32)
+    assert fit_photon_noise(*noise_samples(ramp)) is None
+    assert fit_photon_noise(*noise_samples(np.full((64, 64, 3), np.nan))) is None
+    assert fit_photon_noise(*noise_samples(np.ones((64, 64, 3), np.float32))) is None

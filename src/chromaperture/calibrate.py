@@ -16,8 +16,9 @@ import numpy as np
 
 from chromaperture.boards import MEASURED, BoardMeasurement, grid, measure_board, spread
 from chromaperture.calibrate_blur import LayerEvidence, add_blur, fit_layers
-from chromaperture.calibration import Calibration, Film, Lens
+from chromaperture.calibration import Calibration, Film, Lens, Sensor
 from chromaperture.color.film import completed_film
+from chromaperture.color.noise import fit_photon_noise, noise_samples
 from chromaperture.color.unmixing import ideal_unmixing, view_reach
 from chromaperture.config import QUALITIES, MatcherConfig, Quality
 from chromaperture.curves import Evidence, doubt, fit_curve, weaknesses
@@ -42,8 +43,8 @@ from chromaperture.store import Store
 
 _PUPIL_SIGMA_MM = 10.0  # of the guess that the pupil lies one image distance before the sensor
 _CORNER_SIGMA = 0.03  # px, and as a share of the blur radius
+_NOISE_BOARDS = 8
 _RANGE_MARGIN = (0.9, 1.3)  # the working range reaches a little beyond the boards
-
 
 
 @dataclass(frozen=True)
@@ -134,6 +135,7 @@ def calibrate_session(
     aperture = design_named(session.design)
     ideal_unmixing(aperture)  # refuses designs without parallax before any work is done
     notes: list[str] = []
+    session = dataclasses.replace(session, sensor=_with_noise(session, notes))
     film = _measure_film(session, aperture, notes)
     intrinsics, corners = _measure_intrinsics(session, lens_from, notes, progress, store)
     guess = _nominal_depth_model(session, aperture)
@@ -251,6 +253,24 @@ def _measure_film(session: Session, aperture: Aperture, notes: list[str]) -> Fil
         notes.append("no white sheet through the aperture: the colour balance is computed from the film")
         white = np.maximum(channel_transmission(aperture.with_film(film)), 1e-3) * clear
     return Film({name: film[name] * clear for name in aperture.views}, clear, white)
+
+
+def _with_noise(session: Session, notes: list[str]) -> Sensor:
+    """Give the sensor with its noise: as the session says, else as the white sheets or the boards show it."""
+    sensor = session.sensor
+    if sensor.full_well_electrons is not None and sensor.read_noise_electrons is not None:
+        return sensor
+    boards = list(session.boards)
+    paths = list(session.sheets.values()) or boards[:: max(1, len(boards) // _NOISE_BOARDS)]
+    samples = [noise_samples(session.read(path)) for path in paths]
+    found = fit_photon_noise(*(np.concatenate(part) for part in zip(*samples, strict=True)))
+    if found is None:
+        notes.append("the photographs do not show how noise grows with light: it is estimated in every photograph anew")
+        return sensor
+    full_well, read_noise = found
+    source = "the white sheets" if session.sheets else "the boards, whose finest texture counts as noise"
+    notes.append(f"noise told from {source}: full well {full_well:.0f} electrons, read noise {read_noise:.1f}")
+    return dataclasses.replace(sensor, full_well_electrons=full_well, read_noise_electrons=read_noise)
 
 
 def _measure_intrinsics(

@@ -16,17 +16,16 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.distances import BoardDistances
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.field_fit import fit_depth_field
+from chromaperture.depth.field_terms import choose_terms
 from chromaperture.errors import InputError
 from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
 from chromaperture.session import Session
 from chromaperture.store import Store
 
 MIN_BOARDS = 4
-_MEASURED_BOARDS = 16  # that fix the depth curve of the layers; the blur itself is fitted to all
+_MEASURED_BOARDS = 40  # that fix the depth curve of the layers; the blur itself is fitted to all
 _CELLS = 12  # along the width, in which a board's layer is measured
 _DEGREES = (4, 2, 0)  # of the curve's fields; lower where few boards are there
-_NONLINEAR_TERMS = 4  # what the blur's few numbers do not follow, where the boards are many
-_BOARDS_FOR_TERMS = 12
 _START_RIM = {"front_rim_radius": 1.08, "front_rim_shift": 0.33, "rear_rim_radius": 1.08, "rear_rim_shift": 0.33}
 
 
@@ -121,20 +120,22 @@ def add_blur(
 def fit_layers(layers: LayerEvidence, distances: BoardDistances, believed: np.ndarray) -> DepthField:
     """Fit the depth curve of the layers: where it is not A0 - B0 / z of the blur, the model is not quite right.
 
+    What the blur's few numbers do not follow is left to a nonlinearity.
+
     Raises
     ------
     InputError
         The boards do not fix even one curve.
     """
     measured = believed & np.isfinite(layers.layer_px).any(axis=1)
-    terms = _NONLINEAR_TERMS if measured.sum() >= _BOARDS_FOR_TERMS else 0
+    where = (layers.x_px, layers.y_px, layers.layer_px, distances)
+    terms = choose_terms(*where, size_px=layers.size_px, degree=_DEGREES[0], boards=measured)
     trials = [(_DEGREES[0], terms), *((degree, 0) for degree in _DEGREES)]
     for trial, (degree, nonlinear) in enumerate(trials):
         try:
             return fit_depth_field(
-                layers.x_px, layers.y_px, layers.layer_px, distances, size_px=layers.size_px, degree=degree,
-                nonlinear_terms=nonlinear, boards=believed,
-            )[0]  # fmt: skip
+                *where, size_px=layers.size_px, degree=degree, nonlinear_terms=nonlinear, boards=measured
+            )[0]
         except InputError:
             if trial == len(trials) - 1:
                 raise

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -14,17 +13,13 @@ from chromaperture.depth.conversion import depth_to_disparity, disparity_to_dept
 from chromaperture.depth.distances import BoardDistances, find_outliers
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.field_fit import fit_depth_field
+from chromaperture.depth.field_terms import choose_terms
 from chromaperture.depth.fit import DepthFit, fit_depth_model
 from chromaperture.errors import InputError
 
 _FIELD_DEGREES = (4, 2)  # the second where the first is drawn by noise
 _LEAST_SCALE = 0.1  # of the median: vignetting cuts the rim of the pupil, where an open design has its film
 _MIN_FIELD_BOARDS = 5
-# More terms follow the boards closer and swing beyond the last of them. The sensor's own channels, undisturbed by
-# unmixing, read further from the shift than the unmixed views.
-_NONLINEAR_TERMS: dict[Quality, int] = {"paper": 3, "real-time": 5}
-_BOARDS_FOR_ALL_TERMS = 12
-_BOARDS_FOR_SOME_TERMS, _SOME_TERMS = 7, 2
 _THIN = 2  # points of the grid
 _ONE_SIDE_PX = 0.3
 
@@ -134,17 +129,16 @@ def fit_curve(evidence: Evidence, quality: Quality, notes: list[str]) -> FittedC
     y, x = np.meshgrid(rows, columns, indexing="ij")
     grids = np.stack([board.grid_px[quality] for board in boards])
     count = int(evidence.believed.sum())
-    terms = _NONLINEAR_TERMS[quality] if count >= _BOARDS_FOR_ALL_TERMS else _SOME_TERMS
-    terms = terms if count >= _BOARDS_FOR_SOME_TERMS else 0
+    where = (thin(x), thin(y), thin(grids), evidence.distances)
+    size = (sensor.width_px, sensor.height_px)
     for degree in _FIELD_DEGREES if count >= _MIN_FIELD_BOARDS else ():
+        terms = choose_terms(*where, size_px=size, degree=degree, boards=evidence.believed)
         for nonlinear in dict.fromkeys((terms, 0)):
-            fit = partial(
-                fit_depth_field, thin(x), thin(y), thin(grids), evidence.distances,
-                size_px=(sensor.width_px, sensor.height_px), boards=evidence.believed,
-            )  # fmt: skip
             try:
-                field, _ = fit(degree=degree, nonlinear_terms=nonlinear)
-                scale = np.asarray(field.model(sensor.width_px, sensor.height_px).scale_px_mm)
+                field, _ = fit_depth_field(
+                    *where, size_px=size, degree=degree, nonlinear_terms=nonlinear, boards=evidence.believed
+                )
+                scale = np.asarray(field.model(*size).scale_px_mm)
             except InputError:  # B not positive somewhere, or a nonlinearity that turns back
                 continue
             if np.min(scale) > _LEAST_SCALE * np.median(scale):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.calibration import Sensor
-from chromaperture.capture.files import read_image
+from chromaperture.capture.files import photographs, read_image
 from chromaperture.depth.distances import check_units
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import design_named
@@ -65,15 +65,19 @@ class Session:
             )
         return image
 
+    @property
+    def sheets(self) -> dict[str, Path]:
+        """Photographs of white sheets by name: those in the session's folder, and beside it where it has none."""
+        folders = (self.folder.parent / "white", self.folder / "white")
+        return {path.stem: path for folder in folders for path in photographs(folder)}
+
     def white(self, name: str) -> np.ndarray | None:
         """Mean colour of the middle of a white-sheet photograph, or None where there is none; (3,) float64."""
-        for folder in (self.folder / "white", self.folder.parent / "white"):
-            path = folder / f"{name}.png"
-            if path.is_file():
-                image = self.read(path)
-                rows, columns = (slice(n * 2 // 5, n * 3 // 5) for n in image.shape[:2])
-                return image[rows, columns].reshape(-1, 3).mean(axis=0).astype(float)
-        return None
+        if name not in self.sheets:
+            return None
+        image = self.read(self.sheets[name])
+        rows, columns = (slice(n * 2 // 5, n * 3 // 5) for n in image.shape[:2])
+        return image[rows, columns].reshape(-1, 3).mean(axis=0).astype(float)
 
     def sheet(self, filter_name: str) -> np.ndarray | None:
         """White light through a whole pupil of one filter, or None; (3,) float64."""
@@ -133,7 +137,7 @@ def read_session(folder: str | Path) -> Session:
         square_mm=number("board", "square_mm"),
         ruler_error_mm=number("board", "ruler_error_mm", 3.0),
         boards=boards,
-        tilts=tuple(sorted((folder / "tilt").glob("*.png"))),
+        tilts=tuple(photographs(folder / "tilt")),
     )
 
 

@@ -19,6 +19,7 @@ from chromaperture.capture.source import Encoding, develop_counts
 from chromaperture.errors import CaptureWarning, InputError
 
 _RAW_SUFFIXES = {".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2"}
+_PICTURES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
 _SUBSAMPLED = {1: "4:2:2", 2: "4:2:0"}
 
 
@@ -80,6 +81,12 @@ def read_counts(
             stacklevel=2,
         )
     return counts, encoding
+
+
+def photographs(folder: Path) -> list[Path]:
+    """Files of a folder that can be read as photographs, by name; none where there is no such folder."""
+    found = folder.iterdir() if folder.is_dir() else ()
+    return sorted(path for path in found if path.suffix.lower() in _PICTURES or is_raw(path))
 
 
 def is_raw(path: Path) -> bool:

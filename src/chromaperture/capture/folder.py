@@ -9,11 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.capture.files import is_raw, read_counts
+from chromaperture.capture.files import photographs, read_counts
 from chromaperture.capture.source import Encoding, Event, FileSource, Frame, Listener
 from chromaperture.errors import InputError, MissingDependencyError
-
-_PICTURES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
 
 
 class FolderSource(FileSource):
@@ -53,7 +51,7 @@ class FolderSource(FileSource):
         """Find the pictures."""
         folder = Path(self.name)
         if folder.is_dir():
-            self.paths = [p for p in folder.iterdir() if p.suffix.lower() in _PICTURES or is_raw(p)]
+            self.paths = photographs(folder)
         else:
             self.paths = [folder] if folder.is_file() else [Path(p) for p in glob.glob(self.name, recursive=True)]
         self.paths.sort(key=natural)

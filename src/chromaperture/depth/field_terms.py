@@ -1,0 +1,81 @@
+"""How many terms a matcher's nonlinearity needs on a camera: as many as foretell boards that were left out best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from chromaperture.depth.distances import BoardDistances
+from chromaperture.depth.field_fit import fit_depth_field
+from chromaperture.errors import InputError
+
+_FOLDS = 8
+_TRIALS = (0, 2, 3, 4, 5, 6, 7, 8)
+_BOARDS_A_TERM = 3  # fewer would be drawn by the error of each board's distance
+_POINTS = 400  # of the frame suffice: the nonlinearity is one curve for all of it
+_AS_GOOD = 1.25  # two standard errors of a root mean square over thirty boards: so much is chance
+
+
+def choose_terms(
+    x_px: np.ndarray,
+    y_px: np.ndarray,
+    disparity_px: np.ndarray,
+    distances: BoardDistances,
+    *,
+    size_px: tuple[int, int],
+    degree: int,
+    boards: np.ndarray,
+) -> int:
+    """Choose the number of Chebyshev terms by cross-validation over boards.
+
+    What is judged is the median over the frame of each board that was left out, relative to its distance: noise of
+    single pixels does not come into it.
+
+    Parameters
+    ----------
+    x_px, y_px : (P,) float
+    disparity_px : (N, P) float
+        Measured on each of N boards; NaN is left out.
+    distances : BoardDistances
+        Of all N boards.
+    size_px : (width, height)
+    degree : int
+        Total degree of the fields.
+    boards : (N,) bool
+        Which boards to use.
+
+    Returns
+    -------
+    int
+        0 where the boards carry none, or not even the fields.
+    """
+    thin = slice(None, None, max(1, len(x_px) // _POINTS))
+    x, y, disparity = x_px[thin], y_px[thin], disparity_px[:, thin]
+    errors: dict[int, float] = {}
+    for terms in _TRIALS:
+        if terms * _BOARDS_A_TERM > boards.sum():
+            break
+        try:
+            biases = []
+            for left_out in _folds(boards):
+                _, residual = fit_depth_field(
+                    x, y, disparity, distances, size_px=size_px, degree=degree, nonlinear_terms=terms,
+                    boards=boards & ~left_out,
+                )  # fmt: skip
+                seen = left_out & np.isfinite(residual).any(axis=1)
+                # One px is z^2 / B mm: the relative error of depth goes with z times the residual.
+                biases.append(distances.from_pupil_mm[seen] * np.nanmedian(residual[seen], axis=1))
+        except InputError:  # a nonlinearity that turns back, or too few boards
+            continue
+        errors[terms] = float(np.sqrt(np.mean(np.concatenate(biases) ** 2)))
+    return next((n for n, error in errors.items() if error <= _AS_GOOD * min(errors.values())), 0)
+
+
+def _folds(boards: np.ndarray) -> Iterator[np.ndarray]:
+    """Every n-th of the boards in use, by turns; (N,) bool each."""
+    used = np.flatnonzero(boards)
+    for fold in range(min(_FOLDS, len(used))):
+        left_out = np.zeros(len(boards), bool)
+        left_out[used[fold::_FOLDS]] = True
+        yield left_out
