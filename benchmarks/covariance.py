@@ -1,6 +1,6 @@
 """Covariance of the calibrated parameters against their spread over simulated sessions.
 
-    python benchmarks/covariance.py [--sessions 30] [--width 360] [--boards 10] [--out spread.png] [--json]
+    python benchmarks/covariance.py [--sessions 30] [--first 0] [--width 360] [--boards 10] [--out spread.png] [--json]
 
 Every session is rendered anew: its boards stand elsewhere, so that their texture falls on other pixels, and noise and
 ruler errors are its own. Parameters are those of the middle of the frame, A, B, delta, the in-focus distance, and depth
@@ -70,6 +70,7 @@ def parameters(model: DepthModel, true: DepthModel | None) -> tuple[dict[str, fl
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sessions", type=int, default=30)
+    parser.add_argument("--first", type=int, default=0, help="number of the first session: others are other worlds")
     parser.add_argument("--width", type=int, default=360)
     parser.add_argument("--boards", type=int, default=10)
     parser.add_argument("--quality", default="real-time")
@@ -77,7 +78,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     models = []
-    for seed in range(args.sessions):
+    for seed in range(args.first, args.first + args.sessions):
         scratch = Path(tempfile.mkdtemp())
         try:
             render(scratch / "cy_halves", seed, args.width, args.boards)

@@ -10,14 +10,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from chromaperture.calibration import FORMAT_VERSION, Calibration, Film, Lens, Sensor
-from chromaperture.depth.field import DepthField
+from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.errors import InputError
 from chromaperture.samples import SAMPLES, sample_camera
 
 
 def make_calibration(shape=None, **changes):
     infinity, scale = ([4.5], [8700.0]) if shape is None else ([4.5, 0.1, -0.2], [8700.0, -300.0, 0.0])
-    depth = DepthField(np.array(infinity), np.array(scale), 49.5, np.diag([1e-4, 900.0, 4.0]))
+    local = None
+    if shape == "free":
+        bump = np.linspace(0, 1, 6, dtype=np.float32).reshape(2, 3)
+        local = LocalField(1.0, 3.0, 0.1 * bump, -40 * bump, np.diag([1e-5, 20.0]))
+    depth = DepthField(np.array(infinity), np.array(scale), 49.5, np.diag([1e-4, 900.0, 4.0]), local=local)
     calibration = Calibration(
         design="cy_halves",
         sensor=Sensor(9, 6, 0.031, 16.0, 1016.0, 5000.0, 4.0),
@@ -35,7 +39,7 @@ def make_calibration(shape=None, **changes):
     return dataclasses.replace(calibration, **changes)
 
 
-@pytest.mark.parametrize("maps", [None, "per pixel"])
+@pytest.mark.parametrize("maps", [None, "smooth", "free"])
 def test_everything_comes_back(tmp_path, maps):
     before = make_calibration(maps)
     before.save(tmp_path / "camera.asdf")
@@ -44,8 +48,12 @@ def test_everything_comes_back(tmp_path, maps):
     assert after.sensor == before.sensor
     for quality, model in before.depth.items():
         for field in dataclasses.fields(DepthField):
-            stored = getattr(after.depth[quality], field.name)
-            np.testing.assert_array_equal(stored, getattr(model, field.name))
+            if field.name != "local":
+                stored = getattr(after.depth[quality], field.name)
+                np.testing.assert_array_equal(stored, getattr(model, field.name))
+        for name in ("infinity_disparity_px", "scale_px_mm", "covariance"):  # local ones too
+            read, written = (getattr(c.depth_model(quality), name) for c in (after, before))
+            np.testing.assert_array_equal(read, written)
         assert np.shape(after.depth_model(quality).scale_px_mm) == (() if maps is None else (6, 9))
     np.testing.assert_array_equal(after.unmixing, before.unmixing)
     np.testing.assert_array_equal(after.lens.distortion, before.lens.distortion)
@@ -136,7 +144,7 @@ def test_saving_leaves_nothing_half_written(tmp_path):
 def test_damaged_files_load_whole_or_are_refused(tmp_path, cut, flips):
     good = tmp_path / "good.asdf"
     if not good.exists():
-        make_calibration("per pixel").save(good)
+        make_calibration("free").save(good)
     data = bytearray(good.read_bytes())
     for place, value in flips:
         data[int(place * len(data))] = value

@@ -103,6 +103,7 @@ def calibrate_session(
     *,
     lens_from: Calibration | None = None,
     lens_blur: bool = True,
+    per_pixel: bool = False,
     progress: Progress = lambda what, done, total: None,
     keep_in: str | Path | None = None,
 ) -> CalibrationResult:
@@ -116,6 +117,9 @@ def calibrate_session(
         The same lens at the same focus, for a session without tilted boards of its own.
     lens_blur : bool
         Fit the lens's blur too, which takes most of the time; quality ``accurate`` gains most of its accuracy by it.
+    per_pixel : bool
+        Leave the depth curves of shifted views free at every place of the frame, drawn to smooth fields where boards
+        say little; the lens's blur is smooth in any case.
     progress : callable, optional
         Called with what is being done, how many are done, and of how many.
     keep_in : str or Path, optional
@@ -164,7 +168,9 @@ def calibrate_session(
         boards.append(dataclasses.replace(board, corners_px=corners.get(path), pose_mm=by_pose))
     progress("board disparity", len(boards), len(boards))
 
-    everything = Evidence(session.sensor, boards, distances, session.ruler_error_mm, np.ones(len(boards), bool))
+    everything = Evidence(
+        session.sensor, boards, distances, session.ruler_error_mm, np.ones(len(boards), bool), per_pixel
+    )
     evidence, outliers = doubt(everything, names, "paper")
     curves = {quality: fit_curve(evidence, quality, notes) for quality in MEASURED}
     fits = {quality: curve.fit for quality, curve in curves.items()}

@@ -20,8 +20,8 @@ from chromaperture.color.unmixing import ideal_unmixing, mixing_matrix, unmixing
 from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.chessboard import centered_pinhole
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
-from chromaperture.depth.field import DepthField, degree_of
-from chromaperture.depth.nonlinearity import Nonlinearity
+from chromaperture.depth.field import DepthField
+from chromaperture.depth.field_file import field_from_tree, field_to_tree, finite, plain
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
 from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
@@ -35,7 +35,8 @@ _ABOUT = (
     "(infinity_disparity_px - disparity). The two fields are polynomials over the frame: coefficients of Chebyshev "
     "products in x and y over [-1, 1] by rising degree in x, then in y; a single number holds for the whole frame. "
     "covariance is that of A, B and sensor_to_pupil_mm, or of all coefficients in that order. nonlinearity is what the "
-    "matcher reads beyond that disparity: Chebyshev coefficients of T2, T3, ... over low_px..high_px."
+    "matcher reads beyond that disparity: Chebyshev coefficients of T2, T3, ... over low_px..high_px. local is to be "
+    "added to the fields: maps on a grid over the frame, or null."
 )
 
 
@@ -238,17 +239,17 @@ class Calibration:
                 "format_version": FORMAT_VERSION,
                 "design": self.design,
                 "working_range": {"near_mm": self.near_mm, "far_mm": self.far_mm},
-                "depth": {quality: _plain(dataclasses.asdict(field)) for quality, field in self.depth.items()},
-                "lens": _plain(dataclasses.asdict(self.lens)),
+                "depth": {quality: field_to_tree(field) for quality, field in self.depth.items()},
+                "lens": plain(dataclasses.asdict(self.lens)),
                 "blur": None if self.blur is None else dataclasses.asdict(self.blur),
-                "sensor": _plain(dataclasses.asdict(self.sensor)),
+                "sensor": plain(dataclasses.asdict(self.sensor)),
                 "film": {
                     "unit": "white light as R, G, B, 1 = white level",
-                    "filters": {name: _plain(color) for name, color in self.film.filters.items()},
-                    "clear": _plain(self.film.clear),
-                    "aperture": _plain(self.film.aperture),
+                    "filters": {name: plain(color) for name, color in self.film.filters.items()},
+                    "clear": plain(self.film.clear),
+                    "aperture": plain(self.film.aperture),
                 },
-                "provenance": _plain(dict(self.provenance)),
+                "provenance": plain(dict(self.provenance)),
             }
         }
         with staged(path.parent) as stage, asdf.AsdfFile(tree) as file:
@@ -284,17 +285,6 @@ class Calibration:
         return calibration
 
 
-def _plain(value: Any) -> Any:
-    """Turn small arrays and NumPy scalars into lists and numbers, so that they stand readable in the YAML."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    return value.item() if isinstance(value, np.generic) else value
-
-
 def _from_tree(tree: Mapping[str, Any]) -> Calibration:
     """Rebuild and check; any KeyError or ValueError becomes the caller's "damaged"."""
     sensor = Sensor(**{f.name: tree["sensor"][f.name] for f in dataclasses.fields(Sensor)})
@@ -306,16 +296,16 @@ def _from_tree(tree: Mapping[str, Any]) -> Calibration:
         sensor=sensor,
         lens=Lens(
             focal_length_mm=float(lens["focal_length_mm"]),
-            camera_matrix=_finite(lens["camera_matrix"], (3, 3)),
-            distortion=_finite(lens["distortion"], (5,)),
+            camera_matrix=finite(lens["camera_matrix"], (3, 3)),
+            distortion=finite(lens["distortion"], (5,)),
             f_number=None if lens["f_number"] is None else float(lens["f_number"]),
         ),
         film=Film(
-            {str(name): _finite(color, (3,)) for name, color in film["filters"].items()},
-            _finite(film["clear"], (3,)),
-            _finite(film["aperture"], (3,)),
+            {str(name): finite(color, (3,)) for name, color in film["filters"].items()},
+            finite(film["clear"], (3,)),
+            finite(film["aperture"], (3,)),
         ),
-        depth={quality: _depth_from_tree(depth[quality]) for quality in QUALITIES if quality in depth},
+        depth={quality: field_from_tree(depth[quality]) for quality in QUALITIES if quality in depth},
         near_mm=float(tree["working_range"]["near_mm"]),
         far_mm=float(tree["working_range"]["far_mm"]),
         provenance=dict(tree["provenance"]),
@@ -325,35 +315,11 @@ def _from_tree(tree: Mapping[str, Any]) -> Calibration:
     return calibration
 
 
-def _depth_from_tree(tree: Mapping[str, Any]) -> DepthField:
-    infinity, scale = (np.atleast_1d(np.array(tree[n], float)) for n in ("infinity_disparity_px", "scale_px_mm"))
-    for coefficients in (infinity, scale):
-        degree_of(len(coefficients))
-        _finite(coefficients, coefficients.shape[:1])
-    if len(infinity) != len(scale):
-        raise ValueError("the two depth fields differ in degree")
-    (delta,) = _finite([tree["sensor_to_pupil_mm"]], (1,))
-    covariance = np.array(tree["covariance"], np.float64)
-    unknowns = 3 if covariance.shape == (3, 3) else 2 * len(infinity) + 1
-    curve = tree.get("nonlinearity")
-    if curve is not None:
-        (low, high) = _finite([curve["low_px"], curve["high_px"]], (2,))
-        curve = Nonlinearity(float(low), float(high), _finite(curve["coefficients"], (len(curve["coefficients"]),)))
-    return DepthField(infinity, scale, float(delta), _finite(covariance, (unknowns, unknowns)), curve)
-
-
 def _blur_from_tree(tree: Mapping[str, Any] | None) -> BlurModel | None:
     if tree is None:
         return None
     names = [f.name for f in dataclasses.fields(BlurModel)]
-    return BlurModel(**dict(zip(names, map(float, _finite([tree[n] for n in names], (len(names),))), strict=True)))
-
-
-def _finite(value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    array = np.array(value, dtype=np.float64)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"expected finite numbers of shape {shape}")
-    return array
+    return BlurModel(**dict(zip(names, map(float, finite([tree[n] for n in names], (len(names),))), strict=True)))
 
 
 def _check(calibration: Calibration) -> None:

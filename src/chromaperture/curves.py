@@ -13,6 +13,7 @@ from chromaperture.depth.conversion import depth_to_disparity, disparity_to_dept
 from chromaperture.depth.distances import BoardDistances, find_outliers
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.field_fit import fit_depth_field
+from chromaperture.depth.field_local import with_local
 from chromaperture.depth.field_terms import choose_terms
 from chromaperture.depth.fit import DepthFit, fit_depth_model
 from chromaperture.errors import InputError
@@ -35,6 +36,8 @@ class Evidence:
     distances : BoardDistances
     ruler_error_mm : float
     believed : (N,) bool
+    per_pixel : bool
+        Curves are free at every place of the frame instead of smooth over it.
     """
 
     sensor: Sensor
@@ -42,6 +45,7 @@ class Evidence:
     distances: BoardDistances
     ruler_error_mm: float
     believed: np.ndarray
+    per_pixel: bool = False
 
     @property
     def from_sensor_mm(self) -> np.ndarray:
@@ -142,6 +146,10 @@ def fit_curve(evidence: Evidence, quality: Quality, notes: list[str]) -> FittedC
             except InputError:  # B not positive somewhere, or a nonlinearity that turns back
                 continue
             if np.min(scale) > _LEAST_SCALE * np.median(scale):
+                if evidence.per_pixel:
+                    field = with_local(
+                        field, columns, rows, grids, evidence.distances, size_px=size, boards=evidence.believed
+                    )
                 return FittedCurve(field, *_agreement(evidence, field, quality, x, y))
     notes.append(f"{quality}: too little to fit fields over the frame, one depth curve for all of it")
     fitted = depth_to_disparity(evidence.from_sensor_mm, axis.model)

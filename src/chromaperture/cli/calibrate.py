@@ -23,6 +23,9 @@ def calibrate(
     no_blur: Annotated[
         bool, typer.Option("--no-blur", help="Leave out the lens's blur: faster, quality accurate is less so.")
     ] = False,
+    per_pixel: Annotated[
+        bool, typer.Option("--per-pixel", help="Curves free at every place of the frame, for a dozen boards or more.")
+    ] = False,
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
@@ -44,7 +47,9 @@ def calibrate(
     known = Calibration.load(lens_from) if lens_from else None
     kept = out.parent / f".{out.stem}.calibrating"  # what an interrupted run has measured so far
     with progress(quiet=quiet or json) as update:
-        result = calibrate_session(session, lens_from=known, lens_blur=not no_blur, progress=update, keep_in=kept)
+        result = calibrate_session(
+            session, lens_from=known, lens_blur=not no_blur, per_pixel=per_pixel, progress=update, keep_in=kept
+        )
     files = [out]
     if not no_report:  # first: a picture that cannot be read leaves no camera file without its report
         from chromaperture.evaluation.report import write_report

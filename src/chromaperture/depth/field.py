@@ -7,7 +7,7 @@ b(i, j) and z_of(i, j) follow from them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -19,6 +19,38 @@ from chromaperture.errors import InputError
 
 _NODES = 33
 
+
+@dataclass(frozen=True)
+class LocalField:
+    """What is left of A and B at each place of a grid over the frame, once smooth fields are taken off.
+
+    Attributes
+    ----------
+    start_px, step_px : float, px
+        Where the grid's first column and row stand, and the distance of two.
+    infinity_disparity_px, scale_px_mm : (h, w) float32, px and px mm
+        To be added to A and B; between the places they are interpolated linearly, beyond them the last one holds.
+    covariance : (2, 2) float64
+        Of both at any one place, typically.
+    """
+
+    start_px: float
+    step_px: float
+    infinity_disparity_px: np.ndarray
+    scale_px_mm: np.ndarray
+    covariance: np.ndarray
+
+    def at(self, x_px: np.ndarray, y_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Give both at some pixels; two float64 of their shape."""
+        column, row = (
+            np.atleast_2d((np.asarray(place, np.float32) - self.start_px) / self.step_px) for place in (x_px, y_px)
+        )
+
+        def between(values: np.ndarray) -> np.ndarray:
+            found = cv2.remap(values, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            return np.asarray(found, float).reshape(np.shape(x_px))
+
+        return between(self.infinity_disparity_px), between(self.scale_px_mm)
 
 
 @dataclass(frozen=True)
@@ -36,6 +68,8 @@ class DepthField:
         Of A, B, delta in the middle of the frame; or of all coefficients, those of A, then of B, then delta.
     nonlinearity : Nonlinearity, optional
         Between the linear disparity of this curve and what the matcher reads.
+    local : LocalField, optional
+        What the polynomials leave, free at every place of the frame.
     """
 
     infinity_disparity_px: np.ndarray
@@ -43,6 +77,7 @@ class DepthField:
     sensor_to_pupil_mm: float
     covariance: np.ndarray
     nonlinearity: Nonlinearity | None = None
+    local: LocalField | None = None
 
     @classmethod
     def constant(cls, model: DepthModel) -> DepthField:
@@ -57,25 +92,26 @@ class DepthField:
 
     def on_axis(self, width_px: int, height_px: int) -> DepthModel:
         """Give the curve in the middle of the frame, as numbers."""
-        x, y = np.array([(width_px - 1) / 2]), np.array([(height_px - 1) / 2])
-        (basis,) = polynomials(x, y, width_px, height_px, degree_of(len(self.scale_px_mm)))
-        return DepthModel(
-            float(basis @ self.infinity_disparity_px),
-            float(basis @ self.scale_px_mm),
-            self.sensor_to_pupil_mm,
-            self._covariance_at(basis),
-            self.nonlinearity,
+        middle = self.at(np.array((width_px - 1) / 2), np.array((height_px - 1) / 2), width_px, height_px)
+        return replace(
+            middle,
+            infinity_disparity_px=float(middle.infinity_disparity_px),
+            scale_px_mm=float(middle.scale_px_mm),
         )
 
     def at(self, x_px: np.ndarray, y_px: np.ndarray, width_px: int, height_px: int) -> DepthModel:
         """Give the curves at some pixels; arrays of their shape."""
         basis = polynomials(x_px, y_px, width_px, height_px, degree_of(len(self.scale_px_mm)))
-        return DepthModel(
-            basis @ self.infinity_disparity_px,
-            basis @ self.scale_px_mm,
-            self.sensor_to_pupil_mm,
-            self._covariance_at(basis),
-            self.nonlinearity,
+        return self._with_local(
+            DepthModel(
+                basis @ self.infinity_disparity_px,
+                basis @ self.scale_px_mm,
+                self.sensor_to_pupil_mm,
+                self._covariance_at(basis),
+                self.nonlinearity,
+            ),
+            x_px,
+            y_px,
         )
 
     def model(self, width_px: int, height_px: int) -> DepthModel:
@@ -83,12 +119,27 @@ class DepthField:
         if len(self.scale_px_mm) == 1:
             return self.on_axis(width_px, height_px)
         size = (width_px, height_px)
-        return DepthModel(
+        smooth = DepthModel(
             _evaluate(self.infinity_disparity_px, *size),
             _evaluate(self.scale_px_mm, *size),
             self.sensor_to_pupil_mm,
             self._covariance_map(*size),
             self.nonlinearity,
+        )
+        return self._with_local(smooth, *np.meshgrid(np.arange(width_px), np.arange(height_px)))
+
+    def _with_local(self, smooth: DepthModel, x_px: np.ndarray, y_px: np.ndarray) -> DepthModel:
+        """Add what is free at every place to the polynomials' curves at some pixels."""
+        if self.local is None:
+            return smooth
+        infinity, scale = self.local.at(x_px, y_px)
+        covariance = np.asarray(smooth.covariance).copy()
+        covariance[..., :2, :2] += self.local.covariance.astype(covariance.dtype)
+        return replace(
+            smooth,
+            infinity_disparity_px=smooth.infinity_disparity_px + infinity,
+            scale_px_mm=smooth.scale_px_mm + scale,
+            covariance=covariance,
         )
 
     def _covariance_at(self, basis: np.ndarray) -> np.ndarray:

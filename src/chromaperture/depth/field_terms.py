@@ -11,7 +11,7 @@ from chromaperture.depth.field_fit import fit_depth_field
 from chromaperture.errors import InputError
 
 _FOLDS = 8
-_TRIALS = (0, 2, 3, 4, 5, 6, 7, 8)
+_TRIALS = (2, 3, 4, 5, 6, 7, 8)  # mirrored halves of a pupil never read straight, see `Nonlinearity`
 _BOARDS_A_TERM = 3  # fewer would be drawn by the error of each board's distance
 _POINTS = 400  # of the frame suffice: the nonlinearity is one curve for all of it
 _AS_GOOD = 1.25  # two standard errors of a root mean square over thirty boards: so much is chance

@@ -1,0 +1,68 @@
+"""Depth fields as trees of plain values, as they stand in a camera file."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from chromaperture.depth.field import DepthField, LocalField, degree_of
+from chromaperture.depth.nonlinearity import Nonlinearity
+
+
+def field_to_tree(field: DepthField) -> dict[str, Any]:
+    """Give a field as a tree of plain values and, where there are thousands of them, arrays."""
+    tree = dict(plain(dataclasses.asdict(field)))
+    if field.local is not None:
+        maps = {name: getattr(field.local, name) for name in ("infinity_disparity_px", "scale_px_mm")}
+        tree["local"] = {**tree["local"], **maps}
+    return tree
+
+
+def field_from_tree(tree: Mapping[str, Any]) -> DepthField:
+    """Rebuild a field from its tree; raises KeyError, TypeError or ValueError where that is none."""
+    infinity, scale = (np.atleast_1d(np.array(tree[n], float)) for n in ("infinity_disparity_px", "scale_px_mm"))
+    for coefficients in (infinity, scale):
+        degree_of(len(coefficients))
+        finite(coefficients, coefficients.shape[:1])
+    if len(infinity) != len(scale):
+        raise ValueError("the two depth fields differ in degree")
+    (delta,) = finite([tree["sensor_to_pupil_mm"]], (1,))
+    covariance = np.array(tree["covariance"], np.float64)
+    unknowns = 3 if covariance.shape == (3, 3) else 2 * len(infinity) + 1
+    curve = tree.get("nonlinearity")
+    if curve is not None:
+        (low, high) = finite([curve["low_px"], curve["high_px"]], (2,))
+        curve = Nonlinearity(float(low), float(high), finite(curve["coefficients"], (len(curve["coefficients"]),)))
+    local = tree.get("local")
+    if local is not None:
+        shape = np.shape(local["scale_px_mm"])
+        (start, step) = finite([local["start_px"], local["step_px"]], (2,))
+        if len(shape) != 2 or not step > 0:
+            raise ValueError("a local field is no map")
+        infinities, scales = (
+            finite(local[name], shape).astype(np.float32) for name in ("infinity_disparity_px", "scale_px_mm")
+        )
+        local = LocalField(float(start), float(step), infinities, scales, finite(local["covariance"], (2, 2)))
+    return DepthField(infinity, scale, float(delta), finite(covariance, (unknowns, unknowns)), curve, local)
+
+
+def plain(value: Any) -> Any:
+    """Turn small arrays and NumPy scalars into lists and numbers, so that they stand readable in the YAML."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def finite(value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Give numbers as a float64 array; raises ValueError where the shape is another or one is not finite."""
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"expected finite numbers of shape {shape}")
+    return array
