@@ -157,6 +157,16 @@ def test_what_was_kept_and_is_damaged_is_measured_again(session, tmp_path):
     assert calibrated(session, keep_in=tmp_path).calibration.in_focus_mm == pytest.approx(B / A + DELTA, abs=12)
 
 
+def test_curves_free_at_every_place_stay_near_the_smooth_ones(session):
+    """This world's fields are flat: what is free must find nothing, within what its ridge and boards leave of noise."""
+    smooth, free = (calibrated(session, per_pixel=choice).calibration.depth for choice in (False, True))
+    for quality in ("paper", "real-time"):
+        assert smooth[quality].local is None
+        local = free[quality].local
+        sigma = np.sqrt(local.covariance[0, 0])
+        assert 0 < np.std(local.infinity_disparity_px) < 2 * sigma
+
+
 def test_the_sensors_noise_is_read_from_the_sheets(session, tmp_path, rng):
     folder = copy_with(session, tmp_path)
     shutil.rmtree(folder / "white")

@@ -24,7 +24,7 @@ SUFFIXES = (
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
     folder = tmp_path_factory.mktemp("demo")
-    command = [sys.executable, "-c", "from chromaperture.cli.main import main; main()", "demo"]
+    command = [sys.executable, "-m", "chromaperture", "demo"]
     result = subprocess.run(command, capture_output=True, text=True, cwd=folder, timeout=300, check=False)
     assert result.returncode == 0, result.stderr
     return folder / "chromaperture-demo", result.stdout
