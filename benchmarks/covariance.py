@@ -2,8 +2,8 @@
 
     python benchmarks/covariance.py [--sessions 30] [--first 0] [--width 360] [--boards 10] [--out spread.png] [--json]
 
-Every session is rendered anew: its boards stand elsewhere, so that their texture falls on other pixels, and noise and
-ruler errors are its own. Parameters are those of the middle of the frame, A, B, delta, the in-focus distance, and depth
+Every session is rendered anew: its boards stand elsewhere, so that their texture falls on other pixels and the curve is
+held at other places; noise and ruler errors are its own. Parameters are those of the middle of the frame, A, B, delta, the in-focus distance, and depth
 read at three disparities. The ratio is the standard deviation that a session states over the one found among sessions:
 1 is honest, below 1 a session is too sure.
 """
@@ -31,7 +31,7 @@ from chromaperture.optics.ray_table import lens_rays
 from chromaperture.optics.session import SessionPlan, write_session
 
 SENSOR_MM, FOCUS_MM, CELLS = 22.3, 2000.0, 8
-NEAR_MM, FAR_MM, JITTER_MM = 1000.0, 4000.0, 40.0
+NEAR_MM, FAR_MM = 1000.0, 4000.0
 PROBES_MM = (1200.0, 2200.0, 3600.0)
 
 
@@ -43,9 +43,10 @@ def render(folder: Path, seed: int, width: int, boards: int) -> None:
     def rays(coded):
         return lens_rays(lens, coded, width_px=width, height_px=height, pixel_pitch_mm=pitch, cells=CELLS)
 
-    # Evenly spread in 1 / z, each a little elsewhere in every session.
+    # Evenly spread in 1 / z, each somewhere in its part of the range: what the curve cannot follow differs too.
     rng = np.random.default_rng(seed)
-    stand = 1 / np.linspace(1 / NEAR_MM, 1 / FAR_MM, boards) + rng.uniform(-JITTER_MM, JITTER_MM, boards)
+    share = (np.arange(boards) + rng.random(boards)) / boards
+    stand = 1 / (1 / NEAR_MM + share * (1 / FAR_MM - 1 / NEAR_MM))
     plan = replace(SessionPlan(), distances_mm=tuple(np.round(stand)), tilts=8, seed=seed)
     write_session(
         folder, aperture=made_of(DESIGNS["cy_halves"], "real"), camera=camera, rays=rays, scenes={}, plan=plan,

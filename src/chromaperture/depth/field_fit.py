@@ -179,12 +179,15 @@ def _covariance(
 
     Neighbours share the matcher's window and the board's texture, so their errors are added up by tile before they are
     squared (a sandwich estimator with tiles for clusters: Liang and Zeger, Biometrika 73, 1986). A board's distance is
-    wrong by the same mm at all its pixels, so that more pixels do not help against it.
+    wrong by the same mm at all its pixels, so that more pixels do not help against it; nor do they against a matcher
+    that reads all of a board a little wrong, which is what boards are off by beyond their distances' errors.
     """
     used = np.where(weights > 0, residual, np.nan)
-    errors = np.zeros(used.shape)
-    for i in np.flatnonzero((weights > 0).any(axis=1)).tolist():
-        errors[i] = np.nan_to_num(used[i] - np.nanmedian(used[i]))  # what all pixels share is the distance's error
+    errors, shared = np.zeros(used.shape), np.zeros(len(used))
+    seen = np.flatnonzero((weights > 0).any(axis=1))
+    for i in seen.tolist():
+        shared[i] = np.nanmedian(used[i])
+        errors[i] = np.nan_to_num(used[i] - shared[i])
     inverse = np.linalg.pinv(normal, hermitian=True)
     middle, clusters = np.zeros_like(normal), 0
     for tile in np.unique(tiles):
@@ -192,6 +195,11 @@ def _covariance(
         middle += pull.T @ pull
         clusters += int(pull.any(axis=1).sum())
     middle *= clusters / max(clusters - len(normal), 1)  # the fit has drawn the residuals to itself
+    by_distance = np.median(per_mm, axis=1) ** 2 * distances.covariance.diagonal()[:-1]
+    followed = 2 + len(problem.powers)  # A, B and the nonlinearity follow what a board's pixels share
+    excess = (shared[seen] ** 2).sum() / max(len(seen) - followed, 1) - by_distance[seen].mean()
+    pull = problem.project(weights)
+    middle += max(excess, 0.0) * pull.T @ pull
     # A board thought too far by dz reads B / z^2 dz less than expected, and the unknowns follow.
     follow = -inverse @ problem.project(weights * per_mm).T
     found = inverse @ middle @ inverse + follow @ distances.covariance[:-1, :-1] @ follow.T
