@@ -7,11 +7,13 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from chromaperture.cli.main import main
 from chromaperture.errors import InputError
 from chromaperture.reconstruction.files import quaternion, write_mesh_glb, write_mesh_ply
 from chromaperture.reconstruction.fusion import Reconstruction, orthonormal
+from chromaperture.reconstruction.motion import Speed
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import sight, track
 from chromaperture.reconstruction.views import cleaned, near_steps
@@ -61,8 +63,6 @@ def photograph(pose: np.ndarray, *, noise: float = 0.0, seed: int = 0, index: in
 
 
 def pose_at(k: float) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("yxz", [1.2 * k, 0.6 * k, 0.3 * k], degrees=True).as_matrix()
     pose[:3, 3] = 22 * k, 10 * np.sin(k), 4 * k
@@ -201,6 +201,50 @@ def test_a_lost_camera_is_said_and_found_again(o3d):
     assert len(said) == 2
     expected = np.linalg.inv(pose_at(0)) @ pose_at(0.5)
     assert np.linalg.norm((placed[-1].pose - expected)[:3, 3]) < 1.5  # a tenth of a pixel, as above
+
+
+def test_a_steady_camera_is_foreseen_whenever_the_next_frame_comes():
+    def place(time_s: float) -> np.ndarray:
+        """A screw: every step from any of its places is the same in the camera's own frame."""
+        angle = 0.3 * time_s
+        pose = np.eye(4)
+        pose[:3, :3] = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+        pose[2, 3] = 500 * time_s
+        return orthonormal(np.linalg.inv(pose_at(3.0)) @ pose)
+
+    speed = Speed(place(0.0), 0.0)
+    np.testing.assert_allclose(speed.ahead(5.0), place(0.0), atol=1e-9)  # at rest until it was seen to move
+    for seen, then in ((0.1, 0.2), (0.3, 0.35), (0.4, 0.7)):
+        speed.met(place(seen), seen)
+        np.testing.assert_allclose(speed.ahead(then), place(then), atol=1e-9)
+    np.testing.assert_array_equal(speed.ahead(9.0), speed.ahead(90.0))  # nobody goes on for ever
+    still = Speed(place(0.0), 0.0)
+    still.met(place(0.1), 0.0)
+    np.testing.assert_allclose(still.ahead(0.0), place(0.2), atol=1e-9)  # frames without times
+
+
+def test_frames_may_be_dropped_and_the_camera_may_leap_to_where_it_was(o3d):
+    said: list[str] = []
+    config = ReconstructionConfig(tracking_scale=1, voxel_mm=15.0)
+    model = Reconstruction(MATRIX, config, listener=said.append)
+    for k in (0, 1, 2, 6, 8, 13, 16, 17, 2, 0.5, 14):
+        placed = model.add(photograph(pose_at(k), index=int(k)))
+        assert placed.pose is not None, (k, said)
+        gap = np.linalg.inv(pose_at(0)) @ pose_at(k) - placed.pose
+        assert np.linalg.norm(gap[:3, 3]) < 6.0, k  # tenths of a pixel, over the keyframes between
+    assert said == []
+
+
+def test_a_guess_that_is_turned_away_leads_to_the_pose():
+    config = ReconstructionConfig(tracking_scale=1)
+    keyframe = sight(photograph(pose_at(0)), MATRIX, config).keyframe(pose_at(0))
+    seen = sight(photograph(pose_at(1.0)), MATRIX, config)
+    for across, down in ((-6.0, 0.0), (4.0, 4.0), (0.0, -5.0), (8.0, 0.0)):  # degrees
+        guess = pose_at(0)
+        guess[:3, :3] = Rotation.from_euler("yx", [across, down], degrees=True).as_matrix() @ guess[:3, :3]
+        found = track(seen, keyframe, guess, config=config)
+        assert not found.lost, (across, down)
+        assert np.linalg.norm((found.pose - pose_at(1.0))[:3, 3]) < 1.5  # a tenth of a pixel
 
 
 def test_a_camera_is_found_where_light_has_changed_and_nothing_is_fused():

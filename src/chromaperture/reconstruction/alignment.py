@@ -25,6 +25,8 @@ _LEAST_GREY = 0.5  # grey levels: rounding alone
 _AGREES, _DIFFERS = 1, 2
 _DAMPING = 1e-4
 _CONDITION = 1e-7
+_ALIKE = 0.7  # correlation of the coarsest pictures from which a guess is near enough
+_TURN_PX, _TURNS = 1.5, 4  # guesses turned that far, so many times to each side, px of the coarsest picture
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,7 @@ def align(
     motion = np.array(motion, float)
     brightness, solved = np.array([1.0, 0.0]), True
     seen = fitting = like = 0.0
+    motion = _turned(points[-1], camera[len(points) - 1], motion, outlier_mm)
     for cloud, level in reversed(list(zip(points, camera, strict=False))):
         if len(cloud) < 50:
             continue
@@ -144,6 +147,35 @@ def align(
         fitting = seen * agrees / max(agrees + differs, 1)  # nothing is known of the rest
         like = _correlation(cloud[here, 3], matched[here])
     return Fit(motion, seen, fitting, like, solved)
+
+
+def _turned(cloud: np.ndarray, level: Level, motion: np.ndarray, outlier_mm: float) -> np.ndarray:
+    """Turn the guess to where the coarsest pictures look most alike, if they do not yet: Gauss-Newton reaches a px."""
+    if len(cloud) < 50:
+        return motion
+    found, best = motion, _alike(cloud, level, motion, outlier_mm)
+    if best >= _ALIKE:
+        return motion
+    for right in range(-_TURNS, _TURNS + 1):
+        for down in range(-_TURNS, _TURNS + 1):
+            turn = np.array([0, 0, 0, -down * _TURN_PX, right * _TURN_PX, 0]) / level.matrix[0, 0]
+            turned = _moved(turn) @ motion
+            if (alike := _alike(cloud, level, turned, outlier_mm)) > best:
+                found, best = turned, alike
+    return found
+
+
+def _alike(cloud: np.ndarray, level: Level, motion: np.ndarray, outlier_mm: float) -> float:
+    """Correlation of the cloud's grey with what it meets, less where little of it is seen."""
+    residual, matched = np.empty(len(cloud), np.float32), np.empty(len(cloud), np.float32)
+    normal_equations(
+        cloud, level.grey, level.across, level.down, level.z_mm, level.sigma_mm, level.matrix, motion,
+        np.array([1.0, 0.0]), 20.0, 0.0, outlier_mm, residual, matched, np.empty(len(cloud), np.uint8),
+    )  # fmt: skip
+    here = np.isfinite(residual)
+    if here.sum() < 50:
+        return 0.0
+    return _correlation(cloud[here, 3], matched[here]) * float(here.mean()) ** 0.5
 
 
 def _solved(normal: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, bool]:
