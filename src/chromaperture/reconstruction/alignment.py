@@ -19,7 +19,7 @@ _LEAST_SIDE_PX = 40
 _LEVELS = 4
 _ROUNDS = 12
 _ENOUGH_PX = 0.02  # a smaller step ends the search
-_HUBER = 1.345
+_HUBER, _TUKEY = 1.345, 4.685  # both lose 5 % where errors are normal
 _MAD = 1.4826
 _LEAST_GREY = 0.5  # grey levels: rounding alone
 _AGREES, _DIFFERS = 1, 2
@@ -267,7 +267,8 @@ def normal_equations(
         j[3], j[4], j[5] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
         j[6], j[7] = -points[n, 3], -1.0
         ratio = abs(r) / grey_sigma
-        weight = (1.0 if ratio <= _HUBER else _HUBER / ratio) / (grey_sigma * grey_sigma)
+        # What stands before a point where no distance is known differs one-sidedly: it must lose all its weight.
+        weight = (1.0 - (ratio / _TUKEY) ** 2) ** 2 / (grey_sigma * grey_sigma) if ratio < _TUKEY else 0.0
         k = 0
         for a in range(8):
             wa = weight * j[a]
