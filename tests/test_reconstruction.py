@@ -13,7 +13,6 @@ from chromaperture.cli.main import main
 from chromaperture.errors import InputError
 from chromaperture.reconstruction.files import quaternion, write_mesh_glb, write_mesh_ply
 from chromaperture.reconstruction.fusion import Reconstruction, orthonormal
-from chromaperture.reconstruction.motion import Speed
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import sight, track
 from chromaperture.reconstruction.views import cleaned, near_steps
@@ -203,26 +202,6 @@ def test_a_lost_camera_is_said_and_found_again(o3d):
     assert np.linalg.norm((placed[-1].pose - expected)[:3, 3]) < 1.5  # a tenth of a pixel, as above
 
 
-def test_a_steady_camera_is_foreseen_whenever_the_next_frame_comes():
-    def place(time_s: float) -> np.ndarray:
-        """A screw: every step from any of its places is the same in the camera's own frame."""
-        angle = 0.3 * time_s
-        pose = np.eye(4)
-        pose[:3, :3] = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
-        pose[2, 3] = 500 * time_s
-        return orthonormal(np.linalg.inv(pose_at(3.0)) @ pose)
-
-    speed = Speed(place(0.0), 0.0)
-    np.testing.assert_allclose(speed.ahead(5.0), place(0.0), atol=1e-9)  # at rest until it was seen to move
-    for seen, then in ((0.1, 0.2), (0.3, 0.35), (0.4, 0.7)):
-        speed.met(place(seen), seen)
-        np.testing.assert_allclose(speed.ahead(then), place(then), atol=1e-9)
-    np.testing.assert_array_equal(speed.ahead(9.0), speed.ahead(90.0))  # nobody goes on for ever
-    still = Speed(place(0.0), 0.0)
-    still.met(place(0.1), 0.0)
-    np.testing.assert_allclose(still.ahead(0.0), place(0.2), atol=1e-9)  # frames without times
-
-
 def test_frames_may_be_dropped_and_the_camera_may_leap_to_where_it_was(o3d):
     said: list[str] = []
     config = ReconstructionConfig(tracking_scale=1, voxel_mm=15.0)
@@ -245,6 +224,29 @@ def test_a_guess_that_is_turned_away_leads_to_the_pose():
         found = track(seen, keyframe, guess, config=config)
         assert not found.lost, (across, down)
         assert np.linalg.norm((found.pose - pose_at(1.0))[:3, 3]) < 1.5  # a tenth of a pixel
+
+
+def behind_bars(pose: np.ndarray, *, seed: int) -> View:
+    """The room behind bright bars whose distance is not known: they hide other parts of it from every place."""
+    view = photograph(pose)
+    v, u = np.indices(SIZE).reshape(2, -1)
+    rays, start = pose[:3, :3] @ np.linalg.inv(MATRIX) @ np.array([u, v, np.ones(u.size)]), pose[:3, 3]
+    across = start[0] + rays[0] * (900.0 - start[2]) / rays[2]
+    middles = np.array([-330.0, -190, -70, 40, 130, 290])
+    bar = (np.abs(across - middles[:, None]) < 18).any(axis=0).reshape(SIZE)
+    color = np.where(bar[..., None], 200.0, view.color) + np.random.default_rng(seed).normal(0, 5, (*SIZE, 3))
+    z_mm, sigma_mm = (np.where(bar, np.float32(np.nan), m) for m in (view.z_mm, view.sigma_mm))
+    return View(np.rint(np.clip(color, 0, 255)).astype(np.uint8), z_mm, sigma_mm)
+
+
+def test_what_hides_a_place_and_has_no_distance_does_not_pull():
+    config = ReconstructionConfig(tracking_scale=1)
+    keyframe = sight(behind_bars(pose_at(0), seed=0), MATRIX, config).keyframe(pose_at(0))
+    for k in (1.0, 2.0):
+        found = track(sight(behind_bars(pose_at(k), seed=1), MATRIX, config), keyframe, pose_at(0), config=config)
+        assert not found.lost
+        # A sixth of a pixel; weights that never fall to nothing leave three times as much.
+        assert np.linalg.norm((found.pose - pose_at(k))[:3, 3]) < 2.0
 
 
 def test_a_camera_is_found_where_light_has_changed_and_nothing_is_fused():
