@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 import time
 import urllib.request
+import weakref
 from types import SimpleNamespace
 
 import cv2
@@ -21,6 +23,7 @@ from chromaperture.samples import sample_camera, sample_image
 from chromaperture.viewer.loop import LiveLoop
 from chromaperture.viewer.pictures import depth_picture
 from chromaperture.viewer.slots import Slot
+from chromaperture.viewer.trail import Trail
 
 WAIT_S = 60.0  # an upper bound for a busy machine; nothing waits so long
 
@@ -245,6 +248,57 @@ def test_the_page_is_served_and_a_snapshot_written(tmp_path):
             assert page.url.startswith("http://127.0.0.1:")
         finally:
             page.close()
+
+
+def test_what_was_drawn_is_freed_when_it_is_replaced(tmp_path):
+    """Not later, by the collector of cycles: it looks at old objects so rarely that they fill the memory until then."""
+    pytest.importorskip("viser", reason="the extra 'viewer' is not installed: the page is NOT tested")
+    from chromaperture.reconstruction.fusion import Placed
+    from chromaperture.reconstruction.volume import Mesh
+    from chromaperture.viewer.page import LivePage
+
+    with LiveLoop(Still(), load_camera(sample_camera("still_life_cy_halves")), track=False) as loop:
+        page = LivePage(loop, host="127.0.0.1", port=8785, out=tmp_path)
+        page.run(until=lambda: page.last is not None)
+        loop.stop()
+    try:
+        drawn: list[weakref.ref[np.ndarray]] = []
+        gc.collect()
+        gc.disable()
+        gc.set_debug(gc.DEBUG_SAVEALL)
+        for count in range(6):
+            pose = np.eye(4)
+            pose[0, 3] = count
+            loop.placed = Placed(count, 0.0, pose)
+            loop.trail.add(pose[:3, 3])
+            vertices = np.random.default_rng(count).normal(size=(3000, 3)).astype(np.float32)
+            triangles = np.arange(3000, dtype=np.int32).reshape(-1, 3)
+            loop.mesh = Mesh(vertices, triangles, np.full((3000, 3), 99, np.uint8))
+            drawn.append(weakref.ref(vertices))
+            del vertices
+            page.show(page.last)
+        assert [kept() is not None for kept in drawn] == [False] * 5 + [True]  # the last is the loop's still
+        gc.collect()
+        held = [held for left in gc.garbage for held in [left, *gc.get_referents(left)]]
+        assert [type(part) for part in held if isinstance(part, np.ndarray | bytes) and len(part) > 300] == []
+    finally:
+        gc.set_debug(0)
+        gc.garbage.clear()
+        gc.enable()
+        page.close()
+
+
+def test_the_path_is_as_long_as_the_session_and_its_memory_is_not():
+    trail = Trail(most=50)
+    for place in range(3001):
+        trail.add(np.array([place, 0.0, 0.0]))
+        assert len(trail.points_mm) <= 50
+    places = np.array(trail.points_mm)[:, 0]
+    steps = np.diff(places)
+    assert places[0] == 0
+    assert (steps == steps[0]).all()  # evenly thinned
+    assert 3000 - places[-1] < steps[0] < 2 * 3000 / 25
+    assert len(places) >= 25
 
 
 def test_viewers_come_and_go_and_one_that_dies_stops_nothing(tmp_path):

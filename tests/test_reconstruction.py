@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from chromaperture.cli.main import main
 from chromaperture.errors import InputError
@@ -61,8 +62,6 @@ def photograph(pose: np.ndarray, *, noise: float = 0.0, seed: int = 0, index: in
 
 
 def pose_at(k: float) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("yxz", [1.2 * k, 0.6 * k, 0.3 * k], degrees=True).as_matrix()
     pose[:3, 3] = 22 * k, 10 * np.sin(k), 4 * k
@@ -201,6 +200,53 @@ def test_a_lost_camera_is_said_and_found_again(o3d):
     assert len(said) == 2
     expected = np.linalg.inv(pose_at(0)) @ pose_at(0.5)
     assert np.linalg.norm((placed[-1].pose - expected)[:3, 3]) < 1.5  # a tenth of a pixel, as above
+
+
+def test_frames_may_be_dropped_and_the_camera_may_leap_to_where_it_was(o3d):
+    said: list[str] = []
+    config = ReconstructionConfig(tracking_scale=1, voxel_mm=15.0)
+    model = Reconstruction(MATRIX, config, listener=said.append)
+    for k in (0, 1, 2, 6, 8, 13, 16, 17, 2, 0.5, 14):
+        placed = model.add(photograph(pose_at(k), index=int(k)))
+        assert placed.pose is not None, (k, said)
+        gap = np.linalg.inv(pose_at(0)) @ pose_at(k) - placed.pose
+        assert np.linalg.norm(gap[:3, 3]) < 6.0, k  # tenths of a pixel, over the keyframes between
+    assert said == []
+
+
+def test_a_guess_that_is_turned_away_leads_to_the_pose():
+    config = ReconstructionConfig(tracking_scale=1)
+    keyframe = sight(photograph(pose_at(0)), MATRIX, config).keyframe(pose_at(0))
+    seen = sight(photograph(pose_at(1.0)), MATRIX, config)
+    for across, down in ((-6.0, 0.0), (4.0, 4.0), (0.0, -5.0), (8.0, 0.0)):  # degrees
+        guess = pose_at(0)
+        guess[:3, :3] = Rotation.from_euler("yx", [across, down], degrees=True).as_matrix() @ guess[:3, :3]
+        found = track(seen, keyframe, guess, config=config)
+        assert not found.lost, (across, down)
+        assert np.linalg.norm((found.pose - pose_at(1.0))[:3, 3]) < 1.5  # a tenth of a pixel
+
+
+def behind_bars(pose: np.ndarray, *, seed: int) -> View:
+    """The room behind bright bars whose distance is not known: they hide other parts of it from every place."""
+    view = photograph(pose)
+    v, u = np.indices(SIZE).reshape(2, -1)
+    rays, start = pose[:3, :3] @ np.linalg.inv(MATRIX) @ np.array([u, v, np.ones(u.size)]), pose[:3, 3]
+    across = start[0] + rays[0] * (900.0 - start[2]) / rays[2]
+    middles = np.array([-330.0, -190, -70, 40, 130, 290])
+    bar = (np.abs(across - middles[:, None]) < 18).any(axis=0).reshape(SIZE)
+    color = np.where(bar[..., None], 200.0, view.color) + np.random.default_rng(seed).normal(0, 5, (*SIZE, 3))
+    z_mm, sigma_mm = (np.where(bar, np.float32(np.nan), m) for m in (view.z_mm, view.sigma_mm))
+    return View(np.rint(np.clip(color, 0, 255)).astype(np.uint8), z_mm, sigma_mm)
+
+
+def test_what_hides_a_place_and_has_no_distance_does_not_pull():
+    config = ReconstructionConfig(tracking_scale=1)
+    keyframe = sight(behind_bars(pose_at(0), seed=0), MATRIX, config).keyframe(pose_at(0))
+    for k in (1.0, 2.0):
+        found = track(sight(behind_bars(pose_at(k), seed=1), MATRIX, config), keyframe, pose_at(0), config=config)
+        assert not found.lost
+        # A sixth of a pixel; weights that never fall to nothing leave three times as much.
+        assert np.linalg.norm((found.pose - pose_at(k))[:3, 3]) < 2.0
 
 
 def test_a_camera_is_found_where_light_has_changed_and_nothing_is_fused():

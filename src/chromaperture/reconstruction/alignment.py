@@ -19,12 +19,14 @@ _LEAST_SIDE_PX = 40
 _LEVELS = 4
 _ROUNDS = 12
 _ENOUGH_PX = 0.02  # a smaller step ends the search
-_HUBER = 1.345
+_HUBER, _TUKEY = 1.345, 4.685  # both lose 5 % where errors are normal
 _MAD = 1.4826
 _LEAST_GREY = 0.5  # grey levels: rounding alone
 _AGREES, _DIFFERS = 1, 2
 _DAMPING = 1e-4
 _CONDITION = 1e-7
+_ALIKE = 0.7  # correlation of the coarsest pictures from which a guess is near enough
+_TURN_PX, _TURNS = 1.5, 4  # guesses turned that far, so many times to each side, px of the coarsest picture
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,7 @@ def align(
     motion = np.array(motion, float)
     brightness, solved = np.array([1.0, 0.0]), True
     seen = fitting = like = 0.0
+    motion = _turned(points[-1], camera[len(points) - 1], motion, outlier_mm)
     for cloud, level in reversed(list(zip(points, camera, strict=False))):
         if len(cloud) < 50:
             continue
@@ -144,6 +147,35 @@ def align(
         fitting = seen * agrees / max(agrees + differs, 1)  # nothing is known of the rest
         like = _correlation(cloud[here, 3], matched[here])
     return Fit(motion, seen, fitting, like, solved)
+
+
+def _turned(cloud: np.ndarray, level: Level, motion: np.ndarray, outlier_mm: float) -> np.ndarray:
+    """Turn the guess to where the coarsest pictures look most alike, if they do not yet: Gauss-Newton reaches a px."""
+    if len(cloud) < 50:
+        return motion
+    found, best = motion, _alike(cloud, level, motion, outlier_mm)
+    if best >= _ALIKE:
+        return motion
+    for right in range(-_TURNS, _TURNS + 1):
+        for down in range(-_TURNS, _TURNS + 1):
+            turn = np.array([0, 0, 0, -down * _TURN_PX, right * _TURN_PX, 0]) / level.matrix[0, 0]
+            turned = _moved(turn) @ motion
+            if (alike := _alike(cloud, level, turned, outlier_mm)) > best:
+                found, best = turned, alike
+    return found
+
+
+def _alike(cloud: np.ndarray, level: Level, motion: np.ndarray, outlier_mm: float) -> float:
+    """Correlation of the cloud's grey with what it meets, less where little of it is seen."""
+    residual, matched = np.empty(len(cloud), np.float32), np.empty(len(cloud), np.float32)
+    normal_equations(
+        cloud, level.grey, level.across, level.down, level.z_mm, level.sigma_mm, level.matrix, motion,
+        np.array([1.0, 0.0]), 20.0, 0.0, outlier_mm, residual, matched, np.empty(len(cloud), np.uint8),
+    )  # fmt: skip
+    here = np.isfinite(residual)
+    if here.sum() < 50:
+        return 0.0
+    return _correlation(cloud[here, 3], matched[here]) * float(here.mean()) ** 0.5
 
 
 def _solved(normal: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, bool]:
@@ -235,7 +267,8 @@ def normal_equations(
         j[3], j[4], j[5] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
         j[6], j[7] = -points[n, 3], -1.0
         ratio = abs(r) / grey_sigma
-        weight = (1.0 if ratio <= _HUBER else _HUBER / ratio) / (grey_sigma * grey_sigma)
+        # What stands before a point where no distance is known differs one-sidedly: it must lose all its weight.
+        weight = (1.0 - (ratio / _TUKEY) ** 2) ** 2 / (grey_sigma * grey_sigma) if ratio < _TUKEY else 0.0
         k = 0
         for a in range(8):
             wa = weight * j[a]

@@ -35,15 +35,21 @@ def write_mesh_ply(path: Path, mesh: Mesh) -> None:
 
 
 def write_mesh_glb(path: Path, mesh: Mesh) -> None:
-    """Write binary glTF 2.0, in metres with y up as that format wants it; colours are linear there."""
+    """Write binary glTF 2.0, in metres with y up as that format wants it."""
+    path.write_bytes(glb(mesh))
+
+
+def glb(mesh: Mesh) -> bytes:
+    """Give the content of a file of binary glTF 2.0, in metres, y up, z backward; colours are linear there."""
     positions = (mesh.vertices_mm * np.array([1, -1, -1], np.float32) / 1000).astype("<f4")
     colors = np.full((len(positions), 4), 65535, "<u2")
-    colors[:, :3] = np.rint(srgb_to_linear(mesh.colors.astype(np.float32) / 255) * 65535)
+    levels = np.rint(srgb_to_linear(np.arange(256, dtype=np.float32) / 255) * 65535)
+    colors[:, :3] = levels.astype("<u2")[mesh.colors]
     indices = mesh.triangles.astype("<u4").ravel()
-    parts, views, at = (positions.tobytes(), colors.tobytes(), indices.tobytes()), [], 0
+    parts, views, at = (positions, colors, indices), [], 0  # each a multiple of four bytes, as the format wants it
     for data, target in zip(parts, (34962, 34962, 34963), strict=True):  # vertex data, vertex data, indices
-        views.append({"buffer": 0, "byteOffset": at, "byteLength": len(data), "target": target})
-        at += len(data)
+        views.append({"buffer": 0, "byteOffset": at, "byteLength": data.nbytes, "target": target})
+        at += data.nbytes
     corner = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()} if len(positions) else {}
     tree = {
         "asset": {"version": "2.0", "generator": "chromaperture"},
@@ -62,11 +68,9 @@ def write_mesh_glb(path: Path, mesh: Mesh) -> None:
     }
     text = json.dumps(tree).encode()
     text += b" " * (-len(text) % 4)
-    data = b"".join(parts)
-    data += b"\0" * (-len(data) % 4)
-    header = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(data))
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
-    path.write_bytes(header + chunks)
+    header = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + at)
+    texts = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", at, b"BIN\0")
+    return b"".join([header, texts, *(part.data for part in parts)])  # one copy: a model has many megabytes
 
 
 def write_trajectory(path: Path, placed: Iterable[Placed]) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from chromaperture.reconstruction.motion import Speed
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import Keyframe, Sight, Track, scaled, sight, track, turn_deg
 from chromaperture.reconstruction.views import cleaned
@@ -14,7 +15,8 @@ from chromaperture.reconstruction.volume import Mesh, Volume, joined
 from chromaperture.views import View
 
 _KEYFRAMES = 300
-_APART = 0.3  # of the picture's width: farther from every keyframe, a new one is made
+_APART = 0.2  # of the picture's width: farther from every keyframe, a new one is made
+_CLEAR, _DOUBTFUL = 0.65, 0.3  # overlap times likeness: nothing else is tried; all is
 _TRIES = 3  # keyframes tried a lost frame
 _REFRESH = 4  # views fused until the keyframe takes its distances from the model again
 _VOXELS_OF_DISTANCE = 200
@@ -89,7 +91,7 @@ class Reconstruction:
         self.placed: list[Placed] = []
         self.submaps: list[Submap] = []
         self.lost_in_row = 0
-        self._pose, self._motion = np.eye(4), np.eye(4)
+        self._pose, self._speed = np.eye(4), Speed(np.eye(4), 0.0)
         self._said_full = False
         self._active: Keyframe | None = None
         self._fused = 0
@@ -153,38 +155,57 @@ class Reconstruction:
             max_distance_mm=c.max_distance_mm,
         )
         self.submaps.append(Submap(volume, root=len(self.submaps)))
-        self._pose, self._motion, self._said_full, self._joining = np.eye(4), np.eye(4), False, None
+        self._pose, self._said_full, self._joining = np.eye(4), False, None
+        self._speed = Speed(self._pose, view.time_s)
         self._fuse(view, seen, self.submaps[-1])
         return Placed(view.index, view.time_s, self._pose.copy(), submap=self.submap, note="origin")
 
     def _follow(self, view: View, seen: Sight, submap: Submap) -> Placed:
-        found = Track(self._pose, 0.0, 0.0, "")
-        if not self.lost_in_row:
-            for guess in (self._pose @ self._motion, self._pose):
-                found = track(seen, self._keyframe(guess, seen, submap), guess, config=self.config)
-                if not found.lost:
-                    break
-        else:
-            near = [(self._keyframe(self._pose, seen, submap), self._pose)]
-            for keyframe, guess in near + [(key, key.pose) for key in similar(seen, submap.keyframes)]:
-                found = track(seen, keyframe, guess, config=self.config)
-                if keyframe is not self._active:
-                    keyframe.forget_points()
-                if not found.lost:
-                    break
+        found, seamless = self._found(view, seen, submap)
         if found.lost:
             return self._lost(view, found.lost)
         if self.lost_in_row:
             self.listener(f"frame {view.index}: tracking found again after {self.lost_in_row} frames")
-            self._motion = np.eye(4)
-        else:
-            self._motion = np.linalg.inv(self._pose) @ found.pose
         self.lost_in_row = 0
         self._pose = orthonormal(found.pose)
+        if seamless:
+            self._speed.met(self._pose, view.time_s)
+        else:
+            self._speed = Speed(self._pose, view.time_s)
         self._fuse(view, seen, submap)
         if view.index % _JOIN_EVERY == 0:
             self._join(view, seen, submap)
         return Placed(view.index, view.time_s, self._pose.copy(), found.overlap, found.likeness, self.submap)
+
+    def _found(self, view: View, seen: Sight, submap: Submap) -> tuple[Track, bool]:
+        """Look for the camera where it should be, where it was, and from the keyframes that look most like the view.
+
+        Gives it, and whether it went there from where it was. Far from the right pose a wrong one fits nearly as well:
+        what does not fit clearly is held against what the other guesses lead to.
+        """
+        seamless = not self.lost_in_row
+        ahead = self._speed.ahead(view.time_s) if seamless else self._pose
+        first = self._keyframe(ahead, seen, submap)
+        best = self._tracked(seen, first, ahead)
+        nearest = self._nearest(ahead, seen, submap)
+        if best.score < _CLEAR and nearest is not first:
+            best = max(best, self._tracked(seen, nearest, ahead), key=lambda found: found.score)
+        if best.score >= _DOUBTFUL:
+            return best, seamless
+        others = [(self._nearest(self._pose, seen, submap), self._pose)]
+        for keyframe, guess in others + [(key, key.pose) for key in similar(seen, submap.keyframes)]:
+            found = self._tracked(seen, keyframe, guess)
+            if found.score > best.score:
+                best, seamless = found, seamless and guess is self._pose
+            if best.score >= _CLEAR:
+                break
+        return best, seamless
+
+    def _tracked(self, seen: Sight, keyframe: Keyframe, guess: np.ndarray) -> Track:
+        found = track(seen, keyframe, guess, config=self.config)
+        if keyframe is not self._active:
+            keyframe.forget_points()
+        return found
 
     def _lost(self, view: View, why: str) -> Placed:
         if self.lost_in_row == 0:
@@ -211,13 +232,16 @@ class Reconstruction:
         """Give the oldest keyframe that sees much of what a camera there does: the older, the less it has drifted."""
         apart = [key.apart(pose, seen.median_mm) for key in submap.keyframes]
         close = [key for key, far in zip(submap.keyframes, apart, strict=True) if far <= _APART]
-        chosen = close[0] if close else submap.keyframes[int(np.argmin(apart))]
+        chosen = close[0] if close else self._nearest(pose, seen, submap)
         if chosen is not self._active or self._fused >= _REFRESH:
             if self._active is not None:
                 self._active.forget_points()
             self._active, self._fused = chosen, 0
             self._look(chosen, submap)
         return chosen
+
+    def _nearest(self, pose: np.ndarray, seen: Sight, submap: Submap) -> Keyframe:
+        return min(submap.keyframes, key=lambda key: key.apart(pose, seen.median_mm))
 
     def _look(self, keyframe: Keyframe, submap: Submap) -> None:
         """Give a keyframe the model's distances: frames are tracked against the model, not against one measurement."""

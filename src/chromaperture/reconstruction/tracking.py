@@ -42,6 +42,11 @@ class Track:
     lost: str
     seen: float = 0.0
 
+    @property
+    def score(self) -> float:
+        """How much speaks for it: 0 when lost."""
+        return 0.0 if self.lost else self.overlap * self.likeness
+
 
 @dataclass
 class Keyframe:

@@ -50,6 +50,8 @@ class Mesh:
 
 def joined(parts: list[tuple[Mesh, np.ndarray]]) -> Mesh:
     """Make one mesh of several, each moved by its (4, 4) pose; surfaces that lie on each other stay double."""
+    if len(parts) == 1 and np.array_equal(parts[0][1], np.eye(4)):
+        return parts[0][0]
     vertices, triangles, colors, first = [], [], [], 0
     for mesh, pose in parts:
         vertices.append((mesh.vertices_mm @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32))

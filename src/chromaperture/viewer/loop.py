@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import threading
 import time
 from collections.abc import Callable
@@ -25,10 +26,10 @@ from chromaperture.reconstruction.fusion import Placed, Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.volume import Mesh, open3d
 from chromaperture.viewer.slots import Meter, Slot
+from chromaperture.viewer.trail import Trail
 from chromaperture.views import undistorter
 
 STAGES = ("capture", "depth", "tracking", "view")
-_PATH = 20_000  # poses that are kept
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class LiveLoop:
         self.paused, self.over = threading.Event(), threading.Event()
         self.want_mesh = threading.Event()
         self.placed: Placed | None = None
-        self.path_mm: list[np.ndarray] = []
+        self.trail = Trail()
         self.mesh: Mesh | None = None
         self.model: Reconstruction | None = None
         self.track, self.config, self._mesh_every_s = track, config or ReconstructionConfig(), mesh_every_s
@@ -214,9 +215,9 @@ class LiveLoop:
             self.placed = placed = model.in_root(model.add(view))
             del model.placed[:-1]  # the path below is what is kept, and it is bounded
             if placed.pose is not None and placed.submap != root:  # another world frame
-                root, self.path_mm = placed.submap, []
+                root, self.trail = placed.submap, Trail()
             if placed.pose is not None:
-                self.path_mm = [*self.path_mm[-_PATH:], placed.pose[:3, 3]]
+                self.trail.add(placed.pose[:3, 3])
             if self.want_mesh.is_set() and start - meshed > self._mesh_every_s and model.current is not None:
                 self.mesh, meshed = model.mesh(model.current.root), start
                 self.want_mesh.clear()
@@ -234,8 +235,16 @@ class LiveLoop:
 
 def give_back_memory() -> None:
     """Return freed memory to the system: glibc keeps what many threads freed in pieces, and seems to grow for hours."""
-    with contextlib.suppress(OSError, AttributeError):  # another C library does as it likes
-        ctypes.CDLL("libc.so.6").malloc_trim(0)
+    if (trim := _trim()) is not None:
+        trim(0)
+
+
+@functools.cache  # every CDLL refers to itself, and would wait for the collector of cycles
+def _trim() -> Callable[[int], int] | None:
+    with contextlib.suppress(OSError, AttributeError):
+        trim: Callable[[int], int] = ctypes.CDLL("libc.so.6").malloc_trim
+        return trim
+    return None  # another C library does as it likes
 
 
 def stripped(measured: Measured, *, max_sigma: float, near_mm: float, far_mm: float) -> Measured:

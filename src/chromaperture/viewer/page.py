@@ -15,7 +15,7 @@ from chromaperture.depth.pointcloud import depth_to_points
 from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.outputs import staged
 from chromaperture.pipeline import write_maps
-from chromaperture.reconstruction.files import quaternion
+from chromaperture.reconstruction.files import glb, quaternion
 from chromaperture.reconstruction.views import near_steps
 from chromaperture.viewer.focus import Refocuser
 from chromaperture.viewer.loop import LiveLoop, Measured, stripped
@@ -193,17 +193,15 @@ class LivePage:
             position=shift / 1000,
             color=(220, 60, 40) if placed is not None and placed.pose is None else (40, 120, 220),
         )
-        path = np.array(self.loop.path_mm[-5000:]) / 1000
-        if len(path) > 1:
-            scene.add_line_segments("/path", np.stack([path[:-1], path[1:]], axis=1), (40, 120, 220), line_width=2)
+        path = np.array([*self.loop.trail.points_mm, shift]) / 1000
+        if len(path) > 2:
+            pairs = np.stack([path[:-1], path[1:]], axis=1)
+            scene.add_line_segments("/path", pairs, (40, 120, 220), thickness=2, thickness_units="screen")
         mesh = self.loop.mesh
         if mesh is not None and mesh is not self._mesh and len(mesh.triangles):
-            import trimesh
-
             self._mesh = mesh
-            colors = np.column_stack([mesh.colors, np.full(len(mesh.colors), 255, np.uint8)])
-            solid = trimesh.Trimesh(mesh.vertices_mm / 1000, mesh.triangles, vertex_colors=colors, process=False)
-            scene.add_mesh_trimesh("/model", solid)
+            # Written here: a Trimesh refers to itself, and many megabytes of them would wait for the cycle collector.
+            scene.add_glb("/model", glb(mesh), wxyz=(0, 1, 0, 0))  # the file's y points up and its z backward
 
     def _status(self) -> str:
         rows = ["| stage | frames/s | ms | behind, ms | dropped |", "| --- | --- | --- | --- | --- |"]
