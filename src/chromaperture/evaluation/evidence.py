@@ -132,7 +132,7 @@ def draw_correlation(result: CalibrationResult, quality: Quality = "real-time") 
     """Draw how the three parameters of the curve hang together."""
     values = correlation(np.asarray(result.fits[quality].model.covariance))
     names = ("A", "B", "δ")
-    figure = new_figure(width=3.6, height=2.8)
+    figure = new_figure(width=4.4, height=2.8)
     axes = figure.subplots()
     shown = axes.imshow(values, cmap="RdBu_r", vmin=-1, vmax=1)
     for i in range(3):
@@ -141,5 +141,5 @@ def draw_correlation(result: CalibrationResult, quality: Quality = "real-time") 
                       color="white" if abs(values[i, j]) > 0.6 else "black")  # fmt: skip
     axes.set_xticks(range(3), names)
     axes.set_yticks(range(3), names)
-    figure.colorbar(shown, ax=axes, fraction=0.05, label="correlation")
+    figure.colorbar(shown, ax=axes, label="correlation")
     return figure
