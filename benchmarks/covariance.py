@@ -31,7 +31,7 @@ from chromaperture.optics.ray_table import lens_rays
 from chromaperture.optics.session import SessionPlan, write_session
 
 SENSOR_MM, FOCUS_MM, CELLS = 22.3, 2000.0, 8
-NEAR_MM, FAR_MM = 1000.0, 4000.0
+NEAR_MM, FAR_MM, JITTER_MM = 1000.0, 4000.0, 10.0
 PROBES_MM = (1200.0, 2200.0, 3600.0)
 
 
@@ -43,10 +43,11 @@ def render(folder: Path, seed: int, width: int, boards: int) -> None:
     def rays(coded):
         return lens_rays(lens, coded, width_px=width, height_px=height, pixel_pitch_mm=pitch, cells=CELLS)
 
-    # Evenly spread in 1 / z, each somewhere in its part of the range: what the curve cannot follow differs too.
+    # Spread in 1 / z, each somewhere in its part of the range: what the curve cannot follow differs too. The nearest
+    # and the farthest hold the range itself: beyond them depth is extrapolated, and A and B mean another line.
     rng = np.random.default_rng(seed)
-    share = (np.arange(boards) + rng.random(boards)) / boards
-    stand = 1 / (1 / NEAR_MM + share * (1 / FAR_MM - 1 / NEAR_MM))
+    share = np.r_[0, (np.arange(boards - 2) + rng.random(boards - 2)) / (boards - 2), 1]
+    stand = 1 / (1 / NEAR_MM + share * (1 / FAR_MM - 1 / NEAR_MM)) + rng.uniform(-JITTER_MM, JITTER_MM, boards)
     plan = replace(SessionPlan(), distances_mm=tuple(np.round(stand)), tilts=8, seed=seed)
     write_session(
         folder, aperture=made_of(DESIGNS["cy_halves"], "real"), camera=camera, rays=rays, scenes={}, plan=plan,
@@ -55,17 +56,18 @@ def render(folder: Path, seed: int, width: int, boards: int) -> None:
 
 
 def parameters(model: DepthModel, true: DepthModel | None) -> tuple[dict[str, float], dict[str, float]]:
-    """Values and stated standard deviations; depth is read at the disparities that ``true`` gives the probes."""
+    """Values and stated standard deviations; depth is what the whole curve reads where ``true`` puts the probes."""
     a, b, delta = (float(v) for v in (model.infinity_disparity_px, model.scale_px_mm, model.sensor_to_pupil_mm))
     covariance = np.asarray(model.covariance, float)
     found = {"A_px": a, "B_px_mm": b, "delta_mm": delta, "in_focus_mm": b / a + delta}
     slopes = {"A_px": (1, 0, 0), "B_px_mm": (0, 1, 0), "delta_mm": (0, 0, 1), "in_focus_mm": (-b / a**2, 1 / a, 1)}
+    stated = {name: float(np.sqrt(np.array(s) @ covariance @ np.array(s))) for name, s in slopes.items()}
     for probe in PROBES_MM:
-        d = float(depth_to_disparity(probe, replace(true or model, nonlinearity=None)))
-        linear = replace(model, nonlinearity=None)
-        found[f"depth_at_{probe:.0f}_mm"] = float(disparity_to_depth(np.array([d]), linear)[0][0])
-        slopes[f"depth_at_{probe:.0f}_mm"] = (-b / (a - d) ** 2, 1 / (a - d), 1)
-    return found, {name: float(np.sqrt(np.array(s) @ covariance @ np.array(s))) for name, s in slopes.items()}
+        d = np.array([depth_to_disparity(probe, true or model)])
+        depth, sigma = disparity_to_depth(d, model, sigma_px=np.zeros(1))
+        found[f"depth_at_{probe:.0f}_mm"] = float(depth[0])
+        stated[f"depth_at_{probe:.0f}_mm"] = float(sigma[0])
+    return found, stated
 
 
 def main() -> None:

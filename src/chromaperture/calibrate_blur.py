@@ -16,7 +16,7 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.distances import BoardDistances
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.field_fit import fit_depth_field
-from chromaperture.depth.field_terms import choose_terms
+from chromaperture.depth.field_terms import ranked_terms
 from chromaperture.errors import InputError
 from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
 from chromaperture.session import Session
@@ -129,8 +129,8 @@ def fit_layers(layers: LayerEvidence, distances: BoardDistances, believed: np.nd
     """
     measured = believed & np.isfinite(layers.layer_px).any(axis=1)
     where = (layers.x_px, layers.y_px, layers.layer_px, distances)
-    terms = choose_terms(*where, size_px=layers.size_px, degree=_DEGREES[0], boards=measured)
-    trials = [(_DEGREES[0], terms), *((degree, 0) for degree in _DEGREES)]
+    terms = ranked_terms(*where, size_px=layers.size_px, degree=_DEGREES[0], boards=measured)
+    trials = [*((_DEGREES[0], n) for n in terms), *((degree, 0) for degree in _DEGREES[1:])]
     for trial, (degree, nonlinear) in enumerate(trials):
         try:
             return fit_depth_field(

@@ -14,7 +14,7 @@ from chromaperture.depth.distances import BoardDistances, find_outliers
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.field_fit import fit_depth_field
 from chromaperture.depth.field_local import with_local
-from chromaperture.depth.field_terms import choose_terms
+from chromaperture.depth.field_terms import ranked_terms
 from chromaperture.depth.fit import DepthFit, fit_depth_model
 from chromaperture.errors import InputError
 
@@ -136,8 +136,7 @@ def fit_curve(evidence: Evidence, quality: Quality, notes: list[str]) -> FittedC
     where = (thin(x), thin(y), thin(grids), evidence.distances)
     size = (sensor.width_px, sensor.height_px)
     for degree in _FIELD_DEGREES if count >= _MIN_FIELD_BOARDS else ():
-        terms = choose_terms(*where, size_px=size, degree=degree, boards=evidence.believed)
-        for nonlinear in dict.fromkeys((terms, 0)):
+        for nonlinear in ranked_terms(*where, size_px=size, degree=degree, boards=evidence.believed):
             try:
                 field, _ = fit_depth_field(
                     *where, size_px=size, degree=degree, nonlinear_terms=nonlinear, boards=evidence.believed

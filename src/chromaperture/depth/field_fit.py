@@ -197,7 +197,9 @@ def _covariance(
     middle *= clusters / max(clusters - len(normal), 1)  # the fit has drawn the residuals to itself
     by_distance = np.median(per_mm, axis=1) ** 2 * distances.covariance.diagonal()[:-1]
     followed = 2 + len(problem.powers)  # A, B and the nonlinearity follow what a board's pixels share
-    excess = (shared[seen] ** 2).sum() / max(len(seen) - followed, 1) - by_distance[seen].mean()
+    worth = weights.max(axis=1)[seen]
+    found_px2 = (worth * shared[seen] ** 2).sum() / worth.sum() * len(seen) / max(len(seen) - followed, 1)
+    excess = found_px2 - (worth * by_distance[seen]).sum() / worth.sum()
     pull = problem.project(weights)
     middle += max(excess, 0.0) * pull.T @ pull
     # A board thought too far by dz reads B / z^2 dz less than expected, and the unknowns follow.

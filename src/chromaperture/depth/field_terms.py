@@ -17,7 +17,7 @@ _POINTS = 400  # of the frame suffice: the nonlinearity is one curve for all of 
 _AS_GOOD = 1.25  # two standard errors of a root mean square over thirty boards: so much is chance
 
 
-def choose_terms(
+def ranked_terms(
     x_px: np.ndarray,
     y_px: np.ndarray,
     disparity_px: np.ndarray,
@@ -26,8 +26,8 @@ def choose_terms(
     size_px: tuple[int, int],
     degree: int,
     boards: np.ndarray,
-) -> int:
-    """Choose the number of Chebyshev terms by cross-validation over boards.
+) -> list[int]:
+    """Rank numbers of Chebyshev terms by cross-validation over boards.
 
     What is judged is the median over the frame of each board that was left out, relative to its distance: noise of
     single pixels does not come into it.
@@ -47,8 +47,9 @@ def choose_terms(
 
     Returns
     -------
-    int
-        0 where the boards carry none, or not even the fields.
+    list of int
+        The fewest terms that are as good as any, then the others from the best on, and last 0, which always fits: all
+        boards together may refuse what most of them allowed.
     """
     thin = slice(None, None, max(1, len(x_px) // _POINTS))
     x, y, disparity = x_px[thin], y_px[thin], disparity_px[:, thin]
@@ -69,7 +70,9 @@ def choose_terms(
         except InputError:  # a nonlinearity that turns back, or too few boards
             continue
         errors[terms] = float(np.sqrt(np.mean(np.concatenate(biases) ** 2)))
-    return next((n for n, error in errors.items() if error <= _AS_GOOD * min(errors.values())), 0)
+    ranked = sorted(errors, key=errors.__getitem__)
+    chosen = [n for n in sorted(errors) if errors[n] <= _AS_GOOD * errors[ranked[0]]][:1]
+    return [*chosen, *(n for n in ranked if n not in chosen), 0]
 
 
 def _folds(boards: np.ndarray) -> Iterator[np.ndarray]:
