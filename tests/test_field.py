@@ -172,7 +172,7 @@ def test_error_bars_vary_over_the_frame_as_the_fields_covariance_says(rng):
         # bilinear between 33 nodes a side: the second difference of a quartic is a few per mille of its range
         np.testing.assert_allclose(model.covariance[py, px], exact, rtol=0.05)
     corner, middle = model.covariance[0, 0, 0, 0], model.covariance[20, 30, 0, 0]
-    assert corner > 4 * middle  # a polynomial is loosest where it ends
+    assert corner > 2 * middle  # a polynomial is loosest where it ends
 
 
 def test_a_constant_field_is_its_model():

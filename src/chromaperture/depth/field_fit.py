@@ -190,16 +190,19 @@ def _covariance(
         errors[i] = np.nan_to_num(used[i] - shared[i])
     inverse = np.linalg.pinv(normal, hermitian=True)
     middle, clusters = np.zeros_like(normal), 0
+    by_tiles = np.zeros(len(used))
     for tile in np.unique(tiles):
         pull = problem.project(weights * errors * (tiles == tile))
         middle += pull.T @ pull
         clusters += int(pull.any(axis=1).sum())
+        by_tiles += (weights * errors * (tiles == tile)).sum(axis=1) ** 2
     middle *= clusters / max(clusters - len(normal), 1)  # the fit has drawn the residuals to itself
     by_distance = np.median(per_mm, axis=1) ** 2 * distances.covariance.diagonal()[:-1]
+    by_tiles /= np.maximum(weights.sum(axis=1), 1e-30) ** 2
     followed = 2 + len(problem.powers)  # A, B and the nonlinearity follow what a board's pixels share
     worth = weights.max(axis=1)[seen]
     found_px2 = (worth * shared[seen] ** 2).sum() / worth.sum() * len(seen) / max(len(seen) - followed, 1)
-    excess = found_px2 - (worth * by_distance[seen]).sum() / worth.sum()
+    excess = found_px2 - (worth * (by_distance + by_tiles)[seen]).sum() / worth.sum()
     pull = problem.project(weights)
     middle += max(excess, 0.0) * pull.T @ pull
     # A board thought too far by dz reads B / z^2 dz less than expected, and the unknowns follow.
