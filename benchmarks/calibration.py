@@ -92,9 +92,10 @@ def main() -> None:
     parser.add_argument("--quality", nargs="+", default=["paper", "real-time"])
     parser.add_argument("--only", type=int, help="every n-th board only")
     parser.add_argument("--keep", type=Path, help="folder for what is measured in each photograph, for the next run")
+    parser.add_argument("--lens-from", type=Path, help="camera file of the lens, for designs without tilted boards")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    lens: Calibration | None = None
+    lens = Calibration.load(args.lens_from) if args.lens_from else None
     table = []
     with tempfile.TemporaryDirectory() as scratch:
         for design in args.designs:
