@@ -105,7 +105,7 @@ def test_as_many_terms_as_the_matcher_needs(rng, true_terms):
     found = ranked_terms(
         x, y, read, exact_distances(z), size_px=(WIDTH, HEIGHT), degree=4, boards=np.ones(len(z), bool)
     )
-    assert found[0] == true_terms
+    assert found[0] == max(true_terms, 2)  # with so many boards two are always allowed for
     assert found[-1] == 0
 
 

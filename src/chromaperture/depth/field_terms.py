@@ -11,7 +11,7 @@ from chromaperture.depth.field_fit import fit_depth_field
 from chromaperture.errors import InputError
 
 _FOLDS = 8
-_TRIALS = (0, 2, 3, 4, 5, 6, 7, 8)
+_TRIALS = (2, 3, 4, 5, 6, 7, 8)  # mirrored halves of a pupil never read straight, see `Nonlinearity`
 _BOARDS_A_TERM = 3  # fewer would be drawn by the error of each board's distance
 _POINTS = 400  # of the frame suffice: the nonlinearity is one curve for all of it
 _AS_GOOD = 1.25  # two standard errors of a root mean square over thirty boards: so much is chance
@@ -71,10 +71,8 @@ def ranked_terms(
             continue
         errors[terms] = float(np.sqrt(np.mean(np.concatenate(biases) ** 2)))
     ranked = sorted(errors, key=errors.__getitem__)
-    good = [n for n in sorted(errors) if errors[n] <= _AS_GOOD * errors[ranked[0]]]
-    if good[:1] == [0] and errors[0] > errors.get(2, np.inf):
-        good.remove(0)  # mirrored halves of a pupil hardly ever read straight (`Nonlinearity`): in doubt, a bent curve
-    return [*good[:1], *(n for n in ranked if n not in (*good[:1], 0)), 0]
+    fewest = [n for n in sorted(errors) if errors[n] <= _AS_GOOD * errors[ranked[0]]][:1]
+    return [*fewest, *(n for n in ranked if n not in fewest), 0]
 
 
 def _folds(boards: np.ndarray) -> Iterator[np.ndarray]:
