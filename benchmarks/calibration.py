@@ -33,7 +33,7 @@ def leave_one_out_table(result: CalibrationResult, quality: Quality, *, only: in
     for i, path in enumerate(session.boards):
         if only is not None and i % only:
             continue
-        calibration = leave_one_out(result, i)
+        calibration = leave_one_out(result, i, [quality])
         camera = CodedApertureCamera(calibration, default_config(calibration, quality))
         depth = camera.measure(session.read(path)).depth_mm.astype(float)
         error = (depth - distances[i]) / distances[i]
@@ -63,7 +63,7 @@ def flatness(result: CalibrationResult, quality: Quality) -> dict[str, float]:
     rulers = np.array([*session.boards.values()])
     board = int(np.argmin(np.abs(rulers - FLAT_MM)))
     path = list(session.boards)[board]
-    calibration = leave_one_out(result, board)
+    calibration = leave_one_out(result, board, [quality])
     axis = calibration.on_axis(quality)
     camera = CodedApertureCamera(calibration, default_config(calibration, quality))
     frame = camera.measure(session.read(path))

@@ -3,9 +3,9 @@
     python benchmarks/covariance.py [--sessions 30] [--first 0] [--width 360] [--boards 10] [--out spread.png] [--json]
 
 Every session is rendered anew: its boards stand elsewhere, so that their texture falls on other pixels and the curve is
-held at other places; noise and ruler errors are its own. Parameters are those of the middle of the frame, A, B, delta, the in-focus distance, and depth
-read at three disparities. The ratio is the standard deviation that a session states over the one found among sessions:
-1 is honest, below 1 a session is too sure.
+held at other places; noise and ruler errors are its own. Parameters are those of the middle of the frame, A, B, delta,
+the in-focus distance, and depth as the whole curve reads it at three disparities. The ratio is the standard deviation
+that a session states over the one found among sessions: 1 is honest, below 1 a session is too sure.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -214,17 +214,22 @@ def calibrate_session(
     )
 
 
-def leave_one_out(result: CalibrationResult, board: int) -> Calibration:
+def leave_one_out(
+    result: CalibrationResult, board: int, qualities: Sequence[Quality] = QUALITIES
+) -> Calibration:
     """Give the camera as it would be without one board, whose depth can then be measured as that of any scene.
 
-    Everything but the depth curves stays: film, pinhole and the lens's blur do not depend on one board.
+    Only the depth curves of ``qualities`` are fitted anew: film, pinhole and lens blur do not depend on one board.
     """
-    evidence = result.evidence.without(board)
-    fields = {quality: fit_curve(evidence, quality, []).field for quality in MEASURED}
-    fields["accurate"] = fields[_like_accurate(result.calibration)]
-    if result.layers is not None:
-        fields["accurate"] = fit_layers(result.layers, evidence.distances, evidence.believed)
-    return dataclasses.replace(result.calibration, depth=fields)
+    evidence, calibration = result.evidence.without(board), result.calibration
+    fields = dict(calibration.depth)
+    for quality in qualities:
+        if quality == "accurate" and result.layers is not None:
+            fields[quality] = fit_layers(result.layers, evidence.distances, evidence.believed)
+        else:
+            curve = _like_accurate(calibration) if quality == "accurate" else quality
+            fields[quality] = fit_curve(evidence, curve, []).field
+    return dataclasses.replace(calibration, depth=fields)
 
 
 def _like_accurate(camera: Calibration) -> Quality:
