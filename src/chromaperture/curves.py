@@ -21,7 +21,6 @@ from chromaperture.errors import InputError
 _FIELD_DEGREES = (4, 2)  # the second where the first is drawn by noise
 _LEAST_SCALE = 0.1  # of the median: vignetting cuts the rim of the pupil, where an open design has its film
 _MIN_FIELD_BOARDS = 5
-_FEWEST_TERMS = 2  # mirrored halves of a pupil never read straight, see `Nonlinearity`
 _THIN = 2  # points of the grid
 _ONE_SIDE_PX = 0.3
 
@@ -137,9 +136,7 @@ def fit_curve(evidence: Evidence, quality: Quality, notes: list[str]) -> FittedC
     where = (thin(x), thin(y), thin(grids), evidence.distances)
     size = (sensor.width_px, sensor.height_px)
     for degree in _FIELD_DEGREES if count >= _MIN_FIELD_BOARDS else ():
-        for nonlinear in ranked_terms(
-            *where, size_px=size, degree=degree, boards=evidence.believed, fewest=_FEWEST_TERMS
-        ):
+        for nonlinear in ranked_terms(*where, size_px=size, degree=degree, boards=evidence.believed):
             try:
                 field, _ = fit_depth_field(
                     *where, size_px=size, degree=degree, nonlinear_terms=nonlinear, boards=evidence.believed

@@ -11,7 +11,7 @@ from chromaperture.depth.field_fit import fit_depth_field
 from chromaperture.errors import InputError
 
 _FOLDS = 8
-_TRIALS = (0, 2, 3, 4, 5, 6, 7, 8)
+_TRIALS = (2, 3, 4, 5, 6, 7, 8)  # mirrored halves of a pupil never read straight, see `Nonlinearity`
 _BOARDS_A_TERM = 3  # fewer would be drawn by the error of each board's distance
 _POINTS = 400  # of the frame suffice: the nonlinearity is one curve for all of it
 _AS_GOOD = 1.25  # two standard errors of a root mean square over thirty boards: so much is chance
@@ -26,7 +26,6 @@ def ranked_terms(
     size_px: tuple[int, int],
     degree: int,
     boards: np.ndarray,
-    fewest: int = 0,
 ) -> list[int]:
     """Rank numbers of Chebyshev terms by cross-validation over boards.
 
@@ -45,8 +44,6 @@ def ranked_terms(
         Total degree of the fields.
     boards : (N,) bool
         Which boards to use.
-    fewest : int
-        What a matcher needs in any case, where the boards carry it.
 
     Returns
     -------
@@ -57,7 +54,7 @@ def ranked_terms(
     thin = slice(None, None, max(1, len(x_px) // _POINTS))
     x, y, disparity = x_px[thin], y_px[thin], disparity_px[:, thin]
     errors: dict[int, float] = {}
-    for terms in (n for n in _TRIALS if n >= fewest):
+    for terms in _TRIALS:
         if terms * _BOARDS_A_TERM > boards.sum():
             break
         try:
@@ -74,8 +71,8 @@ def ranked_terms(
             continue
         errors[terms] = float(np.sqrt(np.mean(np.concatenate(biases) ** 2)))
     ranked = sorted(errors, key=errors.__getitem__)
-    first = [n for n in sorted(errors) if errors[n] <= _AS_GOOD * errors[ranked[0]]][:1]
-    return list(dict.fromkeys([*first, *(n for n in ranked if n), 0]))
+    fewest = [n for n in sorted(errors) if errors[n] <= _AS_GOOD * errors[ranked[0]]][:1]
+    return [*fewest, *(n for n in ranked if n not in fewest), 0]
 
 
 def _folds(boards: np.ndarray) -> Iterator[np.ndarray]:
