@@ -192,10 +192,11 @@ def _covariance(
     middle, clusters = np.zeros_like(normal), 0
     by_tiles = np.zeros(len(used))
     for tile in np.unique(tiles):
-        pull = problem.project(weights * errors * (tiles == tile))
+        own = weights * errors * (tiles == tile)
+        pull = problem.project(own)
         middle += pull.T @ pull
         clusters += int(pull.any(axis=1).sum())
-        by_tiles += (weights * errors * (tiles == tile)).sum(axis=1) ** 2
+        by_tiles += own.sum(axis=1) ** 2
     middle *= clusters / max(clusters - len(normal), 1)  # the fit has drawn the residuals to itself
     by_distance = np.median(per_mm, axis=1) ** 2 * distances.covariance.diagonal()[:-1]
     by_tiles /= np.maximum(weights.sum(axis=1), 1e-30) ** 2
