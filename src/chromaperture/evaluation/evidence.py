@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 from matplotlib.figure import Figure
@@ -47,13 +45,11 @@ def draw_corners(result: CalibrationResult) -> Figure:
 def white_sheets(result: CalibrationResult) -> dict[str, np.ndarray]:
     """Read the white sheets through the open pupil and through the aperture, where there are any."""
     session = result.session
-    sheets: dict[str, np.ndarray] = {}
-    for name in ("open", session.design):
-        for folder in (session.folder / "white", session.folder.parent / "white"):
-            path = Path(folder, f"{name}.png")
-            if path.is_file() and name not in sheets:
-                sheets[name] = cv2.GaussianBlur(session.read(path), (0, 0), session.sensor.width_px / 90)
-    return sheets
+    return {
+        name: cv2.GaussianBlur(session.read(session.sheets[name]), (0, 0), session.sensor.width_px / 90)
+        for name in ("open", session.design)
+        if name in session.sheets
+    }
 
 
 def draw_transparency(result: CalibrationResult) -> Figure | None:
