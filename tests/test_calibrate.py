@@ -175,6 +175,7 @@ def test_the_sensors_noise_is_read_from_the_sheets(session, tmp_path, rng):
     for name, colour in (("sheet_c", (0.02, 0.7, 0.75)), ("sheet_y", (0.75, 0.7, 0.02)), ("open", (0.8, 0.8, 0.8))):
         electrons = rng.poisson(np.broadcast_to(np.array(colour) * ramp, (108, 144, 3)) * 4000)
         tifffile.imwrite(folder / "white" / f"{name}.tif", (electrons * 15 + 100).astype(np.uint16))
+    (folder / "white" / "holiday.jpg").write_bytes(b"no sheet")  # what is called otherwise is not looked at
     result = calibrated(folder)
     # 3 sheets of 108 blocks that are known to 8.6 %, seven in nine of them bright: .6 %
     assert result.calibration.sensor.full_well_electrons == pytest.approx(4000, rel=0.03)

@@ -18,7 +18,7 @@ from chromaperture.calibration import Sensor
 from chromaperture.capture.files import photographs, read_image
 from chromaperture.depth.distances import check_units
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import design_named
+from chromaperture.optics.aperture import DESIGNS, design_named
 
 _SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": "sheet_r", "green": "sheet_g",
            "blue": "sheet_b"}  # fmt: skip
@@ -69,7 +69,8 @@ class Session:
     def sheets(self) -> dict[str, Path]:
         """Photographs of white sheets by name: those in the session's folder, and beside it where it has none."""
         folders = (self.folder.parent / "white", self.folder / "white")
-        return {path.stem: path for folder in folders for path in photographs(folder)}
+        names = {"open", *DESIGNS, *_SHEETS.values()}
+        return {path.stem: path for folder in folders for path in photographs(folder) if path.stem in names}
 
     def white(self, name: str) -> np.ndarray | None:
         """Mean colour of the middle of a white-sheet photograph, or None where there is none; (3,) float64."""
