@@ -8,7 +8,6 @@ import scipy.fft
 
 from chromaperture.calibrate_blur import add_blur
 from chromaperture.calibration import Calibration, Film, Lens, Sensor
-from chromaperture.config import PhaseConfig
 from chromaperture.depth.blur_fit import fit_blur, measured_layers
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.distances import BoardDistances
@@ -60,7 +59,7 @@ def test_the_fit_explains_the_boards(fitted):
 def test_layers_of_the_boards_are_their_distances(fitted):
     at_infinity, scale = fitted.blur.reference
     for image, inverse_mm in boards():
-        *_, layer = measured_layers(image, inverse_mm, fitted.blur, cell_px=40, config=PhaseConfig())
+        *_, layer = measured_layers(image, inverse_mm, fitted.blur, cell_px=40)
         # Noise of 0.1 % and a fit to 30 tiles: good to a fiftieth of a px of half disparity.
         assert np.nanmedian(layer) == pytest.approx(at_infinity - scale * inverse_mm, abs=0.02)
 

@@ -9,7 +9,8 @@ from chromaperture.depth.distances import BoardDistances
 from chromaperture.depth.field import DepthField, degree_of, polynomials
 from chromaperture.depth.field_fit import fit_depth_field
 from chromaperture.depth.field_local import with_local
-from chromaperture.depth.field_terms import ranked_terms
+from chromaperture.depth.field_terms import ranked_curves
+from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 
 WIDTH, HEIGHT = 61, 41
@@ -81,7 +82,7 @@ def test_a_matchers_nonlinearity_is_told_from_the_lens(rng):
     disparity = bent(linear) + rng.normal(0, 0.01, linear.shape)
     distances = exact_distances(z)
     straight, _ = fit(x, y, disparity, distances)
-    curved, _ = fit(x, y, disparity, distances, nonlinear_terms=5)
+    curved, _ = fit(x, y, disparity, distances, nonlinearity=5)
     between = 2 * z[:-1] * z[1:] / (z[:-1] + z[1:])  # distances at which no board stood
     infinity, scale = curved_lens(30.0, 20.0)
     errors = []
@@ -102,23 +103,43 @@ def test_as_many_terms_as_the_matcher_needs(rng, true_terms):
     low, high = linear.min(), linear.max()
     read = linear + chebyshev.chebval((2 * linear - low - high) / (high - low), series)
     read += rng.normal(0, 0.002, (len(z), 1)) + rng.normal(0, 0.01, linear.shape)  # of boards, and of pixels
-    found = ranked_terms(
+    found = ranked_curves(
         x, y, read, exact_distances(z), size_px=(WIDTH, HEIGHT), degree=4, boards=np.ones(len(z), bool)
     )
     assert found[0] == max(true_terms, 2)  # with so many boards two are always allowed for
     assert found[-1] == 0
 
 
+def test_a_curve_known_beforehand_is_taken_where_it_is_right(rng):
+    """Eight boards carry two terms; the matcher's curve has ten times the bend of what they may follow."""
+    z = np.linspace(1000, 4000, 8) - DELTA
+    x, y, linear = measured_boards(rng, 0.0, z)
+    low, high = float(linear.min()), float(linear.max())
+    right = Nonlinearity(low, high, np.array([0.02, -0.05, 0.04, 0.03, -0.02]))
+    wrong = Nonlinearity(low, high, -right.coefficients)
+    read = right.measured(linear) + rng.normal(0, 0.01, linear.shape)
+    where, everything = (x, y, read, exact_distances(z)), np.ones(len(z), bool)
+    ranked = [
+        ranked_curves(*where, size_px=(WIDTH, HEIGHT), degree=4, boards=everything, known=known)
+        for known in (right, wrong)
+    ]
+    assert ranked[0][0] is right
+    assert ranked[1][0] is not wrong
+    fitted, residual = fit(x, y, read, exact_distances(z), nonlinearity=right)
+    assert fitted.nonlinearity is right
+    assert np.abs(np.median(residual, axis=1)).max() < 0.002  # 0.01 px, averaged over the frame
+
+
 def test_few_boards_carry_no_terms(rng):
     x, y, linear = measured_boards(rng, 0.01)
     everything = np.ones(len(RULERS), bool)
-    found = ranked_terms(
+    found = ranked_curves(
         x, y, bent(linear), exact_distances(), size_px=(WIDTH, HEIGHT), degree=2, boards=everything
     )
     assert max(found) <= len(RULERS) // 3
     with pytest.raises(InputError):
         fit(x, y, linear, boards=everything & (RULERS == 1000.0))
-    assert ranked_terms(
+    assert ranked_curves(
         x, y, linear, exact_distances(), size_px=(WIDTH, HEIGHT), degree=2, boards=everything & (RULERS < 2000)
     ) == [0]  # fmt: skip
 

@@ -1,5 +1,6 @@
 """PSF-aware matching: a plane blurred by known PSFs comes back at its depth."""
 
+import cv2
 import numpy as np
 import pytest
 import scipy.fft
@@ -8,7 +9,7 @@ from hypothesis import strategies as st
 
 from chromaperture.config import MatcherConfig, PhaseConfig
 from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.phase import phase_likelihood, tile_field
+from chromaperture.disparity.phase import phase_likelihood, signal_share, tile_field
 from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
@@ -22,12 +23,16 @@ def blur_for(design, model=LENS, width=W, height=H):
     return FieldBlur(model, sample_pupil(DESIGNS[design]), width, height)
 
 
-def photograph(blur, layer_px, rng, noise=0.002):
+def photograph(blur, layer_px, rng, noise=0.002, finest_px=0.0):
     """A grey plane at one depth; its blur is that of the frame's middle, everywhere."""
     size = 256
+    texture = rng.normal(0, 0.15, (size, size))
+    if finest_px:
+        texture = cv2.GaussianBlur(texture, (0, 0), finest_px, borderType=cv2.BORDER_REFLECT_101)
+        texture *= 0.12 / texture.std()
     at_infinity, scale = blur.reference
     transfer = blur.transfer((blur.width_px - 1) / 2, (blur.height_px - 1) / 2, (at_infinity - layer_px) / scale, size)
-    spectrum = scipy.fft.rfft2(rng.normal(0.5, 0.15, (size, size)))
+    spectrum = scipy.fft.rfft2(0.5 + texture)
     image = scipy.fft.irfft2(spectrum * transfer)[:, : blur.height_px, : blur.width_px].transpose(1, 2, 0)
     return (image + rng.normal(0, noise, image.shape)).astype(np.float32)
 
@@ -61,6 +66,45 @@ def test_shifted_views_would_have_been_off():
     layers = true + np.linspace(-0.5, 0.5, 9)
     aware = best_layer(phase_likelihood(image, blur, layers, config=PhaseConfig()), layers)
     assert abs(aware - true) < abs(shifted - true) / 3
+
+
+@pytest.mark.parametrize("edge_px", [-1.5, 0.9])
+def test_noise_does_not_pull_towards_more_blur(edge_px):
+    """Near focus an open design's parallax is small, and more blur hides more noise."""
+    blur = blur_for("cy_open")
+    true, noise = edge_px * blur.reach, 0.03
+    layers = true + np.arange(-12, 13) * 0.3 * blur.reach
+    config = MatcherConfig.psf_aware(blur.reach).phase
+    found = {True: [], False: []}
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        image = photograph(blur, true, rng, noise=noise, finest_px=1.5)
+        for known in found:
+            variance = np.full_like(image, noise**2) if known else None
+            volume = phase_likelihood(image, blur, layers, noise_variance=variance, config=config)
+            found[known].append((best_layer(volume, layers) - true) / blur.reach)
+    with_noise, without = abs(np.mean(found[True])), abs(np.mean(found[False]))
+    # In px of blur; each picture's noise is worth 0.02. Unknown, noise pulls by 0.1 and 0.6.
+    assert with_noise < 0.05
+    assert with_noise < without / 5
+
+
+def test_the_share_of_signal_is_wieners():
+    """A texture of known spectrum S in white noise N: S / (S + N)."""
+    rng, size, sigma = np.random.default_rng(5), 128, 0.3
+    w2 = (2 * np.pi * scipy.fft.fftfreq(size))[:, None] ** 2 + (2 * np.pi * scipy.fft.rfftfreq(size)) ** 2
+    colour = np.exp(-w2 / 2)
+    texture = scipy.fft.irfft2(scipy.fft.rfft2(rng.standard_normal((3, size, size))) * colour)
+    noisy = texture + sigma * rng.standard_normal((3, size, size))
+    share = signal_share(scipy.fft.rfft2(noisy), np.full(3, sigma**2 * size**2))
+    expected = colour**2 / (colour**2 + sigma**2)
+    assert share.min() >= 0
+    assert share.max() <= 1
+    # The lag window leaves some thirty independent frequencies in each estimate: a fifth, on what is 1 - N / (S + N).
+    assert np.abs(share - expected).mean() < 0.08
+    assert np.abs(share - expected)[:, w2 < 0.5].max() < 0.05
+    np.testing.assert_array_equal(signal_share(scipy.fft.rfft2(noisy), np.zeros(3)), 1)
+    np.testing.assert_array_equal(signal_share(np.zeros((1, 8, 5), complex), np.ones(1)), 0)
 
 
 def test_tiles_bend_with_field_curvature():

@@ -41,8 +41,12 @@ ALLOWED: dict[str, set[str]] = {
     "store": set(),
     "boards": {"optics", "calibration", "camera", "session", "store"} | STAGES,
     "curves": {"calibration", "boards"} | STAGES,
-    "calibrate": {"optics", "calibration", "session", "boards", "calibrate_blur", "curves", "store"} | STAGES,
-    "calibrate_blur": {"optics", "calibration", "session", "store"} | STAGES,
+    "whites": {"optics", "calibration", "session"} | STAGES,
+    "rendered_boards": {"calibration", "camera", "session", "boards", "curves", "store", "optics"} | STAGES,
+    "calibrate": {"optics", "calibration", "session", "boards", "calibrate_blur", "curves", "store", "whites"}
+    | {"rendered_boards"}
+    | STAGES,
+    "calibrate_blur": {"optics", "calibration", "camera", "session", "store"} | STAGES,
     "views": {"camera"} | STAGES,
     "preview": {"optics", "camera"} | STAGES,
     "samples": set(),

@@ -76,36 +76,54 @@ def measure_board(session: Session, draft: Calibration, path: Path, *, store: St
     path : Path
     store : Store
     """
-    sensor = draft.sensor
-    ranges = {quality: draft.disparity_range_px(quality) for quality in MEASURED}
-    # The lens is not known yet: search wider than its nominal figures say.
-    configs = {
-        quality: MatcherConfig.preset(quality).with_range(1.5 * low - 1, 1.5 * high + 1)
-        for quality, (low, high) in ranges.items()
-    }
 
     def measured() -> dict[str, np.ndarray]:
-        image = session.read(path)
-        noise = sensor_noise(image, draft)
-        found = {}
-        rows, columns = (grid(n, sensor.width_px).astype(int) for n in (sensor.height_px, sensor.width_px))
-        for quality, config in configs.items():
-            disparity = estimate_disparity(
-                image, aperture=draft.aperture, unmixing=draft.unmixing, noise_variance=noise, config=config
-            ).value_px
-            found[f"{quality} middle"] = np.array(_middle_median(disparity, config))
-            found[f"{quality} grid"] = disparity[np.ix_(rows, columns)]
-        return found
+        return read_board(session.read(path), draft)
 
     film = {name: color.tolist() for name, color in draft.film.filters.items()}
-    kept = store.arrays(path, (draft.design, sensor, film, configs), measured)
+    kept = store.arrays(path, ("board", draft.design, draft.sensor, film, _configs(draft)), measured)
     return BoardMeasurement(
         path.name,
         session.boards[path],
         {q: float(kept[f"{q} middle"][0]) for q in MEASURED},
         {q: float(kept[f"{q} middle"][1]) for q in MEASURED},
-        {q: kept[f"{q} grid"] for q in MEASURED},
+        {q: kept[q] for q in MEASURED},
     )
+
+
+def read_board(image: np.ndarray, draft: Calibration) -> dict[str, np.ndarray]:
+    """Match a photograph of a board at every quality, on the grid of places at which boards are kept.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32
+    draft : Calibration
+        Film and sensor as they are, depth curves to some 20 %: they only set the search range.
+
+    Returns
+    -------
+    dict of str to array
+        By quality (h, w) disparities, px; by "QUALITY middle" the median about the axis and its standard error.
+    """
+    noise = sensor_noise(image, draft)
+    found = {}
+    rows, columns = (grid(n, draft.sensor.width_px).astype(int) for n in image.shape[:2])
+    for quality, config in _configs(draft).items():
+        disparity = estimate_disparity(
+            image, aperture=draft.aperture, unmixing=draft.unmixing, noise_variance=noise, config=config
+        ).value_px
+        found[f"{quality} middle"] = np.array(_middle_median(disparity, config))
+        found[quality] = disparity[np.ix_(rows, columns)]
+    return found
+
+
+def _configs(draft: Calibration) -> dict[Quality, MatcherConfig]:
+    """Search wider than the lens's nominal figures say: it is not known yet."""
+    ranges = {quality: draft.disparity_range_px(quality) for quality in MEASURED}
+    return {
+        quality: MatcherConfig.preset(quality).with_range(1.5 * low - 1, 1.5 * high + 1)
+        for quality, (low, high) in ranges.items()
+    }
 
 
 def _middle_median(disparity: np.ndarray, config: MatcherConfig) -> tuple[float, float]:

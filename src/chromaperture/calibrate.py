@@ -16,12 +16,10 @@ import numpy as np
 
 from chromaperture.boards import MEASURED, BoardMeasurement, grid, measure_board, spread
 from chromaperture.calibrate_blur import LayerEvidence, add_blur, fit_layers
-from chromaperture.calibration import Calibration, Film, Lens, Sensor
-from chromaperture.color.film import completed_film
-from chromaperture.color.noise import fit_photon_noise, noise_samples
+from chromaperture.calibration import Calibration, Film, Lens
 from chromaperture.color.unmixing import ideal_unmixing, view_reach
 from chromaperture.config import QUALITIES, MatcherConfig, Quality
-from chromaperture.curves import Evidence, doubt, fit_curve, weaknesses
+from chromaperture.curves import Evidence, FittedCurve, doubt, fit_curve, weaknesses
 from chromaperture.depth.blur_fit import Progress
 from chromaperture.depth.chessboard import (
     MIN_VIEWS,
@@ -37,13 +35,14 @@ from chromaperture.depth.field import DepthField, degree_of
 from chromaperture.depth.fit import DepthFit
 from chromaperture.disparity.estimate import colour_spaces
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import Aperture, channel_transmission, design_named
+from chromaperture.optics.aperture import Aperture, design_named
+from chromaperture.rendered_boards import rendered_nonlinearity
 from chromaperture.session import Session, read_session
 from chromaperture.store import Store
+from chromaperture.whites import measure_film, with_noise
 
 _PUPIL_SIGMA_MM = 10.0  # of the guess that the pupil lies one image distance before the sensor
 _CORNER_SIGMA = 0.03  # px, and as a share of the blur radius
-_NOISE_BOARDS = 8
 _RANGE_MARGIN = (0.9, 1.3)  # the working range reaches a little beyond the boards
 
 
@@ -139,8 +138,8 @@ def calibrate_session(
     aperture = design_named(session.design)
     ideal_unmixing(aperture)  # refuses designs without parallax before any work is done
     notes: list[str] = []
-    session = dataclasses.replace(session, sensor=_with_noise(session, notes))
-    film = _measure_film(session, aperture, notes)
+    session = dataclasses.replace(session, sensor=with_noise(session, notes))
+    film = measure_film(session, aperture, notes)
     intrinsics, corners = _measure_intrinsics(session, lens_from, notes, progress, store)
     guess = _nominal_depth_model(session, aperture)
     start = DepthField.constant(guess)
@@ -172,11 +171,19 @@ def calibrate_session(
         session.sensor, boards, distances, session.ruler_error_mm, np.ones(len(boards), bool), per_pixel
     )
     evidence, outliers = doubt(everything, names, "paper")
+    curves = {quality: fit_curve(evidence, quality, []) for quality in MEASURED}
+    calibration, layers = _assemble(session, film, intrinsics, _by_quality(curves, draft), {}), None
+    if lens_blur:
+        used = evidence.believed
+        calibration, layers = add_blur(calibration, session, distances, used, notes, store=store, progress=progress)
+        rendered = rendered_nonlinearity(calibration, session, distances, used, store=store, progress=progress)
+        evidence = dataclasses.replace(evidence, rendered=rendered)
     curves = {quality: fit_curve(evidence, quality, notes) for quality in MEASURED}
     fits = {quality: curve.fit for quality, curve in curves.items()}
     notes += [*outliers.values(), *weaknesses(evidence, fits)]
-    fields: dict[Quality, DepthField] = {quality: curve.field for quality, curve in curves.items()}
-    fields["accurate"] = fields[_like_accurate(draft)]
+    fields = _by_quality(curves, draft)
+    if layers is not None:
+        fields["accurate"] = calibration.depth["accurate"]
     provenance = {
         "command": f"chromaperture calibrate {session.folder.name}",
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
@@ -190,10 +197,8 @@ def calibrate_session(
         "notes": notes,
     }
     residuals = {quality: curve.residual_px.astype(np.float32) for quality, curve in curves.items()}
-    calibration, layers = _assemble(session, film, intrinsics, fields, provenance), None
-    if lens_blur:
-        used = evidence.believed
-        calibration, layers = add_blur(calibration, session, distances, used, notes, store=store, progress=progress)
+    assembled = _assemble(session, film, intrinsics, fields, provenance)
+    calibration = dataclasses.replace(assembled, blur=calibration.blur)
     return CalibrationResult(
         calibration=calibration,
         fits=fits,
@@ -232,6 +237,12 @@ def leave_one_out(
     return dataclasses.replace(calibration, depth=fields)
 
 
+def _by_quality(curves: Mapping[Quality, FittedCurve], draft: Calibration) -> dict[Quality, DepthField]:
+    """Give the field of every quality, as far as shifted views tell."""
+    fields = {quality: curve.field for quality, curve in curves.items()}
+    return {**fields, "accurate": fields[_like_accurate(draft)]}
+
+
 def _like_accurate(camera: Calibration) -> Quality:
     """Name the quality whose curve the optimiser shares.
 
@@ -240,48 +251,6 @@ def _like_accurate(camera: Calibration) -> Quality:
     """
     first = colour_spaces(camera.aperture, camera.unmixing, MatcherConfig.preset("accurate"))[0]
     return "paper" if np.array_equal(first, camera.unmixing) else "real-time"
-
-
-def _measure_film(session: Session, aperture: Aperture, notes: list[str]) -> Film:
-    """Colours of the filters from the white sheets; usual film where a sheet is missing."""
-    clear = session.white("open")
-    if clear is None:
-        notes.append("no white sheet through the open pupil: colours are relative to full scale")
-        clear = np.ones(3)
-    sheets = {name: session.sheet(name) for name in aperture.views}
-    measured = {name: sheet for name, sheet in sheets.items() if sheet is not None}
-    white = session.white(session.design)
-    film = completed_film(
-        aperture,
-        {name: sheet / clear for name, sheet in measured.items()},
-        light=None if white is None else white / clear,
-    )
-    missing = [name for name in aperture.views if name not in measured]
-    if missing:
-        means = "" if white is None else ", as much of it as the white sheet through the aperture shows"
-        notes.append(f"no sheet of {', '.join(missing)} film: taken as usual film{means}; the views may mix a little")
-    if white is None:
-        notes.append("no white sheet through the aperture: the colour balance is computed from the film")
-        white = np.maximum(channel_transmission(aperture.with_film(film)), 1e-3) * clear
-    return Film({name: film[name] * clear for name in aperture.views}, clear, white)
-
-
-def _with_noise(session: Session, notes: list[str]) -> Sensor:
-    """Give the sensor with its noise: as the session says, else as the white sheets or the boards show it."""
-    sensor = session.sensor
-    if sensor.full_well_electrons is not None and sensor.read_noise_electrons is not None:
-        return sensor
-    boards = list(session.boards)
-    paths = list(session.sheets.values()) or boards[:: max(1, len(boards) // _NOISE_BOARDS)]
-    samples = [noise_samples(session.read(path)) for path in paths]
-    found = fit_photon_noise(*(np.concatenate(part) for part in zip(*samples, strict=True)))
-    if found is None:
-        notes.append("the photographs do not show how noise grows with light: it is estimated in every photograph anew")
-        return sensor
-    full_well, read_noise = found
-    source = "the white sheets" if session.sheets else "the boards, whose finest texture counts as noise"
-    notes.append(f"noise told from {source}: full well {full_well:.0f} electrons, read noise {read_noise:.1f}")
-    return dataclasses.replace(sensor, full_well_electrons=full_well, read_noise_electrons=read_noise)
 
 
 def _measure_intrinsics(

@@ -9,14 +9,14 @@ from functools import partial
 import numpy as np
 
 from chromaperture.calibration import Calibration
+from chromaperture.camera import sensor_noise
 from chromaperture.color.unmixing import view_reach
-from chromaperture.config import PhaseConfig
 from chromaperture.depth.blur_fit import Progress, fit_blur, measured_layers
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.distances import BoardDistances
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.field_fit import fit_depth_field
-from chromaperture.depth.field_terms import ranked_terms
+from chromaperture.depth.field_terms import ranked_curves
 from chromaperture.errors import InputError
 from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
 from chromaperture.session import Session
@@ -102,8 +102,8 @@ def add_blur(
         cells = []
         for number, i in enumerate(chosen):
             progress("depth of the layers", number, len(chosen))
-            measure = partial(_measure, session, i, float(inverse_mm[i]), fit.blur)
-            what = ("half layers", fit.blur.model, float(inverse_mm[i]))
+            measure = partial(_measure, session, i, float(inverse_mm[i]), fit.blur, calibration)
+            what = ("layers", fit.blur.model, float(inverse_mm[i]), calibration.sensor)
             cells.append((store or Store()).arrays(paths[i], what, measure))
         progress("depth of the layers", len(chosen), len(chosen))
         layer = np.full((len(paths), len(cells[0]["x"])), np.nan)
@@ -129,12 +129,12 @@ def fit_layers(layers: LayerEvidence, distances: BoardDistances, believed: np.nd
     """
     measured = believed & np.isfinite(layers.layer_px).any(axis=1)
     where = (layers.x_px, layers.y_px, layers.layer_px, distances)
-    terms = ranked_terms(*where, size_px=layers.size_px, degree=_DEGREES[0], boards=measured)
-    trials = [*((_DEGREES[0], n) for n in terms), *((degree, 0) for degree in _DEGREES[1:])]
-    for trial, (degree, nonlinear) in enumerate(trials):
+    curves = ranked_curves(*where, size_px=layers.size_px, degree=_DEGREES[0], boards=measured)
+    trials = [*((_DEGREES[0], curve) for curve in curves), *((degree, 0) for degree in _DEGREES[1:])]
+    for trial, (degree, curve) in enumerate(trials):
         try:
             return fit_depth_field(
-                *where, size_px=layers.size_px, degree=degree, nonlinear_terms=nonlinear, boards=measured
+                *where, size_px=layers.size_px, degree=degree, nonlinearity=curve, boards=measured
             )[0]
         except InputError:
             if trial == len(trials) - 1:
@@ -142,10 +142,12 @@ def fit_layers(layers: LayerEvidence, distances: BoardDistances, believed: np.nd
     raise AssertionError("unreachable")
 
 
-def _measure(session: Session, board: int, inverse_mm: float, blur: FieldBlur) -> dict[str, np.ndarray]:
+def _measure(
+    session: Session, board: int, inverse_mm: float, blur: FieldBlur, calibration: Calibration
+) -> dict[str, np.ndarray]:
     image = session.read(list(session.boards)[board])
-    cell_px = max(16, blur.width_px // _CELLS)
-    x, y, layer = measured_layers(image, inverse_mm, blur, cell_px=cell_px, config=PhaseConfig())
+    cell_px, noise = max(16, blur.width_px // _CELLS), sensor_noise(image, calibration)
+    x, y, layer = measured_layers(image, inverse_mm, blur, cell_px=cell_px, noise_variance=noise)
     return {"x": x, "y": y, "layer": layer}
 
 

@@ -263,7 +263,10 @@ class MatcherConfig:
             so that designs whose views lie close together are searched as finely.
         """
         optimiser = OptimiserConfig(slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.3)
-        return replace(cls.preset("accurate"), step_px=0.3 * reach, optimiser=optimiser, phase=PhaseConfig())
+        # Damping leaves out more of the detail where blur is wide, which looks like agreement. Views that lie apart
+        # outweigh that by the square of their distance.
+        phase = PhaseConfig(damping=min(PhaseConfig.damping, 0.375 * reach**2))
+        return replace(cls.preset("accurate"), step_px=0.3 * reach, optimiser=optimiser, phase=phase)
 
     def with_range(self, min_disparity_px: float, max_disparity_px: float) -> MatcherConfig:
         """Give the same settings over another search range, widened to whole layers."""

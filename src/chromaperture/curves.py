@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,8 +15,9 @@ from chromaperture.depth.distances import BoardDistances, find_outliers
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.field_fit import fit_depth_field
 from chromaperture.depth.field_local import with_local
-from chromaperture.depth.field_terms import ranked_terms
+from chromaperture.depth.field_terms import ranked_curves
 from chromaperture.depth.fit import DepthFit, fit_depth_model
+from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 
 _FIELD_DEGREES = (4, 2)  # the second where the first is drawn by noise
@@ -38,6 +40,8 @@ class Evidence:
     believed : (N,) bool
     per_pixel : bool
         Curves are free at every place of the frame instead of smooth over it.
+    rendered : dict of quality to Nonlinearity
+        What the matcher reads besides the shift on boards rendered with the lens's blur, where that is known.
     """
 
     sensor: Sensor
@@ -46,6 +50,7 @@ class Evidence:
     ruler_error_mm: float
     believed: np.ndarray
     per_pixel: bool = False
+    rendered: Mapping[Quality, Nonlinearity] = field(default_factory=dict)
 
     @property
     def from_sensor_mm(self) -> np.ndarray:
@@ -136,20 +141,21 @@ def fit_curve(evidence: Evidence, quality: Quality, notes: list[str]) -> FittedC
     where = (thin(x), thin(y), thin(grids), evidence.distances)
     size = (sensor.width_px, sensor.height_px)
     for degree in _FIELD_DEGREES if count >= _MIN_FIELD_BOARDS else ():
-        for nonlinear in ranked_terms(*where, size_px=size, degree=degree, boards=evidence.believed):
+        known = evidence.rendered.get(quality)
+        for curve in ranked_curves(*where, size_px=size, degree=degree, boards=evidence.believed, known=known):
             try:
-                field, _ = fit_depth_field(
-                    *where, size_px=size, degree=degree, nonlinear_terms=nonlinear, boards=evidence.believed
+                fields, _ = fit_depth_field(
+                    *where, size_px=size, degree=degree, nonlinearity=curve, boards=evidence.believed
                 )
-                scale = np.asarray(field.model(*size).scale_px_mm)
+                scale = np.asarray(fields.model(*size).scale_px_mm)
             except InputError:  # B not positive somewhere, or a nonlinearity that turns back
                 continue
             if np.min(scale) > _LEAST_SCALE * np.median(scale):
                 if evidence.per_pixel:
-                    field = with_local(
-                        field, columns, rows, grids, evidence.distances, size_px=size, boards=evidence.believed
+                    fields = with_local(
+                        fields, columns, rows, grids, evidence.distances, size_px=size, boards=evidence.believed
                     )
-                return FittedCurve(field, *_agreement(evidence, field, quality, x, y))
+                return FittedCurve(fields, *_agreement(evidence, fields, quality, x, y))
     notes.append(f"{quality}: too little to fit fields over the frame, one depth curve for all of it")
     fitted = depth_to_disparity(evidence.from_sensor_mm, axis.model)
     return FittedCurve(DepthField.constant(axis.model), axis, grids - fitted[:, None, None])

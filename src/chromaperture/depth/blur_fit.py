@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from chromaperture.config import PhaseConfig
+from chromaperture.config import MatcherConfig
 from chromaperture.disparity.phase import phase_likelihood, tile_field, without_shading
 from chromaperture.errors import InputError
 from chromaperture.optics.blur import BlurModel, FieldBlur
@@ -29,7 +29,7 @@ NAMES = tuple(f.name for f in fields(BlurModel))
 _CORE_PX = 72  # a tile's core: small enough to reach the frame's border, where the aberrations are largest
 _FEW_TILES = 45
 _DAMPING = 0.04
-_LAYER_PX = 0.1
+_SEARCHED = 10  # layers to either side of the expected one
 _LEAST_CONTRAST = 1e-3  # of full scale: less is paper without print
 _FLOOR = 0.02  # share of a tile's power that is never believed: the blur changes within a tile
 _PRIOR = 5e-3  # weight of all priors against the boards; they only hold what the boards do not see
@@ -119,7 +119,12 @@ def fit_blur(
 
 
 def measured_layers(
-    image: np.ndarray, inverse_mm: float, blur: FieldBlur, *, cell_px: int, config: PhaseConfig
+    image: np.ndarray,
+    inverse_mm: float,
+    blur: FieldBlur,
+    *,
+    cell_px: int,
+    noise_variance: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find the layer at which a flat board is matched best, in cells over the frame.
 
@@ -130,21 +135,24 @@ def measured_layers(
     blur : FieldBlur
     cell_px : int
         Side of a cell.
-    config : PhaseConfig
+    noise_variance : (H, W, 3) float, optional
+        Of the image, (white level)^2.
 
     Returns
     -------
     x_px, y_px : (N,) float
         Middles of the cells.
     layer_px : (N,) float64
-        NaN where a cell's best layer lies more than a px from the expected one.
+        NaN where a cell's best layer lies more than three px of blur from the expected one.
     """
     from chromaperture.disparity.semiglobal_kernels import at_labels, with_half_layers  # compiling starts here
 
     at_infinity, scale = blur.reference
-    layers = at_infinity - scale * inverse_mm + np.arange(-10, 11) * _LAYER_PX
-    config = replace(config, fallback_weight=0.0)  # boards are grey
-    volume = with_half_layers(phase_likelihood(image, blur, layers, config=config))
+    matcher = MatcherConfig.psf_aware(blur.reach)
+    assert matcher.phase is not None
+    layers = at_infinity - scale * inverse_mm + np.arange(-_SEARCHED, _SEARCHED + 1) * matcher.step_px
+    config = replace(matcher.phase, fallback_weight=0.0)  # boards are grey
+    volume = with_half_layers(phase_likelihood(image, blur, layers, noise_variance=noise_variance, config=config))
     layers = np.linspace(layers[0], layers[-1], volume.shape[2])
     volume = at_labels(volume, layers, tile_field(blur, layers))
     height, width = image.shape[:2]
@@ -156,7 +164,7 @@ def measured_layers(
     below, peak, above = (np.take_along_axis(sums, (inner + o)[:, None], axis=1)[:, 0] for o in (-1, 0, 1))
     bend = below - 2 * peak + above
     shift = np.where(bend < 0, 0.5 * (below - above) / np.where(bend < 0, bend, 1), 0)
-    found = np.where((best == inner) & (bend < 0), layers[inner] + _LAYER_PX / 2 * shift, np.nan)
+    found = np.where((best == inner) & (bend < 0), layers[inner] + matcher.step_px / 2 * shift, np.nan)
     y, x = np.meshgrid((y_edges[:-1] + y_edges[1:] - 1) / 2, (x_edges[:-1] + x_edges[1:] - 1) / 2, indexing="ij")
     return x.ravel(), y.ravel(), found
 

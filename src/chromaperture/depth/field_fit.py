@@ -33,7 +33,7 @@ def fit_depth_field(
     *,
     size_px: tuple[int, int],
     degree: int,
-    nonlinear_terms: int = 0,
+    nonlinearity: int | Nonlinearity = 0,
     boards: np.ndarray | None = None,
 ) -> tuple[DepthField, np.ndarray]:
     """Fit both fields, and the matcher's nonlinearity, to the disparities of boards.
@@ -49,8 +49,8 @@ def fit_depth_field(
     size_px : (width, height)
     degree : int
         Total degree of the fields.
-    nonlinear_terms : int
-        Chebyshev terms of the nonlinearity; 0 for none.
+    nonlinearity : int or Nonlinearity
+        Chebyshev terms of it to fit, 0 for none; or the nonlinearity itself where it is known.
     boards : (N,) bool, optional
         Which boards to use; all when absent.
 
@@ -58,14 +58,17 @@ def fit_depth_field(
     -------
     field : DepthField
         With the covariance of all its coefficients.
-    residual_px : (N, P) float64, measured minus fitted, for boards that were left out too
+    residual_px : (N, P) float64
+        Measured minus fitted, for boards that were left out too; of linear disparities where the nonlinearity is known.
 
     Raises
     ------
     InputError
         Too few measurements, or all at one distance.
     """
-    disparity = np.asarray(disparity_px, float)
+    known_curve = nonlinearity if isinstance(nonlinearity, Nonlinearity) else None
+    terms = nonlinearity if isinstance(nonlinearity, int) else 0
+    disparity = np.asarray(disparity_px, float) if known_curve is None else known_curve.linear(disparity_px)
     used = np.ones(len(disparity), bool) if boards is None else np.asarray(boards, bool)
     known = np.isfinite(disparity) & used[:, None]
     basis = polynomials(x_px, y_px, *size_px, degree)
@@ -88,11 +91,11 @@ def fit_depth_field(
     solution = np.zeros(2 * count)
     low, high = 0.0, 1.0
     for turn in range(_ROUNDS):  # iteratively reweighted least squares with Huber's weights
-        if turn and nonlinear_terms:
+        if turn and terms:
             linear = problem.linear(solution)
             if turn == 1:
                 low, high = float(linear[seen].min()), float(linear[seen].max())
-            powers = chebyshev.chebvander(scaled(linear, low, high), nonlinear_terms + 1)
+            powers = chebyshev.chebvander(scaled(linear, low, high), terms + 1)
             problem = _Problem(basis, standard_q, np.moveaxis(powers[..., 2:], -1, 0))
         weights = share[:, None] ** 2 * trust
         normal, right = problem.normal(weights), problem.project(weights * np.where(known, disparity, 0.0)).sum(axis=0)
@@ -105,7 +108,7 @@ def fit_depth_field(
         with np.errstate(invalid="ignore"):
             trust = np.where(standard > _HUBER * scale, _HUBER * scale / np.maximum(standard, 1e-12), 1.0)
             trust = np.where(known & (standard <= _GROSS * scale), trust, 0.0)  # a wrong layer tells nothing
-    curve = Nonlinearity(low, high, solution[2 * count :]) if len(problem.powers) else None
+    curve = Nonlinearity(low, high, solution[2 * count :]) if len(problem.powers) else known_curve
     # d = a - b (q - mean) / spread = (a + b mean / spread) - (b / spread) q
     slope = solution[count : 2 * count] / spread_q
     per_mm = (basis @ slope) / z[:, None] ** 2  # px that a board 1 mm farther than thought reads more

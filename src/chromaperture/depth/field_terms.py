@@ -1,4 +1,4 @@
-"""How many terms a matcher's nonlinearity needs on a camera: as many as foretell boards that were left out best."""
+"""Which curve of a matcher's nonlinearity a camera needs: the one that foretells boards that were left out best."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from chromaperture.depth.distances import BoardDistances
 from chromaperture.depth.field_fit import fit_depth_field
+from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 
 _FOLDS = 8
@@ -17,7 +18,7 @@ _POINTS = 400  # of the frame suffice: the nonlinearity is one curve for all of 
 _AS_GOOD = 1.25  # two standard errors of a root mean square over thirty boards: so much is chance
 
 
-def ranked_terms(
+def ranked_curves(
     x_px: np.ndarray,
     y_px: np.ndarray,
     disparity_px: np.ndarray,
@@ -26,8 +27,9 @@ def ranked_terms(
     size_px: tuple[int, int],
     degree: int,
     boards: np.ndarray,
-) -> list[int]:
-    """Rank numbers of Chebyshev terms by cross-validation over boards.
+    known: Nonlinearity | None = None,
+) -> list[int | Nonlinearity]:
+    """Rank numbers of Chebyshev terms, and a curve known beforehand, by cross-validation over boards.
 
     What is judged is the median over the frame of each board that was left out, relative to its distance: noise of
     single pixels does not come into it.
@@ -44,24 +46,27 @@ def ranked_terms(
         Total degree of the fields.
     boards : (N,) bool
         Which boards to use.
+    known : Nonlinearity, optional
+        A curve that the boards need not fix.
 
     Returns
     -------
-    list of int
-        The fewest terms that are as good as any, then the others from the best on, and last 0, which always fits: all
-        boards together may refuse what most of them allowed.
+    list of int or Nonlinearity
+        What asks least of the boards among those that are as good as any: the known curve, else the fewest terms. Then
+        the others from the best on, and last 0, which always fits: all boards together may refuse what most of them
+        allowed.
     """
     thin = slice(None, None, max(1, len(x_px) // _POINTS))
     x, y, disparity = x_px[thin], y_px[thin], disparity_px[:, thin]
-    errors: dict[int, float] = {}
-    for terms in _TRIALS:
-        if terms * _BOARDS_A_TERM > boards.sum():
-            break
+    tried = [n for n in _TRIALS if n * _BOARDS_A_TERM <= boards.sum()]
+    errors: dict[int | Nonlinearity, float] = {}  # what asks least of the boards comes first
+    candidates: list[int | Nonlinearity] = [*tried] if known is None else [known, *tried]
+    for curve in candidates:
         try:
             biases = []
             for left_out in _folds(boards):
                 _, residual = fit_depth_field(
-                    x, y, disparity, distances, size_px=size_px, degree=degree, nonlinear_terms=terms,
+                    x, y, disparity, distances, size_px=size_px, degree=degree, nonlinearity=curve,
                     boards=boards & ~left_out,
                 )  # fmt: skip
                 seen = left_out & np.isfinite(residual).any(axis=1)
@@ -69,10 +74,10 @@ def ranked_terms(
                 biases.append(distances.from_pupil_mm[seen] * np.nanmedian(residual[seen], axis=1))
         except InputError:  # a nonlinearity that turns back, or too few boards
             continue
-        errors[terms] = float(np.sqrt(np.mean(np.concatenate(biases) ** 2)))
+        errors[curve] = float(np.sqrt(np.mean(np.concatenate(biases) ** 2)))
     ranked = sorted(errors, key=errors.__getitem__)
-    fewest = [n for n in sorted(errors) if errors[n] <= _AS_GOOD * errors[ranked[0]]][:1]
-    return [*fewest, *(n for n in ranked if n not in fewest), 0]
+    modest = [curve for curve, error in errors.items() if error <= _AS_GOOD * errors[ranked[0]]][:1]
+    return [*modest, *(curve for curve in ranked if curve not in modest), 0]
 
 
 def _folds(boards: np.ndarray) -> Iterator[np.ndarray]:

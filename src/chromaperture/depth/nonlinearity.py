@@ -21,7 +21,7 @@ _FINE = 8  # times denser is the curve that the table is read from
 _MIN_SLOPE = 0.2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # holds an array: one curve is another only if it is the same object
 class Nonlinearity:
     """Measured disparity = linear disparity + h(linear disparity).
 

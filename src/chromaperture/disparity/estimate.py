@@ -88,6 +88,7 @@ def estimate_disparity(
     config = config or MatcherConfig.preset("real-time")
     aperture = design_named(aperture) if isinstance(aperture, str) else aperture
     image = checked_image(image)
+    known_noise = noise_variance
     if noise_variance is None:
         # A blind estimate takes fine texture for noise: good enough for weights, but subtracted from the scores it
         # would dig the very hole at disparity 0 that it should fill.
@@ -117,7 +118,7 @@ def estimate_disparity(
     if config.phase is not None:
         if blur is None or fields is None:
             raise InputError("PSF-aware matching needs the blur of a calibrated camera")
-        winner = phase.match(image, inputs[0], blur, fields[0], config, backend=backend)
+        winner = phase.match(image, inputs[0], blur, fields[0], config, noise_variance=known_noise, backend=backend)
     elif config.coarse is not None:
         winner = _coarse(backend).match(inputs[0], config, field=None if fields is None else fields[0])
     elif config.optimiser is not None:

@@ -7,6 +7,9 @@ blur H_k(z) of each channel is known, filtering each with the other's does align
 
 and D = P - Q is what maximum likelihood over the unknown sharp picture leaves (``docs/equations.md``). The correlation
 of P and Q in a window, in two octaves, is the evidence for a depth. Blur changes over the frame, so this runs on tiles.
+
+Noise lowers the correlation, and more so at depths whose blur leaves fine detail standing: seen against noise, more
+blur always agrees better. Frequencies that hold none but noise are therefore left out beforehand, at all depths alike.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -31,6 +35,7 @@ from chromaperture.optics.blur import FieldBlur
 _BACKGROUND_PX = 30.0  # what is smoother than this is shading, and only leaks into a tile from its border
 _MAX_CORRELATION2 = 0.999
 _SILENT = 0.01  # weight of the other pairs below which a tile need not be asked
+_LAG_PX = 8.0  # of the lag window: spectra are told apart to a fiftieth of a cycle a px
 _GRID = 24  # places along the width at which half disparities are computed, and interpolated between
 
 
@@ -41,6 +46,7 @@ def match(
     field: LayerField,
     config: MatcherConfig,
     *,
+    noise_variance: np.ndarray | None = None,
     backend: Backend = "numba",
 ) -> Winner:
     """Match one capture with the camera's blur.
@@ -55,6 +61,8 @@ def match(
         What equal depth means at every pixel, in the layers of the blur: the camera's quality "accurate".
     config : MatcherConfig
         With ``phase`` and ``optimiser``.
+    noise_variance : (H, W, 3) float, optional
+        Of the image, (white level)^2; where it is not known, nothing is left out for noise.
     backend : {"numba", "reference"}
 
     Returns
@@ -65,7 +73,7 @@ def match(
     assert config.optimiser is not None
     layers = inputs.layers_px
     usable = np.where(np.isfinite(image), image, np.float32(0))
-    likelihood = phase_likelihood(usable, blur, layers, config=config.phase)
+    likelihood = phase_likelihood(usable, blur, layers, noise_variance=noise_variance, config=config.phase)
     tile = tile_field(blur, layers)
     both = LayerField(tile.offset_px + tile.scale * field.offset_px, tile.scale * field.scale)
     implementation = solver(backend)
@@ -77,7 +85,12 @@ def match(
 
 
 def phase_likelihood(
-    image: np.ndarray, blur: FieldBlur, layers_px: np.ndarray, *, config: PhaseConfig
+    image: np.ndarray,
+    blur: FieldBlur,
+    layers_px: np.ndarray,
+    *,
+    config: PhaseConfig,
+    noise_variance: np.ndarray | None = None,
 ) -> np.ndarray:
     """Log-likelihood of every layer, from the agreement of cross-filtered channels.
 
@@ -89,6 +102,8 @@ def phase_likelihood(
     layers_px : (D,) float, px
         Half disparities in the middle of the frame, see ``FieldBlur.reference``: they name distances.
     config : PhaseConfig
+    noise_variance : (H, W, 3) float, optional
+        Of the image, (white level)^2.
 
     Returns
     -------
@@ -106,7 +121,7 @@ def phase_likelihood(
             f"the camera's blur was fitted for {blur.width_px} x {blur.height_px} px, the image has {width} x {height}"
         )
     tiles = _Tiles(blur, layers_px)
-    spectra = tiles.spectra(np.ascontiguousarray(image, np.float32))
+    spectra = tiles.spectra(np.ascontiguousarray(image, np.float32), noise_variance)
     likelihood = _evidence(blur, blur.pairs, tiles, spectra, layers_px, config)
     if blur.other_pairs and config.fallback_weight > 0:
         silent = np.exp(-likelihood.max(axis=0) / np.float32(config.fallback_nats))
@@ -154,6 +169,45 @@ def band_passes(size: int, bands_px: tuple[tuple[float, float], ...]) -> np.ndar
     )
 
 
+def signal_share(spectrum: np.ndarray, noise_power: np.ndarray) -> np.ndarray:
+    """Share of a picture's power that is no noise, at every frequency: Wiener's filter.
+
+    The power spectrum is Blackman and Tukey's estimate: the autocorrelation of the picture under a lag window, which
+    tells textures from noise that a single frequency's power, itself random, could not tell.
+
+    Parameters
+    ----------
+    spectrum : (C, n, n // 2 + 1) complex
+    noise_power : (C,) float
+        Of white noise at any frequency: the sum of its variance over the n x n pixels.
+
+    Returns
+    -------
+    (C, n, n // 2 + 1) float32 in [0, 1]
+    """
+    size = spectrum.shape[1]
+    lag2 = np.minimum(np.arange(size), size - np.arange(size)).astype(np.float32) ** 2
+    window = np.exp(-(lag2[:, None] + lag2) / np.float32(2 * _LAG_PX**2))
+    power = scipy.fft.rfft2(scipy.fft.irfft2(np.abs(spectrum) ** 2, s=(size, size)) * window).real
+    noise = np.asarray(noise_power, np.float32)[:, None, None]
+    return np.asarray(np.clip(1 - noise / np.maximum(power, noise + np.float32(1e-30)), 0, 1))
+
+
+@dataclass(frozen=True)
+class _TileSpectrum:
+    """Spectra of a tile's channels, (3, size, size // 2 + 1), and the share of them that is no noise, alike or 1."""
+
+    channels: np.ndarray
+    share: np.ndarray | None = None
+
+    def pair(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
+        """Give two channels, both without the frequencies that are noise in either: they must stay comparable."""
+        if self.share is None:
+            return self.channels[a], self.channels[b]
+        both = np.minimum(self.share[a], self.share[b])
+        return self.channels[a] * both, self.channels[b] * both
+
+
 class _Tiles:
     """Cores that cover the frame, each in the middle of a larger tile that leaves room for the blur."""
 
@@ -177,31 +231,42 @@ class _Tiles:
         y1, x1 = (min(start + self.core, end) for start, end in zip((y0, x0), self.shape, strict=True))
         return (x0 + x1 - 1) / 2, (y0 + y1 - 1) / 2
 
-    def spectra(self, image: np.ndarray) -> list[np.ndarray]:
-        """Spectra of the tiles of an image; list of (3, size, size // 2 + 1) complex64."""
+    def spectra(self, image: np.ndarray, noise_variance: np.ndarray | None) -> list[_TileSpectrum]:
+        """Spectra of the tiles of an image, and how much of them is no noise."""
+        detail = self._cuts(without_shading(image))
+        if noise_variance is None:
+            return [_TileSpectrum(scipy.fft.rfft2(cut)) for cut in detail]
+        noise = self._cuts(np.asarray(noise_variance, np.float32))
+        found = []
+        for cut, variance in zip(detail, noise, strict=True):
+            spectrum = scipy.fft.rfft2(cut)
+            found.append(_TileSpectrum(spectrum, signal_share(spectrum, variance.sum(axis=(1, 2)))))
+        return found
+
+    def _cuts(self, image: np.ndarray) -> list[np.ndarray]:
+        """Give the tiles of an image, (3, size, size) each, with what surrounds their cores."""
         before, after = self.margin, self.margin + self.core
-        padded = cv2.copyMakeBorder(without_shading(image), before, after, before, after, cv2.BORDER_REFLECT_101)
-        return [
-            scipy.fft.rfft2(padded[y : y + self.size, x : x + self.size].transpose(2, 0, 1)) for y, x in self.corners
-        ]
+        padded = cv2.copyMakeBorder(image, before, after, before, after, cv2.BORDER_REFLECT_101)
+        return [padded[y : y + self.size, x : x + self.size].transpose(2, 0, 1) for y, x in self.corners]
 
 
 def _evidence(
     blur: FieldBlur,
     pairs: tuple[tuple[int, int], ...],
     tiles: _Tiles,
-    spectra: Sequence[np.ndarray | None],
+    spectra: Sequence[_TileSpectrum | None],
     layers_px: np.ndarray,
     config: PhaseConfig,
 ) -> np.ndarray:
     """Log-likelihood of every layer from some pairs of channels; tiles without a spectrum stay 0; (D, H, W) float32."""
     bands = band_passes(tiles.size, config.bands_px)
+    views = [None if spectrum is None else [spectrum.pair(a, b) for a, b in pairs] for spectrum in spectra]
     at_infinity, scale = blur.reference
     evidence = np.empty((len(layers_px), *tiles.shape), np.float32)
 
     def fill(layer: int) -> None:
         inverse_mm = (at_infinity - layers_px[layer]) / scale
-        evidence[layer] = _layer(blur, pairs, tiles, spectra, inverse_mm, bands, config)
+        evidence[layer] = _layer(blur, pairs, tiles, views, inverse_mm, bands, config)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(fill, range(len(layers_px))))
@@ -212,7 +277,7 @@ def _layer(
     blur: FieldBlur,
     pairs: tuple[tuple[int, int], ...],
     tiles: _Tiles,
-    spectra: Sequence[np.ndarray | None],
+    views: Sequence[list[tuple[np.ndarray, np.ndarray]] | None],
     inverse_mm: float,
     bands: np.ndarray,
     config: PhaseConfig,
@@ -223,16 +288,16 @@ def _layer(
     channels = tuple(sorted({k for pair in pairs for k in pair}))
     products = np.zeros((len(pairs), len(bands), 3, height + core, width + core), np.float32)
     inner = np.s_[:, margin : margin + core, margin : margin + core]
-    for (y, x), spectrum in zip(tiles.corners, spectra, strict=True):
-        if spectrum is None:
+    for (y, x), seen in zip(tiles.corners, views, strict=True):
+        if seen is None:
             continue
         transfer = dict(
             zip(channels, blur.transfer(*tiles.centre(y, x), inverse_mm, tiles.size, channels), strict=True)
         )
-        for i, (a, b) in enumerate(pairs):
+        for i, ((a, b), (view_a, view_b)) in enumerate(zip(pairs, seen, strict=True)):
             q = np.sqrt((np.abs(transfer[a]) ** 2 + np.abs(transfer[b]) ** 2) / 2 + np.float32(config.damping))
-            first = scipy.fft.irfft2(spectrum[a] * transfer[b] / q * bands)[inner]
-            second = scipy.fft.irfft2(spectrum[b] * transfer[a] / q * bands)[inner]
+            first = scipy.fft.irfft2(view_a * transfer[b] / q * bands)[inner]
+            second = scipy.fft.irfft2(view_b * transfer[a] / q * bands)[inner]
             place = products[i, ..., y : y + core, x : x + core]
             place[:, 0], place[:, 1], place[:, 2] = first * second, first**2, second**2
     evidence = np.zeros((height, width), np.float32)
