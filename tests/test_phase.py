@@ -125,14 +125,19 @@ def test_tiles_bend_with_field_curvature():
     np.testing.assert_allclose(field.offset_px, expected, atol=4e-3)
 
 
-def test_the_whole_way_with_a_saturated_patch(rng):
+def test_the_whole_way_with_a_saturated_patch_and_a_dead_pixel(rng):
     blur = blur_for("cy_halves")
     true = -1.2
     image = photograph(blur, true, rng)
     image[50:60, 70:90] = 1.0
+    image[20, 30] = np.nan
+    noise = np.full_like(image, 0.002**2)
+    noise[18:23, 28:33] = np.nan  # what a noise model makes of it
     config = MatcherConfig.psf_aware(blur.reach).with_range(-2.0, 0.5)
     flat = LayerField(np.zeros((H, W), np.float32), np.ones((H, W), np.float32))
-    found = estimate_disparity(image, aperture="cy_halves", config=config, fields=[flat], blur=blur)
+    found = estimate_disparity(
+        image, aperture="cy_halves", config=config, fields=[flat], blur=blur, noise_variance=noise
+    )
     assert np.nanmedian(found.value_px) == pytest.approx(true, abs=0.02)
     assert np.nanmean(np.abs(found.value_px - true) < 0.1) > 0.9
     assert (found.sigma_px[np.isfinite(found.value_px)] > 0).all()

@@ -236,7 +236,7 @@ class _Tiles:
         detail = self._cuts(without_shading(image))
         if noise_variance is None:
             return [_TileSpectrum(scipy.fft.rfft2(cut)) for cut in detail]
-        noise = self._cuts(np.asarray(noise_variance, np.float32))
+        noise = self._cuts(np.where(np.isfinite(noise_variance), noise_variance, 0).astype(np.float32))
         found = []
         for cut, variance in zip(detail, noise, strict=True):
             spectrum = scipy.fft.rfft2(cut)
