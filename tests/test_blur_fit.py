@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import scipy.fft
 
+from cameras import halves_camera
 from chromaperture.calibrate_blur import add_blur
-from chromaperture.calibration import Calibration, Film, Lens, Sensor
+from chromaperture.calibration import Calibration
 from chromaperture.depth.blur_fit import fit_blur, measured_layers
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.distances import BoardDistances
-from chromaperture.depth.field import DepthField
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
@@ -89,17 +89,7 @@ def distances(count):
 
 def draft():
     beta = 4 / (3 * np.pi)
-    curve = DepthField.constant(DepthModel(4.4 * beta, 7300.0 * beta, 50.0))
-    ideal = {name: np.array(DESIGNS["cy_halves"].filter_named(name).transmission) for name in ("cyan", "yellow")}
-    return Calibration(
-        design="cy_halves",
-        sensor=Sensor(W, H, 0.05),
-        lens=Lens(50.0, np.array([[1000.0, 0, (W - 1) / 2], [0, 1000.0, (H - 1) / 2], [0, 0, 1]])),
-        film=Film(ideal, np.ones(3), np.ones(3)),
-        depth={"paper": curve, "real-time": curve, "accurate": curve},
-        near_mm=900.0,
-        far_mm=4000.0,
-    )
+    return halves_camera(DepthModel(4.4 * beta, 7300.0 * beta, 50.0), W, H)
 
 
 def test_a_camera_gets_its_blur_and_keeps_it_in_its_file(tmp_path):

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 import scipy.fft
 
+from cameras import halves_camera
 from chromaperture.boards import read_board
-from chromaperture.calibration import Calibration, Film, Lens, Sensor
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.distances import BoardDistances
-from chromaperture.depth.field import DepthField
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
 from chromaperture.rendered_boards import render_board, rendered_nonlinearity, surrogate
@@ -41,18 +40,7 @@ class Session:
 
 def camera(model=LENS):
     reach = blur().reach
-    curve = DepthField.constant(DepthModel(6.0 * reach, 12000.0 * reach, DELTA))
-    ideal = {name: np.array(DESIGNS["cy_halves"].filter_named(name).transmission) for name in ("cyan", "yellow")}
-    return Calibration(
-        design="cy_halves",
-        sensor=Sensor(W, H, 0.05),
-        lens=Lens(50.0, np.array([[1000.0, 0, (W - 1) / 2], [0, 1000.0, (H - 1) / 2], [0, 0, 1]])),
-        film=Film(ideal, np.ones(3), np.ones(3)),
-        depth={"paper": curve, "real-time": curve, "accurate": curve},
-        near_mm=900.0,
-        far_mm=4200.0,
-        blur=model,
-    )
+    return halves_camera(DepthModel(6.0 * reach, 12000.0 * reach, DELTA), W, H, blur=model)
 
 
 def distances():
