@@ -193,6 +193,7 @@ def draw_residuals(result: CalibrationResult, quality: Quality = "real-time") ->
     right.bar(places, errors, color=[RED if board.name in result.outliers else BLUE for board in result.boards])
     for axes, label in ((left, "residual, px"), (right, "median error, % of distance")):
         axes.axhline(0, color=GREY, linewidth=0.8)
-        axes.set_xticks(places[:: max(1, len(places) // 10)], names[:: max(1, len(places) // 10)], fontsize=8)
+        every = -(-len(places) // 8)  # more names run into each other
+        axes.set_xticks(places[::every], names[::every], fontsize=8)
         tidy(axes, xlabel="board at, mm", ylabel=label)
     return figure

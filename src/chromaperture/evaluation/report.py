@@ -107,8 +107,7 @@ def _sections(result: CalibrationResult) -> list[Section]:
                "How a point is blurred over the frame, near and far: the two halves of the pupil in their colours, cut "
                "by the lens's rims towards the corners.", lines=blur_evidence.blur_lines(result)),
         _drawn("Depth by blur", result, blur_evidence.draw_layers_of_blur,
-               "What quality accurate reads on every board: half and nine tenths of the cells over the frame.",
-               lines=blur_evidence.blur_lines(result)),
+               "What quality accurate reads on every board: half and nine tenths of the cells over the frame."),
         _drawn("White sheets", result, evidence.draw_transparency,
                "The open pupil shows the vignetting; the aperture's maps should be even, a ramp from side to side "
                "says that the film is off the stop."),
