@@ -171,14 +171,17 @@ def calibrate_session(
         session.sensor, boards, distances, session.ruler_error_mm, np.ones(len(boards), bool), per_pixel
     )
     evidence, outliers = doubt(everything, names, "paper")
-    curves = {quality: fit_curve(evidence, quality, []) for quality in MEASURED}
+    doubts: list[str] = []
+    curves = {quality: fit_curve(evidence, quality, doubts) for quality in MEASURED}
     calibration, layers = _assemble(session, film, intrinsics, _by_quality(curves, draft), {}), None
     if lens_blur:
         used = evidence.believed
         calibration, layers = add_blur(calibration, session, distances, used, notes, store=store, progress=progress)
         rendered = rendered_nonlinearity(calibration, session, distances, used, store=store, progress=progress)
-        evidence = dataclasses.replace(evidence, rendered=rendered)
-    curves = {quality: fit_curve(evidence, quality, notes) for quality in MEASURED}
+        if rendered:
+            evidence, doubts = dataclasses.replace(evidence, rendered=rendered), []
+            curves = {quality: fit_curve(evidence, quality, doubts) for quality in MEASURED}
+    notes += doubts
     fits = {quality: curve.fit for quality, curve in curves.items()}
     notes += [*outliers.values(), *weaknesses(evidence, fits)]
     fields = _by_quality(curves, draft)
