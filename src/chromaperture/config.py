@@ -82,6 +82,8 @@ class PhaseConfig:
         Gaussian window of the correlation.
     damping : float
         eps of ``disparity/phase.py``, against noise where the blur leaves nothing.
+    noise_margin : float
+        What counts as noise: frequencies of a tile that hold less than this many times the sensor's noise are left out.
     fallback_weight, fallback_nats : float
         Weight of the pairs of channels whose views lie closer together, where the best pair finds nothing; it falls to
         1/e where that pair's best layer earns ``fallback_nats``. They agree better on strongly coloured surfaces, but
@@ -92,6 +94,7 @@ class PhaseConfig:
     band_weights: tuple[float, ...] = (1.0, 0.5)
     window_sigma_px: float = 4.0
     damping: float = 0.04
+    noise_margin: float = 1.0
     fallback_weight: float = 0.5
     fallback_nats: float = 0.1
 
@@ -100,7 +103,10 @@ class PhaseConfig:
             raise InputError("bands_px and band_weights must be of one length, at least 1")
         if not all(0 < fine < coarse for fine, coarse in self.bands_px) or min(self.band_weights) < 0:
             raise InputError("every band needs 0 < fine < coarse, and weights must be >= 0")
-        if min(self.window_sigma_px, self.damping, self.fallback_nats) <= 0 or self.fallback_weight < 0:
+        if (
+            min(self.window_sigma_px, self.damping, self.noise_margin, self.fallback_nats) <= 0
+            or self.fallback_weight < 0
+        ):
             raise InputError("window_sigma_px, damping and fallback_nats must be positive, fallback_weight >= 0")
 
 
@@ -265,7 +271,7 @@ class MatcherConfig:
         optimiser = OptimiserConfig(slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.3)
         # Damping leaves out more of the detail where blur is wide, which looks like agreement. Views that lie apart
         # outweigh that by the square of their distance.
-        phase = PhaseConfig(damping=min(PhaseConfig.damping, 0.375 * reach**2))
+        phase = PhaseConfig(damping=min(PhaseConfig.damping, 0.375 * reach**2), noise_margin=max(1.0, 0.4 / reach))
         return replace(cls.preset("accurate"), step_px=0.3 * reach, optimiser=optimiser, phase=phase)
 
     def with_range(self, min_disparity_px: float, max_disparity_px: float) -> MatcherConfig:

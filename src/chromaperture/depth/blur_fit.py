@@ -19,7 +19,8 @@ import numpy as np
 import scipy.fft
 
 from chromaperture.config import MatcherConfig
-from chromaperture.disparity.phase import phase_likelihood, tile_field, without_shading
+from chromaperture.disparity.phase import phase_likelihood
+from chromaperture.disparity.tiles import without_shading
 from chromaperture.errors import InputError
 from chromaperture.optics.blur import BlurModel, FieldBlur
 
@@ -145,7 +146,7 @@ def measured_layers(
     layer_px : (N,) float64
         NaN where a cell's best layer lies more than three px of blur from the expected one.
     """
-    from chromaperture.disparity.semiglobal_kernels import at_labels, with_half_layers  # compiling starts here
+    from chromaperture.disparity.semiglobal_kernels import with_half_layers  # compiling starts here
 
     at_infinity, scale = blur.reference
     matcher = MatcherConfig.psf_aware(blur.reach)
@@ -154,7 +155,6 @@ def measured_layers(
     config = replace(matcher.phase, fallback_weight=0.0)  # boards are grey
     volume = with_half_layers(phase_likelihood(image, blur, layers, noise_variance=noise_variance, config=config))
     layers = np.linspace(layers[0], layers[-1], volume.shape[2])
-    volume = at_labels(volume, layers, tile_field(blur, layers))
     height, width = image.shape[:2]
     rows, columns = max(1, height // cell_px), max(1, width // cell_px)
     y_edges, x_edges = (np.linspace(0, n, c + 1).astype(int) for n, c in ((height, rows), (width, columns)))

@@ -95,6 +95,13 @@ class PupilSamples(NamedTuple):
     light: np.ndarray
 
 
+class Rays(NamedTuple):
+    """Where rays through the pupil's points meet the sensor for a point at infinity, (C, N, 2) px, and their light."""
+
+    at_infinity_px: np.ndarray
+    light: np.ndarray
+
+
 def sample_pupil(aperture: Aperture, count: int = _POINTS) -> PupilSamples:
     """Spread points evenly over the pupil, on a sunflower's spiral: a lattice would beat with the pixels."""
     i = np.arange(count) + 0.5
@@ -194,14 +201,24 @@ class FieldBlur:
         -------
         (C, size, size // 2 + 1) complex64, 1 at zero frequency
         """
-        from chromaperture.optics.blur_kernels import splat  # compiling starts here, not at import
+        return self.transfer_of(self.rays(x_px, y_px, channels), inverse_mm, size_px)
 
+    def rays(self, x_px: float, y_px: float, channels: tuple[int, ...] = (0, 1, 2)) -> Rays:
+        """Give the light of channels at a place, whatever the distance."""
         field = self.field(x_px, y_px)
         rim = rims(self.model, self.pupil.points, field)
-        psf = np.zeros((len(channels), size_px, size_px), np.float32)
-        for i, k in enumerate(channels):
-            weight = self.pupil.light[k] * rim
-            splat(displacement(self.model, self.pupil.points, field, inverse_mm, k), weight / weight.sum(), psf[i])
+        light = self.pupil.light[list(channels)] * rim
+        at_infinity = [displacement(self.model, self.pupil.points, field, 0.0, k) for k in channels]
+        return Rays(np.stack(at_infinity), light / light.sum(axis=1, keepdims=True))
+
+    def transfer_of(self, rays: Rays, inverse_mm: float, size_px: int) -> np.ndarray:
+        """Give the optical transfer functions of rays at a distance, see `transfer`."""
+        from chromaperture.optics.blur_kernels import splat  # compiling starts here, not at import
+
+        psf = np.zeros((len(rays.light), size_px, size_px), np.float32)
+        nearer = self.model.scale_px_mm * inverse_mm * self.pupil.points
+        for places, light, out in zip(rays.at_infinity_px, rays.light, psf, strict=True):
+            splat(places - nearer, light, out)
         return scipy.fft.rfft2(psf)
 
     @cached_property
