@@ -69,7 +69,7 @@ def announce_compilation(*, quiet: bool) -> None:
 
     folders = [Path(folder, "__pycache__") for folder in chromaperture.disparity.__path__]
     if not quiet and not any(any(folder.glob("*.nbi")) for folder in folders):
-        err.print("Compiling the matcher once for this machine (half a minute); later runs start at once.")
+        err.print("Compiling the matcher once for this machine (about a minute); later runs start at once.")
 
 
 def report_table(reports: list[Report]) -> Table:
