@@ -113,7 +113,8 @@ def calibrate_session(
     folder : str or Path
         Laid out as ``docs/calibration-session.md`` shows.
     lens_from : Calibration, optional
-        The same lens at the same focus, for a session without tilted boards of its own.
+        The same lens at the same focus, for a session without tilted boards of its own or with few boards: its
+        pinhole is taken over, and its blur is where the fit of the blur starts.
     lens_blur : bool
         Fit the lens's blur too, which takes most of the time; quality ``accurate`` gains most of its accuracy by it.
     per_pixel : bool
@@ -176,7 +177,10 @@ def calibrate_session(
     calibration, layers = _assemble(session, film, intrinsics, _by_quality(curves, draft), {}), None
     if lens_blur:
         used = evidence.believed
-        calibration, layers = add_blur(calibration, session, distances, used, notes, store=store, progress=progress)
+        lens = lens_from.blur if lens_from else None
+        calibration, layers = add_blur(
+            calibration, session, distances, used, notes, lens=lens, store=store, progress=progress
+        )
         rendered = rendered_nonlinearity(calibration, session, distances, used, store=store, progress=progress)
         if rendered:
             evidence, doubts = dataclasses.replace(evidence, rendered=rendered), []

@@ -12,7 +12,6 @@ from chromaperture.calibration import Calibration
 from chromaperture.camera import sensor_noise
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.blur_fit import Progress, fit_blur, measured_layers
-from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.distances import BoardDistances
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.field_fit import fit_depth_field
@@ -59,6 +58,7 @@ def add_blur(
     believed: np.ndarray,
     notes: list[str],
     *,
+    lens: BlurModel | None = None,
     store: Store | None = None,
     progress: Progress = lambda what, done, total: None,
 ) -> tuple[Calibration, LayerEvidence | None]:
@@ -75,6 +75,8 @@ def add_blur(
         Which of them to use.
     notes : list of str
         Extended by what the user should know.
+    lens : BlurModel, optional
+        The same lens as another session saw it, with other film: a fit that starts there needs fewer boards.
     store : Store, optional
         Keeps what was measured on each board.
     progress : callable, optional
@@ -96,7 +98,7 @@ def add_blur(
             yield session.read(paths[i]), float(inverse_mm[i])
 
     try:
-        start = _start(calibration, calibration.on_axis("paper"))
+        start = _start(calibration, lens)
         fit = fit_blur(photographs(), start, board_count=len(used), progress=progress)
         chosen = used[np.unique(np.linspace(0, len(used) - 1, _MEASURED_BOARDS).round().astype(int))]
         cells = []
@@ -147,13 +149,20 @@ def _measure(
 ) -> dict[str, np.ndarray]:
     image = session.read(list(session.boards)[board])
     cell_px, noise = max(16, blur.width_px // _CELLS), sensor_noise(image, calibration)
-    x, y, layer = measured_layers(image, inverse_mm, blur, cell_px=cell_px, noise_variance=noise)
+    x, y, layer = measured_layers(
+        image, inverse_mm, blur, aperture=calibration.aperture, cell_px=cell_px, unmixing=calibration.unmixing,
+        noise_variance=noise,
+    )  # fmt: skip
     return {"x": x, "y": y, "layer": layer}
 
 
-def _start(calibration: Calibration, axis: DepthModel) -> FieldBlur:
-    """Give a thin lens of the measured focus and scale: centroids sit at a known share of the pupil's radius."""
-    reach = view_reach(calibration.aperture)
-    model = BlurModel(float(axis.infinity_disparity_px) / reach, float(axis.scale_px_mm) / reach, **_START_RIM)
+def _start(calibration: Calibration, lens: BlurModel | None) -> FieldBlur:
+    """Give a lens that is known, or a thin one of the measured focus and scale, to start the fit from.
+
+    A thin lens's scale is known since centroids sit at a known share of the pupil's radius.
+    """
+    if lens is None:
+        axis, reach = calibration.on_axis("paper"), view_reach(calibration.aperture)
+        lens = BlurModel(float(axis.infinity_disparity_px) / reach, float(axis.scale_px_mm) / reach, **_START_RIM)
     pupil = sample_pupil(calibration.aperture.with_film(calibration.film.transmissions()))
-    return FieldBlur(model, pupil, calibration.sensor.width_px, calibration.sensor.height_px)
+    return FieldBlur(lens, pupil, calibration.sensor.width_px, calibration.sensor.height_px)

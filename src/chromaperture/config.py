@@ -269,9 +269,11 @@ class MatcherConfig:
             so that designs whose views lie close together are searched as finely.
         """
         optimiser = OptimiserConfig(slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.3)
-        # Damping leaves out more of the detail where blur is wide, which looks like agreement. Views that lie apart
-        # outweigh that by the square of their distance.
-        phase = PhaseConfig(damping=min(PhaseConfig.damping, 0.375 * reach**2), noise_margin=max(1.0, 0.4 / reach))
+        # Damping leaves out more of the detail, and the noise in it, where blur is wide, which looks like agreement.
+        # Views that lie apart outweigh that by the square of their distance.
+        phase = PhaseConfig(
+            damping=min(PhaseConfig.damping, 0.375 * reach**2), noise_margin=max(1.0, 0.16 / reach**2)
+        )
         return replace(cls.preset("accurate"), step_px=0.3 * reach, optimiser=optimiser, phase=phase)
 
     def with_range(self, min_disparity_px: float, max_disparity_px: float) -> MatcherConfig:

@@ -12,16 +12,18 @@ import math
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields
 
 import cv2
 import numpy as np
 import scipy.fft
 
 from chromaperture.config import MatcherConfig
-from chromaperture.disparity.phase import phase_likelihood
+from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.disparity.tiles import without_shading
 from chromaperture.errors import InputError
+from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.blur import BlurModel, FieldBlur
 
 Progress = Callable[[str, int, int], None]
@@ -124,18 +126,24 @@ def measured_layers(
     inverse_mm: float,
     blur: FieldBlur,
     *,
+    aperture: Aperture,
     cell_px: int,
+    unmixing: np.ndarray | None = None,
     noise_variance: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the layer at which a flat board is matched best, in cells over the frame.
+    """Find the layer that the matcher, as it is used, sees a flat board in, in cells over the frame.
 
     Parameters
     ----------
     image : (H, W, 3) float32
     inverse_mm : float, 1/mm
+        Of the board; layers near it are searched.
     blur : FieldBlur
+    aperture : Aperture
     cell_px : int
         Side of a cell.
+    unmixing : (K, 3) float, optional
+        Rows of M^-1.
     noise_variance : (H, W, 3) float, optional
         Of the image, (white level)^2.
 
@@ -144,29 +152,30 @@ def measured_layers(
     x_px, y_px : (N,) float
         Middles of the cells.
     layer_px : (N,) float64
-        NaN where a cell's best layer lies more than three px of blur from the expected one.
+        Median of a cell, NaN where less than half of it is known.
     """
-    from chromaperture.disparity.semiglobal_kernels import with_half_layers  # compiling starts here
-
     at_infinity, scale = blur.reference
-    matcher = MatcherConfig.psf_aware(blur.reach)
-    assert matcher.phase is not None
-    layers = at_infinity - scale * inverse_mm + np.arange(-_SEARCHED, _SEARCHED + 1) * matcher.step_px
-    config = replace(matcher.phase, fallback_weight=0.0)  # boards are grey
-    volume = with_half_layers(phase_likelihood(image, blur, layers, noise_variance=noise_variance, config=config))
-    layers = np.linspace(layers[0], layers[-1], volume.shape[2])
+    config = MatcherConfig.psf_aware(blur.reach)
+    expected, reach = at_infinity - scale * inverse_mm, _SEARCHED * config.step_px
+    seen = estimate_disparity(
+        image,
+        aperture=aperture,
+        unmixing=unmixing,
+        config=config.with_range(expected - reach, expected + reach),
+        noise_variance=noise_variance,
+        fields=[LayerField(np.zeros(image.shape[:2], np.float32), np.ones(image.shape[:2], np.float32))],
+        blur=blur,
+    ).value_px
     height, width = image.shape[:2]
     rows, columns = max(1, height // cell_px), max(1, width // cell_px)
     y_edges, x_edges = (np.linspace(0, n, c + 1).astype(int) for n, c in ((height, rows), (width, columns)))
-    sums = np.add.reduceat(np.add.reduceat(volume, y_edges[:-1], axis=0), x_edges[:-1], axis=1).reshape(-1, len(layers))
-    best = sums.argmax(axis=1)
-    inner = np.clip(best, 1, len(layers) - 2)
-    below, peak, above = (np.take_along_axis(sums, (inner + o)[:, None], axis=1)[:, 0] for o in (-1, 0, 1))
-    bend = below - 2 * peak + above
-    shift = np.where(bend < 0, 0.5 * (below - above) / np.where(bend < 0, bend, 1), 0)
-    found = np.where((best == inner) & (bend < 0), layers[inner] + matcher.step_px / 2 * shift, np.nan)
+    found = np.full((rows, columns), np.nan)
+    for row, column in np.ndindex(rows, columns):
+        cell = seen[y_edges[row] : y_edges[row + 1], x_edges[column] : x_edges[column + 1]]
+        if np.isfinite(cell).mean() >= 0.5:
+            found[row, column] = np.nanmedian(cell)
     y, x = np.meshgrid((y_edges[:-1] + y_edges[1:] - 1) / 2, (x_edges[:-1] + x_edges[1:] - 1) / 2, indexing="ij")
-    return x.ravel(), y.ravel(), found
+    return x.ravel(), y.ravel(), found.ravel()
 
 
 def _tile_size(blur: FieldBlur) -> int:
