@@ -60,7 +60,7 @@ def test_layers_of_the_boards_are_their_distances(fitted):
     at_infinity, scale = fitted.blur.reference
     for image, inverse_mm in boards():
         *_, layer = measured_layers(image, inverse_mm, fitted.blur, aperture=DESIGNS["cy_halves"], cell_px=40)
-        # Noise of 0.1 %, a fit to 15 tiles and the surface's smoothness: 0.022 px of half disparity at the nearest board.
+        # Noise of 0.1 %, a fit to 15 tiles, the surface's smoothness: 0.022 px at the nearest board.
         assert np.nanmedian(layer) == pytest.approx(at_infinity - scale * inverse_mm, abs=0.03)
 
 

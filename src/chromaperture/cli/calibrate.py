@@ -15,7 +15,7 @@ def calibrate(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Camera file to write.", metavar="CAMERA.asdf")],
     lens_from: Annotated[
-        Path | None, typer.Option(help="Camera file of the same lens and focus, for a session without tilts or of few boards.")
+        Path | None, typer.Option(help="Camera file of the same lens and focus, where tilts or boards are few.")
     ] = None,
     report: Annotated[
         Path | None, typer.Option(help="HTML report to write; default beside the camera file.", metavar="FILE")
