@@ -27,7 +27,7 @@ from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, default_config
 from chromaperture.config import CoarseConfig, MatcherConfig
 from chromaperture.depth.field import DepthField
-from chromaperture.disparity import semiglobal_kernels
+from chromaperture.disparity import optimise
 from chromaperture.pipeline import read_capture
 
 REAL_TIME = MatcherConfig.preset("real-time")
@@ -43,7 +43,7 @@ VARIANTS: dict[str, MatcherConfig] = {
 }
 
 
-ACCURATE = ("everything", "shifted views", "no layers between layers", "widest pair of channels only", "one octave",
+ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only", "one octave",
             "three octaves", "window of 8 px", "no total variation", "four paths", "penalties a tenth",
             "penalties not led by the guide", "one curve for the frame")  # fmt: skip
 
@@ -80,13 +80,13 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
 
 def measure_accurate(name: str, args: argparse.Namespace) -> dict:
     camera = accurate_camera(name, args.camera, args.data / args.design)
-    halves = semiglobal_kernels.with_half_layers
-    if name == "no layers between layers":
-        semiglobal_kernels.with_half_layers = lambda likelihood: likelihood
+    pooled = optimise.between_layers
+    if name == "walls not placed between layers":
+        optimise.between_layers = lambda disparity_px, *volume, sigma_px: disparity_px  # type: ignore
     try:
         return figures_of(camera, args.data, args.design, args.scenes, rounds=1)
     finally:
-        semiglobal_kernels.with_half_layers = halves
+        optimise.between_layers = pooled  # type: ignore
 
 
 def measure(name: str, data: Path, design: str, scenes: list[str]) -> dict:

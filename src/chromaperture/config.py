@@ -36,6 +36,9 @@ class OptimiserConfig:
         Share of the penalties that remains across the strongest edge of the guide.
     huber_layers : float
         Slopes below, layers per px, are smoothed by the variation, not flattened into steps.
+    pooling_px : float
+        Reach over which neighbours tell where between two layers the paths' surface lies, from where the variation
+        starts.
     coupling_layers2 : (float, float)
         First and last coupling theta of variation and volume, layers squared.
     coupling_rounds, variation_iterations : int
@@ -51,6 +54,7 @@ class OptimiserConfig:
     edge_range: float = 0.5
     edge_floor: float = 0.05
     huber_layers: float = 0.05
+    pooling_px: float = 8.0
     coupling_layers2: tuple[float, float] = (2.0, 0.02)
     coupling_rounds: int = 25
     variation_iterations: int = 40
@@ -59,9 +63,9 @@ class OptimiserConfig:
     def __post_init__(self) -> None:
         if self.paths not in (4, 8):
             raise InputError(f"paths must be 4 or 8, got {self.paths}")
-        positive = (self.slope_penalty, self.jump_penalty, self.edge_range, self.temperature)
+        positive = (self.slope_penalty, self.jump_penalty, self.edge_range, self.pooling_px, self.temperature)
         if min(*positive, *self.coupling_layers2) <= 0:
-            raise InputError("penalties, edge_range, temperature and couplings must be positive")
+            raise InputError("penalties, edge_range, pooling_px, temperature and couplings must be positive")
         if not 0 <= self.edge_floor <= 1 or self.huber_layers < 0:
             raise InputError("edge_floor must lie in [0, 1] and huber_layers must be >= 0")
         if self.coupling_rounds < 0 or self.variation_iterations < 1:

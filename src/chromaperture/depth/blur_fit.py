@@ -20,7 +20,7 @@ import scipy.fft
 
 from chromaperture.config import MatcherConfig
 from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.semiglobal import LayerField
+from chromaperture.disparity.semiglobal import even_field
 from chromaperture.disparity.tiles import without_shading
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
@@ -163,7 +163,7 @@ def measured_layers(
         unmixing=unmixing,
         config=config.with_range(expected - reach, expected + reach),
         noise_variance=noise_variance,
-        fields=[LayerField(np.zeros(image.shape[:2], np.float32), np.ones(image.shape[:2], np.float32))],
+        fields=[even_field(*image.shape[:2])],
         blur=blur,
     ).value_px
     height, width = image.shape[:2]

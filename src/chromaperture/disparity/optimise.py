@@ -15,8 +15,9 @@ import cv2
 import numpy as np
 
 from chromaperture.config import MatcherConfig, OptimiserConfig
+from chromaperture.disparity.between_layers import between_layers
 from chromaperture.disparity.inputs import MatchInputs
-from chromaperture.disparity.semiglobal import LayerField
+from chromaperture.disparity.semiglobal import LayerField, even_field
 from chromaperture.disparity.subpixel import Winner, parabola_winner
 from chromaperture.errors import InputError
 
@@ -60,15 +61,21 @@ def match(
     implementation = solver(backend)
     raw = replace(config, noise_debiasing=False)
     first = inputs[0]
-    layers = np.linspace(first.layers_px[0], first.layers_px[-1], 2 * len(first.layers_px) - 1)
+    layers = with_halves(first.layers_px)
     likelihood = np.zeros((*first.mask.shape, len(layers)), np.float32)
     for i, one in enumerate(inputs):
-        evidence = log_likelihood(score_volume(one, raw), view_count=one.views.shape[2])
-        evidence = implementation.with_half_layers(evidence)  # the likelihood has a cusp, and surfaces would lock to it
-        likelihood += evidence if fields is None else implementation.at_labels(evidence, layers, fields[i])
+        view_count = one.views.shape[2]
+        evidence = log_likelihood(score_volume(one, raw), view_count=view_count)
+        field = even_field(*one.mask.shape) if fields is None else fields[i]
+        likelihood += implementation.at_labels(evidence, one.layers_px, layers, field, factors=view_count - 1)
     likelihood *= first.mask[..., None] / len(inputs)
     winner = optimise_volume(likelihood, first.guide, layers, config=optimiser, backend=backend)
     return winner if fields is None else at_pixels(winner, fields[0])
+
+
+def with_halves(layers_px: np.ndarray) -> np.ndarray:
+    """Put a layer between every two; (2 D - 1,) float64, px."""
+    return np.linspace(layers_px[0], layers_px[-1], 2 * len(layers_px) - 1)
 
 
 def at_pixels(winner: Winner, field: LayerField) -> Winner:
@@ -176,6 +183,7 @@ def optimise_volume(
     cost = implementation.aggregate(likelihood, guide, step, config=config)
     paths = parabola_winner(-cost, layers_px)
     start = np.where(np.isfinite(paths.disparity_px), paths.disparity_px, layers_px[cost.argmin(axis=2)])
+    start = between_layers(start, likelihood, layers_px, sigma_px=config.pooling_px)
     disparity = implementation.coupled_variation(start, likelihood, guide, layers_px, config=config)
     spread = implementation.spread(disparity, cost, layers_px, temperature=config.temperature * config.paths)
     spread = np.hypot(spread, local_range(disparity, EDGE_REACH_PX))

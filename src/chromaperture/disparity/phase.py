@@ -27,7 +27,7 @@ import scipy.fft
 
 from chromaperture.config import MatcherConfig, PhaseConfig
 from chromaperture.disparity.inputs import MatchInputs
-from chromaperture.disparity.optimise import Backend, at_pixels, optimise_volume, solver
+from chromaperture.disparity.optimise import Backend, at_pixels, optimise_volume, solver, with_halves
 from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.disparity.subpixel import Winner
 from chromaperture.disparity.tiles import Nodes, TileSpectrum
@@ -74,10 +74,10 @@ def match(
     usable = np.where(np.isfinite(image), image, np.float32(0))
     likelihood = phase_likelihood(usable, blur, layers, noise_variance=noise_variance, config=config.phase)
     implementation = solver(backend)
-    likelihood = implementation.with_half_layers(likelihood)  # cheaper than to filter and correlate as many
-    layers = np.linspace(layers[0], layers[-1], likelihood.shape[2])
-    likelihood = implementation.at_labels(likelihood, layers, field) * inputs.mask[..., None]
-    winner = optimise_volume(likelihood, inputs.guide, layers, config=config.optimiser, backend=backend)
+    labels = with_halves(layers)  # cheaper than to filter and correlate as many
+    likelihood = implementation.at_labels(likelihood, layers, labels, field, factors=sum(config.phase.band_weights))
+    likelihood *= inputs.mask[..., None]
+    winner = optimise_volume(likelihood, inputs.guide, labels, config=config.optimiser, backend=backend)
     return at_pixels(winner, field)
 
 

@@ -38,6 +38,7 @@ from chromaperture.disparity.variational import (
 
 # Lines of pixels, as steps (x, y); every line is walked in both directions. The first two are the 4-path set.
 LINES = ((1, 0), (0, 1), (1, 1), (-1, 1))
+EDGE_LAYERS = 1e-6  # by which rounding may take a label beyond the volume
 LEAST_SHARE = 0.25  # of the better neighbour's: a cubic may undershoot next to a steep flank
 
 
@@ -78,53 +79,56 @@ def layer_field(
     return LayerField(offset.astype(np.float32), scale.astype(np.float32))
 
 
-def at_labels(likelihood: np.ndarray, layers_px: np.ndarray, field: LayerField) -> np.ndarray:
-    """Read a volume at the labels ``layers_px`` of a field, linearly between its layers.
-
-    Parameters
-    ----------
-    likelihood : (H, W, D) float
-        At the disparities ``layers_px``.
-    layers_px : (D,) float, px
-    field : LayerField
-
-    Returns
-    -------
-    (H, W, D) float32
-        At the disparities ``offset_px + scale * layers_px``; 0, no evidence, beyond the volume.
-    """
-    disparity = field.offset_px[..., None] + field.scale[..., None] * layers_px
-    place = (disparity - layers_px[0]) / (layers_px[1] - layers_px[0])
-    below = np.clip(np.floor(place).astype(np.intp), 0, len(layers_px) - 2)
-    share = place - below
-    value = (1 - share) * np.take_along_axis(likelihood, below, axis=2)
-    value += share * np.take_along_axis(likelihood, below + 1, axis=2)
-    return np.where((share >= 0) & (share <= 1), value, 0).astype(np.float32)
+def even_field(height: int, width: int) -> LayerField:
+    """Field of a lens that shows equal depth at equal disparity all over the frame."""
+    return LayerField(np.zeros((height, width), np.float32), np.ones((height, width), np.float32))
 
 
-def with_half_layers(likelihood: np.ndarray) -> np.ndarray:
-    """Put a layer between every two of a volume.
+def at_labels(
+    likelihood: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray, field: LayerField, *, factors: float = 1.0
+) -> np.ndarray:
+    """Read a volume of log-likelihoods at the labels of a field, by a cubic through four layers.
 
-    A cubic through four layers of the unexplained share exp(-2 l): that is smooth, while l has a cusp where views agree
-    well, and whatever is interpolated in l itself locks to the layers by a tenth of their distance.
+    The cubic goes through the unexplained share, exp(-2 l / factors): near a match that is a parabola, while l has a
+    cusp there, and surfaces would lock to whatever layers l itself is interpolated between.
 
     Parameters
     ----------
     likelihood : (H, W, D) float, nats a pixel
+        At the disparities ``layers_px``.
+    layers_px : (D,) float, px
+    labels_px : (N,) float, px
+    field : LayerField
+    factors : float
+        How many shares are multiplied in exp(-2 l), such as one for every band of frequencies.
 
     Returns
     -------
-    (H, W, 2 D - 1) float32
+    (H, W, N) float32
+        At the disparities ``offset_px + scale * labels_px``; 0, no evidence, beyond the volume.
     """
-    share = np.exp(-2 * likelihood)
+    share = np.exp(-2 / factors * likelihood)
     ends = 2 * share[..., :1] - share[..., 1:2], 2 * share[..., -1:] - share[..., -2:-1]
     wide = np.concatenate([ends[0], share, ends[1]], axis=2)
-    middle = (9 * (wide[..., 1:-2] + wide[..., 2:-1]) - wide[..., :-3] - wide[..., 3:]) / 16
-    middle = np.maximum(middle, LEAST_SHARE * np.minimum(wide[..., 1:-2], wide[..., 2:-1]))
-    fine = np.empty((*likelihood.shape[:2], 2 * likelihood.shape[2] - 1), np.float32)
-    fine[..., ::2] = likelihood
-    fine[..., 1::2] = np.maximum(-0.5 * np.log(middle), 0)
-    return fine
+    disparity = field.offset_px[..., None] + field.scale[..., None] * labels_px
+    place = (disparity - layers_px[0]) / (layers_px[1] - layers_px[0])
+    below = np.clip(np.floor(place).astype(np.intp), 0, len(layers_px) - 2)
+    weights = cubic_weights(place - below)
+    taps = [np.take_along_axis(wide, below + k, axis=2) for k in range(4)]
+    value = sum(weight * tap for weight, tap in zip(weights, taps, strict=True))
+    value = np.maximum(value, LEAST_SHARE * np.minimum(taps[1], taps[2]))
+    inside = (place > -EDGE_LAYERS) & (place < len(layers_px) - 1 + EDGE_LAYERS)
+    return np.where(inside, np.maximum(-factors / 2 * np.log(value), 0), 0).astype(np.float32)
+
+
+def cubic_weights(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Lagrange's weights of the samples at -1, 0, 1 and 2 for a place ``t`` in [0, 1]."""
+    return (
+        -t * (t - 1) * (t - 2) / 6,
+        (t + 1) * (t - 1) * (t - 2) / 2,
+        -(t + 1) * t * (t - 2) / 2,
+        (t + 1) * t * (t - 1) / 6,
+    )
 
 
 def aggregate(

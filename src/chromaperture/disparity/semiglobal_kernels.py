@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit, prange
 
 from chromaperture.config import OptimiserConfig
-from chromaperture.disparity.semiglobal import LEAST_SHARE, LINES, LayerField, couple
+from chromaperture.disparity.semiglobal import EDGE_LAYERS, LEAST_SHARE, LINES, LayerField, couple
 from chromaperture.disparity.variational_kernels import iterate
 
 FAST: set[str] = {"contract", "arcp", "nsz", "reassoc", "afn", "nnan"}
@@ -64,25 +64,22 @@ def spread(
     return out
 
 
-def at_labels(likelihood: np.ndarray, layers_px: np.ndarray, field: LayerField) -> np.ndarray:
-    """Read a volume at the labels of a field, as `semiglobal.at_labels`; (H, W, D) float32."""
-    out = np.empty(likelihood.shape, np.float32)
+def at_labels(
+    likelihood: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray, field: LayerField, *, factors: float = 1.0
+) -> np.ndarray:
+    """Read a volume at the labels of a field, as `semiglobal.at_labels`; (H, W, N) float32."""
+    out = np.empty((*likelihood.shape[:2], len(labels_px)), np.float32)
+    step = float(layers_px[1] - layers_px[0])
     _at_labels(
         np.ascontiguousarray(likelihood, np.float32),
-        float(layers_px[0]),
-        float(layers_px[1] - layers_px[0]),
-        np.ascontiguousarray(field.offset_px, np.float32),
+        (np.asarray(labels_px, float) - layers_px[0]) / step,
+        ((field.offset_px + (field.scale - 1) * layers_px[0]) / step).astype(np.float32),
         np.ascontiguousarray(field.scale, np.float32),
+        np.float32(factors),
+        np.float32(LEAST_SHARE),
+        EDGE_LAYERS,
         out,
     )
-    return out
-
-
-def with_half_layers(likelihood: np.ndarray) -> np.ndarray:
-    """Put a layer between every two, as `semiglobal.with_half_layers`; (H, W, 2 D - 1) float32."""
-    height, width, layers = likelihood.shape
-    out = np.empty((height, width, 2 * layers - 1), np.float32)
-    _with_half_layers(np.ascontiguousarray(likelihood, np.float32), np.float32(LEAST_SHARE), out)
     return out
 
 
@@ -192,32 +189,25 @@ def _spread(disparity, cost, layers, temperature, out):  # type: ignore[no-untyp
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _at_labels(likelihood, first, step, offset, scale, out):  # type: ignore[no-untyped-def]
+def _at_labels(likelihood, labels, offset, scale, factors, least, edge, out):  # type: ignore[no-untyped-def]
+    """Labels and offset count in layers from the first one."""
     height, width, layers = likelihood.shape
-    for y in prange(height):
-        for x in range(width):
-            for k in range(layers):
-                place = (offset[y, x] + scale[y, x] * (first + k * step) - first) / step
-                below = min(max(int(np.floor(place)), 0), layers - 2)
-                share = place - below
-                value = 0.0
-                if 0 <= share <= 1:
-                    value = (1 - share) * likelihood[y, x, below] + share * likelihood[y, x, below + 1]
-                out[y, x, k] = value
-
-
-@njit(parallel=True, cache=True, error_model="numpy")
-def _with_half_layers(likelihood, least, out):  # type: ignore[no-untyped-def]
-    height, width, layers = likelihood.shape
-    half, two, nine, sixteen = np.float32(0.5), np.float32(2), np.float32(9), np.float32(16)
+    zero, one, two, six = np.float32(0), np.float32(1), np.float32(2), np.float32(6)
     for y in prange(height):
         share = np.empty(layers + 2, np.float32)  # and a straight continuation at both ends
         for x in range(width):
             for k in range(layers):
-                share[k + 1] = np.exp(-two * likelihood[y, x, k])
-                out[y, x, 2 * k] = likelihood[y, x, k]
+                share[k + 1] = np.exp(-two / factors * likelihood[y, x, k])
             share[0], share[layers + 1] = two * share[1] - share[2], two * share[layers] - share[layers - 1]
-            for k in range(1, layers):
-                middle = (nine * (share[k] + share[k + 1]) - share[k - 1] - share[k + 2]) / sixteen
-                middle = max(middle, least * min(share[k], share[k + 1]))
-                out[y, x, 2 * k - 1] = max(-half * np.log(middle), np.float32(0))
+            for n in range(len(labels)):
+                place = offset[y, x] + scale[y, x] * labels[n]
+                if not -edge < place < layers - 1 + edge:
+                    out[y, x, n] = zero
+                    continue
+                below = min(max(int(np.floor(place)), 0), layers - 2)
+                t = np.float32(place - below)
+                a, b, c = t + one, t - one, t - two
+                value = t * (a * b * share[below + 3] - b * c * share[below]) / six
+                value += c * a * (b * share[below + 1] - t * share[below + 2]) / two
+                value = max(value, least * min(share[below + 1], share[below + 2]))
+                out[y, x, n] = max(-factors / two * np.log(value), zero)
