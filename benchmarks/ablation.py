@@ -43,8 +43,8 @@ VARIANTS: dict[str, MatcherConfig] = {
 }
 
 
-ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only", "one octave",
-            "three octaves", "window of 8 px", "no total variation", "four paths", "penalties a tenth",
+ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only",
+            "one octave", "three octaves", "window of 8 px", "no total variation", "four paths", "penalties a tenth",
             "penalties not led by the guide", "one curve for the frame")  # fmt: skip
 
 

@@ -173,7 +173,8 @@ def test_the_product_of_two_correlations_needs_both_factors():
 def test_kernel_reads_labels_like_the_reference(seed, layers, strength, factors):
     rng = np.random.default_rng(seed)
     likelihood = rng.gamma(0.5, strength, (3, 4, layers)).astype(np.float32)
-    field = plain.LayerField(rng.normal(0, 1, (3, 4)).astype(np.float32), rng.uniform(0.5, 2, (3, 4)).astype(np.float32))
+    offset, scale = rng.normal(0, 1, (3, 4)), rng.uniform(0.5, 2, (3, 4))
+    field = plain.LayerField(offset.astype(np.float32), scale.astype(np.float32))
     where = np.arange(layers) * 0.3 - 1, np.linspace(-1.5, layers * 0.3, 2 * layers + 3), field
     slow = plain.at_labels(likelihood, *where, factors=factors)
     assert np.isfinite(slow).all()

@@ -32,7 +32,8 @@ NAMES = tuple(f.name for f in fields(BlurModel))
 _CORE_PX = 72  # a tile's core: small enough to reach the frame's border, where the aberrations are largest
 _FEW_TILES = 45
 _DAMPING = 0.04
-_SEARCHED = 10  # layers to either side of the expected one
+_SEARCHED = (6, 15)  # layers to either side of the expected one; more where that left cells unknown
+_KNOWN_CELLS = 0.9
 _LEAST_CONTRAST = 1e-3  # of full scale: less is paper without print
 _FLOOR = 0.02  # share of a tile's power that is never believed: the blur changes within a tile
 _PRIOR = 5e-3  # weight of all priors against the boards; they only hold what the boards do not see
@@ -154,28 +155,32 @@ def measured_layers(
     layer_px : (N,) float64
         Median of a cell, NaN where less than half of it is known.
     """
-    at_infinity, scale = blur.reference
-    config = MatcherConfig.psf_aware(blur.reach)
-    expected, reach = at_infinity - scale * inverse_mm, _SEARCHED * config.step_px
-    seen = estimate_disparity(
-        image,
-        aperture=aperture,
-        unmixing=unmixing,
-        config=config.with_range(expected - reach, expected + reach),
-        noise_variance=noise_variance,
-        fields=[even_field(*image.shape[:2])],
-        blur=blur,
-    ).value_px
     height, width = image.shape[:2]
-    rows, columns = max(1, height // cell_px), max(1, width // cell_px)
-    y_edges, x_edges = (np.linspace(0, n, c + 1).astype(int) for n, c in ((height, rows), (width, columns)))
-    found = np.full((rows, columns), np.nan)
-    for row, column in np.ndindex(rows, columns):
-        cell = seen[y_edges[row] : y_edges[row + 1], x_edges[column] : x_edges[column + 1]]
-        if np.isfinite(cell).mean() >= 0.5:
-            found[row, column] = np.nanmedian(cell)
-    y, x = np.meshgrid((y_edges[:-1] + y_edges[1:] - 1) / 2, (x_edges[:-1] + x_edges[1:] - 1) / 2, indexing="ij")
+    at_infinity, scale = blur.reference
+    config, expected = MatcherConfig.psf_aware(blur.reach), at_infinity - scale * inverse_mm
+    rows, columns = (np.linspace(0, n, max(1, n // cell_px) + 1).astype(int) for n in (height, width))
+    for searched in _SEARCHED:
+        reach = searched * config.step_px
+        seen = estimate_disparity(
+            image,
+            aperture=aperture,
+            unmixing=unmixing,
+            config=config.with_range(expected - reach, expected + reach),
+            noise_variance=noise_variance,
+            fields=[even_field(height, width)],
+            blur=blur,
+        ).value_px
+        found = np.array([[_median(cell) for cell in np.split(band, columns[1:-1], axis=1)]
+                          for band in np.split(seen, rows[1:-1], axis=0)])  # fmt: skip
+        if np.isfinite(found).mean() >= _KNOWN_CELLS:
+            break
+    y, x = np.meshgrid((rows[:-1] + rows[1:] - 1) / 2, (columns[:-1] + columns[1:] - 1) / 2, indexing="ij")
     return x.ravel(), y.ravel(), found.ravel()
+
+
+def _median(cell: np.ndarray) -> float:
+    """Median of a cell, NaN where less than half of it is known."""
+    return float(np.nanmedian(cell)) if np.isfinite(cell).mean() >= 0.5 else math.nan
 
 
 def _tile_size(blur: FieldBlur) -> int:
