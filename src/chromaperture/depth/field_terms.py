@@ -47,7 +47,7 @@ def ranked_curves(
     boards : (N,) bool
         Which boards to use.
     known : Nonlinearity, optional
-        A curve that the boards need not fix.
+        A curve that the boards need not fix; for where they are few.
 
     Returns
     -------
@@ -60,7 +60,9 @@ def ranked_curves(
     x, y, disparity = x_px[thin], y_px[thin], disparity_px[:, thin]
     tried = [n for n in _TRIALS if n * _BOARDS_A_TERM <= boards.sum()]
     errors: dict[int | Nonlinearity, float] = {}  # what asks least of the boards comes first
-    candidates: list[int | Nonlinearity] = [*tried] if known is None else [known, *tried]
+    # Where boards are many enough for every trial, what they show beats a curve computed from a model of the blur.
+    foreseen = [] if known is None or len(tried) == len(_TRIALS) else [known]
+    candidates: list[int | Nonlinearity] = [*foreseen, *tried]
     for curve in candidates:
         try:
             biases = []
