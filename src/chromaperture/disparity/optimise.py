@@ -67,7 +67,8 @@ def match(
         view_count = one.views.shape[2]
         evidence = log_likelihood(score_volume(one, raw), view_count=view_count)
         field = even_field(*one.mask.shape) if fields is None else fields[i]
-        likelihood += implementation.at_labels(evidence, one.layers_px, layers, field, factors=view_count - 1)
+        factors = view_count - 1  # see `log_likelihood`: three views square theirs
+        likelihood += implementation.at_labels(evidence, one.layers_px, layers, field, factors=factors)
     likelihood *= first.mask[..., None] / len(inputs)
     winner = optimise_volume(likelihood, first.guide, layers, config=optimiser, backend=backend)
     return winner if fields is None else at_pixels(winner, fields[0])
