@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from chromaperture.errors import InputError
@@ -28,11 +28,14 @@ def moments(psf, oversampling=1):
 
 @settings(max_examples=12, deadline=None)
 @given(st.sampled_from(["rgb_circles", "cy_halves", "cy_open", "cmy_circles"]), st.floats(-9, 9))
+@example("rgb_circles", 0.125)
 def test_centroid_is_radius_times_pupil_centroid(name, radius):
     psf = geometric_psf(DESIGNS[name], radius, 21, oversampling=9)
     np.testing.assert_allclose(psf.sum(axis=(1, 2)), 1, atol=1e-9)
-    # Light is counted in ninths of a pixel; the rims of shapes of a pixel's size round by a fraction of that.
-    np.testing.assert_allclose(moments(psf, 9), radius * centroids(DESIGNS[name]), atol=0.01)
+    # Light is counted in the middle of ninths of a pixel, half of which is all that one of them can be off by; what
+    # reaches over five of them averages that.
+    atol = 0.01 if abs(radius) > 0.3 else 1 / 18
+    np.testing.assert_allclose(moments(psf, 9), radius * centroids(DESIGNS[name]), atol=atol)
 
 
 def test_near_points_are_seen_through_the_aperture_turned_by_180_degrees():
