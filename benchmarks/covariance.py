@@ -1,6 +1,7 @@
 """Covariance of the calibrated parameters against their spread over simulated sessions.
 
-    python benchmarks/covariance.py [--sessions 30] [--first 0] [--width 360] [--boards 10] [--out spread.png] [--json]
+    python benchmarks/covariance.py [--sessions 30] [--first 0] [--width 360] [--boards 10] [--quality paper real-time]
+        [--out spread.png] [--json]
 
 Every session is rendered anew: its boards stand elsewhere, so that their texture falls on other pixels and the curve is
 held at other places; noise and ruler errors are its own. Parameters are those of the middle of the frame, A, B, delta,
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -70,51 +72,72 @@ def parameters(model: DepthModel, true: DepthModel | None) -> tuple[dict[str, fl
     return found, stated
 
 
+def rows_of(models: list[DepthModel]) -> list[tuple[dict[str, float], dict[str, float]]]:
+    """Parameters of every session; its depths are read where the median curve puts the probes."""
+    names = ("infinity_disparity_px", "scale_px_mm", "sensor_to_pupil_mm")
+    middle = replace(models[0], **{name: float(np.median([getattr(m, name) for m in models])) for name in names})
+    return [parameters(model, middle) for model in models]
+
+
+def ratios(rows: list[tuple[dict[str, float], dict[str, float]]]) -> dict[str, dict[str, float]]:
+    """Median, spread, stated standard deviation and their ratio, of every parameter."""
+    report = {}
+    for name in rows[0][0]:
+        values, sigmas = np.array([r[0][name] for r in rows]), np.array([r[1][name] for r in rows])
+        spread, stated = float(values.std(ddof=1)), float(np.sqrt(np.mean(sigmas**2)))
+        report[name] = {"median": float(np.median(values)), "spread": spread, "stated": stated, "ratio": stated / spread}
+    return report
+
+
+def draw(rows: dict[str, list[tuple[dict[str, float], dict[str, float]]]], out: Path) -> None:
+    """Picture of every session's values with their error bars; a column a quality, a row a parameter."""
+    names = list(next(iter(rows.values()))[0][0])
+    figure, axes = plt.subplots(len(names), len(rows), figsize=(6 * len(rows), 1.6 * len(names)), squeeze=False)
+    for column, (quality, found) in zip(axes.T, rows.items(), strict=True):
+        for axis, name in zip(column, names, strict=True):
+            axis.errorbar(range(len(found)), [r[0][name] for r in found], [r[1][name] for r in found], fmt=".")
+            axis.set_ylabel(name, fontsize=7)
+        column[0].set_title(quality, fontsize=9)
+        column[-1].set_xlabel("session")
+    figure.tight_layout()
+    figure.savefig(out, dpi=110)
+    plt.close(figure)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sessions", type=int, default=30)
     parser.add_argument("--first", type=int, default=0, help="number of the first session: others are other worlds")
     parser.add_argument("--width", type=int, default=360)
     parser.add_argument("--boards", type=int, default=10)
-    parser.add_argument("--quality", default="real-time")
+    parser.add_argument("--quality", nargs="+", choices=("paper", "real-time"), default=("paper", "real-time"))
     parser.add_argument("--out", type=Path, help="picture of the sessions' values with their error bars")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    models = []
+    models: dict[str, list[DepthModel]] = {quality: [] for quality in args.quality}
     for seed in range(args.first, args.first + args.sessions):
         scratch = Path(tempfile.mkdtemp())
         try:
             render(scratch / "cy_halves", seed, args.width, args.boards)
             calibration = calibrate_session(scratch / "cy_halves", lens_blur=False).calibration
-            models.append(calibration.on_axis(args.quality))
+            for quality, found in models.items():
+                found.append(calibration.on_axis(quality))
+            print(f"session {seed} calibrated", file=sys.stderr, flush=True)
         except InputError as error:
-            print(f"session {seed}: {error}", flush=True)
+            print(f"session {seed}: {error}", file=sys.stderr, flush=True)
         finally:
             shutil.rmtree(scratch)
-    middle = replace(
-        models[0], **{n: float(np.median([getattr(m, n) for m in models]))
-                      for n in ("infinity_disparity_px", "scale_px_mm", "sensor_to_pupil_mm")}
-    )  # fmt: skip
-    rows = [parameters(model, middle) for model in models]
-    report = {}
-    for name in rows[0][0]:
-        values, sigmas = np.array([r[0][name] for r in rows]), np.array([r[1][name] for r in rows])
-        spread, stated = float(values.std(ddof=1)), float(np.sqrt(np.mean(sigmas**2)))
-        median = float(np.median(values))
-        report[name] = {"median": median, "spread": spread, "stated": stated, "ratio": stated / spread}
+    rows = {quality: rows_of(found) for quality, found in models.items()}
+    report = {quality: ratios(found) for quality, found in rows.items()}
     if args.out:
-        figure, axes = plt.subplots(len(report), 1, figsize=(7, 1.6 * len(report)), sharex=True)
-        for axis, name in zip(axes, report, strict=True):
-            axis.errorbar(range(len(rows)), [r[0][name] for r in rows], [r[1][name] for r in rows], fmt=".")
-            axis.set_ylabel(name, fontsize=7)
-        axes[-1].set_xlabel("session")
-        figure.tight_layout()
-        figure.savefig(args.out, dpi=110)
+        draw(rows, args.out)
     if args.json:
         print(json.dumps(report, indent=1))
         return
-    for name, row in report.items():
-        print(f"{name:20}" + "  ".join(f"{key} {value:.4g}" for key, value in row.items()))
+    for quality, found in report.items():
+        print(f"{quality}, {len(models[quality])} sessions")
+        for name, row in found.items():
+            print(f"  {name:20}" + "  ".join(f"{key} {value:.4g}" for key, value in row.items()))
 
 
 if __name__ == "__main__":

@@ -14,14 +14,16 @@ SHAPE = (9, 13)
 CURVE = Nonlinearity(-4.0, 2.0, np.array([0.15, -0.05, 0.02]))
 
 
-def fields(seed: int, *, maps: bool, known: bool, curved: bool) -> DepthModel:
-    """Make a model of numbers or of maps, with correlated errors or exactly known."""
+def fields(seed: int, *, maps: bool, known: bool, curved: bool, doubted: bool = False) -> DepthModel:
+    """Make a model of numbers or of maps, with correlated errors or exactly known; ``doubted``, its curve errs too."""
     draw = np.random.default_rng(seed)
     shape = SHAPE if maps else ()
     root = draw.normal(size=(*shape, 3, 3)) * np.array([0.01, 20.0, 1.0])[:, None]
     covariance = np.zeros((3, 3)) if known else (root @ np.moveaxis(root, -1, -2)).astype(np.float32 if maps else float)
     a, b = 2.3 + 0.1 * draw.normal(size=shape), 4500.0 + 100 * draw.normal(size=shape)
-    return DepthModel(a, b, 47.0, covariance, CURVE if curved else None)
+    with_others, root = draw.normal(size=(3, 3)) * np.array([1e-4, 0.2, 0.01]), 0.02 * draw.normal(size=(3, 3))
+    own = np.hstack([with_others, root @ root.T]) if curved and doubted else None
+    return DepthModel(a, b, 47.0, covariance, CURVE if curved else None, own)
 
 
 @settings(max_examples=60, deadline=None)
@@ -30,12 +32,13 @@ def fields(seed: int, *, maps: bool, known: bool, curved: bool) -> DepthModel:
     maps=st.booleans(),
     known=st.booleans(),
     curved=st.booleans(),
+    doubted=st.booleans(),
     single=st.booleans(),
     sigma_is_map=st.booleans(),
     odd=st.lists(st.sampled_from([np.nan, np.inf, -np.inf, 0.0, 2.3, 1e9, -1e9]), max_size=6),
 )
-def test_kernel_and_formulas_agree(seed, maps, known, curved, single, sigma_is_map, odd):
-    model = fields(seed, maps=maps, known=known, curved=curved)
+def test_kernel_and_formulas_agree(seed, maps, known, curved, doubted, single, sigma_is_map, odd):
+    model = fields(seed, maps=maps, known=known, curved=curved, doubted=doubted)
     draw = np.random.default_rng(seed + 1)
     # From in front of the curve's range to beyond infinity, so that a good part lies beyond the greatest depth too.
     disparity = draw.uniform(-6, 3, SHAPE).astype(np.float32 if single else float)
@@ -50,7 +53,9 @@ def test_kernel_and_formulas_agree(seed, maps, known, curved, single, sigma_is_m
     # Both calculate in double precision and round once: one last place of float32 apart, 1.2e-7, at the most; the error
     # bar's terms cancel by up to 1e3 where errors are correlated.
     np.testing.assert_allclose(found, depth, rtol=2e-7)
-    np.testing.assert_allclose(found_error, error, rtol=1e-6, atol=1e-9)
+    # The kernel reads the curve's own error from a table of 512 entries: squares of T_4 bend by 670 over the range at the
+    # most, (2 / 511)^2 / 8 of that is 1.3e-3 of the greatest variance, .035^2 px^2, and of that its part of a pixel's.
+    np.testing.assert_allclose(found_error, error, rtol=1e-3 if doubted and curved else 1e-6, atol=1e-9)
 
 
 def test_beyond_the_greatest_depth_nothing_is_known():

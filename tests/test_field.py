@@ -179,6 +179,30 @@ def test_covariance_is_the_spread_of_many_sessions():
     assert np.all((ratio > 0.75) & (ratio < 1.3)), ratio
 
 
+def test_covariance_is_the_spread_where_the_matcher_bends_too():
+    """As above with a nonlinearity, whose terms trade with A and B: what a whole curve reads is known best."""
+    rng = np.random.default_rng(11)
+    z = np.linspace(1000, 4000, 16) - DELTA
+    x, y, linear = measured_boards(rng, 0.0, z)
+    clean = Nonlinearity(float(linear.min()), float(linear.max()), np.array([0.06, -0.04])).measured(linear)
+    covariance = np.diag([1.7**2] * len(z) + [2.0**2])
+    root = np.linalg.cholesky(covariance)
+    found, promised = [], []
+    for _ in range(40):
+        error = root @ rng.normal(size=len(z) + 1)
+        believed = BoardDistances(
+            z + error[:-1], DELTA + error[-1], 2.0, 1.0, covariance, *np.full((2, len(z)), np.nan)
+        )
+        field, _ = fit(x, y, clean + rng.normal(0, 0.05, clean.shape), believed, degree=2, nonlinearity=2)
+        model = field.on_axis(WIDTH, HEIGHT)
+        readings = np.interp(1 / np.array([1100.0, 1600, 2200, 3600]), 1 / (z + DELTA)[::-1], clean[::-1, 20 * 31 // 2])
+        depth, sigma = disparity_to_depth(readings, model, sigma_px=np.zeros(4))
+        found.append([*_numbers(model), *depth])
+        promised.append([*np.sqrt(np.diag(model.covariance)), *sigma])
+    ratio = np.std(found, axis=0) / np.sqrt(np.mean(np.square(promised), axis=0))
+    assert np.all((ratio > 0.75) & (ratio < 1.3)), ratio  # 40 sessions know a standard deviation to 11 %; twice that
+
+
 def _numbers(model):
     return float(model.infinity_disparity_px), float(model.scale_px_mm), model.sensor_to_pupil_mm
 

@@ -36,11 +36,14 @@ class DepthModel:
         Covariance of (A, B, delta); leading dimensions must broadcast with the image. Zero: exactly known.
     nonlinearity : Nonlinearity, optional
         How the matcher's reading differs from the disparity that is linear in inverse depth.
+    curve_covariance : (K, 3 + K) array, optional
+        Covariance of the nonlinearity's coefficients with (A, B, delta), as it is over the frame on average, and with
+        one another. Without it they are exactly known.
 
     Raises
     ------
     InputError
-        B is not positive, or the covariance has the wrong shape.
+        B is not positive, or a covariance has the wrong shape.
     """
 
     infinity_disparity_px: Map
@@ -48,6 +51,7 @@ class DepthModel:
     sensor_to_pupil_mm: Map
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     nonlinearity: Nonlinearity | None = None
+    curve_covariance: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if np.any(np.asarray(self.scale_px_mm) <= 0):
@@ -57,6 +61,13 @@ class DepthModel:
             )
         if np.shape(self.covariance)[-2:] != (3, 3):
             raise InputError(f"covariance of (A, B, delta) must end in 3x3, got {np.shape(self.covariance)}")
+        if self.curve_covariance is not None:
+            count = 0 if self.nonlinearity is None else len(self.nonlinearity.coefficients)
+            if np.shape(self.curve_covariance) != (count, 3 + count):
+                raise InputError(
+                    f"covariance of {count} coefficients of the nonlinearity must be {count}x{3 + count}, got "
+                    f"{np.shape(self.curve_covariance)}"
+                )
 
     @property
     def in_focus_mm(self) -> Map:
@@ -67,7 +78,7 @@ class DepthModel:
     def prepared(self) -> tuple[Fields, Curve]:
         """What the compiled conversion reads, laid out once for all pictures."""
         parts = (self.infinity_disparity_px, self.scale_px_mm, self.sensor_to_pupil_mm)
-        return fields_of(*parts, self.covariance), curve_of(self.nonlinearity)
+        return fields_of(*parts, self.covariance), curve_of(self.nonlinearity, self.curve_covariance)
 
 
 def disparity_to_inverse_depth(disparity_px: Map, model: DepthModel) -> np.ndarray:
@@ -141,7 +152,7 @@ def depth_by_formulas(
 
 
 def depth_sigma(z_mm: Map, model: DepthModel, sigma_px: Map) -> np.ndarray:
-    """Propagate the errors of d, A, B and delta, correlations included, to the depth (first order).
+    """Propagate the errors of d, A, B, delta and the nonlinearity, correlations included, to the depth (first order).
 
     Parameters
     ----------
@@ -155,18 +166,26 @@ def depth_sigma(z_mm: Map, model: DepthModel, sigma_px: Map) -> np.ndarray:
     """
     z = np.asarray(z_mm, float)
     c = np.asarray(model.covariance, float)
-    error = np.asarray(sigma_px, float)
-    if model.nonlinearity is not None:  # a reading that rises slower than the disparity tells less of it
-        error = error / model.nonlinearity.slope(model.infinity_disparity_px - model.scale_px_mm / z)
     by_b = z / model.scale_px_mm  # depth = B / (A - d) + delta: its derivative after B is z / B,
     by_d = z * by_b  # after d z^2 / B, after A minus that, after delta 1
-    variance = (
-        by_d**2 * (np.square(error) + c[..., 0, 0])
+    calibrated = (
+        by_d**2 * c[..., 0, 0]
         + by_b**2 * c[..., 1, 1]
         + c[..., 2, 2]
         + 2 * (by_b * c[..., 1, 2] - by_d * c[..., 0, 2] - by_d * by_b * c[..., 0, 1])
     )
-    return np.sqrt(np.maximum(variance, 0.0))  # a fitted covariance is positive only to rounding
+    by_reading = by_d
+    if model.nonlinearity is not None:
+        linear = model.infinity_disparity_px - model.scale_px_mm / z
+        by_reading = by_d / model.nonlinearity.slope(linear)  # one that rises slower than the disparity tells less
+        if model.curve_covariance is not None:
+            own, with_a, with_b, with_delta = np.moveaxis(model.nonlinearity.errors(linear, model.curve_covariance), -1, 0)
+            # A reading stays and the curve rises by T_k dc_k: the linear disparity falls by that over the slope.
+            calibrated = calibrated + by_reading**2 * own + by_reading * 2 * (
+                by_d * with_a - by_b * with_b - with_delta
+            )
+    # A fitted covariance is positive only to rounding, and that of the nonlinearity only on average over the frame.
+    return np.sqrt(np.square(by_reading * np.asarray(sigma_px, float)) + np.maximum(calibrated, 0.0))
 
 
 def depth_to_disparity(depth_mm: Map, model: DepthModel) -> np.ndarray:

@@ -13,7 +13,10 @@ _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 class Curve(NamedTuple):
-    """A nonlinearity as numbers: range and Chebyshev series of its slope, range and table of its inverse; all px."""
+    """A nonlinearity as numbers: range and Chebyshev series of its slope, range and table of its inverse; all px.
+
+    ``errors`` are (N, 4) at the table's entries, see `Nonlinearity.errors`; empty where the curve is exactly known.
+    """
 
     low_px: float
     high_px: float
@@ -21,6 +24,7 @@ class Curve(NamedTuple):
     first_px: float
     last_px: float
     linear_px: np.ndarray
+    errors: np.ndarray
 
 
 class Fields(NamedTuple):
@@ -32,15 +36,16 @@ class Fields(NamedTuple):
     covariance: tuple[np.ndarray, ...]
 
 
-def curve_of(nonlinearity: Nonlinearity | None) -> Curve:
-    """Give what the kernel needs of a nonlinearity; empty where there is none."""
+def curve_of(nonlinearity: Nonlinearity | None, covariance: np.ndarray | None) -> Curve:
+    """Give what the kernel needs of a nonlinearity and its covariance; empty where there is none."""
     if nonlinearity is None:
-        return Curve(0.0, 0.0, np.empty(0), 0.0, 0.0, np.empty(0))
+        return Curve(0.0, 0.0, np.empty(0), 0.0, 0.0, np.empty(0), np.empty((0, 4)))
     knots, linear = nonlinearity.inverse_table
     slope = nonlinearity.slope_series()
     slope = np.concatenate([slope, np.zeros(max(0, 2 - len(slope)))])  # two at least: Clenshaw's rule begins with two
     ends = float(nonlinearity.low_px), float(nonlinearity.high_px)
-    return Curve(*ends, slope, float(knots[0]), float(knots[-1]), linear)
+    errors = np.empty((0, 4)) if covariance is None else nonlinearity.errors(linear, covariance)
+    return Curve(*ends, slope, float(knots[0]), float(knots[-1]), linear, np.ascontiguousarray(errors))
 
 
 def fields_of(
@@ -77,8 +82,8 @@ def depth_and_sigma(
 
 @numba.njit(cache=True, parallel=True, nogil=True, error_model="numpy")
 def _convert(  # type: ignore[no-untyped-def]
-    disparity, sigma, infinity, scale, pupil, covariance, low, high, series, first, last, table, max_depth,
-    depth_out, sigma_out,
+    disparity, sigma, infinity, scale, pupil, covariance, low, high, series, first, last, table, errors,
+    max_depth, depth_out, sigma_out,
 ):  # fmt: skip
     height, width = disparity.shape
     caa, cab, cad, cbb, cbd, cdd = covariance
@@ -86,44 +91,59 @@ def _convert(  # type: ignore[no-untyped-def]
     sa, sb, sp, sc, ss = (
         int(infinity.size > 1), int(scale.size > 1), int(pupil.size > 1), int(caa.size > 1), int(sigma.size > 1)
     )  # fmt: skip
-    curved = len(table) > 0
+    curved, doubted = len(table) > 0, len(errors) > 0
     per_px = (len(table) - 1) / (last - first) if curved else 0.0
     for y in numba.prange(height):
         for x in range(width):
             a, b, delta = infinity[y * sa, x * sa], scale[y * sb, x * sb], pupil[y * sp, x * sp]
-            d = float(disparity[y, x])
+            d, k, share = float(disparity[y, x]), 0, 0.0
             if curved:
-                d = _linear(d, first, last, per_px, table)
+                k, share = _place(d, first, last, per_px, len(table))
+                beyond = min(d - first, 0.0) + max(d - last, 0.0)  # straight on; NaN stays NaN
+                d = table[k] + share * (table[k + 1] - table[k]) + beyond
             if not (a - d) * (max_depth - delta) >= b:  # at infinity, beyond the reach, or unknown
                 depth_out[y, x] = sigma_out[y, x] = np.nan
                 continue
             by_b = 1 / (a - d)  # divisions are what takes the time here
             z = b * by_b
             depth_out[y, x] = z + delta
-            error = float(sigma[y * ss, x * ss])
-            if curved:
-                error /= _slope(d, low, high, series)
             i, j = y * sc, x * sc
             by_d = z * by_b
+            by_reading = by_d / _slope(d, low, high, series) if curved else by_d
             variance = (
-                by_d**2 * (error**2 + caa[i, j])
+                by_d**2 * caa[i, j]
                 + by_b**2 * cbb[i, j]
                 + cdd[i, j]
                 + 2 * (by_b * cbd[i, j] - by_d * cad[i, j] - by_d * by_b * cab[i, j])
             )
-            sigma_out[y, x] = 0.0 if variance < 0 else np.sqrt(variance)
+            if doubted:
+                own, with_a, with_b, with_delta = _row(errors, k, share)
+                variance += by_reading * (by_reading * own + 2 * (by_d * with_a - by_b * with_b - with_delta))
+            variance = 0.0 if variance < 0 else variance
+            sigma_out[y, x] = np.sqrt((by_reading * float(sigma[y * ss, x * ss])) ** 2 + variance)
 
 
 @numba.njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _linear(measured, first, last, per_px, table):  # type: ignore[no-untyped-def]
-    """Linear between the table's entries, which are evenly spaced, and straight on beyond them."""
-    if not measured > first:  # NaN stays NaN
-        return table[0] + (measured - first)
+def _place(measured, first, last, per_px, count):  # type: ignore[no-untyped-def]
+    """Entry of an evenly spaced table and the share of the next one; its ends beyond them."""
+    if not measured > first:
+        return 0, 0.0
     if measured >= last:
-        return table[-1] + (measured - last)
+        return count - 2, 1.0
     at = (measured - first) * per_px
-    k = min(int(at), len(table) - 2)
-    return table[k] + (table[k + 1] - table[k]) * (at - k)
+    k = min(int(at), count - 2)
+    return k, at - k
+
+
+@numba.njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _row(table, k, share):  # type: ignore[no-untyped-def]
+    """Row of a table with four columns, linear between its entries."""
+    return (
+        table[k, 0] + share * (table[k + 1, 0] - table[k, 0]),
+        table[k, 1] + share * (table[k + 1, 1] - table[k, 1]),
+        table[k, 2] + share * (table[k + 1, 2] - table[k, 2]),
+        table[k, 3] + share * (table[k + 1, 3] - table[k, 3]),
+    )
 
 
 @numba.njit(cache=True, nogil=True, inline="always", error_model="numpy")

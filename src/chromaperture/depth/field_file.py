@@ -31,11 +31,14 @@ def field_from_tree(tree: Mapping[str, Any]) -> DepthField:
         raise ValueError("the two depth fields differ in degree")
     (delta,) = finite([tree["sensor_to_pupil_mm"]], (1,))
     covariance = np.array(tree["covariance"], np.float64)
-    unknowns = 3 if covariance.shape == (3, 3) else 2 * len(infinity) + 1
     curve = tree.get("nonlinearity")
     if curve is not None:
         (low, high) = finite([curve["low_px"], curve["high_px"]], (2,))
         curve = Nonlinearity(float(low), float(high), finite(curve["coefficients"], (len(curve["coefficients"]),)))
+    terms = 0 if curve is None else len(curve.coefficients)
+    sizes = (3, 2 * len(infinity) + 1, 2 * len(infinity) + 1 + terms)
+    if covariance.shape not in [(size, size) for size in sizes]:
+        raise ValueError(f"a covariance of shape {covariance.shape} does not fit its depth field")
     local = tree.get("local")
     if local is not None:
         shape = np.shape(local["scale_px_mm"])
@@ -46,7 +49,7 @@ def field_from_tree(tree: Mapping[str, Any]) -> DepthField:
             finite(local[name], shape).astype(np.float32) for name in ("infinity_disparity_px", "scale_px_mm")
         )
         local = LocalField(float(start), float(step), infinities, scales, finite(local["covariance"], (2, 2)))
-    return DepthField(infinity, scale, float(delta), finite(covariance, (unknowns, unknowns)), curve, local)
+    return DepthField(infinity, scale, float(delta), finite(covariance, covariance.shape), curve, local)
 
 
 def plain(value: Any) -> Any:

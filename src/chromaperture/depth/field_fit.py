@@ -57,7 +57,7 @@ def fit_depth_field(
     Returns
     -------
     field : DepthField
-        With the covariance of all its coefficients.
+        With the covariance of all its coefficients, and those of a nonlinearity that was fitted.
     residual_px : (N, P) float64
         Measured minus fitted, for boards that were left out too; of linear disparities where the nonlinearity is known.
 
@@ -93,8 +93,8 @@ def fit_depth_field(
     for turn in range(_ROUNDS):  # iteratively reweighted least squares with Huber's weights
         if turn and terms:
             linear = problem.linear(solution)
-            if turn == 1:
-                low, high = float(linear[seen].min()), float(linear[seen].max())
+            # The curve's range goes with A and B: then a change of theirs moves the reading as their rows say.
+            low, high = float(linear[seen].min()), float(linear[seen].max())
             powers = chebyshev.chebvander(scaled(linear, low, high), terms + 1)
             problem = _Problem(basis, standard_q, np.moveaxis(powers[..., 2:], -1, 0))
         weights = share[:, None] ** 2 * trust
@@ -115,11 +115,12 @@ def fit_depth_field(
     column, row = ((np.asarray(place) * _TILES / size_px[0]).astype(int) for place in (x_px, y_px))
     tiles = row * _TILES + column
     covariance = _covariance(problem, weights, normal, residual, per_mm, distances, tiles)
-    back = np.eye(2 * count + 1)
+    unknowns = len(covariance)
+    back = np.eye(unknowns)
     back[:count, count : 2 * count] = np.eye(count) * mean_q / spread_q
     back[count : 2 * count, count : 2 * count] = np.eye(count) / spread_q
-    keep = np.r_[0 : 2 * count, len(covariance) - 1]
-    covariance = back @ covariance[np.ix_(keep, keep)] @ back.T
+    order = np.r_[0 : 2 * count, unknowns - 1, 2 * count : unknowns - 1]  # delta before the nonlinearity
+    covariance = back @ covariance[np.ix_(order, order)] @ back.T
     field = DepthField(
         solution[:count] + slope * mean_q, slope, distances.sensor_to_pupil_mm, covariance, curve
     )

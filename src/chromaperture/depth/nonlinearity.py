@@ -80,6 +80,19 @@ class Nonlinearity:
         inside = (linear > self.low_px) & (linear < self.high_px)
         return np.where(inside | np.isnan(linear), 1 + chebyshev.chebval(scaled, self.slope_series()), 1.0)
 
+    def errors(self, linear_px: np.ndarray | float, covariance: np.ndarray) -> np.ndarray:
+        """Variance of h at some disparities and its covariance with A, B and delta; (..., 4).
+
+        Parameters
+        ----------
+        linear_px : (...) float, px
+        covariance : (K, 3 + K) float
+            Of the coefficients with A, B and delta, and with one another.
+        """
+        terms = chebyshev.chebvander(self._scaled(np.asarray(linear_px, float)), len(self.coefficients) + 1)[..., 2:]
+        with_others, own = terms @ covariance[:, :3], ((terms @ covariance[:, 3:]) * terms).sum(axis=-1)
+        return np.concatenate([own[..., None], with_others], axis=-1)
+
     def slope_series(self) -> np.ndarray:
         """Coefficients of h's derivative, of T_0, T_1, ... over the range."""
         return chebyshev.chebder(self._series()) * 2 / (self.high_px - self.low_px)
