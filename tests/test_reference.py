@@ -229,11 +229,11 @@ def test_unusable_pixels_weigh_next_to_nothing(rng):
 # ---- sub-pixel
 
 
-@given(peak_at=st.floats(-2.9, 2.9), height=st.floats(0.1, 1), bend=st.floats(0.01, 0.5))
-def test_a_parabola_is_found_exactly(peak_at, height, bend):
+@given(peak_at=st.floats(-2.9, 2.9), height=st.floats(0.1, 1), bend=st.floats(0.01, 0.5), costs=st.booleans())
+def test_a_parabola_is_found_exactly(peak_at, height, bend, costs):
     layers = np.arange(-4, 4.5, 0.5)
     score = (height - bend * (layers - peak_at) ** 2)[None, None, :]
-    winner = parabola_winner(score, layers)
+    winner = parabola_winner(-score if costs else score, layers, lower_is_better=costs)
     assert winner.disparity_px[0, 0] == pytest.approx(peak_at, abs=1e-6)  # float32
     assert winner.peak[0, 0] == pytest.approx(height, abs=1e-6)
     assert winner.curvature[0, 0] == pytest.approx(2 * bend, rel=1e-5)

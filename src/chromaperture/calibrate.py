@@ -32,6 +32,7 @@ from chromaperture.depth.chessboard import (
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.distances import BoardDistances, check_units, fit_distances
 from chromaperture.depth.field import DepthField, degree_of
+from chromaperture.depth.field_terms import MANY_BOARDS
 from chromaperture.depth.fit import DepthFit
 from chromaperture.disparity.estimate import colour_spaces
 from chromaperture.errors import InputError
@@ -181,8 +182,8 @@ def calibrate_session(
         calibration, layers = add_blur(
             calibration, session, distances, used, notes, lens=lens, store=store, progress=progress
         )
-        rendered = rendered_nonlinearity(calibration, session, distances, used, store=store, progress=progress)
-        if rendered:
+        if used.sum() < MANY_BOARDS:
+            rendered = rendered_nonlinearity(calibration, session, distances, used, store=store, progress=progress)
             evidence, doubts = dataclasses.replace(evidence, rendered=rendered), []
             curves = {quality: fit_curve(evidence, quality, doubts) for quality in MEASURED}
     notes += doubts

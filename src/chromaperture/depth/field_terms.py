@@ -14,6 +14,7 @@ from chromaperture.errors import InputError
 _FOLDS = 8
 _TRIALS = (2, 3, 4, 5, 6, 7, 8)  # mirrored halves of a pupil never read straight, see `Nonlinearity`
 _BOARDS_A_TERM = 3  # fewer would be drawn by the error of each board's distance
+MANY_BOARDS = _TRIALS[-1] * _BOARDS_A_TERM  # enough for every trial: what they show beats a curve from a model of blur
 _POINTS = 400  # of the frame suffice: the nonlinearity is one curve for all of it
 _AS_GOOD = 1.25  # two standard errors of a root mean square over thirty boards: so much is chance
 
@@ -60,8 +61,7 @@ def ranked_curves(
     x, y, disparity = x_px[thin], y_px[thin], disparity_px[:, thin]
     tried = [n for n in _TRIALS if n * _BOARDS_A_TERM <= boards.sum()]
     errors: dict[int | Nonlinearity, float] = {}  # what asks least of the boards comes first
-    # Where boards are many enough for every trial, what they show beats a curve computed from a model of the blur.
-    foreseen = [] if known is None or len(tried) == len(_TRIALS) else [known]
+    foreseen = [] if known is None or boards.sum() >= MANY_BOARDS else [known]
     candidates: list[int | Nonlinearity] = [*foreseen, *tried]
     for curve in candidates:
         try:

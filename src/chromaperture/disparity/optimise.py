@@ -182,7 +182,7 @@ def optimise_volume(
     implementation = solver(backend)
     likelihood = np.ascontiguousarray(likelihood, np.float32)
     cost = implementation.aggregate(likelihood, guide, step, config=config)
-    paths = parabola_winner(-cost, layers_px)
+    paths = parabola_winner(cost, layers_px, lower_is_better=True)
     start = np.where(np.isfinite(paths.disparity_px), paths.disparity_px, layers_px[cost.argmin(axis=2)])
     start = between_layers(start, likelihood, layers_px, sigma_px=config.pooling_px)
     disparity = implementation.coupled_variation(start, likelihood, guide, layers_px, config=config)

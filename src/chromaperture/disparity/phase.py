@@ -121,14 +121,15 @@ def phase_likelihood(
     spectra = nodes.spectra(np.ascontiguousarray(image, np.float32), noise_variance, noise_margin=config.noise_margin)
     likelihood = _evidence(blur, blur.pairs, nodes, spectra, layers_px, config)
     if blur.other_pairs and config.fallback_weight > 0:
-        silent = np.exp(-likelihood.max(axis=0) / np.float32(config.fallback_nats))
+        silent = np.exp(-likelihood.max(axis=2) / np.float32(config.fallback_nats))
         asked = nodes.canvas()
         nodes.in_frame(asked)[:] = silent
         heard = [spectrum if asked[nodes.on_canvas(place)].max() > _SILENT else None
                  for place, spectrum in zip(nodes.places, spectra, strict=True)]  # fmt: skip
         other = _evidence(blur, blur.other_pairs, nodes, heard, layers_px, config)
-        likelihood += np.float32(config.fallback_weight) * silent * other
-    return np.ascontiguousarray(np.moveaxis(likelihood, 0, -1))
+        other *= np.float32(config.fallback_weight) * silent[..., None]
+        likelihood += other
+    return likelihood
 
 
 def _evidence(
@@ -139,7 +140,7 @@ def _evidence(
     layers_px: np.ndarray,
     config: PhaseConfig,
 ) -> np.ndarray:
-    """Log-likelihood of every layer from some pairs of channels, 0 where no tile has a spectrum; (D, H, W) float32."""
+    """Log-likelihood of every layer from some pairs of channels, 0 where no tile has a spectrum; (H, W, D) float32."""
     channels = tuple(sorted({k for pair in pairs for k in pair}))
     low_pass = _gaussian(nodes.size, _finest(config))  # the same at all depths, hence done once
     tiles = [
@@ -150,12 +151,12 @@ def _evidence(
         if spectrum is not None
     ]
     at_infinity, scale = blur.reference
-    evidence = np.empty((len(layers_px), *nodes.shape), np.float32)
+    evidence = np.empty((*nodes.shape, len(layers_px)), np.float32)
 
     def fill(layer: int) -> None:
         inverse_mm = (at_infinity - layers_px[layer]) / scale
         views = _cross_filtered(blur, pairs, channels, nodes, tiles, inverse_mm, config.damping)
-        evidence[layer] = np.mean([_agreement(p, q, config) for p, q in views], axis=0)
+        evidence[..., layer] = np.mean([_agreement(p, q, config) for p, q in views], axis=0)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(fill, range(len(layers_px))))

@@ -24,20 +24,23 @@ class Winner(NamedTuple):
     spread_px: np.ndarray | None = None
 
 
-def parabola_winner(score: np.ndarray, layers_px: np.ndarray) -> Winner:
+def parabola_winner(score: np.ndarray, layers_px: np.ndarray, *, lower_is_better: bool = False) -> Winner:
     """Take the best layer and refine it by a parabola through it and its neighbours.
 
     Parameters
     ----------
     score : (H, W, D) float
-        Higher is better; D >= 3.
+        D >= 3.
     layers_px : (D,) float, px
         Equally spaced.
+    lower_is_better : bool
+        The volume holds costs; its negative would be as large as itself, a GB of a large picture.
     """
     step = layers_px[1] - layers_px[0]
-    best = score.argmax(axis=2)
+    best = score.argmin(axis=2) if lower_is_better else score.argmax(axis=2)
+    sign = -1 if lower_is_better else 1
     inner = np.clip(best, 1, score.shape[2] - 2)
-    left, center, right = (np.take_along_axis(score, (inner + o)[..., None], 2)[..., 0] for o in (-1, 0, 1))
+    left, center, right = (sign * np.take_along_axis(score, (inner + o)[..., None], 2)[..., 0] for o in (-1, 0, 1))
     bend = np.maximum(2 * center - left - right, 0)
     slope = right - left
     safe = np.where(bend > 1e-12, bend, 1.0)
