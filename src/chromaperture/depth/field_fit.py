@@ -22,6 +22,7 @@ _ROUNDS = 8
 _GROSS = 6.0
 _SMALLEST_PX = 1e-9
 _TILES = 6  # across the frame: wider than windows and than most of what a texture has
+_LEAST_LEFT = 0.05  # of a residual that the fit has not drawn to itself
 _RIDGE_PX = 1.0  # a coefficient of the nonlinearity is some tenths of a px; this only keeps idle ones at zero
 
 
@@ -193,21 +194,27 @@ def _covariance(
         shared[i] = np.nanmedian(used[i])
         errors[i] = np.nan_to_num(used[i] - shared[i])
     inverse = np.linalg.pinv(normal, hermitian=True)
-    middle, clusters = np.zeros_like(normal), 0
+    places = np.unique(tiles)
+    # The fit has drawn the residuals to itself, those of the nearest and farthest boards most (leverage: Bell and
+    # McCaffrey, Survey Methodology 28, 2002); of what tiles say, as much as the fields' coefficients can follow.
+    total = weights.sum(axis=1)[seen]
+    lines = np.stack([np.ones(len(seen)), problem.standard_q[seen]], axis=1)
+    freely = min(problem.basis.shape[1] / len(places), 1.0)
+    errors[seen] /= np.sqrt(np.maximum(1 - freely * _leverage(lines, total), _LEAST_LEFT))[:, None]
+    middle = np.zeros_like(normal)
     by_tiles = np.zeros(len(used))
-    for tile in np.unique(tiles):
+    for tile in places:
         own = weights * errors * (tiles == tile)
         pull = problem.project(own)
         middle += pull.T @ pull
-        clusters += int(pull.any(axis=1).sum())
         by_tiles += own.sum(axis=1) ** 2
-    middle *= clusters / max(clusters - len(normal), 1)  # the fit has drawn the residuals to itself
     by_distance = np.median(per_mm, axis=1) ** 2 * distances.covariance.diagonal()[:-1]
     by_tiles /= np.maximum(weights.sum(axis=1), 1e-30) ** 2
-    followed = 2 + len(problem.powers)  # A, B and the nonlinearity follow what a board's pixels share
-    worth = weights.max(axis=1)[seen]
-    found_px2 = (worth * shared[seen] ** 2).sum() / worth.sum() * len(seen) / max(len(seen) - followed, 1)
-    excess = found_px2 - (worth * (by_distance + by_tiles)[seen]).sum() / worth.sum()
+    # A, B and the nonlinearity follow what a board's pixels share.
+    curves = np.column_stack([lines, *(np.median(power, axis=1)[seen] for power in problem.powers)])
+    left = 1 - _leverage(curves, total)
+    found_px2 = (total * shared[seen] ** 2).sum() / max((total * left).sum(), _LEAST_LEFT * total.sum())
+    excess = found_px2 - (total * (by_distance + by_tiles)[seen]).sum() / total.sum()
     pull = problem.project(weights)
     middle += max(excess, 0.0) * pull.T @ pull
     # A board thought too far by dz reads B / z^2 dz less than expected, and the unknowns follow.
@@ -215,3 +222,9 @@ def _covariance(
     found = inverse @ middle @ inverse + follow @ distances.covariance[:-1, :-1] @ follow.T
     with_delta = follow @ distances.covariance[:-1, -1]
     return np.block([[found, with_delta[:, None]], [with_delta[None], distances.covariance[-1:, -1:]]])
+
+
+def _leverage(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Share of each of N residuals that a weighted least-squares fit of ``rows`` (N, unknowns) draws to itself; (N,)."""
+    weighted = np.sqrt(weights)[:, None] * rows
+    return np.asarray((np.linalg.qr(weighted)[0] ** 2).sum(axis=1))
