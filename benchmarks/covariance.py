@@ -85,7 +85,8 @@ def ratios(rows: list[tuple[dict[str, float], dict[str, float]]]) -> dict[str, d
     for name in rows[0][0]:
         values, sigmas = np.array([r[0][name] for r in rows]), np.array([r[1][name] for r in rows])
         spread, stated = float(values.std(ddof=1)), float(np.sqrt(np.mean(sigmas**2)))
-        report[name] = {"median": float(np.median(values)), "spread": spread, "stated": stated, "ratio": stated / spread}
+        median = float(np.median(values))
+        report[name] = {"median": median, "spread": spread, "stated": stated, "ratio": stated / spread}
     return report
 
 

@@ -53,8 +53,8 @@ def test_kernel_and_formulas_agree(seed, maps, known, curved, doubted, single, s
     # Both calculate in double precision and round once: one last place of float32 apart, 1.2e-7, at the most; the error
     # bar's terms cancel by up to 1e3 where errors are correlated.
     np.testing.assert_allclose(found, depth, rtol=2e-7)
-    # The kernel reads the curve's own error from a table of 512 entries: squares of T_4 bend by 670 over the range at the
-    # most, (2 / 511)^2 / 8 of that is 1.3e-3 of the greatest variance, .035^2 px^2, and of that its part of a pixel's.
+    # The kernel reads the curve's own error from a table of 512 entries: squares of T_4 bend by 670 over the range at
+    # the most, (2 / 511)^2 / 8 of that is 1.3e-3 of their greatest, which is a part of the pixel's variance.
     np.testing.assert_allclose(found_error, error, rtol=1e-3 if doubted and curved else 1e-6, atol=1e-9)
 
 

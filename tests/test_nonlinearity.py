@@ -49,7 +49,7 @@ def test_a_curve_that_turns_back_is_refused():
 
 @pytest.mark.parametrize("depth_mm", [1100.0, 1900.0, 3500.0])
 def test_error_bar_holds_the_error_of_the_curve_and_of_what_it_shares(depth_mm, rng):
-    """Spread over cameras drawn from one covariance of everything, in which the curve's terms and A lean on each other."""
+    """Spread over cameras drawn from one covariance of everything, in which the curve and A lean on each other."""
     root = rng.normal(size=(7, 7)) * np.array([0.02, 30.0, 1.0, 0.01, 0.01, 0.01, 0.01])[:, None]
     root[0] -= 0.8 * root[3]  # what the curve adds in the middle is taken from A
     covariance = root @ root.T

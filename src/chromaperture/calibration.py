@@ -34,9 +34,9 @@ _ABOUT = (
     "disparities in px (0 in focus, + beyond). Depth from the sensor plane is sensor_to_pupil_mm + scale_px_mm / "
     "(infinity_disparity_px - disparity). The two fields are polynomials over the frame: coefficients of Chebyshev "
     "products in x and y over [-1, 1] by rising degree in x, then in y; a single number holds for the whole frame. "
-    "covariance is that of A, B and sensor_to_pupil_mm, or of all coefficients in that order. nonlinearity is what the "
-    "matcher reads beyond that disparity: Chebyshev coefficients of T2, T3, ... over low_px..high_px. local is to be "
-    "added to the fields: maps on a grid over the frame, or null."
+    "covariance is that of A, B and sensor_to_pupil_mm, or of all coefficients in that order, then those of the "
+    "nonlinearity. nonlinearity is what the matcher reads beyond that disparity: Chebyshev coefficients of T2, T3, ... "
+    "over low_px..high_px. local is to be added to the fields: maps on a grid over the frame, or null."
 )
 
 

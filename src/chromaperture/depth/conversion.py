@@ -179,7 +179,8 @@ def depth_sigma(z_mm: Map, model: DepthModel, sigma_px: Map) -> np.ndarray:
         linear = model.infinity_disparity_px - model.scale_px_mm / z
         by_reading = by_d / model.nonlinearity.slope(linear)  # one that rises slower than the disparity tells less
         if model.curve_covariance is not None:
-            own, with_a, with_b, with_delta = np.moveaxis(model.nonlinearity.errors(linear, model.curve_covariance), -1, 0)
+            curve = model.nonlinearity.errors(linear, model.curve_covariance)
+            own, with_a, with_b, with_delta = np.moveaxis(curve, -1, 0)
             # A reading stays and the curve rises by T_k dc_k: the linear disparity falls by that over the slope.
             calibrated = calibrated + by_reading**2 * own + by_reading * 2 * (
                 by_d * with_a - by_b * with_b - with_delta

@@ -125,10 +125,10 @@ class DepthField:
         if len(self.scale_px_mm) == 1:
             return self.on_axis(width_px, height_px)
         size = (width_px, height_px)
-        # Covariances are as smooth as the fields: every few px and bilinear between is exact to a per mille, and 30 times
-        # faster.
-        places = np.meshgrid(*(np.linspace(0, count - 1, _NODES) for count in size))
-        nodes = polynomials(*places, *size, degree_of(len(self.scale_px_mm)))
+        # Covariances are as smooth as the fields: every few px and bilinear between is exact to a per mille, and 30
+        # times faster.
+        x, y = np.meshgrid(*(np.linspace(0, count - 1, _NODES) for count in size))
+        nodes = polynomials(x, y, *size, degree_of(len(self.scale_px_mm)))
         smooth = DepthModel(
             _evaluate(self.infinity_disparity_px, *size),
             _evaluate(self.scale_px_mm, *size),
@@ -168,9 +168,9 @@ class DepthField:
         return found
 
     def _curve_covariance(self, basis: np.ndarray) -> np.ndarray | None:
-        """Covariance of the nonlinearity's K coefficients with A, B, delta and each other where the polynomials are (N,).
+        """Covariance of the nonlinearity's K coefficients with A, B, delta where the polynomials are ``basis``, (N,).
 
-        (K, 3 + K), or None where they were not fitted with them.
+        And with each other: (K, 3 + K). None where they were not fitted with them.
         """
         n = len(basis)
         rows = self.covariance[2 * n + 1 :]
@@ -179,7 +179,7 @@ class DepthField:
         return np.column_stack([rows[:, :n] @ basis, rows[:, n : 2 * n] @ basis, rows[:, 2 * n :]])
 
     def _covariance_map(self, basis: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
-        """Covariance over the frame, of which ``basis`` holds every few px; (3, 3), or (height, width, 3, 3) float32."""
+        """Covariance over the frame, of which ``basis`` has nodes; (3, 3), or (height, width, 3, 3) float32."""
         if len(self.covariance) == 3:
             return self.covariance
         nodes = self._covariance_at(basis).reshape(_NODES, _NODES, 9)

@@ -7,7 +7,7 @@ Boards pass one by one; nothing of the size of all of them together is kept but 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -36,6 +36,7 @@ def fit_depth_field(
     degree: int,
     nonlinearity: int | Nonlinearity = 0,
     boards: np.ndarray | None = None,
+    covariance: bool = True,
 ) -> tuple[DepthField, np.ndarray]:
     """Fit both fields, and the matcher's nonlinearity, to the disparities of boards.
 
@@ -54,6 +55,8 @@ def fit_depth_field(
         Chebyshev terms of it to fit, 0 for none; or the nonlinearity itself where it is known.
     boards : (N,) bool, optional
         Which boards to use; all when absent.
+    covariance : bool
+        Find the field's covariance, which takes a third of the time; NaN without.
 
     Returns
     -------
@@ -112,20 +115,19 @@ def fit_depth_field(
     curve = Nonlinearity(low, high, solution[2 * count :]) if len(problem.powers) else known_curve
     # d = a - b (q - mean) / spread = (a + b mean / spread) - (b / spread) q
     slope = solution[count : 2 * count] / spread_q
+    field = DepthField(
+        solution[:count] + slope * mean_q, slope, distances.sensor_to_pupil_mm, np.full((3, 3), np.nan), curve
+    )
+    if not covariance:
+        return field, residual
     per_mm = (basis @ slope) / z[:, None] ** 2  # px that a board 1 mm farther than thought reads more
-    column, row = ((np.asarray(place) * _TILES / size_px[0]).astype(int) for place in (x_px, y_px))
-    tiles = row * _TILES + column
-    covariance = _covariance(problem, weights, normal, residual, per_mm, distances, tiles)
-    unknowns = len(covariance)
+    found = _covariance(problem, weights, normal, residual, per_mm, distances, _tilings(x_px, y_px, size_px[0]))
+    unknowns = len(found)
     back = np.eye(unknowns)
     back[:count, count : 2 * count] = np.eye(count) * mean_q / spread_q
     back[count : 2 * count, count : 2 * count] = np.eye(count) / spread_q
     order = np.r_[0 : 2 * count, unknowns - 1, 2 * count : unknowns - 1]  # delta before the nonlinearity
-    covariance = back @ covariance[np.ix_(order, order)] @ back.T
-    field = DepthField(
-        solution[:count] + slope * mean_q, slope, distances.sensor_to_pupil_mm, covariance, curve
-    )
-    return field, residual
+    return replace(field, covariance=back @ found[np.ix_(order, order)] @ back.T), residual
 
 
 @dataclass(frozen=True)
@@ -178,13 +180,14 @@ def _covariance(
     residual: np.ndarray,
     per_mm: np.ndarray,
     distances: BoardDistances,
-    tiles: np.ndarray,
+    tilings: list[np.ndarray],
 ) -> np.ndarray:
     """Covariance of all unknowns and of delta: errors of the disparities, and errors of the boards' distances.
 
     Neighbours share the matcher's window and the board's texture, so their errors are added up by tile before they are
-    squared (a sandwich estimator with tiles for clusters: Liang and Zeger, Biometrika 73, 1986). A board's distance is
-    wrong by the same mm at all its pixels, so that more pixels do not help against it; nor do they against a matcher
+    squared (a sandwich estimator with tiles for clusters: Liang and Zeger, Biometrika 73, 1986; it must not matter
+    where the tiles lie, hence several ways to lay them: Conley, Journal of Econometrics 92, 1999). A board's distance
+    is wrong by the same mm at all its pixels, so that more pixels do not help against it; nor do they against a matcher
     that reads all of a board a little wrong, which is what boards are off by beyond their distances' errors.
     """
     used = np.where(weights > 0, residual, np.nan)
@@ -194,20 +197,20 @@ def _covariance(
         shared[i] = np.nanmedian(used[i])
         errors[i] = np.nan_to_num(used[i] - shared[i])
     inverse = np.linalg.pinv(normal, hermitian=True)
-    places = np.unique(tiles)
     # The fit has drawn the residuals to itself, those of the nearest and farthest boards most (leverage: Bell and
     # McCaffrey, Survey Methodology 28, 2002); of what tiles say, as much as the fields' coefficients can follow.
     total = weights.sum(axis=1)[seen]
     lines = np.stack([np.ones(len(seen)), problem.standard_q[seen]], axis=1)
-    freely = min(problem.basis.shape[1] / len(places), 1.0)
+    freely = min(problem.basis.shape[1] / np.mean([len(np.unique(tiles)) for tiles in tilings]), 1.0)
     errors[seen] /= np.sqrt(np.maximum(1 - freely * _leverage(lines, total), _LEAST_LEFT))[:, None]
     middle = np.zeros_like(normal)
     by_tiles = np.zeros(len(used))
-    for tile in places:
-        own = weights * errors * (tiles == tile)
-        pull = problem.project(own)
-        middle += pull.T @ pull
-        by_tiles += own.sum(axis=1) ** 2
+    for tiles in tilings:
+        for tile in np.unique(tiles):
+            own = np.where(tiles == tile, weights * errors, 0)
+            pull = problem.project(own)
+            middle += pull.T @ pull / len(tilings)
+            by_tiles += own.sum(axis=1) ** 2 / len(tilings)
     by_distance = np.median(per_mm, axis=1) ** 2 * distances.covariance.diagonal()[:-1]
     by_tiles /= np.maximum(weights.sum(axis=1), 1e-30) ** 2
     # A, B and the nonlinearity follow what a board's pixels share.
@@ -224,7 +227,14 @@ def _covariance(
     return np.block([[found, with_delta[:, None]], [with_delta[None], distances.covariance[-1:, -1:]]])
 
 
+def _tilings(x_px: np.ndarray, y_px: np.ndarray, width_px: int) -> list[np.ndarray]:
+    """Tile of every place, for tiles that start at the frame's corner and half a tile off it either way; (P,) int."""
+    column, row = (np.asarray(place) * _TILES / width_px for place in (x_px, y_px))
+    ways = [(down, right) for down in (0, 0.5) for right in (0, 0.5)]
+    return [(row + down).astype(int) * (_TILES + 1) + (column + right).astype(int) for down, right in ways]
+
+
 def _leverage(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Share of each of N residuals that a weighted least-squares fit of ``rows`` (N, unknowns) draws to itself; (N,)."""
+    """Share of each residual that a weighted least-squares fit of ``rows`` (N, unknowns) draws to itself; (N,)."""
     weighted = np.sqrt(weights)[:, None] * rows
     return np.asarray((np.linalg.qr(weighted)[0] ** 2).sum(axis=1))

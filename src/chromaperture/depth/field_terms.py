@@ -69,7 +69,7 @@ def ranked_curves(
             for left_out in _folds(boards):
                 _, residual = fit_depth_field(
                     x, y, disparity, distances, size_px=size_px, degree=degree, nonlinearity=curve,
-                    boards=boards & ~left_out,
+                    boards=boards & ~left_out, covariance=False,
                 )  # fmt: skip
                 seen = left_out & np.isfinite(residual).any(axis=1)
                 # One px is z^2 / B mm: the relative error of depth goes with z times the residual.
