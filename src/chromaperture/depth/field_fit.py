@@ -21,7 +21,7 @@ _HUBER = 1.345
 _ROUNDS = 8
 _GROSS = 6.0
 _SMALLEST_PX = 1e-9
-_TILES = 6  # across the frame: wider than windows and than most of what a texture has
+_TILES = 4  # across the frame: wider ones find no more covariance, so that errors are not alike any further
 _LEAST_LEFT = 0.05  # of a residual that the fit has not drawn to itself
 _RIDGE_PX = 1.0  # a coefficient of the nonlinearity is some tenths of a px; this only keeps idle ones at zero
 
