@@ -93,8 +93,9 @@ def test_a_slow_stage_costs_frames_and_not_latency():
     with LiveLoop(source, eye, track=False) as loop:
         until(lambda: loop.meters["capture"].count > 50)
         captured = loop.meters["capture"].count
-        eye.gate.release(2)  # the one under way since the start, and the newest
-        loop.to_view.take()
+        eye.gate.release()
+        loop.to_view.take()  # the one under way since the start; then the newest, which must not replace it unseen
+        eye.gate.release()
         assert loop.to_view.take().frame.index >= captured - 1
         assert loop.figures()["depth"]["dropped"] > 40
     assert source.left.is_set()
