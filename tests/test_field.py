@@ -32,6 +32,12 @@ def exact_distances(z=RULERS - DELTA):
     return BoardDistances(z, DELTA, 0.0, 1.0, np.zeros((count + 1, count + 1)), *np.full((2, count), np.nan))
 
 
+def erring_distances(rng, z, covariance):
+    """What a session believes of boards that stand at z, with errors drawn from a covariance of all and of delta."""
+    error = np.linalg.cholesky(covariance) @ rng.normal(size=len(z) + 1)
+    return BoardDistances(z + error[:-1], DELTA + error[-1], 2.0, 1.0, covariance, *np.full((2, len(z)), np.nan))
+
+
 def measured_boards(rng, noise_px, z=RULERS - DELTA):
     y, x = (axis.ravel().astype(float) for axis in np.mgrid[0:HEIGHT:2, 0:WIDTH:2])
     infinity, scale = curved_lens(x, y)
@@ -163,13 +169,9 @@ def test_covariance_is_the_spread_of_many_sessions():
     x, y, clean = measured_boards(rng, 0.0)
     covariance = np.diag([1.7**2] * len(z) + [2.0**2])
     covariance[-1, :-1] = covariance[:-1, -1] = -1.0
-    root = np.linalg.cholesky(covariance)
     found, promised = [], []
     for _ in range(40):
-        error = root @ rng.normal(size=len(z) + 1)
-        believed = BoardDistances(
-            z + error[:-1], DELTA + error[-1], 2.0, 1.0, covariance, *np.full((2, len(z)), np.nan)
-        )
+        believed = erring_distances(rng, z, covariance)
         field, _ = fit(x, y, clean + rng.normal(0, 0.05, clean.shape), believed, degree=2)
         places = [field.at(np.array(px), np.array(py), WIDTH, HEIGHT) for px, py in ((30.0, 20.0), (5.0, 4.0))]
         found.append([value for m in places for value in (*_numbers(m), _depth_at(m, 2200.0))])
@@ -186,13 +188,9 @@ def test_covariance_is_the_spread_where_the_matcher_bends_too():
     x, y, linear = measured_boards(rng, 0.0, z)
     clean = Nonlinearity(float(linear.min()), float(linear.max()), np.array([0.06, -0.04])).measured(linear)
     covariance = np.diag([1.7**2] * len(z) + [2.0**2])
-    root = np.linalg.cholesky(covariance)
     found, promised = [], []
     for _ in range(40):
-        error = root @ rng.normal(size=len(z) + 1)
-        believed = BoardDistances(
-            z + error[:-1], DELTA + error[-1], 2.0, 1.0, covariance, *np.full((2, len(z)), np.nan)
-        )
+        believed = erring_distances(rng, z, covariance)
         field, _ = fit(x, y, clean + rng.normal(0, 0.05, clean.shape), believed, degree=2, nonlinearity=2)
         model = field.on_axis(WIDTH, HEIGHT)
         readings = np.interp(1 / np.array([1100.0, 1600, 2200, 3600]), 1 / (z + DELTA)[::-1], clean[::-1, 20 * 31 // 2])
