@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from chromaperture.depth.conversion import DepthModel, depth_by_formulas, disparity_to_depth
@@ -27,6 +27,9 @@ def fields(seed: int, *, maps: bool, known: bool, curved: bool, doubted: bool = 
 
 
 @settings(max_examples=60, deadline=None)
+@example(
+    seed=145, maps=False, known=False, curved=True, doubted=True, single=False, sigma_is_map=False, odd=[]
+)  # parts of the variance cancel
 @given(
     seed=st.integers(0, 2**32 - 1),
     maps=st.booleans(),
@@ -53,9 +56,31 @@ def test_kernel_and_formulas_agree(seed, maps, known, curved, doubted, single, s
     # Both calculate in double precision and round once: one last place of float32 apart, 1.2e-7, at the most; the error
     # bar's terms cancel by up to 1e3 where errors are correlated.
     np.testing.assert_allclose(found, depth, rtol=2e-7)
-    # The kernel reads the curve's own error from a table of 512 entries: squares of T_4 bend by 670 over the range at
-    # the most, (2 / 511)^2 / 8 of that is 1.3e-3 of their greatest, which is a part of the pixel's variance.
-    np.testing.assert_allclose(found_error, error, rtol=1e-3 if doubted and curved else 1e-6, atol=1e-9)
+    if not (doubted and curved):
+        np.testing.assert_allclose(found_error, error, rtol=1e-6, atol=1e-9)
+        return
+    missed = np.abs(found_error.astype(float) ** 2 - error.astype(float) ** 2)
+    allowed = table_error(disparity, depth.astype(float), model) + 1e-5 * error.astype(float) ** 2 + 1e-9
+    assert np.array_equal(np.isnan(found_error), np.isnan(error))
+    assert np.all((missed <= allowed) | np.isnan(error))
+
+
+def table_error(disparity: np.ndarray, depth_mm: np.ndarray, model: DepthModel) -> np.ndarray:
+    """Bound of what the kernel's table of the curve's error, 512 entries, adds to or takes from a variance; mm^2.
+
+    Linear between entries it misses an eighth of the bend times (2 / 511)^2: squares and products of T_2 to T_4 bend by
+    670 at the most, T_4 by 80. Entries are even in what is read, so that they lie farther apart where it rises slowly.
+    Variances themselves are no yardstick: their parts cancel.
+    """
+    assert model.curve_covariance is not None
+    largest = np.abs(model.curve_covariance).sum(axis=0)
+    own, with_a, with_b, with_delta = largest[3:].sum(), *largest[:3]
+    z = depth_mm - model.sensor_to_pupil_mm
+    by_b, slope = z / model.scale_px_mm, CURVE.slope(CURVE.linear(disparity))
+    by_d = z * by_b
+    apart = 2 / 511 * (CURVE.measured(CURVE.high_px) - CURVE.measured(CURVE.low_px)) / 6 / slope  # over a range of 6 px
+    cross = by_d * with_a + by_b * with_b + with_delta
+    return np.asarray(((by_d / slope) ** 2 * own * 670 + 2 * by_d / slope * cross * 80) * apart**2 / 8)
 
 
 def test_beyond_the_greatest_depth_nothing_is_known():
