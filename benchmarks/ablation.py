@@ -22,13 +22,13 @@ from bench50 import score
 from matcher import peers
 from timing import fastest_ms
 
-from chromaperture import calibrate
-from chromaperture.calibration import Calibration
+from chromaperture.calibration import calibrate_session as calibrate
 from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera_file import Calibration
 from chromaperture.config import CoarseConfig, MatcherConfig
 from chromaperture.depth.field import DepthField
 from chromaperture.disparity import optimise
-from chromaperture.pipeline import read_capture
+from chromaperture.products.measure_file import read_capture
 
 REAL_TIME = MatcherConfig.preset("real-time")
 VARIANTS: dict[str, MatcherConfig] = {

@@ -14,10 +14,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from chromaperture.calibrate import calibrate_session
-from chromaperture.calibration import Calibration
+from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.camera import CodedApertureCamera, default_config
-from chromaperture.pipeline import read_capture
+from chromaperture.camera_file import Calibration
+from chromaperture.products.measure_file import read_capture
 
 
 def score(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> dict[str, float]:

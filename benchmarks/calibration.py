@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.calibrate import CalibrationResult, calibrate_session, leave_one_out
-from chromaperture.calibration import Calibration
+from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session, leave_one_out
 from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera_file import Calibration
 from chromaperture.config import Quality
 from chromaperture.depth.field import DepthField
 

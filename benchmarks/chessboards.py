@@ -12,7 +12,7 @@ from pathlib import Path
 
 import cv2
 
-from chromaperture.depth.chessboard import find_corners, fit_intrinsics
+from chromaperture.calibration.chessboard import find_corners, fit_intrinsics
 
 PUBLISHED = {"focal_px": 535.916, "center_x_px": 342.283, "center_y_px": 235.571, "rms_px": 0.3926}
 INNER_CORNERS, GAMMA = (9, 6), 2.2

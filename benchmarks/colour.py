@@ -20,7 +20,7 @@ from colour_data import Bench, markdown, say
 from sharp_pictures import cmu_rows, simulated_rows
 
 from chromaperture.cli.transparency import draw, figures
-from chromaperture.color.transparency import transparency
+from chromaperture.color.transparency_map import transparency
 
 # Design -> transparency R, G, B and mean as in Table 1, SNR loss in the centre and at the border as in Table 2.
 PAPER = {

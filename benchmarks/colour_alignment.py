@@ -11,11 +11,11 @@ from colour_data import PARALLAX, SCENES, Bench, markdown, save, say
 from no_parallax import sharp_scene, without_parallax
 from picture_quality import SURE_PX, compare, matched_exposure, misalignment, phase_misalignment
 
-from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, channel_shifts, default_config
+from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import read_image
 from chromaperture.color.alignment import align_channels
-from chromaperture.color.transparency import compensate_vignetting, flat_field
+from chromaperture.color.transparency_map import compensate_vignetting, flat_field
 from chromaperture.effects.restore import restore, white_gains
 
 RIM_PX = 20

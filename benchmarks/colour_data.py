@@ -10,12 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from chromaperture.calibrate import calibrate_session
-from chromaperture.calibration import Calibration
+from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import read_image
 from chromaperture.color.srgb import linear_to_srgb
-from chromaperture.color.transparency import compensate_vignetting, flat_field
+from chromaperture.color.transparency_map import compensate_vignetting, flat_field
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import depth_to_disparity
 

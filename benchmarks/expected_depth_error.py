@@ -19,11 +19,11 @@ from chromaperture.config import MatcherConfig, PhaseConfig
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.phase import phase_likelihood
 from chromaperture.disparity.semiglobal import LayerField
-from chromaperture.disparity.subpixel import parabola_winner
-from chromaperture.optics.accuracy import Texture, expected_accuracy
+from chromaperture.disparity.winner import parabola_winner
 from chromaperture.optics.aperture import DESIGNS, made_of
-from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
-from chromaperture.optics.layers import render_layers
+from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
+from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
+from chromaperture.optics.layer_renderer import render_layers
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.pinhole import pupil_camera

@@ -18,7 +18,7 @@ from timing import fastest_ms
 
 from chromaperture.color.unmixing import view_directions
 from chromaperture.disparity import coarse_kernels
-from chromaperture.disparity.inputs import prepare_views
+from chromaperture.disparity.views import prepare_views
 from chromaperture.optics.aperture import design_named
 
 SIZES = ((240, 320), (360, 640), (480, 960), (720, 1280))

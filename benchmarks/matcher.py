@@ -15,7 +15,7 @@ from timing import fastest_ms
 from chromaperture.color.unmixing import view_directions
 from chromaperture.config import MatcherConfig
 from chromaperture.disparity import coarse_kernels
-from chromaperture.disparity.inputs import prepare_views, view_pairs
+from chromaperture.disparity.views import prepare_views, view_pairs
 from chromaperture.optics.aperture import design_named
 
 HEIGHT, WIDTH = 720, 1280

@@ -16,13 +16,13 @@ from chromaperture.camera import CodedApertureCamera, sensor_noise
 from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
-from chromaperture.effects.blur import LensBlur
 from chromaperture.effects.layered_model import LayeredModel
+from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.restore import white_gains
-from chromaperture.effects.tiles import by_tiles
+from chromaperture.effects.transfer_functions import LensBlur
 from chromaperture.effects.wiener import mirrored, padded_size
 from chromaperture.optics.aperture import design_named
-from chromaperture.optics.blur import sample_pupil
+from chromaperture.optics.field_blur import sample_pupil
 from chromaperture.optics.field_otf import traced
 
 TILE_PX = 144

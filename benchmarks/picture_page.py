@@ -16,12 +16,12 @@ import cv2
 import numpy as np
 from colour_data import LEVELS, SCENES
 
-from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import read_image
 from chromaperture.color.srgb import linear_to_srgb
-from chromaperture.color.transparency import compensate_vignetting, flat_field
-from chromaperture.effects.refocus import Focus, refocus
+from chromaperture.color.transparency_map import compensate_vignetting, flat_field
+from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.effects.restore import restore, white_gains
 
 CROPS = {"middle": (160, 300), "corner": (0, 0)}  # top, left

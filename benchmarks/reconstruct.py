@@ -19,9 +19,9 @@ import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, DepthFrame, load_camera
 from chromaperture.capture.open import open_source
+from chromaperture.products.rectified import View, undistorter
+from chromaperture.reconstruction.build_model import summary
 from chromaperture.reconstruction.fusion import Reconstruction
-from chromaperture.reconstruction.run import summary
-from chromaperture.views import View, undistorter
 
 
 def rigid(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

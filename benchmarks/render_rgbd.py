@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from chromaperture.optics.aperture import DESIGNS, made_of
-from chromaperture.optics.layers import render_layers
+from chromaperture.optics.layer_renderer import render_layers
 from chromaperture.optics.pinhole import PupilCamera
 
 SENSOR_TO_PUPIL_MM = 50.0

@@ -18,11 +18,11 @@ from chromaperture.color.alignment import align_channels, channel_directions
 from chromaperture.color.lens_shift import LensShift
 from chromaperture.color.unmixing import view_directions
 from chromaperture.disparity import coarse_kernels
-from chromaperture.disparity.inputs import prepare_views, view_pairs
+from chromaperture.disparity.views import prepare_views, view_pairs
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
-from chromaperture.effects.refocus import Focus, refocus
+from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.optics.aperture import design_named
-from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
+from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
 
 CASES = {
     "hd_restoration_two_filters": ("cy_halves", (720, 1280)),

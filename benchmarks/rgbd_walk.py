@@ -18,16 +18,16 @@ import cv2
 import numpy as np
 from reconstruct import rigid
 
-from chromaperture.calibrate import calibrate_session
+from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.camera import DepthFrame, load_camera
 from chromaperture.capture.simulated import SimulatedSource
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.session import SessionPlan, write_session
+from chromaperture.optics.simulated_session import SessionPlan, write_session
+from chromaperture.products.rectified import View, undistorter
 from chromaperture.reconstruction.fusion import Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
-from chromaperture.views import View, undistorter
 
 FOCAL_PX, RADIUS_MM, FOCUS_MM, DELTA_MM = 585.0, 20.0, 2000.0, 50.0
 SIGMA = 0.002  # the sensor's error bar, relative, at 1 m; grows with the distance

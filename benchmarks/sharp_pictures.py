@@ -14,19 +14,19 @@ import numpy as np
 from colour_data import markdown, save, say
 from picture_quality import compare
 
-from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera_file import Calibration
 from chromaperture.color.alignment import align_channels
 from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
-from chromaperture.effects.blur import Blur, LensBlur, MeasuredBlur, ThinLensBlur
-from chromaperture.effects.layers import layer_radii, shares
+from chromaperture.effects.blur_layers import layer_radii, shares
+from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.restore import UNFITTED_ERROR, fitted_settings
 from chromaperture.effects.steady import steady_disparity
-from chromaperture.effects.tiles import by_tiles
+from chromaperture.effects.transfer_functions import Blur, LensBlur, MeasuredBlur, ThinLensBlur
 from chromaperture.optics.aperture import centroids
-from chromaperture.optics.blur import BlurModel, FieldBlur
+from chromaperture.optics.field_blur import BlurModel, FieldBlur
 from chromaperture.optics.field_otf import Rays
 
 FULL_WELL, READ_NOISE = 5000.0, 4.0  # electrons

@@ -11,9 +11,9 @@ import numpy as np
 import chromaperture as cap
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.effects.background import desaturate_background
-from chromaperture.effects.refocus import Focus, refocus
+from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.effects.restore import focus_radius, restore
-from chromaperture.samples import sample_camera, sample_image
+from chromaperture.products.samples import sample_camera, sample_image
 
 
 def main() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.calibration import Calibration, Film, Lens, Sensor
+from chromaperture.camera_file import Calibration, Film, Lens, Sensor
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.optics.aperture import DESIGNS

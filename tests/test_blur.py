@@ -7,7 +7,7 @@ import pytest
 
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, made_of
-from chromaperture.optics.blur import BlurModel, FieldBlur, displacement, rims, sample_pupil
+from chromaperture.optics.field_blur import BlurModel, FieldBlur, displacement, rims, sample_pupil
 from chromaperture.optics.paraxial import paraxial
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.prescription import load_lens

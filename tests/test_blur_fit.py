@@ -7,15 +7,15 @@ import pytest
 import scipy.fft
 
 from cameras import halves_camera
-from chromaperture.calibrate_blur import add_blur
-from chromaperture.calibration import Calibration
+from chromaperture.calibration.board_distances import BoardDistances
+from chromaperture.calibration.fit_blur import fit_blur, measured_layers
+from chromaperture.calibration.lens_blur import add_blur
+from chromaperture.camera_file import Calibration
 from chromaperture.config import MatcherConfig
-from chromaperture.depth.blur_fit import fit_blur, measured_layers
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.depth.distances import BoardDistances
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
+from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
 
 W, H = 160, 120
 TRUE = BlurModel(5.0, 8000.0, axial_red_px=-0.3, axial_blue_px=0.4, spherical_px=-1.0)

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
+from chromaperture.calibration.chessboard import find_corners
 from chromaperture.cli.board import millimetres
-from chromaperture.depth.chessboard import find_corners
 from chromaperture.errors import InputError
-from chromaperture.optics.board import BoardPage, board_page, speckle, write_board
+from chromaperture.optics.board_pattern import BoardPage, board_page, speckle, write_board
 
 DPI = 150
 

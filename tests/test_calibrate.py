@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import tifffile
 
-from chromaperture.calibrate import calibrate_session, leave_one_out
-from chromaperture.calibration import Calibration
-from chromaperture.curves import weaknesses
-from chromaperture.depth.chessboard import board_distance, board_points, centered_pinhole, fit_intrinsics
-from chromaperture.depth.fit import fit_depth_model
+from chromaperture.calibration.calibrate_session import calibrate_session, leave_one_out
+from chromaperture.calibration.chessboard import board_distance, board_points, centered_pinhole, fit_intrinsics
+from chromaperture.calibration.curves import weaknesses
+from chromaperture.calibration.fit_curve import fit_depth_model
+from chromaperture.camera_file import Calibration
 from chromaperture.errors import InputError
 from planes import capture, texture
 

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from chromaperture.calibration import FORMAT_VERSION, Calibration, Film, Lens, Sensor
+from chromaperture.camera_file import FORMAT_VERSION, Calibration, Film, Lens, Sensor
 from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.errors import InputError
-from chromaperture.samples import SAMPLES, sample_camera
+from chromaperture.products.samples import SAMPLES, sample_camera
 
 
 def make_calibration(shape=None, **changes):

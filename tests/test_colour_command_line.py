@@ -66,7 +66,7 @@ def test_refocus_refuses_what_is_no_photograph(run, tmp_path, photograph, spoil,
 
 
 def test_a_photograph_of_another_camera_is_refused(run, tmp_path, photograph):
-    from chromaperture.samples import sample_camera
+    from chromaperture.products.samples import sample_camera
 
     photo = write(tmp_path / "photo.png", photograph)
     camera = sample_camera("still_life_cy_halves")

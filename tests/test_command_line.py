@@ -12,8 +12,8 @@ import pytest
 import tifffile
 from PIL import Image
 
-from chromaperture.calibration import Calibration
-from chromaperture.samples import SAMPLES, sample_camera, sample_image
+from chromaperture.camera_file import Calibration
+from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 from planes import capture, texture
 
 SUFFIXES = (

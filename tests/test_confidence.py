@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from chromaperture.config import MatcherConfig
-from chromaperture.disparity.confidence import confidence, disparity_sigma, effective_samples
-from chromaperture.disparity.subpixel import Winner
+from chromaperture.disparity.error_bar import confidence, disparity_sigma, effective_samples
+from chromaperture.disparity.winner import Winner
 from planes import LAYOUT, NARROW, capture, measured, texture
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from chromaperture.depth.distances import check_units, find_outliers, fit_distances
+from chromaperture.calibration.board_distances import check_units, find_outliers, fit_distances
 from chromaperture.errors import InputError
 
 DELTA = 48.0

@@ -22,7 +22,7 @@ from chromaperture.evaluation.figures import new_figure
 from chromaperture.evaluation.paper import figure_6, figure_8, methods, registry, run, sweep, trial, world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Exhibit, Listed, Made
-from chromaperture.evaluation.paper.page import page_html
+from chromaperture.evaluation.paper.html_page import page_html
 from chromaperture.evaluation.prior import annulus, colour_lines, correlation, shifts, stereo
 from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import DESIGNS, centroids

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chromaperture.calibrate import calibrate_session
+from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.errors import InputError
 from chromaperture.evaluation.paper import bench_prior, figure_15, methods, stereo_pair, trial, world

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from chromaperture.calibration import Calibration, Film, Lens
-from chromaperture.calibration import Sensor as SensorData
+from chromaperture.camera_file import Calibration, Film, Lens
+from chromaperture.camera_file import Sensor as SensorData
 from chromaperture.capture.exif import Exif, read_exif
 from chromaperture.cli.main import main
-from chromaperture.depth.chessboard import centered_pinhole
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.errors import InputError
@@ -22,12 +21,12 @@ from chromaperture.evaluation.health import Board, check_camera, is_healthy
 from chromaperture.evaluation.tint import measure_tint
 from chromaperture.optics.aperture import DESIGNS, centroids
 from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.pinhole import PupilCamera, centered_pinhole
 from chromaperture.optics.prescription import load_lens, with_filter_at
 from chromaperture.optics.ray_table import lens_rays, pinhole_rays
 from chromaperture.optics.render import render
 from chromaperture.optics.scene import plane
-from chromaperture.optics.session import wall
+from chromaperture.optics.simulated_session import wall
 
 WIDTH, HEIGHT = 300, 200
 CAMERA = PupilCamera(WIDTH, HEIGHT, 700.0, 12.5, 2000.0, 52.0, 0.0743)

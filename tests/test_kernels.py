@@ -14,7 +14,7 @@ from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.color.unmixing import ideal_unmixing, view_directions
 from chromaperture.config import MatcherConfig
 from chromaperture.disparity import kernels, reference
-from chromaperture.disparity.inputs import MatchInputs, guide_weights, prepare
+from chromaperture.disparity.views import MatchInputs, guide_weights, prepare
 from chromaperture.optics.aperture import design_named
 
 DESIGNS = ("rgb_circles", "rgb_squares", "cmy_squares", "cmy_circles", "cy_halves", "cy_open")

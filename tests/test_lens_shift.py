@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera_file import Calibration
 from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
-from chromaperture.effects.blur import LensBlur, ThinLensBlur
 from chromaperture.effects.restore import focus_radius, restore
+from chromaperture.effects.transfer_functions import LensBlur, ThinLensBlur
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
+from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
 from chromaperture.optics.field_otf import Rays, traced
 from planes import texture
 

@@ -15,11 +15,11 @@ import pytest
 
 from chromaperture.camera import load_camera
 from chromaperture.capture.files import read_image
-from chromaperture.capture.live import DeviceLostError, LiveSource
 from chromaperture.capture.recording import Recorder, ReplaySource
 from chromaperture.capture.source import Encoding, Event, FileSource, Frame
+from chromaperture.capture.threaded_source import DeviceLostError, LiveSource
 from chromaperture.errors import InputError
-from chromaperture.samples import sample_camera, sample_image
+from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.viewer.loop import LiveLoop
 from chromaperture.viewer.pictures import depth_picture
 from chromaperture.viewer.slots import Slot

@@ -8,7 +8,7 @@ import pytest
 
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission, made_of
-from chromaperture.optics.layers import behind_edges, fill_unknown, render_layers
+from chromaperture.optics.layer_renderer import behind_edges, fill_unknown, render_layers
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.render import render, render_depth, render_sharp

@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 from chromaperture.cli.apertures import apertures
 from chromaperture.cli.simulate import simulate, simulate_rgbd
 from chromaperture.errors import InputError
-from chromaperture.optics.accuracy import Texture, expected_accuracy
 from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of
 from chromaperture.optics.aperture_file import load_aperture
+from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.sensor import Sensor
 from chromaperture.optics.template import outline, template_svg, write_template

@@ -7,12 +7,12 @@ import pytest
 
 from chromaperture.config import MatcherConfig, OptimiserConfig
 from chromaperture.disparity import reference, semiglobal, semiglobal_kernels
-from chromaperture.disparity.confidence import disparity_sigma
-from chromaperture.disparity.inputs import MatchInputs
+from chromaperture.disparity.error_bar import disparity_sigma
 from chromaperture.disparity.optimise import log_likelihood, match, optimise_volume, relative_scale, with_halves
 from chromaperture.disparity.reference import three_view_score
 from chromaperture.disparity.semiglobal import even_field, layer_field
-from chromaperture.disparity.subpixel import Winner
+from chromaperture.disparity.views import MatchInputs
+from chromaperture.disparity.winner import Winner
 from chromaperture.errors import InputError
 
 LAYERS_PX = np.arange(-3.0, 3.01, 0.5)

@@ -10,7 +10,7 @@ import tifffile
 
 from chromaperture.depth.pointcloud import PointCloud, depth_to_points, write_ply
 from chromaperture.errors import InputError
-from chromaperture.outputs import staged, to_json, write_color_png, write_depth_png, write_float_tiff
+from chromaperture.storage import staged, to_json, write_color_png, write_depth_png, write_float_tiff
 
 
 def test_depth_encodings(tmp_path):

@@ -15,7 +15,7 @@ from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.disparity.tiles import Nodes, signal_share
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
+from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
 
 W, H = 160, 120
 LENS = BlurModel(6.0, 12000.0, axial_red_px=-0.2, axial_blue_px=0.3, spherical_px=-0.8, lateral_red_px=0.0)

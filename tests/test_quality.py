@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from chromaperture.calibrate import calibrate_session
-from chromaperture.calibration import Calibration
+from chromaperture.calibration.calibrate_session import calibrate_session
+from chromaperture.camera_file import Calibration
 from chromaperture.cli.main import app
 from chromaperture.errors import InputError
 from chromaperture.evaluation.depth_quality import ZONES, by_cell, cells, plane_quality

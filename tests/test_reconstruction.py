@@ -11,14 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from chromaperture.cli.main import main
 from chromaperture.errors import InputError
-from chromaperture.reconstruction.files import quaternion, write_mesh_glb, write_mesh_ply
+from chromaperture.products.rectified import View
+from chromaperture.products.samples import sample_camera, sample_image
+from chromaperture.reconstruction.clean_views import cleaned, near_steps
 from chromaperture.reconstruction.fusion import Reconstruction, orthonormal
+from chromaperture.reconstruction.model_files import quaternion, write_mesh_glb, write_mesh_ply
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import sight, track
-from chromaperture.reconstruction.views import cleaned, near_steps
 from chromaperture.reconstruction.volume import Mesh, Volume
-from chromaperture.samples import sample_camera, sample_image
-from chromaperture.views import View
 
 MATRIX = np.array([[160.0, 0, 119.5], [0, 160.0, 89.5], [0, 0, 1]])
 SIZE = (180, 240)

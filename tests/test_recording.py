@@ -18,10 +18,10 @@ from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Encoding, Frame
 from chromaperture.cli.main import main
 from chromaperture.errors import InputError
-from chromaperture.export.mcap import write_mcap
-from chromaperture.export.tum import write_tum
-from chromaperture.samples import sample_camera, sample_image
-from chromaperture.views import View
+from chromaperture.products.mcap import write_mcap
+from chromaperture.products.rectified import View
+from chromaperture.products.samples import sample_camera, sample_image
+from chromaperture.products.tum import write_tum
 
 SHIFTED = Encoding(64, 1023, "linear", ((-0.25, -0.25), (0.0, 0.0), (0.25, 0.25)))
 

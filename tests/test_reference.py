@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from chromaperture.config import MatcherConfig
-from chromaperture.disparity.inputs import MatchInputs, smooth
 from chromaperture.disparity.reference import (
     exponential_window,
     recursive_bilateral,
@@ -19,7 +18,8 @@ from chromaperture.disparity.reference import (
     texture_weights,
     three_view_score,
 )
-from chromaperture.disparity.subpixel import parabola_winner
+from chromaperture.disparity.views import MatchInputs, smooth
+from chromaperture.disparity.winner import parabola_winner
 
 
 def window_weights(decay, reach):

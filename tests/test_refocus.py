@@ -6,9 +6,9 @@ import pytest
 
 from chromaperture.effects.background import apply_background, background_share, desaturate_background
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
-from chromaperture.effects.refocus import Focus, refocus
+from chromaperture.effects.focus_sweep import sweep, write_sweep
+from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.effects.steady import steady_disparity
-from chromaperture.effects.sweep import sweep, write_sweep
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.pinhole import PupilCamera

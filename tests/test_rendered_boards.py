@@ -5,12 +5,12 @@ import pytest
 import scipy.fft
 
 from cameras import halves_camera
-from chromaperture.boards import read_board
+from chromaperture.calibration.board_distances import BoardDistances
+from chromaperture.calibration.read_boards import read_board
+from chromaperture.calibration.rendered_boards import render_board, rendered_nonlinearity, surrogate
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.depth.distances import BoardDistances
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
-from chromaperture.rendered_boards import render_board, rendered_nonlinearity, surrogate
+from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
 
 W, H, DELTA = 192, 128, 50.0
 LENS = BlurModel(6.0, 12000.0)  # a thin lens, in focus at 2 m

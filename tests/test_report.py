@@ -14,23 +14,23 @@ import numpy as np
 import pytest
 import typer
 
-from chromaperture.boards import BoardMeasurement
-from chromaperture.calibrate import CalibrationResult
-from chromaperture.calibrate_blur import LayerEvidence
-from chromaperture.calibration import Calibration, Film, Lens, Sensor
+from chromaperture.calibration.board_distances import BoardDistances
+from chromaperture.calibration.calibrate_session import CalibrationResult
+from chromaperture.calibration.chessboard import Intrinsics, centered_pinhole
+from chromaperture.calibration.curves import Evidence
+from chromaperture.calibration.fit_curve import DepthFit
+from chromaperture.calibration.lens_blur import LayerEvidence
+from chromaperture.calibration.read_boards import BoardMeasurement
+from chromaperture.calibration.session import Session
+from chromaperture.camera_file import Calibration, Film, Lens, Sensor
 from chromaperture.cli.main import app, main
-from chromaperture.curves import Evidence
-from chromaperture.depth.chessboard import Intrinsics, centered_pinhole
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.depth.distances import BoardDistances
 from chromaperture.depth.field import DepthField
-from chromaperture.depth.fit import DepthFit
 from chromaperture.evaluation import blur_evidence, figures
 from chromaperture.evaluation.figures import layer_errors, plane_residual
 from chromaperture.evaluation.report import report_html
 from chromaperture.evaluation.verdict import board_depth, board_errors, reach, sentences, stretches, weaknesses
-from chromaperture.optics.blur import BlurModel
-from chromaperture.session import Session
+from chromaperture.optics.field_blur import BlurModel
 
 WIDTH, HEIGHT = 96, 72
 A, B, DELTA = 4.3, 8200.0, 52.0
@@ -253,7 +253,7 @@ def test_what_is_missing_leaves_its_section_out_of_pictures(result, tmp_path):
 
 
 def test_the_command_writes_the_report_beside_the_camera(result, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("chromaperture.calibrate.calibrate_session", lambda *a, **k: result)
+    monkeypatch.setattr("chromaperture.calibration.calibrate_session.calibrate_session", lambda *a, **k: result)
 
     def run(*options):
         monkeypatch.setattr(sys, "argv", ["chromaperture", "calibrate", "session", "-q", *map(str, options)])

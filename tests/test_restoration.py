@@ -12,10 +12,10 @@ from chromaperture.effects.all_in_focus import (
     conjugate_gradients,
     smoothness,
 )
-from chromaperture.effects.blur import MeasuredBlur, ThinLensBlur
+from chromaperture.effects.blur_layers import layer_radii, shares
 from chromaperture.effects.layered_model import LayeredModel
-from chromaperture.effects.layers import layer_radii, shares
-from chromaperture.effects.tiles import by_tiles
+from chromaperture.effects.restoration_tiles import by_tiles
+from chromaperture.effects.transfer_functions import MeasuredBlur, ThinLensBlur
 from chromaperture.effects.wiener import (
     colour_covariance,
     continued,

@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from chromaperture.capture.aravis import best_format, unpack
 from chromaperture.capture.bayer import PATTERNS, superpixels
 from chromaperture.capture.files import read_image
-from chromaperture.capture.live import DeviceLostError, LiveSource, StreamEndedError
 from chromaperture.capture.open import connected_sources, open_source
 from chromaperture.capture.playback import played
 from chromaperture.capture.source import Encoding, FileSource, Frame
+from chromaperture.capture.threaded_source import DeviceLostError, LiveSource, StreamEndedError
 from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.optics.sensor import mosaic
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from chromaperture.color.transparency import compensate_vignetting, flat_field, light_efficiency, transparency
+from chromaperture.color.transparency_map import compensate_vignetting, flat_field, light_efficiency, transparency
 from chromaperture.errors import InputError
 
 

@@ -6,8 +6,8 @@
 >>> frame.depth_mm, frame.sigma_mm, frame.color                                    # doctest: +SKIP
 """
 
-from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, DepthFrame, load_camera
+from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import read_image
 from chromaperture.config import Config, DepthConfig, MatcherConfig
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth

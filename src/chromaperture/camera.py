@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.calibration import Calibration
+from chromaperture.camera_file import Calibration
 from chromaperture.capture.checks import check_capture
 from chromaperture.color.alignment import align_channels, channel_directions, fill_unknown, white_balance
 from chromaperture.color.lens_shift import LensShift

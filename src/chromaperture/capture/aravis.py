@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from chromaperture.capture.bayer import superpixels
-from chromaperture.capture.live import DeviceLostError, not_there
 from chromaperture.capture.source import Encoding, Frame
+from chromaperture.capture.threaded_source import DeviceLostError, not_there
 from chromaperture.errors import InputError, MissingDependencyError
 
 _BUFFERS = 8

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from chromaperture.capture.files import read_counts
-from chromaperture.capture.live import not_there
 from chromaperture.capture.source import Event, FileSource, Frame, Listener
+from chromaperture.capture.threaded_source import not_there
 from chromaperture.errors import InputError, MissingDependencyError
 
 

@@ -12,11 +12,11 @@ from urllib.parse import parse_qsl
 from chromaperture.capture.aravis import AravisCamera, aravis_cameras
 from chromaperture.capture.folder import FolderSource
 from chromaperture.capture.gphoto import TetheredCamera, tethered_cameras
-from chromaperture.capture.live import LiveSource
 from chromaperture.capture.playback import played
 from chromaperture.capture.recording import ReplaySource
 from chromaperture.capture.simulated import SimulatedSource
 from chromaperture.capture.source import FileSource, Listener, Source
+from chromaperture.capture.threaded_source import LiveSource
 from chromaperture.capture.video import VIDEOS, VideoSource
 from chromaperture.capture.webcam import Webcam, webcams
 from chromaperture.errors import InputError, MissingDependencyError

@@ -6,8 +6,8 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
-from chromaperture.capture.live import LiveSource, StreamEndedError
 from chromaperture.capture.source import FileSource, Frame, Listener
+from chromaperture.capture.threaded_source import LiveSource, StreamEndedError
 from chromaperture.errors import InputError
 
 _KEPT_BYTES = 512 << 20  # frames of a loop that are not read or rendered again

@@ -14,7 +14,7 @@ from chromaperture.capture.source import Encoding, FileSource, Frame, Listener
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, made_of
 from chromaperture.optics.aperture_file import load_aperture
-from chromaperture.optics.layers import render_layers
+from chromaperture.optics.layer_renderer import render_layers
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.render import render

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import cv2
 
-from chromaperture.capture.live import DeviceLostError, not_there
 from chromaperture.capture.source import Encoding, Frame
+from chromaperture.capture.threaded_source import DeviceLostError, not_there
 from chromaperture.errors import InputError
 
 

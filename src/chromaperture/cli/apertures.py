@@ -94,7 +94,7 @@ def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list
     """Collect the figures of designs before one lens, at equal exposure of the open aperture."""
     import numpy as np
 
-    from chromaperture.optics.accuracy import expected_accuracy
+    from chromaperture.optics.depth_error_bound import expected_accuracy
     from chromaperture.optics.metrics import aperture_figures, film_unmixing
 
     rows = []
@@ -166,8 +166,8 @@ def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> Non
     import numpy as np
     from matplotlib import pyplot
 
-    from chromaperture.optics.accuracy import expected_accuracy
     from chromaperture.optics.aperture import pupil_grid
+    from chromaperture.optics.depth_error_bound import expected_accuracy
     from chromaperture.optics.metrics import aperture_figures
 
     columns = max(len(chosen), 4)

@@ -24,8 +24,8 @@ def board(
 
     chromaperture board --out board.pdf --square 30mm --paper a3 --wall-pages 3
     """
-    from chromaperture.optics.board import board_page, write_board
-    from chromaperture.outputs import staged
+    from chromaperture.optics.board_pattern import board_page, write_board
+    from chromaperture.storage import staged
 
     page = board_page(columns=columns, rows=rows, square_mm=millimetres(square), paper=paper)
     with staged(out.parent) as stage:

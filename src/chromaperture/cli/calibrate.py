@@ -39,8 +39,8 @@ def calibrate(
     """
     from rich.table import Table
 
-    from chromaperture.calibrate import calibrate_session
-    from chromaperture.calibration import Calibration
+    from chromaperture.calibration.calibrate_session import calibrate_session
+    from chromaperture.camera_file import Calibration
     from chromaperture.cli.console import out as console
     from chromaperture.cli.console import print_files, print_json, progress
 

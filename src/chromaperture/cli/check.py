@@ -41,7 +41,7 @@ def check(
     from chromaperture.cli.console import out as console
     from chromaperture.cli.console import print_json
     from chromaperture.evaluation.health import Board, Check, check_camera, is_healthy
-    from chromaperture.pipeline import read_capture
+    from chromaperture.products.measure_file import read_capture
 
     corners = re.fullmatch(r"\s*(\d+)\s*[x×]\s*(\d+)\s*", board)
     if not corners or min(int(corners[1]), int(corners[2])) < 3:

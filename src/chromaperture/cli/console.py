@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 
 from chromaperture.errors import CaptureWarning
-from chromaperture.pipeline import Report
+from chromaperture.products.measure_file import Report
 
 out = Console()
 err = Console(stderr=True)
@@ -108,6 +108,6 @@ def print_files(files: list[Path]) -> None:
 
 def print_json(value: Any) -> None:
     """Print JSON on standard output."""
-    from chromaperture.outputs import to_json
+    from chromaperture.storage import to_json
 
     print(to_json(value))

@@ -19,8 +19,8 @@ def demo(
     from chromaperture.camera import load_camera
     from chromaperture.cli.console import announce_compilation, print_files, print_json, progress, report_table
     from chromaperture.cli.console import out as console
-    from chromaperture.pipeline import measure_file
-    from chromaperture.samples import SAMPLES, sample_camera, sample_image
+    from chromaperture.products.measure_file import measure_file
+    from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 
     announce_compilation(quiet=quiet or json)
     reports = []

@@ -46,7 +46,7 @@ def depth(
     from chromaperture.cli.console import out as console
     from chromaperture.cli.setup import camera_for
     from chromaperture.errors import ChromapertureError, InputError
-    from chromaperture.pipeline import measure_file
+    from chromaperture.products.measure_file import measure_file
 
     if len({(out or image.parent, image.stem) for image in images}) < len(images):
         raise InputError("two images would write the same files; measure them into different --out folders")

@@ -41,7 +41,7 @@ def evaluate(
     from chromaperture.cli.console import out as console
     from chromaperture.evaluation.paper.cluster import dask_distributed
     from chromaperture.evaluation.paper.context import Context
-    from chromaperture.evaluation.paper.page import write_page
+    from chromaperture.evaluation.paper.html_page import write_page
     from chromaperture.evaluation.paper.registry import chosen
     from chromaperture.evaluation.paper.run import evaluate as run
 

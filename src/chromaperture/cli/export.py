@@ -25,9 +25,9 @@ def export(
     from chromaperture.capture.source import Event
     from chromaperture.cli.console import announce_compilation, progress, say_warning
     from chromaperture.cli.setup import camera_for
-    from chromaperture.export.mcap import write_mcap
-    from chromaperture.export.tum import write_tum
-    from chromaperture.views import undistorter
+    from chromaperture.products.mcap import write_mcap
+    from chromaperture.products.rectified import undistorter
+    from chromaperture.products.tum import write_tum
 
     levels = {"black_level": black_level, "white_level": white_level}
     settings: dict[str, Any] = {name: value for name, value in levels.items() if value is not None}

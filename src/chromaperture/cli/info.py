@@ -17,7 +17,7 @@ def info(
     from rich.markup import escape
     from rich.table import Table
 
-    from chromaperture.calibration import Calibration
+    from chromaperture.camera_file import Calibration
     from chromaperture.cli.console import out, print_json
 
     summary = Calibration.load(camera).summary()

@@ -31,15 +31,15 @@ def reconstruct(
     """
     import itertools
 
-    from chromaperture.calibration import Calibration
+    from chromaperture.camera_file import Calibration
     from chromaperture.capture.open import open_source
     from chromaperture.capture.source import Event
     from chromaperture.cli.console import announce_compilation, print_files, print_json, progress, say_warning
     from chromaperture.cli.setup import camera_for
     from chromaperture.errors import InputError
+    from chromaperture.reconstruction.build_model import reconstruct as build
+    from chromaperture.reconstruction.build_model import write_model
     from chromaperture.reconstruction.fusion import Placed
-    from chromaperture.reconstruction.run import reconstruct as build
-    from chromaperture.reconstruction.run import write_model
     from chromaperture.reconstruction.settings import ReconstructionConfig
     from chromaperture.reconstruction.volume import open3d
 

@@ -59,12 +59,12 @@ def refocus(
     from chromaperture.cli.setup import camera_for
     from chromaperture.effects.background import BACKGROUND_EFFECTS, apply_background
     from chromaperture.effects.bokeh import bokeh_mask
-    from chromaperture.effects.refocus import Focus
+    from chromaperture.effects.focus_sweep import SUFFIXES, write_sweep
+    from chromaperture.effects.focus_sweep import sweep as focus_sweep
+    from chromaperture.effects.refocusing import Focus
     from chromaperture.effects.restore import SHARPNESS, restore
-    from chromaperture.effects.sweep import SUFFIXES, write_sweep
-    from chromaperture.effects.sweep import sweep as focus_sweep
-    from chromaperture.outputs import staged, write_color_png
-    from chromaperture.pipeline import read_capture
+    from chromaperture.products.measure_file import read_capture
+    from chromaperture.storage import staged, write_color_png
 
     # Everything that can be wrong with the options, before the minute of work.
     if [focus is not None, point is not None, sweep].count(True) > 1:

@@ -7,8 +7,8 @@ import tomllib
 from pathlib import Path
 from typing import Any, cast
 
-from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import image_size
 from chromaperture.config import Config, Quality
 from chromaperture.errors import InputError

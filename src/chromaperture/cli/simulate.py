@@ -56,7 +56,7 @@ def simulate(
     from chromaperture.optics.prescription import load_lens, with_filter_at
     from chromaperture.optics.ray_table import RayTable, lens_rays, pinhole_rays
     from chromaperture.optics.scene import load_scene
-    from chromaperture.optics.session import SessionPlan, write_session
+    from chromaperture.optics.simulated_session import SessionPlan, write_session
 
     if cells < 4 or cells % 2:
         raise InputError(f"--cells must be even and at least 4, got {cells}")
@@ -122,7 +122,7 @@ def simulate_rgbd(
 
     from chromaperture.optics.aperture import made_of
     from chromaperture.optics.aperture_file import load_aperture
-    from chromaperture.optics.layers import render_layers
+    from chromaperture.optics.layer_renderer import render_layers
     from chromaperture.optics.pinhole import PupilCamera
     from chromaperture.optics.rgbd import read_rgbd
     from chromaperture.optics.sensor import Sensor, expose

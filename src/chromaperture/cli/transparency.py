@@ -36,8 +36,8 @@ def transparency(
     """
     from chromaperture.capture.files import read_image
     from chromaperture.cli.console import print_json
-    from chromaperture.color.transparency import transparency as share_of_light
-    from chromaperture.outputs import staged
+    from chromaperture.color.transparency_map import transparency as share_of_light
+    from chromaperture.storage import staged
 
     if not exposure > 0:
         raise InputError(f"--exposure must be positive, got {exposure:g}")
@@ -70,7 +70,7 @@ def figures(coded: np.ndarray, bare: np.ndarray, share: np.ndarray) -> dict[str,
     import numpy as np
 
     from chromaperture.color.snr import exposure_to_restore, snr_db
-    from chromaperture.color.transparency import light_efficiency
+    from chromaperture.color.transparency_map import light_efficiency
 
     light = light_efficiency(share)
     (open_center, _), (center, border) = snr_db(bare), snr_db(coded)

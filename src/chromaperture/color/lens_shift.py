@@ -18,7 +18,7 @@ import numba
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from chromaperture.optics.blur import FieldBlur
+from chromaperture.optics.field_blur import FieldBlur
 from chromaperture.optics.field_otf import Rays, traced, transfer_at
 
 _PLACES = (7, 5)  # along width and height

@@ -15,9 +15,9 @@ import numpy as np
 
 from chromaperture.config import CoarseConfig, MatcherConfig, OptimiserConfig
 from chromaperture.disparity import reference, semiglobal
-from chromaperture.disparity.inputs import MatchInputs
 from chromaperture.disparity.semiglobal import LayerField
-from chromaperture.disparity.subpixel import Winner
+from chromaperture.disparity.views import MatchInputs
+from chromaperture.disparity.winner import Winner
 from chromaperture.errors import InputError
 
 JUMP_PX = 1.0  # neighbours farther apart lie on two surfaces: a pixel between them belongs to one

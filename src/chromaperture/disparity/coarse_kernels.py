@@ -15,10 +15,10 @@ from chromaperture.config import CoarseConfig, MatcherConfig
 from chromaperture.disparity import messages
 from chromaperture.disparity.coarse import Answers, assemble, at_pixels, finish, halved_field, information, parts
 from chromaperture.disparity.enlarge import fill_columns, fill_rows, smooth_surface
-from chromaperture.disparity.inputs import MatchInputs
 from chromaperture.disparity.kernels import _filtered_scores, _in_parallel, _workspace
 from chromaperture.disparity.semiglobal import LayerField
-from chromaperture.disparity.subpixel import Winner
+from chromaperture.disparity.views import MatchInputs
+from chromaperture.disparity.winner import Winner
 
 _EVEN = np.zeros((1, 1), np.float32)
 

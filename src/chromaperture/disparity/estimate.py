@@ -13,12 +13,12 @@ from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions
 from chromaperture.config import MatcherConfig
 from chromaperture.disparity import optimise, phase, reference
-from chromaperture.disparity.confidence import confidence, disparity_sigma
-from chromaperture.disparity.inputs import guide_weights, prepare
+from chromaperture.disparity.error_bar import confidence, disparity_sigma
 from chromaperture.disparity.semiglobal import LayerField
+from chromaperture.disparity.views import guide_weights, prepare
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
-from chromaperture.optics.blur import FieldBlur
+from chromaperture.optics.field_blur import FieldBlur
 
 Backend = Literal["numba", "reference"]
 

@@ -30,9 +30,9 @@ import numpy as np
 
 from chromaperture.config import MatcherConfig
 from chromaperture.disparity import bands, layout, reference, strips
-from chromaperture.disparity.inputs import MatchInputs, is_even, view_pairs
 from chromaperture.disparity.simd import LANES
-from chromaperture.disparity.subpixel import Winner
+from chromaperture.disparity.views import MatchInputs, is_even, view_pairs
+from chromaperture.disparity.winner import Winner
 
 # Share of a window's weight that a band may miss; small, because products have means far above their variances.
 _FORGOTTEN = 1e-6

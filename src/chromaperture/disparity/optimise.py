@@ -16,9 +16,9 @@ import numpy as np
 
 from chromaperture.config import MatcherConfig, OptimiserConfig
 from chromaperture.disparity.between_layers import between_layers
-from chromaperture.disparity.inputs import MatchInputs
 from chromaperture.disparity.semiglobal import LayerField, even_field
-from chromaperture.disparity.subpixel import Winner, parabola_winner
+from chromaperture.disparity.views import MatchInputs
+from chromaperture.disparity.winner import Winner, parabola_winner
 from chromaperture.errors import InputError
 
 Backend = Literal["numba", "reference"]

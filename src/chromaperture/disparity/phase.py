@@ -26,13 +26,13 @@ import numpy as np
 import scipy.fft
 
 from chromaperture.config import MatcherConfig, PhaseConfig
-from chromaperture.disparity.inputs import MatchInputs
 from chromaperture.disparity.optimise import Backend, at_pixels, optimise_volume, solver, with_halves
 from chromaperture.disparity.semiglobal import LayerField
-from chromaperture.disparity.subpixel import Winner
 from chromaperture.disparity.tiles import Nodes, TileSpectrum
+from chromaperture.disparity.views import MatchInputs
+from chromaperture.disparity.winner import Winner
 from chromaperture.errors import InputError
-from chromaperture.optics.blur import FieldBlur, Rays
+from chromaperture.optics.field_blur import FieldBlur, Rays
 
 _MAX_CORRELATION2 = 0.999
 _SILENT = 0.01  # weight of the other pairs below which a tile need not be asked

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from chromaperture.config import MatcherConfig
-from chromaperture.disparity.inputs import MatchInputs, view_pairs
-from chromaperture.disparity.subpixel import Winner, parabola_winner
+from chromaperture.disparity.views import MatchInputs, view_pairs
+from chromaperture.disparity.winner import Winner, parabola_winner
 
 MIN_VARIANCE_SHARE = 0.05  # noise debiasing never takes more of a variance than leaves this share
 RELATIVE_EPSILON = 1e-6  # of a view's overall variance: even areas score 0, not noise / noise
@@ -22,7 +22,7 @@ MIN_WEIGHT = 1e-4
 
 
 def match(inputs: MatchInputs, config: MatcherConfig) -> Winner:
-    """Match the views; see `chromaperture.disparity.inputs.MatchInputs` for shapes and units."""
+    """Match the views; see `chromaperture.disparity.views.MatchInputs` for shapes and units."""
     score = score_volume(inputs, config)
     weights = texture_weights(inputs, config)
     if config.bilateral_sigma_px > 0:

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from chromaperture.effects.blur import Blur
 from chromaperture.effects.layered_model import LayeredModel
+from chromaperture.effects.transfer_functions import Blur
 from chromaperture.effects.wiener import colour_covariance, mirrored, padded_size, sharpen_layers
 from chromaperture.errors import InputError
 

@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from chromaperture.effects.refocus import Focus, refocus
+from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.errors import InputError
 
 BackgroundEffect = Literal["keep", "desaturate", "blur"]

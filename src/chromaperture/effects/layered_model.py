@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 
-from chromaperture.effects.blur import Blur
-from chromaperture.effects.layers import layer_radii, shares
+from chromaperture.effects.blur_layers import layer_radii, shares
+from chromaperture.effects.transfer_functions import Blur
 
 _SHARP_PX = 0.25
 _TRUST = 0.12  # departure from full coverage at which the model's word counts 1/e

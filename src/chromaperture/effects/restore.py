@@ -8,8 +8,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from chromaperture.calibration import Calibration
 from chromaperture.camera import CodedApertureCamera, channel_shifts, sensor_noise
+from chromaperture.camera_file import Calibration
 from chromaperture.color.alignment import align_channels, linear_displacement
 from chromaperture.color.image import SATURATION
 from chromaperture.color.noise import estimate_noise_variance
@@ -17,10 +17,10 @@ from chromaperture.color.registration import residual_displacement
 from chromaperture.color.unmixing import pure_channels
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
-from chromaperture.effects.blur import Blur, LensBlur, ThinLensBlur, camera_blur, radius_per_disparity
+from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.same_photograph import check_same_photograph
 from chromaperture.effects.steady import steady_disparity
-from chromaperture.effects.tiles import by_tiles
+from chromaperture.effects.transfer_functions import Blur, LensBlur, ThinLensBlur, camera_blur, radius_per_disparity
 from chromaperture.errors import InputError
 
 _TILES, _LEAST_TILE_PX = 5, 96  # along the width, over each of which the blur counts as constant

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from chromaperture.effects.blur import Blur
-from chromaperture.effects.layers import layer_radii, shares
+from chromaperture.effects.blur_layers import layer_radii, shares
+from chromaperture.effects.transfer_functions import Blur
 
 _SHARP_PX = 0.25  # blur radius below which a layer is in focus
 _SAME_PX, _SAME_SHARE = 0.8, 0.12  # difference of blur radius up to which two pixels are of one surface

@@ -6,10 +6,10 @@ import numpy as np
 import scipy.fft
 from matplotlib.figure import Figure
 
-from chromaperture.calibrate import CalibrationResult
+from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.evaluation.figures import BLUE, GREY, new_figure, tidy
-from chromaperture.optics.blur import FieldBlur
+from chromaperture.optics.field_blur import FieldBlur
 
 _PLACES = (0.02, 0.26, 0.5, 0.74, 0.98)  # over the width, and three of them over the height
 _SHARE = 0.995  # of the light that a patch shows

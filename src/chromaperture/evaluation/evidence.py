@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
-from chromaperture.calibrate import CalibrationResult
+from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.config import Quality
 from chromaperture.evaluation.figures import BLUE, GREY, ORANGE, new_figure, rulers_of, tidy

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from chromaperture.calibrate import CalibrationResult
+from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.config import MatcherConfig, Quality
 from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.evaluation.verdict import board_depth, board_errors, reach

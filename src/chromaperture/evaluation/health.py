@@ -11,12 +11,12 @@ from typing import Literal
 
 import numpy as np
 
-from chromaperture.calibration import Calibration
+from chromaperture.calibration.chessboard import Intrinsics, board_points, find_corners
 from chromaperture.camera import sensor_noise
+from chromaperture.camera_file import Calibration
 from chromaperture.capture.exif import Exif
 from chromaperture.color.image import SATURATION, checked_image
 from chromaperture.config import MatcherConfig, Quality
-from chromaperture.depth.chessboard import Intrinsics, board_points, find_corners
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.errors import InputError

@@ -11,11 +11,11 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.figure import Figure
 
-from chromaperture.calibrate import CalibrationResult
+from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.evaluation import blur_evidence, evidence, figures, tables
 from chromaperture.evaluation.tables import Table
 from chromaperture.evaluation.verdict import sentences
-from chromaperture.outputs import staged
+from chromaperture.storage import staged
 
 
 @dataclass(frozen=True)

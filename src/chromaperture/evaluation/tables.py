@@ -8,7 +8,7 @@ from importlib import metadata
 
 import numpy as np
 
-from chromaperture.calibrate import CalibrationResult
+from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.config import Quality
 from chromaperture.evaluation.verdict import board_errors, reach
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chromaperture.calibrate import CalibrationResult
+from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import depth_sigma, depth_to_disparity, disparity_to_depth
 

@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 
 from chromaperture.errors import InputError
-from chromaperture.optics.film import (
+from chromaperture.optics.filters import (
     BLUE,
     CLEAR,
     CYAN,

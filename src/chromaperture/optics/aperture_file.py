@@ -9,7 +9,7 @@ from typing import Any
 
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, Aperture, SubAperture, checked_aperture, design_named
-from chromaperture.optics.film import FIXED, Filter, film_named
+from chromaperture.optics.filters import FIXED, Filter, film_named
 from chromaperture.optics.shapes import Disc, HalfPlane, Polygon, Shape, Square
 from chromaperture.optics.svg import read_svg_shapes
 

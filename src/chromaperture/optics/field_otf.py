@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.optics.blur import FieldBlur, displacement, rims
+from chromaperture.optics.field_blur import FieldBlur, displacement, rims
 
 _ROOM_PX = 8  # around a kernel: what the cut-off at the pixels' own frequency rings over
 _LEAST_LIGHT = 1e-3  # of the brightest point: rays that carry less are left out

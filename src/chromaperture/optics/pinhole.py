@@ -124,3 +124,9 @@ def pupil_camera(lens: Prescription, *, width_px: int, height_px: int, pixel_pit
         sensor_to_pupil_mm=data.sensor_to_entrance_pupil_mm,
         pixel_pitch_mm=pixel_pitch_mm,
     )
+
+
+def centered_pinhole(focal_px: float, image_size: tuple[int, int]) -> np.ndarray:
+    """Camera matrix with square pixels and the axis through the middle of the frame; (3, 3) float64, px."""
+    width, height = image_size
+    return np.array([[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1.0]])

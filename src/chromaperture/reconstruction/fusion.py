@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from chromaperture.products.rectified import View
+from chromaperture.reconstruction.clean_views import cleaned
 from chromaperture.reconstruction.motion import Speed
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import Keyframe, Sight, Track, scaled, sight, track, turn_deg
-from chromaperture.reconstruction.views import cleaned
 from chromaperture.reconstruction.volume import Mesh, Volume, joined
-from chromaperture.views import View
 
 _KEYFRAMES = 300
 _APART = 0.2  # of the picture's width: farther from every keyframe, a new one is made

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from chromaperture.reconstruction.alignment import Level, align, points_of, pyramid
+from chromaperture.products.rectified import View
+from chromaperture.reconstruction.direct_alignment import Level, align, points_of, pyramid
 from chromaperture.reconstruction.settings import ReconstructionConfig
-from chromaperture.views import View
 
 _THUMBNAIL = (40, 30)
 _MIN_KNOWN = 0.02  # share of a picture with depth, below which nothing can be said

@@ -12,8 +12,8 @@ import numba
 import numpy as np
 
 from chromaperture.errors import MissingDependencyError
-from chromaperture.reconstruction.kernels import forget_faint, fuse, holds_surface
-from chromaperture.views import View
+from chromaperture.products.rectified import View
+from chromaperture.reconstruction.fusion_kernels import forget_faint, fuse, holds_surface
 
 EDGE = 16  # voxels along a block
 BLOCK_BYTES = EDGE**3 * 4 * 5  # tsdf, weight, three colours

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, DepthFrame
-from chromaperture.effects.blur import radius_per_disparity
-from chromaperture.effects.refocus import Focus, refocus
+from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.effects.restore import focus_radius
 from chromaperture.effects.steady import steady_disparity
+from chromaperture.effects.transfer_functions import radius_per_disparity
 from chromaperture.errors import InputError
 
 _REDUCED = 2

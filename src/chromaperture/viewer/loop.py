@@ -22,12 +22,12 @@ from chromaperture.camera import CodedApertureCamera, DepthFrame
 from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Frame, Source
 from chromaperture.errors import ChromapertureError
+from chromaperture.products.rectified import undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.volume import Mesh, open3d
 from chromaperture.viewer.slots import Meter, Slot
 from chromaperture.viewer.trail import Trail
-from chromaperture.views import undistorter
 
 STAGES = ("capture", "depth", "tracking", "view")
 

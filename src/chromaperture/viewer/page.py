@@ -13,10 +13,10 @@ import numpy as np
 
 from chromaperture.depth.pointcloud import depth_to_points
 from chromaperture.errors import InputError, MissingDependencyError
-from chromaperture.outputs import staged
-from chromaperture.pipeline import write_maps
-from chromaperture.reconstruction.files import glb, quaternion
-from chromaperture.reconstruction.views import near_steps
+from chromaperture.products.measure_file import write_maps
+from chromaperture.reconstruction.clean_views import near_steps
+from chromaperture.reconstruction.model_files import glb, quaternion
+from chromaperture.storage import staged
 from chromaperture.viewer.focus import Refocuser
 from chromaperture.viewer.loop import LiveLoop, Measured, stripped
 from chromaperture.viewer.pictures import color_picture, confidence_picture, depth_picture

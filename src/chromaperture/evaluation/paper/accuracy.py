@@ -13,7 +13,7 @@ from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Listed, Made
 from chromaperture.evaluation.paper.trial import Trial
 from chromaperture.evaluation.paper.world import EIGHT, NUMERALS
 from chromaperture.evaluation.tables import Table
-from chromaperture.optics.accuracy import expected_accuracy
+from chromaperture.optics.depth_error_bound import expected_accuracy
 
 _WIDTH, _HEIGHT = 160, 112
 _FULL_MM, _QUICK_MM = (1150.0, 1500.0, 1850.0, 2300.0, 2900.0, 3600.0), (1500.0, 2900.0)

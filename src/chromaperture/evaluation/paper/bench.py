@@ -10,9 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from chromaperture.calibrate import CalibrationResult, calibrate_session
-from chromaperture.calibration import Calibration
+from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
 from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera_file import Calibration
 from chromaperture.config import Quality
 from chromaperture.errors import InputError
 from chromaperture.evaluation.figures import new_figure
@@ -22,7 +22,7 @@ from chromaperture.evaluation.paper.exhibit import Drawn, Listed, Made
 from chromaperture.evaluation.paper.world import NUMERALS
 from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.pipeline import read_capture
+from chromaperture.products.measure_file import read_capture
 
 FIRST = "cy_halves"  # has tilted boards, and gives its lens to the others
 DESIGNS_READ = ("rgb_squares", "cmy_circles", "cy_halves", "magenta_annulus", "cy_open", "open")

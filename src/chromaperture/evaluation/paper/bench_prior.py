@@ -13,15 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.boards import BoardMeasurement, grid
-from chromaperture.calibrate import CalibrationResult
-from chromaperture.curves import Evidence, fit_curve
+from chromaperture.calibration.board_distances import fit_distances
+from chromaperture.calibration.calibrate_session import CalibrationResult
+from chromaperture.calibration.curves import Evidence, fit_curve
+from chromaperture.calibration.measurement_cache import Store
+from chromaperture.calibration.read_boards import BoardMeasurement, grid
+from chromaperture.calibration.session import Session, read_session
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
-from chromaperture.depth.distances import fit_distances
 from chromaperture.errors import InputError
 from chromaperture.evaluation.paper import methods
-from chromaperture.session import Session, read_session
-from chromaperture.store import Store
 
 _BOARDS = 8  # at most, for each method
 _SPAN = (1.2, 0.75)  # how much farther than the camera's own range is searched: factor, and px

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from chromaperture.calibrate import CalibrationResult, calibrate_session
+from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.paper.sweep import sweep
 from chromaperture.evaluation.paper.trial import Trial
 from chromaperture.optics.pinhole import PupilCamera
-from chromaperture.optics.session import SessionPlan, write_session
+from chromaperture.optics.simulated_session import SessionPlan, write_session
 
 T = TypeVar("T")
 QUICK_MM = (1000.0, 1300.0, 1650.0, 2000.0, 2400.0, 3000.0, 4000.0)

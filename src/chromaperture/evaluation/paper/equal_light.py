@@ -13,8 +13,8 @@ from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Listed, Made
 from chromaperture.evaluation.paper.trial import Trial
 from chromaperture.evaluation.paper.world import EIGHT, NUMERALS
 from chromaperture.evaluation.tables import Table
-from chromaperture.optics.accuracy import expected_accuracy
 from chromaperture.optics.aperture import channel_transmission
+from chromaperture.optics.depth_error_bound import expected_accuracy
 
 _DIM = 0.03  # of white level that white paper reaches through the open pupil
 _AT_MM = 2600.0  # where the bound is taken

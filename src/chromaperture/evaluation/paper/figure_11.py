@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.color.transparency import light_efficiency
+from chromaperture.color.transparency_map import light_efficiency
 from chromaperture.evaluation.figures import new_figure, tidy
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Listed, Made

@@ -6,7 +6,7 @@ import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, default_config
 from chromaperture.color.srgb import linear_to_srgb
-from chromaperture.effects.refocus import Focus, refocus
+from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.effects.restore import restore
 from chromaperture.evaluation.figures import new_figure
 from chromaperture.evaluation.paper import world

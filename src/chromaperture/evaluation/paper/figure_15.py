@@ -17,11 +17,11 @@ from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Made
 from chromaperture.optics.scene import Plane
+from chromaperture.products.rectified import View, undistorter
+from chromaperture.reconstruction.clean_views import cleaned
 from chromaperture.reconstruction.fusion import Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
-from chromaperture.reconstruction.views import cleaned
 from chromaperture.reconstruction.volume import open3d
-from chromaperture.views import View, undistorter
 
 _PIVOT_MM = np.array([0.0, 0.0, 2200.0])
 _STEP_DEG, _NOD_DEG = 0.8, 1.0  # about the vertical from frame to frame; up and down

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from chromaperture.calibration.fit_curve import DepthFit, fit_depth_model
 from chromaperture.color.noise import photon_noise_variance
 from chromaperture.config import MatcherConfig
-from chromaperture.depth.fit import DepthFit, fit_depth_model
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.evaluation.figures import BLUE, GREY, new_figure, tidy
 from chromaperture.evaluation.paper import methods, world

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from chromaperture.calibrate import leave_one_out
-from chromaperture.calibration import Calibration
+from chromaperture.calibration.calibrate_session import leave_one_out
+from chromaperture.calibration.session import Session, read_session
 from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera_file import Calibration
 from chromaperture.config import Quality
 from chromaperture.errors import InputError
 from chromaperture.evaluation.depth_quality import ZONES, PlaneQuality, by_cell, plane_quality
@@ -20,7 +21,6 @@ from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Drawn, Listed, Made
 from chromaperture.evaluation.tables import Table
-from chromaperture.session import Session, read_session
 
 _MOST_QUICK = 6  # boards of a quick run
 _MAP_CELLS = (6, 9)

@@ -15,7 +15,7 @@ from typing import Any
 from chromaperture.errors import ChromapertureError
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Exhibit, Made
-from chromaperture.outputs import staged, write_json
+from chromaperture.storage import staged, write_json
 
 RESULT = "result.json"
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from chromaperture.errors import InputError
 from chromaperture.evaluation.paper.cluster import on_cluster
 from chromaperture.evaluation.paper.trial import Trial, one_thread, run_trial
-from chromaperture.outputs import staged, write_json
+from chromaperture.storage import staged, write_json
 
 _ATTEMPTS = 4
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")

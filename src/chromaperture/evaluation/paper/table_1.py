@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from chromaperture.color.transparency import light_efficiency
+from chromaperture.color.transparency_map import light_efficiency
 from chromaperture.evaluation.figures import new_figure
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Listed, Made

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.color.snr import expected_loss_db, exposure_to_restore, snr_db
-from chromaperture.color.transparency import light_efficiency
+from chromaperture.color.transparency_map import light_efficiency
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Compared, Listed, Made
 from chromaperture.evaluation.paper.white import shares, white_sheets

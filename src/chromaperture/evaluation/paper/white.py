@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.color.transparency import transparency
+from chromaperture.calibration.session import read_session
+from chromaperture.color.transparency_map import transparency
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.optics.scene import plane
-from chromaperture.session import read_session
 
 
 def white_sheets(context: Context, designs: tuple[str, ...]) -> tuple[dict[str, np.ndarray], str]:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from chromaperture.errors import InputError, MissingDependencyError
-from chromaperture.outputs import staged
-from chromaperture.views import View
+from chromaperture.products.rectified import View
+from chromaperture.storage import staged
 
 _FRAME = "camera_optical_frame"
 _HEADER = """

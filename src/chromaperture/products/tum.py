@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from chromaperture.errors import InputError
-from chromaperture.outputs import staged
-from chromaperture.views import View
+from chromaperture.products.rectified import View
+from chromaperture.storage import staged
 
 _COUNTS_PER_MM = 5.0  # 5000 a metre
 

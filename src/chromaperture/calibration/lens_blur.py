@@ -8,18 +8,18 @@ from functools import partial
 
 import numpy as np
 
-from chromaperture.calibration import Calibration
+from chromaperture.calibration.board_distances import BoardDistances
+from chromaperture.calibration.choose_curve import ranked_curves
+from chromaperture.calibration.fit_blur import Progress, fit_blur, measured_layers
+from chromaperture.calibration.fit_fields import fit_depth_field
+from chromaperture.calibration.measurement_cache import Store
+from chromaperture.calibration.session import Session
 from chromaperture.camera import sensor_noise
+from chromaperture.camera_file import Calibration
 from chromaperture.color.unmixing import view_reach
-from chromaperture.depth.blur_fit import Progress, fit_blur, measured_layers
-from chromaperture.depth.distances import BoardDistances
 from chromaperture.depth.field import DepthField
-from chromaperture.depth.field_fit import fit_depth_field
-from chromaperture.depth.field_terms import ranked_curves
 from chromaperture.errors import InputError
-from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
-from chromaperture.session import Session
-from chromaperture.store import Store
+from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
 
 MIN_BOARDS = 4
 _MEASURED_BOARDS = 40  # that fix the depth curve of the layers; the blur itself is fitted to all

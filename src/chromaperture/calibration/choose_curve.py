@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from chromaperture.depth.distances import BoardDistances
-from chromaperture.depth.field_fit import fit_depth_field
+from chromaperture.calibration.board_distances import BoardDistances
+from chromaperture.calibration.fit_fields import fit_depth_field
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 

@@ -14,33 +14,33 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.boards import MEASURED, BoardMeasurement, grid, measure_board, spread
-from chromaperture.calibrate_blur import LayerEvidence, add_blur, fit_layers
-from chromaperture.calibration import Calibration, Film, Lens
-from chromaperture.color.unmixing import ideal_unmixing, view_reach
-from chromaperture.config import QUALITIES, MatcherConfig, Quality
-from chromaperture.curves import Evidence, FittedCurve, doubt, fit_curve, weaknesses
-from chromaperture.depth.blur_fit import Progress
-from chromaperture.depth.chessboard import (
+from chromaperture.calibration.board_distances import BoardDistances, check_units, fit_distances
+from chromaperture.calibration.chessboard import (
     MIN_VIEWS,
     Intrinsics,
     board_distance,
-    centered_pinhole,
     find_corners,
     fit_intrinsics,
 )
+from chromaperture.calibration.choose_curve import MANY_BOARDS
+from chromaperture.calibration.curves import Evidence, FittedCurve, doubt, fit_curve, weaknesses
+from chromaperture.calibration.fit_blur import Progress
+from chromaperture.calibration.fit_curve import DepthFit
+from chromaperture.calibration.lens_blur import LayerEvidence, add_blur, fit_layers
+from chromaperture.calibration.measurement_cache import Store
+from chromaperture.calibration.read_boards import MEASURED, BoardMeasurement, grid, measure_board, spread
+from chromaperture.calibration.rendered_boards import rendered_nonlinearity
+from chromaperture.calibration.session import Session, read_session
+from chromaperture.calibration.white_sheets import measure_film, with_noise
+from chromaperture.camera_file import Calibration, Film, Lens
+from chromaperture.color.unmixing import ideal_unmixing, view_reach
+from chromaperture.config import QUALITIES, MatcherConfig, Quality
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.depth.distances import BoardDistances, check_units, fit_distances
 from chromaperture.depth.field import DepthField, degree_of
-from chromaperture.depth.field_terms import MANY_BOARDS
-from chromaperture.depth.fit import DepthFit
 from chromaperture.disparity.estimate import colour_spaces
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
-from chromaperture.rendered_boards import rendered_nonlinearity
-from chromaperture.session import Session, read_session
-from chromaperture.store import Store
-from chromaperture.whites import measure_film, with_noise
+from chromaperture.optics.pinhole import centered_pinhole
 
 _PUPIL_SIGMA_MM = 10.0  # of the guess that the pupil lies one image distance before the sensor
 _CORNER_SIGMA = 0.03  # px, and as a share of the blur radius

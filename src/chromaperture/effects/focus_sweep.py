@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from chromaperture.color.srgb import linear_to_srgb
-from chromaperture.effects.refocus import Focus, refocus
+from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.errors import InputError
 
 _FRAMES_PER_SECOND = 12

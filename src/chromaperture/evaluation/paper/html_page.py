@@ -10,7 +10,7 @@ from typing import Any
 
 from chromaperture.evaluation.paper.run import Outcome
 from chromaperture.evaluation.report import page_template
-from chromaperture.outputs import staged
+from chromaperture.storage import staged
 
 
 def page_html(out: Path, outcomes: Sequence[Outcome], *, quick: bool) -> str:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from chromaperture.config import MatcherConfig
-from chromaperture.disparity.subpixel import Winner
+from chromaperture.disparity.winner import Winner
 
 CONFIDENCE_SCALE_PX = 0.25
 MAX_SIGMA_PX = 4.0

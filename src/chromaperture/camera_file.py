@@ -18,14 +18,14 @@ import numpy as np
 
 from chromaperture.color.unmixing import ideal_unmixing, mixing_matrix, unmixing_rows
 from chromaperture.config import QUALITIES, Quality
-from chromaperture.depth.chessboard import centered_pinhole
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.field_file import field_from_tree, field_to_tree, finite, plain
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
-from chromaperture.optics.blur import BlurModel, FieldBlur, sample_pupil
-from chromaperture.outputs import staged
+from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
+from chromaperture.optics.pinhole import centered_pinhole
+from chromaperture.storage import staged
 
 FORMAT_VERSION = 1
 _ROOT = "chromaperture_camera"

@@ -13,12 +13,12 @@ import numpy as np
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.capture.source import Frame
 from chromaperture.errors import InputError
-from chromaperture.outputs import staged, write_json
-from chromaperture.reconstruction.files import write_mesh_glb, write_mesh_ply, write_trajectory
+from chromaperture.products.rectified import undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction
+from chromaperture.reconstruction.model_files import write_mesh_glb, write_mesh_ply, write_trajectory
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.volume import open3d
-from chromaperture.views import undistorter
+from chromaperture.storage import staged, write_json
 
 
 def reconstruct(

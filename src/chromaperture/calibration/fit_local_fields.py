@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from chromaperture.depth.distances import BoardDistances
+from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.depth.field import DepthField, LocalField
 
 _GROSS_PX = 0.5  # off the smooth fields: another layer, not the lens

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.calibration import Calibration
+from chromaperture.calibration.measurement_cache import Store
+from chromaperture.calibration.session import Session
 from chromaperture.camera import sensor_noise
+from chromaperture.camera_file import Calibration
 from chromaperture.config import MatcherConfig, Quality
 from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.session import Session
-from chromaperture.store import Store
 
 MEASURED: tuple[Quality, ...] = ("paper", "real-time")
 _MIDDLE = 1 / 3  # share of the width and height that stands for the axis

@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 import scipy.fft
 
-from chromaperture.calibration import Calibration
 from chromaperture.camera import channel_shifts
+from chromaperture.camera_file import Calibration
 from chromaperture.color.lens_shift import LensShift
 from chromaperture.config import Quality
 from chromaperture.errors import InputError

@@ -213,7 +213,7 @@ class FieldBlur:
 
     def transfer_of(self, rays: Rays, inverse_mm: float, size_px: int) -> np.ndarray:
         """Give the optical transfer functions of rays at a distance, see `transfer`."""
-        from chromaperture.optics.blur_kernels import splat  # compiling starts here, not at import
+        from chromaperture.optics.splat_kernel import splat  # compiling starts here, not at import
 
         psf = np.zeros((len(rays.light), size_px, size_px), np.float32)
         nearer = self.model.scale_px_mm * inverse_mm * self.pupil.points

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.calibration import Sensor
+from chromaperture.calibration.board_distances import check_units
+from chromaperture.camera_file import Sensor
 from chromaperture.capture.files import photographs, read_image
-from chromaperture.depth.distances import check_units
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, design_named
 

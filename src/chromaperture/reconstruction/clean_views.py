@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from chromaperture.products.rectified import View
 from chromaperture.reconstruction.settings import ReconstructionConfig
-from chromaperture.views import View
 
 
 def cleaned(view: View, config: ReconstructionConfig) -> View:

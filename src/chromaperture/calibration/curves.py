@@ -7,16 +7,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from chromaperture.boards import BoardMeasurement, grid
-from chromaperture.calibration import Sensor
+from chromaperture.calibration.board_distances import BoardDistances, find_outliers
+from chromaperture.calibration.choose_curve import ranked_curves
+from chromaperture.calibration.fit_curve import DepthFit, fit_depth_model
+from chromaperture.calibration.fit_fields import fit_depth_field
+from chromaperture.calibration.fit_local_fields import with_local
+from chromaperture.calibration.read_boards import BoardMeasurement, grid
+from chromaperture.camera_file import Sensor
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import depth_to_disparity, disparity_to_depth
-from chromaperture.depth.distances import BoardDistances, find_outliers
 from chromaperture.depth.field import DepthField
-from chromaperture.depth.field_fit import fit_depth_field
-from chromaperture.depth.field_local import with_local
-from chromaperture.depth.field_terms import ranked_curves
-from chromaperture.depth.fit import DepthFit, fit_depth_model
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 

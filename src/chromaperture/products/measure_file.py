@@ -17,8 +17,8 @@ from chromaperture.camera import CodedApertureCamera, DepthFrame
 from chromaperture.capture.files import bit_depth, read_image
 from chromaperture.depth.pointcloud import depth_to_points, write_ply
 from chromaperture.errors import CaptureWarning
-from chromaperture.outputs import staged, write_color_png, write_depth_png, write_float_tiff, write_json
-from chromaperture.preview import write_preview
+from chromaperture.products.preview import write_preview
+from chromaperture.storage import staged, write_color_png, write_depth_png, write_float_tiff, write_json
 
 _PERCENTILES = (5, 25, 50, 75, 95)
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from chromaperture.errors import InputError
+from chromaperture.optics.pinhole import centered_pinhole
 
 MIN_VIEWS = 4
 _PERFECT_PX = 0.01
@@ -145,12 +146,6 @@ def fit_intrinsics(
             best, least = Intrinsics(matrix, distortion.ravel()[:5].astype(float), float(rms)), criterion
     assert best is not None
     return best
-
-
-def centered_pinhole(focal_px: float, image_size: tuple[int, int]) -> np.ndarray:
-    """Camera matrix with square pixels and the axis through the middle of the frame; (3, 3) float64, px."""
-    width, height = image_size
-    return np.array([[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1.0]])
 
 
 def board_distance(

@@ -6,11 +6,11 @@ import dataclasses
 
 import numpy as np
 
-from chromaperture.calibration import Film, Sensor
+from chromaperture.calibration.session import Session
+from chromaperture.camera_file import Film, Sensor
 from chromaperture.color.film import completed_film
 from chromaperture.color.noise import fit_photon_noise, noise_samples
 from chromaperture.optics.aperture import Aperture, channel_transmission
-from chromaperture.session import Session
 
 _NOISE_BOARDS = 8
 

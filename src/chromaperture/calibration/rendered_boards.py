@@ -12,20 +12,20 @@ from dataclasses import replace
 import numpy as np
 import scipy.fft
 
-from chromaperture.boards import MEASURED, grid, read_board
-from chromaperture.calibration import Calibration
+from chromaperture.calibration.board_distances import BoardDistances
+from chromaperture.calibration.choose_curve import ranked_curves
+from chromaperture.calibration.curves import thin
+from chromaperture.calibration.fit_blur import Progress
+from chromaperture.calibration.fit_fields import fit_depth_field
+from chromaperture.calibration.measurement_cache import Store
+from chromaperture.calibration.read_boards import MEASURED, grid, read_board
+from chromaperture.calibration.session import Session
 from chromaperture.camera import sensor_noise
+from chromaperture.camera_file import Calibration
 from chromaperture.config import Quality
-from chromaperture.curves import thin
-from chromaperture.depth.blur_fit import Progress
-from chromaperture.depth.distances import BoardDistances
-from chromaperture.depth.field_fit import fit_depth_field
-from chromaperture.depth.field_terms import ranked_curves
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
-from chromaperture.optics.blur import FieldBlur
-from chromaperture.session import Session
-from chromaperture.store import Store
+from chromaperture.optics.field_blur import FieldBlur
 
 _COUNT = 24  # three for each of the eight terms that a curve may have
 _HALF_TILE_PX = 64  # blur is blended from tile to tile, twice this wide

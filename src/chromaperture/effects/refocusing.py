@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from chromaperture.effects.blur_layers import layer_radii
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
-from chromaperture.effects.layers import layer_radii
-from chromaperture.effects.refocus_kernels import add_layer, layer_bounds, layer_planes, normalised
+from chromaperture.effects.refocusing_kernels import add_layer, layer_bounds, layer_planes, normalised
 from chromaperture.errors import InputError
-from chromaperture.optics.layers import behind_edges
+from chromaperture.optics.layer_renderer import behind_edges
 
 _SHARP_PX = 0.3  # new blur below which nothing is done
 _EDGE_PX = 1.0  # jump of the capture's blur radius that parts two surfaces

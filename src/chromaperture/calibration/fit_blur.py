@@ -24,7 +24,7 @@ from chromaperture.disparity.semiglobal import even_field
 from chromaperture.disparity.tiles import without_shading
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
-from chromaperture.optics.blur import BlurModel, FieldBlur
+from chromaperture.optics.field_blur import BlurModel, FieldBlur
 
 Progress = Callable[[str, int, int], None]
 NAMES = tuple(f.name for f in fields(BlurModel))

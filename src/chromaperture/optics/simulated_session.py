@@ -14,7 +14,7 @@ import numpy as np
 from chromaperture.errors import InputError
 from chromaperture.optics import textures
 from chromaperture.optics.aperture import DESIGNS, Aperture, SubAperture
-from chromaperture.optics.film import CYAN, OPAQUE, YELLOW, Filter
+from chromaperture.optics.filters import CYAN, OPAQUE, YELLOW, Filter
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import RayTable
 from chromaperture.optics.render import render, render_depth

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from chromaperture.depth.distances import BoardDistances
+from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.depth.field import DepthField, polynomials
 from chromaperture.depth.nonlinearity import Nonlinearity, scaled
 from chromaperture.errors import InputError

@@ -1,0 +1,1 @@
+"""Files, pictures and streams made from measured frames."""
