@@ -22,10 +22,13 @@ CAMERA = {"camera", "camera_file", "storage", "calibration", "products"}
 LEAVES = {"effects", "reconstruction", "evaluation", "viewer"}
 BELOW_LEAVES = {"optics"} | STAGES | CAMERA
 # What a part of the package may import, besides itself and COMMON.
-COMMON = {"errors", "config"}
+COMMON = {"errors", "config", "compilation", "threads", "robust"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "config": set(),
+    "compilation": set(),
+    "threads": set(),
+    "robust": set(),
     "optics": set(),  # the forward model shares no code with the estimator that it tests
     "color": {"optics"},
     "capture": {"optics", "color"},
