@@ -1,4 +1,4 @@
-"""From the shape of the score's peak to an error bar and a confidence (``docs/equations.md``)."""
+"""From the shape of a score's peak or of a posterior to an error bar and a confidence (``docs/equations.md``)."""
 
 from __future__ import annotations
 
@@ -6,67 +6,74 @@ import math
 
 import numpy as np
 
-from chromaperture.config import MatcherConfig
-from chromaperture.disparity.winner import Winner
+from chromaperture.config import PaperConfig
+from chromaperture.disparity.winner import Surface, Winner
 
-CONFIDENCE_SCALE_PX = 0.25
-MAX_SIGMA_PX = 4.0
+CONFIDENCE_SCALE_PX = 0.25  # standard deviation at which confidence has fallen to 1/e; chosen by hand
+MAX_SIGMA_PX = 4.0  # a quarter of the default search range: beyond, nothing is known of the layer
+# White noise behind a Gaussian of variance s^2 has the autocorrelation exp(-r^2 / 4 s^2), whose integral is 4 pi s^2; that
+# of its square, which counts for correlations, is half of it. The factor 0.8 * 0.57 = 0.46 was chosen by hand;
+# tests/test_confidence.py holds the error bar against known errors.
+_NOISE_AREA = 0.8 * 4 * math.pi, 0.57
 
 
-def disparity_sigma(
-    winner: Winner, config: MatcherConfig, view_count: int, signal_share: np.ndarray | None = None
-) -> np.ndarray:
-    """Give the standard deviation of the disparity, px; NaN where the disparity is unknown.
+def peak_sigma(winner: Winner, config: PaperConfig, view_count: int, signal_fraction: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of a local best layer, px; NaN where the disparity is unknown.
 
     Gaussian signals of correlation determinant D have the log-likelihood -(N/2) ln D, so the variance is
     ``2 / (N (ln D)'')``: for two views ``(1 - rho^2) / (N rho kappa)``, for three, with the
     score S = 1 - sqrt(D), ``(1 - S) / (N kappa)``. These are correlations of the views as they are, noise included.
-    ``config.sigma_scale`` widens the bar; an optimiser's winner brings the width of its posterior instead.
 
     Parameters
     ----------
     winner : Winner
-    config : MatcherConfig
+    config : PaperConfig
+        ``sigma_scale`` widens the bar.
     view_count : int
         2 or 3.
-    signal_share : (H, W) float, optional
-        Texture's share of the views' variance, where the scores were cleaned of noise: what the noise would have
-        lowered the correlations by.
+    signal_fraction : (H, W) float32
+        Texture's fraction of the views' variance where the scores were debiased: the factor by which the noise would
+        have lowered the correlations. 1 where they were not.
 
     Returns
     -------
     (H, W) float32, px
     """
-    if winner.spread_px is not None:
-        floor = 0.0 if config.coarse is None else config.coarse.floor_px
-        spread = np.minimum(np.hypot(winner.spread_px, np.float32(floor)), MAX_SIGMA_PX)
-        return np.where(np.isfinite(winner.disparity_px), spread, np.nan).astype(np.float32)
-    samples = effective_samples(config.window_decay) / noise_correlation_factor(config.presmooth_sigma_px)
-    share = np.float32(1) if signal_share is None else np.asarray(signal_share, np.float32)
-    peak = np.clip(winner.peak, 1e-3, 1 - 1e-6)
-    curvature = np.maximum(winner.curvature, 1e-9) * share
+    samples = effective_samples(config.correlation.window_decay)
+    samples /= noise_correlation_factor(config.views.presmooth_sigma_px)
+    peak = np.clip(winner.peak, 1e-3, 1 - 1e-6)  # a peak of 0 or 1 would make the variance infinite or 0
+    curvature = np.maximum(winner.curvature, 1e-9) * signal_fraction
     if view_count == 2:
-        raw = peak * share
+        raw = peak * signal_fraction
         variance = (1 - raw**2) / (samples * raw * curvature)
     else:
-        # sqrt(D) of three views alike but for their noise: eigenvalues 1 + 2 share, 1 - share, 1 - share.
-        noise = (1 - share) * np.sqrt(1 + 2 * share)
+        # sqrt(D) of three views alike but for their noise: eigenvalues 1 + 2 w, 1 - w, 1 - w for the fraction w.
+        noise = (1 - signal_fraction) * np.sqrt(1 + 2 * signal_fraction)
         variance = (1 - peak + noise) / (samples * curvature)
-    sigma = np.minimum(config.sigma_scale * np.sqrt(variance), MAX_SIGMA_PX)
-    return np.where(np.isfinite(winner.disparity_px), sigma, np.nan).astype(np.float32)
+    return _limited(config.sigma_scale * np.sqrt(variance), winner.disparity_px)
+
+
+def surface_sigma(surface: Surface, *, floor_px: float = 0.0) -> np.ndarray:
+    """Return the standard deviation of a surface: that of its posterior and a floor, in quadrature; (H, W) px."""
+    return _limited(np.hypot(surface.sigma_px, np.float32(floor_px)), surface.disparity_px)
+
+
+def _limited(sigma_px: np.ndarray, disparity_px: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(disparity_px), np.minimum(sigma_px, MAX_SIGMA_PX), np.nan).astype(np.float32)
 
 
 def effective_samples(decay: float) -> float:
-    """Independent samples in the exponential window, both axes together."""
+    """Return the number of independent samples in the exponential window, both axes together."""
     return ((1 + decay) ** 3 / ((1 - decay) * (1 + decay**2))) ** 2
 
 
 def noise_correlation_factor(presmooth_sigma_px: float) -> float:
-    """How many px share one independent noise sample after the pre-smoothing."""
-    return max(1.0, 0.8 * 4 * math.pi * presmooth_sigma_px**2 * 0.57)
+    """Return how many px hold one independent noise sample after the pre-smoothing."""
+    area, fraction = _NOISE_AREA
+    return max(1.0, area * presmooth_sigma_px**2 * fraction)
 
 
 def confidence(sigma_px: np.ndarray, peak: np.ndarray) -> np.ndarray:
-    """Confidence in [0, 1]: 1 for a sharp, high peak; 0 where unknown; (H, W) float32."""
+    """Return the confidence in [0, 1]: 1 for a sharp, high peak; 0 where unknown; (H, W) float32."""
     value = np.exp(-sigma_px / CONFIDENCE_SCALE_PX) * np.clip(peak, 0, 1)
     return np.nan_to_num(value, nan=0.0).astype(np.float32)

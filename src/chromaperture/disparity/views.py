@@ -1,73 +1,273 @@
-"""What the matcher sees: smoothed zero-mean views, a guide, noise maps; the same for every implementation."""
+"""What is matched: smoothed zero-mean views, a guide, a mask, the noise; the same for every execution."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
+from typing import Literal
 
 import cv2
 import numpy as np
 
 from chromaperture.color.image import SATURATION
-from chromaperture.config import MatcherConfig
+from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions
+from chromaperture.config import ViewsConfig
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, channel_transmission
 
-_FILL_SIGMA_PX = 6.0  # of the mean that stands for unusable pixels, px of the halved picture
+_FILL_SIGMA_PX = 6.0  # of the mean that replaces unusable pixels, px of the halved picture; chosen by hand
+_USABLE = 0.99  # fraction of a halved pixel that must be usable: below, a saturated neighbour's edge is in it
+_GUIDE_SIGMA_PX = 1.0  # noise of the guide would break the links between pixels; chosen by hand
+_PERCENTILE_SAMPLES = 20_000  # of the guide: its percentiles are then known to less than a percent of its contrast
+_CONSTANT = 1e-6  # RMS of a view, of full scale, below which it has no texture: a thousandth of a 10-bit step
+_LEAST_PRESMOOTH_PX = 0.3  # below, the pixel's own area smooths the noise
 
 
 @dataclass(frozen=True)
-class MatchInputs:
-    """Arrays of one capture, ready to be matched.
+class ViewSpace:
+    """How views are made of the sensor's channels, and how a layer displaces them.
 
     Attributes
     ----------
-    views : (H, W, K) float32
+    directions : (K, 2) float64
+        Displacement (x, y) of each view per px of disparity.
+    rows : (K, 3) float64
+        Weights of R, G, B in each view.
+    guide_rgb : (3,) float64
+        Weights of R, G, B in the guide.
+    """
+
+    directions: np.ndarray
+    rows: np.ndarray
+    guide_rgb: np.ndarray
+
+
+@dataclass(frozen=True)
+class ViewNoise:
+    """Noise of the smoothed views.
+
+    Attributes
+    ----------
+    variance : (H, W, K) float32
+        Of the views. Even noise is a broadcast array.
+    covariance : (H, W, P) float32
+        Of the P pairs of views (0,1), (0,2), (1,2), before any shift.
+    presmooth_sigma_px : float
+        Of the Gaussian that correlates the noise of neighbours.
+    """
+
+    variance: np.ndarray
+    covariance: np.ndarray
+    presmooth_sigma_px: float
+
+    def overlap(self, layers_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return the fraction of the covariance that is left when layers have moved the views apart; (D, P) float32.
+
+        White noise behind a Gaussian of sigma p has the autocorrelation exp(-r^2 / 4 p^2).
+        """
+        p = max(self.presmooth_sigma_px, _LEAST_PRESMOOTH_PX)
+        apart = np.array([np.linalg.norm(directions[k] - directions[m]) for k, m in view_pairs(len(directions))])
+        return np.exp(-((np.abs(layers_px)[:, None] * apart) ** 2) / (4 * p**2)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Views:
+    """The pictures of one capture, ready to be matched.
+
+    Attributes
+    ----------
+    pictures : (H, W, K) float32
         Views through the K filters, zero mean, pre-smoothed; in memory one plane after the other.
     directions : (K, 2) float64
         Displacement (x, y) of each view per px of disparity.
-    layers_px : (D,) float64, px
-        Disparities that are tried, equally spaced.
     guide : (H, W) float32
-        Centre-view picture for the bilateral filter, in units of ``bilateral_range``.
+        Centre-view picture that steers filters and penalties, in units of ``guide_range``.
     mask : (H, W) float32
         1 where the capture is usable, 0 where it is saturated or not finite.
-    noise_variance : (H, W, K) float32
-        Noise variance of the smoothed views; all zero when unknown. Even noise is a broadcast array.
-    noise_covariance : (H, W, P) float32
-        Noise covariance of the P pairs of views (0,1), (0,2), (1,2), before any shift.
-    noise_overlap : (D, P) float32
-        Share of that covariance left when a layer's shift has moved the two views apart.
-    fine_guide : (H', W') float32 or None
-        The guide before everything else was halved (``config.coarse``): H = ceil(H' / 2), W alike, and all lengths
-        count px of the halved picture.
+    noise : ViewNoise or None
+        None where no use is made of it.
     """
 
-    views: np.ndarray
+    pictures: np.ndarray
     directions: np.ndarray
-    layers_px: np.ndarray
     guide: np.ndarray
     mask: np.ndarray
-    noise_variance: np.ndarray
-    noise_covariance: np.ndarray
-    noise_overlap: np.ndarray
-    fine_guide: np.ndarray | None = None
+    noise: ViewNoise | None = None
 
 
 def view_pairs(view_count: int) -> list[tuple[int, int]]:
-    """Give the pairs of views in the order of ``noise_covariance``."""
+    """Return the pairs of views in the order of ``ViewNoise.covariance``."""
     return list(combinations(range(view_count), 2))
 
 
+def view_spaces(
+    aperture: Aperture, unmixing: np.ndarray | None, space: Literal["unmixed", "pure", "both"]
+) -> list[ViewSpace]:
+    """Return the views that a method matches: one space, or for ``both`` two where they differ.
+
+    Parameters
+    ----------
+    aperture : Aperture
+    unmixing : (K, 3) float or None
+        Rows of M^-1, Eq. (1). Ideal film when absent.
+    space : {"unmixed", "pure", "both"}
+        A design without pure channels has its unmixed views only.
+
+    Raises
+    ------
+    InputError
+        ``unmixing`` does not fit the aperture, or the aperture has no parallax.
+    """
+    rows = ideal_unmixing(aperture) if unmixing is None else np.asarray(unmixing, float)
+    if rows.shape != (len(aperture.views), 3):
+        raise InputError(f"unmixing must have shape ({len(aperture.views)}, 3) for {aperture.name}, got {rows.shape}")
+    pure = None if space == "unmixed" else pure_channels(aperture)
+    matched = [rows] if pure is None else [pure]
+    if space == "both" and pure is not None and len(rows) == 2:  # three pure channels are the unmixed views but for leaks
+        matched = [rows, pure]
+    return [ViewSpace(view_directions(aperture), each, guide_weights(aperture)) for each in matched]
+
+
 def guide_weights(aperture: Aperture) -> np.ndarray:
-    """Weights of R, G, B whose sum is seen through a pupil centred on the axis; (3,) float64.
+    """Return weights of R, G, B whose sum is seen through a pupil centred on the axis; (3,) float64.
 
     The green of complementary halves sees the whole pupil; designs without such a channel take the mean.
     """
-    full = channel_transmission(aperture) > 0.95
+    full = channel_transmission(aperture) > 0.95  # halves' green passes all of the pupil but for rounding
     return full / full.sum() if full.any() else np.full(3, 1 / 3)
+
+
+def filtered_views(
+    image: np.ndarray, space: ViewSpace, *, config: ViewsConfig, noise_variance: np.ndarray | None = None
+) -> Views:
+    """Mix the sensor's channels into views, Eq. (1), and smooth them.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32, linear RGB, 1.0 = white level
+    space : ViewSpace
+    config : ViewsConfig
+    noise_variance : (H, W, 3) float32, optional
+        Of the sensor's channels.
+
+    Raises
+    ------
+    InputError
+        No pixel is usable, or a view is constant, so there is nothing to match.
+    """
+    views, guide, mask = mixed(image, space)
+    noise = None
+    if noise_variance is not None:
+        rows, pairs = np.asarray(space.rows), view_pairs(len(space.rows))
+        products = np.stack([rows[k] * rows[m] for k, m in pairs])
+        p = max(config.presmooth_sigma_px, _LEAST_PRESMOOTH_PX)
+        left = np.float32(min(1.0, 1 / (4 * math.pi * p**2)))  # of the variance of white noise behind the Gaussian
+        variance, covariance = (_scaled(_mixed_noise(noise_variance, w), left) for w in (rows**2, products))
+        noise = ViewNoise(variance, covariance, config.presmooth_sigma_px)
+    return smoothed_views(views, guide, mask, directions=space.directions, config=config, noise=noise)
+
+
+def halved_views(image: np.ndarray, space: ViewSpace, *, config: ViewsConfig) -> tuple[Views, np.ndarray]:
+    """Mix the sensor's channels into views at half the resolution; the guide at full resolution beside them.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32, linear RGB, 1.0 = white level
+    space : ViewSpace
+    config : ViewsConfig
+        ``presmooth_sigma_px`` counts px of the halved picture.
+
+    Returns
+    -------
+    views : Views
+        (h, w) with h = ceil(H / 2), w alike; pixel (x, y) is (2 x, 2 y) of the image.
+    guide : (H, W) float32
+        In units of ``guide_range``, not smoothed.
+
+    Raises
+    ------
+    InputError
+        As `filtered_views`.
+    """
+    views, guide, mask = mixed(image, space)
+    return halved(views, guide, mask, directions=space.directions, config=config)
+
+
+def mixed(image: np.ndarray, space: ViewSpace) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+    """Return views and guide as they are, without unknown pixels, and where they are usable; raises InputError.
+
+    Returns
+    -------
+    views : K arrays (H, W) float32, finite
+    guide : (H, W) float32, finite
+    mask : (H, W) bool
+        Neither saturated nor without a finite value.
+    """
+    image = np.ascontiguousarray(image, np.float32)
+    brightest = cv2.max(cv2.max(image[..., 0], image[..., 1]), image[..., 2])
+    finite = np.isfinite(_mix(image, np.ones(3)))  # a sum with a NaN or an infinity in it is not finite
+    mask = finite & (brightest < SATURATION)
+    if not mask.any():
+        raise InputError(
+            "no usable pixel: the whole image is saturated or not finite; lower the exposure, or check "
+            "--black-level and --white-level"
+        )
+    if not finite.all():
+        image = np.where(finite[..., None], image, np.float32(np.mean(image[mask])))
+    return [_mix(image, row) for row in space.rows], _mix(image, space.guide_rgb), mask
+
+
+def smoothed_views(
+    views: Sequence[np.ndarray],
+    guide: np.ndarray,
+    mask: np.ndarray,
+    *,
+    directions: np.ndarray,
+    config: ViewsConfig,
+    noise: ViewNoise | None = None,
+) -> Views:
+    """Take the mean off the views, smooth them and the guide; see `mixed` for shapes. Raises InputError."""
+    planes = np.empty((len(views), *mask.shape), np.float32)  # one plane a view: fast to smooth and to match
+    for plane, view in zip(planes, views, strict=True):
+        smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
+    if min(cv2.norm(plane) for plane in planes) < _CONSTANT * math.sqrt(mask.size):  # they have no mean
+        raise InputError(
+            "the image is constant in at least one view of the aperture: nothing to match. A lens cap, an even "
+            "wall, a grey-scale file and a wrong aperture design look like this"
+        )
+    guide = smooth(guide, _GUIDE_SIGMA_PX)
+    guide *= _guide_scale(guide, config)
+    return Views(
+        np.moveaxis(planes, 0, -1), np.asarray(directions, float), guide, mask.astype(np.float32), noise
+    )
+
+
+def halved(
+    views: Sequence[np.ndarray], guide: np.ndarray, mask: np.ndarray, *, directions: np.ndarray, config: ViewsConfig
+) -> tuple[Views, np.ndarray]:
+    """Halve and smooth the views; see `halved_views`, and `mixed` for the shapes. Raises InputError."""
+    if mask.all():
+        small, usable = [cv2.pyrDown(view) for view in views], mask[::2, ::2]
+    else:
+        small, usable = _halved_around(views, mask.astype(np.float32))
+    smoothed = smoothed_views(small, cv2.pyrDown(guide), usable, directions=directions, config=config)
+    return smoothed, guide * _guide_scale(guide, config)
+
+
+def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+    """Halve views, unusable pixels replaced by the mean around them: their bright edges would outweigh all texture."""
+    fraction = cv2.pyrDown(mask)
+    usable = fraction > _USABLE
+    around = cv2.GaussianBlur(fraction, (0, 0), _FILL_SIGMA_PX)
+    small = []
+    for view in views:
+        mean = cv2.mean(view, (mask > 0).astype(np.uint8))[0]
+        part = cv2.pyrDown((view - np.float32(mean)) * mask)
+        fill = cv2.GaussianBlur(part, (0, 0), _FILL_SIGMA_PX) / (around + np.float32(1e-3))  # 1e-3: no division by 0
+        small.append(np.where(usable, part, fill) + np.float32(mean))
+    return small, usable
 
 
 def smooth(image: np.ndarray, sigma_px: float, *, out: np.ndarray | None = None) -> np.ndarray:
@@ -82,169 +282,11 @@ def smooth(image: np.ndarray, sigma_px: float, *, out: np.ndarray | None = None)
     return out
 
 
-def prepare(
-    image: np.ndarray,
-    *,
-    directions: np.ndarray,
-    unmixing: np.ndarray,
-    guide_rgb: np.ndarray,
-    noise_variance: np.ndarray,
-    config: MatcherConfig,
-) -> MatchInputs:
-    """Change the colour space, smooth, and collect what the matcher needs.
-
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB, 1.0 = white level
-    directions : (K, 2) float
-    unmixing : (K, 3) float
-    guide_rgb : (3,) float
-    noise_variance : (H, W, 3) float32
-        Noise variance of the sensor channels.
-    config : MatcherConfig
-
-    Returns
-    -------
-    MatchInputs
-
-    Raises
-    ------
-    InputError
-        A view is constant, so there is nothing to match.
-    """
-    image = np.ascontiguousarray(image, np.float32)
-    brightest = cv2.max(cv2.max(image[..., 0], image[..., 1]), image[..., 2])
-    finite = np.isfinite(_mix(image, np.ones(3)))  # a sum with a NaN or an infinity in it is not finite
-    mask = finite & (brightest < SATURATION)
-    if not mask.any():
-        raise InputError(
-            "no usable pixel: the whole image is saturated or not finite; lower the exposure, or check "
-            "--black-level and --white-level"
-        )
-    if not finite.all():
-        image = np.where(finite[..., None], image, np.float32(np.mean(image[mask])))
-    return prepare_views(
-        [_mix(image, row) for row in unmixing],
-        _mix(image, guide_rgb),
-        mask,
-        directions=directions,
-        noise_variance=_mix_noise(noise_variance, np.asarray(unmixing) ** 2),
-        noise_covariance=_mix_noise(
-            noise_variance, np.stack([unmixing[k] * unmixing[m] for k, m in view_pairs(len(unmixing))])
-        ),
-        config=config,
-    )
-
-
-def prepare_views(
-    views: Sequence[np.ndarray],
-    guide: np.ndarray,
-    mask: np.ndarray,
-    *,
-    directions: np.ndarray,
-    noise_variance: np.ndarray,
-    noise_covariance: np.ndarray,
-    config: MatcherConfig,
-) -> MatchInputs:
-    """Smooth the views and the guide and collect what the matcher needs.
-
-    Parameters
-    ----------
-    views : K arrays (H, W) float32, finite
-    guide : (H, W) float32, finite
-    mask : (H, W) bool
-    directions : (K, 2) float
-    noise_variance : (H, W, K) float32
-        Of the views, before smoothing.
-    noise_covariance : (H, W, P) float32
-        Of the pairs of views, before smoothing.
-    config : MatcherConfig
-
-    Returns
-    -------
-    MatchInputs
-
-    Raises
-    ------
-    InputError
-        A view is constant, so there is nothing to match.
-    """
-    if config.coarse is not None:
-        return _halved(views, guide, mask, directions=directions, config=config)
-    planes = np.empty((len(views), *mask.shape), np.float32)  # one plane a view: fast to smooth and to match
-    for plane, view in zip(planes, views, strict=True):
-        smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
-    if min(cv2.norm(plane) for plane in planes) < 1e-6 * math.sqrt(mask.size):  # they have no mean
-        raise InputError(
-            "the image is constant in at least one view of the aperture: nothing to match. A lens cap, an even "
-            "wall, a grey-scale file and a wrong aperture design look like this"
-        )
-    white_noise_left, overlap = _noise_autocorrelation(config, directions, view_pairs(len(views)))
-    guide = smooth(guide, 1.0)
-    guide *= _guide_scale(guide, config)
-    return MatchInputs(
-        views=np.moveaxis(planes, 0, -1),
-        directions=np.asarray(directions, float),
-        layers_px=config.layers_px,
-        guide=guide,
-        mask=mask.astype(np.float32),
-        noise_variance=_scaled(noise_variance, white_noise_left),
-        noise_covariance=_scaled(noise_covariance, white_noise_left),
-        noise_overlap=overlap.astype(np.float32),
-    )
-
-
-def _halved(
-    views: Sequence[np.ndarray], guide: np.ndarray, mask: np.ndarray, *, directions: np.ndarray, config: MatcherConfig
-) -> MatchInputs:
-    """Do as `prepare_views` with everything at half the resolution; pixel (x, y) there is (2 x, 2 y) here.
-
-    Scores are not debiased and not weighted then: the noise is left out.
-    """
-    if mask.all():
-        small, usable = [cv2.pyrDown(view) for view in views], mask[::2, ::2]
-    else:
-        small, usable = _halved_around(views, mask.astype(np.float32))
-    even = np.zeros((1, 1, len(views) + len(view_pairs(len(views)))), np.float32)
-    even = np.broadcast_to(even, (*usable.shape, even.shape[2]))
-    coarse = replace(
-        config,
-        coarse=None,
-        min_disparity_px=config.min_disparity_px / 2,
-        max_disparity_px=config.max_disparity_px / 2,
-        step_px=config.step_px / 2,
-    )
-    inputs = prepare_views(
-        small,
-        cv2.pyrDown(guide),
-        usable,
-        directions=directions,
-        noise_variance=even[..., : len(views)],
-        noise_covariance=even[..., len(views) :],
-        config=coarse,
-    )
-    return replace(inputs, layers_px=config.layers_px / 2, fine_guide=guide * _guide_scale(guide, config))
-
-
-def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-    """Halve views, unusable pixels replaced by the mean around them: their bright edges would outvote all texture."""
-    share = cv2.pyrDown(mask)
-    usable = share > 0.99
-    around = cv2.GaussianBlur(share, (0, 0), _FILL_SIGMA_PX)
-    small = []
-    for view in views:
-        mean = cv2.mean(view, (mask > 0).astype(np.uint8))[0]
-        part = cv2.pyrDown((view - np.float32(mean)) * mask)
-        fill = cv2.GaussianBlur(part, (0, 0), _FILL_SIGMA_PX) / (around + np.float32(1e-3))
-        small.append(np.where(usable, part, fill) + np.float32(mean))
-    return small, usable
-
-
-def _guide_scale(guide: np.ndarray, config: MatcherConfig) -> np.float32:
-    """Bring a guide to units of the bilateral range."""
-    sparse = max(1, round(math.sqrt(guide.size / 20_000)))  # the percentiles of a subset are as good
+def _guide_scale(guide: np.ndarray, config: ViewsConfig) -> np.float32:
+    """Return the factor that brings a guide to units of ``guide_range``."""
+    sparse = max(1, round(math.sqrt(guide.size / _PERCENTILE_SAMPLES)))
     low, high = np.percentile(guide[::sparse, ::sparse], (1, 99))
-    return np.float32(1 / (max(float(high - low), 1e-6) * config.bilateral_range))
+    return np.float32(1 / (max(float(high - low), 1e-6) * config.guide_range))  # 1e-6: an even guide
 
 
 def _mix(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -253,11 +295,11 @@ def _mix(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def is_even(maps: np.ndarray) -> bool:
-    """Tell whether maps (H, W, N) hold one value a channel, by construction (`numpy.broadcast_to`)."""
+    """Return whether maps (H, W, N) hold one value a channel, by construction (`numpy.broadcast_to`)."""
     return maps.strides[0] == 0 and maps.strides[1] == 0
 
 
-def _mix_noise(variance: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def _mixed_noise(variance: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Noise of weighted sums of the channels, (H, W, N) float32; even noise stays even."""
     weights = np.asarray(weights, np.float32)
     if is_even(variance):
@@ -269,16 +311,3 @@ def _scaled(maps: np.ndarray, factor: np.float32) -> np.ndarray:
     if is_even(maps):
         return np.broadcast_to(maps[0, 0] * factor, maps.shape)
     return maps * factor
-
-
-def _noise_autocorrelation(
-    config: MatcherConfig, directions: np.ndarray, pairs: list[tuple[int, int]]
-) -> tuple[np.float32, np.ndarray]:
-    """Give the variance white noise keeps after the pre-smoothing, and its decay with the views' separation.
-
-    White noise behind a Gaussian of sigma p has the autocorrelation exp(-r^2 / 4 p^2) and the variance 1 / (4 pi p^2).
-    """
-    p = max(config.presmooth_sigma_px, 0.3)  # below, the pixel itself is the smoother
-    left = min(1.0, 1 / (4 * math.pi * p**2))
-    apart = np.array([np.linalg.norm(directions[k] - directions[m]) for k, m in pairs])
-    return np.float32(left), np.exp(-((np.abs(config.layers_px)[:, None] * apart) ** 2) / (4 * p**2))

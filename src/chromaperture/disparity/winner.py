@@ -1,4 +1,4 @@
-"""The winner of the score volume, between the layers (paper Figure 9: layered against sub-pixel)."""
+"""The best layer of every pixel, and what is known about it (paper Figure 9: layered against sub-pixel)."""
 
 from __future__ import annotations
 
@@ -8,20 +8,51 @@ import numpy as np
 
 
 class Winner(NamedTuple):
-    """The best disparity of every pixel, before it is given an error bar.
+    """The best disparity of every pixel by its own scores, (H, W) float32 each.
 
     Attributes
     ----------
-    disparity_px : (H, W) float32, px; NaN where the best layer is an end of the range.
-    peak : (H, W) float32; score at the vertex of the parabola.
-    curvature : (H, W) float32, 1/px^2; minus the second derivative of the score there, >= 0.
-    spread_px : (H, W) float32 or None, px; width of the posterior of the layers, where an optimiser knows it.
+    disparity_px : px; NaN where the best layer is an end of the range.
+    peak : score at the vertex of the parabola.
+    curvature : 1/px^2; minus the second derivative of the score there, >= 0.
     """
 
     disparity_px: np.ndarray
     peak: np.ndarray
     curvature: np.ndarray
-    spread_px: np.ndarray | None = None
+
+
+class Surface(NamedTuple):
+    """A surface through a volume, (H, W) float32 each.
+
+    Attributes
+    ----------
+    disparity_px : px; NaN unknown.
+    sigma_px : px; standard deviation of the posterior over the layers.
+    peak : correlation of the views at the surface's layer, in [0, 1].
+    """
+
+    disparity_px: np.ndarray
+    sigma_px: np.ndarray
+    peak: np.ndarray
+
+
+class PathWinner(NamedTuple):
+    """The best layer of every pixel by the costs of its paths, (H, W) float32 each.
+
+    Attributes
+    ----------
+    layer : index of the layer of least cost.
+    before, at, after : nats; log-likelihoods of the layer's neighbours and of the layer, which is moved inside the
+        range by one where it is an end.
+    sigma_px : px; root mean square distance of the layers from the best, weighted by how little more they cost.
+    """
+
+    layer: np.ndarray
+    before: np.ndarray
+    at: np.ndarray
+    after: np.ndarray
+    sigma_px: np.ndarray
 
 
 def parabola_winner(score: np.ndarray, layers_px: np.ndarray, *, lower_is_better: bool = False) -> Winner:
@@ -34,7 +65,7 @@ def parabola_winner(score: np.ndarray, layers_px: np.ndarray, *, lower_is_better
     layers_px : (D,) float, px
         Equally spaced.
     lower_is_better : bool
-        The volume holds costs; its negative would be as large as itself, a GB of a large picture.
+        The volume holds costs. A negated copy would take as much memory again.
     """
     step = layers_px[1] - layers_px[0]
     best = score.argmin(axis=2) if lower_is_better else score.argmax(axis=2)
@@ -43,7 +74,7 @@ def parabola_winner(score: np.ndarray, layers_px: np.ndarray, *, lower_is_better
     left, center, right = (sign * np.take_along_axis(score, (inner + o)[..., None], 2)[..., 0] for o in (-1, 0, 1))
     bend = np.maximum(2 * center - left - right, 0)
     slope = right - left
-    safe = np.where(bend > 1e-12, bend, 1.0)
+    safe = np.where(bend > 1e-12, bend, 1.0)  # 1e-12: a flat top has no vertex; scores are of order 1
     offset = np.where(bend > 1e-12, np.clip(slope / (2 * safe), -0.5, 0.5), 0.0)
     peak = center + np.where(bend > 1e-12, slope**2 / (8 * safe), 0.0)
     disparity = np.where(best == inner, layers_px[0] + step * (inner + offset), np.nan)

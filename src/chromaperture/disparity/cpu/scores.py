@@ -5,27 +5,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.disparity import simd as v
-from chromaperture.disparity.layout import ONE, ZERO, inner
-from chromaperture.disparity.samples import spread_row
+from chromaperture.disparity.cpu import simd as v
+from chromaperture.disparity.cpu.layout import ONE, ZERO, inner
+from chromaperture.disparity.cpu.samples import transpose_rows
 
 
 @inner
 def locate_row(samplings, layers, slab, row, first_sample, pad_x, padded, scratch, places):
-    """Say where the gains of a row's layers start and how far apart their pixels are; rearrange them if need be."""
-    spread_size = (padded + v.LANES) * v.LANES
+    """Find where the gains of a row's layers start and how far apart their pixels are; transpose them if need be."""
+    row_size = (padded + v.LANES) * v.LANES
     for k in range(len(layers.direct)):
         if layers.direct[k]:
             places[k, 0] = (row - first_sample) * samplings.row_length + layers.start[k] + slab
             places[k, 1] = layers.step[k]
         else:
-            target = 2 * k * spread_size
-            spread_row(
+            target = 2 * k * row_size
+            transpose_rows(
                 scratch.gain, samplings, layers, k, slab, row - first_sample, pad_x, padded, scratch.lanes, target
             )
-            spread_row(
+            transpose_rows(
                 scratch.mean_gain, samplings, layers, k, slab, row - first_sample, pad_x, padded,
-                scratch.lanes, target + spread_size,
+                scratch.lanes, target + row_size,
             )  # fmt: skip
             places[k, 0] = target + pad_x * v.LANES
             places[k, 1] = v.LANES
@@ -41,30 +41,30 @@ def score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, s
     direct = layers.direct
     gain0, mean0 = (scratch.gain, scratch.mean_gain) if direct[0] else (scratch.lanes, scratch.lanes)
     gain1, mean1 = (scratch.gain, scratch.mean_gain) if direct[1] else (scratch.lanes, scratch.lanes)
-    # Rearranged means follow their gains in the same array.
+    # Transposed means follow their gains in the same array.
     apart = (padded + v.LANES) * v.LANES
     m0, m1 = 0 if direct[0] else apart, 0 if direct[1] else apart
-    fade = v.spread(numbers.decay)
-    window_gain = v.spread((ONE - numbers.decay) ** np.float32(4))
+    decay8 = v.broadcast(numbers.decay)
+    window_gain = v.broadcast((ONE - numbers.decay) ** np.float32(4))
     overlap = v.load(layers.overlap, slab)
-    noise = v.mul(overlap, v.spread_at(covariance, 0))
-    ceiling, floor = v.load(layers.ceiling, slab), v.spread(-ONE)
+    noise = v.mul(overlap, v.broadcast_at(covariance, 0))
+    ceiling, floor = v.load(layers.ceiling, slab), v.broadcast(-ONE)
     weights, links = maps.weights[row], maps.links[row]
-    endless = v.spread(ONE / (ONE - numbers.near))
-    ahead = v.spread(ZERO)
+    border_gain = v.broadcast(ONE / (ONE - numbers.even_link))
+    ahead = v.broadcast(ZERO)
     at += pad_x * v.LANES
     at_state = pad_x * v.LANES
     (i0, step0), (i1, step1) = places[0], places[1]
     for x in range(width):
-        window = v.fma(fade, v.load(state, at_state), v.load(ring, at))
+        window = v.fma(decay8, v.load(state, at_state), v.load(ring, at))
         v.store(state, at_state, window)
         if not even:
-            noise = v.mul(overlap, v.spread_at(covariance, x))
+            noise = v.mul(overlap, v.broadcast_at(covariance, x))
         both = v.mul(v.load(gain0, i0), v.load(gain1, i1))
         means = v.mul(v.load(mean0, i0 + m0), v.load(mean1, i1 + m1))
         score = v.sub(v.mul(v.sub(v.mul(window, window_gain), noise), both), means)
-        weighted = v.mul(v.smaller(v.larger(score, floor), ceiling), v.spread_at(weights, x))
-        ahead = v.fma(v.spread_at(links, x), ahead, weighted) if x > 0 else v.mul(endless, weighted)
+        weighted = v.mul(v.smaller(v.larger(score, floor), ceiling), v.broadcast_at(weights, x))
+        ahead = v.fma(v.broadcast_at(links, x), ahead, weighted) if x > 0 else v.mul(border_gain, weighted)
         v.store(scores, x * v.LANES, ahead)
         i0, i1, at, at_state = i0 + step0, i1 + step1, at + v.LANES, at_state + v.LANES
 
@@ -80,32 +80,32 @@ def score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_si
     gain0, mean0 = (scratch.gain, scratch.mean_gain) if direct[0] else (scratch.lanes, scratch.lanes)
     gain1, mean1 = (scratch.gain, scratch.mean_gain) if direct[1] else (scratch.lanes, scratch.lanes)
     gain2, mean2 = (scratch.gain, scratch.mean_gain) if direct[2] else (scratch.lanes, scratch.lanes)
-    # Rearranged means follow their gains in the same array.
+    # Transposed means follow their gains in the same array.
     apart = (padded + v.LANES) * v.LANES
     m0, m1, m2 = 0 if direct[0] else apart, 0 if direct[1] else apart, 0 if direct[2] else apart
-    fade = v.spread(numbers.decay)
-    window_gain = v.spread((ONE - numbers.decay) ** np.float32(4))
+    decay8 = v.broadcast(numbers.decay)
+    window_gain = v.broadcast((ONE - numbers.decay) ** np.float32(4))
     count = len(layers.ceiling)
     overlap01, overlap02 = v.load(layers.overlap, slab), v.load(layers.overlap, slab + count)
     overlap12 = v.load(layers.overlap, slab + 2 * count)
-    ceiling, floor, one, nothing = v.load(layers.ceiling, slab), v.spread(-ONE), v.spread(ONE), v.spread(ZERO)
+    ceiling, floor, one, nothing = v.load(layers.ceiling, slab), v.broadcast(-ONE), v.broadcast(ONE), v.broadcast(ZERO)
     weights, links = maps.weights[row], maps.links[row]
-    endless = v.spread(ONE / (ONE - numbers.near))
-    ahead = v.spread(ZERO)
+    border_gain = v.broadcast(ONE / (ONE - numbers.even_link))
+    ahead = v.broadcast(ZERO)
     at += pad_x * v.LANES
     at_state = pad_x * v.LANES
     next_state = padded * v.LANES
     (i0, step0), (i1, step1), (i2, step2) = places[0], places[1], places[2]
     for x in range(width):
-        a = v.fma(fade, v.load(state, at_state), v.load(ring, at))
-        b = v.fma(fade, v.load(state, at_state + next_state), v.load(ring, at + ring_size))
-        c = v.fma(fade, v.load(state, at_state + 2 * next_state), v.load(ring, at + 2 * ring_size))
+        a = v.fma(decay8, v.load(state, at_state), v.load(ring, at))
+        b = v.fma(decay8, v.load(state, at_state + next_state), v.load(ring, at + ring_size))
+        c = v.fma(decay8, v.load(state, at_state + 2 * next_state), v.load(ring, at + 2 * ring_size))
         v.store(state, at_state, a)
         v.store(state, at_state + next_state, b)
         v.store(state, at_state + 2 * next_state, c)
-        a = v.fnma(overlap01, v.spread_at(covariance[0], even * x), v.mul(a, window_gain))
-        b = v.fnma(overlap02, v.spread_at(covariance[1], even * x), v.mul(b, window_gain))
-        c = v.fnma(overlap12, v.spread_at(covariance[2], even * x), v.mul(c, window_gain))
+        a = v.fnma(overlap01, v.broadcast_at(covariance[0], even * x), v.mul(a, window_gain))
+        b = v.fnma(overlap02, v.broadcast_at(covariance[1], even * x), v.mul(b, window_gain))
+        c = v.fnma(overlap12, v.broadcast_at(covariance[2], even * x), v.mul(c, window_gain))
         g0, g1, g2 = v.load(gain0, i0), v.load(gain1, i1), v.load(gain2, i2)
         q0, q1, q2 = v.load(mean0, i0 + m0), v.load(mean1, i1 + m1), v.load(mean2, i2 + m2)
         a = v.larger(v.smaller(v.fnma(q0, q1, v.mul(a, v.mul(g0, g1))), one), floor)
@@ -114,7 +114,7 @@ def score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_si
         bc = v.mul(b, c)
         determinant = v.fnma(a, v.sub(v.sub(a, bc), bc), v.fnma(b, b, v.fnma(c, c, one)))
         score = v.sub(one, v.root(v.larger(determinant, nothing)))
-        weighted = v.mul(v.smaller(score, ceiling), v.spread_at(weights, x))
-        ahead = v.fma(v.spread_at(links, x), ahead, weighted) if x > 0 else v.mul(endless, weighted)
+        weighted = v.mul(v.smaller(score, ceiling), v.broadcast_at(weights, x))
+        ahead = v.fma(v.broadcast_at(links, x), ahead, weighted) if x > 0 else v.mul(border_gain, weighted)
         v.store(scores, x * v.LANES, ahead)
         i0, i1, i2, at, at_state = i0 + step0, i1 + step1, i2 + step2, at + v.LANES, at_state + v.LANES

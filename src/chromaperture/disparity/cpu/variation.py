@@ -1,115 +1,150 @@
-"""The primal-dual iterations of ``variational.py`` in Numba: many iterations in one sweep over memory.
+"""Primal-dual iterations of total variation, compiled; ``stages/variation.py`` explains what is computed.
 
 An iteration reads and writes far more than it computes, so what counts is how often the arrays travel from
 memory. Row i of iteration t needs only rows i - 1 .. i + 1 of iteration t - 1. The sweep therefore runs as
 a wavefront: at step s it does row s of the first iteration, row s - 1 of the second, and so on, all in place,
-in the cache. Bands of rows go to different threads; each keeps as many foreign rows on either side as a sweep
+in the cache. Bands of rows go to different threads; each keeps as many rows of its neighbours on either side as a sweep
 has iterations, and the bands exchange these rows after every sweep. The result depends on neither.
 """
 
 from __future__ import annotations
 
-import numba
 import numpy as np
-from numba import njit, prange
 
-from chromaperture.disparity.variational import Problem, State, Steps
+from chromaperture.compilation import compiled, inlined
+from chromaperture.config import SurfaceConfig
+from chromaperture.disparity.cpu.paths import FAST
+from chromaperture.disparity.stages.variation import Problem, State, Steps, couple
+from chromaperture.threads import in_parallel, thread_count
 
 SWEEP = 10  # iterations in one sweep: seven arrays of so many rows of 2000 px fill a level-2 cache of 512 kB
-# "nnan" lets min and max become one instruction each; `make_problem` leaves no NaN.
-FAST: set[str] = {"contract", "arcp", "nsz", "reassoc", "afn", "nnan"}
 EXTRAPOLATED, U, DUAL_X, DUAL_Y = range(4)
 
 
-def iterate(
+def coupled_variation(
+    disparity_px: np.ndarray,
+    likelihood: np.ndarray,
+    guide: np.ndarray,
+    layers_px: np.ndarray,
+    *,
+    config: SurfaceConfig,
+) -> np.ndarray:
+    """Refine a disparity map, as `stages.coupled_variation`; (H, W) float32, px."""
+    likelihood = np.ascontiguousarray(likelihood, np.float32)
+    return couple(disparity_px, likelihood, guide, layers_px, config, iterate_variation, nearest_likely)
+
+
+def iterate_variation(
     problem: Problem, state: State, steps: Steps, *, sweep: int = SWEEP, bands: int | None = None
 ) -> None:
-    """Run the primal-dual iterations on ``state`` in place; same contract as `variational.iterate`."""
-    height = len(problem.target)
-    bands = max(1, min(bands or numba.get_num_threads(), height // 4))
-    sweep = max(1, min(sweep, height // bands, len(steps.primal)))
-    _solve(
-        state.u,
-        state.extrapolated,
-        state.dual,
-        problem.target,
-        problem.weight,
-        _links(problem),
-        problem.quadratic,
-        np.float32(problem.bounds[0]),
-        np.float32(problem.bounds[1]),
-        np.float32(problem.huber),
-        np.stack(steps).astype(np.float32),
-        sweep,
-        bands,
-    )
+    """Run the primal-dual iterations on ``state`` in place, as `stages.iterate_variation`."""
+    height, total = len(problem.target), len(steps.primal)
+    count = max(1, min(bands or thread_count(), height // 4))
+    sweep = max(1, min(sweep, height // count, total))
+    share = -(-height // count)
+    kept = [_Band(state, i * share, min(height, (i + 1) * share), sweep) for i in range(count) if i * share < height]
+    lo, hi, huber = (np.float32(value) for value in (*problem.bounds, problem.huber))
+    sizes, edges = np.stack(steps).astype(np.float32), _edges(problem)
+    for done in range(0, total, sweep):
+        now = np.ascontiguousarray(sizes[:, done : done + sweep])
+        for above, below in zip(kept, kept[1:], strict=False):
+            if done:
+                above.exchange(below)
+
+        def advance(_: int, first: int, last: int, now: np.ndarray = now) -> None:
+            for band in kept[first:last]:
+                _sweep(
+                    band.rows, problem.target, problem.weight, edges, problem.quadratic, lo, hi, huber,
+                    now, band.first, band.last, band.low,
+                )  # fmt: skip
+
+        in_parallel(advance, len(kept))
+    for band in kept:
+        band.store(state)
 
 
-def gap_per_px(problem: Problem, state: State) -> float:
-    """Primal-dual gap per pixel, as `variational.gap_per_px`."""
-    lo, hi = problem.bounds
-    rows = _gap_rows(
-        state.u,
-        state.dual,
-        problem.target,
-        problem.weight,
-        _links(problem),
-        problem.quadratic,
-        lo,
-        hi,
-        problem.huber,
-    )
+class _Band:
+    """Rows ``first`` to before ``last`` of the state, and ``margin`` rows of the neighbours on either side."""
+
+    def __init__(self, state: State, first: int, last: int, margin: int) -> None:
+        height, width = state.u.shape
+        self.first, self.last, self.low, self.margin = first, last, first - margin, margin
+        self.rows = np.empty((4, last - first + 2 * margin, width), np.float32)  # row r is row low + r of the map
+        self.top, self.bottom = max(0, self.low), min(height, last + margin)
+        for own, values in zip(self.rows, self._maps(state), strict=True):
+            own[self.top - self.low : self.bottom - self.low] = values[self.top : self.bottom]
+
+    @staticmethod
+    def _maps(state: State) -> tuple[np.ndarray, ...]:
+        return state.extrapolated, state.u, state.dual[0], state.dual[1]
+
+    def exchange(self, below: _Band) -> None:
+        """Give the rows next to the common border to the band below, and take its rows."""
+        top, middle, bottom = below.top, self.last, self.bottom
+        below.rows[:, top - below.low : middle - below.low] = self.rows[:, top - self.low : middle - self.low]
+        self.rows[:, middle - self.low : bottom - self.low] = below.rows[:, middle - below.low : bottom - below.low]
+
+    def store(self, state: State) -> None:
+        """Write the band's own rows back."""
+        for own, values in zip(self.rows, self._maps(state), strict=True):
+            values[self.first : self.last] = own[self.first - self.low : self.last - self.low]
+
+
+def variation_gap(problem: Problem, state: State) -> float:
+    """Return the primal-dual gap per pixel, as `stages.variation_gap`."""
+    rows = np.zeros(len(state.u))
+    lo, hi, edges = *problem.bounds, _edges(problem)
+
+    def some(_: int, first: int, last: int) -> None:
+        _gap_rows(
+            state.u, state.dual, problem.target, problem.weight, edges, problem.quadratic, lo, hi, problem.huber,
+            first, last, rows,
+        )  # fmt: skip
+
+    in_parallel(some, len(rows))
     return float(rows.sum() / state.u.size)
 
 
-def _links(problem: Problem) -> np.ndarray:
+def _edges(problem: Problem) -> np.ndarray:
     """Edge weights, or an empty array for none: one compiled text serves both."""
     return np.empty((2, 0, 0), np.float32) if problem.edges is None else problem.edges
 
 
-@njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
-def _solve(u, extrapolated, dual, target, weight, edges, quadratic, lo, hi, huber, steps, sweep, bands):  # type: ignore[no-untyped-def]
-    height, width = u.shape
-    share = (height + bands - 1) // bands
-    # Row r of a band is row (first row of the band) - sweep + r of the map.
-    state = np.empty((bands, 4, share + 2 * sweep, width), np.float32)
-    for b in prange(bands):
-        low = b * share - sweep
-        for i in range(max(0, low), min(height, (b + 1) * share + sweep)):
-            state[b, EXTRAPOLATED, i - low] = extrapolated[i]
-            state[b, U, i - low] = u[i]
-            state[b, DUAL_X, i - low] = dual[0, i]
-            state[b, DUAL_Y, i - low] = dual[1, i]
-    done = 0
-    total = steps.shape[1]
-    while done < total:
-        count = min(sweep, total - done)
-        for b in prange(bands):
-            first, last = b * share, min(height, (b + 1) * share)
-            low = first - sweep
-            if first < last:
-                _sweep(
-                    state[b], target, weight, edges, quadratic, lo, hi, huber,
-                    steps[:, done : done + count], first, last, low,
-                )  # fmt: skip
-        done += count
-        if done < total:
-            for b in range(bands):  # the neighbours' rows on either side
-                low = b * share - sweep
-                for i in range(max(0, low), min(height, b * share)):
-                    state[b, :, i - low] = state[b - 1, :, i - low + share]
-                for i in range((b + 1) * share, min(height, (b + 1) * share + sweep)):
-                    state[b, :, i - low] = state[b + 1, :, i - low - share]
-    for b in prange(bands):
-        low = b * share - sweep
-        for i in range(b * share, min(height, (b + 1) * share)):
-            extrapolated[i] = state[b, EXTRAPOLATED, i - low]
-            u[i] = state[b, U, i - low]
-            dual[0, i] = state[b, DUAL_X, i - low]
-            dual[1, i] = state[b, DUAL_Y, i - low]
+def nearest_likely(u: np.ndarray, likelihood: np.ndarray, fidelity: float) -> np.ndarray:
+    """Return the best layer near ``u``, as `stages.variation.nearest_likely`; (H, W) float32."""
+    out = np.empty_like(u)
+
+    def rows(_: int, top: int, bottom: int) -> None:
+        _nearest_likely(u[top:bottom], likelihood[top:bottom], np.float32(fidelity), out[top:bottom])
+
+    in_parallel(rows, len(u))
+    return out
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
+def _nearest_likely(u, likelihood, fidelity, out):  # type: ignore[no-untyped-def]
+    height, width, layers = likelihood.shape
+    half = np.float32(0.5)
+    for y in range(height):
+        cost = np.empty(layers, np.float32)
+        for x in range(width):
+            gain = likelihood[y, x]
+            for k in range(layers):
+                away = np.float32(k) - u[y, x]
+                cost[k] = half * away * away - fidelity * gain[k]
+            best = 0
+            for k in range(1, layers):
+                if cost[k] < cost[best]:
+                    best = k
+            v = np.float32(best)
+            if 0 < best < layers - 1:
+                bend = cost[best - 1] - 2 * cost[best] + cost[best + 1]
+                offset = (cost[best - 1] - cost[best + 1]) / (2 * max(bend, np.float32(1e-12)))
+                v += min(max(offset, -half), half)
+            out[y, x] = v
+
+
+@compiled(fastmath=FAST, error_model="numpy")
 def _sweep(state, target, weight, edges, quadratic, lo, hi, huber, steps, first, last, low):  # type: ignore[no-untyped-def]
     """Advance rows first .. last of a band by the iterations in ``steps``; each uses up a row a side."""
     height, width = target.shape
@@ -146,7 +181,7 @@ def _sweep(state, target, weight, edges, quadratic, lo, hi, huber, steps, first,
                 _absolute_row(u, bar, target[i], weight[i], tau, theta, lo, hi)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@inlined(fastmath=FAST, error_model="numpy")
 def _dual_row(bar, below, px, py, sigma, huber):  # type: ignore[no-untyped-def]
     shrink = np.float32(1) / (np.float32(1) + sigma * huber)
     n = len(bar)
@@ -160,7 +195,7 @@ def _dual_row(bar, below, px, py, sigma, huber):  # type: ignore[no-untyped-def]
     py[n - 1] = y / max(np.float32(1), abs(y))
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@inlined(fastmath=FAST, error_model="numpy")
 def _dual_row_weighted(bar, below, px, py, ex, ey, sigma, huber):  # type: ignore[no-untyped-def]
     shrink = np.float32(1) / (np.float32(1) + sigma * huber)
     n = len(bar)
@@ -175,14 +210,14 @@ def _dual_row_weighted(bar, below, px, py, ex, ey, sigma, huber):  # type: ignor
 
 
 # ``bar`` holds v = u + tau div p between these two passes: the extrapolated row is no longer needed then.
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@inlined(fastmath=FAST, error_model="numpy")
 def _divergence_row(u, bar, px, py, above, tau):  # type: ignore[no-untyped-def]
     bar[0] = u[0] + tau * (px[0] + py[0] - above[0])
     for j in range(1, len(u)):
         bar[j] = u[j] + tau * (px[j] - px[j - 1] + py[j] - above[j])
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@inlined(fastmath=FAST, error_model="numpy")
 def _divergence_row_weighted(u, bar, px, py, above, ex, ey, ey_above, tau):  # type: ignore[no-untyped-def]
     bar[0] = u[0] + tau * (ex[0] * px[0] + ey[0] * py[0] - ey_above[0] * above[0])
     for j in range(1, len(u)):
@@ -190,7 +225,7 @@ def _divergence_row_weighted(u, bar, px, py, above, ex, ey, ey_above, tau):  # t
         bar[j] = u[j] + tau * (across + ey[j] * py[j] - ey_above[j] * above[j])
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@inlined(fastmath=FAST, error_model="numpy")
 def _absolute_row(u, bar, f, w, tau, theta, lo, hi):  # type: ignore[no-untyped-def]
     for j in range(len(u)):
         pull = tau * w[j]
@@ -199,7 +234,7 @@ def _absolute_row(u, bar, f, w, tau, theta, lo, hi):  # type: ignore[no-untyped-
         u[j] = new
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@inlined(fastmath=FAST, error_model="numpy")
 def _quadratic_row(u, bar, f, w, tau, theta, lo, hi):  # type: ignore[no-untyped-def]
     for j in range(len(u)):
         pull = tau * w[j]
@@ -208,13 +243,12 @@ def _quadratic_row(u, bar, f, w, tau, theta, lo, hi):  # type: ignore[no-untyped
         u[j] = new
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
-def _gap_rows(u, dual, target, weight, edges, quadratic, lo, hi, huber):  # type: ignore[no-untyped-def]
+@compiled(error_model="numpy")
+def _gap_rows(u, dual, target, weight, edges, quadratic, lo, hi, huber, first, last, rows):  # type: ignore[no-untyped-def]
     """Energy minus its dual bound, one sum a row; float64."""
     height, width = u.shape
     weighted = edges.size > 0
-    rows = np.zeros(height)
-    for i in prange(height):
+    for i in range(first, last):
         total = 0.0
         for j in range(width):
             right = j < width - 1
@@ -246,4 +280,3 @@ def _gap_rows(u, dual, target, weight, edges, quadratic, lo, hi, huber):  # type
                 total += w * abs(away)
                 total += max(q * lo - w * (f - lo), q * f, q * hi - w * (hi - f))
         rows[i] = total
-    return rows

@@ -1,7 +1,7 @@
 # mypy: disallow-untyped-defs=False
 """First half of the compiled matcher: a band of rows from the views to scores filtered along x.
 
-Everything along a row is a recursion, so eight layers of one pixel sit in a vector and the row is walked pixel by
+Everything along a row is a recursion, so eight layers of one pixel are one vector and the row is walked pixel by
 pixel. A band is a picture of its own: it starts ``halo`` rows early, unless it takes over the windows of the band
 above, and ends as many rows late; there it is continued by its last row as the reference continues the picture.
 """
@@ -10,29 +10,30 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.disparity import simd as v
-from chromaperture.disparity.layout import BLOCK, GROUP, ONE, SCORE_SCALE, ZERO, compiled, inner
-from chromaperture.disparity.samples import sample, spread_row, standardise
-from chromaperture.disparity.scores import locate_row, score_three, score_two
-from chromaperture.disparity.windows import copy, window_end, window_rows, window_up
+from chromaperture.disparity.cpu import simd as v
+from chromaperture.disparity.cpu.layout import BLOCK, GROUP, ONE, SCORE_SCALE, ZERO, inner, kernel
+from chromaperture.disparity.cpu.samples import sample, transpose_rows, standardise
+from chromaperture.disparity.cpu.scores import locate_row, score_three, score_two
+from chromaperture.disparity.cpu.windows import copy, window_end, window_rows, window_up
 
 
-@compiled
-def score_band(pictures, samplings, layers, numbers, pad, halo, top, bottom, begin, scratch, volume, maps):
-    """Fill a band of the volume of scores, filtered along x, and what the filter along y needs to know.
+@kernel
+def score_band(pictures, plan, band, scratch, volume, maps):
+    """Fill a band of the volume of scores, filtered along x, and the maps that the filter along y needs.
 
     Parameters
     ----------
-    pad : (x, y) px beyond which every shifted view is constant
-    halo : int, rows after which the window has forgotten
-    top, bottom : int; the rows from ``top`` to before ``bottom``
-    begin : bool; False where the band above was the last to use ``scratch``
+    pictures : Pictures
+    plan : Plan
+    band : Band
     scratch : Scratch
     volume : (blocks, H, D8 / 8, BLOCK, 8) int16, flat; written
     maps : RowMaps; written
     """
+    samplings, layers, numbers = plan.samplings, plan.layers, plan.numbers
+    pad_x, pad_y, halo = plan.pad_x, plan.pad_y, plan.halo
+    top, bottom, begin = band.top, band.bottom, band.begin
     height, width = pictures.mask.shape
-    pad_x, pad_y = pad
     # Rows of the cross terms; beyond pad_y rows outside the picture everything is constant. A band that follows
     # another takes over its windows and starts without a halo.
     first = max(top - halo, -pad_y) if begin else top
@@ -43,18 +44,16 @@ def score_band(pictures, samplings, layers, numbers, pad, halo, top, bottom, beg
     sample_rows = last + pad_y - first_sample
     sample_rows += -sample_rows % GROUP
     sample(pictures, samplings, first_sample, sample_rows, scratch)
-    standardise(
-        pictures, samplings, numbers, pad, first_sample, sample_rows, top, bottom, begin, scratch, maps.weights
-    )
+    standardise(pictures, plan, band, first_sample, sample_rows, scratch, maps.weights)
     for y in range(top, bottom):
         _weigh_row(pictures.mask[y], numbers.min_weight, len(pictures.views), maps.weights[y])
-        _links_along_x(pictures.guide[y], numbers.near, maps.links[y])
-        _share_row(maps.weights[y], numbers.near, maps.links[y], scratch.line, maps.share[y])
+        _links_along_x(pictures.guide[y], numbers.even_link, maps.links[y])
+        _filter_weights(maps.weights[y], numbers.even_link, maps.links[y], scratch.line, maps.filtered[y])
         here, above = pictures.guide[y], pictures.guide[max(y - 1, 0)]
-        share, scale, links_y = maps.share[y], maps.scale[y], maps.links_y[y]
+        filtered, scale, links_y = maps.filtered[y], maps.scale[y], maps.links_y[y]
         for x in range(width):
-            scale[x] = SCORE_SCALE / share[x]
-            links_y[x] = fading(here[x] - above[x], numbers.near)
+            scale[x] = SCORE_SCALE / filtered[x]
+            links_y[x] = fading(here[x] - above[x], numbers.even_link)
 
     padded = width + 2 * pad_x
     row_size = padded * v.LANES
@@ -69,7 +68,7 @@ def score_band(pictures, samplings, layers, numbers, pad, halo, top, bottom, beg
             for k in range(len(layers.direct)):
                 if not layers.direct[k]:
                     for j in range(GROUP):
-                        spread_row(
+                        transpose_rows(
                             scratch.value, samplings, layers, k, lane0, row + j - first_sample, pad_x, padded,
                             scratch.lanes, (k * GROUP + j) * row_size,
                         )  # fmt: skip
@@ -114,7 +113,7 @@ def score_band(pictures, samplings, layers, numbers, pad, halo, top, bottom, beg
                     pictures, layers, numbers, row, lane0, pad_x, padded, at, ring_size, places, scratch, maps
                 )
             _filter_back(
-                scratch.scores, maps.links[row], maps.scale[row], numbers.near,
+                scratch.scores, maps.links[row], maps.scale[row], numbers.even_link,
                 volume, (row * slabs + slab) * BLOCK * v.LANES, height * slabs * BLOCK * v.LANES,
             )  # fmt: skip
     v.fence()
@@ -122,7 +121,7 @@ def score_band(pictures, samplings, layers, numbers, pad, halo, top, bottom, beg
 
 @inner
 def _weigh_row(mask, min_weight, views, weights):
-    """Finish the weights of a row: geometric mean of the views' shares of signal, nothing where unusable."""
+    """Finish the weights of a row: geometric mean of the views' fractions of signal, the least weight where unusable."""
     if views == 2:
         for x in range(len(weights)):
             weights[x] = max(np.sqrt(weights[x]) * mask[x], min_weight)
@@ -132,8 +131,8 @@ def _weigh_row(mask, min_weight, views, weights):
 
 
 @inner
-def fading(difference, near):
-    """Give near exp(-|difference|): a power series of a 64th, squared six times, which plain vectors can do."""
+def fading(difference, even_link):
+    """Return even_link exp(-|difference|): a power series of a 64th, squared six times, which vectorises."""
     y = abs(difference) * np.float32(1 / 64)
     series = ONE + y * (ONE + y * (np.float32(1 / 2) + y * (np.float32(1 / 6) + y * np.float32(1 / 24))))
     series *= series
@@ -142,27 +141,27 @@ def fading(difference, near):
     series *= series
     series *= series
     series *= series
-    return near / series
+    return even_link / series
 
 
 @inner
-def _links_along_x(guide, near, links):
-    """Weight with which each pixel of a row hears its left neighbour; 0 at both ends."""
+def _links_along_x(guide, even_link, links):
+    """Link weight of each pixel of a row to its left neighbour; 0 at both ends."""
     width = len(guide)
     here, before, out = guide[1:], guide[: width - 1], links[1:]
     for x in range(width - 1):
-        out[x] = fading(here[x] - before[x], near)
+        out[x] = fading(here[x] - before[x], even_link)
     links[0] = links[width] = ZERO
 
 
 @inner
-def _share_row(weights, near, links, other, out):
+def _filter_weights(weights, even_link, links, other, out):
     """Both recursions along a row of weights, without their gain: a sample at an end counts 1 / gain.
 
-    They run side by side, for each waits for itself; ``other`` holds the leftwards one.
+    They run side by side, because each depends on its own last result; ``other`` holds the leftwards one.
     """
     end = len(weights) - 1
-    right, left = weights[0] / (ONE - near), weights[end] / (ONE - near)
+    right, left = weights[0] / (ONE - even_link), weights[end] / (ONE - even_link)
     v.put(out, 0, right)
     v.put(other, end, left)
     for i in range(1, end + 1):
@@ -175,21 +174,21 @@ def _share_row(weights, near, links, other, out):
 
 
 @inner
-def _filter_back(scores, links, scales, near, volume, at, stride):
-    """Add the leftwards recursion to the rightwards one of a row and file the sum, scaled, as int16."""
+def _filter_back(scores, links, scales, even_link, volume, at, stride):
+    """Add the leftwards recursion to the rightwards one of a row and store the sum, scaled, as int16."""
     end = len(scales) - 1
-    endless, gain = v.spread(ONE / (ONE - near)), v.spread(ONE - near)
+    border_gain, gain = v.broadcast(ONE / (ONE - even_link)), v.broadcast(ONE - even_link)
     here = v.load(scores, end * v.LANES)
     # The weighted score is what the forward result has more than its link to the one before.
     before = v.load(scores, (end - 1) * v.LANES)
-    state = v.mul(endless, v.fnma(v.spread_at(links, end), before, here))
+    state = v.mul(border_gain, v.fnma(v.broadcast_at(links, end), before, here))
     place = at + (end // BLOCK) * stride + (end % BLOCK) * v.LANES
-    v.store_shorts(volume, place, v.mul(v.add(here, state), v.spread_at(scales, end)))
+    v.store_shorts(volume, place, v.mul(v.add(here, state), v.broadcast_at(scales, end)))
     for x in range(end - 1, 0, -1):
         here, before = before, v.load(scores, (x - 1) * v.LANES)
-        weighted = v.fnma(v.spread_at(links, x), before, here)
-        state = v.fma(v.spread_at(links, x + 1), state, weighted)
+        weighted = v.fnma(v.broadcast_at(links, x), before, here)
+        state = v.fma(v.broadcast_at(links, x + 1), state, weighted)
         place = at + (x // BLOCK) * stride + (x % BLOCK) * v.LANES
-        v.store_shorts(volume, place, v.mul(v.add(here, state), v.spread_at(scales, x)))
-    state = v.fma(v.spread_at(links, 1), state, v.mul(gain, before))
-    v.store_shorts(volume, at, v.mul(v.add(before, state), v.spread_at(scales, 0)))
+        v.store_shorts(volume, place, v.mul(v.add(here, state), v.broadcast_at(scales, x)))
+    state = v.fma(v.broadcast_at(links, 1), state, v.mul(gain, before))
+    v.store_shorts(volume, at, v.mul(v.add(before, state), v.broadcast_at(scales, 0)))

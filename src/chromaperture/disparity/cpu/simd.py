@@ -57,7 +57,7 @@ def _shuffle(builder, a, b, lanes):
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_I32, len(lanes)), lanes))
 
 
-def _spread(builder, scalar):
+def _broadcast(builder, scalar):
     first = builder.insert_element(ir.Constant(_FLOATS, ir.Undefined), scalar, ir.Constant(_I32, 0))
     return _shuffle(builder, first, first, [0] * LANES)
 
@@ -264,21 +264,21 @@ def fence(typing):
 
 
 @intrinsic
-def spread(typing, value):
+def broadcast(typing, value):
     """Give a float32 to all lanes."""
 
     def lowered(context, builder, signature, arguments):
-        return _spread(builder, arguments[0])
+        return _broadcast(builder, arguments[0])
 
     return float8(types.float32), lowered
 
 
 @intrinsic
-def spread_at(typing, array, index):
+def broadcast_at(typing, array, index):
     """Give ``array[index]`` to all lanes."""
 
     def lowered(context, builder, signature, arguments):
-        return _spread(builder, builder.load(_pointer(context, builder, signature.args[0], *arguments)))
+        return _broadcast(builder, builder.load(_pointer(context, builder, signature.args[0], *arguments)))
 
     return float8(array, types.int64), lowered
 

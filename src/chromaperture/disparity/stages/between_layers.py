@@ -1,7 +1,8 @@
 """Where between two layers a surface lies, from all that is around a pixel.
 
-Penalties for a change of layer hold the paths of semi-global matching to one layer over a whole wall, so their costs no
-longer tell where between two layers it lies: the volume does, once its pixels are heard together.
+Penalties for a change of layer keep the paths of semi-global matching at one layer over a whole wall, so their costs no
+longer show where between two layers it lies. The volume does, once it is averaged over neighbours. Without a compiled
+twin: OpenCV does the averaging.
 """
 
 from __future__ import annotations
@@ -9,9 +10,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from chromaperture.disparity.semiglobal import LEAST_SHARE
+from chromaperture.disparity.stages.paths import LEAST_UNEXPLAINED
 
-_TANGENTS = 2
+_TANGENTS = 2  # iterations; chosen by hand
 
 
 def between_layers(
@@ -19,7 +20,7 @@ def between_layers(
 ) -> np.ndarray:
     """Move a map from its nearest layers to the most likely place about them, half a layer at most.
 
-    The unexplained share s = exp(-2 l) of a pixel is a parabola ``s0 + a o + b o^2`` in the offset o from the layer.
+    The unexplained fraction s = exp(-2 l) of a pixel is a parabola ``s0 + a o + b o^2`` in the offset o from the layer.
     The sum of the log s over a window is bounded from above by its tangents at the last offset, which in turn are least
     at ``o = -sum(a / s) / sum(2 b / s)``.
 
@@ -41,15 +42,15 @@ def between_layers(
     before, here, after = (
         np.take_along_axis(likelihood, (nearest + k)[..., None], axis=2)[..., 0] for k in (-1, 0, 1)
     )
-    left, right = np.exp(2 * (here - before)), np.exp(2 * (here - after))  # shares, as multiples of the layer's own
+    left, right = np.exp(2 * (here - before)), np.exp(2 * (here - after))  # as multiples of the layer's own
     slope, bend = (right - left) / 2, np.maximum((left + right) / 2 - 1, 0)
     offset = np.zeros(slope.shape, np.float32)
     for _ in range(_TANGENTS):
-        share = np.maximum(1 + offset * (slope + offset * bend), np.float32(LEAST_SHARE))
-        pull, stiffness = _pooled(slope / share, sigma_px), _pooled(2 * bend / share, sigma_px)
+        unexplained = np.maximum(1 + offset * (slope + offset * bend), np.float32(LEAST_UNEXPLAINED))
+        pull, stiffness = _averaged(slope / unexplained, sigma_px), _averaged(2 * bend / unexplained, sigma_px)
         offset = np.clip(-pull / np.maximum(stiffness, np.float32(1e-9)), -0.5, 0.5)
     return np.asarray(layers_px[0] + step * (nearest + offset), np.float32)
 
 
-def _pooled(picture: np.ndarray, sigma_px: float) -> np.ndarray:
+def _averaged(picture: np.ndarray, sigma_px: float) -> np.ndarray:
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT_101))

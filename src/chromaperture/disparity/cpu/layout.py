@@ -1,9 +1,20 @@
 # mypy: disallow-untyped-defs=False
-"""What the compiled matcher's stages hand to each other: maps, where samples are kept, scratch.
+"""Memory layout of the compiled matcher, and what its stages hand to each other.
 
-Rows are addressed in flat arrays by (start, step per px): a view that moves along x by 1/n px a layer is kept n times
-up-sampled, so that eight neighbouring layers of a pixel are eight neighbours in memory (stored backwards if the view
-moves backwards); views that move otherwise are rearranged row by row with `samples.spread_row`.
+The volume, int16, holds eight layers of a pixel (a vector) side by side, 16 columns of those, then the next eight
+layers of the same 16 columns, then the next row, then the next 16 columns::
+
+    flat index = ((((block * H + y) * slabs + slab) * BLOCK) + column) * 8 + lane
+
+    block b     row y      slab 0                      slab 1
+    (16 columns)           col 0   col 1  ...  col 15  col 0   ...
+                           01234567 01234567  01234567 89abcdef      <- layers
+
+so that a walk along a row and a walk down a block of columns both read whole cache lines.
+
+Rows of samples are addressed in flat arrays by (start, step per px): a view that moves along x by 1/n px a layer is kept
+n times up-sampled, so that eight neighbouring layers of a pixel are eight neighbours in memory (stored backwards if the
+view moves backwards); views that move otherwise are transposed row by row with `samples.transpose_rows`.
 """
 
 from __future__ import annotations
@@ -11,21 +22,25 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}, "nogil": True}
-# Numba keeps the machine code of these beside the package and renews it when their own file changes, not when a file
-# they import from does: after editing one of those, touch `bands.py` and `strips.py`.
-compiled = njit(cache=True, **_OPTIONS)
-# Called by compiled functions only: without the wrappers that Python would need they compile twice as fast.
-inner = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)  # type: ignore[call-overload]
+from chromaperture.compilation import compiled, inlined
 
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}}
+kernel = compiled(**_OPTIONS)  # called from Python
+inner = inlined(**_OPTIONS)  # called by kernels
+
+LANES = 8  # float32 of a vector
 GROUP = 4  # rows walked together: four independent recursions fill the pipeline
 BLOCK = 16  # columns that are neighbours in the volume
 SCORE_SCALE = np.float32(32000)  # of a score in [-1, 1] in int16
 
 ONE = np.float32(1)
 ZERO = np.float32(0)
+
+
+def whole_vectors(layers: int) -> int:
+    """Return the number of layers, rounded up to whole vectors."""
+    return -(-layers // LANES) * LANES
 
 
 class Pictures(NamedTuple):
@@ -63,7 +78,7 @@ class Layers(NamedTuple):
     step: np.ndarray  # (K,) int: per px, where direct
     entry: np.ndarray  # (K, D8) int, elsewhere
     whole: np.ndarray  # (K, D8, 2) int: whole px (x, y) of each layer's shift, elsewhere
-    overlap: np.ndarray  # (P * D8,) float32: share of the noise covariance left, debiasing included
+    overlap: np.ndarray  # (P * D8,) float32: fraction of the noise covariance left, debiasing included
     ceiling: np.ndarray  # (D8,) float32: 1, and -1 for the layers that only fill the last vector
     pairs: np.ndarray  # (P, 2) int
 
@@ -74,19 +89,38 @@ class Numbers(NamedTuple):
     decay: np.float32
     debias: np.float32
     weighting: bool
-    near: np.float32  # link weight on an even guide
+    even_link: np.float32  # link weight on an even guide
     epsilon: np.ndarray  # (K,)
-    min_share: np.float32
+    min_fraction: np.float32
     min_weight: np.float32
+
+
+class Plan(NamedTuple):
+    """What is the same for all bands."""
+
+    samplings: Samplings
+    layers: Layers
+    numbers: Numbers
+    pad_x: int  # px beyond which every shifted view is constant
+    pad_y: int
+    halo: int  # rows after which the window's weight is negligible
+
+
+class Band(NamedTuple):
+    """The rows from ``top`` to before ``bottom``; ``begin`` unless the scratch holds the windows of the band above."""
+
+    top: int
+    bottom: int
+    begin: bool
 
 
 class RowMaps(NamedTuple):
     """What the filter along x needs of each row and leaves for the filter along y, float32."""
 
     weights: np.ndarray  # (H, W)
-    links: np.ndarray  # (H, W + 1): of each pixel to its left neighbour
-    links_y: np.ndarray  # (H, W16): of each pixel to its upper neighbour
-    share: np.ndarray  # (H, W16): the weights, filtered along x
+    links: np.ndarray  # (H, W + 1): link weight of each pixel to its left neighbour
+    links_y: np.ndarray  # (H, W16): link weight of each pixel to its upper neighbour
+    filtered: np.ndarray  # (H, W16): the weights, filtered along x
     scale: np.ndarray  # (H, W): from filtered scores to int16
 
 
@@ -96,7 +130,7 @@ class Scratch(NamedTuple):
     value: np.ndarray  # samples of all entries
     gain: np.ndarray  # 1 / standard deviation, of the same samples' windows
     mean_gain: np.ndarray  # mean times gain
-    grain: np.ndarray  # noise variance
+    noise_sample: np.ndarray  # noise variance
     ring: np.ndarray  # windows of the layers, above the current row
     carry: np.ndarray  # rows of the ring for the next band
     state: np.ndarray  # the same, below the current row

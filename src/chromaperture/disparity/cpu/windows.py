@@ -8,8 +8,8 @@ made good once, by whoever uses the result.
 
 from __future__ import annotations
 
-from chromaperture.disparity import simd as v
-from chromaperture.disparity.layout import ONE, inner
+from chromaperture.disparity.cpu import simd as v
+from chromaperture.disparity.cpu.layout import ONE, inner
 
 
 @inner
@@ -22,27 +22,27 @@ def copy(source, at, target, to, count):
 @inner
 def window_rows(a, ia, step_a, down_a, b, ib, step_b, down_b, ring, at, width, decay, begin):
     """Window the products of four rows: along x both ways, along y downwards from the rows above in the ring."""
-    fade = v.spread(decay)
-    endless = v.spread(ONE / (ONE - decay))
-    last_x = v.spread(decay / ((ONE + decay) * (ONE - decay) * (ONE - decay)))
-    last_f = v.spread(ONE / ((ONE + decay) * (ONE - decay)))
+    decay8 = v.broadcast(decay)
+    border_gain = v.broadcast(ONE / (ONE - decay))
+    last_x = v.broadcast(decay / ((ONE + decay) * (ONE - decay) * (ONE - decay)))
+    last_f = v.broadcast(ONE / ((ONE + decay) * (ONE - decay)))
     down = width * v.LANES
     a1, a2, a3, b1, b2, b3 = down_a, 2 * down_a, 3 * down_a, down_b, 2 * down_b, 3 * down_b
     r1, r2, r3 = down, 2 * down, 3 * down
-    f0 = v.mul(endless, v.mul(v.load(a, ia), v.load(b, ib)))
-    f1 = v.mul(endless, v.mul(v.load(a, ia + a1), v.load(b, ib + b1)))
-    f2 = v.mul(endless, v.mul(v.load(a, ia + a2), v.load(b, ib + b2)))
-    f3 = v.mul(endless, v.mul(v.load(a, ia + a3), v.load(b, ib + b3)))
+    f0 = v.mul(border_gain, v.mul(v.load(a, ia), v.load(b, ib)))
+    f1 = v.mul(border_gain, v.mul(v.load(a, ia + a1), v.load(b, ib + b1)))
+    f2 = v.mul(border_gain, v.mul(v.load(a, ia + a2), v.load(b, ib + b2)))
+    f3 = v.mul(border_gain, v.mul(v.load(a, ia + a3), v.load(b, ib + b3)))
     v.store(ring, at, f0)
     v.store(ring, at + r1, f1)
     v.store(ring, at + r2, f2)
     v.store(ring, at + r3, f3)
     for _ in range(width - 1):
         ia, ib, at = ia + step_a, ib + step_b, at + v.LANES
-        f0 = v.fma(fade, f0, v.mul(v.load(a, ia), v.load(b, ib)))
-        f1 = v.fma(fade, f1, v.mul(v.load(a, ia + a1), v.load(b, ib + b1)))
-        f2 = v.fma(fade, f2, v.mul(v.load(a, ia + a2), v.load(b, ib + b2)))
-        f3 = v.fma(fade, f3, v.mul(v.load(a, ia + a3), v.load(b, ib + b3)))
+        f0 = v.fma(decay8, f0, v.mul(v.load(a, ia), v.load(b, ib)))
+        f1 = v.fma(decay8, f1, v.mul(v.load(a, ia + a1), v.load(b, ib + b1)))
+        f2 = v.fma(decay8, f2, v.mul(v.load(a, ia + a2), v.load(b, ib + b2)))
+        f3 = v.fma(decay8, f3, v.mul(v.load(a, ia + a3), v.load(b, ib + b3)))
         v.store(ring, at, f0)
         v.store(ring, at + r1, f1)
         v.store(ring, at + r2, f2)
@@ -53,17 +53,17 @@ def window_rows(a, ia, step_a, down_a, b, ib, step_b, down_b, ring, at, width, d
     f3 = v.fma(last_f, f3, v.mul(last_x, v.mul(v.load(a, ia + a3), v.load(b, ib + b3))))
     for x in range(width):
         if x > 0:
-            f0 = v.fma(fade, f0, v.load(ring, at))
-            f1 = v.fma(fade, f1, v.load(ring, at + r1))
-            f2 = v.fma(fade, f2, v.load(ring, at + r2))
-            f3 = v.fma(fade, f3, v.load(ring, at + r3))
-        column = v.mul(endless, f0) if begin else v.fma(fade, v.load(ring, at - down), f0)
+            f0 = v.fma(decay8, f0, v.load(ring, at))
+            f1 = v.fma(decay8, f1, v.load(ring, at + r1))
+            f2 = v.fma(decay8, f2, v.load(ring, at + r2))
+            f3 = v.fma(decay8, f3, v.load(ring, at + r3))
+        column = v.mul(border_gain, f0) if begin else v.fma(decay8, v.load(ring, at - down), f0)
         v.store(ring, at, column)
-        column = v.fma(fade, column, f1)
+        column = v.fma(decay8, column, f1)
         v.store(ring, at + r1, column)
-        column = v.fma(fade, column, f2)
+        column = v.fma(decay8, column, f2)
         v.store(ring, at + r2, column)
-        column = v.fma(fade, column, f3)
+        column = v.fma(decay8, column, f3)
         v.store(ring, at + r3, column)
         at -= v.LANES
 
@@ -71,20 +71,20 @@ def window_rows(a, ia, step_a, down_a, b, ib, step_b, down_b, ring, at, width, d
 @inner
 def window_end(ring, at, rows, width, decay, state, at_state):
     """Start the upward recursion at the last row, which continues for ever."""
-    fade = v.spread(decay)
-    last_x = v.spread(decay / ((ONE + decay) * (ONE - decay) * (ONE - decay)))
-    last_f = v.spread(ONE / ((ONE + decay) * (ONE - decay)))
+    decay8 = v.broadcast(decay)
+    last_x = v.broadcast(decay / ((ONE + decay) * (ONE - decay) * (ONE - decay)))
+    last_f = v.broadcast(ONE / ((ONE + decay) * (ONE - decay)))
     below = at + (rows - 1) * width * v.LANES
     above = below - width * v.LANES
     for i in range(0, width * v.LANES, v.LANES):
         f = v.load(ring, below + i)
-        x = v.fnma(fade, v.load(ring, above + i), f)
+        x = v.fnma(decay8, v.load(ring, above + i), f)
         v.store(state, at_state + i, v.fma(last_f, f, v.mul(last_x, x)))
 
 
 @inner
 def window_up(ring, at, width, decay, state, at_state):
     """Carry the upward recursion past one row."""
-    fade = v.spread(decay)
+    decay8 = v.broadcast(decay)
     for i in range(0, width * v.LANES, v.LANES):
-        v.store(state, at_state + i, v.fma(fade, v.load(state, at_state + i), v.load(ring, at + i)))
+        v.store(state, at_state + i, v.fma(decay8, v.load(state, at_state + i), v.load(ring, at + i)))

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.disparity import simd as v
-from chromaperture.disparity.layout import GROUP, ONE, ZERO, inner
-from chromaperture.disparity.windows import copy, window_end, window_rows, window_up
+from chromaperture.disparity.cpu import simd as v
+from chromaperture.disparity.cpu.layout import GROUP, ONE, ZERO, inner
+from chromaperture.disparity.cpu.windows import copy, window_end, window_rows, window_up
 
 
 @inner
@@ -20,7 +20,7 @@ def sample(pictures, samplings, first_sample, rows, scratch):
             at = i * samplings.row_length + samplings.start[e]
             _sample_row(pictures.views[k], samplings, e, first_sample + i, scratch.line, scratch.value, at)
             if not even or i == 0:
-                _sample_row(pictures.noise[k], samplings, e, first_sample + i, scratch.line, scratch.grain, at)
+                _sample_row(pictures.noise[k], samplings, e, first_sample + i, scratch.line, scratch.noise_sample, at)
 
 
 @inner
@@ -57,14 +57,13 @@ def _sample_row(picture, samplings, e, y, line, out, at):
 
 
 @inner
-def standardise(
-    pictures, samplings, numbers, pad, first_sample, rows, top, bottom, begin, scratch, weights_out
-):  # fmt: skip
-    """Window means and gains of all samples, and the share of signal in the unshifted views.
+def standardise(pictures, plan, band, first_sample, rows, scratch, weights_out):
+    """Window means and gains of all samples, and the fraction of signal in the unshifted views.
 
     Four entries at a time: lanes 0 to 3 window the samples, lanes 4 to 7 their squares.
     """
-    pad_x, pad_y = pad
+    samplings, numbers, pad_x, pad_y = plan.samplings, plan.numbers, plan.pad_x, plan.pad_y
+    top, bottom, begin = band.top, band.bottom, band.begin
     padded = pictures.mask.shape[1] + 2 * pad_x
     row_size = padded * v.LANES
     entries = len(samplings.owner)
@@ -72,7 +71,7 @@ def standardise(
     lanes, ring, state = scratch.lanes, scratch.ring, scratch.state
     from_row, to_row = top - pad_y - first_sample, bottom + pad_y - first_sample
     unity = GROUP * row_size
-    v.store(lanes, unity, v.spread(ONE))
+    v.store(lanes, unity, v.broadcast(ONE))
     for y in range(top, bottom):
         for x in range(weights_out.shape[1]):
             weights_out[y, x] = ONE
@@ -118,7 +117,7 @@ def standardise(
 
 @inner
 def _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch):
-    """Gains of four entries in a row; leaves their shares of signal in ``lanes``, four a px."""
+    """Gains of four entries in a row; leaves their fractions of signal in ``lanes``, four a px."""
     entries = len(samplings.owner)
     e1, e2, e3 = min(e + 1, entries - 1), min(e + 2, entries - 1), min(e + 3, entries - 1)
     s0, s1, s2, s3 = samplings.step[e], samplings.step[e1], samplings.step[e2], samplings.step[e3]
@@ -128,12 +127,12 @@ def _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch):
     floors = np.empty(v.LANES, np.float32)
     for i in range(v.LANES):
         floors[i] = numbers.epsilon[samplings.owner[min(e + i % 4, entries - 1)]]
-    floor, nothing = v.load(floors, 0), v.spread(ZERO)
-    decay, debias, min_share = v.spread(numbers.decay), v.spread(numbers.debias), v.spread(numbers.min_share)
-    window_gain = v.spread((ONE - numbers.decay) ** np.float32(4))
-    ring, state, lanes, grain = scratch.ring, scratch.state, scratch.lanes, scratch.grain
+    floor, nothing = v.load(floors, 0), v.broadcast(ZERO)
+    decay, debias, min_fraction = v.broadcast(numbers.decay), v.broadcast(numbers.debias), v.broadcast(numbers.min_fraction)
+    window_gain = v.broadcast((ONE - numbers.decay) ** np.float32(4))
+    ring, state, lanes, noise_sample = scratch.ring, scratch.state, scratch.lanes, scratch.noise_sample
     gains, mean_gains = scratch.gain, scratch.mean_gain
-    noise = v.four_and_squares(grain, at[0], at[1], at[2], at[3])
+    noise = v.four_and_squares(noise_sample, at[0], at[1], at[2], at[3])
     noise = v.halves_low(noise, noise)
     at_ring = (row + 1) * padded * v.LANES
     # Two px at a time, so that means, variances and gains fill all lanes.
@@ -147,12 +146,12 @@ def _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch):
         mean = v.mul(window_gain, v.halves_low(here, after))
         variance = v.fnma(mean, mean, v.mul(window_gain, v.halves_high(here, after)))
         if not even:
-            n0 = v.four_and_squares(grain, i0, i1, i2, i3)
-            n1 = v.four_and_squares(grain, i0 + s0, i1 + s1, i2 + s2, i3 + s3)
+            n0 = v.four_and_squares(noise_sample, i0, i1, i2, i3)
+            n1 = v.four_and_squares(noise_sample, i0 + s0, i1 + s1, i2 + s2, i3 + s3)
             noise = v.halves_low(n0, n1)
         signal = v.larger(v.sub(variance, noise), nothing)
         v.store(lanes, x * 4, v.div(signal, v.add(signal, v.add(noise, floor))))
-        clean = v.larger(v.larger(v.fnma(debias, noise, variance), v.mul(min_share, variance)), nothing)
+        clean = v.larger(v.larger(v.fnma(debias, noise, variance), v.mul(min_fraction, variance)), nothing)
         gain = v.inverse_root(v.add(clean, floor))
         mean_gain = v.mul(mean, gain)
         v.put_lane(gains, i0, gain, 0)
@@ -176,7 +175,7 @@ def _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch):
 
 
 @inner
-def spread_row(source, samplings, layers, k, slab, sample_row, pad_x, padded, out, target):
+def transpose_rows(source, samplings, layers, k, slab, sample_row, pad_x, padded, out, target):
     """Rearrange the rows of eight layers so that the layers of a pixel are neighbours: transpositions of 8 x 8."""
     at = np.empty(v.LANES, np.int64)
     for lane in range(v.LANES):

@@ -1,0 +1,129 @@
+"""Quality "accurate": one surface optimised through the whole volume, instead of a best layer for every pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from chromaperture.config import AccurateConfig, SurfaceConfig
+from chromaperture.disparity.error_bar import confidence, surface_sigma
+from chromaperture.disparity.execution import Execution
+from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.result import Disparity, NoiseModel
+from chromaperture.disparity.stages.between_layers import between_layers
+from chromaperture.disparity.views import ViewSpace, filtered_views
+from chromaperture.disparity.winner import Surface, parabola_winner
+from chromaperture.errors import InputError
+
+EDGE_REACH_PX = 8  # two sigmas of the correlation window
+
+
+class Evidence(Protocol):
+    """Log-likelihood of every label at every pixel."""
+
+    def at(
+        self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray, noise: NoiseModel | None
+    ) -> np.ndarray:
+        """Return nats a pixel, (H, W, N) float32, for labels between ``layers_px``, the layers to evaluate."""
+
+
+@dataclass(frozen=True)
+class AccurateMethod:
+    """Find the surface of labels that explains the evidence of all pixels.
+
+    Attributes
+    ----------
+    config : AccurateConfig
+    space : ViewSpace
+        Its guide steers the penalties.
+    evidence : Evidence
+        `BlurEvidence` where the camera's blur is known, else `CorrelationEvidence`.
+    label_map : LabelMap
+        From labels to the disparities of every pixel.
+    run : Execution
+    """
+
+    config: AccurateConfig
+    space: ViewSpace
+    evidence: Evidence
+    label_map: LabelMap
+    run: Execution
+
+    def match(self, image: np.ndarray, noise: NoiseModel | None) -> Disparity:
+        """Return the disparity of an image (H, W, 3)."""
+        views = filtered_views(image, self.space, config=self.config.views)
+        layers_px = self.config.layers.values_px
+        labels_px = with_halves(layers_px)
+        likelihood = self.evidence.at(image, layers_px, labels_px, noise)
+        likelihood *= views.mask[..., None]
+        surface = optimised_surface(likelihood, views.guide, labels_px, config=self.config.surface, run=self.run)
+
+        at_pixels = Surface(
+            self.label_map.disparity(surface.disparity_px), self.label_map.scale * surface.sigma_px, surface.peak
+        )
+        sigma = surface_sigma(at_pixels)
+        return Disparity(at_pixels.disparity_px, sigma, confidence(sigma, at_pixels.peak))
+
+
+def with_halves(layers_px: np.ndarray) -> np.ndarray:
+    """Return layers with one more between every two; (2 D - 1,) float64, px."""
+    return np.linspace(layers_px[0], layers_px[-1], 2 * len(layers_px) - 1)
+
+
+def optimised_surface(
+    likelihood: np.ndarray, guide: np.ndarray, labels_px: np.ndarray, *, config: SurfaceConfig, run: Execution
+) -> Surface:
+    """Find the surface that explains the whole volume.
+
+    Parameters
+    ----------
+    likelihood : (H, W, N) float, nats a pixel
+    guide : (H, W) float
+        Centre view, in units of ``guide_range``.
+    labels_px : (N,) float, px
+    config : SurfaceConfig
+    run : Execution
+
+    Returns
+    -------
+    Surface
+        The disparity is NaN within half a layer of an end of the range.
+
+    Raises
+    ------
+    InputError
+        Shapes do not fit together.
+    """
+    if likelihood.ndim != 3 or likelihood.shape[:2] != guide.shape or likelihood.shape[2] != len(labels_px):
+        raise InputError(
+            f"a volume of shape {likelihood.shape} does not fit a guide of shape {guide.shape} and "
+            f"{len(labels_px)} layers"
+        )
+    step = float(labels_px[1] - labels_px[0])
+    likelihood = np.ascontiguousarray(likelihood, np.float32)
+    cost = run.aggregate_paths(likelihood, guide, labels_px, config=config)
+    paths = parabola_winner(cost, labels_px, lower_is_better=True)
+    start = np.where(np.isfinite(paths.disparity_px), paths.disparity_px, labels_px[cost.argmin(axis=2)])
+    start = between_layers(start, likelihood, labels_px, sigma_px=config.interpolation_sigma_px)
+    disparity = run.coupled_variation(start, likelihood, guide, labels_px, config=config)
+    sigma = run.posterior_sigma(disparity, cost, labels_px, temperature=config.temperature * config.paths)
+    sigma = np.hypot(sigma, local_range(disparity, EDGE_REACH_PX))
+
+    layer = np.rint((disparity - labels_px[0]) / step).astype(np.intp)
+    explained = -np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0])
+    inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
+    return Surface(np.where(inside, disparity, np.nan).astype(np.float32), sigma, np.sqrt(explained))
+
+
+def local_range(disparity_px: np.ndarray, reach_px: int) -> np.ndarray:
+    """Return the range of the disparity in a square around each pixel; (H, W) float32, px.
+
+    Next to a depth edge windows see both sides, and a pixel given to the wrong one is wrong by all of it, however
+    narrow its posterior.
+    """
+    square = np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)
+    surface = np.asarray(disparity_px, np.float32)
+    return np.asarray(cv2.dilate(surface, square) - cv2.erode(surface, square))

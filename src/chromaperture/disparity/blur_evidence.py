@@ -1,0 +1,205 @@
+"""Evidence for every layer from channels that are filtered with each other's blur.
+
+Halves of a pupil show mirrored blurs, not shifted copies, so no shift aligns two views of a blurred surface. Where the
+blur H_k(z) of each channel is known, filtering each with the other's does align them, at the true depth only::
+
+    P = F^-1[ Y_a H_b / q ],   Q = F^-1[ Y_b H_a / q ],   q^2 = (|H_a|^2 + |H_b|^2) / 2 + eps
+
+and D = P - Q is the residual of maximum likelihood over the unknown sharp picture (``docs/equations.md``). The
+correlation of P and Q in a window, in two octaves, is the evidence for a depth. Blur changes over the frame: H is
+computed at nodes on a grid (``stages/tiles.py``), and P and Q are interpolated between them.
+
+Noise lowers the correlation, and more so at depths whose blur leaves fine detail: with noise, more blur always agrees
+better. Frequencies that hold only noise are therefore left out beforehand, at all depths alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import scipy.fft
+
+from chromaperture.config import CrossFilterConfig
+from chromaperture.disparity.execution import Execution
+from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.result import NoiseModel
+from chromaperture.disparity.stages.tiles import Nodes, TileSpectrum
+from chromaperture.errors import InputError
+from chromaperture.optics.field_blur import FieldBlur, Rays
+from chromaperture.threads import parallel_map
+
+_MAX_CORRELATION2 = 0.999  # 3.5 nats a band at most: a perfect agreement must not outweigh the whole neighbourhood
+_NEGLIGIBLE = 0.01  # weight of the other pairs below which a tile is not evaluated for them
+_BANDS_MARGIN_PX = 10  # three sigmas of the coarsest band
+
+
+@dataclass(frozen=True)
+class BlurEvidence:
+    """Log-likelihood of every label from the camera's own blur.
+
+    Attributes
+    ----------
+    config : CrossFilterConfig
+    blur : FieldBlur
+    label_map : LabelMap
+        What equal depth means at every pixel, in the layers of the blur: the camera's quality "accurate".
+    run : Execution
+    """
+
+    config: CrossFilterConfig
+    blur: FieldBlur
+    label_map: LabelMap
+    run: Execution
+
+    def at(
+        self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray, noise: NoiseModel | None
+    ) -> np.ndarray:
+        """Return nats a pixel for labels between layers, which is cheaper than to evaluate as many layers; (H, W, N)."""
+        likelihood = self.likelihood(image, layers_px, noise_variance=None if noise is None else noise(image))
+        factors = sum(self.config.band_weights)
+        return self.run.read_at_labels(likelihood, layers_px, labels_px, self.label_map, factors=factors)
+
+    def likelihood(
+        self, image: np.ndarray, layers_px: np.ndarray, *, noise_variance: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Compute the log-likelihood of every layer.
+
+        Parameters
+        ----------
+        image : (H, W, 3) float32, linear RGB
+        layers_px : (D,) float, px
+            Half disparities in the middle of the frame, see ``FieldBlur.reference``: each stands for a distance.
+        noise_variance : (H, W, 3) float, optional
+            Of the image, (white level)^2. Where it is not known, nothing is left out for noise.
+
+        Returns
+        -------
+        (H, W, D) float32, nats a pixel. A layer means one distance all over the frame.
+
+        Raises
+        ------
+        InputError
+            The image is not of the blur's size.
+        """
+        blur, config = self.blur, self.config
+        image = np.where(np.isfinite(image), image, np.float32(0))
+        height, width = image.shape[:2]
+        if (width, height) != (blur.width_px, blur.height_px):
+            raise InputError(
+                f"the camera's blur was fitted for {blur.width_px} x {blur.height_px} px, the image has "
+                f"{width} x {height}"
+            )
+        margin = 2 * float(np.abs(layers_px).max()) / blur.reach + _BANDS_MARGIN_PX  # both blurs, and the bands
+        nodes = Nodes(height, width, margin_px=margin)
+        spectra = nodes.spectra(
+            np.ascontiguousarray(image, np.float32), noise_variance, noise_margin=config.noise_margin
+        )
+        likelihood = self._of_pairs(blur.pairs, nodes, spectra, layers_px)
+        if blur.other_pairs and config.fallback_weight > 0:
+            weight = np.exp(-likelihood.max(axis=2) / np.float32(config.fallback_nats))
+            canvas = nodes.canvas()
+            nodes.in_frame(canvas)[:] = weight
+            needed = [spectrum if canvas[nodes.on_canvas(place)].max() > _NEGLIGIBLE else None
+                      for place, spectrum in zip(nodes.places, spectra, strict=True)]  # fmt: skip
+            other = self._of_pairs(blur.other_pairs, nodes, needed, layers_px)
+            other *= np.float32(config.fallback_weight) * weight[..., None]
+            likelihood += other
+        return likelihood
+
+    def _of_pairs(
+        self,
+        pairs: tuple[tuple[int, int], ...],
+        nodes: Nodes,
+        spectra: Sequence[TileSpectrum | None],
+        layers_px: np.ndarray,
+    ) -> np.ndarray:
+        """Log-likelihood of every layer from pairs of channels, 0 where no tile has a spectrum; (H, W, D) float32."""
+        channels = tuple(sorted({k for pair in pairs for k in pair}))
+        low_pass = _gaussian(nodes.size, _finest(self.config))  # the same at all depths, hence done once
+        tiles = [
+            _Tile(
+                place,
+                weight,
+                self.blur.rays(*place, channels),
+                [(a * low_pass, b * low_pass) for a, b in (spectrum.pair(*pair) for pair in pairs)],
+            )
+            for place, weight, spectrum in zip(nodes.places, nodes.weights, spectra, strict=True)
+            if spectrum is not None
+        ]
+        at_infinity, scale = self.blur.reference
+        evidence = np.empty((*nodes.shape, len(layers_px)), np.float32)
+
+        def fill(layer: int) -> None:
+            inverse_mm = (at_infinity - layers_px[layer]) / scale
+            views = self._cross_filtered(pairs, channels, nodes, tiles, inverse_mm)
+            evidence[..., layer] = np.mean([_agreement(p, q, self.config) for p, q in views], axis=0)
+
+        parallel_map(fill, range(len(layers_px)))
+        return evidence
+
+    def _cross_filtered(
+        self,
+        pairs: tuple[tuple[int, int], ...],
+        channels: tuple[int, ...],
+        nodes: Nodes,
+        tiles: Sequence[_Tile],
+        inverse_mm: float,
+    ) -> np.ndarray:
+        """P and Q of every pair of channels, at one distance; (pairs, 2, H, W) float32."""
+        canvas = nodes.canvas(len(pairs), 2)
+        spectra = np.empty((2, nodes.size, nodes.size // 2 + 1), np.complex64)
+        inner = nodes.in_tile()
+        for tile in tiles:
+            transfers = self.blur.transfer_of(tile.rays, inverse_mm, nodes.size, splat=self.run.splat)
+            transfer = dict(zip(channels, transfers, strict=True))
+            for i, ((a, b), views) in enumerate(zip(pairs, tile.pairs, strict=True)):
+                self.run.cross_filter(views, (transfer[a], transfer[b]), self.config.damping, spectra)
+                canvas[i, :, *nodes.on_canvas(tile.place)] += scipy.fft.irfft2(spectra)[:, inner, inner] * tile.weight
+        return nodes.in_frame(canvas)
+
+
+class _Tile(NamedTuple):
+    """What of a tile does not depend on the depth tested: its rays, and the spectra of both channels of every pair."""
+
+    place: tuple[float, float]
+    weight: np.ndarray
+    rays: Rays
+    pairs: list[tuple[np.ndarray, np.ndarray]]
+
+
+def _agreement(first: np.ndarray, second: np.ndarray, config: CrossFilterConfig) -> np.ndarray:
+    """Nats that the correlation of P and Q earns in a window around every pixel, all bands; (H, W) float32."""
+    evidence = np.zeros(first.shape, np.float32)
+    bands = zip(_bands(first, config), _bands(second, config), config.band_weights, strict=True)
+    for p, q, weight in bands:
+        cross, power_p, power_q = (_smooth(product, config.window_sigma_px) for product in (p * q, p * p, q * q))
+        correlation2 = np.maximum(cross, 0) ** 2 / (power_p * power_q + np.float32(1e-12))  # 1e-12: even areas earn 0
+        evidence -= np.float32(0.5 * weight) * cv2.log(1 - np.minimum(correlation2, np.float32(_MAX_CORRELATION2)))
+    return evidence
+
+
+def _bands(picture: np.ndarray, config: CrossFilterConfig) -> list[np.ndarray]:
+    """Differences of Gaussians of a picture that has passed the finest of them; (H, W) float32 each."""
+    finest = _finest(config)
+    sigmas = {sigma for band in config.bands_px for sigma in band}
+    smooth = {s: _smooth(picture, math.sqrt(s**2 - finest**2)) if s > finest else picture for s in sigmas}
+    return [smooth[fine] - smooth[coarse] for fine, coarse in config.bands_px]
+
+
+def _finest(config: CrossFilterConfig) -> float:
+    return min(fine for fine, _ in config.bands_px)
+
+
+def _smooth(picture: np.ndarray, sigma_px: float) -> np.ndarray:
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT_101))
+
+
+def _gaussian(size: int, sigma_px: float) -> np.ndarray:
+    """Return a Gaussian as the filter of a tile's spectrum; (size, size // 2 + 1) float32."""
+    w2 = (2 * np.pi * scipy.fft.fftfreq(size))[:, None] ** 2 + (2 * np.pi * scipy.fft.rfftfreq(size)) ** 2
+    return np.exp(-w2 * sigma_px**2 / 2).astype(np.float32)

@@ -1,0 +1,28 @@
+"""Every stage compiled by Numba, under the names of ``stages/``, which explains what each computes."""
+
+from chromaperture.disparity.cpu.bilateral import bilateral_winner
+from chromaperture.disparity.cpu.correlation import correlate, texture_weights
+from chromaperture.disparity.cpu.cross_filter import cross_filter
+from chromaperture.disparity.cpu.enlarge import enlarge
+from chromaperture.disparity.cpu.four_paths import four_path_winner
+from chromaperture.disparity.cpu.paths import aggregate_paths, posterior_sigma, read_at_labels
+from chromaperture.disparity.cpu.smoothing import smooth_along_surface
+from chromaperture.disparity.cpu.variation import coupled_variation, iterate_variation, variation_gap
+from chromaperture.optics.splat_kernel import splat
+
+__all__ = [
+    "aggregate_paths",
+    "bilateral_winner",
+    "correlate",
+    "coupled_variation",
+    "cross_filter",
+    "enlarge",
+    "four_path_winner",
+    "iterate_variation",
+    "posterior_sigma",
+    "read_at_labels",
+    "smooth_along_surface",
+    "splat",
+    "texture_weights",
+    "variation_gap",
+]

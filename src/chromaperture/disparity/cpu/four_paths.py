@@ -1,0 +1,71 @@
+"""Semi-global matching along rows and columns, compiled; ``stages/four_paths.py`` explains what is computed.
+
+The volume of scores is made by `bands.py` and turned into log-likelihoods in place; a second one of the same size takes
+the sum of the path costs (`path_costs.py`). Memory: 4 bytes a score of the halved picture.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from chromaperture.config import CorrelationConfig, FourPathsConfig
+from chromaperture.disparity.cpu import path_costs
+from chromaperture.disparity.cpu.correlation import filtered_scores
+from chromaperture.disparity.cpu.layout import BLOCK
+from chromaperture.disparity.cpu.workspace import workspace
+from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.views import Views
+from chromaperture.disparity.winner import PathWinner
+from chromaperture.threads import in_parallel
+
+
+def four_path_winner(
+    views: Views,
+    layers_px: np.ndarray,
+    label_map: LabelMap,
+    *,
+    correlation: CorrelationConfig,
+    paths: FourPathsConfig,
+) -> PathWinner:
+    """Find the best layer of every pixel along four paths, as `stages.four_path_winner`."""
+    height, width = views.mask.shape
+    labels = LabelMap(*(np.ascontiguousarray(part, np.float32) for part in label_map))
+    links_x, links_y = (_links(views.guide, axis, paths) for axis in (1, 0))
+    first, step = (np.float32(value) for value in (layers_px[0], layers_px[1] - layers_px[0]))
+    settings = path_costs.Settings(
+        np.float32(paths.slope_penalty),
+        np.float32(paths.jump_penalty),
+        np.float32(paths.temperature),
+        first,
+        step,
+        len(layers_px),
+    )
+    mask = np.ascontiguousarray(views.mask, np.float32)
+    two_views = views.pictures.shape[2] == 2
+    winner = PathWinner(*(np.empty((height, width), np.float32) for _ in range(5)))
+    with workspace() as memory:
+        volume, _ = filtered_scores(views, layers_px, memory, config=correlation)
+        sums = memory.array("sums", volume.shape, np.int16)
+
+        def along_rows(_: int, top: int, bottom: int) -> None:
+            path_costs.along_rows(volume, sums, mask, links_x, labels, settings, two_views, top, bottom)
+
+        def along_columns(_: int, first_block: int, last_block: int) -> None:
+            path_costs.along_columns(volume, sums, links_y, settings, first_block, last_block, winner)
+
+        in_parallel(along_rows, height)
+        in_parallel(along_columns, -(-width // BLOCK))
+    return winner
+
+
+def _links(guide: np.ndarray, axis: int, paths: FourPathsConfig) -> np.ndarray:
+    """Weight of the penalty between each pixel and the one before it along an axis; 0 for the first; (H, W)."""
+    links = np.zeros(guide.shape, np.float32)
+    here, before = (guide[:, 1:], guide[:, :-1]) if axis == 1 else (guide[1:], guide[:-1])
+    if here.size:
+        fading = cv2.exp(cv2.absdiff(here, before) * np.float32(-1 / paths.edge_range)).reshape(here.shape)
+        part = links[:, 1:] if axis == 1 else links[1:]
+        np.multiply(fading, np.float32(1 - paths.edge_floor), out=part)
+        part += np.float32(paths.edge_floor)
+    return links

@@ -1,0 +1,122 @@
+"""The stages of every method as one interface, and the executions that implement it.
+
+``stages/`` is readable NumPy and explains each stage; ``cpu/`` has the same names compiled by Numba. Both are packages
+whose functions have the signatures below; `execution_named` chooses between them, and nothing else does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from chromaperture.config import (
+    BilateralConfig,
+    CorrelationConfig,
+    ExecutionName,
+    FourPathsConfig,
+    SurfaceConfig,
+)
+from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.stages.variation import Problem, State, Steps
+from chromaperture.disparity.views import Views
+from chromaperture.disparity.winner import PathWinner, Surface, Winner
+from chromaperture.errors import InputError
+
+
+class Execution(Protocol):
+    """One implementation of every stage; the docstrings are in ``stages/``."""
+
+    def correlate(self, views: Views, layers_px: np.ndarray, *, config: CorrelationConfig) -> np.ndarray:
+        """Score every layer; (H, W, D)."""
+
+    def texture_weights(self, views: Views, *, config: CorrelationConfig) -> np.ndarray:
+        """Weight every pixel by its texture against its noise; (H, W)."""
+
+    def bilateral_winner(
+        self, views: Views, layers_px: np.ndarray, *, correlation: CorrelationConfig, bilateral: BilateralConfig
+    ) -> Winner:
+        """Correlate the views, filter every layer, take the best one and refine it by a parabola."""
+
+    def four_path_winner(
+        self,
+        views: Views,
+        layers_px: np.ndarray,
+        label_map: LabelMap,
+        *,
+        correlation: CorrelationConfig,
+        paths: FourPathsConfig,
+    ) -> PathWinner:
+        """Correlate the views and find the best layer of every pixel along four paths."""
+
+    def smooth_along_surface(
+        self, maps: Sequence[np.ndarray], guide: np.ndarray, layer: np.ndarray, *, sigma_px: float
+    ) -> list[np.ndarray]:
+        """Sum maps over their neighbourhood on an even guide and an even surface."""
+
+    def enlarge(self, surface: Surface, guide: np.ndarray) -> Surface:
+        """Bring a surface to the guide's resolution."""
+
+    def splat(self, places: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
+        """Rasterise a point-spread function."""
+
+    def cross_filter(
+        self,
+        spectra: tuple[np.ndarray, np.ndarray],
+        transfers: tuple[np.ndarray, np.ndarray],
+        damping: float,
+        out: np.ndarray,
+    ) -> None:
+        """Filter two channels with each other's blur."""
+
+    def read_at_labels(
+        self,
+        likelihood: np.ndarray,
+        layers_px: np.ndarray,
+        labels_px: np.ndarray,
+        label_map: LabelMap,
+        *,
+        factors: float = 1.0,
+    ) -> np.ndarray:
+        """Interpolate a volume of log-likelihoods at the labels of a map; (H, W, N)."""
+
+    def aggregate_paths(
+        self, likelihood: np.ndarray, guide: np.ndarray, layers_px: np.ndarray, *, config: SurfaceConfig
+    ) -> np.ndarray:
+        """Sum the path costs of every pixel and layer; (H, W, D)."""
+
+    def coupled_variation(
+        self,
+        disparity_px: np.ndarray,
+        likelihood: np.ndarray,
+        guide: np.ndarray,
+        layers_px: np.ndarray,
+        *,
+        config: SurfaceConfig,
+    ) -> np.ndarray:
+        """Refine a disparity map by total variation coupled to the volume; (H, W)."""
+
+    def posterior_sigma(
+        self, disparity_px: np.ndarray, cost: np.ndarray, layers_px: np.ndarray, *, temperature: float
+    ) -> np.ndarray:
+        """Return the root mean square distance of the layers from a map by their cost; (H, W)."""
+
+    def iterate_variation(self, problem: Problem, state: State, steps: Steps) -> None:
+        """Run primal-dual iterations in place."""
+
+    def variation_gap(self, problem: Problem, state: State) -> float:
+        """Return the primal-dual gap per pixel."""
+
+
+def execution_named(name: ExecutionName) -> Execution:
+    """Return the execution of a name; raises InputError."""
+    if name == "numpy":
+        from chromaperture.disparity import stages
+
+        return stages
+    if name == "numba":
+        from chromaperture.disparity import cpu  # compiling starts here, not at import
+
+        return cpu
+    raise InputError(f"unknown execution {name!r}: choose numba or numpy")

@@ -1,0 +1,63 @@
+"""Labels: the common name of equal depth at pixels whose disparities differ.
+
+Field curvature and vignetting bend the disparity of a flat wall. Smoothness of the disparity itself would work against
+the lens; with labels of equal depth the wall is constant.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class LabelMap(NamedTuple):
+    """What a label means at every pixel: ``disparity = offset_px + scale * label``.
+
+    Attributes
+    ----------
+    offset_px : (H, W) or (1, 1) float32, px
+    scale : (H, W) or (1, 1) float32
+    """
+
+    offset_px: np.ndarray
+    scale: np.ndarray
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether one offset and scale hold for the whole frame."""
+        return self.scale.size == 1
+
+    def disparity(self, label: np.ndarray) -> np.ndarray:
+        """Return the disparity of every pixel for its label; (H, W) px."""
+        return np.asarray(self.offset_px + self.scale * label)
+
+    def halved(self) -> LabelMap:
+        """Return the map at the pixels of the halved picture, whose disparities are half as large."""
+        offset, scale = (np.ascontiguousarray(part[::2, ::2], np.float32) for part in self)
+        return LabelMap(offset / 2, scale)
+
+
+# A lens that shows equal depth at equal disparity all over the frame.
+IDENTITY = LabelMap(np.zeros((1, 1), np.float32), np.ones((1, 1), np.float32))
+
+
+def label_map(
+    infinity_disparity_px: np.ndarray, scale_px_mm: np.ndarray, *, reference: tuple[float, float]
+) -> LabelMap:
+    """Return the map whose labels are the disparities of a reference pixel at the same depth.
+
+    From ``d = A - B / z`` here and ``label = A0 - B0 / z`` there.
+
+    Parameters
+    ----------
+    infinity_disparity_px : (H, W) float, px
+        A of the views that are matched.
+    scale_px_mm : (H, W) float, px mm
+        B.
+    reference : (float, float)
+        A0 and B0, the same for all views of a camera.
+    """
+    scale = scale_px_mm / reference[1]
+    offset = infinity_disparity_px - scale * reference[0]
+    return LabelMap(offset.astype(np.float32), scale.astype(np.float32))

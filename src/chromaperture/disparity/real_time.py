@@ -1,0 +1,95 @@
+"""Quality "real-time": the picture is halved, matched along rows and columns, and the surface enlarged again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from chromaperture.config import RealTimeConfig
+from chromaperture.disparity.error_bar import confidence, surface_sigma
+from chromaperture.disparity.execution import Execution
+from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.result import Disparity, NoiseModel
+from chromaperture.disparity.views import Views, ViewSpace, halved_views
+from chromaperture.disparity.winner import PathWinner, Surface
+
+LEAST_INFORMATION = 1e-4  # where correlations have no peak the place is that of the layer
+LEAST_UNEXPLAINED = 3e-3  # by the best correlation; keeps the information of noiseless pictures finite
+
+
+@dataclass(frozen=True)
+class RealTimeMethod:
+    """Find the best layer along four paths, then its place between the layers, at half the resolution.
+
+    Attributes
+    ----------
+    config : RealTimeConfig
+    space : ViewSpace
+    label_map : LabelMap
+        What equal depth means at every pixel of the full picture.
+    run : Execution
+    """
+
+    config: RealTimeConfig
+    space: ViewSpace
+    label_map: LabelMap
+    run: Execution
+
+    def match(self, image: np.ndarray, noise: NoiseModel | None) -> Disparity:
+        """Return the disparity of an image (H, W, 3); correlations of halved pictures need no ``noise``."""
+        return self.match_views(*halved_views(image, self.space, config=self.config.views))
+
+    def match_views(self, views: Views, guide: np.ndarray) -> Disparity:
+        """Return the disparity at the guide's (H, W) for halved views; see `halved_views`."""
+        config, run = self.config, self.run
+        layers_px, label_map = config.layers.values_px / 2, self.label_map.halved()
+        winner = run.four_path_winner(views, layers_px, label_map, correlation=config.correlation, paths=config.paths)
+
+        place, weight = place_by_correlation(winner, len(layers_px), view_count=views.pictures.shape[2])
+        sums = run.smooth_along_surface(
+            (weight, place * weight), views.guide, winner.layer, sigma_px=config.smoothing_sigma_px
+        )
+        surface = halved_surface(winner, sums[1] / sums[0], layers_px, label_map)
+        surface = run.enlarge(Surface(2 * surface.disparity_px, 2 * surface.sigma_px, surface.peak), guide)
+
+        sigma = surface_sigma(surface, floor_px=config.floor_px)
+        return Disparity(surface.disparity_px, sigma, confidence(sigma, surface.peak))
+
+
+def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the place that a pixel's own correlations have near its layer, and its information.
+
+    The correlations, not the costs: summed costs have been cut off at the penalties and hold little between the layers.
+    At its peak a correlation rho earns information rho rho'' / (1 - rho^2) a sample. Taken at the layer instead it
+    would be least for peaks between the layers, and averages over neighbours would be biased to the layers.
+
+    Parameters
+    ----------
+    winner : PathWinner
+    layer_count : int
+    view_count : {2, 3}
+
+    Returns
+    -------
+    place, information : two (H, W) float32; the place in layers
+    """
+    inside = np.clip(winner.layer, 1, layer_count - 2)
+    around = (winner.before, winner.at, winner.after)
+    unexplained = [np.exp(np.float32(-view_count if view_count == 2 else -1) * part) for part in around]
+    low, middle, high = (np.sqrt(np.maximum(1 - u, 0)) if view_count == 2 else 1 - u for u in unexplained)
+    bend = np.maximum(2 * middle - low - high, 0)
+    offset = np.clip((high - low) / (2 * bend + 1e-9), -1, 1)  # 1e-9: a flat top has no vertex
+    peak = np.minimum(middle + offset * (high - low) / 4, 1)
+    left = 1 - peak**2 if view_count == 2 else 1 - peak
+    information = bend * peak / (left + LEAST_UNEXPLAINED) + LEAST_INFORMATION
+    return (inside + offset).astype(np.float32), information.astype(np.float32)
+
+
+def halved_surface(winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap) -> Surface:
+    """Return the surface of the halved picture in its own px; unknown where the best layer is an end of the range."""
+    first, step = np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0])
+    known = (winner.layer > 0) & (winner.layer < len(layers_px) - 1)
+    label = np.where(known, first + step * place, np.nan).astype(np.float32)
+    peak = np.sqrt(np.maximum(1 - np.exp(-2 * winner.at), 0)).astype(np.float32)
+    return Surface(label_map.disparity(label), label_map.scale * winner.sigma_px, peak)

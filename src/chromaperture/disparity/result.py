@@ -1,0 +1,42 @@
+"""What every method takes and returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+# From an image (H, W, 3) to the noise variance of its channels, (H, W, 3), (white level)^2.
+NoiseModel = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Disparity:
+    """Disparity of every pixel, anchored in the view of the pupil's centre.
+
+    Attributes
+    ----------
+    value_px : (H, W) float32
+        Half disparity, px; 0 in focus, + beyond the focus surface, NaN unknown.
+    sigma_px : (H, W) float32
+        One standard deviation, px; NaN unknown.
+    confidence : (H, W) float32
+        In [0, 1]; 0 where unknown.
+    """
+
+    value_px: np.ndarray
+    sigma_px: np.ndarray
+    confidence: np.ndarray
+
+    def full_disparity_px(self) -> np.ndarray:
+        """Displacement between two opposed sub-apertures, 2 d: what a stereo pair would call disparity; (H, W)."""
+        return 2 * self.value_px
+
+
+class Method(Protocol):
+    """One way to estimate disparity, for one camera."""
+
+    def match(self, image: np.ndarray, noise: NoiseModel | None) -> Disparity:
+        """Return the disparity of an image (H, W, 3) float32, linear; ``noise`` is None where it is not known."""

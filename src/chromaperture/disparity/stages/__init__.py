@@ -1,0 +1,30 @@
+"""Every stage in readable NumPy: what it computes. ``cpu/`` has the same names compiled; see ``execution.py``."""
+
+from chromaperture.disparity.stages.bilateral import bilateral_winner
+from chromaperture.disparity.stages.correlation import correlate, texture_weights
+from chromaperture.disparity.stages.cross_filter import cross_filter
+from chromaperture.disparity.stages.enlarge import enlarge
+from chromaperture.disparity.stages.four_paths import four_path_winner
+from chromaperture.disparity.stages.paths import aggregate_paths, posterior_sigma, read_at_labels
+from chromaperture.disparity.stages.smoothing import smooth_along_surface
+from chromaperture.disparity.stages.variation import coupled_variation
+from chromaperture.disparity.stages.variation import gap_per_px as variation_gap
+from chromaperture.disparity.stages.variation import iterate as iterate_variation
+from chromaperture.optics.field_blur import splat
+
+__all__ = [
+    "aggregate_paths",
+    "bilateral_winner",
+    "correlate",
+    "coupled_variation",
+    "cross_filter",
+    "enlarge",
+    "four_path_winner",
+    "iterate_variation",
+    "posterior_sigma",
+    "read_at_labels",
+    "smooth_along_surface",
+    "splat",
+    "texture_weights",
+    "variation_gap",
+]

@@ -1,0 +1,157 @@
+"""Correlation of shifted views for every layer, in plain NumPy: slow, readable, the oracle of ``cpu/correlation.py``.
+
+The views are moved by a layer's disparity and correlated in an exponentially weighted window. Beyond its border the
+picture is continued by the border's value: windows and shifts then commute and a correlation stays in [-1, 1].
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.signal import lfilter
+
+from chromaperture.config import CorrelationConfig
+from chromaperture.disparity.views import Views, view_pairs
+
+MIN_VARIANCE_FRACTION = 0.05  # of a variance that noise debiasing always leaves: an estimate of the noise may be too high
+RELATIVE_EPSILON = 1e-6  # of a view's overall variance: even areas score 0, not noise / noise
+MIN_WEIGHT = 1e-4  # keeps the sum of weights positive where a whole line is unusable
+
+
+def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig) -> np.ndarray:
+    """Score every layer: the correlation of two views, or 1 - sqrt(det) of the correlation matrix of three.
+
+    Parameters
+    ----------
+    views : Views
+    layers_px : (D,) float, px
+        Equally spaced.
+    config : CorrelationConfig
+
+    Returns
+    -------
+    (H, W, D) float64
+    """
+    height, width, view_count = views.pictures.shape
+    pad = padding(layers_px, views.directions)
+    padded = _pad(views.pictures.astype(np.float64), pad)
+    variances, covariances = (_pad(maps.astype(np.float64), pad) for maps in _noise(views, config))
+    overlap = None if views.noise is None else views.noise.overlap(layers_px, views.directions)
+    epsilon = variance_floor(views.pictures)
+
+    volume = np.empty((height, width, len(layers_px)))
+    for s, d in enumerate(layers_px):
+        moved = [shift(padded[..., k], d * views.directions[k]) for k in range(view_count)]
+        means = [exponential_window(m, config.window_decay) for m in moved]
+        gains = []
+        for k in range(view_count):
+            variance = exponential_window(moved[k] ** 2, config.window_decay) - means[k] ** 2
+            noise = shift(variances[..., k], d * views.directions[k])
+            clean = np.maximum(variance - noise, MIN_VARIANCE_FRACTION * variance)
+            gains.append(1 / np.sqrt(clean + epsilon[k]))
+        rho = []
+        for p, (k, m) in enumerate(view_pairs(view_count)):
+            cross = exponential_window(moved[k] * moved[m], config.window_decay) - means[k] * means[m]
+            cross -= 0 if overlap is None else covariances[..., p] * overlap[s, p]
+            rho.append(np.clip(cross * gains[k] * gains[m], -1, 1))
+        layer = rho[0] if view_count == 2 else three_view_score(*rho)
+        volume[..., s] = layer[pad[1] : pad[1] + height, pad[0] : pad[0] + width]
+    return volume
+
+
+def _noise(views: Views, config: CorrelationConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Noise variance of the views and covariance of their pairs that is to be subtracted; 0 without debiasing."""
+    if views.noise is not None and config.noise_debiasing:
+        return views.noise.variance, views.noise.covariance
+    count = views.pictures.shape[2]
+    return np.zeros((*views.mask.shape, count)), np.zeros((*views.mask.shape, len(view_pairs(count))))
+
+
+def three_view_score(r01: np.ndarray, r02: np.ndarray, r12: np.ndarray) -> np.ndarray:
+    """Return 1 - sqrt(det R) of three views' correlation matrix; 1 on a colour line, 0 without any correlation.
+
+    Two eigenvalues of R vanish together where the views agree, so det R has a minimum of fourth order there, whose
+    parabola is biased to the layers (by 0.05 px at a step of 0.5); its root has one of second order.
+    """
+    determinant = 1 + 2 * r01 * r02 * r12 - r01**2 - r02**2 - r12**2
+    return 1 - np.sqrt(np.maximum(determinant, 0))
+
+
+def texture_weights(views: Views, *, config: CorrelationConfig) -> np.ndarray:
+    """Weight every pixel by its texture against its noise, 0 where the capture is unusable; (H, W) float64.
+
+    The geometric mean over the views of the signal's fraction of the variance in the window.
+    """
+    weights = np.ones(views.mask.shape)
+    count = views.pictures.shape[2]
+    for k in range(count):
+        view = views.pictures[..., k].astype(np.float64)
+        mean = exponential_window(view, config.window_decay)
+        variance = exponential_window(view**2, config.window_decay) - mean**2
+        noise = 0.0 if views.noise is None else views.noise.variance[..., k].astype(np.float64)
+        signal = np.maximum(variance - noise, 0)
+        weights *= (signal / (signal + noise + variance_floor(views.pictures)[k])) ** (1 / count)
+    return np.maximum(weights * views.mask, MIN_WEIGHT)
+
+
+def variance_floor(pictures: np.ndarray) -> np.ndarray:
+    """Variance below which a view counts as even; (K,) float64."""
+    return RELATIVE_EPSILON * pictures.astype(np.float64).var(axis=(0, 1)) + 1e-30
+
+
+def padding(layers_px: np.ndarray, directions: np.ndarray) -> tuple[int, int]:
+    """Border (x, y) in px beyond which every shifted view is constant: the shift and two taps of the cubic."""
+    reach = np.abs(layers_px).max() * np.abs(directions).max(axis=0)
+    x, y = (math.ceil(r) + 2 if r > 0 else 0 for r in reach)
+    return x, y
+
+
+def _pad(maps: np.ndarray, pad: tuple[int, int]) -> np.ndarray:
+    return np.pad(maps, ((pad[1], pad[1]), (pad[0], pad[0]), (0, 0)), mode="edge")
+
+
+def shift(view: np.ndarray, offset_px: np.ndarray) -> np.ndarray:
+    """Sample ``view`` at x + offset by cubic convolution (Catmull-Rom), borders replicated.
+
+    Parameters
+    ----------
+    view : (H, W) float
+    offset_px : (2,) float, (x, y)
+    """
+    for axis, offset in ((1, offset_px[0]), (0, offset_px[1])):
+        whole = math.floor(offset)
+        taps = cubic_taps(offset - whole)
+        index = np.arange(view.shape[axis])
+        view = sum(
+            tap * np.take(view, np.clip(index + whole + i, 0, view.shape[axis] - 1), axis=axis)
+            for i, tap in zip((-1, 0, 1, 2), taps, strict=True)
+        )
+    return view
+
+
+def cubic_taps(t: float) -> tuple[float, float, float, float]:
+    """Catmull-Rom weights of the samples at -1, 0, 1, 2 for the point t in [0, 1)."""
+    return (
+        0.5 * (-t + 2 * t**2 - t**3),
+        0.5 * (2 - 5 * t**2 + 3 * t**3),
+        0.5 * (t + 4 * t**2 - 3 * t**3),
+        0.5 * (-(t**2) + t**3),
+    )
+
+
+def exponential_window(maps: np.ndarray, decay: float) -> np.ndarray:
+    """Average with the weights ((1-a)/(1+a))^2 a^(|x|+|y|), the picture continued beyond its border.
+
+    Two first-order recursions an axis; their start values are the exact response to an endless constant border.
+    """
+    for axis in (0, 1):
+        first = np.take(maps, [0], axis=axis)
+        last = np.take(maps, [-1], axis=axis)
+        forward, _ = lfilter([1 - decay], [1, -decay], maps, axis=axis, zi=decay * first)
+        end = last + (np.take(forward, [-1], axis=axis) - last) / (1 + decay)
+        # Backward over the samples before the last one, started from the closed form at the last.
+        body = np.flip(np.delete(forward, -1, axis=axis), axis=axis)
+        back, _ = lfilter([1 - decay], [1, -decay], body, axis=axis, zi=decay * end)
+        maps = np.concatenate([np.flip(back, axis=axis), end], axis=axis)
+    return maps
