@@ -7,7 +7,7 @@ import pytest
 
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, made_of
-from chromaperture.optics.field_blur import BlurModel, FieldBlur, displacement, rims, sample_pupil
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, displacement, rims, sample_pupil
 from chromaperture.optics.paraxial import paraxial
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.prescription import load_lens
@@ -18,7 +18,7 @@ HALVES = sample_pupil(DESIGNS["cy_halves"])
 
 
 def blur_of(model, pupil=HALVES):
-    return FieldBlur(model, pupil, W, H)
+    return LensBlur(model, pupil, W, H)
 
 
 def test_a_thin_lens_displaces_rays_as_the_pinhole_camera_traces_them():

@@ -18,7 +18,7 @@ from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of
 from chromaperture.optics.aperture_file import load_aperture
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
 from chromaperture.optics.pinhole import PupilCamera
-from chromaperture.optics.sensor import Sensor
+from chromaperture.optics.sensor import SensorModel
 from chromaperture.optics.template import outline, template_svg, write_template
 
 CAMERA = PupilCamera(96, 64, 400.0, 12.0, 2000.0, 50.0, 0.12)
@@ -145,7 +145,7 @@ def test_options_that_make_no_camera(tmp_path, arguments, message):
 def test_the_bound_of_two_shifted_views_is_the_textbook_one():
     """Two views of one texture: var d = var(view 1 - view 2) / (4 sum (dI/dx)^2)."""
     camera = PupilCamera(96, 64, 400.0, 12.0, 2000.0, 50.0, 0.12)
-    sensor, texture = Sensor(full_well_electrons=1e4, read_noise_electrons=50.0), Texture(window_px2=100.0)
+    sensor, texture = SensorModel(full_well_electrons=1e4, read_noise_electrons=50.0), Texture(window_px2=100.0)
     got = expected_accuracy(DESIGNS["cy_halves"], camera, np.array([2000.0]), sensor=sensor, texture=texture)
     # Ideal film in focus: C = (2B + G - R)/3 and Y = (2R + G - B)/3, light .5, 1, .5 and noise from each
     # channel.

@@ -18,7 +18,7 @@ from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.disparity.views import guide_weights, prepare
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
-from chromaperture.optics.field_blur import FieldBlur
+from chromaperture.optics.lens_blur import LensBlur
 
 Backend = Literal["numba", "reference"]
 
@@ -54,7 +54,7 @@ def estimate_disparity(
     config: MatcherConfig | None = None,
     noise_variance: np.ndarray | None = None,
     fields: Sequence[LayerField] | None = None,
-    blur: FieldBlur | None = None,
+    blur: LensBlur | None = None,
     backend: Backend = "numba",
 ) -> Disparity:
     """Estimate the disparity of every pixel of one photograph.
@@ -72,7 +72,7 @@ def estimate_disparity(
     fields : sequence of LayerField, optional
         For an optimiser: what equal depth means at every pixel, for each of `colour_spaces`. Without them it looks
         for surfaces of even disparity, in the first colour space only.
-    blur : FieldBlur, optional
+    blur : LensBlur, optional
         For ``config.phase``: the camera's blur.
     backend : {"numba", "reference"}
 

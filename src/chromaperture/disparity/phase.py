@@ -32,7 +32,7 @@ from chromaperture.disparity.tiles import Nodes, TileSpectrum
 from chromaperture.disparity.views import MatchInputs
 from chromaperture.disparity.winner import Winner
 from chromaperture.errors import InputError
-from chromaperture.optics.field_blur import FieldBlur, Rays
+from chromaperture.optics.lens_blur import LensBlur, Rays
 
 _MAX_CORRELATION2 = 0.999
 _SILENT = 0.01  # weight of the other pairs below which a tile need not be asked
@@ -41,7 +41,7 @@ _SILENT = 0.01  # weight of the other pairs below which a tile need not be asked
 def match(
     image: np.ndarray,
     inputs: MatchInputs,
-    blur: FieldBlur,
+    blur: LensBlur,
     field: LayerField,
     config: MatcherConfig,
     *,
@@ -55,7 +55,7 @@ def match(
     image : (H, W, 3) float32, linear RGB
     inputs : MatchInputs
         Of the same image: guide, mask and layers are used.
-    blur : FieldBlur
+    blur : LensBlur
     field : LayerField
         What equal depth means at every pixel, in the layers of the blur: the camera's quality "accurate".
     config : MatcherConfig
@@ -83,7 +83,7 @@ def match(
 
 def phase_likelihood(
     image: np.ndarray,
-    blur: FieldBlur,
+    blur: LensBlur,
     layers_px: np.ndarray,
     *,
     config: PhaseConfig,
@@ -94,10 +94,10 @@ def phase_likelihood(
     Parameters
     ----------
     image : (H, W, 3) float32, linear RGB, finite
-    blur : FieldBlur
+    blur : LensBlur
         Of the camera that took it.
     layers_px : (D,) float, px
-        Half disparities in the middle of the frame, see ``FieldBlur.reference``: they name distances.
+        Half disparities in the middle of the frame, see ``LensBlur.reference``: they name distances.
     config : PhaseConfig
     noise_variance : (H, W, 3) float, optional
         Of the image, (white level)^2.
@@ -133,7 +133,7 @@ def phase_likelihood(
 
 
 def _evidence(
-    blur: FieldBlur,
+    blur: LensBlur,
     pairs: tuple[tuple[int, int], ...],
     nodes: Nodes,
     spectra: Sequence[TileSpectrum | None],
@@ -173,7 +173,7 @@ class _Tile(NamedTuple):
 
 
 def _cross_filtered(
-    blur: FieldBlur,
+    blur: LensBlur,
     pairs: tuple[tuple[int, int], ...],
     channels: tuple[int, ...],
     nodes: Nodes,

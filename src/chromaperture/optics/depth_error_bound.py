@@ -19,7 +19,7 @@ from chromaperture.optics.aperture import Aperture, channel_transmission
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_otf
-from chromaperture.optics.sensor import Sensor
+from chromaperture.optics.sensor import SensorModel
 
 _FIELD = 128  # side of the patch whose frequencies are summed, px
 _STEP = 1e-2  # px of blur radius, for the derivative
@@ -78,7 +78,7 @@ def expected_accuracy(
     camera: PupilCamera,
     depth_mm: np.ndarray,
     *,
-    sensor: Sensor | None = None,
+    sensor: SensorModel | None = None,
     texture: Texture | None = None,
     exposure: float = 1.0,
 ) -> ExpectedAccuracy:
@@ -90,7 +90,7 @@ def expected_accuracy(
     camera : PupilCamera
     depth_mm : (N,) float
         From the sensor plane.
-    sensor : Sensor, optional
+    sensor : SensorModel, optional
     texture : Texture, optional
     exposure : float
         Factor on the light, the same for all designs that are to be compared.
@@ -104,7 +104,7 @@ def expected_accuracy(
     InputError
         A distance behind the camera.
     """
-    sensor, texture = sensor or Sensor(), texture or Texture()
+    sensor, texture = sensor or SensorModel(), texture or Texture()
     depth = np.atleast_1d(np.asarray(depth_mm, float))
     radius = camera.blur_radius_px(depth)
     beta = aperture_figures(aperture, film_unmixing(aperture)).beta if aperture.views else 0.0
@@ -117,7 +117,7 @@ def expected_accuracy(
 
 
 def disparity_bound(
-    aperture: Aperture, radius_px: float, beta: float, sensor: Sensor, texture: Texture, exposure: float
+    aperture: Aperture, radius_px: float, beta: float, sensor: SensorModel, texture: Texture, exposure: float
 ) -> float:
     """Smallest standard deviation of the half disparity at a blur radius, px; inf if nothing is learned."""
     if beta == 0:

@@ -19,7 +19,7 @@ from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import RayTable
 from chromaperture.optics.render import render, render_depth
 from chromaperture.optics.scene import Plane, plane
-from chromaperture.optics.sensor import Sensor, expose
+from chromaperture.optics.sensor import SensorModel, expose
 from chromaperture.optics.shapes import Disc
 
 _WHITE_LEVEL = 0.9  # white paper reaches this in the brightest channel
@@ -39,14 +39,14 @@ class SessionPlan:
     ruler_error_mm : float
         The board stands off the distance written down by up to this much.
     seed : int
-    sensor : Sensor
+    sensor : SensorModel
     """
 
     distances_mm: tuple[float, ...] = tuple(float(d) for d in range(1000, 4001, 100))
     tilts: int = 12
     ruler_error_mm: float = 3.0
     seed: int = 0
-    sensor: Sensor = field(default_factory=Sensor)
+    sensor: SensorModel = field(default_factory=SensorModel)
 
 
 def write_session(
