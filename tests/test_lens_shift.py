@@ -13,7 +13,8 @@ from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.effects.restore import focus_radius, restore
-from chromaperture.effects.transfer_functions import LensBlur, ThinLensBlur
+from chromaperture.effects.transfer_functions import LensBlur as LensTransfer
+from chromaperture.effects.transfer_functions import ThinLensBlur
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.lens_otf import ChannelRays, traced
@@ -35,7 +36,7 @@ def lens_shift(model, design="cy_halves"):
 @pytest.mark.parametrize("radius", [-6.0, 0.0, 4.0])
 @pytest.mark.parametrize("design", ["cy_halves", "rgb_squares"])
 def test_a_thin_lens_s_kernels_are_the_aperture_s_shadow(design, radius):
-    by_rays = LensBlur(lens_shift(THIN, design))(radius, (64, 80))
+    by_rays = LensTransfer(lens_shift(THIN, design))(radius, (64, 80))
     by_mask = ThinLensBlur(DESIGNS[design])(radius, (64, 80))
     fy, fx = np.fft.fftfreq(64)[:, None], np.fft.rfftfreq(80)[None]
     shown = np.hypot(fy, fx) < 0.45  # at the pixels' own frequency a kernel must be cut off somehow

@@ -28,7 +28,7 @@ _REFINEMENT = 4  # the nodes are refined this many times by cubics, then interpo
 _RADII = 7  # blur radii of the table
 _FREQUENCIES = 24  # steps from 0 to the highest frequency, along an axis
 _HIGHEST = 0.25  # cycles/px; higher frequencies are blurred away in defocused channels
-_LOWEST = 1 / 35  # cycles/px; lower frequencies count as shading. A period of the 35 px windows of `benchmarks/colour.py`
+_LOWEST = 1 / 35  # cycles/px; lower frequencies count as shading. One period of the windows of benchmarks/colour.py
 _GREEN = 1
 _STEPS = 6  # of Gauss-Newton
 

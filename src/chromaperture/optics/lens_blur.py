@@ -247,8 +247,9 @@ class LensBlur:
     def transfer_of(self, rays: Rays, inverse_mm: float, size_px: int, *, splat: Splat | None = None) -> np.ndarray:
         """Compute the optical transfer functions of rays at a distance; parameters as in `transfer`."""
         if splat is None:
-            from chromaperture.optics.splat_kernels import splat  # compiling starts here, not at import
+            from chromaperture.optics import splat_kernels  # compiling starts here, not at import
 
+            splat = splat_kernels.splat
         psf = np.zeros((len(rays.light), size_px, size_px), np.float32)
         defocus = self.model.scale_px_mm * inverse_mm * self.pupil.points
         for points, light, out in zip(rays.at_infinity_px, rays.light, psf, strict=True):
