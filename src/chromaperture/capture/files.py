@@ -47,9 +47,7 @@ class Decoded:
     own: Encoding | None = None
 
 
-def read_image(
-    path: str | Path, *, black_level: float | None = None, white_level: float | None = None
-) -> np.ndarray:
+def read_image(path: str | Path, *, black_level: float | None = None, white_level: float | None = None) -> np.ndarray:
     """Read a photograph as linear light: `decode`, then `linearise`.
 
     Files of 16 bit (PNG, TIFF, PPM) hold linear counts; without levels, black is 0 and white 65535. Files of 8 bit

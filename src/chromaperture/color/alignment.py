@@ -92,9 +92,7 @@ def linear_displacement(disparity_px: np.ndarray, directions: np.ndarray) -> np.
     return np.asarray(disparity_px, np.float32) * u[..., None, None]
 
 
-def shift_back(
-    image: np.ndarray, displacement_px: np.ndarray, *, interpolation: int = cv2.INTER_CUBIC
-) -> np.ndarray:
+def shift_back(image: np.ndarray, displacement_px: np.ndarray, *, interpolation: int = cv2.INTER_CUBIC) -> np.ndarray:
     """Sample each channel at x + its displacement, (3, 2, H, W) px, by an OpenCV interpolation; (H, W, 3) float32."""
     height, width = displacement_px.shape[2:]
     x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]

@@ -226,9 +226,7 @@ def checked_aperture(aperture: Aperture) -> Aperture:
     for view in aperture.views:
         aperture.filter_named(view)
     if not aperture.transmission_map(x, y).any():
-        raise InputError(
-            f"aperture {aperture.name!r} passes no light: add a piece of film or a clear remainder"
-        )
+        raise InputError(f"aperture {aperture.name!r} passes no light: add a piece of film or a clear remainder")
     return aperture
 
 
@@ -241,9 +239,7 @@ def _three_discs(filters: Sequence[Filter], radius: float, distance: float) -> t
     """Discs up, lower left, lower right (y is down, so "up" is negative)."""
     angles = (-90, 150, 30)
     return tuple(
-        SubAperture(
-            Disc((distance * math.cos(math.radians(a)), distance * math.sin(math.radians(a))), radius), colour
-        )
+        SubAperture(Disc((distance * math.cos(math.radians(a)), distance * math.sin(math.radians(a))), radius), colour)
         for a, colour in zip(angles, filters, strict=True)
     )
 
@@ -252,8 +248,7 @@ def _three_squares(filters: Sequence[Filter]) -> tuple[SubAperture, ...]:
     """Squares right, up, left: three quarters of the pupil's inscribed square, standing on its corner."""
     centers = ((0.5, 0.0), (0.0, -0.5), (-0.5, 0.0))
     return tuple(
-        SubAperture(Square(center, _SQUARE_SIDE, 45), colour)
-        for center, colour in zip(centers, filters, strict=True)
+        SubAperture(Square(center, _SQUARE_SIDE, 45), colour) for center, colour in zip(centers, filters, strict=True)
     )
 
 
@@ -270,8 +265,7 @@ def open_disc(radius: float, *, name: str = "cy_open_disc") -> Aperture:
     """Design VII read as a ring: cyan and yellow half rings around an open disc of that radius."""
     ring = Disc(inner_radius=radius, radius=2.0)
     halves = tuple(
-        SubAperture(Intersection((ring, HalfPlane(side))), colour)
-        for side, colour in ((_LEFT, CYAN), (_RIGHT, YELLOW))
+        SubAperture(Intersection((ring, HalfPlane(side))), colour) for side, colour in ((_LEFT, CYAN), (_RIGHT, YELLOW))
     )
     return Aperture(name, "VII b: cyan and yellow, open disc", halves, CLEAR, ("cyan", "yellow"))
 

@@ -61,14 +61,10 @@ def aperture_from_dict(data: Mapping[str, Any], *, name: str) -> Aperture:
     """
     known = {"title", "film", "remainder", "views", "filters", "part"}
     if set(data) - known:
-        raise InputError(
-            f"aperture {name!r}: unknown keys {', '.join(sorted(set(data) - known))}; known are {known}"
-        )
+        raise InputError(f"aperture {name!r}: unknown keys {', '.join(sorted(set(data) - known))}; known are {known}")
     own = {key: Filter(key, tuple(value["transmission"])) for key, value in data.get("filters", {}).items()}
     sheets = film_named(data.get("film", "ideal")) | FIXED | own
-    parts = tuple(
-        SubAperture(_shape(part), _sheet(sheets, part.get("filter"))) for part in data.get("part", ())
-    )
+    parts = tuple(SubAperture(_shape(part), _sheet(sheets, part.get("filter"))) for part in data.get("part", ()))
     remainder = data.get("remainder", "opaque")
     if remainder not in FIXED:
         raise InputError(f"aperture {name!r}: remainder must be clear or opaque, got {remainder!r}")
@@ -83,9 +79,7 @@ def _views(parts: tuple[SubAperture, ...]) -> tuple[str, ...]:
 
 def _sheet(sheets: Mapping[str, Filter], name: object) -> Filter:
     if not isinstance(name, str) or name not in sheets:
-        raise InputError(
-            f"unknown filter {name!r}: choose one of {', '.join(sheets)}, or define [filters.{name}]"
-        )
+        raise InputError(f"unknown filter {name!r}: choose one of {', '.join(sheets)}, or define [filters.{name}]")
     return sheets[name]
 
 
@@ -94,9 +88,7 @@ def _shape(part: Mapping[str, Any]) -> Shape:
     kinds: dict[str, Any] = {"disc": Disc, "half_plane": HalfPlane, "square": Square}
     given = [key for key in part if key != "filter"]
     if len(given) != 1 or given[0] not in (*kinds, "polygon"):
-        raise InputError(
-            f"a part needs a filter and one of {', '.join(kinds)}, polygon; got {', '.join(part)}"
-        )
+        raise InputError(f"a part needs a filter and one of {', '.join(kinds)}, polygon; got {', '.join(part)}")
     value = part[given[0]]
     try:
         if given[0] == "polygon":

@@ -131,10 +131,7 @@ def disparity_bound(
     shape = (_FIELD, _FIELD)
 
     def views(r: float) -> np.ndarray:
-        otf = (
-            geometric_otf(aperture, float(r), shape, pixel=True).astype(complex)
-            * (exposure * light)[:, None, None]
-        )
+        otf = geometric_otf(aperture, float(r), shape, pixel=True).astype(complex) * (exposure * light)[:, None, None]
         return np.einsum("kc,chw->hwk", rows, otf)
 
     h = views(radius_px)

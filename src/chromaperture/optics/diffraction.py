@@ -65,8 +65,7 @@ def diffraction_psf(
         cells = 2 * int(np.ceil(max(32, 4 * steps)))
     if cells > _MOST_CELLS:
         raise InputError(
-            f"the defocus of {w20:.0f} um is hundreds of waves: diffraction is lost in it, use the "
-            "geometric PSF"
+            f"the defocus of {w20:.0f} um is hundreds of waves: diffraction is lost in it, use the geometric PSF"
         )
     axis = (np.arange(cells) + 0.5) * 2 / cells - 1
     xi, eta = np.meshgrid(axis, axis)

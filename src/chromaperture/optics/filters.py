@@ -17,8 +17,7 @@ class Filter:
     def __post_init__(self) -> None:
         if len(self.transmission) != 3 or not all(0 <= t <= 1 for t in self.transmission):
             raise InputError(
-                f"filter {self.name!r} needs three transmissions (R, G, B) between 0 and 1, got "
-                f"{self.transmission}"
+                f"filter {self.name!r} needs three transmissions (R, G, B) between 0 and 1, got {self.transmission}"
             )
 
 

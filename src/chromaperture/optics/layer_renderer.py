@@ -142,9 +142,7 @@ def _nearest(wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return found[..., 0], found[..., 1]
 
 
-def behind_edges(
-    color: np.ndarray, radius: np.ndarray, reach: int, edge_px: float
-) -> tuple[np.ndarray, np.ndarray]:
+def behind_edges(color: np.ndarray, radius: np.ndarray, reach: int, edge_px: float) -> tuple[np.ndarray, np.ndarray]:
     """Continue far surfaces behind the near sides of depth edges.
 
     Parameters

@@ -53,9 +53,7 @@ class PupilCamera:
         if min(self.width_px, self.height_px) < 1 or not (self.focal_px > 0 and self.pixel_pitch_mm > 0):
             raise InputError("a camera needs a positive image size, focal_px and pixel_pitch_mm")
         if not (self.pupil_radius_mm > 0 and self.sensor_to_pupil_mm >= 0):
-            raise InputError(
-                "a camera needs a positive pupil_radius_mm and a sensor_to_pupil_mm of at least 0"
-            )
+            raise InputError("a camera needs a positive pupil_radius_mm and a sensor_to_pupil_mm of at least 0")
         # The paraxial focal length is below F: an object inside it would be imaged behind the camera.
         if not self.focus_mm - self.sensor_to_pupil_mm > self.image_distance_mm:
             raise InputError(
@@ -127,9 +125,7 @@ def pupil_camera(lens: Prescription, *, width_px: int, height_px: int, pixel_pit
         height_px=height_px,
         focal_px=data.pinhole_distance_mm / pixel_pitch_mm,
         pupil_radius_mm=data.entrance_diameter_mm / 2,
-        focus_mm=data.in_focus_mm + data.sensor_to_entrance_pupil_mm
-        if math.isfinite(data.in_focus_mm)
-        else math.inf,
+        focus_mm=data.in_focus_mm + data.sensor_to_entrance_pupil_mm if math.isfinite(data.in_focus_mm) else math.inf,
         sensor_to_pupil_mm=data.sensor_to_entrance_pupil_mm,
         pixel_pitch_mm=pixel_pitch_mm,
     )

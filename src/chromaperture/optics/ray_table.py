@@ -127,17 +127,13 @@ def lens_rays(
     gx, gy = (max(3, round(nodes * side / longer)) for side in (width_px, height_px))
     x_px, y_px = np.linspace(0, width_px - 1, gx), np.linspace(0, height_px - 1, gy)
     fields = np.stack(
-        np.meshgrid(
-            (x_px - (width_px - 1) / 2) * pixel_pitch_mm, (y_px - (height_px - 1) / 2) * pixel_pitch_mm
-        ),
+        np.meshgrid((x_px - (width_px - 1) / 2) * pixel_pitch_mm, (y_px - (height_px - 1) / 2) * pixel_pitch_mm),
         axis=-1,
     ).reshape(-1, 2)
 
     unit = _open_light(lens, data, cells)
     light = lens_light(lens, aperture, fields, data=data, cells=cells) / unit
-    bundles = [
-        lens_bundle(lens, fields, wavelength_um=w, data=data, cells=cells) for w in lens.wavelengths_um
-    ]
+    bundles = [lens_bundle(lens, fields, wavelength_um=w, data=data, cells=cells) for w in lens.wavelengths_um]
     used = light.any(axis=(0, 1))
     chief = chief_rays(lens, fields, data=data)
     origin, slope = (
@@ -174,9 +170,7 @@ def _open_light(lens: Prescription, data: Paraxial, cells: int) -> float:
     """Light of the open pupil on the axis, the unit of all weights; checks that the stop limits it."""
     light = lens_light(lens, DESIGNS["open"], np.zeros((1, 2)), data=data, cells=cells)[1]
     if not light.any():
-        raise InputError(
-            f"no ray from the sensor's middle passes lens {lens.name!r}: check its stop and diameters"
-        )
+        raise InputError(f"no ray from the sensor's middle passes lens {lens.name!r}: check its stop and diameters")
     rim = np.stack([np.cos(np.linspace(0, 2 * np.pi, 64)), np.sin(np.linspace(0, 2 * np.pi, 64))], -1)
     _, _, hit = _from_sensor(lens, data, np.zeros((1, 2)), 0.97 * rim, lens.wavelengths_um[1])
     if not hit.clear[np.hypot(*hit.at_stop.T) < 0.985].all():
@@ -193,20 +187,12 @@ def _from_sensor(lens, data, fields, pupil, wavelength_um):  # type: ignore[no-u
     first = lens.first_vertex_to_sensor_mm
     # Upright picture: the image point (x, y) lies at (-x, -y) on the sensor.
     start = np.concatenate([-fields, np.full((len(fields), 1), first)], axis=1)
-    target = np.concatenate(
-        [pupil * data.exit_diameter_mm / 2, np.full((len(pupil), 1), data.exit_pupil_mm)], axis=1
-    )
+    target = np.concatenate([pupil * data.exit_diameter_mm / 2, np.full((len(pupil), 1), data.exit_pupil_mm)], axis=1)
     direction = (target[None] - start[:, None]).reshape(-1, 3)
-    if (
-        data.exit_pupil_mm > first
-    ):  # the pupil's image lies behind the sensor: the same lines, walked the other way
+    if data.exit_pupil_mm > first:  # the pupil's image lies behind the sensor: the same lines, walked the other way
         direction = -direction
-    rays = trace(
-        lens, np.repeat(start, len(pupil), axis=0), direction, wavelength_um=wavelength_um, from_sensor=True
-    )
-    slope = (
-        -rays.direction[:, :2] / rays.direction[:, 2:]
-    )  # lens frame z points to the sensor, camera frame away
+    rays = trace(lens, np.repeat(start, len(pupil), axis=0), direction, wavelength_um=wavelength_um, from_sensor=True)
+    slope = -rays.direction[:, :2] / rays.direction[:, 2:]  # lens frame z points to the sensor, camera frame away
     along = rays.position[:, 2:] - data.entrance_pupil_mm
     return rays.position[:, :2] + slope * along, slope, rays
 

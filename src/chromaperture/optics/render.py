@@ -72,9 +72,7 @@ def render(
         A plane reaches behind the entrance pupil.
     """
     world = _packed(planes, table.z_mm)
-    rays = _Rays(
-        _grid(table), np.float32(table.z_mm), table.origin, table.slope, table.weight, _pixel_slope(table)
-    )
+    rays = _Rays(_grid(table), np.float32(table.z_mm), table.origin, table.slope, table.weight, _pixel_slope(table))
     out = np.zeros((table.height_px, table.width_px, 3), np.float32)
     jitter, around = _jitter(table.origin.shape[3], seed), np.asarray(background, np.float32)
     in_parallel(lambda _, first, last: _render(out, rays, around, world, jitter, seed, first, last), len(out))

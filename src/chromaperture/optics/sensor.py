@@ -36,13 +36,10 @@ class SensorModel:
 
     def __post_init__(self) -> None:
         if not (self.full_well_electrons > 0 and self.read_noise_electrons >= 0):
-            raise InputError(
-                "a sensor needs a positive full_well_electrons and a read_noise_electrons of at least 0"
-            )
+            raise InputError("a sensor needs a positive full_well_electrons and a read_noise_electrons of at least 0")
         if not 0 <= self.black_level < self.white_level < 2**self.bits <= 2**16:
             raise InputError(
-                f"black level {self.black_level} and white level {self.white_level} must rise and fit "
-                f"{self.bits} bits"
+                f"black level {self.black_level} and white level {self.white_level} must rise and fit {self.bits} bits"
             )
 
 

@@ -55,9 +55,7 @@ def outline(shape: Shape) -> list[np.ndarray]:
         return [_in_pupil(corners @ turn.T + shape.center)]
     if isinstance(shape, Polygon):
         return [_in_pupil(np.array(shape.corners))]
-    raise InputError(
-        f"no outline is known for {type(shape).__name__}: give the aperture as discs, squares or polygons"
-    )
+    raise InputError(f"no outline is known for {type(shape).__name__}: give the aperture as discs, squares or polygons")
 
 
 def _circle(center: tuple[float, float], radius: float) -> np.ndarray:
