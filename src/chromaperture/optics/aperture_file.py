@@ -1,4 +1,4 @@
-"""Apertures of one's own, from a short TOML file or a simple drawing."""
+"""User-defined apertures from a short TOML file or a simple drawing."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ from chromaperture.optics.svg import read_svg_shapes
 
 
 def load_aperture(name_or_path: str | Path) -> Aperture:
-    """Give an aperture by the name of a design, or from a ``.toml`` or ``.svg`` file.
+    """Load an aperture by the name of a design, or from a ``.toml`` or ``.svg`` file.
 
     Raises
     ------
     InputError
-        Unknown name, missing or malformed file, pieces that overlap or lie outside the pupil, unknown
-        filters.
+        Unknown name, missing or malformed file, pieces that overlap or lie outside the pupil, unknown filters.
     """
     path = Path(name_or_path)
     if path.suffix.lower() not in (".toml", ".svg"):
@@ -73,7 +72,7 @@ def aperture_from_dict(data: Mapping[str, Any], *, name: str) -> Aperture:
 
 
 def _views(parts: tuple[SubAperture, ...]) -> tuple[str, ...]:
-    """Give the coloured filters in order, without repeats."""
+    """List the coloured filters in order, without repeats."""
     return tuple(dict.fromkeys(part.filter.name for part in parts if part.filter.name not in FIXED))
 
 
