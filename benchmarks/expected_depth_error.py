@@ -22,13 +22,13 @@ from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.disparity.winner import parabola_winner
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
-from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.layer_renderer import render_layers
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.pinhole import pupil_camera
 from chromaperture.optics.prescription import load_lens
-from chromaperture.optics.sensor import Sensor, develop, expose
+from chromaperture.optics.sensor import SensorModel, develop, expose
 from chromaperture.optics.textures import noise
 
 SIZE, BORDER, PITCH_MM = 256, 40, 0.0309722
@@ -43,7 +43,7 @@ def thin_lens(camera, design):
     inverse = 1 / (np.array([near, far]) - camera.sensor_to_pupil_mm)
     scale = (radius[1] - radius[0]) / (inverse[0] - inverse[1])
     model = BlurModel(radius[0] + scale * inverse[0], scale, front_rim_radius=WIDE_RIM, rear_rim_radius=WIDE_RIM)
-    return FieldBlur(model, sample_pupil(design), SIZE, SIZE)
+    return LensBlur(model, sample_pupil(design), SIZE, SIZE)
 
 
 def photograph(design, camera, distance_mm, sensor, seed):
@@ -89,7 +89,7 @@ def main():
     design = made_of(DESIGNS[args.design], "real")
     lens = focused_at(load_lens("double_gauss_50"), 2000.0)
     camera = pupil_camera(lens, width_px=SIZE, height_px=SIZE, pixel_pitch_mm=PITCH_MM)
-    blur, sensor = thin_lens(camera, design), Sensor()
+    blur, sensor = thin_lens(camera, design), SensorModel()
     texture = Texture(patch_px=SIZE, window_px2=4 * np.pi * PhaseConfig().window_sigma_px ** 2)
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
     report = []

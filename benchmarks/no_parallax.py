@@ -22,8 +22,8 @@ from chromaperture.effects.restore import white_gains
 from chromaperture.effects.transfer_functions import LensBlur
 from chromaperture.effects.wiener import mirrored, padded_size
 from chromaperture.optics.aperture import design_named
-from chromaperture.optics.field_blur import sample_pupil
-from chromaperture.optics.field_otf import traced
+from chromaperture.optics.lens_blur import sample_pupil
+from chromaperture.optics.lens_otf import traced
 
 TILE_PX = 144
 

@@ -22,7 +22,7 @@ from chromaperture.disparity.views import prepare_views, view_pairs
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.optics.aperture import design_named
-from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 
 CASES = {
     "hd_restoration_two_filters": ("cy_halves", (720, 1280)),
@@ -67,7 +67,7 @@ def benchmark() -> dict:
         def align(image=image, truth=truth, shifts=shifts) -> object:
             return align_channels(image, truth, shifts)
 
-        edges = LensShift(FieldBlur(THIN, sample_pupil(aperture), width, height), near_mm=900.0, far_mm=6000.0)
+        edges = LensShift(LensBlur(THIN, sample_pupil(aperture), width, height), near_mm=900.0, far_mm=6000.0)
 
         def align_by_lens(image=image, truth=truth, shifts=shifts, radius=radius, edges=edges) -> object:
             return align_channels(image, truth, shifts, displacement_px=edges(radius))

@@ -26,8 +26,8 @@ from chromaperture.effects.restore import UNFITTED_ERROR, fitted_settings
 from chromaperture.effects.steady import steady_disparity
 from chromaperture.effects.transfer_functions import Blur, LensBlur, MeasuredBlur, ThinLensBlur
 from chromaperture.optics.aperture import centroids
-from chromaperture.optics.field_blur import BlurModel, FieldBlur
-from chromaperture.optics.field_otf import Rays
+from chromaperture.optics.lens_blur import BlurModel, LensBlur
+from chromaperture.optics.lens_otf import ChannelRays
 
 FULL_WELL, READ_NOISE = 5000.0, 4.0  # electrons
 ROUNDS = {"layered Wiener": 0, "all in focus": 3}
@@ -144,7 +144,7 @@ def fitted(
     scale = width / calibration.sensor.width_px
     numbers = {k: v if "rim" in k else scale * v for k, v in asdict(calibration.blur).items()}
     pupil = calibration.field_blur().pupil
-    lens = LensShift(FieldBlur(BlurModel(**numbers), pupil, width, height), near_mm=600.0, far_mm=6000.0)
+    lens = LensShift(LensBlur(BlurModel(**numbers), pupil, width, height), near_mm=600.0, far_mm=6000.0)
     at_infinity = lens.radius_px(0.0)
     inverse_mm = 1 / np.where(np.isfinite(depth_mm), depth_mm - sensor_to_pupil_mm, np.inf)
     radius = np.where(np.isfinite(depth_mm), lens.radius_px(inverse_mm), at_infinity).astype(np.float32)
@@ -291,7 +291,7 @@ def _registered_px(stack: np.ndarray) -> float:
     rays = []
     for kernel in np.maximum(stack[[0, 2, 2]], 0):
         lit = kernel.ravel() > 1e-3 * kernel.max()
-        rays.append(Rays(places[lit], kernel.ravel()[lit] / kernel.ravel()[lit].sum()))
+        rays.append(ChannelRays(places[lit], kernel.ravel()[lit] / kernel.ravel()[lit].sum()))
     shift = least_fringes(rays)
     return float(shift[0, 0] - shift[1, 0]) / 2
 

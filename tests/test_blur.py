@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from chromaperture.errors import InputError
+from chromaperture.optics import splat_kernels
 from chromaperture.optics.aperture import DESIGNS, made_of
-from chromaperture.optics.field_blur import BlurModel, FieldBlur, displacement, rims, sample_pupil
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, displacement, rims, sample_pupil, splat
 from chromaperture.optics.paraxial import paraxial
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.prescription import load_lens
@@ -18,7 +19,7 @@ HALVES = sample_pupil(DESIGNS["cy_halves"])
 
 
 def blur_of(model, pupil=HALVES):
-    return FieldBlur(model, pupil, W, H)
+    return LensBlur(model, pupil, W, H)
 
 
 def test_a_thin_lens_displaces_rays_as_the_pinhole_camera_traces_them():
@@ -62,6 +63,19 @@ def test_near_blur_is_far_blur_turned_by_half_a_turn():
     far, near = (blur.transfer(W / 2, H / 2, q, 64) for q in (2.5e-4, 7.5e-4))  # r = +5 and -5 px
     np.testing.assert_allclose(near, far.conj(), atol=2e-6)
     np.testing.assert_allclose(far[:, 0, 0], 1, atol=1e-6)
+
+
+def test_the_rasteriser_in_numpy_is_the_compiled_one():
+    rng = np.random.default_rng(3)
+    points, weights = rng.uniform(-40, 40, (1500, 2)), rng.random(1500) / 1500
+    found, expected = np.zeros((2, 24, 24), np.float32)
+    splat(points, weights, found)
+    splat_kernels.splat(points, weights, expected)
+    # The compiled one rounds to float32 after each of some 10 points a pixel.
+    np.testing.assert_allclose(found, expected, atol=10 * np.finfo(np.float32).eps * expected.max())
+    blur = blur_of(BlurModel(10.0, 20000.0))
+    plain, compiled = (blur.transfer(30.0, 40.0, 1e-3, 64, splat=s) for s in (splat, None))
+    np.testing.assert_allclose(plain, compiled, atol=1e-6)  # float32 rounding of sums that are at most 1
 
 
 def test_the_transfer_of_a_disc_is_the_jinc():

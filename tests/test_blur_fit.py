@@ -15,7 +15,7 @@ from chromaperture.config import MatcherConfig
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 
 W, H = 160, 120
 TRUE = BlurModel(5.0, 8000.0, axial_red_px=-0.3, axial_blue_px=0.4, spherical_px=-1.0)
@@ -26,7 +26,7 @@ PUPIL = sample_pupil(DESIGNS["cy_halves"])
 def boards(model=TRUE, noise=0.001):
     """The same blur in the whole frame, so that one convolution makes a board exactly."""
     rng = np.random.default_rng(8)
-    blur = FieldBlur(model, PUPIL, W, H)
+    blur = LensBlur(model, PUPIL, W, H)
     for z in DISTANCES_MM:
         transfer = blur.transfer((W - 1) / 2, (H - 1) / 2, 1 / z, 256)
         image = scipy.fft.irfft2(scipy.fft.rfft2(rng.normal(0.5, 0.15, (256, 256))) * transfer)
@@ -36,19 +36,19 @@ def boards(model=TRUE, noise=0.001):
 
 @pytest.fixture(scope="module")
 def fitted():
-    start = FieldBlur(BlurModel(4.4, 7300.0, front_rim_radius=1.08, rear_rim_radius=1.08), PUPIL, W, H)
+    start = LensBlur(BlurModel(4.4, 7300.0, front_rim_radius=1.08, rear_rim_radius=1.08), PUPIL, W, H)
     return fit_blur(boards(), start, board_count=len(DISTANCES_MM), tile_count=15)
 
 
 def test_the_lens_comes_back(fitted):
     """Single numbers trade places (defocus with spherical aberration): what counts are the transfer functions."""
-    true = FieldBlur(TRUE, PUPIL, W, H)
+    true = LensBlur(TRUE, PUPIL, W, H)
     place = ((W - 1) / 2, (H - 1) / 2)
     for z in (1000.0, 2000.0, 3000.0):
         expected = true.transfer(*place, 1 / z, 64)
         found = fitted.blur.transfer(*place, 1 / z, 64)
         error = np.abs(found - expected).max()
-        start = np.abs(FieldBlur(BlurModel(4.4, 7300.0), PUPIL, W, H).transfer(*place, 1 / z, 64) - expected).max()
+        start = np.abs(LensBlur(BlurModel(4.4, 7300.0), PUPIL, W, H).transfer(*place, 1 / z, 64) - expected).max()
         assert error < 0.06, z
         assert error < start / 3, z
 
@@ -79,7 +79,7 @@ def test_a_board_far_from_where_it_is_expected_is_found(fitted):
 def test_boards_without_texture_are_refused():
     flat = [(np.full((H, W, 3), 0.4, np.float32), 1e-3)] * 4
     with pytest.raises(InputError, match="texture"):
-        fit_blur(flat, FieldBlur(TRUE, PUPIL, W, H), board_count=4)
+        fit_blur(flat, LensBlur(TRUE, PUPIL, W, H), board_count=4)
 
 
 class Boards:

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from chromaperture.capture.files import bit_depth, read_image
+from chromaperture.capture.files import decode, image_size, linearise, read_image
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 from chromaperture.errors import CaptureWarning, InputError
 
@@ -30,8 +30,19 @@ def test_sixteen_bit_png_keeps_every_count(tmp_path, counts):
     path = write_png(tmp_path / "a.png", counts)
     image = read_image(path, black_level=16, white_level=1016)
     assert image.dtype == np.float32
-    assert bit_depth(path) == 16
     np.testing.assert_allclose(image * 1000 + 16, counts, atol=1e-3)  # float32 at 1000 is good to 6e-5
+
+
+def test_a_file_decoded_once_gives_depth_size_and_image(tmp_path, counts):
+    path = write_png(tmp_path / "a.png", counts)
+    decoded = decode(path)
+    assert decoded.bits == 16
+    np.testing.assert_array_equal(decoded.array, counts)
+    assert image_size(path) == (32, 24)
+    levels = {"black_level": 16, "white_level": 1016}
+    np.testing.assert_array_equal(linearise(decoded, **levels), read_image(path, **levels))
+    Image.fromarray((counts // 4).astype(np.uint8)).save(tmp_path / "b.png")
+    assert decode(tmp_path / "b.png").bits == 8
 
 
 @pytest.mark.parametrize("suffix", [".tif", ".ppm"])

@@ -13,10 +13,11 @@ from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.effects.restore import focus_radius, restore
-from chromaperture.effects.transfer_functions import LensBlur, ThinLensBlur
+from chromaperture.effects.transfer_functions import LensBlur as LensTransfer
+from chromaperture.effects.transfer_functions import ThinLensBlur
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
-from chromaperture.optics.field_otf import Rays, traced
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
+from chromaperture.optics.lens_otf import ChannelRays, traced
 from planes import texture
 
 W, H = 192, 128
@@ -28,14 +29,14 @@ REAL = replace(
 
 
 def lens_shift(model, design="cy_halves"):
-    blur = FieldBlur(model, sample_pupil(DESIGNS[design]), W, H)
+    blur = LensBlur(model, sample_pupil(DESIGNS[design]), W, H)
     return LensShift(blur, near_mm=1000.0, far_mm=6000.0)
 
 
 @pytest.mark.parametrize("radius", [-6.0, 0.0, 4.0])
 @pytest.mark.parametrize("design", ["cy_halves", "rgb_squares"])
 def test_a_thin_lens_s_kernels_are_the_aperture_s_shadow(design, radius):
-    by_rays = LensBlur(lens_shift(THIN, design))(radius, (64, 80))
+    by_rays = LensTransfer(lens_shift(THIN, design))(radius, (64, 80))
     by_mask = ThinLensBlur(DESIGNS[design])(radius, (64, 80))
     fy, fx = np.fft.fftfreq(64)[:, None], np.fft.rfftfreq(80)[None]
     shown = np.hypot(fy, fx) < 0.45  # at the pixels' own frequency a kernel must be cut off somehow
@@ -56,7 +57,7 @@ def test_shifted_copies_are_found_exactly(rng):
     places = rng.uniform(-4, 4, (300, 2))
     light = np.full(300, 1 / 300)
     true = np.array([[1.2, -0.4], [0.0, 0.0], [-2.0, 0.7]])
-    found = least_fringes([Rays(places + t, light) for t in true])
+    found = least_fringes([ChannelRays(places + t, light) for t in true])
     np.testing.assert_allclose(found - found[1], true, atol=1e-6)
 
 
@@ -72,7 +73,7 @@ def test_no_other_displacement_leaves_less_of_a_fringe(rng):
 
     def seen(k, shift_px):
         otf = np.zeros(f.shape, complex)
-        for (px, py), light in zip(rays[k].places_px[::2], rays[k].weights[::2], strict=True):
+        for (px, py), light in zip(rays[k].points_px[::2], rays[k].weights[::2], strict=True):
             otf += light * np.exp(-2j * np.pi * (fx * (px - shift_px[0]) + fy * (py - shift_px[1])))
         return np.fft.irfft2(scene * otf / rays[k].weights[::2].sum())
 

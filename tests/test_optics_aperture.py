@@ -209,6 +209,12 @@ def test_bad_designs_say_what_is_wrong(data, message):
         ('<circle id="pupil" r="10"/><path fill="red" d="M0 0 A 5 5 0 0 1 3 3 Z"/>', "arcs"),
         ('<circle id="pupil" r="10"/><circle r="3" fill="red" transform="scale(2)"/>', "transform"),
         ('<circle id="pupil" r="10"/><circle r="3"/>', "data-filter"),
+        ('<circle id="pupil" r="10"/><path fill="red" d="M0 0 L3 0 3 3 M1 1 L2 2"/>', "more than one loop"),
+        ('<circle id="pupil" r="10"/><path fill="red" d="M0 0 L3 0 3"/>', "lacks numbers"),
+        ('<circle id="pupil" r="10"/><path fill="red" d="M0 0 L1e999 0 3 3"/>', "not finite"),
+        ('<circle id="pupil" r="10"/><path fill="red" d="M0 0' + 100_000 * " 1 1" + '"/>', "simplify"),
+        ('<circle id="pupil" r="10"/><polygon fill="red" points="0,0 1,1"/>', "fewer than three corners"),
+        ('<circle id="pupil" r="1cm"/>', "not a plain number"),
         ("<circle", "not valid SVG"),
     ],
 )

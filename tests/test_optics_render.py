@@ -13,7 +13,7 @@ from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.render import render, render_depth, render_sharp
 from chromaperture.optics.scene import load_scene, plane, scene_from_dict
-from chromaperture.optics.sensor import Sensor, develop, expose, mosaic
+from chromaperture.optics.sensor import SensorModel, develop, expose, mosaic
 from chromaperture.optics.textures import chessboard, noise
 
 CAMERA = PupilCamera(72, 56, 800.0, 10.0, 2000.0, 50.0, 0.02)
@@ -195,7 +195,7 @@ def test_a_scene_file_is_what_it_says(tmp_path):
 
 
 def test_noise_of_the_sensor_is_photons_and_reading():
-    sensor = Sensor(full_well_electrons=5000, read_noise_electrons=20)
+    sensor = SensorModel(full_well_electrons=5000, read_noise_electrons=20)
     level = np.float32([0.02, 0.2, 0.8])
     image = develop(expose(np.broadcast_to(level, (200, 250, 3)), sensor, seed=3), sensor)
     count = 200 * 250
@@ -205,14 +205,14 @@ def test_noise_of_the_sensor_is_photons_and_reading():
 
 
 def test_saturation_clips_and_bad_light_is_refused():
-    sensor = Sensor()
+    sensor = SensorModel()
     assert expose(np.full((4, 4, 3), 5.0), sensor, seed=0).max() == 1023
     with pytest.raises(InputError, match="finite light"):
         expose(np.full((4, 4, 3), np.nan), sensor, seed=0)
     with pytest.raises(InputError, match="must rise"):
-        Sensor(black_level=100, white_level=50)
+        SensorModel(black_level=100, white_level=50)
     with pytest.raises(InputError, match="full_well"):
-        Sensor(full_well_electrons=0)
+        SensorModel(full_well_electrons=0)
 
 
 def test_mosaics_keep_the_colour_under_each_pixel():

@@ -3,9 +3,12 @@
 import csv
 import json
 import math
+import re
 import tomllib
+from xml.etree import ElementTree
 
 import cv2
+import matplotlib
 import numpy as np
 import pytest
 import typer
@@ -14,12 +17,12 @@ from typer.testing import CliRunner
 from chromaperture.cli.apertures import apertures
 from chromaperture.cli.simulate import simulate, simulate_rgbd
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of
+from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission, made_of
 from chromaperture.optics.aperture_file import load_aperture
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
 from chromaperture.optics.pinhole import PupilCamera
-from chromaperture.optics.sensor import Sensor
-from chromaperture.optics.template import outline, template_svg, write_template
+from chromaperture.optics.sensor import SensorModel
+from chromaperture.optics.template import outline, write_template
 
 CAMERA = PupilCamera(96, 64, 400.0, 12.0, 2000.0, 50.0, 0.12)
 
@@ -145,7 +148,7 @@ def test_options_that_make_no_camera(tmp_path, arguments, message):
 def test_the_bound_of_two_shifted_views_is_the_textbook_one():
     """Two views of one texture: var d = var(view 1 - view 2) / (4 sum (dI/dx)^2)."""
     camera = PupilCamera(96, 64, 400.0, 12.0, 2000.0, 50.0, 0.12)
-    sensor, texture = Sensor(full_well_electrons=1e4, read_noise_electrons=50.0), Texture(window_px2=100.0)
+    sensor, texture = SensorModel(full_well_electrons=1e4, read_noise_electrons=50.0), Texture(window_px2=100.0)
     got = expected_accuracy(DESIGNS["cy_halves"], camera, np.array([2000.0]), sensor=sensor, texture=texture)
     # Ideal film in focus: C = (2B + G - R)/3 and Y = (2R + G - B)/3, light .5, 1, .5 and noise from each
     # channel.
@@ -203,23 +206,62 @@ def test_outlines_enclose_the_area_of_their_shapes(name):
         assert abs(area) == pytest.approx(expected, abs=5e-3)  # 400 cells across
 
 
-def test_a_template_read_back_is_the_aperture(tmp_path):
+@pytest.fixture(scope="module")
+def template_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("template") / "cut.svg"
+    write_template(path, DESIGNS["rgb_circles"], pupil_diameter_mm=20.0)
+    return path
+
+
+def drawn_path(root, gid):
+    """Path data of a drawn element, in points from the page's top-left corner."""
+    (group,) = (element for element in root.iter() if element.get("id") == gid)
+    (path,) = (element for element in group.iter() if element.tag.endswith("path"))
+    return path.get("d")
+
+
+def numbers(text):
+    return np.array([float(v) for v in re.findall(r"-?[0-9.]+", text)])
+
+
+def test_a_template_is_drawn_at_its_true_size(template_file):
+    root = ElementTree.parse(template_file).getroot()
+    page_points = np.array([210.0, 297.0]) * 72 / 25.4
+    # Matplotlib writes six decimals of a point.
+    np.testing.assert_allclose(numbers(root.get("viewBox"))[2:], page_points, atol=1e-5)
+    np.testing.assert_allclose([float(root.get(side).removesuffix("pt")) for side in ("width", "height")], page_points,
+                               atol=1e-5)  # fmt: skip
+    x, y = numbers(drawn_path(root, "assembled-pupil")).reshape(-1, 2).T * 25.4 / 72
+    # Outermost points of the circle's Bezier curves; their knots lie on the axes.
+    np.testing.assert_allclose([np.ptp(x), np.ptp(y)], 20.0, atol=1e-4)
+    np.testing.assert_allclose([x.min(), y.min()], [10 + 38 / 2 - 10, 40 + 44 / 2 - 10], atol=1e-4)
+
+
+def test_the_pdf_has_the_page_and_the_scale_of_the_svg(tmp_path):
+    with matplotlib.rc_context({"pdf.compression": 0}):
+        write_template(tmp_path / "cut.pdf", DESIGNS["rgb_circles"], pupil_diameter_mm=20.0)
+    content = (tmp_path / "cut.pdf").read_bytes().decode("latin-1")
+    # Six decimals of a point are written.
+    page = numbers(re.search(r"/MediaBox \[([^\]]+)\]", content)[1])
+    np.testing.assert_allclose(page * 25.4 / 72, [0, 0, 210, 297], atol=1e-5)
+    bar = numbers(re.search(r"\n([\d. ]+ m\n[\d. ]+) l\n\nS", content)[1]) * 25.4 / 72  # the first line drawn
+    np.testing.assert_allclose(bar, [10, 297 - 32, 60, 297 - 32], atol=1e-5)
+
+
+def test_a_template_read_back_is_the_aperture(tmp_path, template_file):
     """The printed page is itself a drawing: its assembled pieces give the design again."""
-    svg = template_svg(DESIGNS["rgb_circles"], pupil_diameter_mm=20.0)
-    assert 'width="210mm"' in svg
-    assembled = svg.split("assembled")[0]
-    pupil = (
-        assembled[assembled.index("<circle") :].replace("<circle", '<circle id="pupil"').split("/>")[0] + "/>"
-    )
-    assert 'r="10.000"' in pupil
-    pieces = [line for line in assembled.splitlines() if 'fill-rule="evenodd"' in line]
-    colours = ("red", "green", "blue")
-    named = [p.replace("<path", f'<path data-filter="{c}"') for p, c in zip(pieces, colours, strict=True)]
-    (tmp_path / "back.svg").write_text(f"<svg>{pupil}{''.join(named)}</svg>")
-    again = load_aperture(tmp_path / "back.svg")
-    np.testing.assert_allclose(
-        channel_transmission(again), channel_transmission(DESIGNS["rgb_circles"]), atol=1e-3
-    )
+    root = ElementTree.parse(template_file).getroot()
+    x, y = numbers(drawn_path(root, "assembled-pupil")).reshape(-1, 2).T
+    pupil = f'<circle id="pupil" cx="{(x.min() + x.max()) / 2}" cy="{(y.min() + y.max()) / 2}" r="{np.ptp(x) / 2}"/>'
+    pieces = [
+        f'<path fill="{colour}" d="{drawn_path(root, f"assembled-{i}")}"/>'
+        for i, colour in enumerate(("red", "green", "blue"))
+    ]
+    (tmp_path / "back.svg").write_text(f"<svg>{pupil}{''.join(pieces)}</svg>")
+    again, design = load_aperture(tmp_path / "back.svg"), DESIGNS["rgb_circles"]
+    # The grid that integrates the pupil is good to 4e-4 on either side.
+    np.testing.assert_allclose(channel_transmission(again), channel_transmission(design), atol=1e-3)
+    np.testing.assert_allclose(centroids(again), centroids(design), atol=1e-3)
 
 
 def test_templates_and_figures_are_written(tmp_path):
@@ -229,12 +271,11 @@ def test_templates_and_figures_are_written(tmp_path):
         result = runner.invoke(app(), ["apertures", "cy_open_disc", option, str(file), "-q"])
         assert result.exit_code == 0, result.output
     assert files[0].read_bytes().startswith(b"%PDF")
-    assert b"595.2" in files[0].read_bytes()  # 210 mm in points: A4 at its true size
     assert cv2.imread(str(files[2])).std() > 10
     with pytest.raises(InputError, match=r"\.svg or \.pdf"):
         write_template(tmp_path / "cut.txt", DESIGNS["open"], pupil_diameter_mm=10)
     with pytest.raises(InputError, match="does not fit"):
-        template_svg(DESIGNS["open"], pupil_diameter_mm=300)
+        write_template(tmp_path / "cut.svg", DESIGNS["open"], pupil_diameter_mm=300)
     both = runner.invoke(app(), ["apertures", "cy_halves", "open", "--template", str(files[1])])
     assert "exactly one" in str(both.exception)
 

@@ -1,4 +1,4 @@
-"""The thin lens against two traced rays: one through the lens centre, one through its rim."""
+"""The first-order camera against two traced rays of a thin lens: one through the lens centre, one through its rim."""
 
 import math
 
@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chromaperture.errors import InputError
-from chromaperture.optics import thin_lens
+from chromaperture.optics.pinhole import PupilCamera
 
+PITCH_MM = 0.01
 lengths = st.floats(4.0, 200.0)
-far = st.floats(1.5, 200.0)  # object distance in focal lengths
+far = st.floats(2.1, 200.0)  # object distance in focal lengths; nearer than 2 the image would be magnified
 
 
 def traced_crossing(z_o, f, height):
@@ -27,53 +27,34 @@ def traced_rim(z_od, z_if, f, radius):
     return -(radius + (radius / z_od - radius / f) * z_if)
 
 
-@given(lengths, far, st.floats(0.1, 5.0))
-def test_the_sharp_image_lies_where_rays_cross(f, distance, height):
-    z_i = thin_lens.object_to_image_distance(distance * f, f)
-    assert z_i == pytest.approx(traced_crossing(distance * f, f, height), rel=1e-12)
-    assert thin_lens.image_to_object_distance(z_i, f) == pytest.approx(distance * f, rel=1e-9)
+def thin_lens_camera(f, z_of, radius):
+    """A thin lens, which is its own entrance pupil, as a camera; distances count from the sensor."""
+    z_if = traced_crossing(z_of, f, radius)
+    return PupilCamera(9, 9, z_if / PITCH_MM, radius, z_of + z_if, z_if, PITCH_MM)
 
 
 @given(lengths, far, far, st.floats(0.5, 20.0))
-def test_blur_is_the_distance_of_the_rim_rays(f, od, of, radius):
-    z_od, z_of = od * f, of * f
-    z_if = traced_crossing(z_of, f, radius)
-    z_id = traced_crossing(z_od, f, radius)
-    expected = 2 * traced_rim(z_od, z_if, f, radius)
-    assert thin_lens.object_to_blur_diameter(z_od, z_of, f, 2 * radius) == pytest.approx(
-        expected, rel=1e-9, abs=1e-9
-    )
-    assert thin_lens.defocus_to_blur_diameter(z_id, z_if, 2 * radius) == pytest.approx(
-        expected, rel=1e-9, abs=1e-9
-    )
+def test_blur_is_the_height_of_the_rim_ray(f, od, of, radius):
+    """Eqs. (2) to (5)."""
+    camera = thin_lens_camera(f, of * f, radius)
+    expected = traced_rim(od * f, camera.image_distance_mm, f, radius)
+    found = PITCH_MM * camera.blur_radius_px(od * f + camera.sensor_to_pupil_mm)
+    assert float(found) == pytest.approx(expected, rel=1e-8, abs=1e-9)  # differences of distances lose digits
 
 
-@given(lengths, far, far, st.floats(0.05, 1.0), st.floats(0.001, 0.05))
-def test_disparity_is_the_half_distance_of_two_centroid_rays(f, od, of, beta, pitch):
-    z_od, z_of, radius = od * f, of * f, f / 4
-    z_if = traced_crossing(z_of, f, 1.0)
-    upper = traced_rim(z_od, z_if, f, beta * radius)
-    lower = traced_rim(z_od, z_if, f, -beta * radius)
-    d = thin_lens.object_to_disparity(z_od, z_of, f, 2 * radius, beta=beta, pixel_pitch=pitch)
-    assert 2 * d == pytest.approx((upper - lower) / pitch, rel=1e-9, abs=1e-9)
-    back = thin_lens.disparity_to_object(d, z_of, f, baseline=2 * beta * radius, pixel_pitch=pitch)
-    assert back == pytest.approx(z_od, rel=1e-6)
+@given(lengths, far, far, st.floats(0.05, 1.0))
+def test_disparity_is_the_half_distance_of_two_centroid_rays(f, od, of, beta):
+    """Eq. (6)."""
+    camera = thin_lens_camera(f, of * f, f / 4)
+    radius = beta * camera.pupil_radius_mm
+    upper, lower = (traced_rim(od * f, camera.image_distance_mm, f, h) for h in (radius, -radius))
+    found = camera.disparity_px(od * f + camera.sensor_to_pupil_mm, beta)
+    assert 2 * float(found) == pytest.approx((upper - lower) / PITCH_MM, rel=1e-8, abs=1e-6)
 
 
 def test_beyond_focus_is_positive_and_infinity_is_finite():
-    f, z_of = 50.0, 2000.0
-    near, focus, beyond, infinity = (
-        thin_lens.object_to_disparity(z, z_of, f, 25.0, beta=0.42, pixel_pitch=0.03)
-        for z in (1000.0, z_of, 4000.0, math.inf)
-    )
-    assert near < focus == 0 < beyond < infinity < 10
-
-
-def test_impossible_distances():
-    with pytest.raises(InputError, match="beyond f"):
-        thin_lens.object_to_image_distance(49.0, 50.0)
-    with pytest.raises(InputError, match="inside the focal length"):
-        thin_lens.image_to_object_distance(49.0, 50.0)
-    assert thin_lens.image_to_object_distance(50.0, 50.0) == math.inf
-    with pytest.raises(InputError, match="infinity"):
-        thin_lens.disparity_to_object(100.0, 2000.0, 50.0, baseline=10.0, pixel_pitch=0.03)
+    camera = thin_lens_camera(50.0, 2000.0, 12.5)
+    offset = camera.sensor_to_pupil_mm
+    near, beyond, infinity = (float(camera.disparity_px(z + offset, 0.42)) for z in (1000.0, 4000.0, math.inf))
+    assert near < 0 < beyond < infinity < 30
+    assert float(camera.disparity_px(2000.0 + offset, 0.42)) == pytest.approx(0, abs=1e-9)  # rounding

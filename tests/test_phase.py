@@ -15,14 +15,14 @@ from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.disparity.tiles import Nodes, signal_share
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 
 W, H = 160, 120
 LENS = BlurModel(6.0, 12000.0, axial_red_px=-0.2, axial_blue_px=0.3, spherical_px=-0.8, lateral_red_px=0.0)
 
 
 def blur_for(design, model=LENS, width=W, height=H):
-    return FieldBlur(model, sample_pupil(DESIGNS[design]), width, height)
+    return LensBlur(model, sample_pupil(DESIGNS[design]), width, height)
 
 
 def photograph(blur, layer_px, rng, noise=0.002, finest_px=0.0):

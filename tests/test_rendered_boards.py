@@ -10,7 +10,7 @@ from chromaperture.calibration.read_boards import read_board
 from chromaperture.calibration.rendered_boards import render_board, rendered_nonlinearity, surrogate
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 
 W, H, DELTA = 192, 128, 50.0
 LENS = BlurModel(6.0, 12000.0)  # a thin lens, in focus at 2 m
@@ -19,7 +19,7 @@ Z_MM = np.array([1000.0, 1400.0, 2000.0, 3000.0, 4000.0])
 
 
 def blur(model=LENS, width=W, height=H):
-    return FieldBlur(model, PUPIL, width, height)
+    return LensBlur(model, PUPIL, width, height)
 
 
 def photograph(inverse_mm, seed):

@@ -30,7 +30,7 @@ from chromaperture.evaluation import blur_evidence, figures
 from chromaperture.evaluation.figures import layer_errors, plane_residual
 from chromaperture.evaluation.report import report_html
 from chromaperture.evaluation.verdict import board_depth, board_errors, reach, sentences, stretches, weaknesses
-from chromaperture.optics.field_blur import BlurModel
+from chromaperture.optics.lens_blur import BlurModel
 
 WIDTH, HEIGHT = 96, 72
 A, B, DELTA = 4.3, 8200.0, 52.0

@@ -23,7 +23,7 @@ from chromaperture.depth.field import DepthField
 from chromaperture.depth.field_file import field_from_tree, field_to_tree, finite, plain
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
-from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.pinhole import centered_pinhole
 from chromaperture.storage import staged
 
@@ -144,12 +144,12 @@ class Calibration:
         """Distance F from the pinhole's pupil to its sensor, fx times the pixel pitch."""
         return float(self.lens.camera_matrix[0, 0]) * self.sensor.pixel_pitch_mm
 
-    def field_blur(self) -> FieldBlur | None:
+    def field_blur(self) -> LensBlur | None:
         """Give lens and film together; None where the blur was not fitted."""
         if self.blur is None:
             return None
         pupil = sample_pupil(self.aperture.with_film(self.film.transmissions()))
-        return FieldBlur(self.blur, pupil, self.sensor.width_px, self.sensor.height_px)
+        return LensBlur(self.blur, pupil, self.sensor.width_px, self.sensor.height_px)
 
     @property
     def is_calibrated(self) -> bool:

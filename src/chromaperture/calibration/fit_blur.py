@@ -24,7 +24,7 @@ from chromaperture.disparity.semiglobal import even_field
 from chromaperture.disparity.tiles import without_shading
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
-from chromaperture.optics.field_blur import BlurModel, FieldBlur
+from chromaperture.optics.lens_blur import BlurModel, LensBlur
 
 Progress = Callable[[str, int, int], None]
 NAMES = tuple(f.name for f in fields(BlurModel))
@@ -59,21 +59,21 @@ class BlurFit:
 
     Attributes
     ----------
-    blur : FieldBlur
+    blur : LensBlur
     disagreement : float
         Mean share of the power of two cross-filtered channels that disagrees, pairs by weight; noise included.
     start_disagreement : float
         The same before the fit.
     """
 
-    blur: FieldBlur
+    blur: LensBlur
     disagreement: float
     start_disagreement: float
 
 
 def fit_blur(
     boards: Iterable[tuple[np.ndarray, float]],
-    start: FieldBlur,
+    start: LensBlur,
     *,
     board_count: int,
     tile_count: int = 180,
@@ -85,7 +85,7 @@ def fit_blur(
     ----------
     boards : iterable of ((H, W, 3) float32, float)
         Linear photographs and 1 / z of the board in them, z from the entrance pupil in mm. Read once, one at a time.
-    start : FieldBlur
+    start : LensBlur
         Focus and scale right to a fifth, aberrations none.
     board_count : int
     tile_count : int
@@ -125,7 +125,7 @@ def fit_blur(
 def measured_layers(
     image: np.ndarray,
     inverse_mm: float,
-    blur: FieldBlur,
+    blur: LensBlur,
     *,
     aperture: Aperture,
     cell_px: int,
@@ -139,7 +139,7 @@ def measured_layers(
     image : (H, W, 3) float32
     inverse_mm : float, 1/mm
         Of the board; layers near it are searched.
-    blur : FieldBlur
+    blur : LensBlur
     aperture : Aperture
     cell_px : int
         Side of a cell.
@@ -183,7 +183,7 @@ def _median(cell: np.ndarray) -> float:
     return float(np.nanmedian(cell)) if np.isfinite(cell).mean() >= 0.5 else math.nan
 
 
-def _tile_size(blur: FieldBlur) -> int:
+def _tile_size(blur: LensBlur) -> int:
     """Side of a tile with room for the blur of twice the infinity, which a near board seldom exceeds."""
     size = int(scipy.fft.next_fast_len(_CORE_PX + 2 * (math.ceil(2.2 * abs(blur.model.infinity_px)) + 12), real=True))
     return size + size % 2
@@ -216,7 +216,7 @@ def _whitening(size: int) -> np.ndarray:
     return (np.sqrt(w2) * np.exp(-0.32 * w2) * (1 - np.exp(-18 * w2))).astype(np.float32)
 
 
-def _weighted_pairs(blur: FieldBlur) -> list[tuple[int, int, float]]:
+def _weighted_pairs(blur: LensBlur) -> list[tuple[int, int, float]]:
     """Give the pairs of channels with the distance of their views, the widest one's being 1."""
     return [(a, b, blur.separations[a, b]) for a, b in (*blur.pairs, *blur.other_pairs)]
 
@@ -225,7 +225,7 @@ def _power(transfer: np.ndarray, a: int, b: int) -> np.ndarray:
     return np.asarray((np.abs(transfer[a]) ** 2 + np.abs(transfer[b]) ** 2) / 2)
 
 
-def _tapers(blur: FieldBlur, tiles: Sequence[_Tile]) -> list[list[np.ndarray]]:
+def _tapers(blur: LensBlur, tiles: Sequence[_Tile]) -> list[list[np.ndarray]]:
     """Give the filters of every tile and pair that stay as they are while the parameters take a step."""
     white = _whitening(tiles[0].spectrum.shape[1])
 
@@ -238,7 +238,7 @@ def _tapers(blur: FieldBlur, tiles: Sequence[_Tile]) -> list[list[np.ndarray]]:
         return list(pool.map(one, tiles))
 
 
-def _residual(blur: FieldBlur, tile: _Tile, taper: Sequence[np.ndarray]) -> np.ndarray:
+def _residual(blur: LensBlur, tile: _Tile, taper: Sequence[np.ndarray]) -> np.ndarray:
     """Tell what the cross-filtered channels of a tile disagree about, in its core; (pairs * core * core,) float32."""
     size = tile.spectrum.shape[1]
     margin = (size - _CORE_PX) // 2
@@ -253,7 +253,7 @@ def _residual(blur: FieldBlur, tile: _Tile, taper: Sequence[np.ndarray]) -> np.n
     return np.stack(out).ravel()
 
 
-def _cost(blur: FieldBlur, tiles: Sequence[_Tile], tapers: Sequence[list[np.ndarray]]) -> np.ndarray:
+def _cost(blur: LensBlur, tiles: Sequence[_Tile], tapers: Sequence[list[np.ndarray]]) -> np.ndarray:
     def one(i: int) -> float:
         residual = _residual(blur, tiles[i], tapers[i])
         return float(residual @ residual)
@@ -263,8 +263,8 @@ def _cost(blur: FieldBlur, tiles: Sequence[_Tile], tapers: Sequence[list[np.ndar
 
 
 def _gauss_newton(
-    start: FieldBlur, tiles: Sequence[_Tile], names: Sequence[str], *, rounds: int, tolerance: float
-) -> FieldBlur:
+    start: LensBlur, tiles: Sequence[_Tile], names: Sequence[str], *, rounds: int, tolerance: float
+) -> LensBlur:
     """Levenberg-Marquardt on the sum of the logarithms of the tiles' costs, which bounds what a bad tile can do."""
     free = np.array([NAMES.index(name) for name in names])
     steps, priors = _steps(start.model), _priors(start.model)
@@ -308,8 +308,8 @@ def _gauss_newton(
     return blur
 
 
-def _with(blur: FieldBlur, values: np.ndarray) -> FieldBlur:
-    return FieldBlur(BlurModel(*map(float, values)), blur.pupil, blur.width_px, blur.height_px)
+def _with(blur: LensBlur, values: np.ndarray) -> LensBlur:
+    return LensBlur(BlurModel(*map(float, values)), blur.pupil, blur.width_px, blur.height_px)
 
 
 def _steps(model: BlurModel) -> np.ndarray:

@@ -19,7 +19,7 @@ from chromaperture.camera_file import Calibration
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.field import DepthField
 from chromaperture.errors import InputError
-from chromaperture.optics.field_blur import BlurModel, FieldBlur, sample_pupil
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 
 MIN_BOARDS = 4
 _MEASURED_BOARDS = 40  # that fix the depth curve of the layers; the blur itself is fitted to all
@@ -145,7 +145,7 @@ def fit_layers(layers: LayerEvidence, distances: BoardDistances, believed: np.nd
 
 
 def _measure(
-    session: Session, board: int, inverse_mm: float, blur: FieldBlur, calibration: Calibration
+    session: Session, board: int, inverse_mm: float, blur: LensBlur, calibration: Calibration
 ) -> dict[str, np.ndarray]:
     image = session.read(list(session.boards)[board])
     cell_px, noise = max(16, blur.width_px // _CELLS), sensor_noise(image, calibration)
@@ -156,7 +156,7 @@ def _measure(
     return {"x": x, "y": y, "layer": layer}
 
 
-def _start(calibration: Calibration, lens: BlurModel | None) -> FieldBlur:
+def _start(calibration: Calibration, lens: BlurModel | None) -> LensBlur:
     """Give a lens that is known, or a thin one of the measured focus and scale, to start the fit from.
 
     A thin lens's scale is known since centroids sit at a known share of the pupil's radius.
@@ -165,4 +165,4 @@ def _start(calibration: Calibration, lens: BlurModel | None) -> FieldBlur:
         axis, reach = calibration.on_axis("paper"), view_reach(calibration.aperture)
         lens = BlurModel(float(axis.infinity_disparity_px) / reach, float(axis.scale_px_mm) / reach, **_START_RIM)
     pupil = sample_pupil(calibration.aperture.with_film(calibration.film.transmissions()))
-    return FieldBlur(lens, pupil, calibration.sensor.width_px, calibration.sensor.height_px)
+    return LensBlur(lens, pupil, calibration.sensor.width_px, calibration.sensor.height_px)

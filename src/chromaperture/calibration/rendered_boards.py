@@ -25,7 +25,7 @@ from chromaperture.camera_file import Calibration
 from chromaperture.config import Quality
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
-from chromaperture.optics.field_blur import FieldBlur
+from chromaperture.optics.lens_blur import LensBlur
 
 _COUNT = 24  # three for each of the eight terms that a curve may have
 _HALF_TILE_PX = 64  # blur is blended from tile to tile, twice this wide
@@ -111,12 +111,12 @@ def surrogate(pattern: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(scipy.fft.irfft2(spectrum, s=size)[:height, :width] + mean, np.float32)
 
 
-def render_board(blur: FieldBlur, pattern: np.ndarray, inverse_mm: float) -> np.ndarray:
+def render_board(blur: LensBlur, pattern: np.ndarray, inverse_mm: float) -> np.ndarray:
     """Blur a flat pattern as the lens does, at every place of the frame.
 
     Parameters
     ----------
-    blur : FieldBlur
+    blur : LensBlur
     pattern : (H, W) float32
         Sharp, as seen from the pupil's centre; H and W are the blur's.
     inverse_mm : float, 1/mm
@@ -148,7 +148,7 @@ def render_board(blur: FieldBlur, pattern: np.ndarray, inverse_mm: float) -> np.
 
 
 def _photograph(
-    calibration: Calibration, blur: FieldBlur, pattern: np.ndarray, inverse_mm: float, rng: np.random.Generator
+    calibration: Calibration, blur: LensBlur, pattern: np.ndarray, inverse_mm: float, rng: np.random.Generator
 ) -> np.ndarray:
     image = render_board(blur, pattern, inverse_mm) * np.asarray(calibration.film.aperture, np.float32)
     variance = sensor_noise(image, calibration)

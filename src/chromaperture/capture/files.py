@@ -1,13 +1,14 @@
 """Image files to linear light.
 
-Pixels are returned as the sensor saw them: an EXIF orientation is not applied, because the filters in the pupil do
-not turn with it, and no white balance, because superposition of the views needs the sensor's own scale.
+Pixels stay as recorded: an EXIF orientation is not applied, because the filters in the pupil do not turn with it, and
+no white balance, because superposition of the views needs the sensor's own scale.
 """
 
 from __future__ import annotations
 
 import io
 import warnings
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -20,18 +21,39 @@ from chromaperture.errors import CaptureWarning, InputError
 
 _RAW_SUFFIXES = {".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2"}
 _PICTURES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
-_SUBSAMPLED = {1: "4:2:2", 2: "4:2:0"}
+_SUBSAMPLED = {1: "4:2:2", 2: "4:2:0"}  # Pillow's codes of JPEG chroma subsampling
+_TWELVE_BITS = 4096  # a 16-bit file with no count above is likely that of a sensor of 12 bits or fewer
 
 
-def read_image(
-    path: str | Path, *, black_level: float | None = None, white_level: float | None = None
-) -> np.ndarray:
-    """Read a photograph as linear light.
+@dataclass(frozen=True)
+class Decoded:
+    """Content of a photograph's file.
+
+    Attributes
+    ----------
+    array : (H, W, 3) uint8, uint16, float32 or float64
+        R, G, B as stored; for RAW files twice the mosaic's counts, see `superpixels`.
+    bits : int
+        Bits per sample, 8, 16, 32 or 64. Camera levels only make sense for files of the camera's depth.
+    name : str
+        Of the file, for messages.
+    own : Encoding or None
+        Of a RAW file, which states its levels.
+    """
+
+    array: np.ndarray
+    bits: int
+    name: str = ""
+    own: Encoding | None = None
+
+
+def read_image(path: str | Path, *, black_level: float | None = None, white_level: float | None = None) -> np.ndarray:
+    """Read a photograph as linear light: `decode`, then `linearise`.
 
     Files of 16 bit (PNG, TIFF, PPM) hold linear counts; without levels, black is 0 and white 65535. Files of 8 bit
-    (JPEG, PNG, TIFF, PPM, BMP, WebP) are decoded from the sRGB curve, unless levels are given, which says that they
-    hold linear counts too. TIFF files of floats hold linear light; without levels, black is 0 and white 1. RAW files
-    (extra ``raw``) give one pixel for every 2 x 2 cell of the mosaic; levels are the mosaic's own.
+    (JPEG, PNG, TIFF, PPM, BMP, WebP) are decoded from the sRGB curve; when levels are given, they are taken for linear
+    counts too. TIFF files of floats hold linear light; without levels, black is 0 and white 1. RAW files (extra
+    ``raw``) give one pixel for every 2 x 2 cell of the mosaic; levels are those of the mosaic.
 
     Parameters
     ----------
@@ -51,61 +73,77 @@ def read_image(
     Warns
     -----
     CaptureWarning
-        Chroma subsampling has halved the very signal that is measured, or the levels look wrong.
+        Chroma subsampling has halved the resolution of the measured signal, or the levels look wrong.
     """
-    path = Path(path)
-    return develop_counts(*read_counts(path, black_level=black_level, white_level=white_level))
+    return linearise(decode(path), black_level=black_level, white_level=white_level)
+
+
+def linearise(decoded: Decoded, *, black_level: float | None = None, white_level: float | None = None) -> np.ndarray:
+    """Convert the content of a file to linear light; parameters, result and errors as in `read_image`."""
+    return develop_counts(decoded.array, encoding_of(decoded, black_level=black_level, white_level=white_level))
 
 
 def read_counts(
-    path: Path, *, black_level: float | None = None, white_level: float | None = None
+    path: str | Path, *, black_level: float | None = None, white_level: float | None = None
 ) -> tuple[np.ndarray, Encoding]:
-    """Read a photograph as the file holds it, (H, W, 3), and how to develop it; see `read_image`."""
-    if is_raw(path):
-        from chromaperture.capture.raw import read_raw
+    """Read a photograph as stored, (H, W, 3), and how to convert it to linear light; see `read_image`."""
+    decoded = decode(path)
+    return decoded.array, encoding_of(decoded, black_level=black_level, white_level=white_level)
 
-        return read_raw(path, black_level=black_level, white_level=white_level)
-    counts = _colour(_decode(path), path)
+
+def encoding_of(decoded: Decoded, *, black_level: float | None = None, white_level: float | None = None) -> Encoding:
+    """Choose how to convert the content of a file to linear light; see `read_image`."""
+    counts, own = decoded.array, decoded.own
+    if own is not None:
+        black = own.black_level if black_level is None else 2 * float(black_level)
+        return replace(own, black_level=black, white_level=own.white_level if white_level is None else 2 * white_level)
     if black_level is None and white_level is None and counts.dtype == np.uint8:
-        return counts, Encoding(0.0, 255.0, "srgb")
-
+        return Encoding(0.0, 255.0, "srgb")
     full = 1.0 if counts.dtype.kind == "f" else float(np.iinfo(counts.dtype).max)
     black = 0.0 if black_level is None else float(black_level)
-    white = full if white_level is None else float(white_level)
-    encoding = Encoding(black, white)
-    if white_level is None and counts.dtype == np.uint16 and 0 < counts.max() < 4096:
+    encoding = Encoding(black, full if white_level is None else float(white_level))
+    if white_level is None and counts.dtype == np.uint16 and 0 < counts.max() < _TWELVE_BITS:
         warnings.warn(
-            f"{path.name}: no count above {counts.max()} in a 16-bit file; if the sensor has fewer bits, "
+            f"{decoded.name}: no count above {counts.max()} in a 16-bit file; if the sensor has fewer bits, "
             "give --white-level",
             CaptureWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
-    return counts, encoding
+    return encoding
 
 
 def photographs(folder: Path) -> list[Path]:
-    """Files of a folder that can be read as photographs, by name; none where there is no such folder."""
+    """List the files of a folder that can be read as photographs, by name; none where there is no such folder."""
     found = folder.iterdir() if folder.is_dir() else ()
     return sorted(path for path in found if path.suffix.lower() in _PICTURES or is_raw(path))
 
 
 def is_raw(path: Path) -> bool:
-    """Tell a camera's RAW file by its name."""
+    """Recognise a camera's RAW file by its name."""
     return path.suffix.lower() in _RAW_SUFFIXES
 
 
 def bit_depth(path: str | Path) -> int:
-    """Bits per sample of an image file, 8, 16 or 32; camera levels only make sense for files of the camera's depth."""
-    path = Path(path)
-    return 16 if is_raw(path) else _decode(path).dtype.itemsize * 8
+    """Return the bits per sample of an image file; raises InputError like `read_image`."""
+    return decode(path).bits
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
-    """Width and height of an image file, px; raises InputError like `read_image`."""
-    path = Path(path)
-    counts = read_counts(path)[0] if is_raw(path) else _colour(_decode(path), path)
-    height, width = counts.shape[:2]
+    """Return width and height of an image file, px; raises InputError like `read_image`."""
+    height, width = decode(path).array.shape[:2]
     return width, height
+
+
+def decode(path: str | Path) -> Decoded:
+    """Read a photograph's file once; raises InputError like `read_image`, but for levels."""
+    path = Path(path)
+    if is_raw(path):
+        from chromaperture.capture.raw import read_raw
+
+        counts, own = read_raw(path)
+        return Decoded(counts, 16, path.name, own)
+    counts = _colour(_decode(path), path)
+    return Decoded(counts, 8 * counts.dtype.itemsize, path.name)
 
 
 def _decode(path: Path) -> np.ndarray:
@@ -135,12 +173,12 @@ def _decode(path: Path) -> np.ndarray:
         raise
     except (UnidentifiedImageError, Image.DecompressionBombError) as error:
         raise InputError(damaged if isinstance(error, UnidentifiedImageError) else f"{path.name}: {error}") from None
-    except Exception:  # decoders raise whatever a damaged file leads them to
+    except Exception:  # decoders raise anything on a damaged file
         raise InputError(damaged) from None
 
 
 def _is_deep(data: bytes) -> bool:
-    """Tell PNG and PNM files of more than 8 bits, which Pillow would cut down to 8."""
+    """Recognise PNG and PNM files of more than 8 bits, which Pillow would reduce to 8."""
     if data.startswith(b"\x89PNG"):
         return len(data) > 24 and data[24] == 16
     if data[:2] in (b"P5", b"P6"):
@@ -157,7 +195,7 @@ def _colour(counts: np.ndarray, path: Path) -> np.ndarray:
     if not grey and (counts.ndim != 3 or counts.shape[2] != 3):
         raise InputError(f"{path.name} holds an array of shape {counts.shape}; one RGB picture is needed")
     if not grey and np.array_equal(counts[..., 0], counts[..., 1]) and np.array_equal(counts[..., 1], counts[..., 2]):
-        grey = bool(counts.any())  # an all-black picture is another error, told where exposure is checked
+        grey = bool(counts.any())  # an all-black picture is another error, raised where exposure is checked
     if grey:
         raise InputError(f"{path.name} is a grey picture; the depth is in the colours, so give the colour original")
     if counts.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
@@ -173,5 +211,5 @@ def _warn_of_subsampling(picture: Image.Image, path: Path) -> None:
                 f"{path.name} is a JPEG with {kind} chroma, which halves the resolution of the colours the depth is "
                 "read from; use RAW, PNG or TIFF, or JPEG at best quality (4:4:4)",
                 CaptureWarning,
-                stacklevel=4,
+                stacklevel=5,
             )

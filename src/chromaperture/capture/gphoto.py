@@ -19,9 +19,7 @@ def load_gphoto2() -> Any:
     try:
         import gphoto2
     except ImportError:
-        raise MissingDependencyError(
-            "tethered cameras need gphoto2: pip install 'chromaperture[cameras]'"
-        ) from None
+        raise MissingDependencyError("tethered cameras need gphoto2: pip install 'chromaperture[cameras]'") from None
     return gphoto2
 
 

@@ -1,4 +1,4 @@
-"""RAW files (CR2, NEF, DNG, ...) to half-size colour through LibRaw, nothing interpolated between channels."""
+"""RAW files (CR2, NEF, DNG, ...) to half-size colour through LibRaw, without interpolation between channels."""
 
 from __future__ import annotations
 
@@ -11,21 +11,14 @@ from chromaperture.capture.source import Encoding
 from chromaperture.errors import InputError, MissingDependencyError
 
 
-def read_raw(
-    path: Path, *, black_level: float | None = None, white_level: float | None = None
-) -> tuple[np.ndarray, Encoding]:
+def read_raw(path: Path) -> tuple[np.ndarray, Encoding]:
     """Read the mosaic and make one pixel of every 2 x 2 cell.
-
-    Parameters
-    ----------
-    path : Path
-    black_level, white_level : float, optional
-        Counts of the mosaic; default the file's own.
 
     Returns
     -------
     counts : (H, W, 3) uint16 or float32, twice the mosaic's
     encoding : Encoding
+        With the file's own levels, doubled too.
 
     Raises
     ------
@@ -46,8 +39,7 @@ def read_raw(
         with rawpy.imread(str(path)) as raw:
             layout, names = raw.raw_pattern, raw.color_desc.decode()
             mosaic = raw.raw_image_visible.copy()
-            black = float(np.mean(raw.black_level_per_channel)) if black_level is None else black_level
-            white = float(raw.white_level) if white_level is None else white_level
+            black, white = float(np.mean(raw.black_level_per_channel)), float(raw.white_level)
     except rawpy.LibRawError as error:
         what = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
         raise InputError(f"{path.name} is damaged or not a RAW file ({what}); copy the file again") from None

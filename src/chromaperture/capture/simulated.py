@@ -20,7 +20,7 @@ from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.render import render
 from chromaperture.optics.rgbd import read_rgbd
 from chromaperture.optics.scene import load_scene
-from chromaperture.optics.sensor import Sensor, expose
+from chromaperture.optics.sensor import SensorModel, expose
 
 _TURN = 48  # frames in one turn of the path through a scene
 
@@ -78,7 +78,7 @@ class SimulatedSource(FileSource):
         self.optics_mm = (pupil_radius_mm, focus_mm, sensor_to_pupil_mm)
         self.depth_unit_mm, self.exposure, self.orbit_mm = depth_unit_mm, exposure, orbit_mm
         self.size, self.cells, self.count, self.fps, self.seed = (width, height), cells, count, fps, seed
-        self.sensor = Sensor()
+        self.sensor = SensorModel()
         self.pairs: list[tuple[Path, Path]] = []
 
     def open(self) -> None:

@@ -125,7 +125,7 @@ def simulate_rgbd(
     from chromaperture.optics.layer_renderer import render_layers
     from chromaperture.optics.pinhole import PupilCamera
     from chromaperture.optics.rgbd import read_rgbd
-    from chromaperture.optics.sensor import Sensor, expose
+    from chromaperture.optics.sensor import SensorModel, expose
 
     design = load_aperture(aperture)
     if not aperture.lower().endswith((".toml", ".svg")):
@@ -136,7 +136,7 @@ def simulate_rgbd(
     height, width = depth_mm.shape
     camera = PupilCamera(width, height, focal_px, pupil_radius_mm, focus_mm, sensor_to_pupil_mm, 0.02)
     made = render_layers(picture, depth_mm, camera=camera, aperture=design, pitch_px=pitch_px)
-    counts = expose(made.image, Sensor(), seed=seed, exposure=exposure)
+    counts = expose(made.image, SensorModel(), seed=seed, exposure=exposure)
     out.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(out), counts[..., ::-1]):
         raise InputError(f"could not write {out}: use the name of a .png file")

@@ -1,4 +1,4 @@
-"""The colour picture back: every sensor channel is moved to the view of the pupil's centre (paper section 5.1)."""
+"""Alignment of the sensor channels to the view of the pupil's centre (paper section 5.1)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from chromaperture.color.visibility import fill_hidden, visible_from
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids
 
-_STILL = 1e-3  # displacement per px of disparity that is none
+_STILL = 1e-3  # displacement per px of disparity that counts as none: the accuracy of the centroids
 
 
 def channel_directions(aperture: Aperture, film: dict[str, np.ndarray]) -> np.ndarray:
-    """Displacement of the sensor's R, G, B per px of disparity.
+    """Compute the displacement of the sensor's R, G, B per px of disparity.
 
-    Film leaks, so the red channel sees a little of the cyan half too and moves less than the unmixed yellow view.
+    Film leaks: red sees a little of the cyan half too, and moves less than the unmixed yellow view.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def channel_directions(aperture: Aperture, film: dict[str, np.ndarray]) -> np.nd
 
 
 def fill_unknown(values: np.ndarray) -> np.ndarray:
-    """Give every NaN the value of the nearest known pixel; all zero where none is known; (H, W)."""
+    """Replace every NaN by the nearest known value, or all by zero when none is known; (H, W)."""
     unknown = ~np.isfinite(values)
     if unknown.all():
         return np.zeros_like(values)
@@ -47,7 +47,7 @@ def fill_unknown(values: np.ndarray) -> np.ndarray:
 def align_channels(
     image: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray, *, displacement_px: np.ndarray | None = None
 ) -> np.ndarray:
-    """Shift each channel back by its disparity, and colour what a channel could not see past a near edge.
+    """Shift each channel back by its disparity, and predict the samples that were occluded in it.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ def align_channels(
     directions : (3, 2) float
         From `channel_directions`.
     displacement_px : (3, 2, H, W) float32, px, optional
-        Displacement, x before y, of each channel from the centre view where more is known of it than disparity times
-        direction: from `LensShift`, or with `residual_displacement`.
+        Displacement, x before y, of each channel from the centre view, from `LensShift` or `residual_displacement`;
+        disparity times direction when absent.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def align_channels(
     Raises
     ------
     InputError
-        The disparity is of another picture's size.
+        Disparity and image differ in size.
     """
     if image.shape[:2] != disparity_px.shape:
         raise InputError(
@@ -74,7 +74,7 @@ def align_channels(
         )
     filled = fill_unknown(disparity_px).astype(np.float32)
     moved = linear_displacement(filled, directions) if displacement_px is None else displacement_px
-    # Cubics smooth a channel the more, the farther it comes between pixels: an exact displacement deserves better.
+    # Cubics smooth a channel by its fraction of a px, which registration reads as displacement (docs/colour.md).
     color = shift_back(image, moved, interpolation=cv2.INTER_CUBIC if displacement_px is None else cv2.INTER_LANCZOS4)
     visible = np.empty(image.shape, bool)
     for k, u in enumerate(np.asarray(directions, float)):
@@ -86,16 +86,14 @@ def align_channels(
 
 
 def linear_displacement(disparity_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Displacement d u_k of each channel, the same rule all over the frame; (3, 2, H, W) float32, px, x before y."""
+    """Compute disparity times direction for each channel; (3, 2, H, W) float32, px, x before y."""
     u = np.asarray(directions, np.float32)
     u = np.where(np.abs(u) < _STILL, np.float32(0), u)
     return np.asarray(disparity_px, np.float32) * u[..., None, None]
 
 
-def shift_back(
-    image: np.ndarray, displacement_px: np.ndarray, *, interpolation: int = cv2.INTER_CUBIC
-) -> np.ndarray:
-    """Sample each channel at x + its displacement, (3, 2, H, W) px, by one of OpenCV's rules; (H, W, 3) float32."""
+def shift_back(image: np.ndarray, displacement_px: np.ndarray, *, interpolation: int = cv2.INTER_CUBIC) -> np.ndarray:
+    """Sample each channel at x + its displacement, (3, 2, H, W) px, by an OpenCV interpolation; (H, W, 3) float32."""
     height, width = displacement_px.shape[2:]
     x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
     color = np.empty((height, width, 3), np.float32)
@@ -114,7 +112,7 @@ def shift_back(
 
 
 def white_balance(color: np.ndarray, white_rgb: np.ndarray) -> np.ndarray:
-    """Scale the channels so that a white sheet seen through the aperture comes out white; (H, W, 3) linear."""
+    """Scale the channels so that a white sheet seen through the aperture becomes white; (H, W, 3) linear."""
     white = np.asarray(white_rgb, np.float32)
     balanced = cv2.transform(np.ascontiguousarray(color, np.float32), np.diag(white.max() / white))
     return np.maximum(balanced, 0, out=balanced)

@@ -18,9 +18,7 @@ _ROUNDS = 10
 _MOST_ELECTRONS = 1e7  # no pixel holds more: what is quieter was computed, not photographed
 
 
-def photon_noise_variance(
-    image: np.ndarray, *, full_well_electrons: float, read_noise_electrons: float
-) -> np.ndarray:
+def photon_noise_variance(image: np.ndarray, *, full_well_electrons: float, read_noise_electrons: float) -> np.ndarray:
     """Variance of shot and read noise.
 
     Parameters

@@ -1,15 +1,17 @@
-"""Cubic interpolation along rows, for the usual aperture whose channels move sideways only."""
+"""Cubic interpolation along rows, for the common apertures whose channels are displaced horizontally only."""
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
-_A = np.float32(-0.75)  # slope of the cubic at 1, OpenCV's: both ways of shifting give the same picture
+from chromaperture.compilation import compiled
+from chromaperture.threads import in_parallel
+
+_A = np.float32(-0.75)  # slope of the cubic at 1, as in OpenCV: `cv2.remap` gives the same picture
 
 
 def shift_along_rows(image: np.ndarray, displacement_px: np.ndarray, channel: int, out: np.ndarray) -> None:
-    """Sample a channel at x + displacement by cubics; fills a channel of ``out``, edges repeated.
+    """Sample a channel at x + displacement by cubic interpolation into ``out``, with replicated borders.
 
     Parameters
     ----------
@@ -18,21 +20,23 @@ def shift_along_rows(image: np.ndarray, displacement_px: np.ndarray, channel: in
     channel : int
     out : (H, W, C) float32
     """
-    _shift(image, np.ascontiguousarray(displacement_px), channel, out)
+    displacement = np.ascontiguousarray(displacement_px)
+    in_parallel(lambda _, first, last: _shift(image, displacement, channel, out, first, last), len(displacement))
 
 
-@numba.njit(cache=True, parallel=True, nogil=True, error_model="numpy")
-def _shift(image, displacement, k, out):  # type: ignore[no-untyped-def]
-    height, width = displacement.shape
+@compiled(error_model="numpy")
+def _shift(image, displacement, k, out, first_row, last_row):  # type: ignore[no-untyped-def]
+    width = displacement.shape[1]
     one, two, three, right = np.float32(1), np.float32(2), np.float32(3), np.float32(width + 4)
-    for y in numba.prange(height):
+    for y in range(first_row, last_row):
         for x in range(width):
             at = np.float32(x) + displacement[y, x]
-            at = min(max(at, np.float32(-4)), right) + np.float32(8)  # farther out the edge is read as well
-            first = np.int32(at)  # towards zero is down there
+            # Beyond 4 px outside only the border is sampled. Adding 8 makes truncation round down.
+            at = min(max(at, np.float32(-4)), right) + np.float32(8)
+            first = np.int32(at)
             t = at - np.float32(first)
             first -= np.int32(8)
-            # The cubic at distances 1 + t, t, 1 - t and 2 - t; together they are 1.
+            # Weights of the cubic at distances 1 + t, t, 1 - t and 2 - t; their sum is 1.
             u = one - t
             w0, w3 = _A * t * u * u, _A * u * t * t
             w1 = ((_A + two) * t - (_A + three)) * t * t + one

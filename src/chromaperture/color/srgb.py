@@ -12,9 +12,9 @@ _LEVELS = 65535
 def srgb_to_linear(encoded: np.ndarray) -> np.ndarray:
     """Decode the sRGB curve (IEC 61966-2-1); float32 in [0, 1]."""
     encoded = np.asarray(encoded, np.float32)
-    return np.where(
-        encoded <= 0.04045, encoded / 12.92, ((np.maximum(encoded, 0.0) + 0.055) / 1.055) ** 2.4
-    ).astype(np.float32)
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((np.maximum(encoded, 0.0) + 0.055) / 1.055) ** 2.4).astype(
+        np.float32
+    )
 
 
 def linear_to_srgb(linear: np.ndarray) -> np.ndarray:

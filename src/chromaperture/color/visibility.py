@@ -1,25 +1,30 @@
-"""What a displaced view cannot see, and the colour it would have had there.
+"""Occlusion in the channels' views, and the colour of occluded pixels.
 
-Every channel looks past the edges of near things from its own side. Seen from the pupil's centre a strip of the
-background is therefore missing in that channel. Its colour is told by the channels that do see it: within a surface
-the colours of a small neighbourhood lie on a line, so that one channel is an affine function of another.
+Every channel looks past the edges of near things from its own side. Seen from the pupil's centre, a strip of the
+background is therefore missing in that channel. Its colour is predicted from the channels that do see it: within a
+surface the colours of a small neighbourhood lie on a line, so one channel is an affine function of another.
 """
 
 from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-_HIDDEN = 0.5  # px of disparity by which the hider is nearer
-_REACH = 7  # half side of the neighbourhood that tells the colour line
-_LEAST = 12  # known neighbours of the same surface
-_RIDGE = np.float32(1e-4)  # variance below which a neighbourhood is plain, (white level)^2
+from chromaperture.compilation import compiled
+from chromaperture.threads import in_parallel
+
+# Chosen by hand, not tuned, unless a reason is given.
+_STILL = 1e-3  # displacement per px of disparity that counts as none: the accuracy of `view_directions`
+_OCCLUSION_PX = 0.5  # difference of disparity from which the nearer pixel occludes the farther
+_RADIUS_PX = 7  # half side of the neighbourhood in which the colour line is fitted
+_SAME_SURFACE_PX = 1  # largest difference of disparity within a surface
+_FEWEST = 12  # visible neighbours of the same surface for a fit of two parameters
+_RIDGE = np.float32(1e-4)  # variance of a uniform neighbourhood, (white level)^2: noise of 1 %
 
 
 def visible_from(disparity_px: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Tell which pixels of the centre view a channel sees: a depth buffer in the channel's own view.
+    """Find the pixels of the centre view that a channel sees, by a depth buffer in the channel's view.
 
     Parameters
     ----------
@@ -31,37 +36,38 @@ def visible_from(disparity_px: np.ndarray, direction: np.ndarray) -> np.ndarray:
     -------
     (H, W) bool
     """
-    ux, uy = float(direction[0]), float(direction[1])
-    if math.hypot(ux, uy) < 1e-3:
+    ux, uy = np.float32(direction[0]), np.float32(direction[1])
+    if math.hypot(float(direction[0]), float(direction[1])) < _STILL:
         return np.ones(disparity_px.shape, bool)
     seen = np.empty(disparity_px.shape, np.bool_)
     disparity = np.ascontiguousarray(disparity_px, np.float32)
-    if abs(uy) < 1e-3:  # rows do not meddle with each other
-        _visible_rows(disparity, np.float32(ux), seen)
+    if abs(float(direction[1])) < _STILL:  # rows are independent
+        in_parallel(lambda _, first, last: _visible_rows(disparity, ux, seen, first, last), len(disparity))
     else:
-        _visible(disparity, np.float32(ux), np.float32(uy), seen)
+        _visible(disparity, ux, uy, seen)
     return seen
 
 
-@numba.njit(cache=True, parallel=True, nogil=True, error_model="numpy")
-def _visible_rows(disparity, ux, seen):  # type: ignore[no-untyped-def]
-    height, width = disparity.shape
-    for y in numba.prange(height):
-        nearest, place = np.full(width, np.float32(1e9)), np.empty(width, np.int32)
+@compiled(error_model="numpy")
+def _visible_rows(disparity, ux, seen, first_row, last_row):  # type: ignore[no-untyped-def]
+    width = disparity.shape[1]
+    target = np.empty(width, np.int32)
+    for y in range(first_row, last_row):
+        nearest = np.full(width, np.float32(1e9))
         for x in range(width):
             d = disparity[y, x]
             t = min(max(np.float32(x) + d * ux, np.float32(-2)), np.float32(width + 1)) + np.float32(4.5)
-            place[x] = np.int32(t) - 4  # towards zero is down there
+            target[x] = np.int32(t) - 4  # rounds to nearest: truncation of a positive number
         for x in range(width):
-            t = place[x]
+            t = target[x]
             if 0 <= t < width:
                 nearest[t] = min(nearest[t], disparity[y, x])
         for x in range(width):
-            t = place[x]
-            seen[y, x] = 0 <= t < width and nearest[t] > disparity[y, x] - np.float32(_HIDDEN)
+            t = target[x]
+            seen[y, x] = 0 <= t < width and nearest[t] > disparity[y, x] - np.float32(_OCCLUSION_PX)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _visible(disparity, ux, uy, seen):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
     nearest = np.full((height, width), np.float32(1e9))
@@ -76,7 +82,7 @@ def _visible(disparity, ux, uy, seen):  # type: ignore[no-untyped-def]
             d = disparity[y, x]
             ty, tx = math.floor(y + d * uy + np.float32(0.5)), math.floor(x + d * ux + np.float32(0.5))
             inside = 0 <= tx < width and 0 <= ty < height
-            seen[y, x] = inside and nearest[ty, tx] > d - np.float32(_HIDDEN)
+            seen[y, x] = inside and nearest[ty, tx] > d - np.float32(_OCCLUSION_PX)
 
 
 def fill_hidden(
@@ -87,35 +93,36 @@ def fill_hidden(
     *,
     out: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Give hidden samples the colour line of their own surface.
+    """Predict occluded samples from the colour line of their own surface.
 
     Parameters
     ----------
     color : (H, W, 3) float32, linear RGB
         Aligned channels.
     visible : (H, W, 3) bool
-        Which of its samples are seen.
+        From `visible_from`, for each channel.
     disparity_px : (H, W) float32, px, no NaN
     order : (3,) int
-        Channels, the best guide first: the one that moves least sees most.
+        Channels, the best guide first: the one that moves least is occluded least.
     out : (H, W, 3) float32, optional
-        Where to; may be ``color``, of which only visible samples are read.
+        Result; may be ``color``, of which only visible samples are read.
 
     Returns
     -------
-    (H, W, 3) float32
+    (H, W, 3) float32; a sample with too few visible neighbours keeps its value
     """
     if out is None:
         out = np.array(color, np.float32)
-    depth = np.asarray(disparity_px, np.float32)
-    _fill(np.ascontiguousarray(color, np.float32), visible, depth, np.asarray(order), out)
+    color, disparity = np.ascontiguousarray(color, np.float32), np.asarray(disparity_px, np.float32)
+    order = np.asarray(order)
+    in_parallel(lambda _, first, last: _fill(color, visible, disparity, order, out, first, last), len(disparity))
     return out
 
 
-@numba.njit(cache=True, parallel=True)
-def _fill(color, visible, disparity, order, out):  # type: ignore[no-untyped-def]
+@compiled()
+def _fill(color, visible, disparity, order, out, first_row, last_row):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
-    for y in numba.prange(height):
+    for y in range(first_row, last_row):
         for x in range(width):
             for k in range(3):
                 if visible[y, x, k]:
@@ -127,9 +134,9 @@ def _fill(color, visible, disparity, order, out):  # type: ignore[no-untyped-def
                         break
                 count = 0
                 sg, sk, sgg, sgk = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-                for j in range(max(0, y - _REACH), min(height, y + _REACH + 1)):
-                    for i in range(max(0, x - _REACH), min(width, x + _REACH + 1)):
-                        if not visible[j, i, k] or abs(disparity[j, i] - disparity[y, x]) > 1:
+                for j in range(max(0, y - _RADIUS_PX), min(height, y + _RADIUS_PX + 1)):
+                    for i in range(max(0, x - _RADIUS_PX), min(width, x + _RADIUS_PX + 1)):
+                        if not visible[j, i, k] or abs(disparity[j, i] - disparity[y, x]) > _SAME_SURFACE_PX:
                             continue
                         if guide >= 0 and not visible[j, i, guide]:
                             continue
@@ -140,8 +147,8 @@ def _fill(color, visible, disparity, order, out):  # type: ignore[no-untyped-def
                         sgg += g * g
                         sgk += g * v
                         count += 1
-                if count < _LEAST:
-                    continue  # nothing better is known than what the sample shows
+                if count < _FEWEST:
+                    continue
                 n = np.float32(count)
                 slope = (sgk / n - sg * sk / n / n) / (sgg / n - sg * sg / n / n + _RIDGE)
                 guided = color[y, x, guide] - sg / n if guide >= 0 else np.float32(0)

@@ -30,7 +30,7 @@ from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import NoiseModel
 from chromaperture.disparity.stages.tiles import Nodes, TileSpectrum
 from chromaperture.errors import InputError
-from chromaperture.optics.field_blur import FieldBlur, Rays
+from chromaperture.optics.lens_blur import LensBlur, Rays
 from chromaperture.threads import parallel_map
 
 _MAX_CORRELATION2 = 0.999  # 3.5 nats a band at most: a perfect agreement must not outweigh the whole neighbourhood
@@ -45,14 +45,14 @@ class BlurEvidence:
     Attributes
     ----------
     config : CrossFilterConfig
-    blur : FieldBlur
+    blur : LensBlur
     label_map : LabelMap
         What equal depth means at every pixel, in the layers of the blur: the camera's quality "accurate".
     run : Execution
     """
 
     config: CrossFilterConfig
-    blur: FieldBlur
+    blur: LensBlur
     label_map: LabelMap
     run: Execution
 
@@ -73,7 +73,7 @@ class BlurEvidence:
         ----------
         image : (H, W, 3) float32, linear RGB
         layers_px : (D,) float, px
-            Half disparities in the middle of the frame, see ``FieldBlur.reference``: each stands for a distance.
+            Half disparities in the middle of the frame, see ``LensBlur.reference``: each stands for a distance.
         noise_variance : (H, W, 3) float, optional
             Of the image, (white level)^2. Where it is not known, nothing is left out for noise.
 

@@ -27,7 +27,7 @@ from chromaperture.disparity.result import Disparity, Method
 from chromaperture.disparity.views import view_spaces
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
-from chromaperture.optics.field_blur import FieldBlur
+from chromaperture.optics.lens_blur import LensBlur
 
 
 def estimate_disparity(
@@ -38,7 +38,7 @@ def estimate_disparity(
     config: MatcherConfig | None = None,
     noise_variance: np.ndarray | None = None,
     label_maps: Sequence[LabelMap] = (),
-    blur: FieldBlur | None = None,
+    blur: LensBlur | None = None,
     execution: ExecutionName = "numba",
 ) -> Disparity:
     """Estimate the disparity of every pixel of one photograph.
@@ -82,7 +82,7 @@ def method_for(
     aperture: Aperture | str,
     unmixing: np.ndarray | None = None,
     label_maps: Sequence[LabelMap] = (),
-    blur: FieldBlur | None = None,
+    blur: LensBlur | None = None,
     execution: ExecutionName = "numba",
 ) -> Method:
     """Compose the method of a configuration for one camera.
@@ -97,7 +97,7 @@ def method_for(
     label_maps : sequence of LabelMap
         What equal depth means at every pixel, one map for each view space that is matched. Without them a method looks
         for surfaces of even disparity, and ``accurate`` matches its first view space only.
-    blur : FieldBlur, optional
+    blur : LensBlur, optional
         The camera's blur, which ``accurate`` with a `CrossFilterConfig` needs.
     execution : {"numba", "numpy"}
 

@@ -58,7 +58,7 @@ class Execution(Protocol):
     def enlarge(self, surface: Surface, guide: np.ndarray) -> Surface:
         """Bring a surface to the guide's resolution."""
 
-    def splat(self, places: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
+    def splat(self, points_px: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
         """Rasterise a point-spread function."""
 
     def cross_filter(

@@ -14,7 +14,7 @@ from chromaperture.color.lens_shift import LensShift
 from chromaperture.config import Quality
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids
-from chromaperture.optics.field_otf import field_kernels
+from chromaperture.optics.lens_otf import lens_kernels
 from chromaperture.optics.psf import geometric_otf
 
 _KEPT = 64  # transfer functions: the layers of one tile are asked for several times
@@ -129,7 +129,7 @@ class LensBlur:
                 self._kept.clear()
             blur, (x, y) = self.shift.blur, center or (0.0, 0.0)
             place = ((x + 1) * blur.width_px / 2 - 0.5, (y + 1) * blur.height_px / 2 - 0.5)
-            self._kept[key] = _transfer(field_kernels(blur, place, float(self.shift.inverse_mm(radius_px))), shape)
+            self._kept[key] = _transfer(lens_kernels(blur, place, float(self.shift.inverse_mm(radius_px))), shape)
         return self._kept[key]
 
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.evaluation.figures import BLUE, GREY, new_figure, tidy
-from chromaperture.optics.field_blur import FieldBlur
+from chromaperture.optics.lens_blur import LensBlur
 
 _PLACES = (0.02, 0.26, 0.5, 0.74, 0.98)  # over the width, and three of them over the height
 _SHARE = 0.995  # of the light that a patch shows
@@ -31,7 +31,7 @@ def draw_blur(result: CalibrationResult) -> Figure | None:
     return figure
 
 
-def _patches(blur: FieldBlur, inverse_mm: float) -> np.ndarray:
+def _patches(blur: LensBlur, inverse_mm: float) -> np.ndarray:
     """Colour picture of the PSFs at 5 x 3 places of the frame, each as bright as its peak."""
     at_infinity, scale = blur.model.infinity_px, blur.model.scale_px_mm
     radius = 1.5 * abs(at_infinity - scale * inverse_mm) + 4

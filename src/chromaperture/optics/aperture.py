@@ -1,7 +1,7 @@
-"""Apertures as data: where each colour filter sits in the pupil, and what follows from that alone.
+"""Apertures as data: shapes and filters in the pupil, and their light and centroids.
 
 Pupil coordinates are in units of the pupil radius, seen from behind the camera looking at the scene, x right,
-y down (``docs/conventions.md``). Nothing here knows a lens or an image.
+y down (``docs/conventions.md``).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ __all__ = [
     "open_disc",
 ]
 
-_LARGEST_OVERLAP = 1e-3  # share of the pupil; neighbours that touch overlap by less than a row of grid cells
+_LARGEST_OVERLAP = 1e-3  # of the pupil's area; touching neighbours overlap by less than a row of grid cells
 
 
 @dataclass(frozen=True)
@@ -68,14 +68,14 @@ class Aperture:
     name : str
         Identifier, such as ``cy_halves``.
     title : str
-        What a person calls it.
+        For people.
     parts : tuple of SubAperture
         The pieces of film; they must not overlap.
     remainder : Filter
-        What fills the pupil outside the pieces: ``CLEAR`` or ``OPAQUE``.
+        Fills the pupil outside the pieces: ``CLEAR`` or ``OPAQUE``.
     views : tuple of str
-        Names of the filters whose views are matched, in order: two (complementary halves), three, or none
-        where the design has no parallax.
+        Names of the filters whose views are matched, in order: two (complementary halves), three, or none for a
+        design without parallax.
     """
 
     name: str
@@ -85,14 +85,14 @@ class Aperture:
     views: tuple[str, ...]
 
     def filter_named(self, name: str) -> Filter:
-        """Give the filter of that name; raises InputError where there is none."""
+        """Return the filter of that name; raises InputError when there is none."""
         for part in self.parts:
             if part.filter.name == name:
                 return part.filter
         raise InputError(f"aperture {self.name!r} has no {name!r} filter")
 
     def with_film(self, film: Mapping[str, Sequence[float] | np.ndarray]) -> Aperture:
-        """Give the same geometry with other film: R, G, B transmission by filter name; others keep theirs."""
+        """Replace film, R, G, B transmission by filter name, in the same geometry; other filters stay."""
 
         def swap(part: SubAperture) -> SubAperture:
             if part.filter.name not in film:
@@ -103,7 +103,7 @@ class Aperture:
         return replace(self, parts=tuple(map(swap, self.parts)))
 
     def transmission_map(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Transmission in R, G, B at pupil points.
+        """Look up the transmission in R, G, B at pupil points.
 
         Parameters
         ----------
@@ -114,18 +114,23 @@ class Aperture:
         -------
         (..., 3) float64 in [0, 1]; 0 outside the pupil.
         """
+        out = self.film_map(x, y)
+        out[np.hypot(x, y) >= 1] = 0
+        return out
+
+    def film_map(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Look up the transmission like `transmission_map`, but without the pupil's rim."""
         out = np.broadcast_to(np.array(self.remainder.transmission), (*np.shape(x), 3)).copy()
         for part in self.parts:
             out[part.shape.contains(x, y)] = part.filter.transmission
-        out[np.hypot(x, y) >= 1] = 0
         return out
 
 
 @cache
 def pupil_grid(samples: int = 1000) -> tuple[np.ndarray, np.ndarray]:
-    """Midpoints of a square grid over [-1, 1]^2, in pupil radii; two (samples, samples) arrays.
+    """Compute midpoints of a square grid over [-1, 1]^2, in pupil radii; two (samples, samples) arrays.
 
-    An even count keeps the midpoints off the axes, so that mirrored halves come out equal.
+    An even count keeps the midpoints off the axes, so that mirrored halves are equal.
     """
     axis = (np.arange(samples) + 0.5) * 2 / samples - 1
     x, y = np.meshgrid(axis, axis)
@@ -134,9 +139,9 @@ def pupil_grid(samples: int = 1000) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def _piece_moments(shapes: tuple[Shape, ...], samples: int = 1000) -> np.ndarray:
-    """Area and first moments of every piece and, last, of the rest of the pupil; (P + 1, 3).
+    """Integrate area and first moments of every piece and, last, of the rest of the pupil; (P + 1, 3).
 
-    Film does not enter, so that one integration serves every film and every combination of channels.
+    Independent of film: one integration is enough for every film and every combination of channels.
     """
     x, y = pupil_grid(samples)
     piece = np.full(x.shape, len(shapes), np.int8)
@@ -148,31 +153,31 @@ def _piece_moments(shapes: tuple[Shape, ...], samples: int = 1000) -> np.ndarray
 
 
 def channel_moments(aperture: Aperture) -> np.ndarray:
-    """Light and its first moments (x, y) in the pupil for R, G, B; (3, 3) float64, open pupil = 1."""
+    """Compute light and its first moments (x, y) in the pupil for R, G, B; (3, 3) float64, open pupil = 1."""
     film = [part.filter.transmission for part in aperture.parts] + [aperture.remainder.transmission]
     return np.array(film).T @ _piece_moments(tuple(part.shape for part in aperture.parts))
 
 
 def channel_transmission(aperture: Aperture) -> np.ndarray:
-    """Share of the light of an open pupil that reaches each sensor channel; (3,) float64."""
+    """Compute the light in each sensor channel, as a fraction of that of an open pupil; (3,) float64."""
     return channel_moments(aperture)[:, 0]
 
 
 def centroids(aperture: Aperture, unmixing: np.ndarray | None = None) -> np.ndarray:
-    """Centroid of the pupil as each channel sees it.
+    """Compute the centroid of each channel's pupil function.
 
-    A linear combination ``q`` of the sensor channels sees the pupil function ``sum_k q_k A_k``, so unmixing
-    moves the centroids outwards: that is why CYX separates the views of an open design further than RGB does.
+    A linear combination ``q`` of the sensor channels has the pupil function ``sum_k q_k A_k``, so unmixing moves the
+    centroids outwards: CYX separates the views of an open design further than RGB does.
 
     Parameters
     ----------
     aperture : Aperture
     unmixing : (K, 3) float, optional
-        Rows are combinations of R, G, B; the sensor channels themselves when absent.
+        Rows are combinations of R, G, B; the identity when absent.
 
     Returns
     -------
-    (K, 2) float64, pupil radii; NaN for a channel that sees no light.
+    (K, 2) float64, pupil radii; NaN for a channel without light.
     """
     rows = np.eye(3) if unmixing is None else np.asarray(unmixing, float)
     moments = rows @ channel_moments(aperture)
@@ -182,7 +187,7 @@ def centroids(aperture: Aperture, unmixing: np.ndarray | None = None) -> np.ndar
 
 
 def made_of(aperture: Aperture, film: str) -> Aperture:
-    """Give the same design made of another film (``ideal``, ``real``, ``leaky``).
+    """Replace the film of a design by a named set (``ideal``, ``real``, ``leaky``).
 
     Raises
     ------
@@ -197,9 +202,9 @@ def made_of(aperture: Aperture, film: str) -> Aperture:
 
 
 def checked_aperture(aperture: Aperture) -> Aperture:
-    """Check a user's design and give it back.
+    """Validate a user's design and return it.
 
-    Pieces may reach beyond the pupil, as film reaches under the rim of a stop; the pupil cuts them.
+    Pieces may extend beyond the pupil, as film does under the rim of a stop; the pupil cuts them.
 
     Raises
     ------
@@ -213,22 +218,19 @@ def checked_aperture(aperture: Aperture) -> Aperture:
         if not cover.any():
             raise InputError(
                 f"piece {i + 1} ({part.filter.name}) of {aperture.name!r} lies outside the pupil: "
-                "coordinates are in "
-                "pupil radii, from -1 to 1"
+                "coordinates are in pupil radii, from -1 to 1"
             )
         for j in range(i):
-            shared = np.count_nonzero(cover & covers[j]) / np.count_nonzero(inside)
-            if shared > _LARGEST_OVERLAP:
+            overlap = np.count_nonzero(cover & covers[j]) / np.count_nonzero(inside)
+            if overlap > _LARGEST_OVERLAP:
                 raise InputError(
                     f"pieces {j + 1} ({aperture.parts[j].filter.name}) and {i + 1} ({part.filter.name}) of "
-                    f"{aperture.name!r} overlap over {100 * shared:.1f} % of the pupil: move or shrink one"
+                    f"{aperture.name!r} overlap over {100 * overlap:.1f} % of the pupil: move or shrink one"
                 )
     for view in aperture.views:
         aperture.filter_named(view)
     if not aperture.transmission_map(x, y).any():
-        raise InputError(
-            f"aperture {aperture.name!r} passes no light: add a piece of film or a clear remainder"
-        )
+        raise InputError(f"aperture {aperture.name!r} passes no light: add a piece of film or a clear remainder")
     return aperture
 
 
@@ -241,24 +243,21 @@ def _three_discs(filters: Sequence[Filter], radius: float, distance: float) -> t
     """Discs up, lower left, lower right (y is down, so "up" is negative)."""
     angles = (-90, 150, 30)
     return tuple(
-        SubAperture(
-            Disc((distance * math.cos(math.radians(a)), distance * math.sin(math.radians(a))), radius), colour
-        )
+        SubAperture(Disc((distance * math.cos(math.radians(a)), distance * math.sin(math.radians(a))), radius), colour)
         for a, colour in zip(angles, filters, strict=True)
     )
 
 
 def _three_squares(filters: Sequence[Filter]) -> tuple[SubAperture, ...]:
-    """Squares right, up, left: three quarters of the pupil's inscribed square, standing on its corner."""
+    """Squares right, up, left: three quarters of the inscribed square turned by 45 degrees."""
     centers = ((0.5, 0.0), (0.0, -0.5), (-0.5, 0.0))
     return tuple(
-        SubAperture(Square(center, _SQUARE_SIDE, 45), colour)
-        for center, colour in zip(centers, filters, strict=True)
+        SubAperture(Square(center, _SQUARE_SIDE, 45), colour) for center, colour in zip(centers, filters, strict=True)
     )
 
 
 def open_band(half_width: float, *, name: str = "cy_open") -> Aperture:
-    """Design VII: cyan and yellow caps left and right of an open band |x| < half_width, in pupil radii."""
+    """Build design VII: cyan and yellow caps left and right of an open band |x| < half_width, in pupil radii."""
     caps = (
         SubAperture(HalfPlane(_LEFT, half_width), CYAN),
         SubAperture(HalfPlane(_RIGHT, half_width), YELLOW),
@@ -267,11 +266,10 @@ def open_band(half_width: float, *, name: str = "cy_open") -> Aperture:
 
 
 def open_disc(radius: float, *, name: str = "cy_open_disc") -> Aperture:
-    """Design VII read as a ring: cyan and yellow half rings around an open disc of that radius."""
+    """Build design VII with an open disc of that radius inside cyan and yellow half rings."""
     ring = Disc(inner_radius=radius, radius=2.0)
     halves = tuple(
-        SubAperture(Intersection((ring, HalfPlane(side))), colour)
-        for side, colour in ((_LEFT, CYAN), (_RIGHT, YELLOW))
+        SubAperture(Intersection((ring, HalfPlane(side))), colour) for side, colour in ((_LEFT, CYAN), (_RIGHT, YELLOW))
     )
     return Aperture(name, "VII b: cyan and yellow, open disc", halves, CLEAR, ("cyan", "yellow"))
 

@@ -1,4 +1,4 @@
-"""Apertures of one's own, from a short TOML file or a simple drawing."""
+"""User-defined apertures from a short TOML file or a simple drawing."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ from chromaperture.optics.svg import read_svg_shapes
 
 
 def load_aperture(name_or_path: str | Path) -> Aperture:
-    """Give an aperture by the name of a design, or from a ``.toml`` or ``.svg`` file.
+    """Load an aperture by the name of a design, or from a ``.toml`` or ``.svg`` file.
 
     Raises
     ------
     InputError
-        Unknown name, missing or malformed file, pieces that overlap or lie outside the pupil, unknown
-        filters.
+        Unknown name, missing or malformed file, pieces that overlap or lie outside the pupil, unknown filters.
     """
     path = Path(name_or_path)
     if path.suffix.lower() not in (".toml", ".svg"):
@@ -61,14 +60,10 @@ def aperture_from_dict(data: Mapping[str, Any], *, name: str) -> Aperture:
     """
     known = {"title", "film", "remainder", "views", "filters", "part"}
     if set(data) - known:
-        raise InputError(
-            f"aperture {name!r}: unknown keys {', '.join(sorted(set(data) - known))}; known are {known}"
-        )
+        raise InputError(f"aperture {name!r}: unknown keys {', '.join(sorted(set(data) - known))}; known are {known}")
     own = {key: Filter(key, tuple(value["transmission"])) for key, value in data.get("filters", {}).items()}
     sheets = film_named(data.get("film", "ideal")) | FIXED | own
-    parts = tuple(
-        SubAperture(_shape(part), _sheet(sheets, part.get("filter"))) for part in data.get("part", ())
-    )
+    parts = tuple(SubAperture(_shape(part), _sheet(sheets, part.get("filter"))) for part in data.get("part", ()))
     remainder = data.get("remainder", "opaque")
     if remainder not in FIXED:
         raise InputError(f"aperture {name!r}: remainder must be clear or opaque, got {remainder!r}")
@@ -77,15 +72,13 @@ def aperture_from_dict(data: Mapping[str, Any], *, name: str) -> Aperture:
 
 
 def _views(parts: tuple[SubAperture, ...]) -> tuple[str, ...]:
-    """Give the coloured filters in order, without repeats."""
+    """List the coloured filters in order, without repeats."""
     return tuple(dict.fromkeys(part.filter.name for part in parts if part.filter.name not in FIXED))
 
 
 def _sheet(sheets: Mapping[str, Filter], name: object) -> Filter:
     if not isinstance(name, str) or name not in sheets:
-        raise InputError(
-            f"unknown filter {name!r}: choose one of {', '.join(sheets)}, or define [filters.{name}]"
-        )
+        raise InputError(f"unknown filter {name!r}: choose one of {', '.join(sheets)}, or define [filters.{name}]")
     return sheets[name]
 
 
@@ -94,9 +87,7 @@ def _shape(part: Mapping[str, Any]) -> Shape:
     kinds: dict[str, Any] = {"disc": Disc, "half_plane": HalfPlane, "square": Square}
     given = [key for key in part if key != "filter"]
     if len(given) != 1 or given[0] not in (*kinds, "polygon"):
-        raise InputError(
-            f"a part needs a filter and one of {', '.join(kinds)}, polygon; got {', '.join(part)}"
-        )
+        raise InputError(f"a part needs a filter and one of {', '.join(kinds)}, polygon; got {', '.join(part)}")
     value = part[given[0]]
     try:
         if given[0] == "polygon":

@@ -1,7 +1,7 @@
-"""A printable chessboard of true size, in a margin of speckle that gives a matcher something to read.
+"""A printable chessboard of true size, surrounded by speckle.
 
-The chessboard tells the pose; the speckle lets the disparity be measured where the board is white. The same speckle
-fills whole pages for the wall around the board.
+The chessboard determines the pose; the speckle is texture for measuring disparity. The same speckle fills whole pages
+for the wall around the board.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ import numpy as np
 from chromaperture.errors import InputError
 
 PAPERS = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "letter": (279.4, 215.9)}  # landscape, mm
-SPECKLE_DPI = 100
-_EDGE_MM = 6.0  # most printers cannot print nearer to the edge
+SPECKLE_DPI = 100  # a dot is 0.25 mm, a fifth of the smallest disc
+_EDGE_MM = 6.0  # unprintable margin of most printers
 _FOOT_MM = 12.0  # scale bar and text
-_SCALES_MM = (1.2, 2.5, 5.0, 10.0)  # half a pixel's footprint at 1 m to that of a blurred one at 4 m
-_GREYS = (40, 90, 150, 215)
+_SCALES_MM = (1.2, 2.5, 5.0, 10.0)  # diameters: half a pixel's footprint at 1 m to that of a blurred one at 4 m
+_GREYS = (40, 90, 150, 215)  # of 255; chosen by hand, not tuned
+_COVERAGE = 0.4  # of the page, by the discs of one size; chosen by hand, not tuned
 _POINT_PER_MM = 72 / 25.4
 
 
 @dataclass(frozen=True)
 class BoardPage:
-    """A page with a chessboard, measures in mm from the page's top-left corner.
+    """A page with a chessboard; lengths in mm from the page's top-left corner.
 
     Attributes
     ----------
@@ -47,7 +48,7 @@ class BoardPage:
 
     @property
     def caption(self) -> str:
-        """What the foot of the page says."""
+        """Text at the foot of the page."""
         columns, rows = self.inner_corners
         return (
             f"{columns} x {rows} inner corners, {self.square_mm:g} mm squares. Print at 100 %, no fitting to the page; "
@@ -79,7 +80,7 @@ def board_page(*, columns: int = 9, rows: int = 6, square_mm: float = 22.0, pape
     Raises
     ------
     InputError
-        An unknown paper, a board that cannot be told from itself turned round, or one that does not fit.
+        An unknown paper, a board that looks the same upside down, or one that does not fit.
     """
     if paper.lower() not in PAPERS:
         raise InputError(f"paper {paper!r} is not known: choose one of {', '.join(PAPERS)}")
@@ -89,7 +90,7 @@ def board_page(*, columns: int = 9, rows: int = 6, square_mm: float = 22.0, pape
             "number odd and one even, such as 9 x 6"
         )
     width, height = PAPERS[paper.lower()]
-    # A white rim of half a square round the board: the detector needs it, and the speckle must not touch a corner.
+    # A white rim of half a square around the board: the corner detector needs it.
     room = min(
         (width - 2 * _EDGE_MM) / (columns + 2),
         (height - 2 * _EDGE_MM - _FOOT_MM) / (rows + 2),
@@ -105,7 +106,7 @@ def board_page(*, columns: int = 9, rows: int = 6, square_mm: float = 22.0, pape
 
 
 def speckle(size_mm: tuple[float, float], *, seed: int = 7) -> np.ndarray:
-    """Draw discs of several sizes and greys, as many of each size as cover the page about once.
+    """Draw discs of several sizes and greys; those of each size cover 0.4 of the page.
 
     Parameters
     ----------
@@ -120,17 +121,17 @@ def speckle(size_mm: tuple[float, float], *, seed: int = 7) -> np.ndarray:
     per_mm = SPECKLE_DPI / 25.4
     width, height = (round(s * per_mm) for s in size_mm)
     picture = np.full((height, width), 128, np.uint8)
-    for scale in sorted(_SCALES_MM, reverse=True):  # small ones on top: every scale stays to be seen
-        count = round(0.4 * size_mm[0] * size_mm[1] / (np.pi * scale**2 / 4))
+    for scale in sorted(_SCALES_MM, reverse=True):  # small ones on top, so that every scale stays visible
+        count = round(_COVERAGE * size_mm[0] * size_mm[1] / (np.pi * scale**2 / 4))
         places = rng.uniform(0, 1, (count, 2)) * (width, height) * 16
         for (x, y), grey in zip(places.astype(int), rng.choice(_GREYS, count), strict=True):
-            # four fractional bits: positions and radii of a sixteenth px, edges smoothed
+            # 4 fractional bits: positions and radii in sixteenths of a px, with smooth edges
             cv2.circle(picture, (int(x), int(y)), round(8 * scale * per_mm), int(grey), -1, cv2.LINE_AA, 4)
     return picture
 
 
 def board_svg(pages: Iterable[BoardPage | str]) -> list[str]:
-    """Draw pages as SVG in millimetres; a paper's name instead of a board gives a page of speckle alone."""
+    """Draw pages as SVG in millimetres; a paper's name instead of a board makes a page of speckle alone."""
     return [_page_svg(page, seed) for seed, page in enumerate(pages)]
 
 
@@ -153,7 +154,7 @@ def _page_svg(page: BoardPage | str, seed: int) -> str:
 
 
 def _rectangles(page: BoardPage) -> list[tuple[float, float, float, float, str]]:
-    """White rim, foot, black squares and the scale bar: x, y, width, height, fill; in the order they are painted."""
+    """List white rim, foot, black squares and scale bar: x, y, width, height, fill; in painting order."""
     square, (x0, y0) = page.square_mm, page.origin_mm
     columns, rows = page.inner_corners
     width, height = page.size_mm
@@ -163,7 +164,7 @@ def _rectangles(page: BoardPage) -> list[tuple[float, float, float, float, str]]
         (_EDGE_MM, foot, width - 2 * _EDGE_MM, _FOOT_MM + 1, "white"),  # overlaps the speckle's edge
     ]
     shapes += [(x, y, square, square, "black") for x, y in page.squares()]
-    # 100 mm in blocks of 10: a ruler laid along it finds a printer that scales.
+    # 100 mm in blocks of 10, to check the printer's scale with a ruler.
     shapes += [(_EDGE_MM + 2 + 10 * i, foot + 2, 10.0, 2.0, "black" if i % 2 == 0 else "#bbbbbb") for i in range(10)]
     return shapes
 

@@ -1,12 +1,11 @@
-"""How well a design can measure depth: the Cramer-Rao bound of its disparity under shot and read noise.
+"""Cramer-Rao bound of the disparity of an aperture design, under shot and read noise.
 
-The scene is grey with an unknown texture of 1/f amplitudes. With h(w) the transfer functions of the channels,
-S their noise covariance and I(w) the texture, each frequency informs about the disparity d by
+The scene is grey with an unknown texture of 1/f amplitudes. With h(w) the transfer functions of the channels, S their
+noise covariance and I(w) the texture, the Fisher information of each frequency about the disparity d is
 
     |I|^2 h'^H P h',    P = S^-1 - S^-1 h h^H S^-1 / (h^H S^-1 h),    ' = d/dd:
 
-what is left of a change of the pictures once any change of the texture is allowed to explain it. For two
-channels that is |I|^2 |h2' h1 - h1' h2|^2 / (v1 |h2|^2 + v2 |h1|^2).
+the change of the pictures with d, orthogonal to any change of the texture. For two channels that is |I|^2 |h2' h1 - h1' h2|^2 / (v1 |h2|^2 + v2 |h1|^2).
 """
 
 from __future__ import annotations
@@ -19,27 +18,26 @@ from chromaperture.optics.aperture import Aperture, channel_transmission
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_otf
-from chromaperture.optics.sensor import Sensor
+from chromaperture.optics.sensor import SensorModel
 
-_FIELD = 128  # side of the patch whose frequencies are summed, px
-_STEP = 1e-2  # px of blur radius, for the derivative
+_PATCH = 128  # px: side of the patch whose frequencies are summed; 512 differ by a few percent of the variance
+_STEP = 1e-2  # px of blur radius, for the central difference
 
 
 @dataclass(frozen=True)
 class Texture:
-    """What the scene offers and how much of it is listened to.
+    """Texture of the scene and size of the matching window.
 
     Attributes
     ----------
     mean, contrast : float
         Reflectance and its standard deviation, linear.
     exponent : float
-        Amplitudes fall as frequency^-exponent, from the lowest frequency of ``patch_px`` on.
+        Amplitudes fall as frequency^-exponent, from the lowest frequency of ``patch_px``.
     patch_px : int
-        Size of the picture the contrast belongs to.
+        Side of the picture that has this contrast.
     window_px2 : float
-        Independent pixels in the matching window. 320 is that of 0.80^(|x| + |y|), the default of the
-        matcher.
+        Independent pixels in the matching window; 320 is that of 0.80^(|x| + |y|), the matcher's default.
     """
 
     mean: float = 0.45
@@ -78,11 +76,11 @@ def expected_accuracy(
     camera: PupilCamera,
     depth_mm: np.ndarray,
     *,
-    sensor: Sensor | None = None,
+    sensor: SensorModel | None = None,
     texture: Texture | None = None,
     exposure: float = 1.0,
 ) -> ExpectedAccuracy:
-    """Bound the depth error of a design.
+    """Compute the lower bound of a design's depth error.
 
     Parameters
     ----------
@@ -90,10 +88,10 @@ def expected_accuracy(
     camera : PupilCamera
     depth_mm : (N,) float
         From the sensor plane.
-    sensor : Sensor, optional
+    sensor : SensorModel, optional
     texture : Texture, optional
     exposure : float
-        Factor on the light, the same for all designs that are to be compared.
+        Factor on the light, the same for all designs of a comparison.
 
     Returns
     -------
@@ -104,7 +102,7 @@ def expected_accuracy(
     InputError
         A distance behind the camera.
     """
-    sensor, texture = sensor or Sensor(), texture or Texture()
+    sensor, texture = sensor or SensorModel(), texture or Texture()
     depth = np.atleast_1d(np.asarray(depth_mm, float))
     radius = camera.blur_radius_px(depth)
     beta = aperture_figures(aperture, film_unmixing(aperture)).beta if aperture.views else 0.0
@@ -117,9 +115,9 @@ def expected_accuracy(
 
 
 def disparity_bound(
-    aperture: Aperture, radius_px: float, beta: float, sensor: Sensor, texture: Texture, exposure: float
+    aperture: Aperture, radius_px: float, beta: float, sensor: SensorModel, texture: Texture, exposure: float
 ) -> float:
-    """Smallest standard deviation of the half disparity at a blur radius, px; inf if nothing is learned."""
+    """Compute the bound on the standard deviation of the half disparity, px; inf without information."""
     if beta == 0:
         return float("inf")
     light = channel_transmission(aperture)
@@ -127,14 +125,10 @@ def disparity_bound(
     shot = light * texture.mean * exposure / sensor.full_well_electrons
     variance = shot + (sensor.read_noise_electrons / sensor.full_well_electrons) ** 2
     noise = rows @ np.diag(variance) @ rows.T
-    # Transfer functions of the unmixed views: what is matched.
-    shape = (_FIELD, _FIELD)
+    shape = (_PATCH, _PATCH)
 
     def views(r: float) -> np.ndarray:
-        otf = (
-            geometric_otf(aperture, float(r), shape, pixel=True).astype(complex)
-            * (exposure * light)[:, None, None]
-        )
+        otf = geometric_otf(aperture, float(r), shape, pixel=True).astype(complex) * (exposure * light)[:, None, None]
         return np.einsum("kc,chw->hwk", rows, otf)
 
     h = views(radius_px)
@@ -144,7 +138,7 @@ def disparity_bound(
     moved = np.einsum("hwk,kl,hwl->hw", slope.conj(), inverse, slope).real
     both = np.einsum("hwk,kl,hwl->hw", h.conj(), inverse, slope)
     information = np.maximum(moved - np.abs(both) ** 2 / np.maximum(own, 1e-30), 0)
-    # The half plane of `rfft2` stands for all frequencies: its inner columns count twice.
+    # `rfft2` holds half of the frequencies: its inner columns count twice.
     twice = np.full(h.shape[1], 2.0)
     twice[[0, -1]] = 1
     per_pixel = float((information * _spectrum(texture) * twice).sum())
@@ -152,13 +146,13 @@ def disparity_bound(
 
 
 def _spectrum(texture: Texture) -> np.ndarray:
-    """Variance of the texture in each cell of the frequency plane; (_FIELD, _FIELD // 2 + 1)."""
+    """Compute the texture's variance in each cell of the frequency plane; (_PATCH, _PATCH // 2 + 1)."""
     side = texture.patch_px
     fy, fx = np.fft.fftfreq(side)[:, None], np.fft.fftfreq(side)[None]
     fine = np.hypot(fy, fx)
     fine[0, 0] = np.inf
     total = (fine ** (-2 * texture.exponent)).sum()
-    coarse = np.hypot(np.fft.fftfreq(_FIELD)[:, None], np.fft.rfftfreq(_FIELD)[None])
+    coarse = np.hypot(np.fft.fftfreq(_PATCH)[:, None], np.fft.rfftfreq(_PATCH)[None])
     coarse[0, 0] = np.inf
-    density = coarse ** (-2 * texture.exponent) / total * (side / _FIELD) ** 2
+    density = coarse ** (-2 * texture.exponent) / total * (side / _PATCH) ** 2
     return texture.contrast**2 * density

@@ -1,4 +1,4 @@
-"""Point-spread functions of wave optics, for lenses of millimetres."""
+"""Point-spread functions of wave optics, for lenses of a few millimetres (``examples/diffraction_limit.py``)."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.pinhole import PupilCamera
 
-_MOST_CELLS = 3000  # across the pupil; memory grows with the square
-_SUBPIXELS = 8  # image samples across a pixel, before they are added up
+_MOST_CELLS = 3000  # across the pupil: 3000^2 complex amplitudes are 144 MB a channel
+_SUBPIXELS = 8  # image samples across a pixel, summed; chosen by hand, not tuned
 
 
 def defocus_um(camera: PupilCamera, depth_mm: float) -> float:
-    """Wavefront defocus at the pupil's rim, W20 = (R^2 / 2)(1 / z_f - 1 / z) in um; it has the sign of r."""
+    """Compute the wavefront defocus at the pupil's rim, W20 = (R^2 / 2)(1 / z_f - 1 / z) in um; of the sign of r."""
     radius_px = float(camera.blur_radius_px(depth_mm))
     return 1e3 * radius_px * camera.pixel_pitch_mm * camera.pupil_radius_mm / (2 * camera.image_distance_mm)
 
@@ -27,10 +27,10 @@ def diffraction_psf(
     wavelengths_um: tuple[float, float, float] = (0.605, 0.540, 0.465),
     cells: int | None = None,
 ) -> np.ndarray:
-    """Point-spread functions integrated over pixels, one wavelength a channel.
+    """Compute point-spread functions integrated over pixels, one wavelength a channel.
 
-    Light of one wavelength through the whole pupil interferes, so amplitudes are summed and not intensities:
-    green sees both halves of a complementary aperture as one.
+    Light of one wavelength interferes across the whole pupil, so amplitudes are summed, not intensities: for green,
+    both halves of a complementary aperture act as one.
 
     Parameters
     ----------
@@ -42,11 +42,11 @@ def diffraction_psf(
         Side of the result in px, odd.
     wavelengths_um : tuple of float
     cells : int, optional
-        Samples across the pupil; chosen to follow phase and image size when absent.
+        Samples across the pupil; when absent, chosen for defocus and image size.
 
     Returns
     -------
-    (3, size, size) float64; sums are the share of the light that falls inside the square.
+    (3, size, size) float64; each sums to the fraction of the light inside the square.
 
     Raises
     ------
@@ -59,14 +59,12 @@ def diffraction_psf(
     ratio = camera.pupil_radius_mm / camera.image_distance_mm  # R / F
     half_um = 1e3 * camera.pixel_pitch_mm * size / 2
     if cells is None:
-        # Phase steps of at most a quarter wave between samples at the rim, for defocus and for the farthest
-        # image point.
+        # At most a quarter wave between samples at the rim, for defocus and for the farthest image point.
         steps = (2 * abs(w20) + ratio * half_um * 2**0.5) / min(wavelengths_um)
         cells = 2 * int(np.ceil(max(32, 4 * steps)))
     if cells > _MOST_CELLS:
         raise InputError(
-            f"the defocus of {w20:.0f} um is hundreds of waves: diffraction is lost in it, use the "
-            "geometric PSF"
+            f"the defocus of {w20:.0f} um is hundreds of waves: diffraction is lost in it, use the geometric PSF"
         )
     axis = (np.arange(cells) + 0.5) * 2 / cells - 1
     xi, eta = np.meshgrid(axis, axis)
@@ -77,7 +75,7 @@ def diffraction_psf(
         pupil = amplitude[..., k] * np.exp(2j * np.pi * w20 / wave * (xi**2 + eta**2))
         kernel = np.exp(-2j * np.pi * ratio / wave * np.outer(fine, axis))
         field = kernel @ pupil @ kernel.T
-        step = ratio / wave * (fine[1] - fine[0]) * 2 / cells  # Parseval: makes the sum over all space one
+        step = ratio / wave * (fine[1] - fine[0]) * 2 / cells  # Parseval: the sum over all space is 1
         power = np.abs(field) ** 2 * step**2 / max(float((amplitude[..., k] ** 2).sum()), 1e-12)
         out[k] = power.reshape(size, _SUBPIXELS, size, _SUBPIXELS).sum(axis=(1, 3))
     return out

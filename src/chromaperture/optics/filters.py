@@ -1,4 +1,4 @@
-"""Colour filters: the share of light each passes in the sensor's red, green and blue channel."""
+"""Colour filters: transmission in the sensor's red, green and blue channel."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from chromaperture.errors import InputError
 
 @dataclass(frozen=True)
 class Filter:
-    """A colour filter: the share of light it passes in the sensor's red, green and blue channel."""
+    """A colour filter: its transmission in the sensor's red, green and blue channel."""
 
     name: str
     transmission: tuple[float, float, float]
@@ -17,8 +17,7 @@ class Filter:
     def __post_init__(self) -> None:
         if len(self.transmission) != 3 or not all(0 <= t <= 1 for t in self.transmission):
             raise InputError(
-                f"filter {self.name!r} needs three transmissions (R, G, B) between 0 and 1, got "
-                f"{self.transmission}"
+                f"filter {self.name!r} needs three transmissions (R, G, B) between 0 and 1, got {self.transmission}"
             )
 
 
@@ -36,7 +35,7 @@ def _film(**transmissions: tuple[float, float, float]) -> dict[str, Filter]:
     return {name: Filter(name, values) for name, values in transmissions.items()}
 
 
-# "real": stage-light film before a Bayer sensor; it gives the paper's Table 1 for designs V and VII.
+# "real": stage-light film before a Bayer sensor; it reproduces the paper's Table 1 for designs V and VII.
 # "leaky": crosstalk of the size measured by Setterfield et al. (2019) on a triple-pinhole camera, where a
 # filter passed .10 to .47 in a wrong channel against .25 to .39 in its own.
 FILMS: dict[str, dict[str, Filter]] = {

@@ -1,10 +1,10 @@
-"""The fast renderer: a picture with depth, cut into layers of equal blur.
+"""The fast renderer: a picture with depth, split into layers of equal blur.
 
     y_k = sum_l (a_l J_l * h_kl) (1 - sum_m a_m * h_km),    m: layers nearer than l by more than a depth edge
 
-Within a surface neighbouring layers add up; only a surface that stands clear before another hides it. What a
-near object hides and its blurred rim reveals is not in the picture; a second sheet behind the near sides of
-depth edges continues the far surface there, mirrored at the edge.
+Within a surface neighbouring layers are added; only a surface that is clearly nearer occludes another. What the blurred
+rim of a near object reveals is not in the picture; a second sheet behind the near sides of depth edges extrapolates the
+far surface, mirrored at the edge.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from chromaperture.optics.aperture import Aperture, channel_transmission
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_otf
 
-_SHARP_PX = 0.02  # blur below is none: the centroid of a half pupil moves by less than 0.01 px
+_SHARP_PX = 0.02  # smaller blur is skipped: it moves the centroid of a half pupil by less than 0.01 px
 
 
 @dataclass(frozen=True)
 class LayeredCapture:
-    """What the layered renderer made.
+    """Result of the layered renderer.
 
     Attributes
     ----------
     image : (H, W, 3) float32
         Linear light behind the aperture; reflectance 1 through the open pupil gives 1.
     layer_count : int
-        Layers that held any pixel.
+        Layers that are not empty.
     """
 
     image: np.ndarray
@@ -49,21 +49,21 @@ def render_layers(
     pitch_px: float = 0.5,
     edge_px: float = 0.7,
 ) -> LayeredCapture:
-    """Photograph an RGB-D picture taken from the pupil's centre.
+    """Photograph an RGB-D picture that was taken from the pupil's centre.
 
     Parameters
     ----------
     color : (H, W, 3) float
         Sharp, linear.
     depth_mm : (H, W) float
-        Distance from the sensor plane. NaN takes the nearest known depth.
+        Distance from the sensor plane; NaN is replaced by the nearest known depth.
     camera : PupilCamera
-        Its size must be the picture's.
+        Of the picture's size.
     aperture : Aperture
     pitch_px : float
-        Distance of two layers in blur radius; between two layers light is shared linearly.
+        Difference of blur radius between layers; light in between is divided linearly.
     edge_px : float
-        Neighbours whose blur radii differ by more are two surfaces, one before the other.
+        Neighbours whose blur radii differ by more are two surfaces.
 
     Returns
     -------
@@ -83,8 +83,8 @@ def render_layers(
         )
     radius = camera.blur_radius_px(fill_unknown(depth)).astype(np.float32)
     reach = math.ceil(float(np.abs(radius).max())) + 2
-    # A filtered picture falls to nothing at its rim: continue it by its mirror image. Coarse steps keep the
-    # size, and with it the transfer functions, the same from frame to frame of a video.
+    # Mirrored borders, because filtering is periodic. Steps of 16 px keep the size, and so the cached transfer
+    # functions, from frame to frame of a video.
     pad = min(16 * math.ceil(reach / 16), min(depth.shape) - 1)
     size = tuple(scipy.fft.next_fast_len(n + 2 * pad, real=True) for n in depth.shape)
     rims = (pad, size[0] - depth.shape[0] - pad, pad, size[1] - depth.shape[1] - pad)
@@ -95,7 +95,7 @@ def render_layers(
     hidden = behind_radius != radius
     total = np.zeros((3, *size), np.float32)
     cover = np.zeros((3, *size), np.float32)
-    before = np.zeros((3, *size), np.float32)  # coverage by surfaces that stand clear in front
+    before = np.zeros((3, *size), np.float32)  # coverage by surfaces that are clearly nearer
     waiting: list[tuple[int, np.ndarray]] = []
     count = 0
     first, last = math.floor(float(radius.min()) / pitch_px), math.ceil(float(behind_radius.max()) / pitch_px)
@@ -121,17 +121,17 @@ def render_layers(
 
 
 def fill_unknown(depth_mm: np.ndarray) -> np.ndarray:
-    """Give unknown (NaN) depths the nearest known one; raises InputError where none is known."""
+    """Replace unknown (NaN) depths by the nearest known one; raises InputError when none is known."""
     unknown = np.isnan(depth_mm)
     if not unknown.any():
         return depth_mm
     if unknown.all():
-        raise InputError("the depth map knows no depth at all: every pixel is NaN")
+        raise InputError("the depth map holds no depth at all: every pixel is NaN")
     return depth_mm[_nearest(~unknown)]
 
 
 def _nearest(wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column of the nearest wanted pixel, for every pixel."""
+    """Find row and column of the nearest wanted pixel, for every pixel."""
     _, labels = cv2.distanceTransformWithLabels(
         (~wanted).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
     )
@@ -142,10 +142,8 @@ def _nearest(wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return found[..., 0], found[..., 1]
 
 
-def behind_edges(
-    color: np.ndarray, radius: np.ndarray, reach: int, edge_px: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Continue far surfaces behind the near sides of depth edges.
+def behind_edges(color: np.ndarray, radius: np.ndarray, reach: int, edge_px: float) -> tuple[np.ndarray, np.ndarray]:
+    """Extrapolate far surfaces behind the near sides of depth edges.
 
     Parameters
     ----------
@@ -153,12 +151,12 @@ def behind_edges(
     radius : (H, W) float32
         Signed blur radius, px; smaller is nearer.
     reach : int
-        How far behind an edge, px.
+        Distance behind an edge, px.
     edge_px : float
 
     Returns
     -------
-    color, radius : as given, but with the far surface where the near one hides it
+    color, radius : the arguments, with the far surface in place of the near one
     """
     beside = cv2.erode(radius, np.ones((3, 3), np.uint8))
     far_side = radius - beside > edge_px
@@ -167,7 +165,7 @@ def behind_edges(
     row, column = _nearest(far_side)
     y, x = np.indices(radius.shape, dtype=np.int64)
     hidden = (np.hypot(y - row, x - column) <= reach) & (radius[row, column] - radius > edge_px)
-    # Mirror at the far pixel next to the edge, unless the mirror image is near again.
+    # Mirror at the far pixel next to the edge, unless the mirrored pixel is on the near surface too.
     my = np.clip(2 * row - y, 0, radius.shape[0] - 1)
     mx = np.clip(2 * column - x, 0, radius.shape[1] - 1)
     usable = np.abs(radius[my, mx] - radius[row, column]) <= edge_px
@@ -177,12 +175,12 @@ def behind_edges(
 
 
 def _matte(level: np.ndarray) -> np.ndarray:
-    """Share of a layer in a pixel ``level`` layers beyond it: the two nearest layers share its light."""
+    """Compute a layer's weight at a pixel ``level`` layers beyond it: linear between the two nearest layers."""
     return np.maximum(1 - np.abs(level), 0)
 
 
 def _blurred(planes: np.ndarray, aperture: Aperture, radius_px: float) -> tuple[np.ndarray, np.ndarray]:
-    """Colour (3, h, w) and coverage (3, h, w) of a layer as each channel's pupil blurs them."""
+    """Blur colour (3, h, w) and coverage (3, h, w) of a layer by each channel's pupil."""
     if abs(radius_px) < _SHARP_PX:
         return planes[:3], np.broadcast_to(planes[3], (3, *planes.shape[1:]))
     shape = planes.shape[1:]

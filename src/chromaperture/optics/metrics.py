@@ -1,4 +1,4 @@
-"""What the masks of an aperture alone decide: light, centroids, baseline."""
+"""Figures of an aperture that follow from its masks alone: light, centroids, baseline."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class ApertureFigures:
     Attributes
     ----------
     channel_transmission : (3,) float64
-        Share of the open pupil's light in R, G, B.
+        Light in R, G, B over that of the open pupil.
     efficiency_mean, efficiency_luminance : float
-        Mean of the three, and weighted as the eye does (.2126, .7152, .0722).
+        Mean of the three, plain and weighted by luminance (ITU-R BT.709).
     centroids : (K, 2) float64
-        Centroids in pupil radii of the K channels looked at, NaN where a channel sees no light.
+        Centroids of the K channels, pupil radii; NaN for a channel without light.
     beta : float
         r_c / R, mean distance of the outlying centroids from the pupil's centre: Eq. (6).
     baseline : float
@@ -39,7 +39,7 @@ class ApertureFigures:
 
 
 def film_unmixing(aperture: Aperture) -> np.ndarray:
-    """Least-squares unmixing of white light into the views; (K, 3) float64, identity without views."""
+    """Compute the least-squares unmixing of white light into the views; (K, 3) float64, identity without views."""
     if not aperture.views:
         return np.eye(3)
     colours = np.array([aperture.filter_named(name).transmission for name in aperture.views])
@@ -47,13 +47,13 @@ def film_unmixing(aperture: Aperture) -> np.ndarray:
 
 
 def aperture_figures(aperture: Aperture, unmixing: np.ndarray | None = None) -> ApertureFigures:
-    """Collect the figures of a design as the sensor's channels see it, or any combinations of them.
+    """Compute the figures of a design for the sensor's channels, or for combinations of them.
 
     Parameters
     ----------
     aperture : Aperture
     unmixing : (K, 3) float, optional
-        Rows are combinations of R, G, B; see `film_unmixing`. The sensor channels themselves when absent.
+        Rows are combinations of R, G, B; see `film_unmixing`. The identity when absent.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def aperture_figures(aperture: Aperture, unmixing: np.ndarray | None = None) -> 
     rho = centroids(aperture, unmixing)
     seen = rho[np.isfinite(rho).all(axis=1)]
     distance = np.linalg.norm(seen, axis=1)
-    outlying = distance > 1e-6  # the green of complementary halves is the reference, not a side
+    outlying = distance > 1e-6  # green is the centred reference of complementary halves
     return ApertureFigures(
         channel_transmission=transmission,
         efficiency_mean=float(transmission.mean()),

@@ -84,8 +84,7 @@ def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Parax
     whole = _matrix(lens, wave, 0, count)
     if whole[1, 0] >= -1e-9:
         raise InputError(
-            f"lens {lens.name!r} does not collect light (power {-whole[1, 0]:.2g} / mm): check the signs "
-            "of its radii"
+            f"lens {lens.name!r} does not collect light (power {-whole[1, 0]:.2g} / mm): check the signs of its radii"
         )
     focal = -1 / whole[1, 0]
     back_focus = whole[0, 0] * focal
@@ -95,8 +94,7 @@ def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Parax
     rear = _matrix(lens, wave, stop, count)
     if abs(front[0, 0]) < 1e-6 or abs(rear[1, 1]) < 1e-6:
         raise InputError(
-            f"the stop of lens {lens.name!r} cannot be reached: it lies in a focus of the lens in front or "
-            "behind"
+            f"the stop of lens {lens.name!r} cannot be reached: it lies in a focus of the lens in front or behind"
         )
     # The entrance pupil is where rays through the stop's centre meet the axis in object space: A y + B u = 0.
     entrance = front[0, 1] / front[0, 0]

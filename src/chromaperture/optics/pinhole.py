@@ -1,4 +1,14 @@
-"""What a lens is to first order: a pinhole in the entrance pupil, with a pupil radius and a focus."""
+"""First-order camera: a pinhole in the entrance pupil, with a pupil radius and a focus distance.
+
+Holds the paper's Eqs. (2) to (6) for any lens. With distances z from the entrance pupil and the image distance F, the
+rim of the pupil (radius R) is displaced from the sharp image by r = F R (1/z_f - 1/z), half the circle of confusion c
+of Eq. (5): for a thin lens, F = z_if = f z_of / (z_of - f) by Eq. (2), and
+
+    c = 2 r = f D (z_od - z_of) / (z_od (z_of - f)),      d = beta c / (2 mu)                  Eqs. (5), (6)
+
+Eq. (4) of the paper is misprinted: with (3) it would give (5) with z_od and z_of exchanged and the sign reversed. What
+its Figure 1 shows is 1/z_of + 1/(z_id (1 + c/D)) = 1/f, from which (5) follows.
+"""
 
 from __future__ import annotations
 
@@ -43,9 +53,7 @@ class PupilCamera:
         if min(self.width_px, self.height_px) < 1 or not (self.focal_px > 0 and self.pixel_pitch_mm > 0):
             raise InputError("a camera needs a positive image size, focal_px and pixel_pitch_mm")
         if not (self.pupil_radius_mm > 0 and self.sensor_to_pupil_mm >= 0):
-            raise InputError(
-                "a camera needs a positive pupil_radius_mm and a sensor_to_pupil_mm of at least 0"
-            )
+            raise InputError("a camera needs a positive pupil_radius_mm and a sensor_to_pupil_mm of at least 0")
         # The paraxial focal length is below F: an object inside it would be imaged behind the camera.
         if not self.focus_mm - self.sensor_to_pupil_mm > self.image_distance_mm:
             raise InputError(
@@ -60,16 +68,16 @@ class PupilCamera:
 
     @property
     def center_px(self) -> tuple[float, float]:
-        """The axis meets the middle of the image; (0, 0) is the centre of the top-left pixel."""
+        """Image point of the axis, the middle of the image; (0, 0) is the centre of the top-left pixel."""
         return (self.width_px - 1) / 2, (self.height_px - 1) / 2
 
     @property
     def f_number(self) -> float:
-        """Of the cone that reaches the sensor's pinhole equivalent."""
+        """Image distance over the diameter of the entrance pupil."""
         return self.image_distance_mm / (2 * self.pupil_radius_mm)
 
     def blur_radius_px(self, depth_mm: np.ndarray | float) -> np.ndarray:
-        """Signed displacement of the pupil's edge, r = (F R / mu)(1 / z_f - 1 / z), + beyond the focus.
+        """Compute the displacement of the pupil's edge, r = (F R / mu)(1 / z_f - 1 / z), + beyond the focus: Eq. (5).
 
         Parameters
         ----------
@@ -88,19 +96,18 @@ class PupilCamera:
         z = np.asarray(depth_mm, float) - self.sensor_to_pupil_mm
         if np.any(z <= 0):
             raise InputError(
-                f"a depth of {np.nanmin(z) + self.sensor_to_pupil_mm:g} mm lies behind the entrance pupil, "
-                "which is "
+                f"a depth of {np.nanmin(z) + self.sensor_to_pupil_mm:g} mm lies behind the entrance pupil, which is "
                 f"{self.sensor_to_pupil_mm:g} mm from the sensor; unknown depth is NaN"
             )
         return self.focal_px * self.pupil_radius_mm * (1 / (self.focus_mm - self.sensor_to_pupil_mm) - 1 / z)
 
     def disparity_px(self, depth_mm: np.ndarray | float, beta: float) -> np.ndarray:
-        """Half disparity of channels whose centroids lie at ``beta`` pupil radii, px: d = A - B / z."""
+        """Compute the half disparity of channels with centroids at ``beta`` pupil radii, px: d = A - B / z, Eq. (6)."""
         return beta * self.blur_radius_px(depth_mm)
 
 
 def pupil_camera(lens: Prescription, *, width_px: int, height_px: int, pixel_pitch_mm: float) -> PupilCamera:
-    """Reduce a lens to its first order.
+    """Approximate a lens to first order.
 
     Parameters
     ----------
@@ -118,15 +125,13 @@ def pupil_camera(lens: Prescription, *, width_px: int, height_px: int, pixel_pit
         height_px=height_px,
         focal_px=data.pinhole_distance_mm / pixel_pitch_mm,
         pupil_radius_mm=data.entrance_diameter_mm / 2,
-        focus_mm=data.in_focus_mm + data.sensor_to_entrance_pupil_mm
-        if math.isfinite(data.in_focus_mm)
-        else math.inf,
+        focus_mm=data.in_focus_mm + data.sensor_to_entrance_pupil_mm if math.isfinite(data.in_focus_mm) else math.inf,
         sensor_to_pupil_mm=data.sensor_to_entrance_pupil_mm,
         pixel_pitch_mm=pixel_pitch_mm,
     )
 
 
 def centered_pinhole(focal_px: float, image_size: tuple[int, int]) -> np.ndarray:
-    """Camera matrix with square pixels and the axis through the middle of the frame; (3, 3) float64, px."""
+    """Build a camera matrix with square pixels and the axis through the middle of the frame; (3, 3) float64, px."""
     width, height = image_size
     return np.array([[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1.0]])

@@ -121,18 +121,14 @@ def load_lens(name_or_path: str | Path) -> Prescription:
     name = str(name_or_path)
     if not name.endswith(".toml"):
         if name not in lens_names():
-            raise InputError(
-                f"unknown lens {name!r}: choose one of {', '.join(lens_names())}, or give a .toml file"
-            )
+            raise InputError(f"unknown lens {name!r}: choose one of {', '.join(lens_names())}, or give a .toml file")
         path: Any = resources.files("chromaperture.optics") / "prescriptions" / f"{name}.toml"
     else:
         path = Path(name)
         if not path.is_file():
             raise InputError(f"no lens file {path}: give a file, or one of {', '.join(lens_names())}")
     try:
-        return lens_from_dict(
-            tomllib.loads(path.read_text(encoding="utf-8")), name=path.name.removesuffix(".toml")
-        )
+        return lens_from_dict(tomllib.loads(path.read_text(encoding="utf-8")), name=path.name.removesuffix(".toml"))
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path} is not valid TOML: {error}") from None
 
@@ -171,9 +167,7 @@ def lens_from_dict(data: Mapping[str, Any], *, name: str) -> Prescription:
     surfaces = []
     for number, row in enumerate(rows, start=1):
         if set(row) - known:
-            raise InputError(
-                f"lens {name!r}, surface {number}: unknown {', '.join(sorted(set(row) - known))}"
-            )
+            raise InputError(f"lens {name!r}, surface {number}: unknown {', '.join(sorted(set(row) - known))}")
         surfaces.append(
             Surface(
                 radius_mm=float(row.get("radius_mm", math.inf)),
@@ -207,15 +201,11 @@ def checked_lens(lens: Prescription) -> Prescription:
     """Check a prescription and give it back; raises InputError as `lens_from_dict` says."""
     stops = [s for s in lens.surfaces if s.role == "stop"]
     if len(stops) != 1:
-        raise InputError(
-            f"lens {lens.name!r} has {len(stops)} stops: mark exactly one surface with stop = true"
-        )
+        raise InputError(f"lens {lens.name!r} has {len(stops)} stops: mark exactly one surface with stop = true")
     if not math.isfinite(stops[0].semi_diameter_mm) or stops[0].semi_diameter_mm <= 0:
         raise InputError(f"lens {lens.name!r}: the stop needs a clear_diameter_mm")
     for number, s in enumerate(lens.surfaces, start=1):
-        bad = (
-            s.radius_mm == 0 or s.thickness_mm < 0 or s.index_d < 1 or s.abbe <= 0 or s.semi_diameter_mm <= 0
-        )
+        bad = s.radius_mm == 0 or s.thickness_mm < 0 or s.index_d < 1 or s.abbe <= 0 or s.semi_diameter_mm <= 0
         if bad or math.isnan(s.radius_mm + s.thickness_mm + s.index_d + s.conic):
             raise InputError(
                 f"lens {lens.name!r}, surface {number} is not physical: radius must not be 0, thickness "

@@ -30,9 +30,7 @@ def _mask(aperture: Aperture) -> tuple[np.ndarray, np.ndarray]:
     return axis, mask / np.where(total > 0, total, 1.0)
 
 
-def geometric_otf(
-    aperture: Aperture, radius_px: float, shape: tuple[int, int], *, pixel: bool = False
-) -> np.ndarray:
+def geometric_otf(aperture: Aperture, radius_px: float, shape: tuple[int, int], *, pixel: bool = False) -> np.ndarray:
     """Optical transfer function on the frequencies of `numpy.fft.rfft2`.
 
     Built from the mask itself, not by drawing a small kernel: at two pixels' radius drawing moves the

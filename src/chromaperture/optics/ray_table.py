@@ -1,8 +1,7 @@
-"""Which rays reach a pixel: tables over the image and the pupil, of a first-order camera or of a traced lens.
+"""Tables of the rays that reach a pixel, for a first-order camera or a traced lens.
 
-A renderer needs nothing else, so one renderer serves both. Rays are kept where they cross the plane of the
-entrance pupil, in the camera frame (mm, x right, y down, z forward, 0 at the sensor), for the upright
-picture.
+One renderer works with both. Rays are stored where they cross the plane of the entrance pupil, in the camera frame (mm,
+x right, y down, z forward, 0 at the sensor), for the upright picture.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from chromaperture.optics.prescription import Prescription
 from chromaperture.optics.pupil_samples import pupil_samples
 from chromaperture.optics.trace import trace
 
-_REACH = 1.2  # the exit pupil moves and stretches off the axis: sample this much more than the paraxial one
-_SPLIT = 4  # finer rays across a cell that find how much of it the stop and the rims leave
+_REACH = 1.2  # of the paraxial exit pupil is sampled: off the axis the pupil moves and stretches
+_SPLIT = 4  # sub-rays across a cell, for the part of it that stop and rims vignette; chosen by hand, not tuned
 
 
 @dataclass(frozen=True)
@@ -34,10 +33,10 @@ class RayTable:
     x_px, y_px : (Gx,), (Gy,) float64
         Image points of the table, equally spaced.
     z_mm : float
-        Plane of ``origin``: the entrance pupil, from the sensor.
+        Plane of ``origin``, the entrance pupil, from the sensor.
     origin, slope : (G, Gy, Gx, S, 2) float32
-        Where ray s crosses that plane, mm, and its dx/dz, dy/dz towards the scene. G is 3 for a lens with
-        colour errors (one set a sensor channel), else 1.
+        Where ray s crosses that plane, mm, and its dx/dz, dy/dz towards the scene. G is 3 for a lens with colour errors
+        (one set for each sensor channel), else 1.
     weight : (3, Gy, Gx, S) float32
         Light of each ray in R, G, B; the open pupil on the axis sums to 1.
     chief : (Gy, Gx, 4) float32
@@ -56,7 +55,7 @@ class RayTable:
 
 
 def pinhole_rays(camera: PupilCamera, aperture: Aperture, *, cells: int = 20) -> RayTable:
-    """Rays of a first-order camera: linear in the image, so the four corners hold them all.
+    """Tabulate the rays of a first-order camera; they are linear in the image, so its four corners are enough.
 
     Parameters
     ----------
@@ -74,7 +73,7 @@ def pinhole_rays(camera: PupilCamera, aperture: Aperture, *, cells: int = 20) ->
     chief[..., 2] = (x_px - camera.center_px[0]) / camera.focal_px
     chief[..., 3] = ((y_px - camera.center_px[1]) / camera.focal_px)[:, None]
     pupil = camera.pupil_radius_mm * points
-    # Every ray of a pixel meets the others in the focus plane.
+    # All rays of a pixel meet in the focus plane.
     slope = chief[None, :, :, None, 2:] - pupil / (camera.focus_mm - camera.sensor_to_pupil_mm)
     return RayTable(
         width_px=camera.width_px,
@@ -99,7 +98,7 @@ def lens_rays(
     cells: int = 20,
     nodes: int = 19,
 ) -> RayTable:
-    """Rays of a real lens, traced from the sensor out.
+    """Tabulate the rays of a real lens, traced from the sensor.
 
     Parameters
     ----------
@@ -120,24 +119,20 @@ def lens_rays(
     Raises
     ------
     InputError
-        No ray from the middle of the sensor gets through, or another rim than the stop limits it.
+        No ray from the middle of the sensor passes, or a rim other than the stop limits it.
     """
     data = paraxial(lens)
     longer = max(width_px, height_px)
     gx, gy = (max(3, round(nodes * side / longer)) for side in (width_px, height_px))
     x_px, y_px = np.linspace(0, width_px - 1, gx), np.linspace(0, height_px - 1, gy)
     fields = np.stack(
-        np.meshgrid(
-            (x_px - (width_px - 1) / 2) * pixel_pitch_mm, (y_px - (height_px - 1) / 2) * pixel_pitch_mm
-        ),
+        np.meshgrid((x_px - (width_px - 1) / 2) * pixel_pitch_mm, (y_px - (height_px - 1) / 2) * pixel_pitch_mm),
         axis=-1,
     ).reshape(-1, 2)
 
     unit = _open_light(lens, data, cells)
     light = lens_light(lens, aperture, fields, data=data, cells=cells) / unit
-    bundles = [
-        lens_bundle(lens, fields, wavelength_um=w, data=data, cells=cells) for w in lens.wavelengths_um
-    ]
+    bundles = [lens_bundle(lens, fields, wavelength_um=w, data=data, cells=cells) for w in lens.wavelengths_um]
     used = light.any(axis=(0, 1))
     chief = chief_rays(lens, fields, data=data)
     origin, slope = (
@@ -158,9 +153,9 @@ def lens_rays(
 
 
 def _filled(rays: np.ndarray, chief: np.ndarray, fields: np.ndarray) -> np.ndarray:
-    """Continue rays that miss the glass from the nearest image point, for the interpolation; (P, S, 2).
+    """Extrapolate rays that miss the glass from the nearest image point, for the interpolation; (P, S, 2).
 
-    They carry no light themselves; what differs from the chief ray is carried over.
+    They carry no light. Their difference from the chief ray is copied.
     """
     rays = rays - chief[:, None]
     for s in np.flatnonzero(np.isnan(rays).any(axis=(0, 2))):
@@ -171,14 +166,13 @@ def _filled(rays: np.ndarray, chief: np.ndarray, fields: np.ndarray) -> np.ndarr
 
 
 def _open_light(lens: Prescription, data: Paraxial, cells: int) -> float:
-    """Light of the open pupil on the axis, the unit of all weights; checks that the stop limits it."""
+    """Compute the light of the open pupil on the axis, the unit of all weights; check that the stop limits it."""
     light = lens_light(lens, DESIGNS["open"], np.zeros((1, 2)), data=data, cells=cells)[1]
     if not light.any():
-        raise InputError(
-            f"no ray from the sensor's middle passes lens {lens.name!r}: check its stop and diameters"
-        )
+        raise InputError(f"no ray from the sensor's middle passes lens {lens.name!r}: check its stop and diameters")
     rim = np.stack([np.cos(np.linspace(0, 2 * np.pi, 64)), np.sin(np.linspace(0, 2 * np.pi, 64))], -1)
-    _, _, hit = _from_sensor(lens, data, np.zeros((1, 2)), 0.97 * rim, lens.wavelengths_um[1])
+    # Rays just inside the stop must pass all other rims.
+    _, _, hit = _from_sensor(lens, data, np.zeros((len(rim), 2)), 0.97 * rim, lens.wavelengths_um[1])
     if not hit.clear[np.hypot(*hit.at_stop.T) < 0.985].all():
         raise InputError(
             f"the stop of lens {lens.name!r} is larger than its glass lets through on the axis: make the "
@@ -188,31 +182,30 @@ def _open_light(lens: Prescription, data: Paraxial, cells: int) -> float:
     return float(light.sum())
 
 
-def _from_sensor(lens, data, fields, pupil, wavelength_um):  # type: ignore[no-untyped-def]
-    """Trace all fields x exit-pupil points; gives origins and slopes at the entrance pupil, and the rays."""
+def _from_sensor(lens, data, image_mm, pupil, wavelength_um):  # type: ignore[no-untyped-def]
+    """Trace one ray for each pair of image point and exit-pupil point, (N, 2) each, to the scene.
+
+    Returns origins and slopes at the entrance pupil, (N, 2) each, and the traced rays.
+    """
     first = lens.first_vertex_to_sensor_mm
     # Upright picture: the image point (x, y) lies at (-x, -y) on the sensor.
-    start = np.concatenate([-fields, np.full((len(fields), 1), first)], axis=1)
-    target = np.concatenate(
-        [pupil * data.exit_diameter_mm / 2, np.full((len(pupil), 1), data.exit_pupil_mm)], axis=1
-    )
-    direction = (target[None] - start[:, None]).reshape(-1, 3)
-    if (
-        data.exit_pupil_mm > first
-    ):  # the pupil's image lies behind the sensor: the same lines, walked the other way
-        direction = -direction
-    rays = trace(
-        lens, np.repeat(start, len(pupil), axis=0), direction, wavelength_um=wavelength_um, from_sensor=True
-    )
-    slope = (
-        -rays.direction[:, :2] / rays.direction[:, 2:]
-    )  # lens frame z points to the sensor, camera frame away
-    along = rays.position[:, 2:] - data.entrance_pupil_mm
-    return rays.position[:, :2] + slope * along, slope, rays
+    start = np.column_stack([-image_mm, np.full(len(image_mm), first)])
+    target = np.column_stack([pupil * data.exit_diameter_mm / 2, np.full(len(pupil), data.exit_pupil_mm)])
+    # An exit pupil behind the sensor lies on the same lines, but backwards.
+    direction = target - start if data.exit_pupil_mm < first else start - target
+    rays = trace(lens, start, direction, wavelength_um=wavelength_um, from_sensor=True)
+    # In the lens frame z points to the sensor, in the camera frame away from it.
+    slope = -rays.direction[:, :2] / rays.direction[:, 2:]
+    return rays.position[:, :2] + slope * (rays.position[:, 2:] - data.entrance_pupil_mm), slope, rays
+
+
+def _all_pairs(image_mm: np.ndarray, pupil: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pair every image point (P, 2) with every pupil point (S, 2); two (P S, 2) arrays."""
+    return np.repeat(image_mm, len(pupil), axis=0), np.tile(pupil, (len(image_mm), 1))
 
 
 def _exit_points(cells: int) -> np.ndarray:
-    """Give the sampled points of the exit pupil, in paraxial radii; (S, 2)."""
+    """Sample the exit pupil on a square grid, in paraxial radii; (S, 2)."""
     axis = ((np.arange(cells) + 0.5) * 2 / cells - 1) * _REACH
     points = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
     return points[np.hypot(*points.T) < _REACH]
@@ -220,22 +213,22 @@ def _exit_points(cells: int) -> np.ndarray:
 
 def lens_bundle(
     lens: Prescription,
-    fields_mm: np.ndarray,
+    image_mm: np.ndarray,
     *,
     wavelength_um: float,
     data: Paraxial | None = None,
     cells: int = 20,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rays from image points through a lens to the scene.
+    """Trace the rays of image points through a lens to the scene.
 
     Parameters
     ----------
     lens : Prescription
-    fields_mm : (P, 2) float
+    image_mm : (P, 2) float
         Image points from the image's centre, upright picture, mm on the sensor.
     wavelength_um : float
     data : Paraxial, optional
-        To save its computation.
+        Of the lens; computed when absent.
     cells : int
         Samples across the exit pupil.
 
@@ -246,67 +239,59 @@ def lens_bundle(
     """
     data = data or paraxial(lens)
     points = _exit_points(cells)
-    origin, slope, _ = _from_sensor(lens, data, fields_mm, points, wavelength_um)
-    shape = (len(fields_mm), len(points), 2)
+    origin, slope, _ = _from_sensor(lens, data, *_all_pairs(image_mm, points), wavelength_um)
+    shape = (len(image_mm), len(points), 2)
     return origin.reshape(shape), slope.reshape(shape)
 
 
 def lens_light(
     lens: Prescription,
     aperture: Aperture,
-    fields_mm: np.ndarray,
+    image_mm: np.ndarray,
     *,
     data: Paraxial | None = None,
     cells: int = 20,
 ) -> np.ndarray:
-    """Light of each ray of `lens_bundle` in R, G, B, proportional to the irradiance on the sensor.
+    """Compute the light of each ray of `lens_bundle` in R, G, B, proportional to the irradiance on the sensor.
 
-    Green rays decide where stop and rims cut: over the colours these points of the pupil move by about 1e-3
-    radii.
+    Vignetting is that of green rays: between the colours these points of the pupil move by about 1e-3 radii.
 
     Parameters
     ----------
     lens : Prescription
     aperture : Aperture
-    fields_mm : (P, 2) float
+    image_mm : (P, 2) float
     data : Paraxial, optional
     cells : int
 
     Returns
     -------
-    (3, P, S) float64; 0 where stop, rims or film hold the ray back
+    (3, P, S) float64; 0 where stop, rims or film block the ray
     """
     data = data or paraxial(lens)
     points = _exit_points(cells)
     offsets = ((np.arange(_SPLIT) + 0.5) / _SPLIT - 0.5) * 2 * _REACH / cells
     distance2 = (lens.first_vertex_to_sensor_mm - data.exit_pupil_mm) ** 2
-    light = np.zeros((len(fields_mm) * len(points), 3))
+    light = np.zeros((len(image_mm) * len(points), 3))
     for dx in offsets:
         for dy in offsets:
             fine = points + np.array([dx, dy])
-            _, _, rays = _from_sensor(lens, data, fields_mm, fine, lens.wavelengths_um[1])
-            passed = _film(aperture, np.nan_to_num(rays.at_filter, nan=2.0))
-            # Irradiance of a uniform scene: equal areas of the exit pupil's plane count cos^4 of their slope.
-            side2 = ((fields_mm[:, None] + fine * data.exit_diameter_mm / 2) ** 2).sum(axis=-1).ravel()
+            _, _, rays = _from_sensor(lens, data, *_all_pairs(image_mm, fine), lens.wavelengths_um[1])
+            # Without the pupil's rim: the stop cuts the light, and film off its plane may be wider.
+            passed = aperture.film_map(*np.nan_to_num(rays.at_filter, nan=2.0).T)
+            # Irradiance of a uniform scene: equal areas of the exit pupil's plane are weighted by cos^4 of their slope.
+            side2 = ((image_mm[:, None] + fine * data.exit_diameter_mm / 2) ** 2).sum(axis=-1).ravel()
             light += passed * (rays.clear * (distance2 / (distance2 + side2)) ** 2)[:, None]
-    return light.T.reshape(3, len(fields_mm), len(points)) / _SPLIT**2
+    return light.T.reshape(3, len(image_mm), len(points)) / _SPLIT**2
 
 
-def _film(aperture: Aperture, points: np.ndarray) -> np.ndarray:
-    """Film without the pupil's rim: the stop cuts the light, and film off its plane may be wider; (N, 3)."""
-    out = np.broadcast_to(np.array(aperture.remainder.transmission), (len(points), 3)).copy()
-    for part in aperture.parts:
-        out[part.shape.contains(points[:, 0], points[:, 1])] = part.filter.transmission
-    return out
-
-
-def chief_rays(lens: Prescription, fields_mm: np.ndarray, *, data: Paraxial | None = None) -> np.ndarray:
-    """Green rays through the stop's centre.
+def chief_rays(lens: Prescription, image_mm: np.ndarray, *, data: Paraxial | None = None) -> np.ndarray:
+    """Trace green rays through the stop's centre.
 
     Parameters
     ----------
     lens : Prescription
-    fields_mm : (P, 2) float
+    image_mm : (P, 2) float
         Image points from the image's centre, upright picture.
     data : Paraxial, optional
 
@@ -320,13 +305,13 @@ def chief_rays(lens: Prescription, fields_mm: np.ndarray, *, data: Paraxial | No
         The stop's centre cannot be reached from an image point.
     """
     data = data or paraxial(lens)
-    aim = np.zeros((len(fields_mm), 2))
+    aim = np.zeros((len(image_mm), 2))
     step = 1e-3
     for _ in range(20):  # Newton with a finite-difference Jacobian on where the ray crosses the stop
         trial = aim[:, None] + step * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
         hits, ends = [], []
         for i in range(3):
-            origin, slope, rays = _paired(lens, data, fields_mm, trial[:, i])
+            origin, slope, rays = _from_sensor(lens, data, image_mm, trial[:, i], lens.wavelengths_um[1])
             hits.append(rays.at_stop)
             ends.append(np.hstack([origin, slope]))
         jacobian = np.stack([(hits[1] - hits[0]) / step, (hits[2] - hits[0]) / step], axis=-1)
@@ -339,14 +324,3 @@ def chief_rays(lens: Prescription, fields_mm: np.ndarray, *, data: Paraxial | No
         f"the stop of lens {lens.name!r} cannot be reached from the whole sensor: use a smaller sensor or "
         "check the stop"
     )
-
-
-def _paired(lens, data, fields, pupil):  # type: ignore[no-untyped-def]
-    """Trace one exit-pupil point for each field."""
-    first = lens.first_vertex_to_sensor_mm
-    start = np.concatenate([-fields, np.full((len(fields), 1), first)], axis=1)
-    end = np.concatenate([pupil * data.exit_diameter_mm / 2, np.full((len(pupil), 1), data.exit_pupil_mm)], 1)
-    direction = end - start if data.exit_pupil_mm < first else start - end
-    rays = trace(lens, start, direction, wavelength_um=lens.wavelengths_um[1], from_sensor=True)
-    slope = -rays.direction[:, :2] / rays.direction[:, 2:]
-    return rays.position[:, :2] + slope * (rays.position[:, 2:] - data.entrance_pupil_mm), slope, rays

@@ -43,9 +43,7 @@ def read_rgbd(
     if depth.ndim != 2 or depth.dtype != np.uint16:
         raise InputError(f"{depth_path} must hold one channel of 16 bits (mm by default), got {depth.dtype}")
     if color.shape[:2] != depth.shape:
-        raise InputError(
-            f"colour {color.shape[:2]} and depth {depth.shape} differ in size: register them first"
-        )
+        raise InputError(f"colour {color.shape[:2]} and depth {depth.shape} differ in size: register them first")
     white = 255.0 if color.dtype == np.uint8 else 65535.0
     value = color[..., ::-1].astype(np.float32) / np.float32(white)
     if color.dtype == np.uint8:

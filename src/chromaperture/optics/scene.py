@@ -121,13 +121,9 @@ def scene_from_dict(data: Mapping[str, Any], *, folder: Path | None = None) -> l
         try:
             center, width = [float(v) for v in table["center_mm"]], float(table["width_mm"])
         except (KeyError, TypeError, ValueError):
-            raise InputError(
-                f"plane {number} of the scene needs center_mm = [x, y, z] and width_mm"
-            ) from None
+            raise InputError(f"plane {number} of the scene needs center_mm = [x, y, z] and width_mm") from None
         if not (len(center) == 3 and center[2] > 0):
-            raise InputError(
-                f"plane {number} of the scene lies behind the camera: z in center_mm must be positive"
-            )
+            raise InputError(f"plane {number} of the scene lies behind the camera: z in center_mm must be positive")
         picture = textures.named(
             str(table.get("texture", "speckle")),
             width_mm=width,
@@ -137,9 +133,7 @@ def scene_from_dict(data: Mapping[str, Any], *, folder: Path | None = None) -> l
             seed=int(table.get("seed", number)),
             folder=folder,
         )
-        planes.append(
-            plane(picture, center_mm=center, width_mm=width, tilt_deg=table.get("tilt_deg", (0.0, 0.0, 0.0)))
-        )
+        planes.append(plane(picture, center_mm=center, width_mm=width, tilt_deg=table.get("tilt_deg", (0.0, 0.0, 0.0))))
     if not planes:
         raise InputError("the scene has no [[plane]]")
     return planes

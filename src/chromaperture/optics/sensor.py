@@ -13,7 +13,7 @@ Pattern = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
 
 
 @dataclass(frozen=True)
-class Sensor:
+class SensorModel:
     """A linear sensor.
 
     Attributes
@@ -36,23 +36,20 @@ class Sensor:
 
     def __post_init__(self) -> None:
         if not (self.full_well_electrons > 0 and self.read_noise_electrons >= 0):
-            raise InputError(
-                "a sensor needs a positive full_well_electrons and a read_noise_electrons of at least 0"
-            )
+            raise InputError("a sensor needs a positive full_well_electrons and a read_noise_electrons of at least 0")
         if not 0 <= self.black_level < self.white_level < 2**self.bits <= 2**16:
             raise InputError(
-                f"black level {self.black_level} and white level {self.white_level} must rise and fit "
-                f"{self.bits} bits"
+                f"black level {self.black_level} and white level {self.white_level} must rise and fit {self.bits} bits"
             )
 
 
-def expose(image: np.ndarray, sensor: Sensor, *, seed: int, exposure: float = 1.0) -> np.ndarray:
+def expose(image: np.ndarray, sensor: SensorModel, *, seed: int, exposure: float = 1.0) -> np.ndarray:
     """Photograph linear light.
 
     Parameters
     ----------
     image : (H, W, 3) float, linear
-    sensor : Sensor
+    sensor : SensorModel
     seed : int
     exposure : float
         Factor on the light; 1.0 times 1.0 reaches white level.
@@ -76,7 +73,7 @@ def expose(image: np.ndarray, sensor: Sensor, *, seed: int, exposure: float = 1.
     return np.clip(np.rint(counts), 0, 2**sensor.bits - 1).astype(np.uint16)
 
 
-def develop(counts: np.ndarray, sensor: Sensor) -> np.ndarray:
+def develop(counts: np.ndarray, sensor: SensorModel) -> np.ndarray:
     """Turn counts back into linear light; (H, W, ...) float32, 1.0 = white level."""
     span = np.float32(sensor.white_level - sensor.black_level)
     return (np.asarray(counts, np.float32) - np.float32(sensor.black_level)) / span

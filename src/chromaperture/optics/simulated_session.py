@@ -19,7 +19,7 @@ from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import RayTable
 from chromaperture.optics.render import render, render_depth
 from chromaperture.optics.scene import Plane, plane
-from chromaperture.optics.sensor import Sensor, expose
+from chromaperture.optics.sensor import SensorModel, expose
 from chromaperture.optics.shapes import Disc
 
 _WHITE_LEVEL = 0.9  # white paper reaches this in the brightest channel
@@ -39,14 +39,14 @@ class SessionPlan:
     ruler_error_mm : float
         The board stands off the distance written down by up to this much.
     seed : int
-    sensor : Sensor
+    sensor : SensorModel
     """
 
     distances_mm: tuple[float, ...] = tuple(float(d) for d in range(1000, 4001, 100))
     tilts: int = 12
     ruler_error_mm: float = 3.0
     seed: int = 0
-    sensor: Sensor = field(default_factory=Sensor)
+    sensor: SensorModel = field(default_factory=SensorModel)
 
 
 def write_session(
@@ -120,13 +120,9 @@ def write_session(
     for name, planes in scenes.items():
         photograph(folder / f"scene/{name}.png", render(table, planes), for_scene)
         depth = render_depth(table, planes)
-        _write_png(
-            truth / f"{name}.depth_0.1mm.png", np.nan_to_num(np.rint(10 * depth)).clip(0, 65535).astype("u2")
-        )
+        _write_png(truth / f"{name}.depth_0.1mm.png", np.nan_to_num(np.rint(10 * depth)).clip(0, 65535).astype("u2"))
     (folder / "distances.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (folder / "session.toml").write_text(
-        _session_toml(aperture, camera, plan, for_scene / for_white), "utf-8"
-    )
+    (folder / "session.toml").write_text(_session_toml(aperture, camera, plan, for_scene / for_white), "utf-8")
     truth.mkdir(parents=True, exist_ok=True)
     (truth / "camera.json").write_text(json.dumps(_truth(camera, aperture, stood), indent=1) + "\n", "utf-8")
 
@@ -142,8 +138,7 @@ def wall(camera: PupilCamera, center: Sequence[float], tilt_deg: Sequence[float]
     board = textures.chessboard(_CORNERS, _SQUARE_MM, board_texel)
     pieces = (grey, width), (board, board.shape[1] * board_texel)
     made = [
-        plane(np.repeat(p[..., None], 3, axis=2), center_mm=center, width_mm=w, tilt_deg=tilt_deg)
-        for p, w in pieces
+        plane(np.repeat(p[..., None], 3, axis=2), center_mm=center, width_mm=w, tilt_deg=tilt_deg) for p, w in pieces
     ]
     normal = np.cross(made[1].right, made[1].down)
     front = made[1]  # the board lies on the wall, a sheet of paper before it

@@ -93,6 +93,4 @@ def named(
             f"unknown texture {name!r}: choose plain, speckle, clouds, chessboard or a readable picture file"
         )
     value = picture[..., ::-1].astype(np.float32) / 255
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(
-        np.float32
-    )  # sRGB
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)  # sRGB

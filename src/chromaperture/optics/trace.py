@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from chromaperture.compilation import compiled, inlined
 from chromaperture.optics.prescription import Prescription
+from chromaperture.threads import in_parallel
 
-_NEWTON_STEPS = 12
-_CONVERGED_MM = 1e-11
+_NEWTON_STEPS = 12  # at most; each doubles the correct digits near the solution
+_CONVERGED_MM = 1e-11  # a thousand roundings of a coordinate of some 10 mm
 
 
 @dataclass(frozen=True)
@@ -21,8 +23,8 @@ class TracedRays:
     Attributes
     ----------
     position, direction : (N, 3) float64, mm
-        On the last surface traced, and the unit direction behind it; lens frame (z towards the sensor, 0 at
-        the first vertex). NaN where a ray missed a surface or was totally reflected.
+        On the last surface traced, and the unit direction behind it; lens frame (z towards the sensor, 0 at the first
+        vertex). NaN where a ray missed a surface or was totally reflected.
     at_stop, at_filter : (N, 2) float64
         Where the ray crosses the stop and the filter plane, in units of the stop's radius.
     clear : (N,) bool
@@ -50,8 +52,8 @@ def trace(
     ----------
     lens : Prescription
     origin, direction : (N, 3) float, mm
-        Lens frame: z towards the sensor, 0 at the first vertex; x, y as in the camera frame. Directions need
-        not be normalised and must point towards the lens.
+        Lens frame: z towards the sensor, 0 at the first vertex; x, y as in the camera frame. Directions need not be
+        normalised and must point towards the lens.
     wavelength_um : float
     from_sensor : bool
         Trace from the sensor to the scene.
@@ -74,19 +76,34 @@ def trace(
     aim /= np.linalg.norm(aim, axis=1, keepdims=True)
     crossings = np.empty((len(start), 2, 2))
     clear = np.ones(len(start), np.bool_)
-    _trace(
-        start, aim, crossings, clear, order.astype(np.int64), lens.vertices_mm,
-        np.array([1 / s.radius_mm for s in lens.surfaces]), np.array([s.conic for s in lens.surfaces]),
-        coefficients, np.array([s.semi_diameter_mm for s in lens.surfaces]),
-        before, behind, lens.stop_index, lens.filter_index,
+    columns = [(1 / s.radius_mm, s.conic, s.semi_diameter_mm) for s in lens.surfaces]
+    curvature, conic, semi_diameter = np.ascontiguousarray(np.array(columns).T)
+    surfaces = _Surfaces(
+        order.astype(np.int64), lens.vertices_mm, curvature, conic, coefficients, semi_diameter, before / behind,
+        lens.stop_index, lens.filter_index,
     )  # fmt: skip
+    in_parallel(lambda _, first, last: _trace(start, aim, crossings, clear, surfaces, first, last), len(start))
     crossings /= lens.surfaces[lens.stop_index].semi_diameter_mm
     return TracedRays(start, aim, crossings[:, 0], crossings[:, 1], clear)
 
 
-@numba.njit(cache=True, inline="always")
-def _sag(r2: float, curvature: float, conic: float, coefficients: np.ndarray) -> tuple[float, float]:
-    """Height of the surface over its vertex plane, and its derivative by r^2."""
+class _Surfaces(NamedTuple):
+    """Surfaces of a lens as the kernel reads them, each array (N,) by number of the surface, mm."""
+
+    order: np.ndarray  # numbers of the surfaces in the order in which light meets them
+    vertex: np.ndarray
+    curvature: np.ndarray
+    conic: np.ndarray
+    coefficients: np.ndarray  # (N, K)
+    semi_diameter: np.ndarray
+    index_ratio: np.ndarray  # refractive index before over behind, as light travels
+    stop: int
+    film: int
+
+
+@inlined(inline="always")
+def _sag(r2, curvature, conic, coefficients):  # type: ignore[no-untyped-def]
+    """Compute the height of the surface over its vertex plane, and its derivative by r^2."""
     root2 = 1 - (1 + conic) * curvature * curvature * r2
     if root2 <= 0:
         return math.nan, math.nan
@@ -101,34 +118,32 @@ def _sag(r2: float, curvature: float, conic: float, coefficients: np.ndarray) ->
     return z, slope
 
 
-@numba.njit(cache=True, parallel=True)
-def _trace(  # type: ignore[no-untyped-def]
-    position, direction, crossings, clear, order, vertices, curvature, conic, coefficients, semi,
-    before, behind, stop, film,
-):  # fmt: skip
-    """Trace in place; every ray on its own."""
-    for n in numba.prange(position.shape[0]):
+@compiled()
+def _trace(position, direction, crossings, clear, surfaces, first, last):  # type: ignore[no-untyped-def]
+    """Trace rays in place."""
+    for n in range(first, last):
         x, y, z = position[n, 0], position[n, 1], position[n, 2]
         dx, dy, dz = direction[n, 0], direction[n, 1], direction[n, 2]
-        for i in order:
+        for i in surfaces.order:
             # Newton on the distance along the ray, from the vertex plane.
-            t = (vertices[i] - z) / dz
+            t = (surfaces.vertex[i] - z) / dz
             slope = 0.0
             for _ in range(_NEWTON_STEPS):
                 px, py = x + t * dx, y + t * dy
-                sag, slope = _sag(px * px + py * py, curvature[i], conic[i], coefficients[i])
-                error = z + t * dz - vertices[i] - sag
+                r2 = px * px + py * py
+                sag, slope = _sag(r2, surfaces.curvature[i], surfaces.conic[i], surfaces.coefficients[i])
+                error = z + t * dz - surfaces.vertex[i] - sag
                 t -= error / (dz - 2 * slope * (px * dx + py * dy))
                 if abs(error) < _CONVERGED_MM:
                     break
             x, y, z = x + t * dx, y + t * dy, z + t * dz
-            if x * x + y * y > semi[i] * semi[i]:
+            if x * x + y * y > surfaces.semi_diameter[i] ** 2:
                 clear[n] = False
-            if i == stop:
+            if i == surfaces.stop:
                 crossings[n, 0, 0], crossings[n, 0, 1] = x, y
-            if i == film:
+            if i == surfaces.film:
                 crossings[n, 1, 0], crossings[n, 1, 1] = x, y
-            # Snell's law as vectors; the normal is turned against the ray.
+            # Snell's law in vector form; the normal points against the ray.
             nx, ny, nz = -2 * slope * x, -2 * slope * y, 1.0
             scale = 1 / math.sqrt(nx * nx + ny * ny + nz * nz)
             cosine = (nx * dx + ny * dy + nz * dz) * scale
@@ -137,7 +152,7 @@ def _trace(  # type: ignore[no-untyped-def]
             else:
                 cosine = -cosine
             nx, ny, nz = nx * scale, ny * scale, nz * scale
-            ratio = before[i] / behind[i]
+            ratio = surfaces.index_ratio[i]
             root2 = 1 - ratio * ratio * (1 - cosine * cosine)
             if not root2 >= 0:  # total reflection, or NaN from a missed surface
                 x = math.nan

@@ -8,7 +8,7 @@ from chromaperture.disparity.cpu.four_paths import four_path_winner
 from chromaperture.disparity.cpu.paths import aggregate_paths, posterior_sigma, read_at_labels
 from chromaperture.disparity.cpu.smoothing import smooth_along_surface
 from chromaperture.disparity.cpu.variation import coupled_variation, iterate_variation, variation_gap
-from chromaperture.optics.splat_kernel import splat
+from chromaperture.optics.splat_kernels import splat
 
 __all__ = [
     "aggregate_paths",

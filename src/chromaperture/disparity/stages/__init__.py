@@ -10,7 +10,7 @@ from chromaperture.disparity.stages.smoothing import smooth_along_surface
 from chromaperture.disparity.stages.variation import coupled_variation
 from chromaperture.disparity.stages.variation import gap_per_px as variation_gap
 from chromaperture.disparity.stages.variation import iterate as iterate_variation
-from chromaperture.optics.field_blur import splat
+from chromaperture.optics.lens_blur import splat
 
 __all__ = [
     "aggregate_paths",

@@ -15,7 +15,7 @@ from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Listed, Made
 from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.pinhole import PupilCamera
-from chromaperture.optics.sensor import Sensor
+from chromaperture.optics.sensor import SensorModel
 
 _RGB_ROWS = np.eye(3)[[2, 0]]  # blue stands for cyan, red for yellow
 PANELS = (
@@ -83,7 +83,7 @@ def read_boards(
     rng = np.random.default_rng(seed)
     rows = methods.film_rows(design) if unmixing is None else unmixing
     config = MatcherConfig.preset("paper").with_range(*methods.disparity_range(design, camera))
-    sensor, exposure = Sensor(), world.level_exposure(design)
+    sensor, exposure = SensorModel(), world.level_exposure(design)
     table = world.pinhole_table(camera, design, cells)
     medians, spreads = [], []
     for i, ruler in enumerate(rulers_mm):

@@ -24,7 +24,7 @@ from chromaperture.optics.aperture import DESIGNS, centroids
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_otf
-from chromaperture.optics.sensor import Sensor
+from chromaperture.optics.sensor import SensorModel
 
 NEAREST_MM, FARTHEST_MM = 1000.0, 4500.0
 BOARDS_MM = (1150.0, 1350.0, 1600.0, 2050.0, 2400.0, 2900.0, 3500.0)
@@ -90,7 +90,7 @@ def disparity_range(design: str, camera: PupilCamera) -> tuple[float, float]:
 
 def our_disparity(image: np.ndarray, setting: Setting, *, quality: Quality) -> Disparity:
     """Match by the project's own method at a quality."""
-    sensor = Sensor()
+    sensor = SensorModel()
     config = MatcherConfig.preset(quality).with_range(*setting.span_px)
     spaces = colour_spaces(DESIGNS[setting.design], setting.rows, config)
     return estimate_disparity(

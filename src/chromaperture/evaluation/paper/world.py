@@ -16,7 +16,7 @@ from chromaperture.optics.prescription import Prescription, load_lens
 from chromaperture.optics.ray_table import RayTable, lens_rays, pinhole_rays
 from chromaperture.optics.render import render, render_depth
 from chromaperture.optics.scene import Plane, plane
-from chromaperture.optics.sensor import Sensor, develop, expose
+from chromaperture.optics.sensor import SensorModel, develop, expose
 
 FOCUS_MM = 2000.0
 SENSOR_WIDTH_MM = 22.3
@@ -94,7 +94,7 @@ def photograph(
     Capture
     """
     light = render(table, planes, seed=seed)
-    sensor = Sensor()
+    sensor = SensorModel()
     image = develop(expose(light, sensor, seed=seed, exposure=exposure), sensor) if noisy else light * exposure
     depth = np.asarray(render_depth(table, planes), float)
     return Capture(np.asarray(image, np.float32), depth, camera.blur_radius_px(depth))

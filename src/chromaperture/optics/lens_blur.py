@@ -1,12 +1,12 @@
-"""How a real lens blurs each colour at every place of the frame: a geometric point-spread function of a few numbers.
+"""Position-dependent geometric point-spread function of a real lens, described by 28 numbers.
 
-A ray through the pupil point xi (stop radii) of a point at the place f of the frame (half widths) and the distance z
-from the pupil meets the sensor, away from the chief ray, at::
+A ray through the pupil point xi (in stop radii), from a point at the frame position f (in half widths) and at the
+distance z from the pupil, meets the sensor at this distance from the chief ray::
 
     X = (A - B/z) xi + (aberrations of the third and fifth order in xi and f),         px
 
-so the point's image in channel k is the film's transmission T_k(xi), cut by two round rims that move with f, carried
-over by X. Every number of it is fitted to photographs of boards (``blur_fit.py``); none is asked of a user.
+The image of the point in channel k is the film's transmission T_k(xi), vignetted by two round rims that move with f,
+and mapped by X. All numbers are fitted to photographs of boards (``calibration/fit_blur.py``).
 
 References
 ----------
@@ -15,6 +15,7 @@ W. Welford: Aberrations of Optical Systems (1986), for the terms; the derivation
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -25,11 +26,15 @@ import scipy.fft
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
 
-_POINTS = 1500  # of the pupil: the transfer functions change by 1e-3 against ten times as many
-_RIM_SOFTNESS = 0.06  # pupil radii over which a rim fades; a rim is no image of the stop and is never sharp
-_WIDE = 0.7  # pairs of channels this far apart, of the widest pair's distance, are matched
-_NEAR = 0.3  # and those closer than that are not
-_MIN_SEPARATION = 0.05  # pupil radii
+Splat = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
+
+_POINTS = 1500  # samples of the pupil: ten times as many change the transfer functions by 1e-3
+_RIM_SOFTNESS = 0.06  # pupil radii over which a rim fades, being out of focus at the stop; chosen by hand, not tuned
+# Distance of two channels' centroids over that of the widest pair; chosen by hand, not tuned: complementary halves
+# give 1, .5 and .5, three equal filters 1, 1 and 1.
+_WIDE = 0.7  # at least: a primary pair
+_NARROW = 0.3  # at least, but below _WIDE: a secondary pair
+_MIN_SEPARATION = 0.05  # pupil radii; below, the aperture has no parallax. Chosen by hand, not tuned
 
 
 @dataclass(frozen=True)
@@ -41,9 +46,9 @@ class BlurModel:
     infinity_px, scale_px_mm : float
         A and B: the pupil's edge is displaced by A - B / z, + beyond the focus surface.
     axial_red_px, axial_blue_px : float
-        Axial colour, against green.
+        Axial colour, relative to green.
     curvature_px, curvature4_px : float
-        Field curvature, of second and fourth order in the field.
+        Field curvature, of second and fourth order in the frame position.
     spherical_px, spherical5_px : float
         Spherical aberration, of third and fifth order in the pupil.
     oblique_px, oblique_tangential_px : float
@@ -51,11 +56,11 @@ class BlurModel:
     astigmatism_px, astigmatism4_px : float
     coma_px, coma4_px, coma_zonal_px, coma_elliptical_px : float
     lateral_red_px, lateral_blue_px, lateral3_red_px, lateral3_blue_px : float
-        Lateral colour, against green, of first and third order in the field.
+        Lateral colour, relative to green, of first and third order in the frame position.
     spherical_red_px, spherical_blue_px, curvature_red_px, curvature_blue_px : float
-        What red and blue have more of than green.
+        Additions to green's spherical aberration and field curvature for red and blue.
     front_rim_radius, front_rim_shift, rear_rim_radius, rear_rim_shift : float, pupil radii
-        Vignetting: a rim's radius in the pupil and how far its centre moves from the middle to the frame's side.
+        Vignetting: radius of each rim in the pupil, and shift of its centre between the frame's centre and side.
     """
 
     infinity_px: float
@@ -89,21 +94,21 @@ class BlurModel:
 
 
 class PupilSamples(NamedTuple):
-    """Points (N, 2) of equal area in the pupil, in its radii, and the film's light (3, N) there in R, G, B."""
+    """Points (N, 2) of equal area in the pupil, in its radii, and the film's transmission (3, N) there in R, G, B."""
 
     points: np.ndarray
     light: np.ndarray
 
 
 class Rays(NamedTuple):
-    """Where rays through the pupil's points meet the sensor for a point at infinity, (C, N, 2) px, and their light."""
+    """Sensor positions of pupil rays for a point at infinity, (C, N, 2) px, and their weights, (C, N), of unit sum."""
 
     at_infinity_px: np.ndarray
     light: np.ndarray
 
 
 def sample_pupil(aperture: Aperture, count: int = _POINTS) -> PupilSamples:
-    """Spread points evenly over the pupil, on a sunflower's spiral: a lattice would beat with the pixels."""
+    """Sample the pupil evenly on a Fermat spiral; a square lattice would alias with the pixels."""
     i = np.arange(count) + 0.5
     radius, angle = np.sqrt(i / count), np.pi * (1 + np.sqrt(5)) * i
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
@@ -111,16 +116,16 @@ def sample_pupil(aperture: Aperture, count: int = _POINTS) -> PupilSamples:
 
 
 def displacement(
-    model: BlurModel, points: np.ndarray, field: np.ndarray, inverse_mm: float, channel: int
+    model: BlurModel, points: np.ndarray, position: np.ndarray, inverse_mm: float, channel: int
 ) -> np.ndarray:
-    """Where rays through pupil points meet the sensor, from the chief ray of green.
+    """Compute where rays through pupil points meet the sensor, relative to the chief ray of green.
 
     Parameters
     ----------
     model : BlurModel
     points : (N, 2) float, pupil radii
-    field : (2,) float
-        Place in the frame from its middle, in half widths.
+    position : (2,) float
+        Frame position from the centre, in half widths.
     inverse_mm : float, 1/mm
         1 / z, z from the entrance pupil.
     channel : {0, 1, 2}
@@ -131,8 +136,8 @@ def displacement(
     """
     m = model
     x2 = np.einsum("ij,ij->i", points, points)
-    along = points @ field
-    f2 = float(field @ field)
+    along = points @ position
+    f2 = float(position @ position)
     axial = (m.axial_red_px, 0.0, m.axial_blue_px)[channel]
     lateral = (m.lateral_red_px, 0.0, m.lateral_blue_px)[channel]
     lateral3 = (m.lateral3_red_px, 0.0, m.lateral3_blue_px)[channel]
@@ -140,31 +145,50 @@ def displacement(
     curvature = m.curvature_px + (m.curvature_red_px, 0.0, m.curvature_blue_px)[channel]
     coma = m.coma_px + m.coma4_px * f2
 
-    # Gradients of the wave aberration: of its even terms along the pupil vector, of its odd ones along the field too.
+    # Gradient of the wave aberration: even terms act along the pupil vector, odd terms along the position as well.
     to_pupil = m.infinity_px - m.scale_px_mm * inverse_mm + axial + (curvature + m.curvature4_px * f2) * f2
     to_pupil = to_pupil + (spherical + m.spherical5_px * x2) * x2
     to_pupil += (2 * coma + 4 * m.coma_zonal_px * x2 + m.oblique_tangential_px * along) * along
-    to_field = (m.astigmatism_px + m.astigmatism4_px * f2 + m.oblique_tangential_px * x2) * along
-    to_field += (coma + m.coma_zonal_px * x2) * x2 + m.coma_elliptical_px * along**2
-    to_field += lateral + lateral3 * f2
-    return np.asarray(to_pupil[:, None] * points + to_field[:, None] * field)
+    to_position = (m.astigmatism_px + m.astigmatism4_px * f2 + m.oblique_tangential_px * x2) * along
+    to_position += (coma + m.coma_zonal_px * x2) * x2 + m.coma_elliptical_px * along**2
+    to_position += lateral + lateral3 * f2
+    return np.asarray(to_pupil[:, None] * points + to_position[:, None] * position)
 
 
-def rims(model: BlurModel, points: np.ndarray, field: np.ndarray) -> np.ndarray:
-    """Share of the light that the rims of the front and the rear lens let through; (N,) float64 in [0, 1]."""
+def rims(model: BlurModel, points: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Compute the transmission of the front and rear rims at pupil points; (N,) float64 in [0, 1]."""
 
-    def open_share(radius: float, shift: np.ndarray) -> np.ndarray:
+    def transmission(radius: float, shift: np.ndarray) -> np.ndarray:
         inside = radius - np.hypot(*(points - shift).T)
         return np.clip(inside / _RIM_SOFTNESS + 0.5, 0, 1)
 
-    return open_share(model.front_rim_radius, model.front_rim_shift * field) * open_share(
-        model.rear_rim_radius, -model.rear_rim_shift * field
-    )
+    front = transmission(model.front_rim_radius, model.front_rim_shift * position)
+    return front * transmission(model.rear_rim_radius, -model.rear_rim_shift * position)
+
+
+def splat(points_px: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
+    """Add weighted points to the four pixels around them (bilinear), with periodic borders.
+
+    Parameters
+    ----------
+    points_px : (N, 2) float64
+        (x, y), px.
+    weights : (N,) float64
+    out : (S, S) float32
+        Is added to. `chromaperture.optics.splat_kernels.splat` is the same, compiled.
+    """
+    size = len(out)
+    corner = np.floor(points_px).astype(int)
+    tx, ty = (points_px - corner).T
+    for dx, wx in ((0, 1 - tx), (1, tx)):
+        for dy, wy in ((0, 1 - ty), (1, ty)):
+            pixel = (corner[:, 1] + dy) % size * size + (corner[:, 0] + dx) % size
+            out += np.bincount(pixel, weights * wx * wy, size * size).reshape(size, size)
 
 
 @dataclass(frozen=True)
-class FieldBlur:
-    """The blur of one camera: lens and film together, over a frame.
+class LensBlur:
+    """Blur of one camera, lens and film together, over the frame.
 
     Attributes
     ----------
@@ -178,15 +202,22 @@ class FieldBlur:
     width_px: int
     height_px: int
 
-    def field(self, x_px: float, y_px: float) -> np.ndarray:
-        """Place in the frame from its middle, in half widths; (2,) float64."""
+    def frame_position(self, x_px: float, y_px: float) -> np.ndarray:
+        """Return the position in the frame from its centre, in half widths; (2,) float64."""
         half = self.width_px / 2
         return np.array([(x_px - (self.width_px - 1) / 2) / half, (y_px - (self.height_px - 1) / 2) / half])
 
     def transfer(
-        self, x_px: float, y_px: float, inverse_mm: float, size_px: int, channels: tuple[int, ...] = (0, 1, 2)
+        self,
+        x_px: float,
+        y_px: float,
+        inverse_mm: float,
+        size_px: int,
+        channels: tuple[int, ...] = (0, 1, 2),
+        *,
+        splat: Splat | None = None,
     ) -> np.ndarray:
-        """Give the optical transfer functions of channels at a place and distance.
+        """Compute the optical transfer functions of channels at an image position and distance.
 
         Parameters
         ----------
@@ -194,36 +225,40 @@ class FieldBlur:
         inverse_mm : float, 1/mm
             1 / z, z from the entrance pupil.
         size_px : int
-            Side of the tile that will be filtered; the PSF wraps around in it.
+            Side of the tile to filter; the PSF wraps around in it.
         channels : tuple of int
+        splat : callable, optional
+            Rasteriser with the signature of `splat`; the compiled one when absent.
 
         Returns
         -------
         (C, size, size // 2 + 1) complex64, 1 at zero frequency
         """
-        return self.transfer_of(self.rays(x_px, y_px, channels), inverse_mm, size_px)
+        return self.transfer_of(self.rays(x_px, y_px, channels), inverse_mm, size_px, splat=splat)
 
     def rays(self, x_px: float, y_px: float, channels: tuple[int, ...] = (0, 1, 2)) -> Rays:
-        """Give the light of channels at a place, whatever the distance."""
-        field = self.field(x_px, y_px)
-        rim = rims(self.model, self.pupil.points, field)
+        """Trace the rays of channels at an image position; they hold for every distance."""
+        position = self.frame_position(x_px, y_px)
+        rim = rims(self.model, self.pupil.points, position)
         light = self.pupil.light[list(channels)] * rim
-        at_infinity = [displacement(self.model, self.pupil.points, field, 0.0, k) for k in channels]
+        at_infinity = [displacement(self.model, self.pupil.points, position, 0.0, k) for k in channels]
         return Rays(np.stack(at_infinity), light / light.sum(axis=1, keepdims=True))
 
-    def transfer_of(self, rays: Rays, inverse_mm: float, size_px: int) -> np.ndarray:
-        """Give the optical transfer functions of rays at a distance, see `transfer`."""
-        from chromaperture.optics.splat_kernel import splat  # compiling starts here, not at import
+    def transfer_of(self, rays: Rays, inverse_mm: float, size_px: int, *, splat: Splat | None = None) -> np.ndarray:
+        """Compute the optical transfer functions of rays at a distance; parameters as in `transfer`."""
+        if splat is None:
+            from chromaperture.optics import splat_kernels  # compiling starts here, not at import
 
+            splat = splat_kernels.splat
         psf = np.zeros((len(rays.light), size_px, size_px), np.float32)
-        nearer = self.model.scale_px_mm * inverse_mm * self.pupil.points
-        for places, light, out in zip(rays.at_infinity_px, rays.light, psf, strict=True):
-            splat(places - nearer, light, out)
+        defocus = self.model.scale_px_mm * inverse_mm * self.pupil.points
+        for points, light, out in zip(rays.at_infinity_px, rays.light, psf, strict=True):
+            splat(points - defocus, light, out)
         return scipy.fft.rfft2(psf)
 
     @cached_property
     def separations(self) -> dict[tuple[int, int], float]:
-        """How far apart the views of every pair of channels are, of the widest pair, which comes first."""
+        """Distance of the pupil centroids of every pair of channels, over that of the widest pair, which is first."""
         light = self.pupil.light
         centres = (light @ self.pupil.points) / light.sum(axis=1, keepdims=True)
         apart = {(a, b): float(np.hypot(*(centres[a] - centres[b]))) for a, b in ((0, 2), (0, 1), (1, 2))}
@@ -234,46 +269,47 @@ class FieldBlur:
 
     @cached_property
     def pairs(self) -> tuple[tuple[int, int], ...]:
-        """Pairs of channels whose views are far apart, the widest first: those that tell depth best."""
+        """Primary pairs of channels, of the widest separations and so the best for depth; the widest first."""
         return tuple(pair for pair, apart in self.separations.items() if apart >= _WIDE)
 
     @cached_property
     def other_pairs(self) -> tuple[tuple[int, int], ...]:
-        """Pairs that tell depth too, but worse: for surfaces of a colour that the wide pairs do not share."""
-        return tuple(pair for pair, apart in self.separations.items() if _NEAR <= apart < _WIDE)
+        """Secondary pairs, of smaller separation: for surfaces that are dark in a channel of the primary pairs."""
+        return tuple(pair for pair, apart in self.separations.items() if _NARROW <= apart < _WIDE)
 
     @cached_property
     def axis(self) -> np.ndarray:
-        """Direction from the second to the first view of the widest pair, in the pupil; (2,) float64 unit vector."""
+        """Direction in the pupil from the second to the first view of the widest pair; (2,) float64 unit vector."""
         a, b = self.pairs[0]
         light = self.pupil.light
         apart = (light[a] @ self.pupil.points) / light[a].sum() - (light[b] @ self.pupil.points) / light[b].sum()
         return np.asarray(apart / np.hypot(*apart))
 
     def half_disparity(self, x_px: float, y_px: float) -> tuple[float, float]:
-        """Half the distance of the widest pair's centroids: a - b / z.
+        """Compute half the distance of the widest pair's centroids on the sensor, a - b / z.
 
         Returns
         -------
         a, b : float, px and px mm
         """
-        field = self.field(x_px, y_px)
-        rim = rims(self.model, self.pupil.points, field)
+        position = self.frame_position(x_px, y_px)
+        rim = rims(self.model, self.pupil.points, position)
         steps = []
-        for inverse_mm in (0.0, 1e-3):
+        for inverse_mm in (0.0, 1e-3):  # linear in 1 / z: two distances determine it
             centre = []
             for k in self.pairs[0]:
                 weight = self.pupil.light[k] * rim
-                centre.append(weight @ displacement(self.model, self.pupil.points, field, inverse_mm, k) / weight.sum())
+                moved = displacement(self.model, self.pupil.points, position, inverse_mm, k)
+                centre.append(weight @ moved / weight.sum())
             steps.append(float((centre[0] - centre[1]) @ self.axis / 2))
         return steps[0], (steps[0] - steps[1]) / 1e-3
 
     @cached_property
     def reference(self) -> tuple[float, float]:
-        """(A0, B0), px and px mm: the half disparity of the middle of the frame, which names the layers."""
+        """(A0, B0), px and px mm: the half disparity at the frame's centre, in which layers are counted."""
         return self.half_disparity((self.width_px - 1) / 2, (self.height_px - 1) / 2)
 
     @property
     def reach(self) -> float:
-        """Px of half disparity for a px by which defocus displaces the pupil's edge."""
+        """Half disparity per px by which defocus displaces the pupil's edge."""
         return self.reference[1] / self.model.scale_px_mm
