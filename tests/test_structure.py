@@ -18,7 +18,7 @@ MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
 # The camera, its calibration, and what is written from its measurements.
-CAMERA = {"camera", "camera_file", "storage", "calibration", "products"}
+CAMERA = {"camera", "camera_matching", "config_file", "camera_file", "storage", "calibration", "products"}
 LEAVES = {"effects", "reconstruction", "evaluation", "viewer"}
 BELOW_LEAVES = {"optics"} | STAGES | CAMERA
 # What a part of the package may import, besides itself and COMMON.
@@ -36,8 +36,10 @@ ALLOWED: dict[str, set[str]] = {
     "depth": {"optics", "color"},  # works on any disparity map, however it was made
     "storage": {"color"},
     "camera_file": {"optics", "color", "depth", "storage"},
-    "camera": {"optics", "camera_file"} | STAGES,
-    "calibration": {"optics", "camera", "camera_file"} | STAGES,
+    "config_file": set(),
+    "camera_matching": {"camera_file", "color", "disparity"},
+    "camera": {"optics", "camera_file", "camera_matching"} | STAGES,
+    "calibration": {"optics", "camera", "camera_matching", "camera_file"} | STAGES,
     "products": {"optics", "camera", "camera_file", "storage"} | STAGES,
     **{leaf: BELOW_LEAVES for leaf in LEAVES},
     "evaluation": BELOW_LEAVES | {"effects", "reconstruction"},  # the paper's Figures 14 and 15 show them

@@ -9,9 +9,17 @@
 from chromaperture.camera import CodedApertureCamera, DepthFrame, load_camera
 from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import read_image
-from chromaperture.config import Config, DepthConfig, MatcherConfig
+from chromaperture.config import (
+    AccurateConfig,
+    Config,
+    DepthConfig,
+    MatcherConfig,
+    PaperConfig,
+    RealTimeConfig,
+)
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
-from chromaperture.disparity.estimate import Disparity, estimate_disparity
+from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.disparity.result import Disparity
 from chromaperture.errors import CaptureWarning, ChromapertureError, InputError, MissingDependencyError
 from chromaperture.optics.aperture import DESIGNS, Aperture, design_named
 
@@ -19,6 +27,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "DESIGNS",
+    "AccurateConfig",
     "Aperture",
     "Calibration",
     "CaptureWarning",
@@ -32,6 +41,8 @@ __all__ = [
     "InputError",
     "MatcherConfig",
     "MissingDependencyError",
+    "PaperConfig",
+    "RealTimeConfig",
     "depth_to_disparity",
     "design_named",
     "disparity_to_depth",

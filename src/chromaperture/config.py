@@ -220,7 +220,7 @@ class CrossFilterConfig:
         one_each = bool(self.bands_px) and len(self.bands_px) == len(self.band_weights)
         _require(one_each, "bands_px and band_weights must be of one length, at least 1")
         ordered = all(len(band) == 2 and 0 < band[0] < band[1] for band in self.bands_px)
-        _require(ordered and min(self.band_weights) >= 0, "every band needs 0 < fine < coarse, and weights must be >= 0")
+        _require(ordered and min(self.band_weights) >= 0, "every band needs 0 < fine < coarse, weights must be >= 0")
         positive = min(self.window_sigma_px, self.damping, self.noise_margin, self.fallback_nats) > 0
         _require(
             positive and self.fallback_weight >= 0,
@@ -300,6 +300,16 @@ class MatcherConfig:
     layers: LayersConfig = LayersConfig()
     views: ViewsConfig = ViewsConfig()
 
+    @property
+    def label_curves(self) -> tuple[Quality, ...]:
+        """Depth curves of the camera that define equal depth for this method, one for each view space it matches."""
+        return ()
+
+    @property
+    def uses_blur(self) -> bool:
+        """Whether the method matches with the camera's blur."""
+        return False
+
     def with_range(self: Method, min_px: float, max_px: float) -> Method:
         """Return the same settings over another search range, widened to whole layers."""
         return replace(self, layers=self.layers.over(min_px, max_px))
@@ -364,6 +374,11 @@ class RealTimeConfig(MatcherConfig):
             _require(_all_finite(value) and value >= 0, f"{name} must be finite and >= 0, is {value:g}")
         _require(not self.correlation.noise_debiasing, "noise_debiasing does not apply to quality real-time")
 
+    @property
+    def label_curves(self) -> tuple[Quality, ...]:
+        """See `MatcherConfig.label_curves`."""
+        return ("real-time",)
+
 
 @dataclass(frozen=True)
 class AccurateConfig(MatcherConfig):
@@ -379,6 +394,16 @@ class AccurateConfig(MatcherConfig):
     layers: LayersConfig = LayersConfig(step_px=0.25)
     evidence: CrossFilterConfig | CorrelationEvidenceConfig = CorrelationEvidenceConfig()
     surface: SurfaceConfig = SurfaceConfig()
+
+    @property
+    def label_curves(self) -> tuple[Quality, ...]:
+        """See `MatcherConfig.label_curves`: those of the unmixed and of the pure views."""
+        return ("accurate",) if self.uses_blur else ("accurate", "real-time")
+
+    @property
+    def uses_blur(self) -> bool:
+        """See `MatcherConfig.uses_blur`."""
+        return isinstance(self.evidence, CrossFilterConfig)
 
     @classmethod
     def for_blur(cls, reach: float) -> AccurateConfig:

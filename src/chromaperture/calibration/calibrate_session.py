@@ -34,10 +34,10 @@ from chromaperture.calibration.session import Session, read_session
 from chromaperture.calibration.white_sheets import measure_film, with_noise
 from chromaperture.camera_file import Calibration, Film, Lens
 from chromaperture.color.unmixing import ideal_unmixing, view_reach
-from chromaperture.config import QUALITIES, MatcherConfig, Quality
+from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField, degree_of
-from chromaperture.disparity.estimate import colour_spaces
+from chromaperture.disparity.views import view_spaces
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
 from chromaperture.optics.pinhole import centered_pinhole
@@ -257,7 +257,7 @@ def _like_accurate(camera: Calibration) -> Quality:
     It matches the same views with the same score and only pools them better: it needs no curve of its own, and
     refitting one to its boards changed nothing.
     """
-    first = colour_spaces(camera.aperture, camera.unmixing, MatcherConfig.preset("accurate"))[0]
+    first = view_spaces(camera.aperture, camera.unmixing, "both")[0].rows
     return "paper" if np.array_equal(first, camera.unmixing) else "real-time"
 
 

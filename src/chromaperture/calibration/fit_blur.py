@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from chromaperture.config import MatcherConfig
+from chromaperture.config import AccurateConfig
 from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.semiglobal import even_field
-from chromaperture.disparity.tiles import without_shading
+from chromaperture.disparity.labels import IDENTITY
+from chromaperture.disparity.stages.tiles import without_shading
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
@@ -157,17 +157,17 @@ def measured_layers(
     """
     height, width = image.shape[:2]
     at_infinity, scale = blur.reference
-    config, expected = MatcherConfig.psf_aware(blur.reach), at_infinity - scale * inverse_mm
+    config, expected = AccurateConfig.for_blur(blur.reach), at_infinity - scale * inverse_mm
     rows, columns = (np.linspace(0, n, max(1, n // cell_px) + 1).astype(int) for n in (height, width))
     for searched in _SEARCHED:
-        reach = searched * config.step_px
+        reach = searched * config.layers.step_px
         seen = estimate_disparity(
             image,
             aperture=aperture,
             unmixing=unmixing,
             config=config.with_range(expected - reach, expected + reach),
             noise_variance=noise_variance,
-            fields=[even_field(height, width)],
+            label_maps=[IDENTITY],
             blur=blur,
         ).value_px
         found = np.array([[_median(cell) for cell in np.split(band, columns[1:-1], axis=1)]

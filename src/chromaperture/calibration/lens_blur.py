@@ -14,8 +14,8 @@ from chromaperture.calibration.fit_blur import Progress, fit_blur, measured_laye
 from chromaperture.calibration.fit_fields import fit_depth_field
 from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.session import Session
-from chromaperture.camera import sensor_noise
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import sensor_noise
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.field import DepthField
 from chromaperture.errors import InputError

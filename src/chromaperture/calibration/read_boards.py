@@ -10,9 +10,9 @@ import numpy as np
 
 from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.session import Session
-from chromaperture.camera import sensor_noise
 from chromaperture.camera_file import Calibration
-from chromaperture.config import MatcherConfig, Quality
+from chromaperture.camera_matching import sensor_noise
+from chromaperture.config import PaperConfig, Quality, RealTimeConfig
 from chromaperture.disparity.estimate import estimate_disparity
 
 MEASURED: tuple[Quality, ...] = ("paper", "real-time")
@@ -117,16 +117,17 @@ def read_board(image: np.ndarray, draft: Calibration) -> dict[str, np.ndarray]:
     return found
 
 
-def _configs(draft: Calibration) -> dict[Quality, MatcherConfig]:
+def _configs(draft: Calibration) -> dict[Quality, PaperConfig | RealTimeConfig]:
     """Search wider than the lens's nominal figures say: it is not known yet."""
-    ranges = {quality: draft.disparity_range_px(quality) for quality in MEASURED}
+    presets: dict[Quality, PaperConfig | RealTimeConfig] = {"paper": PaperConfig(), "real-time": RealTimeConfig()}
+    ranges = {quality: draft.disparity_range_px(quality) for quality in presets}
     return {
-        quality: MatcherConfig.preset(quality).with_range(1.5 * low - 1, 1.5 * high + 1)
+        quality: presets[quality].with_range(1.5 * low - 1, 1.5 * high + 1)
         for quality, (low, high) in ranges.items()
     }
 
 
-def _middle_median(disparity: np.ndarray, config: MatcherConfig) -> tuple[float, float]:
+def _middle_median(disparity: np.ndarray, config: PaperConfig | RealTimeConfig) -> tuple[float, float]:
     """Median over the middle of the frame and its standard error; NaN where too little is known."""
     rows, columns = (slice(round(n * (1 - _MIDDLE) / 2), round(n * (1 + _MIDDLE) / 2)) for n in disparity.shape)
     middle = disparity[rows, columns]
@@ -135,7 +136,8 @@ def _middle_median(disparity: np.ndarray, config: MatcherConfig) -> tuple[float,
         return np.nan, np.nan
     median = float(np.median(known))
     spread = 1.4826 * float(np.median(np.abs(known - median)))
-    window_px = (1 + config.window_decay) / (1 - config.window_decay)  # neighbours share their window
+    decay = config.correlation.window_decay
+    window_px = (1 + decay) / (1 - decay)  # neighbours share their window
     return median, max(_MIN_SIGMA_PX, 1.2533 * spread * window_px / np.sqrt(known.size))
 
 

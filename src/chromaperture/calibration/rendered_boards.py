@@ -20,8 +20,8 @@ from chromaperture.calibration.fit_fields import fit_depth_field
 from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.read_boards import MEASURED, grid, read_board
 from chromaperture.calibration.session import Session
-from chromaperture.camera import sensor_noise
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import sensor_noise
 from chromaperture.config import Quality
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError

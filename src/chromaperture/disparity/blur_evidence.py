@@ -59,7 +59,7 @@ class BlurEvidence:
     def at(
         self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray, noise: NoiseModel | None
     ) -> np.ndarray:
-        """Return nats a pixel for labels between layers, which is cheaper than to evaluate as many layers; (H, W, N)."""
+        """Return nats a pixel; labels between layers are interpolated, which is cheaper than more layers; (H, W, N)."""
         likelihood = self.likelihood(image, layers_px, noise_variance=None if noise is None else noise(image))
         factors = sum(self.config.band_weights)
         return self.run.read_at_labels(likelihood, layers_px, labels_px, self.label_map, factors=factors)

@@ -11,8 +11,8 @@ from chromaperture.disparity.winner import Surface, Winner
 
 CONFIDENCE_SCALE_PX = 0.25  # standard deviation at which confidence has fallen to 1/e; chosen by hand
 MAX_SIGMA_PX = 4.0  # a quarter of the default search range: beyond, nothing is known of the layer
-# White noise behind a Gaussian of variance s^2 has the autocorrelation exp(-r^2 / 4 s^2), whose integral is 4 pi s^2; that
-# of its square, which counts for correlations, is half of it. The factor 0.8 * 0.57 = 0.46 was chosen by hand;
+# White noise behind a Gaussian of variance s^2 has the autocorrelation exp(-r^2 / 4 s^2), whose integral is 4 pi s^2;
+# that of its square, which counts for correlations, is half of it. The factor 0.8 * 0.57 = 0.46 was chosen by hand;
 # tests/test_confidence.py holds the error bar against known errors.
 _NOISE_AREA = 0.8 * 4 * math.pi, 0.57
 

@@ -10,6 +10,7 @@ import numpy as np
 from chromaperture.color.image import checked_image
 from chromaperture.config import (
     AccurateConfig,
+    CorrelationEvidenceConfig,
     CrossFilterConfig,
     ExecutionName,
     MatcherConfig,
@@ -121,7 +122,7 @@ def method_for(
             return AccurateMethod(
                 config, view_spaces(aperture, unmixing, "unmixed")[0], evidence, label_maps[0], run
             )
-        case AccurateConfig(evidence=correlation):
+        case AccurateConfig(evidence=CorrelationEvidenceConfig() as correlation):
             maps = tuple(label_maps) or (IDENTITY,)
             spaces = tuple(view_spaces(aperture, unmixing, correlation.space))[: len(maps)]
             evidence = CorrelationEvidence(correlation, config.views, spaces, maps[: len(spaces)], run)

@@ -31,7 +31,7 @@ class PaperMethod:
     run: Execution
 
     def match(self, image: np.ndarray, noise: NoiseModel | None) -> Disparity:
-        """Return the disparity of an image (H, W, 3) whose noise variance is ``noise(image)``, estimated when absent."""
+        """Return the disparity of an image (H, W, 3); its noise is estimated where no model is given."""
         config, correlation = self.config, self.config.correlation
         if noise is None:  # a blind estimate takes fine texture for noise: good enough for weights, not to subtract
             noise, correlation = estimate_noise_variance, replace(correlation, noise_debiasing=False)

@@ -125,7 +125,8 @@ def view_spaces(
         raise InputError(f"unmixing must have shape ({len(aperture.views)}, 3) for {aperture.name}, got {rows.shape}")
     pure = None if space == "unmixed" else pure_channels(aperture)
     matched = [rows] if pure is None else [pure]
-    if space == "both" and pure is not None and len(rows) == 2:  # three pure channels are the unmixed views but for leaks
+    # Three pure channels are the unmixed views but for the leaks: one of the two is enough.
+    if space == "both" and pure is not None and len(rows) == 2:
         matched = [rows, pure]
     return [ViewSpace(view_directions(aperture), each, guide_weights(aperture)) for each in matched]
 

@@ -8,8 +8,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera, channel_shifts, sensor_noise
+from chromaperture.camera import CodedApertureCamera, channel_shifts
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import sensor_noise
 from chromaperture.color.alignment import align_channels, linear_displacement
 from chromaperture.color.image import SATURATION
 from chromaperture.color.noise import estimate_noise_variance

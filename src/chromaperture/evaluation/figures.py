@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
-from chromaperture.config import MatcherConfig, Quality
+from chromaperture.config import Quality, preset
 from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.evaluation.verdict import board_depth, board_errors, reach
 
@@ -130,7 +130,7 @@ def layer_errors(result: CalibrationResult, quality: Quality = "paper") -> tuple
     """Median error of single pixels with whole-px layers, with the matcher's layers, and below layers; mm each."""
     axis = result.calibration.on_axis(quality)
     out = []
-    for step in (1.0, MatcherConfig.preset(quality).step_px, 0.0):
+    for step in (1.0, preset(quality).layers.step_px, 0.0):
         errors = []
         for board in result.boards:
             rows, columns = (slice(n // 3, n - n // 3) for n in board.grid_px[quality].shape)
@@ -149,7 +149,7 @@ def draw_layers(result: CalibrationResult) -> Figure:
     order = np.argsort(rulers)
     figure = new_figure()
     axes = figure.subplots()
-    names = ("layers of 1 px", f"layers of {MatcherConfig.preset('paper').step_px:g} px", "sub-pixel")
+    names = ("layers of 1 px", f"layers of {preset('paper').layers.step_px:g} px", "sub-pixel")
     for values, name, color in zip(layer_errors(result), names, (RED, ORANGE, BLUE), strict=True):
         axes.plot(rulers[order], values[order], "o-", color=color, label=name, markersize=4)
     axes.set_yscale("log")

@@ -12,11 +12,11 @@ from typing import Literal
 import numpy as np
 
 from chromaperture.calibration.chessboard import Intrinsics, board_points, find_corners
-from chromaperture.camera import sensor_noise
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import sensor_noise
 from chromaperture.capture.exif import Exif
 from chromaperture.color.image import SATURATION, checked_image
-from chromaperture.config import MatcherConfig, Quality
+from chromaperture.config import Quality, preset
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.errors import InputError
@@ -250,7 +250,7 @@ def _compare(image: np.ndarray, calibration: Calibration, board: Board, corners:
         aperture=calibration.aperture,
         unmixing=calibration.unmixing,
         noise_variance=sensor_noise(image, calibration),
-        config=MatcherConfig.preset(_QUALITY).with_range(-reach, reach),
+        config=preset(_QUALITY).with_range(-reach, reach),
     ).value_px[rows, columns]
     known = np.isfinite(disparity) & np.isfinite(expected)
     if known.mean() < 0.25:

@@ -12,7 +12,7 @@ import numpy as np
 
 from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.layout import BLOCK, GROUP, ONE, SCORE_SCALE, ZERO, inner, kernel
-from chromaperture.disparity.cpu.samples import sample, transpose_rows, standardise
+from chromaperture.disparity.cpu.samples import sample, standardise, transpose_rows
 from chromaperture.disparity.cpu.scores import locate_row, score_three, score_two
 from chromaperture.disparity.cpu.windows import copy, window_end, window_rows, window_up
 
@@ -121,7 +121,7 @@ def score_band(pictures, plan, band, scratch, volume, maps):
 
 @inner
 def _weigh_row(mask, min_weight, views, weights):
-    """Finish the weights of a row: geometric mean of the views' fractions of signal, the least weight where unusable."""
+    """Finish the weights of a row: geometric mean of the views' signal fractions, the least weight where unusable."""
     if views == 2:
         for x in range(len(weights)):
             weights[x] = max(np.sqrt(weights[x]) * mask[x], min_weight)

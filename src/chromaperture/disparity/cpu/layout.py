@@ -12,8 +12,8 @@ layers of the same 16 columns, then the next row, then the next 16 columns::
 
 so that a walk along a row and a walk down a block of columns both read whole cache lines.
 
-Rows of samples are addressed in flat arrays by (start, step per px): a view that moves along x by 1/n px a layer is kept
-n times up-sampled, so that eight neighbouring layers of a pixel are eight neighbours in memory (stored backwards if the
+Rows of samples are addressed in flat arrays by (start, step per px): a view that moves along x by 1/n px a layer is
+kept n times up-sampled, so that eight neighbouring layers of a pixel are neighbours in memory (stored backwards if the
 view moves backwards); views that move otherwise are transposed row by row with `samples.transpose_rows`.
 """
 

@@ -1,9 +1,9 @@
 # mypy: disallow-untyped-defs=False
 """Path costs along rows and columns, eight layers a vector: the inner part of `four_paths.py`.
 
-From a pixel q to its neighbour on a path go, of its cost c including all that came in itself,
-``m(d) = min(c(d), c(d - 1) + e slope, c(d + 1) + e slope, min c + e jump) - min c``. The sum of these over the four paths
-and the pixel's own cost decides.
+A pixel q with the path cost c, its own included, adds to its neighbour on the path
+``m(d) = min(c(d), c(d - 1) + e slope, c(d + 1) + e slope, min c + e jump) - min c``. The sum of these over the four
+paths and the pixel's own cost decide.
 """
 
 from __future__ import annotations

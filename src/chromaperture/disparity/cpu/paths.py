@@ -38,7 +38,7 @@ def aggregate_paths(
     penalties = Penalties(*map(np.float32, penalties_of(config, layers_px)))
     total = np.float32(config.paths - 1) * likelihood  # counted once, not once a path
     for line in LINES[: config.paths // 2]:
-        starts = line_starts(*guide.shape, *line)
+        starts = line_starts(guide.shape[0], guide.shape[1], *line)
         in_parallel(
             lambda _, first, last, line=line, starts=starts: _walk_lines(  # type: ignore[misc]
                 likelihood, guide, starts[first:last], line, penalties, total
@@ -171,7 +171,8 @@ def _read_at_labels(likelihood, labels, offset, scale, factors, out):  # type: i
         for x in range(width):
             for k in range(layers):
                 unexplained[k + 1] = np.exp(-two / factors * likelihood[y, x, k])
-            unexplained[0], unexplained[layers + 1] = two * unexplained[1] - unexplained[2], two * unexplained[layers] - unexplained[layers - 1]
+            unexplained[0] = two * unexplained[1] - unexplained[2]
+            unexplained[layers + 1] = two * unexplained[layers] - unexplained[layers - 1]
             for n in range(len(labels)):
                 place = offset[y, x] + scale[y, x] * labels[n]
                 if not -edge < place < layers - 1 + edge:

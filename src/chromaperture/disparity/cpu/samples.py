@@ -128,7 +128,8 @@ def _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch):
     for i in range(v.LANES):
         floors[i] = numbers.epsilon[samplings.owner[min(e + i % 4, entries - 1)]]
     floor, nothing = v.load(floors, 0), v.broadcast(ZERO)
-    decay, debias, min_fraction = v.broadcast(numbers.decay), v.broadcast(numbers.debias), v.broadcast(numbers.min_fraction)
+    decay, debias = v.broadcast(numbers.decay), v.broadcast(numbers.debias)
+    min_fraction = v.broadcast(numbers.min_fraction)
     window_gain = v.broadcast((ONE - numbers.decay) ** np.float32(4))
     ring, state, lanes, noise_sample = scratch.ring, scratch.state, scratch.lanes, scratch.noise_sample
     gains, mean_gains = scratch.gain, scratch.mean_gain

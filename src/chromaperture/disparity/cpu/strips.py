@@ -2,7 +2,7 @@
 """Second half of the compiled matcher: a strip of columns from scores filtered along x to the winner.
 
 The downward recursion runs first, over the whole strip, and saves its state every few rows. Then the strip is walked
-upwards in batches between the saved rows: the downward recursion of a batch is done again and kept, the upward recursion
+upwards in batches between the saved rows: the downward recursion of a batch is done again and kept, the upward one
 meets it, the best layers of the batch are found together, so that their latencies overlap. A batch stays in the fastest
 cache. The best layer is found with its number in the low bits of the score: the largest lane holds it.
 """
@@ -129,7 +129,8 @@ def _take_strip(volume, left, slabs, settings, links, scale, inverse, tags, scra
         copy(scratch, batch * row_size, scratch, at_batch, row_size)
         for y in range(top, bottom):
             here = at_batch + (y - top + 1) * row_size
-            _down(volume, at_volume + y * row_size, scale, links, y, even_link, scratch, here - row_size, here, row_size)
+            at = at_volume + y * row_size
+            _down(volume, at, scale, links, y, even_link, scratch, here - row_size, here, row_size)
         for y in range(bottom - 1, top - 1, -1):
             here = at_batch + (y - top + 1) * row_size
             _up(y, height, slabs, even_link, links, inverse, tags, scratch, here, at_state, best)

@@ -9,6 +9,8 @@ has iterations, and the bands exchange these rows after every sweep. The result 
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from chromaperture.compilation import compiled, inlined
@@ -47,7 +49,7 @@ def iterate_variation(
     sizes, edges = np.stack(steps).astype(np.float32), _edges(problem)
     for done in range(0, total, sweep):
         now = np.ascontiguousarray(sizes[:, done : done + sweep])
-        for above, below in zip(kept, kept[1:], strict=False):
+        for above, below in pairwise(kept):
             if done:
                 above.exchange(below)
 

@@ -1,4 +1,4 @@
-"""Scores smoothed by a recursive bilateral filter, and the best layer, in plain NumPy: the oracle of ``cpu/bilateral.py``."""
+"""Recursive bilateral filter over the scores, and the best layer, in NumPy: the oracle of ``cpu/bilateral.py``."""
 
 from __future__ import annotations
 

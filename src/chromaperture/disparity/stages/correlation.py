@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from chromaperture.config import CorrelationConfig
 from chromaperture.disparity.views import Views, view_pairs
 
-MIN_VARIANCE_FRACTION = 0.05  # of a variance that noise debiasing always leaves: an estimate of the noise may be too high
+MIN_VARIANCE_FRACTION = 0.05  # of a variance that debiasing always leaves: an estimated noise may be too high
 RELATIVE_EPSILON = 1e-6  # of a view's overall variance: even areas score 0, not noise / noise
 MIN_WEIGHT = 1e-4  # keeps the sum of weights positive where a whole line is unusable
 

@@ -52,7 +52,7 @@ def four_path_winner(
 
 
 def log_likelihood(score: np.ndarray, *, view_count: int) -> np.ndarray:
-    """Log-likelihood of every layer against uncorrelated views, nats: -ln(1 - s^2) / 2 of two views, -ln(1 - s) of three."""
+    """Log-likelihood against uncorrelated views, nats: -ln(1 - s^2) / 2 of two views, -ln(1 - s) of three."""
     clipped = np.clip(score, 0, 1)
     determinant = 1 - clipped**2 if view_count == 2 else (1 - clipped) ** 2
     return np.asarray(-0.5 * np.log(np.maximum(determinant, LEAST_DETERMINANT)))

@@ -148,7 +148,8 @@ def read_at_labels(
     first, last = 2 * unexplained[..., :1] - unexplained[..., 1:2], 2 * unexplained[..., -1:] - unexplained[..., -2:-1]
     wide = np.concatenate([first, unexplained, last], axis=2)
     disparity = label_map.offset_px[..., None] + label_map.scale[..., None] * labels_px
-    place = np.broadcast_to((disparity - layers_px[0]) / (layers_px[1] - layers_px[0]), (*likelihood.shape[:2], len(labels_px)))
+    place = (disparity - layers_px[0]) / (layers_px[1] - layers_px[0])
+    place = np.broadcast_to(place, (*likelihood.shape[:2], len(labels_px)))
     below = np.clip(np.floor(place).astype(np.intp), 0, len(layers_px) - 2)
     weights = lagrange_weights(place - below)
     taps = [np.take_along_axis(wide, below + k, axis=2) for k in range(4)]

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
-from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import default_config
 from chromaperture.config import Quality
 from chromaperture.errors import InputError
 from chromaperture.evaluation.figures import new_figure

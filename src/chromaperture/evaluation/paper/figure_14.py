@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_matching import default_config
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.effects.restore import restore

@@ -10,7 +10,8 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_matching import default_config
 from chromaperture.errors import MissingDependencyError
 from chromaperture.evaluation.figures import new_figure
 from chromaperture.evaluation.paper import world

@@ -6,7 +6,7 @@ import numpy as np
 
 from chromaperture.calibration.fit_curve import DepthFit, fit_depth_model
 from chromaperture.color.noise import photon_noise_variance
-from chromaperture.config import MatcherConfig
+from chromaperture.config import preset
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.evaluation.figures import BLUE, GREY, new_figure, tidy
 from chromaperture.evaluation.paper import methods, world
@@ -82,7 +82,7 @@ def read_boards(
     """Half disparity of every board, median and robust standard deviation over the window; two (N,) float64, px."""
     rng = np.random.default_rng(seed)
     rows = methods.film_rows(design) if unmixing is None else unmixing
-    config = MatcherConfig.preset("paper").with_range(*methods.disparity_range(design, camera))
+    config = preset("paper").with_range(*methods.disparity_range(design, camera))
     sensor, exposure = SensorModel(), world.level_exposure(design)
     table = world.pinhole_table(camera, design, cells)
     medians, spreads = [], []

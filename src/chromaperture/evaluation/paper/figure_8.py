@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
-from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import default_config
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.depth.conversion import disparity_to_inverse_depth
 from chromaperture.evaluation.figures import draw_flat_board, flat_board, new_figure, plane_residual

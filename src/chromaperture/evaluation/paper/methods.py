@@ -12,9 +12,11 @@ import scipy.fft
 from chromaperture.color.alignment import channel_directions
 from chromaperture.color.noise import photon_noise_variance
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows, view_directions
-from chromaperture.config import MatcherConfig, Quality
-from chromaperture.disparity.estimate import Disparity, colour_spaces, estimate_disparity
-from chromaperture.disparity.semiglobal import LayerField
+from chromaperture.config import Quality, preset
+from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.result import Disparity
+from chromaperture.disparity.views import view_spaces
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.prior.annulus import annulus_radius
 from chromaperture.evaluation.prior.colour_lines import colour_lines
@@ -91,14 +93,13 @@ def disparity_range(design: str, camera: PupilCamera) -> tuple[float, float]:
 def our_disparity(image: np.ndarray, setting: Setting, *, quality: Quality) -> Disparity:
     """Match by the project's own method at a quality."""
     sensor = SensorModel()
-    config = MatcherConfig.preset(quality).with_range(*setting.span_px)
-    spaces = colour_spaces(DESIGNS[setting.design], setting.rows, config)
+    config = preset(quality).with_range(*setting.span_px)
     return estimate_disparity(
         image,
         aperture=DESIGNS[setting.design],
         unmixing=setting.rows,
         config=config,
-        fields=_fields(setting, spaces, image.shape[:2]) if config.optimiser is not None else None,
+        label_maps=_label_maps(setting) if quality == "accurate" else (),
         noise_variance=photon_noise_variance(
             image,
             full_well_electrons=sensor.full_well_electrons,
@@ -107,12 +108,12 @@ def our_disparity(image: np.ndarray, setting: Setting, *, quality: Quality) -> D
     )
 
 
-def _fields(setting: Setting, spaces: list[np.ndarray], shape: tuple[int, ...]) -> list[LayerField]:
-    """Tell the optimiser what a calibrated camera would: leaks draw the pure channels closer than the unmixed views."""
+def _label_maps(setting: Setting) -> list[LabelMap]:
+    """As a calibrated camera has them: leaking film brings the pure channels closer together than the unmixed views."""
     film = world.real_film(setting.design)
-    reach = [float(np.linalg.norm(centroids(film, rows), axis=1).mean()) for rows in spaces]
-    even = np.zeros(shape, np.float32)
-    return [LayerField(even, even + np.float32(r / reach[0])) for r in reach]
+    spaces = view_spaces(DESIGNS[setting.design], setting.rows, "both")
+    reach = [float(np.linalg.norm(centroids(film, space.rows), axis=1).mean()) for space in spaces]
+    return [LabelMap(np.zeros((1, 1), np.float32), np.full((1, 1), r / reach[0], np.float32)) for r in reach]
 
 
 def _ours(quality: Quality) -> Method:

@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from chromaperture.calibration.calibrate_session import leave_one_out
 from chromaperture.calibration.session import Session, read_session
-from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import default_config
 from chromaperture.config import Quality
 from chromaperture.errors import InputError
 from chromaperture.evaluation.depth_quality import ZONES, PlaneQuality, by_cell, plane_quality

@@ -10,9 +10,9 @@ import cv2
 import numba
 import numpy as np
 
-from chromaperture.config import MatcherConfig
+from chromaperture.config import preset
 from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.variational import smooth_disparity
+from chromaperture.disparity.variation import smooth_disparity
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Compared, Listed, Made
 from chromaperture.evaluation.prior.annulus import annulus_radius
@@ -91,7 +91,7 @@ def _annulus_s() -> float:
 
 
 def _match(image: np.ndarray, design: str, quality: str) -> object:
-    config = MatcherConfig.preset("paper" if quality == "paper" else "real-time")
+    config = preset("paper" if quality == "paper" else "real-time")
     return estimate_disparity(image, aperture=design, config=config)
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.config import OptimiserConfig
-from chromaperture.disparity.optimise import optimise_volume
+from chromaperture.config import SurfaceConfig
+from chromaperture.disparity.accurate import optimised_surface
+from chromaperture.disparity.execution import execution_named
 from chromaperture.evaluation.prior.shifts import best_layer, box, sampled, spline
 
-_PATHS = OptimiserConfig(slope_penalty=1.0, jump_penalty=1.0, coupling_rounds=0)
+_PATHS = SurfaceConfig(slope_penalty=1.0, jump_penalty=1.0, coupling_rounds=0)
 _LOG_SPAN = 16.0  # nats: below exp(-16) a window is a perfect line, and noise tells which is more so
 
 
@@ -73,5 +74,5 @@ def colour_lines(
     likelihood = -np.log(np.maximum(measure, np.exp(-_LOG_SPAN)))
     guide = np.ascontiguousarray(image.mean(axis=2) / (0.06 * max(float(np.percentile(image, 99)), 1e-6)), np.float32)
     volume = np.ascontiguousarray(np.moveaxis(likelihood, 0, 2), np.float32)
-    found = optimise_volume(volume, guide, layers_px, config=_PATHS)
+    found = optimised_surface(volume, guide, layers_px, config=_PATHS, run=execution_named("numba"))
     return np.asarray(found.disparity_px, float)

@@ -1,0 +1,60 @@
+"""From a camera file to what the matcher needs: settings, labels of equal depth, noise."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from chromaperture.camera_file import Calibration
+from chromaperture.color.noise import photon_noise_variance
+from chromaperture.config import AccurateConfig, Config, MatcherConfig, Quality, preset
+from chromaperture.disparity.labels import LabelMap, label_map
+from chromaperture.disparity.result import NoiseModel
+
+
+def default_config(calibration: Calibration, quality: Quality = "real-time") -> Config:
+    """Return the settings for a camera: the quality's preset over the camera's own working range."""
+    matcher = preset(quality)
+    blur = calibration.field_blur()
+    if isinstance(matcher, AccurateConfig) and blur is not None:
+        matcher = AccurateConfig.for_blur(blur.reach)
+    if calibration.is_calibrated:
+        matcher = matcher.with_range(*calibration.disparity_range_px(quality))
+    return Config(quality=quality, matcher=matcher)
+
+
+def label_maps(calibration: Calibration, config: MatcherConfig) -> list[LabelMap]:
+    """Return what equal depth means at every pixel, for each view space that a method matches; none uncalibrated."""
+    if not (config.label_curves and calibration.is_calibrated):
+        return []
+    axis = calibration.on_axis(config.label_curves[0])
+    reference = (float(axis.infinity_disparity_px), float(axis.scale_px_mm))
+    shape = (calibration.sensor.height_px, calibration.sensor.width_px)
+    models = [calibration.depth_model(quality) for quality in config.label_curves]
+    return [
+        label_map(
+            np.broadcast_to(model.infinity_disparity_px, shape),
+            np.broadcast_to(model.scale_px_mm, shape),
+            reference=reference,
+        )
+        for model in models
+    ]
+
+
+def noise_model(calibration: Calibration) -> NoiseModel | None:
+    """Return the noise of the sensor from its electrons; None where they are not known."""
+    sensor = calibration.sensor
+    if sensor.full_well_electrons is None or sensor.read_noise_electrons is None:
+        return None
+    return partial(
+        photon_noise_variance,
+        full_well_electrons=sensor.full_well_electrons,
+        read_noise_electrons=sensor.read_noise_electrons,
+    )
+
+
+def sensor_noise(image: np.ndarray, calibration: Calibration) -> np.ndarray | None:
+    """Return the noise variance of every channel of an image, (H, W, 3); None where it is not known."""
+    noise = noise_model(calibration)
+    return None if noise is None else noise(image)
