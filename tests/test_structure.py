@@ -22,10 +22,11 @@ CAMERA = {"camera", "camera_matching", "config_file", "camera_file", "storage", 
 LEAVES = {"effects", "reconstruction", "evaluation", "viewer"}
 BELOW_LEAVES = {"optics"} | STAGES | CAMERA
 # What a part of the package may import, besides itself and COMMON.
-COMMON = {"errors", "config", "compilation", "threads", "robust"}
+COMMON = {"errors", "config", "stage_config", "compilation", "threads", "robust"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "config": set(),
+    "stage_config": set(),
     "compilation": set(),
     "threads": set(),
     "robust": set(),

@@ -1,296 +1,32 @@
-"""Every default of the method: one frozen dataclass a stage, one a method that is composed of them.
+"""Every default of the method: one frozen dataclass a method, composed of its stages' (`stage_config.py`).
 
-A stage receives only its own section. Every value can be set from Python and, as ``chromaperture depth --config`` reads
-it, from TOML. "On simulated captures" below means ``chromaperture evaluate``'s ray-traced scenes and those of
-`chromaperture.optics`; bench50 is the benchmark of ``benchmarks/bench50.py`` and ``benchmarks/ablation.py``.
+A stage receives only its own section. Every value can be set from Python and, as `config_file.py` reads it, from TOML.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal, TypeVar, get_args
 
-import numpy as np
-
 from chromaperture.errors import InputError
+from chromaperture.stage_config import (
+    BilateralConfig,
+    CorrelationConfig,
+    CorrelationEvidenceConfig,
+    CrossFilterConfig,
+    FourPathsConfig,
+    LayersConfig,
+    SurfaceConfig,
+    ViewsConfig,
+    all_finite,
+    require,
+    require_space,
+)
 
 Quality = Literal["paper", "real-time", "accurate"]
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
 ExecutionName = Literal["numba", "numpy"]
 Method = TypeVar("Method", bound="MatcherConfig")
-
-
-def _require(valid: bool, rule: str) -> None:
-    if not valid:
-        raise InputError(rule)
-
-
-def _require_space(space: str, *known: str) -> None:
-    _require(space in known, f"space must be {' or '.join(known)}, is {space!r}")
-
-
-def _all_finite(*values: float) -> bool:
-    return all(map(math.isfinite, values))
-
-
-@dataclass(frozen=True)
-class LayersConfig:
-    """The disparities that are tested: half disparities in px, + beyond focus.
-
-    Attributes
-    ----------
-    min_px, max_px : float
-        Ends of the search range. A best layer at either end is reported as unknown: leave one layer of margin.
-    step_px : float
-        Distance of two layers. A parabola through shifted views is biased towards the layers by 0.045 px at 1.0, by
-        0.006 px at 0.5 (``benchmarks/locking.py``).
-    """
-
-    min_px: float = -8.0
-    max_px: float = 7.5
-    step_px: float = 0.5
-
-    def __post_init__(self) -> None:
-        finite = _all_finite(self.min_px, self.max_px, self.step_px)
-        _require(finite and self.step_px > 0, "the range of the layers must be finite and step_px positive, in px")
-        _require(
-            len(self.values_px) >= 3,
-            f"the disparity range {self.min_px:g}..{self.max_px:g} px holds fewer than three layers of "
-            f"{self.step_px:g} px: widen it",
-        )
-
-    @property
-    def values_px(self) -> np.ndarray:
-        """(D,) float64, px: the disparity of every layer."""
-        count = math.floor((self.max_px - self.min_px) / self.step_px + 1e-6) + 1  # 1e-6: rounding of the quotient
-        return self.min_px + self.step_px * np.arange(count)
-
-    def over(self, min_px: float, max_px: float) -> LayersConfig:
-        """Return layers of the same step over another range, widened to whole layers."""
-        low, high = math.floor(min_px / self.step_px), math.ceil(max_px / self.step_px)
-        return replace(self, min_px=self.step_px * low, max_px=self.step_px * high)
-
-
-@dataclass(frozen=True)
-class ViewsConfig:
-    """How the views and the guide are smoothed and scaled.
-
-    Attributes
-    ----------
-    presmooth_sigma_px : float
-        Gaussian before matching; makes the noise that sub-pixel interpolation leaves independent of the sampling phase.
-    guide_range : float
-        Difference of the guide that counts as 1, in linear light relative to the guide's 1st to 99th percentile.
-    """
-
-    presmooth_sigma_px: float = 0.7
-    guide_range: float = 0.06
-
-    def __post_init__(self) -> None:
-        finite = _all_finite(self.presmooth_sigma_px, self.guide_range)
-        _require(finite and self.presmooth_sigma_px >= 0, "presmooth_sigma_px must be finite and >= 0")
-        _require(finite and self.guide_range > 0, "guide_range must be finite and positive")
-
-
-@dataclass(frozen=True)
-class CorrelationConfig:
-    """Correlation of shifted views.
-
-    Attributes
-    ----------
-    window_decay : float
-        ``a`` of the correlation window ``a**(|x| + |y|)``; 0.80 has the variance of the 21 px box of paper section 3.1.
-    noise_debiasing : bool
-        Subtract the known noise from the views' variances and covariances; unmixing correlates it between the views,
-        which lowers the score at disparity 0.
-    """
-
-    window_decay: float = 0.80
-    noise_debiasing: bool = False
-
-    def __post_init__(self) -> None:
-        _require(0 < self.window_decay < 1, f"window_decay must lie between 0 and 1, got {self.window_decay:g}")
-
-
-@dataclass(frozen=True)
-class BilateralConfig:
-    """Recursive bilateral filter over the volume of scores.
-
-    Attributes
-    ----------
-    sigma_px : float
-        Reach on an even guide; 0 switches the filter off.
-    texture_weighting : bool
-        Weight the scores by texture against noise: even areas take the scores of textured neighbours.
-    """
-
-    sigma_px: float = 14.0
-    texture_weighting: bool = False
-
-    def __post_init__(self) -> None:
-        _require(_all_finite(self.sigma_px) and self.sigma_px >= 0, "sigma_px must be finite and >= 0")
-
-
-@dataclass(frozen=True)
-class FourPathsConfig:
-    """Semi-global matching along rows and columns (quality "real-time").
-
-    Attributes
-    ----------
-    slope_penalty, jump_penalty : float
-        Nats that a change by one layer, and by more, costs between two neighbours. The paths are exact for
-        ``slope <= jump <= 2 slope``. Chosen on simulated captures.
-    edge_range : float
-        Difference of the guide, in units of ``guide_range``, at which the penalties have fallen to 1/e.
-    edge_floor : float
-        Fraction of the penalties that remains across the strongest edge of the guide.
-    temperature : float
-        Nats by which a layer may cost more and still count for the error bar: the one number of the error bar that is
-        fitted, on captures of known depth.
-    """
-
-    slope_penalty: float = 10.0
-    jump_penalty: float = 20.0
-    edge_range: float = 0.3
-    edge_floor: float = 0.05
-    temperature: float = 3.2
-
-    def __post_init__(self) -> None:
-        positive = min(self.slope_penalty, self.jump_penalty, self.edge_range, self.temperature) > 0
-        _require(positive, "penalties, edge_range and temperature must be positive")
-        _require(0 <= self.edge_floor <= 1, "edge_floor must lie in [0, 1]")
-        exact = self.slope_penalty <= self.jump_penalty <= 2 * self.slope_penalty
-        _require(exact, "jump_penalty must lie between slope_penalty and twice slope_penalty")
-
-
-@dataclass(frozen=True)
-class CorrelationEvidenceConfig:
-    """Evidence of quality "accurate" for a camera whose blur is not known: shifted views, unmixed and pure together.
-
-    Attributes
-    ----------
-    space : {"unmixed", "pure", "both"}
-        As `PaperConfig.space`; "both" takes the mean of the two where a design has both.
-    correlation : CorrelationConfig
-        A smaller window than for a local best layer: the surface aggregates the rest.
-    """
-
-    space: Literal["unmixed", "pure", "both"] = "both"
-    correlation: CorrelationConfig = field(default_factory=lambda: CorrelationConfig(window_decay=0.70))
-
-    def __post_init__(self) -> None:
-        _require_space(self.space, "unmixed", "pure", "both")
-        # Noise must lower the correlation here, or noise alone would look certain.
-        _require(not self.correlation.noise_debiasing, "noise_debiasing does not apply to quality accurate")
-
-
-@dataclass(frozen=True)
-class CrossFilterConfig:
-    """Evidence of quality "accurate" for a camera whose blur is known: channels filtered with each other's blur.
-
-    Attributes
-    ----------
-    bands_px : tuple of (float, float)
-        Bands that are correlated separately: sigmas of the two Gaussians whose difference passes one, px. A third,
-        coarser octave lowers the fraction within 2 % (``benchmarks/ablation.py``, "three octaves"): its windows hold
-        too few periods, and slow changes of colour look like displacement.
-    band_weights : tuple of float
-    window_sigma_px : float
-        Gaussian window of the correlation. 8 px instead of 4: docs/evaluation.md, "window of 8 px".
-    damping : float
-        eps of ``blur_evidence.py``, against noise where the blur leaves no signal.
-    noise_margin : float
-        Frequencies of a tile with less than this many times the sensor's noise power are left out.
-    fallback_weight, fallback_nats : float
-        Weight of the pairs of channels whose views lie closer together, where the widest pair finds nothing; it falls
-        to 1/e where that pair's best layer earns ``fallback_nats``. They agree better on strongly coloured surfaces,
-        but are less exact.
-    """
-
-    bands_px: tuple[tuple[float, float], ...] = ((0.6, 1.4), (1.4, 3.2))
-    band_weights: tuple[float, ...] = (1.0, 0.5)
-    window_sigma_px: float = 4.0
-    damping: float = 0.04
-    noise_margin: float = 1.0
-    fallback_weight: float = 0.5
-    fallback_nats: float = 0.1
-
-    def __post_init__(self) -> None:
-        one_each = bool(self.bands_px) and len(self.bands_px) == len(self.band_weights)
-        _require(one_each, "bands_px and band_weights must be of one length, at least 1")
-        ordered = all(len(band) == 2 and 0 < band[0] < band[1] for band in self.bands_px)
-        _require(ordered and min(self.band_weights) >= 0, "every band needs 0 < fine < coarse, weights must be >= 0")
-        positive = min(self.window_sigma_px, self.damping, self.noise_margin, self.fallback_nats) > 0
-        _require(
-            positive and self.fallback_weight >= 0,
-            "window_sigma_px, damping, noise_margin and fallback_nats must be positive, fallback_weight >= 0",
-        )
-
-    @classmethod
-    def for_blur(cls, reach: float) -> CrossFilterConfig:
-        """Return the settings for a lens; ``reach`` is px of half disparity for a px of the pupil edge's displacement.
-
-        Damping leaves out more of the detail, and of the noise in it, where blur is wide, which looks like agreement.
-        Views that lie apart outweigh that by the square of their distance. Both factors were chosen on the boards of
-        bench50 (cy_open, cy_halves) with the lens's ray-traced blur; docs/equations.md, "Noise", has the errors.
-        """
-        return cls(damping=min(cls.damping, 0.375 * reach**2), noise_margin=max(1.0, 0.16 / reach**2))
-
-
-@dataclass(frozen=True)
-class SurfaceConfig:
-    """The surface that explains the whole volume (quality "accurate"). Log-likelihoods are in nats a pixel.
-
-    Defaults are those of shifted views; `AccurateConfig.for_blur` has those of a known blur. Chosen on simulated
-    captures and bench50's still_life; ``benchmarks/ablation.py --quality accurate`` measures each.
-
-    Attributes
-    ----------
-    paths : int
-        Directions of semi-global matching, 4 or 8.
-    slope_penalty : float
-        Cost of a change of disparity between two neighbours, nats per px. It is large because the windows of
-        neighbours overlap: their log-likelihoods are not independent.
-    jump_penalty : float
-        Largest cost of a change, nats: a depth edge.
-    edge_range : float
-        Difference of the guide, in units of ``guide_range``, at which the penalties have fallen to 1/e.
-    edge_floor : float
-        Fraction of the penalties that remains across the strongest edge of the guide.
-    huber_layers : float
-        Slopes below, layers per px, are smoothed by the total variation; steeper ones become steps.
-    interpolation_sigma_px : float
-        Gaussian window over which neighbours decide where between two layers the surface lies, before the variation.
-    coupling_layers2 : (float, float)
-        First and last coupling theta of variation and volume, layers squared.
-    coupling_rounds, variation_iterations : int
-        Rounds of the coupling, 0 switches the variation off; primal-dual iterations in each.
-    temperature : float
-        Nats a path by which a layer may cost more and still be 1/e as probable: the one number of the error bar that is
-        fitted, on captures of known depth.
-    """
-
-    paths: int = 8
-    slope_penalty: float = 25.0
-    jump_penalty: float = 25.0
-    edge_range: float = 0.5
-    edge_floor: float = 0.05
-    huber_layers: float = 0.05
-    interpolation_sigma_px: float = 8.0
-    coupling_layers2: tuple[float, float] = (2.0, 0.02)
-    coupling_rounds: int = 25
-    variation_iterations: int = 40
-    temperature: float = 0.5
-
-    def __post_init__(self) -> None:
-        _require(self.paths in (4, 8), f"paths must be 4 or 8, got {self.paths}")
-        lengths = (self.edge_range, self.interpolation_sigma_px, self.temperature)
-        positive = min(self.slope_penalty, self.jump_penalty, *lengths, *self.coupling_layers2) > 0
-        _require(positive, "penalties, edge_range, interpolation_sigma_px, temperature and couplings must be positive")
-        _require(0 <= self.edge_floor <= 1, "edge_floor must lie in [0, 1]")
-        _require(self.huber_layers >= 0 and self.coupling_rounds >= 0, "huber_layers and coupling_rounds must be >= 0")
-        _require(self.variation_iterations >= 1, "variation_iterations must be >= 1")
 
 
 @dataclass(frozen=True)
@@ -336,9 +72,9 @@ class PaperConfig(MatcherConfig):
     sigma_scale: float = 2.0
 
     def __post_init__(self) -> None:
-        _require_space(self.space, "unmixed", "pure")
-        positive = _all_finite(self.sigma_scale) and self.sigma_scale > 0
-        _require(positive, f"sigma_scale must be positive, is {self.sigma_scale:g}")
+        require_space(self.space, "unmixed", "pure")
+        positive = all_finite(self.sigma_scale) and self.sigma_scale > 0
+        require(positive, f"sigma_scale must be positive, is {self.sigma_scale:g}")
 
 
 @dataclass(frozen=True)
@@ -369,10 +105,10 @@ class RealTimeConfig(MatcherConfig):
     floor_px: float = 0.05
 
     def __post_init__(self) -> None:
-        _require_space(self.space, "unmixed", "pure")
+        require_space(self.space, "unmixed", "pure")
         for name, value in (("smoothing_sigma_px", self.smoothing_sigma_px), ("floor_px", self.floor_px)):
-            _require(_all_finite(value) and value >= 0, f"{name} must be finite and >= 0, is {value:g}")
-        _require(not self.correlation.noise_debiasing, "noise_debiasing does not apply to quality real-time")
+            require(all_finite(value) and value >= 0, f"{name} must be finite and >= 0, is {value:g}")
+        require(not self.correlation.noise_debiasing, "noise_debiasing does not apply to quality real-time")
 
     @property
     def label_curves(self) -> tuple[Quality, ...]:

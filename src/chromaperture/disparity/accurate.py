@@ -8,7 +8,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from chromaperture.config import AccurateConfig, SurfaceConfig
+from chromaperture.config import AccurateConfig
 from chromaperture.disparity.error_bar import confidence, surface_sigma
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
@@ -17,6 +17,7 @@ from chromaperture.disparity.stages.between_layers import between_layers
 from chromaperture.disparity.views import ViewSpace, filtered_views
 from chromaperture.disparity.winner import Surface, parabola_winner
 from chromaperture.errors import InputError
+from chromaperture.stage_config import SurfaceConfig
 
 EDGE_REACH_PX = 8  # two sigmas of the correlation window
 

@@ -24,13 +24,13 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from chromaperture.config import CrossFilterConfig
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import NoiseModel
 from chromaperture.disparity.stages.tiles import Nodes, TileSpectrum
 from chromaperture.errors import InputError
 from chromaperture.optics.lens_blur import LensBlur, Rays
+from chromaperture.stage_config import CrossFilterConfig
 from chromaperture.threads import parallel_map
 
 _MAX_CORRELATION2 = 0.999  # 3.5 nats a band at most: a perfect agreement must not outweigh the whole neighbourhood

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.color.noise import estimate_noise_variance
-from chromaperture.config import CorrelationEvidenceConfig, ViewsConfig
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import NoiseModel
 from chromaperture.disparity.views import ViewSpace, filtered_views
+from chromaperture.stage_config import CorrelationEvidenceConfig, ViewsConfig
 
 MAX_CORRELATION2 = 0.999  # for two views, 3.5 nats: a perfect score must not outweigh the whole neighbourhood
 

@@ -8,15 +8,7 @@ from functools import partial
 import numpy as np
 
 from chromaperture.color.image import checked_image
-from chromaperture.config import (
-    AccurateConfig,
-    CorrelationEvidenceConfig,
-    CrossFilterConfig,
-    ExecutionName,
-    MatcherConfig,
-    PaperConfig,
-    RealTimeConfig,
-)
+from chromaperture.config import AccurateConfig, ExecutionName, MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.disparity.accurate import AccurateMethod, Evidence
 from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.correlation_evidence import CorrelationEvidence
@@ -29,6 +21,7 @@ from chromaperture.disparity.views import view_spaces
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
 from chromaperture.optics.lens_blur import LensBlur
+from chromaperture.stage_config import CorrelationEvidenceConfig, CrossFilterConfig
 
 
 def estimate_disparity(

@@ -11,18 +11,13 @@ from typing import Protocol
 
 import numpy as np
 
-from chromaperture.config import (
-    BilateralConfig,
-    CorrelationConfig,
-    ExecutionName,
-    FourPathsConfig,
-    SurfaceConfig,
-)
+from chromaperture.config import ExecutionName
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.variation import Problem, State, Steps
 from chromaperture.disparity.views import Views
 from chromaperture.disparity.winner import PathWinner, Surface, Winner
 from chromaperture.errors import InputError
+from chromaperture.stage_config import BilateralConfig, CorrelationConfig, FourPathsConfig, SurfaceConfig
 
 
 class Execution(Protocol):

@@ -13,9 +13,9 @@ import numpy as np
 
 from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions
-from chromaperture.config import ViewsConfig
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, channel_transmission
+from chromaperture.stage_config import ViewsConfig
 
 _FILL_SIGMA_PX = 6.0  # of the mean that replaces unusable pixels, px of the halved picture; chosen by hand
 _USABLE = 0.99  # fraction of a halved pixel that must be usable: below, a saturated neighbour's edge is in it

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.config import BilateralConfig, CorrelationConfig
 from chromaperture.disparity.cpu import layout, strips
 from chromaperture.disparity.cpu.correlation import filtered_scores
 from chromaperture.disparity.cpu.workspace import workspace
 from chromaperture.disparity.stages.bilateral import even_link
 from chromaperture.disparity.views import Views
 from chromaperture.disparity.winner import Winner
+from chromaperture.stage_config import BilateralConfig, CorrelationConfig
 from chromaperture.threads import in_parallel, thread_count
 
 

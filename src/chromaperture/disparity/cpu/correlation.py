@@ -23,7 +23,6 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from chromaperture.config import CorrelationConfig
 from chromaperture.disparity.cpu import bands, layout, strips
 from chromaperture.disparity.cpu.layout import LANES, whole_vectors
 from chromaperture.disparity.cpu.workspace import Workspace, workspace
@@ -35,6 +34,7 @@ from chromaperture.disparity.stages.correlation import (
     padding,
 )
 from chromaperture.disparity.views import Views, is_even, view_pairs
+from chromaperture.stage_config import CorrelationConfig
 from chromaperture.threads import in_parallel, thread_count
 
 # Fraction of a window's weight that a band may miss: products have means far above their variances.

@@ -9,7 +9,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from chromaperture.config import CorrelationConfig, FourPathsConfig
 from chromaperture.disparity.cpu import path_costs
 from chromaperture.disparity.cpu.correlation import filtered_scores
 from chromaperture.disparity.cpu.layout import BLOCK
@@ -17,6 +16,7 @@ from chromaperture.disparity.cpu.workspace import workspace
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.views import Views
 from chromaperture.disparity.winner import PathWinner
+from chromaperture.stage_config import CorrelationConfig, FourPathsConfig
 from chromaperture.threads import in_parallel
 
 

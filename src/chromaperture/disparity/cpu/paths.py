@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from chromaperture.compilation import compiled, inlined
-from chromaperture.config import SurfaceConfig
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.paths import EDGE_LAYERS, LEAST_UNEXPLAINED, LINES, penalties_of
+from chromaperture.stage_config import SurfaceConfig
 from chromaperture.threads import in_parallel
 
 # "nnan" lets min and max become one instruction each; volumes and costs hold no NaN.

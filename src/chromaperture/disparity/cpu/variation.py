@@ -14,9 +14,9 @@ from itertools import pairwise
 import numpy as np
 
 from chromaperture.compilation import compiled, inlined
-from chromaperture.config import SurfaceConfig
 from chromaperture.disparity.cpu.paths import FAST
 from chromaperture.disparity.stages.variation import Problem, State, Steps, couple
+from chromaperture.stage_config import SurfaceConfig
 from chromaperture.threads import in_parallel, thread_count
 
 SWEEP = 10  # iterations in one sweep: seven arrays of so many rows of 2000 px fill a level-2 cache of 512 kB

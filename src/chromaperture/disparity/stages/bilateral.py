@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from chromaperture.config import BilateralConfig, CorrelationConfig
 from chromaperture.disparity.stages.correlation import MIN_WEIGHT, correlate, texture_weights
 from chromaperture.disparity.views import Views
 from chromaperture.disparity.winner import Winner, parabola_winner
+from chromaperture.stage_config import BilateralConfig, CorrelationConfig
 
 
 def bilateral_winner(

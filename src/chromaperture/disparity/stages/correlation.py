@@ -11,8 +11,8 @@ import math
 import numpy as np
 from scipy.signal import lfilter
 
-from chromaperture.config import CorrelationConfig
 from chromaperture.disparity.views import Views, view_pairs
+from chromaperture.stage_config import CorrelationConfig
 
 MIN_VARIANCE_FRACTION = 0.05  # of a variance that debiasing always leaves: an estimated noise may be too high
 RELATIVE_EPSILON = 1e-6  # of a view's overall variance: even areas score 0, not noise / noise

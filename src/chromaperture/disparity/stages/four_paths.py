@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.config import CorrelationConfig, FourPathsConfig
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.correlation import correlate
 from chromaperture.disparity.stages.paths import PathPenalties, path_costs
 from chromaperture.disparity.views import Views
 from chromaperture.disparity.winner import PathWinner
+from chromaperture.stage_config import CorrelationConfig, FourPathsConfig
 
 LEAST_DETERMINANT = 1e-5  # of the correlations, whose logarithm is the log-likelihood: 5.8 nats at most
 POSTERIOR_POWER = 8  # (1 - x / 8)^8 stands for exp(-x): within 0.04 of it, and 0 beyond x = 8

@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.config import SurfaceConfig
 from chromaperture.disparity.labels import LabelMap
+from chromaperture.stage_config import SurfaceConfig
 
 # Lines of pixels, as steps (x, y); every line is walked in both directions. The first two are the 4-path set.
 LINES = ((1, 0), (0, 1), (1, 1), (-1, 1))

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.config import SurfaceConfig
+from chromaperture.stage_config import SurfaceConfig
 
 OPERATOR_NORM_SQUARED = 8.0  # of the forward-difference gradient; edge weights up to 1 do not raise it
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.config import SurfaceConfig
 from chromaperture.disparity.accurate import optimised_surface
 from chromaperture.disparity.execution import execution_named
 from chromaperture.evaluation.prior.shifts import best_layer, box, sampled, spline
+from chromaperture.stage_config import SurfaceConfig
 
 _PATHS = SurfaceConfig(slope_penalty=1.0, jump_penalty=1.0, coupling_rounds=0)
 _LOG_SPAN = 16.0  # nats: below exp(-16) a window is a perfect line, and noise tells which is more so
