@@ -76,7 +76,7 @@ def _imports(path: Path) -> tuple[Path, ...]:
 
 
 class _Stamped:
-    """Part of a Numba cache locator: says what a kernel is built from."""
+    """Part of a Numba cache locator: the key of the sources that a kernel is built from."""
 
     _py_file: str
 

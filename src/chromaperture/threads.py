@@ -60,7 +60,7 @@ def in_parallel(work: Callable[[int, int, int], None], count: int, *, threads: i
         if shares:
             work(*shares[0])
     finally:
-        wait(others)  # whatever happened, nobody writes to the arrays any more
+        wait(others)  # even after an error no thread writes to the arrays any more
     for other in others:
         other.result()
 

@@ -73,7 +73,7 @@ class BlurEvidence:
         ----------
         image : (H, W, 3) float32, linear RGB
         layers_px : (D,) float, px
-            Half disparities in the middle of the frame, see ``LensBlur.reference``: each stands for a distance.
+            Half disparities in the middle of the frame, see ``LensBlur.reference``: each means a distance.
         noise_variance : (H, W, 3) float, optional
             Of the image, (white level)^2. Where it is not known, nothing is left out for noise.
 
@@ -164,7 +164,7 @@ class BlurEvidence:
 
 
 class _Tile(NamedTuple):
-    """What of a tile does not depend on the depth tested: its rays, and the spectra of both channels of every pair."""
+    """The parts of a tile that are the same at all depths: its rays, and the spectra of both channels of every pair."""
 
     place: tuple[float, float]
     weight: np.ndarray

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-defs=False
-"""Memory layout of the compiled matcher, and what its stages hand to each other.
+"""Memory layout of the compiled matcher, and the types that its stages pass on.
 
 The volume, int16, holds eight layers of a pixel (a vector) side by side, 16 columns of those, then the next eight
 layers of the same 16 columns, then the next row, then the next 16 columns::
@@ -24,12 +24,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from chromaperture.compilation import compiled, inlined
+from chromaperture.disparity.cpu.simd import LANES
 
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}}
 kernel = compiled(**_OPTIONS)  # called from Python
 inner = inlined(**_OPTIONS)  # called by kernels
 
-LANES = 8  # float32 of a vector
 GROUP = 4  # rows walked together: four independent recursions fill the pipeline
 BLOCK = 16  # columns that are neighbours in the volume
 SCORE_SCALE = np.float32(32000)  # of a score in [-1, 1] in int16
@@ -84,7 +84,7 @@ class Layers(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Parameters, float32 where not said otherwise."""
+    """Parameters, float32 unless annotated otherwise."""
 
     decay: np.float32
     debias: np.float32

@@ -224,7 +224,7 @@ def load_shorts(typing, array, index):
 
 @intrinsic
 def store_shorts(typing, array, index, value):
-    """Round eight float32 of less than 2^15 to int16, past the caches: nobody reads them soon.
+    """Round eight float32 of less than 2^15 to int16, past the caches: they are not read again soon.
 
     The address must be a multiple of 16 bytes. Call `fence` before another thread may read them.
     """
@@ -265,7 +265,7 @@ def fence(typing):
 
 @intrinsic
 def broadcast(typing, value):
-    """Give a float32 to all lanes."""
+    """Copy a float32 to all lanes."""
 
     def lowered(context, builder, signature, arguments):
         return _broadcast(builder, arguments[0])
@@ -275,7 +275,7 @@ def broadcast(typing, value):
 
 @intrinsic
 def broadcast_at(typing, array, index):
-    """Give ``array[index]`` to all lanes."""
+    """Copy ``array[index]`` to all lanes."""
 
     def lowered(context, builder, signature, arguments):
         return _broadcast(builder, builder.load(_pointer(context, builder, signature.args[0], *arguments)))
@@ -295,7 +295,7 @@ def lane(typing, value, index):
 
 @intrinsic
 def get(typing, array, index):
-    """Give ``array[index]``, without the test for a negative index."""
+    """Return ``array[index]``, without the test for a negative index."""
 
     def lowered(context, builder, signature, arguments):
         return builder.load(_pointer(context, builder, signature.args[0], *arguments))
@@ -342,7 +342,7 @@ def four_and_squares(typing, array, i0, i1, i2, i3):
 
 @intrinsic
 def prefetch(typing, array, index):
-    """Ask for the cache line of ``array[index]``; a hint, never an error."""
+    """Prefetch the cache line of ``array[index]``; a hint, never an error."""
 
     def lowered(context, builder, signature, arguments):
         pointer = builder.bitcast(

@@ -81,7 +81,7 @@ class _Band:
         return state.extrapolated, state.u, state.dual[0], state.dual[1]
 
     def exchange(self, below: _Band) -> None:
-        """Give the rows next to the common border to the band below, and take its rows."""
+        """Copy the rows next to the common border, each way."""
         top, middle, bottom = below.top, self.last, self.bottom
         below.rows[:, top - below.low : middle - below.low] = self.rows[:, top - self.low : middle - self.low]
         self.rows[:, middle - self.low : bottom - self.low] = below.rows[:, middle - below.low : bottom - below.low]

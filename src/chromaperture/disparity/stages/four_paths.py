@@ -15,7 +15,7 @@ from chromaperture.disparity.winner import PathWinner
 from chromaperture.stage_config import CorrelationConfig, FourPathsConfig
 
 LEAST_DETERMINANT = 1e-5  # of the correlations, whose logarithm is the log-likelihood: 5.8 nats at most
-POSTERIOR_POWER = 8  # (1 - x / 8)^8 stands for exp(-x): within 0.04 of it, and 0 beyond x = 8
+POSTERIOR_POWER = 8  # (1 - x / 8)^8 replaces exp(-x): within 0.04 of it, and 0 beyond x = 8
 
 
 def four_path_winner(

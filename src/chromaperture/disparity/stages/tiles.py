@@ -1,4 +1,7 @@
-"""A photograph cut into the tiles in which its blur is taken for constant, without the frequencies that are noise."""
+"""A photograph cut into tiles in which its blur is assumed constant, without the frequencies that are noise.
+
+Without a compiled twin: it is FFTs of SciPy and filters of OpenCV.
+"""
 
 from __future__ import annotations
 
@@ -9,22 +12,24 @@ import cv2
 import numpy as np
 import scipy.fft
 
-_BACKGROUND_PX = 30.0  # what is smoother than this is shading, and only leaks into a tile from its border
-_LAG_PX = 8.0  # of the lag window: spectra are told apart to a fiftieth of a cycle a px
-_SPACINGS = 9  # of the nodes, along the width
-_LEAST_SPACING_PX = 40.0
+_BACKGROUND_PX = 30.0  # smoother parts are shading: no period fits into a tile, only its border effects; chosen by hand
+_LAG_PX = 8.0  # of the lag window: it resolves spectra to 1 / (2 pi 8) = a fiftieth of a cycle a px
+# Of the nodes, along the width: a surface of focus that is curved by 2.5 px of blur errs by 0.02 px between them
+# (docs/equations.md, "Layers and fields").
+_SPACINGS = 9
+_LEAST_SPACING_PX = 40.0  # of the nodes; closer ones would only filter the same pixels more often
 
 
 def without_shading(image: np.ndarray) -> np.ndarray:
-    """Take off what changes slowly over the picture; (H, W, 3) float32."""
+    """Subtract the parts that vary slowly over the picture; (H, W, 3) float32."""
     return np.asarray(image - cv2.GaussianBlur(image, (0, 0), _BACKGROUND_PX))
 
 
-def signal_share(spectrum: np.ndarray, noise_power: np.ndarray) -> np.ndarray:
-    """Share of a picture's power that is no noise, at every frequency: Wiener's filter.
+def signal_fraction(spectrum: np.ndarray, noise_power: np.ndarray) -> np.ndarray:
+    """Return the fraction of a picture's power that is no noise, at every frequency: Wiener's filter.
 
-    The power spectrum is Blackman and Tukey's estimate: the autocorrelation of the picture under a lag window, which
-    tells textures from noise that a single frequency's power, itself random, could not tell.
+    The power spectrum is Blackman and Tukey's estimate: the autocorrelation of the picture under a lag window. The
+    power of a single frequency is itself random and would not separate texture from noise.
 
     Parameters
     ----------
@@ -46,32 +51,30 @@ def signal_share(spectrum: np.ndarray, noise_power: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TileSpectrum:
-    """Spectra of a tile's channels, (3, size, size // 2 + 1), and the share of them that is no noise, alike or 1."""
+    """Spectra of a tile's channels, (3, size, size // 2 + 1), and the fraction that is no noise, alike or (3, 1, 1)."""
 
     channels: np.ndarray
-    share: np.ndarray | None = None
+    signal: np.ndarray
 
     def pair(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
-        """Give two channels, both without the frequencies that are noise in either: they must stay comparable."""
-        if self.share is None:
-            return self.channels[a], self.channels[b]
-        both = np.minimum(self.share[a], self.share[b])
+        """Return two channels, both without the frequencies that are noise in either: they must stay comparable."""
+        both = np.minimum(self.signal[a], self.signal[b])
         return self.channels[a] * both, self.channels[b] * both
 
 
 class Nodes:
     """Places (x, y) where the blur is evaluated, up to the frame's border, and a tile around each.
 
-    A tile answers for what surrounds its node as far as the next, fading out on the way: the filter of a pixel is the
-    bilinear mix of those of the four nodes around it, so that blur varies as smoothly as in the lens. Beyond that the
-    tile has a margin, for what filters bring in from its border.
+    A tile covers the surroundings of its node as far as the next node, with weights that fall linearly to 0: the filter
+    of a pixel is the bilinear interpolation of those of the four nodes around it, so that blur varies smoothly. Beyond
+    that the tile has a margin of the filters' reach.
 
     Parameters
     ----------
     height_px, width_px : int
         Of the frame.
     margin_px : float
-        What filters reach.
+        Reach of the filters.
     """
 
     def __init__(self, height_px: int, width_px: int, *, margin_px: float) -> None:
@@ -91,16 +94,16 @@ class Nodes:
         self.weights = [np.outer(y, x).astype(np.float32) for y in row_weights for x in column_weights]
 
     def canvas(self, *shape: int) -> np.ndarray:
-        """Give room for the frame and what its tiles have beyond it; (..., H + 2 half, W + 2 half) float32 zeros."""
+        """Return zeros for the frame and the parts of its tiles beyond it; (..., H + 2 half, W + 2 half) float32."""
         return np.zeros((*shape, *(n + 2 * self.half for n in self.shape)), np.float32)
 
     def on_canvas(self, place: tuple[float, float]) -> tuple[slice, slice]:
-        """Part of a canvas that the tile of a node answers for."""
+        """Part of a canvas that the tile of a node covers."""
         x, y = map(int, place)
         return slice(y, y + 2 * self.half), slice(x, x + 2 * self.half)
 
     def in_tile(self) -> slice:
-        """Part of a tile, along both axes, that it answers for."""
+        """Part of a tile, along both axes, that is not margin."""
         return slice(self.size // 2 - self.half, self.size // 2 + self.half)
 
     def in_frame(self, canvas: np.ndarray) -> np.ndarray:
@@ -111,7 +114,7 @@ class Nodes:
     def spectra(
         self, image: np.ndarray, noise_variance: np.ndarray | None, *, noise_margin: float = 1.0
     ) -> list[TileSpectrum]:
-        """Spectra of the tiles of an image (H, W, 3), and how much of them is no noise.
+        """Compute the spectra of the tiles of an image, and how much of them is no noise.
 
         Parameters
         ----------
@@ -122,16 +125,16 @@ class Nodes:
         """
         detail = self._cuts(without_shading(image))
         if noise_variance is None:
-            return [TileSpectrum(scipy.fft.rfft2(cut)) for cut in detail]
+            return [TileSpectrum(scipy.fft.rfft2(cut), np.ones((3, 1, 1), np.float32)) for cut in detail]
         noise = self._cuts(np.where(np.isfinite(noise_variance), noise_variance, 0).astype(np.float32))
         found = []
         for cut, variance in zip(detail, noise, strict=True):
             spectrum = scipy.fft.rfft2(cut)
-            found.append(TileSpectrum(spectrum, signal_share(spectrum, noise_margin * variance.sum(axis=(1, 2)))))
+            found.append(TileSpectrum(spectrum, signal_fraction(spectrum, noise_margin * variance.sum(axis=(1, 2)))))
         return found
 
     def _cuts(self, image: np.ndarray) -> list[np.ndarray]:
-        """Give the tiles of an image, (3, size, size) each."""
+        """Return the tiles of an image, (3, size, size) each."""
         pad, size = self.size // 2, self.size
         padded = cv2.copyMakeBorder(image, pad, pad, pad, pad, cv2.BORDER_REFLECT_101)
         return [padded[int(y) : int(y) + size, int(x) : int(x) + size].transpose(2, 0, 1) for x, y in self.places]

@@ -54,7 +54,7 @@ class Problem:
 
 @dataclass
 class State:
-    """Where the iteration stands: changed in place.
+    """State of the iteration: changed in place.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ def edge_weights(guide: np.ndarray, *, edge_range: float, floor: float = 0.05) -
 
 
 def step_sizes(iterations: int, *, primal_step: float, strong_convexity: float = 0.0) -> Steps:
-    """Give the steps of every iteration; a strongly convex data term makes them converge as O(1/N^2)."""
+    """Return the steps of every iteration; a strongly convex data term makes them converge as O(1/N^2)."""
     primal = np.full(iterations, float(primal_step))
     extrapolation = np.ones(iterations)
     if strong_convexity > 0:
