@@ -45,7 +45,7 @@ def test_a_textured_sheet_spoils_one_frame_not_two(rng):
 )
 def test_the_expected_loss_is_the_measured_one(rng, transmission, read):
     bare, coded = (snr_db(sheet(rng, light, read), sheet(rng, light, read))[0] for light in (0.8, 0.8 * transmission))
-    expected = expected_loss_db(transmission, read_variance_share=read**2 / (0.8 * FULL_WELL))
+    expected = expected_loss_db(transmission, read_variance_ratio=read**2 / (0.8 * FULL_WELL))
     np.testing.assert_allclose(bare - coded, expected, atol=0.2)
 
 
