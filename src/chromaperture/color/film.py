@@ -16,8 +16,9 @@ def completed_film(
 ) -> dict[str, np.ndarray]:
     """Complete the measured transmission of an aperture's film.
 
-    Film without a sheet is assumed to be typical film of its colour (`FILMS`, "real"). If white was photographed through
-    the aperture, its channels are scaled so that the aperture passes that light; with one sheet missing this is exact.
+    Film without a sheet is assumed to be typical film of its colour (`FILMS`, "real"). If white was photographed
+    through the aperture, its channels are scaled so that the aperture passes that light; with one sheet missing this is
+    exact.
 
     Parameters
     ----------

@@ -95,8 +95,8 @@ def noise_samples(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def fit_photon_noise(level: np.ndarray, variance: np.ndarray) -> tuple[float, float] | None:
     """Fit full well and read noise to the flattest blocks of photographs (photon transfer, Janesick 2007).
 
-    Texture only adds to a block's variance: the line ``level / full_well + (read_noise / full_well)^2`` is the lower edge
-    of the scatter plot.
+    Texture only adds to a block's variance: the line ``level / full_well + (read_noise / full_well)^2`` is the lower
+    edge of the scatter plot.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from chromaperture.color.image import SATURATION
 from chromaperture.errors import InputError
 from chromaperture.optics.metrics import LUMINANCE
 
-_BLUR = 0.025  # sigma over the image's width: removes noise and paper grain, keeps vignetting. Chosen by hand, not tuned
+_BLUR = 0.025  # sigma over the image's width: removes noise and paper grain, keeps vignetting. Chosen by hand
 _MOST_LIGHT = 1.03  # film only absorbs; 3 % is allowed for a flickering lamp or shutter. Chosen by hand, not tuned
 _DUST = 0.05  # relative darkness of a speck on sheet or sensor; chosen by hand, not tuned
 _DUSTY = 0.8  # fraction of clean pixels below which dark spots are a pattern, not dust; chosen by hand, not tuned

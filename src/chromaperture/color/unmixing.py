@@ -122,19 +122,3 @@ def view_directions(aperture: Aperture) -> np.ndarray:
     directions = rho / np.linalg.norm(rho, axis=1).mean()
     # The grid is accurate to 4e-4; rounding to 1e-3 keeps axis-aligned shifts exactly on the axis.
     return np.round(directions, 3) + 0.0
-
-
-def unmix(image: np.ndarray, unmixing: np.ndarray) -> np.ndarray:
-    """Convert sensor channels to views: Eq. (1), w_CYX = M^-1 w_RGB.
-
-    Parameters
-    ----------
-    image : (H, W, 3) float, linear RGB
-    unmixing : (K, 3) float
-        From `unmixing_rows`.
-
-    Returns
-    -------
-    (H, W, K) float32, contiguous; the views through the K filters.
-    """
-    return np.ascontiguousarray(np.asarray(image, np.float32) @ np.asarray(unmixing, np.float32).T)

@@ -112,8 +112,8 @@ def write_session(
         lines.append(f"{name},{distance:.0f}")
         stood[name] = true_mm
     for i in range(plan.tilts):
-        planes = wall(camera, *_tilted_pose(i / max(plan.tilts, 1), camera, rng))
-        photograph(folder / f"tilt/{i:02d}.png", render(table, planes), for_scene)
+        tilted = wall(camera, *_tilted_pose(i / max(plan.tilts, 1), camera, rng))
+        photograph(folder / f"tilt/{i:02d}.png", render(table, tilted), for_scene)
     for name, planes in scenes.items():
         photograph(folder / f"scene/{name}.png", render(table, planes), for_scene)
         depth = render_depth(table, planes)
