@@ -24,7 +24,8 @@ from chromaperture.effects.blur_layers import layer_radii, shares
 from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.restore import UNFITTED_ERROR, fitted_settings
 from chromaperture.effects.steady import steady_disparity
-from chromaperture.effects.transfer_functions import Blur, LensBlur, MeasuredBlur, ThinLensBlur
+from chromaperture.effects.transfer_functions import Blur, MeasuredBlur, ThinLensBlur
+from chromaperture.effects.transfer_functions import LensBlur as LensTransfer
 from chromaperture.optics.aperture import centroids
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
 from chromaperture.optics.lens_otf import ChannelRays
@@ -156,7 +157,7 @@ def fitted(
         config = fitted_settings(lens.blur.reach, reweightings=rounds)
 
         def tile(piece: tuple, middle: tuple, *, config: SharpenConfig = config) -> np.ndarray:
-            return all_in_focus(image[piece], radius[piece], LensBlur(lens), noise_variance=noise,
+            return all_in_focus(image[piece], radius[piece], LensTransfer(lens), noise_variance=noise,
                                 aligned=aligned[piece], config=config, center=middle)  # fmt: skip
 
         made[name] = by_tiles(radius.shape, tile, tile_px=96, overlap_px=reach)

@@ -1,4 +1,4 @@
-"""The colour picture back, on one page: python examples/colour_page.py --out colour.jpg."""
+"""Restored colour pictures on one page: python examples/colour_page.py --out colour.jpg."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Show at which lens size diffraction drowns the disparity.
+"""Find the lens size at which blur by diffraction is as wide as the disparity.
 
-An f/2 camera is shrunk, pixels and focus distance with it. Rays know no size: the disparity stays the
-same in pixels. The width of the diffraction pattern grows in pixels as the lens shrinks.
+An f/2 camera is scaled down, with its pixels and focus distance. By geometric optics the disparity stays the same in
+pixels; the width of the diffraction pattern in pixels grows.
 
 python examples/diffraction_limit.py diffraction_limit.png
 """
@@ -22,8 +22,8 @@ from chromaperture.optics.psf import geometric_psf
 SIZE = 41
 
 
-def shrunk(focal_mm, f_number, focal_px, focus_in_focal_lengths):
-    """Make a camera of that focal length with the same f-number and the same picture in pixels."""
+def scaled_camera(focal_mm, f_number, focal_px, focus_in_focal_lengths):
+    """Build a camera of a focal length with the same f-number and the same picture in pixels."""
     return PupilCamera(
         width_px=SIZE,
         height_px=SIZE,
@@ -35,8 +35,8 @@ def shrunk(focal_mm, f_number, focal_px, focus_in_focal_lengths):
     )
 
 
-def rms_width(psf):
-    """Half width along x that holds 68 % of the light, px; a second moment would follow the far rings."""
+def half_width(psf):
+    """Compute the half width along x of 68 % of the light, px; the second moment diverges with the outer rings."""
     profile = np.cumsum(psf.sum(axis=0)) / psf.sum()
     x = np.arange(len(profile)) + 0.5
     low, high = np.interp([0.16, 0.84], profile, x)
@@ -48,26 +48,26 @@ def main(path):
     sizes = np.geomspace(0.3, 16, 12)
     disparity, width, blur = [], [], []
     for focal_mm in sizes:
-        camera = shrunk(focal_mm, 2.0, 1600.0, 40.0)
+        camera = scaled_camera(focal_mm, 2.0, 1600.0, 40.0)
         depth = 60.0 * focal_mm
         radius = float(camera.blur_radius_px(depth))
         psf = diffraction_psf(design, camera, depth, size=SIZE)
         x = np.arange(SIZE) - SIZE // 2
         red, blue = ((psf[k].sum(axis=0) * x).sum() / psf[k].sum() for k in (0, 2))
         disparity.append((red - blue) / 2)
-        width.append(rms_width(psf[0]))
-        blur.append(rms_width(geometric_psf(design, radius, SIZE, oversampling=9)[0]) / 9)
-    drowned = np.interp(1.0, np.array(disparity) / np.array(width), sizes)
+        width.append(half_width(psf[0]))
+        blur.append(half_width(geometric_psf(design, radius, SIZE, oversampling=9)[0]) / 9)
+    limit = np.interp(1.0, np.array(disparity) / np.array(width), sizes)
     figure, axes = pyplot.subplots(figsize=(7, 4.2), layout="constrained")
     axes.loglog(sizes, disparity, "k", label="half disparity between red and blue")
     axes.loglog(sizes, width, "C3", label="half width of the blur, with diffraction")
     axes.loglog(sizes, blur, "C0--", label="half width of the blur, rays only")
-    axes.set(xlabel="focal length at f/2, mm (pixels and distances shrink with it)", ylabel="px")
+    axes.set(xlabel="focal length at f/2, mm (pixels and distances scale with it)", ylabel="px")
     axes.set_title("Cyan and yellow halves: a point at 60 focal lengths, focus at 40")
     axes.grid(alpha=0.3, which="both")
     axes.legend()
     figure.savefig(path, dpi=110)
-    print(f"Wrote {path}; the blur is as wide as the disparity at f = {drowned:.2f} mm")
+    print(f"Wrote {path}; the blur is as wide as the disparity at f = {limit:.2f} mm")
 
 
 if __name__ == "__main__":

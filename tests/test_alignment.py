@@ -44,6 +44,7 @@ def test_a_grey_plane_is_grey_again(rng, design, disparity_px):
 
 def test_leaking_film_moves_a_channel_less():
     ideal = channel_directions(DESIGNS["cy_halves"], {})
+    # The pupil's grid is good to 4e-4.
     np.testing.assert_allclose(ideal, [[1, 0], [0, 0], [-1, 0]], atol=5e-3)
     leaky = channel_directions(
         DESIGNS["cy_halves"], {"cyan": np.array([0.1, 0.63, 0.65]), "yellow": np.array([0.92, 0.85, 0.1])}
@@ -64,7 +65,7 @@ def test_unknown_takes_the_nearest_known():
 
 def test_white_paper_comes_out_white():
     white = np.array([0.46, 0.67, 0.34])
-    np.testing.assert_allclose(white_balance(np.tile(white, (2, 2, 1)), white), 0.67, rtol=1e-6)
+    np.testing.assert_allclose(white_balance(np.tile(white, (2, 2, 1)), white), 0.67, rtol=1e-6)  # float32
 
 
 def world(rng, design):

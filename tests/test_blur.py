@@ -44,7 +44,7 @@ def test_half_discs_have_their_centroids_at_four_thirds_pi():
     assert at_infinity == pytest.approx(10.0 * beta, rel=2e-3)
     assert scale == pytest.approx(20000.0 * beta, rel=2e-3)
     assert blur.pairs == ((0, 2),)
-    assert abs(blur.axis[0]) == pytest.approx(1, abs=1e-3)
+    assert abs(blur.axis[0]) == pytest.approx(1, abs=1e-3)  # 1500 points
 
 
 @pytest.mark.parametrize("design", ["rgb_squares", "cmy_circles"])
@@ -99,7 +99,8 @@ def test_displacement_turns_with_the_field():
     for channel in range(3):
         plain = displacement(model, points, field, 1e-3, channel)
         turned = displacement(model, points @ turn.T, turn @ field, 1e-3, channel)
-        np.testing.assert_allclose(turned, plain @ turn.T, atol=1e-9)
+        np.testing.assert_allclose(turned, plain @ turn.T, atol=1e-9)  # rounding
+    # Rounding.
     np.testing.assert_allclose(rims(model, points @ turn.T, turn @ field), rims(model, points, field), atol=1e-9)
 
 

@@ -58,7 +58,7 @@ def test_shifted_copies_are_found_exactly(rng):
     light = np.full(300, 1 / 300)
     true = np.array([[1.2, -0.4], [0.0, 0.0], [-2.0, 0.7]])
     found = least_fringes([ChannelRays(places + t, light) for t in true])
-    np.testing.assert_allclose(found - found[1], true, atol=1e-6)
+    np.testing.assert_allclose(found - found[1], true, atol=1e-6)  # Gauss-Newton in complex64
 
 
 def test_no_other_displacement_leaves_less_of_a_fringe(rng):
@@ -133,7 +133,7 @@ def test_the_calibrated_blur_restores_what_a_thin_lens_cannot(rng):
     for sharpness in ("aligned", "fast", "full"):
         made = restore(image, disparity, camera, sharpness=sharpness)
         thin = restore(image, disparity, camera, sharpness=sharpness, blur=ThinLensBlur(calibration.aperture))
-        np.testing.assert_allclose(made.radius_px, radius, atol=1e-3)
+        np.testing.assert_allclose(made.radius_px, radius, atol=1e-3)  # float32 of tens of px
         error[sharpness] = [float(np.sqrt(np.mean((p.color - wall)[inner] ** 2))) for p in (made, thin)]
     # The blur takes most of the texture; knowing its shape brings back what the aperture's shadow alone cannot.
     assert error["full"][0] < 0.7 * error["aligned"][0]
@@ -143,7 +143,7 @@ def test_the_calibrated_blur_restores_what_a_thin_lens_cannot(rng):
 
 def test_the_focus_surface_is_where_the_radius_vanishes():
     camera = CodedApertureCamera(calibrated(REAL), None)
-    assert focus_radius(camera, 2050.0) == pytest.approx(0, abs=1e-6)
+    assert focus_radius(camera, 2050.0) == pytest.approx(0, abs=1e-6)  # rounding
     assert focus_radius(camera, 1050.0) == pytest.approx(-10.0)
     real_time = CodedApertureCamera(calibrated(THIN))
     accurate = CodedApertureCamera(calibrated(THIN), default_config(calibrated(THIN), "accurate"))

@@ -34,7 +34,7 @@ def test_negative_values_after_the_black_level_do_not_give_negative_variance():
     variance = photon_noise_variance(
         np.full((16, 16, 3), -0.01, np.float32), full_well_electrons=8000, read_noise_electrons=8
     )
-    np.testing.assert_allclose(variance, (8 / 8000) ** 2, rtol=1e-6)
+    np.testing.assert_allclose(variance, (8 / 8000) ** 2, rtol=1e-6)  # float32
 
 
 @pytest.mark.parametrize("sigma", [0.001, 0.01, 0.05])
@@ -61,6 +61,7 @@ def test_one_bad_pixel_does_not_spoil_the_frame(rng):
     image = rng.normal(0.3, 0.01, (200, 200, 3)).astype(np.float32)
     image[20, 30, 1] = np.nan
     image[90, 30, 2] = np.inf
+    # Standard error of the median over the frame: 1 %.
     np.testing.assert_allclose(np.sqrt(estimate_noise_variance(image)[0, 0]), 0.01, rtol=0.03)
 
 
@@ -89,7 +90,7 @@ def test_texture_in_most_blocks_does_not_hide_the_noise(rng):
     textured = (x < 0.6)[..., None]
     level = level * (1 + 0.1 * textured * rng.uniform(-1, 1, level.shape))
     full_well, _ = fit_photon_noise(*noise_samples(counted(rng, level)))
-    assert full_well == pytest.approx(6000, rel=0.05)
+    assert full_well == pytest.approx(6000, rel=0.05)  # fewer usable blocks than above
 
 
 def test_without_noise_or_without_levels_nothing_is_claimed(rng):

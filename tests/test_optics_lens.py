@@ -69,15 +69,16 @@ def test_first_order_data_agree_with_two_independent_packages():
     assert data.focal_length_mm == pytest.approx(50.00187, abs=5e-4)
     assert data.entrance_pupil_mm == pytest.approx(28.956, abs=1e-3)
     assert data.front_principal_mm == pytest.approx(35.3415, abs=1e-3)
+    # Four figures are published.
     assert data.exit_diameter_mm / data.entrance_diameter_mm == pytest.approx(28.660 / 25, abs=1e-4)
     infinity = sum(t for _, t, _, _ in SAMPLE) / 2 + data.back_focus_mm
-    assert data.exit_pupil_mm - infinity == pytest.approx(-57.322, abs=1e-3)
+    assert data.exit_pupil_mm - infinity == pytest.approx(-57.322, abs=1e-3)  # the glasses are entered to five digits
 
 
 def test_the_patent_double_gauss_is_the_lens_of_the_captures():
     data = paraxial(load_lens("double_gauss_50"))
-    assert data.focal_length_mm == pytest.approx(50.3422, abs=1e-4)
-    assert data.sensor_to_entrance_pupil_mm == pytest.approx(49.5001, abs=1e-4)
+    assert data.focal_length_mm == pytest.approx(50.3422, abs=1e-4)  # the value rounds at the last figure
+    assert data.sensor_to_entrance_pupil_mm == pytest.approx(49.5001, abs=1e-4)  # as above
 
 
 @pytest.mark.parametrize("name", lens_names())
@@ -126,7 +127,7 @@ def test_a_paraboloid_mirrorless_singlet_focuses_without_spherical_aberration():
         wavelength_um=0.54,
     )
     crossing = rays.position[:, 2] - rays.position[:, 1] * rays.direction[:, 2] / rays.direction[:, 1]
-    np.testing.assert_allclose(crossing, 5.0 + f, atol=1e-9)
+    np.testing.assert_allclose(crossing, 5.0 + f, atol=1e-9)  # Newton stops at 1e-11 mm
 
 
 def test_even_asphere_coefficients_continue_the_conic():
@@ -181,6 +182,7 @@ def test_a_thin_lens_of_glass_blurs_as_equation_5_says():
         half = 4 / (3 * math.pi) * c / 2
         np.testing.assert_allclose(centroid[:, 0], [half, 0, -half], atol=1e-4)
         np.testing.assert_allclose(centroid[:, 1], 0, atol=1e-6)
+        # 40 cells across the pupil, and spherical aberration.
         assert rms[1] == pytest.approx(abs(c) / 2 / math.sqrt(2), rel=5e-3, abs=2e-4)
 
 
@@ -193,9 +195,9 @@ def test_first_order_camera_and_traced_lens_hold_the_same_rays():
     )
     ideal = pinhole_rays(camera, DESIGNS["cy_halves"], cells=12)
     assert traced.z_mm == pytest.approx(ideal.z_mm)
-    np.testing.assert_allclose(traced.chief[[0, -1]][:, [0, -1]], ideal.chief, atol=1e-6)
+    np.testing.assert_allclose(traced.chief[[0, -1]][:, [0, -1]], ideal.chief, atol=1e-6)  # float32 tables
     np.testing.assert_allclose(
-        traced.weight.sum(axis=3)[:, 1, 2], ideal.weight.sum(axis=3)[:, 0, 0], atol=2e-3
+        traced.weight.sum(axis=3)[:, 1, 2], ideal.weight.sum(axis=3)[:, 0, 0], atol=2e-3  # cells that the rim cuts
     )
     # All rays of the middle pixel meet in the focus plane on the axis.
     meet = traced.origin[1, 1, 2] + (camera.focus_mm - traced.z_mm) * traced.slope[1, 1, 2]
@@ -206,14 +208,14 @@ def test_focusing_makes_the_distance_sharp():
     lens = load_lens("double_gauss_50")
     for distance in (700.0, 2000.0, 20000.0):
         data = paraxial(focused_at(lens, distance))
-        assert data.in_focus_mm + data.sensor_to_entrance_pupil_mm == pytest.approx(distance, rel=1e-9)
+        assert data.in_focus_mm + data.sensor_to_entrance_pupil_mm == pytest.approx(distance, rel=1e-9)  # rounding
     assert paraxial(focused_at(lens, math.inf)).in_focus_mm == math.inf
 
 
 def test_the_phone_lens_is_what_it_claims():
     lens = load_lens("phone_4")
     data = paraxial(lens)
-    assert data.focal_length_mm == pytest.approx(4.0, abs=0.005)
+    assert data.focal_length_mm == pytest.approx(4.0, abs=0.005)  # a title of two figures
     assert data.focal_length_mm / data.entrance_diameter_mm == pytest.approx(2.4, abs=0.02)
     table = small_table(focused_at(lens, 2000.0), DESIGNS["open"], pitch_mm=1.4)  # the corner is 26 degrees off axis
     places = ((1, 1), (1, 2), (0, 1), (0, 0))

@@ -41,7 +41,7 @@ def test_centroid_is_radius_times_pupil_centroid(name, radius):
 def test_near_points_are_seen_through_the_aperture_turned_by_180_degrees():
     for name in ("rgb_circles", "cy_halves", "cmy_squares"):
         far, near = geometric_psf(DESIGNS[name], 5.0, 15), geometric_psf(DESIGNS[name], -5.0, 15)
-        np.testing.assert_allclose(near, far[:, ::-1, ::-1], atol=1e-12)
+        np.testing.assert_allclose(near, far[:, ::-1, ::-1], atol=1e-12)  # rounding of float64
 
 
 def test_the_far_psf_is_the_upright_aperture():
@@ -75,7 +75,7 @@ def test_transfer_function_and_kernel_are_one_blur(name):
 
 
 def test_in_focus_nothing_is_blurred():
-    np.testing.assert_allclose(geometric_otf(DESIGNS["cy_halves"], 0.0, (16, 16)), 1, atol=1e-6)
+    np.testing.assert_allclose(geometric_otf(DESIGNS["cy_halves"], 0.0, (16, 16)), 1, atol=1e-6)  # complex64
     psf = geometric_psf(DESIGNS["cy_halves"], 0.0, 3)
     assert psf[:, 1, 1] == pytest.approx(1)
 

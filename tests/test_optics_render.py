@@ -63,6 +63,7 @@ def test_the_picture_stands_upright():
     spot = [plane(np.ones((2, 2, 3)), center_mm=(30.0, -20.0, 2000.0), width_mm=4.0)]
     x, y = centroid(render(pinhole_rays(CAMERA, CY), spot))[1]
     scale = CAMERA.focal_px / (2000.0 - 50.0)
+    # Rays at random places of a pixel.
     assert (x, y) == (pytest.approx(30 * scale, abs=0.1), pytest.approx(-20 * scale, abs=0.1))
 
 
@@ -95,8 +96,8 @@ def test_nearer_planes_hide_farther_ones_and_holes_let_through():
     table = pinhole_rays(CAMERA, CY)
     for planes in ([front, back], [back, front]):
         sharp, depth = render_sharp(table, planes), render_depth(table, planes)
-        np.testing.assert_allclose(sharp[:, 60], np.tile([0, 1, 0], (56, 1)), atol=1e-6)
-        np.testing.assert_allclose(sharp[:, 10], np.tile([1, 0, 0], (56, 1)), atol=1e-6)
+        np.testing.assert_allclose(sharp[:, 60], np.tile([0, 1, 0], (56, 1)), atol=1e-6)  # float32
+        np.testing.assert_allclose(sharp[:, 10], np.tile([1, 0, 0], (56, 1)), atol=1e-6)  # float32
         assert depth[28, 60] == pytest.approx(1500)
         assert depth[28, 10] == pytest.approx(2000)
 
@@ -191,7 +192,7 @@ def test_a_scene_file_is_what_it_says(tmp_path):
         '[[plane]]\ncenter_mm = [0, 0, 2000]\nwidth_mm = 500\ntexture = "plain"\ncolor = [0.2, 0.4, 0.6]\n'
     )
     image = render_sharp(pinhole_rays(CAMERA, CY), load_scene(tmp_path / "desk.toml"))
-    np.testing.assert_allclose(image[28, 36], [0.2, 0.4, 0.6], atol=1e-6)
+    np.testing.assert_allclose(image[28, 36], [0.2, 0.4, 0.6], atol=1e-6)  # float32
 
 
 def test_noise_of_the_sensor_is_photons_and_reading():

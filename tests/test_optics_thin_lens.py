@@ -49,7 +49,7 @@ def test_disparity_is_the_half_distance_of_two_centroid_rays(f, od, of, beta):
     radius = beta * camera.pupil_radius_mm
     upper, lower = (traced_rim(od * f, camera.image_distance_mm, f, h) for h in (radius, -radius))
     found = camera.disparity_px(od * f + camera.sensor_to_pupil_mm, beta)
-    assert 2 * float(found) == pytest.approx((upper - lower) / PITCH_MM, rel=1e-8, abs=1e-6)
+    assert 2 * float(found) == pytest.approx((upper - lower) / PITCH_MM, rel=1e-8, abs=1e-6)  # as above
 
 
 def test_beyond_focus_is_positive_and_infinity_is_finite():

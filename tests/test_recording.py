@@ -188,7 +188,7 @@ def test_tum_folder_as_its_readers_expect(tmp_path):
     assert write_tum(folder, walls(), camera_matrix=MATRIX) == 2
     rows = [line.split() for line in (folder / "associations.txt").read_text().splitlines()]
     for (stamp, rgb, same, depth), expected in zip(rows, walls(), strict=True):
-        assert float(stamp) == float(same) == pytest.approx(expected.time_s, abs=1e-6)
+        assert float(stamp) == float(same) == pytest.approx(expected.time_s, abs=1e-6)  # six decimals are written
         np.testing.assert_array_equal(cv2.imread(str(folder / rgb))[..., ::-1], expected.color)
         metres = cv2.imread(str(folder / depth), cv2.IMREAD_UNCHANGED) / 5000
         assert metres[0, :3].tolist() == [0, 0, 0]
@@ -238,6 +238,7 @@ def test_mcap_read_back_by_another_library(tmp_path):
         assert (color.encoding, depth.encoding, depth.step) == ("rgb8", "16UC1", 16)
         info = found["/camera/depth/camera_info"][i]
         np.testing.assert_array_equal(np.reshape(info.k, (3, 3)), MATRIX)
+        # Float64 of seconds since 1970 resolves 2e-7.
         assert depth.header.stamp.sec + depth.header.stamp.nanosec / 1e9 == pytest.approx(expected.time_s, abs=1e-6)
         assert info.header.stamp.nanosec == depth.header.stamp.nanosec
     with pytest.raises(InputError, match="no frame"):

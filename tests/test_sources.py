@@ -195,11 +195,11 @@ def test_a_slow_reader_gets_the_newest_frame_and_the_rest_is_counted():
             if len(taken) == 8:
                 break
             time.sleep(0.05)
-        dropped, waiting = source.dropped, source._slot is not None
+        dropped = source.dropped
         made = camera.made
-    # One frame may arrive while the counters are read.
+    # One frame may arrive while the counters are read, and one may wait to be read.
     assert max(behind) <= 1
-    assert abs(made - (len(taken) + dropped + waiting)) <= 1
+    assert -1 <= made - (len(taken) + dropped) <= 2
     assert dropped > 8
     assert taken == sorted(set(taken))
     assert camera.closed

@@ -1,4 +1,4 @@
-"""What can go wrong, in three classes. Every message says what to do next."""
+"""Exceptions and warnings. Every message states what to do next."""
 
 from __future__ import annotations
 
@@ -16,4 +16,4 @@ class MissingDependencyError(ChromapertureError, ImportError):
 
 
 class CaptureWarning(UserWarning):
-    """The capture can be used, but something about it costs accuracy."""
+    """The capture can be used, with less accuracy."""

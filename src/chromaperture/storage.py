@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and the encodings of depth that other programs read."""
+"""Atomic writing of output files, and encodings of depth that other programs read."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from chromaperture.errors import InputError
 
 
 class Stage:
-    """A private folder beside the outputs; what is written there appears under its final name all at once."""
+    """A private folder beside the outputs, whose files are moved to their final names together."""
 
     def __init__(self, folder: Path, private: Path) -> None:
         self.folder, self.private, self.names = folder, private, list[str]()
 
     def path(self, name: str) -> Path:
-        """Give the temporary path that will become ``name``."""
+        """Return the temporary path of the file that will be ``name``."""
         self.names.append(name)
         return self.private / name
 
 
 @contextlib.contextmanager
 def staged(folder: str | Path) -> Iterator[Stage]:
-    """Write a set of files so that an error, a full disk or Ctrl-C leaves none of them behind.
+    """Write a set of files so that none remain after an error, a full disk or Ctrl-C.
 
     Raises
     ------
     InputError
-        The folder cannot be made or written to, or the disk is full.
+        The folder cannot be created or written to, or the disk is full.
     """
     folder = Path(folder)
     private = None
@@ -83,7 +83,7 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def to_json(value: Any) -> str:
-    """Give readable JSON text; NumPy scalars and arrays are turned into numbers and lists, NaN into null."""
+    """Format as readable JSON; NumPy scalars and arrays become numbers and lists, NaN null."""
     return json.dumps(_plain(value), indent=2, allow_nan=False)
 
 
@@ -105,4 +105,4 @@ def _write_png(path: Path, array: np.ndarray) -> None:
     ok, encoded = cv2.imencode(".png", np.ascontiguousarray(array))
     if not ok:
         raise InputError(f"cannot encode {path.name}")
-    path.write_bytes(encoded.tobytes())  # Python's own write, so that a full disk is an error and not a False
+    path.write_bytes(encoded.tobytes())  # unlike `cv2.imwrite`, raises when the disk is full

@@ -1,1 +1,1 @@
-"""Photons to linear arrays."""
+"""Sources of frames: files, cameras, recordings, and the simulator."""

@@ -13,12 +13,12 @@ from chromaperture.capture.source import Encoding, Frame
 from chromaperture.capture.threaded_source import DeviceLostError, not_there
 from chromaperture.errors import InputError, MissingDependencyError
 
-_BUFFERS = 8
-_ORDER = ("12", "10", "16", "8")  # unpacked; more than 12 bits only cost bandwidth
+_BUFFERS = 8  # frames in flight; chosen by hand, not tuned
+_ORDER = ("12", "10", "16", "8")  # bits, unpacked, by preference: more than 12 only cost bandwidth
 
 
 def load_aravis() -> Any:
-    """Import Aravis; raises MissingDependencyError saying what to install."""
+    """Import Aravis; raises MissingDependencyError with what to install."""
     try:
         import gi
 
@@ -90,7 +90,7 @@ class AravisCamera:
             raise not_there(f"machine-vision camera {identity}".strip(), message) from None
 
     def read(self, index: int) -> Frame | None:
-        """Wait up to a second for a whole frame; incomplete ones are left out."""
+        """Wait up to a second for a frame; None when none is complete."""
         buffer = self._stream.timeout_pop_buffer(1_000_000)
         if buffer is None:
             if not self._alive():
@@ -113,16 +113,16 @@ class AravisCamera:
         return True
 
     def close(self) -> None:
-        """Stop acquisition and let the camera go."""
+        """Stop acquisition and release the camera."""
         try:
             self._camera.stop_acquisition()
         except _glib_error():
-            pass  # it is gone already
+            pass  # unplugged
         self._stream = self._camera = None
 
 
 def best_format(available: list[str]) -> str:
-    """Choose the pixel format that keeps most of the colours' detail."""
+    """Choose the pixel format with the best resolution of colour."""
     for bits in _ORDER:
         for name in available:
             if re.fullmatch(rf"Bayer(RG|BG|GR|GB){bits}", name):
@@ -142,7 +142,7 @@ def unpack(
     black_level: float = 0.0,
     white_level: float | None = None,
 ) -> tuple[np.ndarray, Encoding]:
-    """Turn a camera's bytes into counts.
+    """Convert a camera's bytes to counts.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def unpack(
 
 
 def aravis_cameras() -> list[str]:
-    """List the machine-vision cameras that answer."""
+    """List the machine-vision cameras found."""
     aravis = load_aravis()
     aravis.update_device_list()
     return [aravis.get_device_id(i) for i in range(aravis.get_n_devices())]

@@ -1,8 +1,8 @@
-"""Bayer mosaics to colour without demosaicing: every 2 x 2 cell is one pixel, its channels never mixed.
+"""Bayer mosaics to colour without demosaicing: every 2 x 2 cell is one pixel, and channels are not mixed.
 
-Demosaicing lets channels lend each other their edges, which pulls the displacement between them, the very signal,
-towards zero. A cell samples R and B a quarter of the new pixel off its centre; `Encoding.channel_offsets_px` says
-where, and `Frame.image` puts it right within each channel.
+Demosaicing transfers edges between channels, which biases the displacement between them, the measured signal, towards
+zero. A cell samples R and B a quarter of the new pixel off its centre: `Encoding.channel_offsets_px` holds the offsets,
+and `Frame.image` corrects them by interpolation within each channel.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def superpixels(
     Parameters
     ----------
     mosaic : (2H, 2W) uint8 or uint16
-        An odd last row or column is left out.
+        An odd last row or column is ignored.
     pattern : {"RGGB", "BGGR", "GRBG", "GBRG"}
         Colours of the top-left cell, row by row.
     black_level, white_level : float
@@ -32,7 +32,7 @@ def superpixels(
     Returns
     -------
     counts : (H, W, 3) uint16, or float32 where twice the white level needs more than 16 bits
-        Twice the mosaic's, so that the mean of two counts stays whole.
+        Twice the mosaic's, so that the mean of two counts is an integer.
     encoding : Encoding
 
     Raises
@@ -51,9 +51,9 @@ def superpixels(
     for i, colour in enumerate(pattern):
         row, column = divmod(i, 2)
         channel = "RGB".index(colour)
-        share = 1 if colour == "G" else 2
-        counts[..., channel] += mosaic[row : 2 * height : 2, column : 2 * width : 2].astype(wide) * wide.type(share)
-        offsets[channel][0] += (column - 0.5) / 2 * share / 2
-        offsets[channel][1] += (row - 0.5) / 2 * share / 2
+        factor = 1 if colour == "G" else 2  # a cell has two G
+        counts[..., channel] += mosaic[row : 2 * height : 2, column : 2 * width : 2].astype(wide) * wide.type(factor)
+        offsets[channel][0] += (column - 0.5) / 2 * factor / 2
+        offsets[channel][1] += (row - 0.5) / 2 * factor / 2
     placed: Offsets = tuple((x, y) for x, y in offsets)  # type: ignore[assignment]
     return counts, Encoding(2 * black_level, 2 * white_level, "linear", placed)

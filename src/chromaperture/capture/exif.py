@@ -1,4 +1,4 @@
-"""What the camera wrote into the file about lens, iris and focus."""
+"""Settings of lens, iris and focus from a photograph's EXIF data."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from typing import Any
 
 from PIL import Image
 
+# Tags of the EXIF standard.
 _EXIF_IFD = 0x8769
 _FNUMBER, _SUBJECT_DISTANCE, _FOCAL_LENGTH = 0x829D, 0x9206, 0x920A
 
 
 @dataclass(frozen=True)
 class Exif:
-    """Settings of the camera; None where the file does not say."""
+    """Settings of the camera; None where they are not in the file."""
 
     focal_length_mm: float | None = None
     f_number: float | None = None
@@ -23,11 +24,11 @@ class Exif:
 
 
 def read_exif(path: str | Path) -> Exif:
-    """Read the settings of a photograph; a file without them gives an empty `Exif`."""
+    """Read the settings of a photograph; an empty `Exif` for a file without them."""
     try:
         with Image.open(path) as picture:
             tags = picture.getexif().get_ifd(_EXIF_IFD)
-    except Exception:  # whatever a decoder raises: that the picture itself can be read is checked elsewhere
+    except Exception:  # decoders raise anything; errors of the picture itself are reported by `read_image`
         return Exif()
     distance_m = _positive(tags.get(_SUBJECT_DISTANCE))
     return Exif(
@@ -38,7 +39,7 @@ def read_exif(path: str | Path) -> Exif:
 
 
 def _positive(value: Any) -> float | None:
-    """Give a rational as a number; None for 0, which stands for unknown, and for the infinite."""
+    """Convert a rational to a number; None for 0, which means unknown, and for infinity (2^31 and more)."""
     try:
         number = float(value)
     except (TypeError, ValueError, ZeroDivisionError):

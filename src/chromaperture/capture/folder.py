@@ -15,18 +15,18 @@ from chromaperture.errors import InputError, MissingDependencyError
 
 
 class FolderSource(FileSource):
-    """Pictures in the order of their names, numbers counted as numbers.
+    """Pictures in the natural order of their names.
 
     Parameters
     ----------
     pattern : str
         A folder, a glob or a file.
     fps : float
-        Gives the frames their times.
+        For the times of the frames.
     black_level, white_level : float, optional
         See `chromaperture.read_image`.
     camera_levels : (float, float), optional
-        Black and white level of the camera file, used without levels where a file can hold such counts.
+        Black and white level of the camera file, for files that can hold such counts, when no levels are given.
     listener : callable, optional
     """
 
@@ -59,19 +59,19 @@ class FolderSource(FileSource):
             raise InputError(f"no picture at {self.name}; give a folder, a glob in quotes, or a file")
 
     def frames(self) -> Iterator[Frame]:
-        """Yield one frame a picture; what cannot be read is skipped and said."""
+        """Yield one frame per picture; report and skip unreadable ones."""
         read = 0
         for index, path in enumerate(self.paths):
             try:
                 counts, encoding = read_counts(path, **self.levels)
             except MissingDependencyError:
-                raise  # the next file would need it too
+                raise  # all files need it
             except InputError as error:
                 self.listener(Event("skipped", str(error)))
                 continue
             read += 1
             if self._by_camera and counts.dtype == np.uint8 and encoding.white_level > 255:
-                encoding = Encoding(0.0, 255.0, "srgb")  # the camera's counts do not fit into 8 bits
+                encoding = Encoding(0.0, 255.0, "srgb")  # 8 bits cannot hold the camera's counts
             yield Frame(counts, encoding, index / self.fps, index, {"file": path.name})
         if not read:
             raise InputError(f"none of the {len(self.paths)} files at {self.name} can be read as a colour picture")

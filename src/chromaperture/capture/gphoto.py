@@ -1,4 +1,4 @@
-"""A tethered DSLR through gphoto2: every frame asked for is a photograph taken, so nothing is live."""
+"""A tethered DSLR through gphoto2: every frame is a photograph taken on request, not a live view."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from chromaperture.errors import InputError, MissingDependencyError
 
 
 def load_gphoto2() -> Any:
-    """Import gphoto2; raises MissingDependencyError naming the extra."""
+    """Import gphoto2; raises MissingDependencyError with the extra to install."""
     try:
         import gphoto2
     except ImportError:
@@ -24,19 +24,19 @@ def load_gphoto2() -> Any:
 
 
 class TetheredCamera(FileSource):
-    """Take a photograph whenever a frame is asked for; RAW files become half-size superpixels.
+    """Take a photograph for each frame; RAW files become half-size superpixels.
 
     Parameters
     ----------
     port : str
-        As `gphoto2 --auto-detect` shows it; empty for the first camera.
+        As listed by `gphoto2 --auto-detect`; empty for the first camera.
     count : int, optional
-        Photographs to take; without end when absent.
+        Number of photographs; unlimited when absent.
     shutterspeed, iso, aperture : str, optional
-        Settings in the camera's own words.
+        Settings as the camera spells them.
     black_level, white_level : float, optional
     retry_s : float
-        Pause between two attempts to find a lost camera again.
+        Pause between attempts to reconnect a lost camera.
     listener : callable, optional
     """
 
@@ -60,7 +60,7 @@ class TetheredCamera(FileSource):
         self._camera: Any = None
 
     def open(self) -> None:
-        """Connect and set what was asked for."""
+        """Connect to the camera and apply the settings."""
         gphoto2 = load_gphoto2()
         camera = gphoto2.Camera()
         try:
@@ -80,13 +80,13 @@ class TetheredCamera(FileSource):
         self._camera = camera
 
     def close(self) -> None:
-        """Let the camera go."""
+        """Release the camera."""
         if self._camera is not None:
             self._camera.exit()
         self._camera = None
 
     def frames(self) -> Iterator[Frame]:
-        """Take photographs; a camera that went away is waited for."""
+        """Take photographs; wait for a lost camera to return."""
         gphoto2 = load_gphoto2()
         index = 0
         with tempfile.TemporaryDirectory(prefix="chromaperture-") as folder:
@@ -118,6 +118,6 @@ class TetheredCamera(FileSource):
 
 
 def tethered_cameras() -> list[str]:
-    """List the ports of the cameras gphoto2 sees."""
+    """List the ports of the cameras found by gphoto2."""
     found = load_gphoto2().Camera.autodetect()
     return [str(found.get_value(i)) for i in range(found.count())]

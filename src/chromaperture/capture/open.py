@@ -1,4 +1,4 @@
-"""From a short text to a source, and what is connected to this machine."""
+"""Making a source from a short text, and listing the connected cameras."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def open_source(
     camera_levels: tuple[float, float] | None = None,
     **settings: Any,
 ) -> Source:
-    """Make a source from a text; it is opened by entering it.
+    """Make a source from a text; entering it opens it.
 
     Parameters
     ----------
@@ -46,9 +46,9 @@ def open_source(
         a glob, a picture or a video. Settings may follow: ``webcam:0?exposure_us=5000&gain=2``. ``simulate`` and
         ``replay`` deliver frame by frame, or like a live camera with ``speed=1`` (and ``loop=1``).
     listener : callable, optional
-        Called with every `Event`, maybe from another thread; default: Python's logging.
+        Called with every `Event`, possibly from another thread; default: Python's logging.
     camera_levels : (float, float), optional
-        Black and white level of the camera file, for pictures that say nothing of their own.
+        Black and white level of the camera file, for pictures without levels of their own.
     **settings
         The same settings as arguments.
 
@@ -59,7 +59,7 @@ def open_source(
     Raises
     ------
     InputError
-        Unknown kind or setting, a value that is no number.
+        Unknown kind or setting, or a value that is not a number.
     """
     kind, found, rest = spec.partition(":")
     if kind == "gphoto2" or (found and kind in _DEVICES | _FILES) or kind in _DEVICES:
@@ -101,7 +101,7 @@ def _opened(kind: str, where: str, settings: dict[str, Any], listener: Listener 
 
 
 def _checked(kind: str, maker: Callable[..., Any], settings: dict[str, Any]) -> dict[str, Any]:
-    """Check the names of settings and turn texts into what the source asks for."""
+    """Check the names of settings and convert texts to the types of the source's parameters."""
     known = {n: p for n, p in inspect.signature(maker).parameters.items() if p.kind is p.KEYWORD_ONLY}
     known.pop("listener", None)
     known.pop("retry_s", None)
@@ -125,7 +125,7 @@ def _number(name: str, value: Any) -> float:
 
 @dataclass(frozen=True)
 class Connected:
-    """One kind of camera on this machine: the specs that open one, or why none can be listed."""
+    """Cameras of one kind on this machine: specs for `open_source`, or the reason why there are none."""
 
     kind: str
     specs: list[str]
@@ -133,7 +133,7 @@ class Connected:
 
 
 def connected_sources() -> list[Connected]:
-    """List the cameras of each kind, and which extra is missing."""
+    """List the cameras of each kind, with missing extras."""
     ways: dict[str, Callable[[], list[str]]] = {
         "webcam": webcams,
         "aravis": aravis_cameras,

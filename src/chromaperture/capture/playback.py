@@ -1,4 +1,4 @@
-"""Files as if they were a camera: frames come at their times, whether anyone takes them or not."""
+"""Files played like a live camera: frames arrive at their times, whether they are read or not."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from chromaperture.capture.source import FileSource, Frame, Listener
 from chromaperture.capture.threaded_source import LiveSource, StreamEndedError
 from chromaperture.errors import InputError
 
-_KEPT_BYTES = 512 << 20  # frames of a loop that are not read or rendered again
-_LONGEST_WAIT_S = 5.0  # a gap in the recording; leaving waits for it
+_KEPT_BYTES = 512 << 20  # frames of a loop that are cached: 290 of VGA in 16 bits
+_LONGEST_WAIT_S = 5.0  # in a gap of the recording: closing waits for it. Chosen by hand, not tuned
 
 
 class Playback:
@@ -21,9 +21,9 @@ class Playback:
     ----------
     source : FileSource
     speed : float
-        1 is the speed of recording; inf as fast as the frames can be read.
+        1 is the recorded speed; inf is as fast as frames can be read.
     loop : bool
-        Begin again at the end; as much as fits half a gigabyte is kept and not made again.
+        Restart at the end; frames are cached if they fit into half a gigabyte.
     """
 
     def __init__(self, source: FileSource, *, speed: float, loop: bool) -> None:

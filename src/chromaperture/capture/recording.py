@@ -1,8 +1,8 @@
-"""Recordings: every frame that was acknowledged is there, whatever ended the program.
+"""Recordings: every acknowledged frame is on the disk, however the program ends.
 
-A folder with ``recording.json`` (what was recorded), ``frames/NNNNNNNN.tiff`` (counts as delivered, uncompressed)
-and ``index.jsonl``, one line a frame, appended and flushed to the disk only after its picture was. A line cut short
-by a crash is not a frame.
+A folder with ``recording.json`` (format and source), ``frames/NNNNNNNN.tiff`` (counts as delivered, uncompressed) and
+``index.jsonl``, one line per frame, appended and synced to the disk after the picture. An incomplete last line, as a
+crash leaves it, is ignored.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Recorder:
     Parameters
     ----------
     folder : str or Path
-        Made when absent; must not hold a recording.
+        Created when absent; must not hold a recording.
     source : str
         Name of the source, for the record.
 
@@ -69,7 +69,7 @@ class Recorder:
         self._index = -1
 
     def write(self, frame: Frame) -> None:
-        """Store one frame; when this returns, the frame is on the disk."""
+        """Write one frame; it is on the disk when this returns."""
         name = f"{self.count:08d}.tiff"
         path = self.folder / "frames" / name
         entry = {
@@ -102,7 +102,7 @@ class Recorder:
 
 
 class ReplaySource(FileSource):
-    """Frames of a recording, one by one, times and counts as they were recorded.
+    """Frames of a recording, with times and counts as recorded.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class ReplaySource(FileSource):
         if not known:
             raise InputError(f"{self.folder} was recorded by a newer version; update chromaperture")
         self.entries = []
-        for line in data.split(b"\n")[:-1]:  # what follows the last newline was never acknowledged
+        for line in data.split(b"\n")[:-1]:  # text after the last newline was never acknowledged
             try:
                 self.entries.append(json.loads(line))
             except ValueError:
@@ -135,7 +135,7 @@ class ReplaySource(FileSource):
             raise InputError(f"the recording at {self.folder} holds no frame")
 
     def frames(self) -> Iterator[Frame]:
-        """Yield what was recorded; damaged pictures are skipped and said."""
+        """Yield the frames; report and skip damaged ones."""
         for entry in self.entries:
             path = self.folder / "frames" / entry["file"]
             try:
@@ -167,7 +167,7 @@ def _write_durably(path: Path, data: bytes) -> None:
 
 def _write_all(file: int, data: bytes) -> None:
     view = memoryview(data)
-    while view:  # a nearly full disk takes part of it
+    while view:  # a nearly full disk writes a part
         view = view[os.write(file, view) :]
 
 

@@ -1,4 +1,4 @@
-"""A simulated camera: it photographs an RGB-D sequence, or moves through a scene file, behind a coded aperture."""
+"""A simulated camera with a coded aperture, in an RGB-D sequence or moving through a scene file."""
 
 from __future__ import annotations
 
@@ -22,11 +22,13 @@ from chromaperture.optics.rgbd import read_rgbd
 from chromaperture.optics.scene import load_scene
 from chromaperture.optics.sensor import SensorModel, expose
 
-_TURN = 48  # frames in one turn of the path through a scene
+_KINECT = 585 / 640  # focal length over width, of a Kinect; the default
+_PITCH_MM = 0.02  # has no effect on the picture: geometry is in px
+_TURN = 48  # frames per turn of the path through a scene; chosen by hand, not tuned
 
 
 class SimulatedSource(FileSource):
-    """Frames of the simulator, 10-bit counts with photon and read noise; the same seed gives the same frames.
+    """Frames of the simulator, 10-bit counts with photon and read noise, reproducible by seed.
 
     Parameters
     ----------
@@ -41,13 +43,13 @@ class SimulatedSource(FileSource):
     orbit_mm : float
         Radius of the circle through a scene.
     width, height : int
-        Picture of a scene file.
+        Picture size for a scene file.
     cells : int
         Rays across the pupil, even, for a scene file; fewer make blur coarser.
     count : int, optional
-        Frames to make; default the sequence, or one turn.
+        Number of frames; default the sequence, or one turn.
     fps : float
-        Gives the frames their times.
+        For the times of the frames.
     seed : int
     listener : callable, optional
     """
@@ -82,7 +84,7 @@ class SimulatedSource(FileSource):
         self.pairs: list[tuple[Path, Path]] = []
 
     def open(self) -> None:
-        """Find the pictures, check design and scene."""
+        """Find the pictures; check design and scene."""
         self._aperture()
         if self.cells < 4 or self.cells % 2:
             raise InputError(f"cells must be even and at least 4, got {self.cells}")
@@ -92,7 +94,7 @@ class SimulatedSource(FileSource):
         self.pairs = rgbd_pairs(self.path)[: self.count]
 
     def frames(self) -> Iterator[Frame]:
-        """Photograph one position after the other."""
+        """Yield one photograph per position."""
         yield from self._through_scene() if self.path.suffix == ".toml" else self._through_pictures()
 
     def _through_pictures(self) -> Iterator[Frame]:
@@ -126,7 +128,7 @@ class SimulatedSource(FileSource):
         return Frame(counts, encoding, index / self.fps, index, metadata)
 
     def _camera(self, width: int, height: int) -> PupilCamera:
-        return PupilCamera(width, height, self.focal_px or 585 / 640 * width, *self.optics_mm, 0.02)
+        return PupilCamera(width, height, self.focal_px or _KINECT * width, *self.optics_mm, _PITCH_MM)
 
     def _aperture(self) -> Aperture:
         design = load_aperture(self.design)

@@ -1,4 +1,4 @@
-"""One interface for everything that delivers frames: a context manager that yields `Frame`.
+"""Interface of everything that delivers frames: a context manager that yields `Frame`.
 
 >>> with open_source("webcam:0") as source:                                        # doctest: +SKIP
 ...     for frame in source:
@@ -17,17 +17,17 @@ from typing import Any, Literal, Protocol, Self
 import cv2
 import numpy as np
 
+from chromaperture.capture.checks import DARK
 from chromaperture.color.srgb import srgb_to_linear
 from chromaperture.errors import InputError
 
 Offsets = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 CENTRED: Offsets = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
-_DARK = 2e-3
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """How counts become linear light.
+    """Conversion of counts to linear light.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Encoding:
     curve : {"linear", "srgb"}
         sRGB counts are decoded; levels apply before the curve.
     channel_offsets_px : ((dx, dy),) * 3
-        Where R, G and B were sampled, from the pixel's centre; not zero for the superpixels of a Bayer mosaic.
+        Sampling positions of R, G and B from the pixel's centre; not zero for superpixels of a Bayer mosaic.
     """
 
     black_level: float = 0.0
@@ -60,14 +60,14 @@ class Frame:
     Attributes
     ----------
     counts : (H, W, 3) uint8, uint16 or float32
-        R, G, B as delivered; what a recording keeps.
+        R, G, B as delivered; stored by recordings.
     encoding : Encoding
     time_s : float
         Live and replayed: seconds since 1970 when the frame arrived. Files: seconds since the first frame.
     index : int
-        Number of the frame in its source, from 0; gaps are frames that were dropped.
+        Number of the frame in its source, from 0; gaps are dropped frames.
     metadata : Mapping
-        JSON values: exposure_us, gain, file, ... where the source knows them.
+        JSON values: exposure_us, gain, file, ... if known.
     """
 
     counts: np.ndarray
@@ -78,18 +78,18 @@ class Frame:
 
     @cached_property
     def image(self) -> np.ndarray:
-        """(H, W, 3) float32 linear RGB, 1.0 = white level, the channels on one grid; made on first use."""
+        """(H, W, 3) float32 linear RGB, 1.0 = white level, all channels on one grid; computed on first use."""
         return develop_counts(self.counts, self.encoding)
 
 
 def develop_counts(counts: np.ndarray, encoding: Encoding) -> np.ndarray:
-    """Turn (H, W, 3) counts into linear light on one grid; (H, W, 3) float32, 1.0 = white level."""
+    """Convert (H, W, 3) counts to linear light on one grid; (H, W, 3) float32, 1.0 = white level."""
     span = np.float32(encoding.white_level - encoding.black_level)
     image = (counts.astype(np.float32) - np.float32(encoding.black_level)) / span
     if encoding.curve == "srgb":
         image = srgb_to_linear(image)
     for channel, (dx, dy) in enumerate(encoding.channel_offsets_px):
-        if dx or dy:  # the channel itself is interpolated at the pixel's centre; no other channel takes part
+        if dx or dy:  # interpolate the channel at the pixel's centre, without the other channels
             image[..., channel] = cv2.sepFilter2D(
                 np.ascontiguousarray(image[..., channel]), -1, _cubic(-dx), _cubic(-dy), borderType=cv2.BORDER_REPLICATE
             )
@@ -97,7 +97,7 @@ def develop_counts(counts: np.ndarray, encoding: Encoding) -> np.ndarray:
 
 
 def _cubic(t: float) -> np.ndarray:
-    """Weights of five neighbours that interpolate at t px, |t| <= 1, from the middle one (Keys, a = -1/2)."""
+    """Compute weights of five neighbours for cubic interpolation at t px from the middle one, |t| <= 1 (Keys 1981)."""
     x = np.abs(np.arange(-2, 3) - t)
     near, far = 1 + x * x * (1.5 * x - 2.5), 2 + x * (-4 + x * (2.5 - 0.5 * x))
     return np.where(x < 1, near, np.where(x < 2, far, 0.0)).astype(np.float32)
@@ -105,7 +105,7 @@ def _cubic(t: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Event:
-    """Something a person at the camera wants to know; the stream goes on.
+    """A message for the user; the stream continues.
 
     Attributes
     ----------
@@ -122,21 +122,21 @@ Listener = Callable[[Event], None]
 
 
 def log_event(event: Event) -> None:
-    """Hand an event to Python's logging; what sources do when no listener is given."""
+    """Log an event with Python's logging; the default listener."""
     logging.getLogger("chromaperture.capture").warning(event.message)
 
 
 class Source(Protocol):
-    """Where frames come from. Enter it, iterate over it, leave it; leaving releases the device.
+    """A source of frames: a context manager to iterate over; leaving it releases the device.
 
     Attributes
     ----------
     name : str
         For people.
     live : bool
-        The newest frame wins and waiting costs frames; otherwise every frame is delivered, at the reader's pace.
+        Only the newest frame is kept for a slow reader; otherwise every frame is delivered, at the reader's pace.
     dropped : int
-        Frames that arrived but were replaced by newer ones before anyone took them.
+        Number of frames that were replaced by newer ones before they were read.
     """
 
     name: str
@@ -144,7 +144,7 @@ class Source(Protocol):
     dropped: int
 
     def __enter__(self) -> Self:
-        """Open files or device; raises InputError saying what is missing."""
+        """Open files or device; raises InputError with what is missing."""
         ...
 
     def __exit__(
@@ -154,12 +154,12 @@ class Source(Protocol):
         ...
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield frames of one size until the source ends or is left."""
+        """Yield frames of one size until the source ends or is closed."""
         ...
 
 
 class FileSource:
-    """A source that is read at the reader's pace: subclasses say what to open and what to yield."""
+    """A source that is read at the reader's pace; subclasses implement `open`, `close` and `frames`."""
 
     live = False
     dropped = 0
@@ -191,7 +191,7 @@ class FileSource:
 
 
 def steady(frames: Iterable[Frame], listener: Listener) -> Iterator[Frame]:
-    """Let frames of the first one's size through; say once when others come, and when the picture goes dark."""
+    """Pass frames of the first one's size; report once when others arrive, and when the picture goes dark."""
     shape: tuple[int, ...] | None = None
     odd = dark = False
     for frame in frames:
@@ -211,7 +211,7 @@ def steady(frames: Iterable[Frame], listener: Listener) -> Iterator[Frame]:
 
 
 def is_dark(frame: Frame) -> bool:
-    """Tell a frame in which next to nothing is lit, from every eighth pixel."""
-    few = replace(frame.encoding, channel_offsets_px=CENTRED)
-    lit = develop_counts(frame.counts[::8, ::8], few)
-    return float(np.percentile(lit, 99)) < _DARK
+    """Test whether a frame is dark, from every eighth pixel."""
+    unshifted = replace(frame.encoding, channel_offsets_px=CENTRED)
+    lit = develop_counts(frame.counts[::8, ::8], unshifted)
+    return float(np.percentile(lit, 99)) < DARK

@@ -1,4 +1,4 @@
-"""Cameras that run by themselves: a thread reads, the newest frame wins, a lost camera is looked for again."""
+"""Live cameras: a thread reads frames, only the newest is kept, and a lost camera is reconnected."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class DeviceLostError(Exception):
 
 
 class StreamEndedError(Exception):
-    """The device has nothing more to deliver, as at the end of a replayed recording."""
+    """The device will not deliver more frames, as at the end of a replayed recording."""
 
 
 class Device(Protocol):
-    """One opened camera. The thread that opens it is the only one that touches it."""
+    """One opened camera, used only by the thread that opened it."""
 
     def read(self, index: int) -> Frame | None:
         """Wait up to about a second for a frame; None when none came; raises DeviceLostError or StreamEndedError."""
@@ -33,19 +33,19 @@ class Device(Protocol):
 
 
 class LiveSource:
-    """Hand over the newest frame of a running camera through a slot of one: a slow reader never falls behind.
+    """Deliver the newest frame of a running camera; older ones are dropped, so a slow reader adds no latency.
 
     Parameters
     ----------
     name : str
     connect : callable
-        Opens the device; raises InputError when it is not there or in use.
+        Opens the device; raises InputError when it is missing or in use.
     listener : callable, optional
-        Told of events, from the reading thread.
+        Called with events, from the capture thread.
     silence_s : float
-        A camera silent for so long counts as lost.
+        Time without a frame after which a camera is considered lost.
     retry_s : float
-        Pause between two attempts to find it again.
+        Pause between attempts to reconnect it.
     """
 
     live = True
@@ -88,7 +88,7 @@ class LiveSource:
         with self._ready:
             self._ready.notify_all()
         if self._thread is not None:
-            self._thread.join(timeout=10)  # a driver that hangs must not hang us
+            self._thread.join(timeout=10)  # s: do not wait for a driver that hangs
 
     def __iter__(self) -> Iterator[Frame]:
         yield from steady(self._newest(), self._listener)
@@ -121,11 +121,11 @@ class LiveSource:
                 except DeviceLostError as lost:
                     self._listener(Event("lost", f"{self.name} is gone ({lost}); looking for it again"))
                     device.close()
-                    device = self._found_again()
+                    device = self._reconnected()
                     last = time.monotonic()
         except StreamEndedError:
             pass
-        except BaseException as error:  # handed to the reader, who would wait for ever otherwise
+        except BaseException as error:  # raised in the reader, which would otherwise wait forever
             self._failure = error
         finally:
             if device is not None:
@@ -135,7 +135,7 @@ class LiveSource:
                 self._ready.notify_all()
             self._opened.set()
 
-    def _found_again(self) -> Device | None:
+    def _reconnected(self) -> Device | None:
         while not self._leave.wait(self._retry_s):
             try:
                 device = self._connect()
@@ -153,5 +153,5 @@ class LiveSource:
 
 
 def not_there(what: str, hint: str) -> InputError:
-    """Word the error of a camera that cannot be opened."""
+    """Make the error of a camera that cannot be opened."""
     return InputError(f"{what} cannot be opened: {hint}; 'chromaperture sources' lists what is connected")

@@ -14,7 +14,7 @@ VIDEOS = {".avi", ".m4v", ".mjpeg", ".mkv", ".mov", ".mp4", ".mpg", ".ts", ".web
 
 
 class VideoSource(FileSource):
-    """Frames of a clip, 8-bit sRGB. Most codecs halve the resolution of colour: FFV1 in 4:4:4 does not.
+    """Frames of a clip, 8-bit sRGB. Most codecs halve the resolution of colour; FFV1 in 4:4:4 does not.
 
     Parameters
     ----------
@@ -32,7 +32,9 @@ class VideoSource(FileSource):
             raise InputError(f"no video at {self.name}")
         self._clip = cv2.VideoCapture(self.name, cv2.CAP_FFMPEG)
         if not self._clip.isOpened():
-            raise InputError(f"{self.name} is damaged or no video that FFmpeg reads; convert it, for instance to FFV1")
+            raise InputError(
+                f"{self.name} is damaged or not a video that FFmpeg reads; convert it, for instance to FFV1"
+            )
 
     def close(self) -> None:
         """Close the clip."""
@@ -41,7 +43,7 @@ class VideoSource(FileSource):
         self._clip = None
 
     def frames(self) -> Iterator[Frame]:
-        """Yield all frames; says so when there are fewer than the file promises."""
+        """Yield all frames; report when there are fewer than the file declares."""
         clip = self._clip
         if clip is None:
             raise InputError(f"{self.name} is not open: use the source in a with statement")

@@ -13,7 +13,7 @@ from chromaperture.errors import InputError
 
 
 class Webcam:
-    """An opened webcam. Automatic exposure is switched off where one is given; focus and white balance always are.
+    """An opened webcam, with automatic focus and white balance off, and automatic exposure off if one is given.
 
     Parameters
     ----------
@@ -44,8 +44,8 @@ class Webcam:
             cv2.CAP_PROP_FRAME_WIDTH: width,
             cv2.CAP_PROP_FRAME_HEIGHT: height,
             cv2.CAP_PROP_FPS: fps,
-            cv2.CAP_PROP_BUFFERSIZE: 1,  # an old frame in a driver's queue is latency
-            cv2.CAP_PROP_AUTOFOCUS: 0,  # a calibration holds for one focus
+            cv2.CAP_PROP_BUFFERSIZE: 1,  # frames in the driver's queue add latency
+            cv2.CAP_PROP_AUTOFOCUS: 0,  # a calibration is for one focus
             cv2.CAP_PROP_AUTO_WB: 0,
             cv2.CAP_PROP_AUTO_EXPOSURE: None if exposure_us is None else 1,  # V4L2: manual
             cv2.CAP_PROP_EXPOSURE: None if exposure_us is None else exposure_us / 100,  # V4L2 counts in 100 µs

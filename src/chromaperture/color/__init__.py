@@ -1,1 +1,1 @@
-"""Sensor colour to aperture colour and back."""
+"""Colour: unmixing, alignment of channels, noise, film and white sheets."""

@@ -1,4 +1,4 @@
-"""Colours of film of which no white sheet was photographed."""
+"""Transmission of film without a photographed white sheet."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ import numpy as np
 
 from chromaperture.optics.aperture import FIXED, Aperture, channel_transmission, film_named
 
-_MOST_CORRECTION = 2.0  # of usual film in one channel: beyond that the sheets of white differ in exposure
+_MOST_CORRECTION = 2.0  # factor on typical film in one channel; more means that the white sheets differ in exposure
 
 
 def completed_film(
     aperture: Aperture, measured: Mapping[str, np.ndarray], *, light: np.ndarray | None
 ) -> dict[str, np.ndarray]:
-    """Give the transmission of all film in an aperture, measured or not.
+    """Complete the measured transmission of an aperture's film.
 
-    Film without a sheet is taken as usual film of its colour; where white was photographed through the aperture, its
-    channels are scaled until the whole aperture passes that light. With one sheet missing this solves for it.
+    Film without a sheet is assumed to be typical film of its colour (`FILMS`, "real"). If white was photographed
+    through the aperture, its channels are scaled so that the aperture passes that light; with one sheet missing this is
+    exact.
 
     Parameters
     ----------
     aperture : Aperture
     measured : mapping of str to (3,) float
-        Transmission in R, G, B of the film that has a sheet.
+        Transmission in R, G, B, of film with a sheet.
     light : (3,) float or None
-        Share of the light of the open pupil that the aperture passes in each channel.
+        Light of each channel through the aperture, over that of the open pupil.
 
     Returns
     -------

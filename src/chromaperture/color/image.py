@@ -1,4 +1,4 @@
-"""What every stage takes for an image."""
+"""Validation of images."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 
 from chromaperture.errors import InputError
 
-SATURATION = 0.995  # of the white level; from there on a pixel tells nothing
+SATURATION = 0.995  # of the white level; a pixel at or above it is clipped. Leaves 5 of 1000 counts for noise
 
 
 def checked_image(image: np.ndarray) -> np.ndarray:
-    """Check that an array can be an image and give it as contiguous float32; raises InputError."""
+    """Validate an image and return it as contiguous float32; raises InputError."""
     image = np.asarray(image)
     if image.ndim != 3 or image.shape[2] != 3:
         raise InputError(f"expected an RGB image of shape (height, width, 3), got {image.shape}")

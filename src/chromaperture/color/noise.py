@@ -1,4 +1,4 @@
-"""Noise of the linear image, which the matcher needs to tell texture from grain."""
+"""Noise variance of linear images."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ import cv2
 import numpy as np
 from scipy.optimize import nnls
 
-# Immerkaer (1996): the difference of two Laplacians, blind to planes and edges of first order.
+# Immerkaer (1996): the difference of two Laplacians, zero for linear intensities.
 _IMMERKAER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 _BLOCK_PX = 32
-_BLOCK_SIGMA = 0.086  # of a block's variance: 1024 px whose responses are correlated count as 271
-_CLIPS = 0.98
+KERNEL_NORM = 6.0  # root of the sum of squares of that kernel
+_BLOCK_SIGMA = 0.086  # relative standard error of a block's variance, sqrt(2 / 271): 1024 correlated px act as 271
+_CLIPS = 0.98  # white level; blocks with a brighter pixel are left out
+# Chosen by hand, not tuned:
 _FEWEST_BLOCKS = 40
-_LEAST_SPREAD = 0.3  # of the brightest level, over which the levels must reach
-_BINS, _LOW_QUANTILE = 12, 0.1
+_LEAST_RANGE = 0.3  # of levels, as a fraction of the brightest
+_BINS, _LOW_QUANTILE = 12, 0.1  # of level; of variance in each, where the fit starts
 _ROUNDS = 10
-_MOST_ELECTRONS = 1e7  # no pixel holds more: what is quieter was computed, not photographed
+_MOST_ELECTRONS = 1e7  # no pixel holds more: quieter pictures were computed, not photographed
 
 
 def photon_noise_variance(image: np.ndarray, *, full_well_electrons: float, read_noise_electrons: float) -> np.ndarray:
-    """Variance of shot and read noise.
+    """Compute the variance of shot and read noise.
 
     Parameters
     ----------
@@ -33,20 +35,20 @@ def photon_noise_variance(image: np.ndarray, *, full_well_electrons: float, read
     -------
     (H, W, 3) float32, (white level)^2
     """
-    # The signal is smoothed first: a variance taken from the noisy pixel itself would correlate with its noise.
+    # Smoothed first: the variance of a noisy pixel would correlate with its noise. Sigma chosen by hand.
     signal = np.maximum(cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), 2.0), 0)
     return signal / np.float32(full_well_electrons) + np.float32((read_noise_electrons / full_well_electrons) ** 2)
 
 
 def fine_structure(image: np.ndarray) -> np.ndarray:
-    """Absolute response to Immerkaer's kernel, whose norm is 6: noise, and little of the picture; of its shape."""
+    """Compute the absolute response to Immerkaer's kernel, of norm 6: mostly noise; of the image's shape."""
     return np.abs(cv2.filter2D(np.asarray(image, np.float32), cv2.CV_32F, _IMMERKAER))
 
 
 def estimate_noise_variance(image: np.ndarray) -> np.ndarray:
-    """Noise variance per channel from the image alone, where no noise model is known.
+    """Estimate the noise variance per channel from the image alone, without a noise model.
 
-    The median of the absolute Immerkaer response over the frame: texture raises a minority of the pixels only.
+    From the median of the absolute Immerkaer response over the frame: texture raises a minority of the pixels only.
 
     Parameters
     ----------
@@ -58,15 +60,15 @@ def estimate_noise_variance(image: np.ndarray) -> np.ndarray:
     """
     image = np.asarray(image, np.float32)
     response = fine_structure(image).reshape(-1, image.shape[2])
-    response = response[np.isfinite(response).all(axis=1)]  # one bad pixel must not spoil the frame
+    response = response[np.isfinite(response).all(axis=1)]
     if len(response) == 0:
         return np.zeros(image.shape, np.float32)
-    sigma = np.median(response, axis=0) / (0.6745 * 6.0)  # the kernel's norm is 6
+    sigma = np.median(response, axis=0) / (0.6745 * KERNEL_NORM)  # 0.6745: median of |x| of a unit Gaussian
     return np.broadcast_to((sigma**2).astype(np.float32), image.shape)
 
 
 def noise_samples(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Brightness of blocks of an image, and the variance of what is finer than any lens draws in them.
+    """Compute brightness and noise variance of blocks of an image.
 
     Parameters
     ----------
@@ -75,7 +77,7 @@ def noise_samples(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns
     -------
     level, variance : (B,) float64
-        Of each block and channel, white level and its square; blocks that clip or hold no number are left out.
+        Of each block and channel, white level and its square; clipped and non-finite blocks are left out.
     """
     image = np.asarray(image, np.float32)
     height, width = (n // _BLOCK_PX * _BLOCK_PX for n in image.shape[:2])
@@ -84,30 +86,30 @@ def noise_samples(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return values[:height, :width].reshape(height // _BLOCK_PX, _BLOCK_PX, width // _BLOCK_PX, _BLOCK_PX, -1)
 
     level = blocks(image).mean(axis=(1, 3), dtype=float).ravel()
-    variance = (blocks(fine_structure(image)) ** 2).mean(axis=(1, 3), dtype=float).ravel() / 36
+    variance = (blocks(fine_structure(image)) ** 2).mean(axis=(1, 3), dtype=float).ravel() / KERNEL_NORM**2
     clips = blocks(image).max(axis=(1, 3)).ravel() >= _CLIPS
     usable = np.isfinite(level) & np.isfinite(variance) & ~clips & (level > 0)
     return level[usable], variance[usable]
 
 
 def fit_photon_noise(level: np.ndarray, variance: np.ndarray) -> tuple[float, float] | None:
-    """Find full well and read noise that the flattest blocks of photographs show (photon transfer, Janesick 2007).
+    """Fit full well and read noise to the flattest blocks of photographs (photon transfer, Janesick 2007).
 
-    Texture only adds to a block's variance: the line ``level / full_well + (read_noise / full_well)^2`` runs along the
-    lower edge of the cloud of blocks.
+    Texture only adds to a block's variance: the line ``level / full_well + (read_noise / full_well)^2`` is the lower
+    edge of the scatter plot.
 
     Parameters
     ----------
     level, variance : (B,) float
-        Blocks of all photographs together, see :func:`noise_samples`.
+        Blocks of all photographs together, from `noise_samples`.
 
     Returns
     -------
     full_well_electrons, read_noise_electrons : float
-        None where variance does not grow with brightness: too few levels, or photographs that were denoised.
+        None when variance does not grow with brightness: too few levels, or denoised photographs.
     """
     level, variance = np.asarray(level, float), np.asarray(variance, float)
-    if len(level) < _FEWEST_BLOCKS or np.ptp(level) < _LEAST_SPREAD * level.max(initial=0):
+    if len(level) < _FEWEST_BLOCKS or np.ptp(level) < _LEAST_RANGE * level.max(initial=0):
         return None
     order = np.array_split(np.argsort(level), _BINS)
     rows = np.array([(np.median(level[i]), np.quantile(variance[i], _LOW_QUANTILE)) for i in order])
@@ -127,7 +129,7 @@ def fit_photon_noise(level: np.ndarray, variance: np.ndarray) -> tuple[float, fl
 
 
 def _line(level: np.ndarray, variance: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Slope and offset, neither negative, that fit best where errors grow with ``scale``; (2,) float64."""
-    unit = float(np.mean(variance / scale)) or 1.0  # variances are small numbers, the solver's tolerances are not
+    """Fit a slope and offset, neither negative, to variances with errors proportional to ``scale``; (2,) float64."""
+    unit = float(np.mean(variance / scale)) or 1.0  # the solver's tolerances are absolute, variances small
     found, _ = nnls(np.stack([level, np.ones_like(level)], axis=1) / scale[:, None], variance / scale / unit)
     return np.asarray(found * unit)

@@ -1,14 +1,14 @@
-"""What alignment by disparity leaves: the lens's own lateral colour, centroids that vignetting or leaking film moved.
+"""Residual displacement after alignment by disparity, from lateral colour and centroids moved by vignetting or leakage.
 
-All are smooth over the frame and linear in inverse depth. So one smooth displacement a channel,
+Both are smooth over the frame and linear in inverse depth. So one smooth displacement per channel,
 
     delta_k(x, y, d) = a + b x + c y + e d,
 
-is fitted to the aligned picture itself: windows are registered by their normalised correlation, and the eight numbers
-are those from which they depart least in the sum of distances, which no few wrong windows can sway. What windows of
-one surface then still agree on, such as a disparity that is off by a little, is averaged over that surface, in cells
-of place and disparity. That only for sub-apertures of one shape: halves of a pupil, and mixed channels, blur each in a
-way of its own, which a few windows read as displacement, one way or the other with their texture.
+is fitted to the aligned picture itself: windows are registered by normalised correlation, and the eight coefficients
+minimise the sum of distances (not squared: robust to outliers). The remaining displacement that is consistent within a
+surface, such as that of a biased disparity, is averaged over the surface, in cells of image position and disparity.
+This only for sub-apertures of equal shape: halves of a pupil, and mixed channels, differ in the shape of their blur,
+which single windows misread as displacement, of a sign that depends on their texture.
 """
 
 from __future__ import annotations
@@ -17,22 +17,24 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-_SMOOTH_PX = 1.0  # against grain
-_HALF, _STRIDE = 19, 16  # half side of a window and distance of two, px
+# Chosen by hand; the result on test captures is in docs/colour.md, "Alignment".
+_SMOOTH_PX = 1.0  # sigma, against noise
+_HALF, _STRIDE = 19, 16  # half side of a window and distance between windows, px
 _SEARCH = 5  # px
-_ENOUGH = 1500  # windows for one smooth model: a large picture is not searched more densely
-_ROUNDS = 2  # of the smooth model, and as many of the surfaces' own
-_LARGEST_PX = 2.5  # a larger correction is no lens's
-_LEAST_GRADIENT = 4e-3  # of the square root of light, a px, in the direction in which it is least
+_ENOUGH = 1500  # windows for the smooth model: in large pictures the stride grows
+_ROUNDS = 2  # of the smooth model, and of the averages over surfaces
+_LARGEST_PX = 2.5  # a larger correction is rejected as not due to a lens
+_LEAST_GRADIENT = 4e-3  # square root of light per px, in the direction of least texture
 _LEAST_NCC = 0.8
 _LEAST_WINDOWS = 25
-_PARTS = 3  # along each side of a window, whose agreement tells the window's error
-_SOFT_PX = 0.05  # departures below this count as squares
-_RIDGE = 1e-2  # windows that say "no displacement"
-_CELL_PX, _CELL_DISPARITY = 48.0, 0.7  # px, of place and of disparity, over which a surface is averaged
-_DOUBT = 2.0  # windows that say "no displacement" in each cell
-_DOUBTFUL_PX = 0.1  # a window of this error counts half
-_FAR_PX = 0.5  # a window that departs by this from the model counts half
+_PARTS = 3  # along each side of a window, from whose consistency its error is estimated
+_SOFT_PX = 0.05  # smaller residuals are weighted as squares
+_RIDGE = 1e-2  # prior of no displacement, in windows
+_CELL_PX, _CELL_DISPARITY = 48.0, 0.7  # px, of position and of disparity, over which a surface is averaged
+_CELL_PRIOR = 2.0  # prior of no displacement in each cell, in windows
+_HALF_WEIGHT_ERROR_PX = 0.1  # standard error of a window of half weight: texture allows a figure below it
+_HALF_WEIGHT_PX = 0.5  # displacement of a window of half weight
+_REWEIGHTINGS = 30
 
 
 def residual_displacement(
@@ -43,7 +45,7 @@ def residual_displacement(
     reference: int = 1,
     valid: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Measure the smooth displacement that is left between the channels.
+    """Measure the smooth displacement that remains between the channels.
 
     Parameters
     ----------
@@ -51,15 +53,15 @@ def residual_displacement(
         From `align_channels`.
     disparity_px : (H, W) float32, px, no NaN
     surfaces : bool
-        Average over single surfaces too, not over the whole frame only.
+        Average over single surfaces too, not only over the whole frame.
     reference : int
-        The channel that stays; the others move.
+        Fixed channel.
     valid : (H, W) bool, optional
-        Only windows that lie wholly in it are registered.
+        Only windows wholly inside are registered.
 
     Returns
     -------
-    (3, 2, H, W) float32, px, x before y: sample channel k further by this; zero where the texture does not tell
+    (3, 2, H, W) float32, px, x before y, to be added to the displacement of channel k; zero without texture
     """
     height, width = disparity_px.shape
     tone = np.sqrt(np.maximum(np.asarray(aligned, np.float32), 0))
@@ -91,7 +93,7 @@ def residual_displacement(
 def by_surface(
     places_px: np.ndarray, displacement_px: np.ndarray, error_px: np.ndarray, disparity_px: np.ndarray
 ) -> np.ndarray:
-    """Average windows over cells of place and disparity, smoothly from cell to cell.
+    """Average windows over cells of image position and disparity, smoothly from cell to cell.
 
     Parameters
     ----------
@@ -109,13 +111,15 @@ def by_surface(
     shape = (int(height / _CELL_PX) + 3, int(width / _CELL_PX) + 3, int(depth.max()) + 3)
     x, y = places_px.T
     cells = np.rint([y / _CELL_PX + 1, x / _CELL_PX + 1, depth[y, x]]).astype(int)
-    weight = 1 / (1 + np.square(displacement_px).sum(axis=1) / _FAR_PX**2 + np.square(error_px) / _DOUBTFUL_PX**2)
+    weight = 1 / (
+        1 + np.square(displacement_px).sum(axis=1) / _HALF_WEIGHT_PX**2 + np.square(error_px) / _HALF_WEIGHT_ERROR_PX**2
+    )
     sums = np.zeros((3, *shape))
     for total, value in zip(sums, (weight, *(weight * displacement_px.T)), strict=True):
         np.add.at(total, tuple(cells), value)
     sums = gaussian_filter(sums, (0, 1, 1, 1), mode="constant")
-    share = 1 / (2 * np.pi) ** 1.5  # of a lone window in its own cell
-    mean = sums[1:] / (sums[0] + _DOUBT * share)
+    peak = 1 / (2 * np.pi) ** 1.5  # of the smoothing kernel: weight of a single window in its own cell
+    mean = sums[1:] / (sums[0] + _CELL_PRIOR * peak)
     rows, columns = np.arange(height, dtype=np.float32)[:, None], np.arange(width, dtype=np.float32)[None]
     where = np.stack(np.broadcast_arrays(rows / _CELL_PX + 1, columns / _CELL_PX + 1, depth)).astype(np.float32)
     return np.stack([map_coordinates(m, where, order=1, mode="nearest", output=np.float32) for m in mean])
@@ -124,22 +128,22 @@ def by_surface(
 def registered_windows(
     moved: np.ndarray, fixed: np.ndarray, *, valid: np.ndarray | None = None, stride: int = _STRIDE
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Displacement between two pictures, window by window where they have texture in both directions.
+    """Register two pictures, window by window where they have texture in both directions.
 
     Parameters
     ----------
     moved, fixed : (H, W) float32
     valid : (H, W) bool, optional
-        Windows that leave it are left out.
+        Only windows wholly inside are registered.
     stride : int, px
-        From window to window.
+        Between windows.
 
     Returns
     -------
     places_px : (N, 2) int, (x, y)
-        Middles of the windows.
+        Centres of the windows.
     displacement_px : (N, 2) float64, (x, y)
-        What ``fixed`` shows at x, ``moved`` shows at x + displacement.
+        ``moved`` shows at x + displacement what ``fixed`` shows at x.
     error_px : (N,) float64
         Standard error of each.
     """
@@ -169,15 +173,15 @@ def registered_windows(
 
 
 def standard_error(moved: np.ndarray, fixed: np.ndarray) -> float:
-    """How far a window's displacement can be relied on: from what it leaves, part by part of the window.
+    """Estimate the standard error of a window's displacement from its residuals.
 
-    A line in the tone and a small shift are fitted, and their error is that of least squares with errors that hang
-    together within a part, whatever they are: grain, a colour that one channel has and the other has not, two depths.
+    An affine change of tone and a small shift are fitted by least squares; residuals may be correlated within each of
+    3 x 3 parts (clustered standard errors), whatever their cause: noise, a colour in one channel only, two depths.
 
     Parameters
     ----------
     moved, fixed : (h, w) float32
-        To a px in place.
+        Registered to a px.
 
     Returns
     -------
@@ -187,15 +191,15 @@ def standard_error(moved: np.ndarray, fixed: np.ndarray) -> float:
     rows = np.stack([np.ones(fixed.shape), fixed - fixed.mean(), gx, gy])
     normal = np.linalg.inv(np.einsum("ayx,byx->ab", rows, rows) + 1e-12 * np.eye(4))
     coefficients = normal @ np.einsum("ayx,yx->a", rows, moved)
-    left = rows * (moved - np.tensordot(coefficients, rows, 1))
+    residual_rows = rows * (moved - np.tensordot(coefficients, rows, 1))
     starts = np.linspace(0, fixed.shape[0], _PARTS + 1).astype(int)[:-1]
-    scores = np.add.reduceat(np.add.reduceat(left, starts, axis=1), starts, axis=2).reshape(4, -1)
+    scores = np.add.reduceat(np.add.reduceat(residual_rows, starts, axis=1), starts, axis=2).reshape(4, -1)
     covariance = normal @ (scores @ scores.T) @ normal * _PARTS**2 / (_PARTS**2 - 1)
     return float(np.sqrt(covariance[2, 2] + covariance[3, 3]) / max(abs(coefficients[1]), 1e-6))
 
 
 def _peak(scores: np.ndarray) -> float:
-    """Vertex of the parabola through three scores."""
+    """Compute the vertex of the parabola through three scores, px from the middle one."""
     left, middle, right = (float(s) for s in scores)
     curvature = left - 2 * middle + right
     return 0.0 if curvature >= 0 else 0.5 * (left - right) / curvature
@@ -209,14 +213,14 @@ def _basis(disparity: np.ndarray) -> np.ndarray:
 
 
 def _fitted(rows: np.ndarray, values: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Coefficients (4, 2) that leave the least sum of distances, by reweighted least squares."""
-    sure = 1 / (1 + np.square(error) / _DOUBTFUL_PX**2)  # windows count by their own error
-    weight = sure
+    """Fit coefficients (4, 2) with the least sum of distances, by iteratively reweighted least squares."""
+    prior = 1 / (1 + np.square(error) / _HALF_WEIGHT_ERROR_PX**2)
+    weight = prior
     coefficients = np.zeros((rows.shape[1], 2))
-    for _ in range(30):
+    for _ in range(_REWEIGHTINGS):
         weighted = (rows * weight[:, None]).T
         normal = weighted @ rows + _RIDGE * weight.sum() / len(rows) * np.eye(rows.shape[1])
         coefficients = np.linalg.solve(normal, weighted @ values)
-        left = np.linalg.norm(values - rows @ coefficients, axis=1)
-        weight = sure / np.sqrt(left**2 + _SOFT_PX**2)
+        residual = np.linalg.norm(values - rows @ coefficients, axis=1)
+        weight = prior / np.sqrt(residual**2 + _SOFT_PX**2)
     return coefficients

@@ -6,20 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chromaperture.color.noise import fine_structure
+from chromaperture.color.noise import KERNEL_NORM, fine_structure
 from chromaperture.errors import InputError
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """By how much longer to expose to win back a loss of SNR.
+    """Factor on the exposure that compensates a loss of SNR.
 
     Attributes
     ----------
     shot : float
-        Where photons make the noise, SNR grows with the root of time: 10^(dB / 10).
+        For shot noise, SNR grows with the root of time: 10^(dB / 10).
     amplitude : float
-        Where the sensor's own noise rules, SNR grows with time: 10^(dB / 20). The paper's "30 % for 2.3 dB" is this.
+        For read noise, SNR grows with time: 10^(dB / 20). The paper's "30 % for 2.3 dB" is this.
     """
 
     shot: float
@@ -27,14 +27,14 @@ class Exposure:
 
 
 def snr_db(first: np.ndarray, second: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Signal-to-noise ratio in the middle and at the border of a white sheet, 20 log10(mean / sigma).
+    """Compute the signal-to-noise ratio in the middle and at the border of a white sheet, 20 log10(mean / sigma).
 
     Parameters
     ----------
     first : (H, W, 3) float, linear
     second : (H, W, 3) float, optional
-        Another photograph of the same: their difference is noise alone, whatever the sheet's texture and the pixels'
-        own gains (temporal noise). Without it the noise is taken from the fine structure of the one.
+        Another photograph of the same sheet: their difference is temporal noise alone, without the sheet's texture and
+        the pixels' gains. When absent, the noise is estimated from the fine structure of the first.
 
     Returns
     -------
@@ -54,40 +54,37 @@ def snr_db(first: np.ndarray, second: np.ndarray | None = None) -> tuple[np.ndar
         if not 0.97 < ratio < 1.03:
             raise InputError(f"the two photographs of the sheet differ in brightness by {100 * (ratio - 1):+.0f} %")
     central = _central(first.shape)
-    ratios = []
-    for area in (central, ~central):
-        ratios.append(_area_snr(first, second, area))
-    return ratios[0], ratios[1]
+    return _area_snr(first, second, central), _area_snr(first, second, ~central)
 
 
 def exposure_to_restore(loss_db: float) -> Exposure:
-    """Exposure, as a multiple of the present one, that restores a loss of SNR; both readings."""
+    """Compute the exposure, as a multiple of the present one, that compensates a loss of SNR; both readings."""
     return Exposure(10 ** (loss_db / 10), 10 ** (loss_db / 20))
 
 
-def expected_loss_db(transmission: float, *, read_variance_share: float = 0.0) -> float:
-    """Loss of SNR behind an aperture, from its transmission.
+def expected_loss_db(transmission: float, *, read_variance_ratio: float = 0.0) -> float:
+    """Compute the loss of SNR by an aperture from its transmission.
 
     Parameters
     ----------
     transmission : float
-        Share of the light, (0, 1].
-    read_variance_share : float
-        Variance of the read noise over that of the photons at full light; 0 is pure photon noise.
+        Fraction of the light, (0, 1].
+    read_variance_ratio : float
+        Variance of the read noise over that of the shot noise at full light.
 
     Returns
     -------
-    float, dB: 10 log10(1 / T) for pure photon noise
+    float, dB: 10 log10(1 / T) for shot noise alone
     """
-    if not 0 < transmission <= 1 or read_variance_share < 0:
-        raise InputError("transmission must lie in (0, 1] and the share of read noise must be >= 0")
-    open_snr = 1 / np.sqrt(1 + read_variance_share)
-    coded_snr = transmission / np.sqrt(transmission + read_variance_share)
+    if not 0 < transmission <= 1 or read_variance_ratio < 0:
+        raise InputError("transmission must lie in (0, 1] and the ratio of read noise must be >= 0")
+    open_snr = 1 / np.sqrt(1 + read_variance_ratio)
+    coded_snr = transmission / np.sqrt(transmission + read_variance_ratio)
     return float(20 * np.log10(open_snr / coded_snr))
 
 
 def _central(shape: tuple[int, ...]) -> np.ndarray:
-    """Two thirds of width and height in the middle; what lies around them is border."""
+    """Mask the middle two thirds of width and height; the rest is border (paper section 4.3)."""
     height, width = shape[:2]
     y, x = np.abs(np.linspace(-1, 1, height))[:, None], np.abs(np.linspace(-1, 1, width))[None]
     inside: np.ndarray = np.maximum(x, y) < 2 / 3
@@ -98,10 +95,10 @@ def _area_snr(first: np.ndarray, second: np.ndarray | None, area: np.ndarray) ->
     mean = first[area].mean(axis=0, dtype=float)
     if second is not None:
         difference = (second - first)[area]
-        gain = second[area].mean(axis=0, dtype=float) / mean  # a lamp that drifts by a percent is not noise
+        gain = second[area].mean(axis=0, dtype=float) / mean  # drift of the lamp is not noise
         sigma = (difference - mean * (gain - 1)).std(axis=0, dtype=float) / np.sqrt(2)
     else:
         # The mean absolute value of a Gaussian is sqrt(2 / pi) sigma.
-        sigma = np.sqrt(np.pi / 2) * fine_structure(first)[area].mean(axis=0, dtype=float) / 6
+        sigma = np.sqrt(np.pi / 2) * fine_structure(first)[area].mean(axis=0, dtype=float) / KERNEL_NORM
     with np.errstate(divide="ignore"):
         return np.asarray(20 * np.log10(mean / sigma))

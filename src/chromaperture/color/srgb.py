@@ -1,4 +1,4 @@
-"""The sRGB curve, for files that people look at; nothing else in the package is gamma encoded."""
+"""The sRGB curve, for picture files; all other images of the package are linear."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-_LEVELS = 65535
+_LEVELS = 65535  # of the table: 16 bits
 
 
 def srgb_to_linear(encoded: np.ndarray) -> np.ndarray:
@@ -26,7 +26,7 @@ def linear_to_srgb(linear: np.ndarray) -> np.ndarray:
 def linear_to_srgb_bytes(linear: np.ndarray) -> np.ndarray:
     """Encode linear light as 8-bit sRGB, clipped; uint8 of the same shape.
 
-    Read from a table of 16-bit levels, ten times faster than the power: a fiftieth of a grey level apart at most.
+    By a table of 16-bit levels, ten times faster than the power and at most a fiftieth of a grey level off.
     """
     light = np.asarray(linear, np.float32)
     steps = np.nan_to_num(np.clip(light, 0, 1)) * np.float32(_LEVELS) + np.float32(0.5)

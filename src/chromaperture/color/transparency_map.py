@@ -9,16 +9,18 @@ import numpy as np
 
 from chromaperture.color.image import SATURATION
 from chromaperture.errors import InputError
+from chromaperture.optics.metrics import LUMINANCE
 
-_BLUR_SHARE = 0.025  # of the image's width: noise and paper grain go, vignetting stays
-_MOST_LIGHT = 1.03  # film only takes light away; 3 % is what a flickering lamp or a shutter is off
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
-_DUST = 0.05  # darker than its surroundings by this share: a speck on the sheet or on the sensor
+_BLUR = 0.025  # sigma over the image's width: removes noise and paper grain, keeps vignetting. Chosen by hand
+_MOST_LIGHT = 1.03  # film only absorbs; 3 % is allowed for a flickering lamp or shutter. Chosen by hand, not tuned
+_DUST = 0.05  # relative darkness of a speck on sheet or sensor; chosen by hand, not tuned
+_DUSTY = 0.8  # fraction of clean pixels below which dark spots are a pattern, not dust; chosen by hand, not tuned
+_CLIPPED = 0.001  # fraction of saturated samples that is accepted, for hot pixels; chosen by hand, not tuned
 
 
 @dataclass(frozen=True)
 class LightEfficiency:
-    """What Table 1 and Figure 11 say of an aperture.
+    """Light efficiency of an aperture as in Table 1 and Figure 11.
 
     Attributes
     ----------
@@ -27,7 +29,7 @@ class LightEfficiency:
     efficiency : float
         Integral light efficiency: the mean over the channels.
     luminance : float
-        The same, weighted as the eye does.
+        The same, weighted by luminance (ITU-R BT.709).
     """
 
     minimum: np.ndarray
@@ -38,10 +40,10 @@ class LightEfficiency:
 
 
 def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
-    """Share of the light that passes the aperture at every pixel, per sensor channel: Eq. (11), T = I^c / I^nc.
+    """Compute the aperture's transparency at every pixel, per sensor channel: Eq. (11), T = I^c / I^nc.
 
-    Both pictures are blurred before they are divided: a ratio of means, not a mean of ratios, which noise would bias.
-    Uneven lighting cancels, being in both; dust on the sheet is left out of the means.
+    Both pictures are blurred before the division: noise would bias a mean of ratios. Uneven lighting cancels; dust on
+    the sheet is left out of the means.
 
     Parameters
     ----------
@@ -62,43 +64,43 @@ def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
     blurred = []
     for name, image in (("coded", coded), ("bare", bare)):
         sheet = np.asarray(image, np.float32)
-        if not np.isfinite(sheet).all() or (sheet >= SATURATION).mean() > 0.001:
+        if not np.isfinite(sheet).all() or (sheet >= SATURATION).mean() > _CLIPPED:
             raise InputError(f"the {name} white sheet is saturated: photograph both again at a shorter exposure")
         blurred.append(_smooth(sheet))
     if blurred[1].min() <= 0.01:
         raise InputError("the bare white sheet is dark: photograph both again at a longer exposure")
-    share = blurred[0] / blurred[1]
-    most = float(np.percentile(share, 99, axis=(0, 1)).max())
+    transmission = blurred[0] / blurred[1]
+    most = float(np.percentile(transmission, 99, axis=(0, 1)).max())
     if most > _MOST_LIGHT:
         raise InputError(
             f"the coded aperture seems to pass {100 * most:.0f} % of the light: the white sheets differ in exposure, "
             "or are swapped; photograph both at the same exposure, or give the ratio of the exposures"
         )
-    return share
+    return transmission
 
 
-def light_efficiency(share: np.ndarray) -> LightEfficiency:
-    """Summarise a transparency map as Table 1 and Figure 11 do.
+def light_efficiency(transmission: np.ndarray) -> LightEfficiency:
+    """Summarise a transparency map as in Table 1 and Figure 11.
 
     Parameters
     ----------
-    share : (H, W, 3) float
+    transmission : (H, W, 3) float
         From `transparency`.
 
     Returns
     -------
     LightEfficiency
     """
-    flat = np.asarray(share, float).reshape(-1, 3)
+    flat = np.asarray(transmission, float).reshape(-1, 3)
     mean = flat.mean(axis=0)
-    return LightEfficiency(flat.min(axis=0), flat.max(axis=0), mean, float(mean.mean()), float(mean @ _LUMINANCE))
+    return LightEfficiency(flat.min(axis=0), flat.max(axis=0), mean, float(mean.mean()), float(mean @ LUMINANCE))
 
 
 def flat_field(sheet: np.ndarray) -> np.ndarray:
-    """Shading of a white sheet relative to its middle, channel by channel.
+    """Compute the shading of a white sheet relative to its middle, per channel.
 
-    A coded pupil is cut by the lens's rims from one side, so that each channel falls off towards another corner: one
-    correction for all three would tint the picture.
+    Rims of the lens cut a coded pupil from one side, so each channel falls off towards another corner: one correction
+    for all three would tint the picture.
 
     Parameters
     ----------
@@ -115,7 +117,7 @@ def flat_field(sheet: np.ndarray) -> np.ndarray:
         The sheet is saturated, or dark somewhere.
     """
     sheet = np.asarray(sheet, np.float32)
-    if not np.isfinite(sheet).all() or (sheet >= SATURATION).mean() > 0.001:
+    if not np.isfinite(sheet).all() or (sheet >= SATURATION).mean() > _CLIPPED:
         raise InputError("the white sheet is saturated: photograph it again at a shorter exposure")
     smooth = _smooth(sheet)
     rows, columns = (slice(n * 9 // 20, n * 11 // 20 + 1) for n in sheet.shape[:2])
@@ -126,9 +128,9 @@ def flat_field(sheet: np.ndarray) -> np.ndarray:
 
 
 def compensate_vignetting(image: np.ndarray, shading: np.ndarray) -> np.ndarray:
-    """Even out the light over the frame, each channel by its own shading.
+    """Divide each channel by its own shading.
 
-    Do this to the restored picture, not before matching: the gains raise the noise of the corners with the signal.
+    For restored pictures, not before matching: the gains amplify the noise of the corners.
 
     Parameters
     ----------
@@ -145,13 +147,14 @@ def compensate_vignetting(image: np.ndarray, shading: np.ndarray) -> np.ndarray:
 
 
 def _smooth(sheet: np.ndarray) -> np.ndarray:
-    """Blur, with specks of dust left out."""
-    sigma = _BLUR_SHARE * sheet.shape[1]
+    """Blur, leaving out specks of dust."""
+    sigma = _BLUR * sheet.shape[1]
     first = cv2.GaussianBlur(sheet, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
-    fine = cv2.GaussianBlur(sheet, (0, 0), 2.0, borderType=cv2.BORDER_REFLECT)  # noise is no dust
+    fine = cv2.GaussianBlur(sheet, (0, 0), 2.0, borderType=cv2.BORDER_REFLECT)  # noise is not dust
     clean = np.asarray((fine > (1 - _DUST) * first).all(axis=-1), np.float32)
-    if clean.all() or clean.mean() < 0.8:  # so much dust is a pattern, not dust
+    if clean.all() or clean.mean() < _DUSTY:
         return np.asarray(first)
+    # Where less than a fifth of the weight is clean, the plain blur is used.
     weight = np.asarray(cv2.GaussianBlur(clean, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))[..., None]
     total = np.asarray(cv2.GaussianBlur(sheet * clean[..., None], (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
     return np.asarray(np.where(weight > 0.2, total / np.maximum(weight, 0.2), first))

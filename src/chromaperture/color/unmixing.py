@@ -1,4 +1,4 @@
-"""From sensor colour to the colour space of the aperture (paper section 2.2, Eq. (1))."""
+"""Unmixing of sensor channels into the views through the filters (paper section 2.2, Eq. (1))."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import numpy as np
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids
 
+# Limits of usable film: noise of the views grows with the condition number. Chosen by hand, not tuned.
 _MIN_FILTER_ANGLE_DEG = 15.0
 _MAX_CONDITION = 20.0
 
@@ -14,8 +15,8 @@ _MAX_CONDITION = 20.0
 def mixing_matrix(filter_colors: np.ndarray) -> np.ndarray:
     """Build M, whose columns are the sensor's colours of white light through each filter.
 
-    For two filters the third column is the unit normal X of their plane, so that the first two rows of the inverse
-    are the least-squares unmixing and the third measures what the two filters cannot explain.
+    For two filters the third column is the unit normal X of their plane: then the first two rows of the inverse are the
+    least-squares unmixing, and the third measures the residual.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ def mixing_matrix(filter_colors: np.ndarray) -> np.ndarray:
     Raises
     ------
     InputError
-        The colours are not finite, or too alike to be told apart.
+        The colours are not finite, or too similar.
     """
     colors = np.asarray(filter_colors, float)
     if colors.ndim != 2 or colors.shape[0] not in (2, 3) or colors.shape[1] != 3 or not np.isfinite(colors).all():
@@ -44,7 +45,7 @@ def mixing_matrix(filter_colors: np.ndarray) -> np.ndarray:
             f"two filters are only {min(angles):.1f} deg apart in colour; the views cannot be separated. Use "
             "complementary film, or check that the filter colours were measured through the filters"
         )
-    condition = np.linalg.cond(unit)  # of directions: the filters' brightness is no dependence
+    condition = np.linalg.cond(unit)  # of unit vectors: brightness does not matter
     if condition > _MAX_CONDITION:
         raise InputError(
             f"filter colours are nearly dependent (condition {condition:.0f}): the third view cannot be told from "
@@ -58,12 +59,12 @@ def mixing_matrix(filter_colors: np.ndarray) -> np.ndarray:
 
 
 def unmixing_rows(mixing: np.ndarray, view_count: int) -> np.ndarray:
-    """Give the rows of M^-1 that make the matched views; (view_count, 3) float64."""
+    """Return the rows of M^-1 that make the matched views; (view_count, 3) float64."""
     return np.linalg.inv(mixing)[:view_count]
 
 
 def ideal_unmixing(aperture: Aperture) -> np.ndarray:
-    """Unmixing rows for the aperture's own film under white light; (K, 3) float64.
+    """Compute the unmixing rows of the aperture's own film under white light; (K, 3) float64.
 
     Raises
     ------
@@ -80,19 +81,19 @@ def ideal_unmixing(aperture: Aperture) -> np.ndarray:
 
 
 def view_reach(aperture: Aperture) -> float:
-    """Mean distance of the unmixed views' centroids from the pupil's centre, in pupil radii: r_c / R of Eq. (6)."""
+    """Compute the mean distance of the unmixed views' centroids from the centre, in pupil radii: r_c / R of Eq. (6)."""
     return float(np.linalg.norm(centroids(aperture, ideal_unmixing(aperture)), axis=1).mean())
 
 
 def pure_channels(aperture: Aperture) -> np.ndarray | None:
-    """Pick the sensor channels that see one filter each, where a design has them.
+    """Select sensor channels that receive light from one filter each, if a design has them.
 
-    Red sees only the yellow half and blue only the cyan one: such channels are views as they are, without the noise of
-    unmixing and without the other half's copy that a coloured surface leaves in an unmixed view.
+    Red passes only the yellow half and blue only the cyan one: such channels are views themselves, without the noise of
+    unmixing and without the other half's crosstalk that a coloured surface leaves in an unmixed view.
 
     Returns
     -------
-    (K, 3) float64 of zeros and ones, in the order of ``aperture.views``; None where a view has no channel of its own
+    (K, 3) float64 of zeros and ones, in the order of ``aperture.views``; None when a view has no such channel
     """
     light = np.array([aperture.remainder.transmission, *(part.filter.transmission for part in aperture.parts)])
     names = [None, *(part.filter.name for part in aperture.parts)]
@@ -107,34 +108,17 @@ def pure_channels(aperture: Aperture) -> np.ndarray | None:
 
 
 def view_directions(aperture: Aperture) -> np.ndarray:
-    """Displacement of every view per px of disparity.
+    """Compute the displacement of every view per px of disparity.
 
-    View k is the centre view displaced by ``d * u_k``, where ``u_k`` is the centroid of its (unmixed) pupil in units
-    of the mean centroid distance. Film leakage only scales d, which the calibrated baseline absorbs; the directions
-    are geometry.
+    View k is the centre view displaced by ``d * u_k``, where ``u_k`` is the centroid of its (unmixed) pupil in units of
+    the mean centroid distance. Film leakage only scales d, which the calibrated scale absorbs.
 
     Returns
     -------
     (K, 2) float64, (x, y)
     """
-    # Geometry with the design's ideal film: leaks of real film scale all views alike.
+    # For the design's ideal film: leakage of real film scales all views alike.
     rho = centroids(aperture, ideal_unmixing(aperture))
     directions = rho / np.linalg.norm(rho, axis=1).mean()
-    # The grid is good to 4e-4; rounding beyond that keeps axis-aligned shifts exactly on the axis.
+    # The grid is accurate to 4e-4; rounding to 1e-3 keeps axis-aligned shifts exactly on the axis.
     return np.round(directions, 3) + 0.0
-
-
-def unmix(image: np.ndarray, unmixing: np.ndarray) -> np.ndarray:
-    """Change the colour space from the sensor's to the aperture's: Eq. (1), w_CYX = M^-1 w_RGB.
-
-    Parameters
-    ----------
-    image : (H, W, 3) float, linear RGB
-    unmixing : (K, 3) float
-        From `unmixing_rows`.
-
-    Returns
-    -------
-    (H, W, K) float32, contiguous; the views through the K filters.
-    """
-    return np.ascontiguousarray(np.asarray(image, np.float32) @ np.asarray(unmixing, np.float32).T)

@@ -5,7 +5,8 @@ noise covariance and I(w) the texture, the Fisher information of each frequency 
 
     |I|^2 h'^H P h',    P = S^-1 - S^-1 h h^H S^-1 / (h^H S^-1 h),    ' = d/dd:
 
-the change of the pictures with d, orthogonal to any change of the texture. For two channels that is |I|^2 |h2' h1 - h1' h2|^2 / (v1 |h2|^2 + v2 |h1|^2).
+the change of the pictures with d, orthogonal to any change of the texture. For two channels that is
+|I|^2 |h2' h1 - h1' h2|^2 / (v1 |h2|^2 + v2 |h1|^2).
 """
 
 from __future__ import annotations

@@ -74,8 +74,8 @@ def diffraction_psf(
     for k, wave in enumerate(wavelengths_um):
         pupil = amplitude[..., k] * np.exp(2j * np.pi * w20 / wave * (xi**2 + eta**2))
         kernel = np.exp(-2j * np.pi * ratio / wave * np.outer(fine, axis))
-        field = kernel @ pupil @ kernel.T
+        amplitudes = kernel @ pupil @ kernel.T
         step = ratio / wave * (fine[1] - fine[0]) * 2 / cells  # Parseval: the sum over all space is 1
-        power = np.abs(field) ** 2 * step**2 / max(float((amplitude[..., k] ** 2).sum()), 1e-12)
+        power = np.abs(amplitudes) ** 2 * step**2 / max(float((amplitude[..., k] ** 2).sum()), 1e-12)
         out[k] = power.reshape(size, _SUBPIXELS, size, _SUBPIXELS).sum(axis=(1, 3))
     return out

@@ -10,6 +10,7 @@ far surface, mirrored at the edge.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -83,13 +84,8 @@ def render_layers(
         )
     radius = camera.blur_radius_px(fill_unknown(depth)).astype(np.float32)
     reach = math.ceil(float(np.abs(radius).max())) + 2
-    # Mirrored borders, because filtering is periodic. Steps of 16 px keep the size, and so the cached transfer
-    # functions, from frame to frame of a video.
-    pad = min(16 * math.ceil(reach / 16), min(depth.shape) - 1)
-    size = tuple(scipy.fft.next_fast_len(n + 2 * pad, real=True) for n in depth.shape)
-    rims = (pad, size[0] - depth.shape[0] - pad, pad, size[1] - depth.shape[1] - pad)
-    color = np.asarray(cv2.copyMakeBorder(color, *rims, borderType=cv2.BORDER_REFLECT_101), np.float32)
-    radius = np.asarray(cv2.copyMakeBorder(radius, *rims, borderType=cv2.BORDER_REFLECT_101), np.float32)
+    pad, (color, radius) = _mirrored((color, radius), reach)
+    size = radius.shape
     behind_color, behind_radius = behind_edges(color, radius, reach, edge_px)
 
     hidden = behind_radius != radius
@@ -118,6 +114,25 @@ def render_layers(
     image *= channel_transmission(aperture).astype(np.float32)[:, None, None]
     crop = image[:, pad : pad + depth.shape[0], pad : pad + depth.shape[1]]
     return LayeredCapture(np.ascontiguousarray(np.maximum(crop, 0).transpose(1, 2, 0)), count)
+
+
+def _mirrored(pictures: Sequence[np.ndarray], reach: int) -> tuple[int, list[np.ndarray]]:
+    """Extend pictures by mirrored borders of at least ``reach`` px, because filtering is periodic.
+
+    Returns
+    -------
+    pad : int
+        Of the left and upper border.
+    pictures : list of float32 arrays
+    """
+    shape = pictures[0].shape[:2]
+    # Steps of 16 px keep the size, and so the cached transfer functions, from frame to frame of a video.
+    pad = min(16 * math.ceil(reach / 16), min(shape) - 1)
+    height, width = (scipy.fft.next_fast_len(n + 2 * pad, real=True) for n in shape)
+    rims = (pad, height - shape[0] - pad, pad, width - shape[1] - pad)
+    return pad, [
+        np.asarray(cv2.copyMakeBorder(p, *rims, borderType=cv2.BORDER_REFLECT_101), np.float32) for p in pictures
+    ]
 
 
 def fill_unknown(depth_mm: np.ndarray) -> np.ndarray:

@@ -264,7 +264,7 @@ class LensBlur:
         apart = {(a, b): float(np.hypot(*(centres[a] - centres[b]))) for a, b in ((0, 2), (0, 1), (1, 2))}
         widest = max(apart.values())
         if widest < _MIN_SEPARATION:
-            raise InputError("the aperture shows every channel the same view: blur alone cannot tell near from far")
+            raise InputError("the aperture shows every channel the same view: near and far blur look alike")
         return {pair: apart[pair] / widest for pair in sorted(apart, key=lambda p: -apart[p])}
 
     @cached_property

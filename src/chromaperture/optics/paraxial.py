@@ -1,4 +1,4 @@
-"""What rays close to the axis say about a lens: focal length, principal planes, pupils, focus."""
+"""First-order data of a lens by paraxial ray tracing: focal length, principal planes, pupils, focus."""
 
 from __future__ import annotations
 
@@ -28,10 +28,9 @@ class Paraxial:
     sensor_to_entrance_pupil_mm : float
         The paper's delta.
     in_focus_mm : float
-        Distance, from the entrance pupil, that is sharp on the sensor; inf when focused at infinity.
+        Distance from the entrance pupil that is in focus on the sensor; inf when focused at infinity.
     pinhole_distance_mm : float
-        F: distance of the pinhole, put into the entrance pupil, from an image plane of the sensor's scale; fx
-        = F / mu.
+        F: distance of a pinhole in the entrance pupil from an image plane of the sensor's scale; fx = F / mu.
     """
 
     focal_length_mm: float
@@ -48,7 +47,7 @@ class Paraxial:
 
 
 def _matrix(lens: Prescription, wavelength_um: float, first: int, last: int) -> np.ndarray:
-    """Matrix on (height, n * slope) from just before surface ``first`` to just behind ``last - 1``."""
+    """Compute the matrix on (height, n * slope) from before surface ``first`` to behind ``last - 1``."""
     n = lens.indices(wavelength_um)
     m = np.eye(2)
     for i in range(first, last):
@@ -60,7 +59,7 @@ def _matrix(lens: Prescription, wavelength_um: float, first: int, last: int) -> 
 
 
 def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Paraxial:
-    """Trace the lens paraxially.
+    """Compute the first-order data of a lens.
 
     Parameters
     ----------
@@ -75,8 +74,7 @@ def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Parax
     Raises
     ------
     InputError
-        The lens has no power, or its stop is imaged to infinity by either half, or the sensor lies inside the
-        focus.
+        The lens has no power, or its stop is imaged to infinity by either half, or the sensor lies inside the focus.
     """
     wave = lens.wavelengths_um[1] if wavelength_um is None else wavelength_um
     n, stop, count = lens.indices(wave), lens.stop_index, len(lens.surfaces)
@@ -96,13 +94,13 @@ def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Parax
         raise InputError(
             f"the stop of lens {lens.name!r} cannot be reached: it lies in a focus of the lens in front or behind"
         )
-    # The entrance pupil is where rays through the stop's centre meet the axis in object space: A y + B u = 0.
+    # Rays through the stop's centre meet the axis in object space at the entrance pupil: A y + B u = 0.
     entrance = front[0, 1] / front[0, 0]
     exit_from_last = -rear[0, 1] / rear[1, 1]
     radius = lens.surfaces[stop].semi_diameter_mm
     in_focus = _conjugate(lens.sensor_gap_mm, whole, lens.name)
     gap = lens.sensor_gap_mm
-    # A chief ray of object slope 1 through the entrance pupil arrives at this height on the sensor (upright).
+    # Height and slope, behind the lens, of a chief ray of object slope 1.
     after = whole @ np.array([-entrance, 1.0])
     return Paraxial(
         focal_length_mm=float(focal),
@@ -120,7 +118,7 @@ def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Parax
 
 
 def _conjugate(gap: float, whole: np.ndarray, name: str) -> float:
-    """Distance in front of the first vertex that is imaged at ``gap`` behind the last."""
+    """Compute the distance in front of the first vertex that is imaged at ``gap`` behind the last."""
     a, b, c, d = whole[0, 0], whole[0, 1], whole[1, 0], whole[1, 1]
     # (1 gap; 0 1) whole (1 s; 0 1) has no height-from-slope term: (a + gap c) s + b + gap d = 0.
     denominator = a + gap * c
@@ -136,7 +134,7 @@ def _conjugate(gap: float, whole: np.ndarray, name: str) -> float:
 
 
 def focused_at(lens: Prescription, distance_mm: float) -> Prescription:
-    """Move the sensor so that a distance is paraxially sharp.
+    """Move the sensor so that a distance is in focus paraxially.
 
     Parameters
     ----------
@@ -151,7 +149,7 @@ def focused_at(lens: Prescription, distance_mm: float) -> Prescription:
     Raises
     ------
     InputError
-        Too close: nothing nearer than four focal lengths, object to image, can be sharp.
+        Too close: object and image are at least four focal lengths apart.
     """
     data = paraxial(replace(lens, sensor_gap_mm=1e6))
     f = data.focal_length_mm

@@ -6,7 +6,7 @@ of Eq. (5): for a thin lens, F = z_if = f z_of / (z_of - f) by Eq. (2), and
 
     c = 2 r = f D (z_od - z_of) / (z_od (z_of - f)),      d = beta c / (2 mu)                  Eqs. (5), (6)
 
-Eq. (4) of the paper is misprinted: with (3) it would give (5) with z_od and z_of exchanged and the sign reversed. What
+Eq. (4) of the paper is misprinted: with (3) it leads to (5) with z_od and z_of exchanged and the sign reversed. What
 its Figure 1 shows is 1/z_of + 1/(z_id (1 + c/D)) = 1/f, from which (5) follows.
 """
 

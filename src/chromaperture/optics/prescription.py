@@ -1,4 +1,4 @@
-"""Lens prescriptions: surfaces, glasses and apertures as data, shipped or from a TOML file of one's own."""
+"""Lens prescriptions: surfaces, glasses and apertures as data, shipped or from a user's TOML file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ import numpy as np
 
 from chromaperture.errors import InputError
 
-_LINE_F, _LINE_D, _LINE_C = 0.4861, 0.5876, 0.6563  # um
+_LINE_F, _LINE_D, _LINE_C = 0.4861, 0.5876, 0.6563  # um, Fraunhofer lines that define the Abbe number
+_WAVELENGTHS_UM = (0.605, 0.540, 0.465)  # R, G, B: about the peaks of a Bayer sensor; chosen by hand, not tuned
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Surface:
     coefficients : tuple of float
         Even asphere: factors of r^4, r^6, ... in mm.
     role : str
-        ``""``, ``"stop"``, or ``"filter"`` for a plane that only carries the colour filters.
+        ``""``, ``"stop"``, or ``"filter"`` for a plane that only holds the colour filters.
     """
 
     radius_mm: float = math.inf
@@ -49,7 +50,7 @@ class Surface:
     role: str = ""
 
     def index(self, wavelength_um: float) -> float:
-        """Refractive index: Cauchy's two terms through ``index_d`` and ``abbe``."""
+        """Compute the refractive index by Cauchy's two terms from ``index_d`` and ``abbe``."""
         if math.isinf(self.abbe):
             return self.index_d
         slope = (self.index_d - 1) / self.abbe / (_LINE_F**-2 - _LINE_C**-2)
@@ -63,9 +64,9 @@ class Prescription:
     Attributes
     ----------
     name, title, source : str
-        Identifier, what a person calls it, where the figures come from.
+        Identifier, title for people, source of the figures.
     surfaces : tuple of Surface
-        From the scene to the sensor.
+        In order from the scene to the sensor.
     sensor_gap_mm : float
         Last vertex to sensor: the focus setting.
     wavelengths_um : tuple of float
@@ -81,7 +82,7 @@ class Prescription:
 
     @property
     def vertices_mm(self) -> np.ndarray:
-        """(N,) float64: where each surface meets the axis, from the first vertex."""
+        """(N,) float64: vertex of each surface on the axis, from the first one."""
         return np.concatenate([[0.0], np.cumsum([s.thickness_mm for s in self.surfaces[:-1]])])
 
     @property
@@ -91,12 +92,12 @@ class Prescription:
 
     @property
     def stop_index(self) -> int:
-        """Number of the surface that is the stop."""
+        """Index of the surface that is the stop."""
         return next(i for i, s in enumerate(self.surfaces) if s.role == "stop")
 
     @property
     def filter_index(self) -> int:
-        """Number of the surface that carries the colour filters: the stop, or a filter plane put in."""
+        """Index of the surface with the colour filters: a separate filter plane, or else the stop."""
         return next((i for i, s in enumerate(self.surfaces) if s.role == "filter"), self.stop_index)
 
     def indices(self, wavelength_um: float) -> np.ndarray:
@@ -105,13 +106,13 @@ class Prescription:
 
 
 def lens_names() -> list[str]:
-    """Names of the prescriptions that come with the package."""
+    """List the prescriptions that come with the package."""
     folder = resources.files("chromaperture.optics") / "prescriptions"
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
 
 
 def load_lens(name_or_path: str | Path) -> Prescription:
-    """Give a lens that comes with the package by its name, or one of your own from a TOML file.
+    """Load a lens of the package by its name, or a user's from a TOML file.
 
     Raises
     ------
@@ -180,7 +181,7 @@ def lens_from_dict(data: Mapping[str, Any], *, name: str) -> Prescription:
                 role="stop" if row.get("stop", False) else "",
             )
         )
-    waves = tuple(float(w) for w in data.get("wavelengths_um", (0.605, 0.540, 0.465)))
+    waves = tuple(float(w) for w in data.get("wavelengths_um", _WAVELENGTHS_UM))
     if len(waves) != 3:
         raise InputError(f"lens {name!r}: wavelengths_um needs three values, for R, G and B")
     if "sensor_gap_mm" not in data:
@@ -198,7 +199,7 @@ def lens_from_dict(data: Mapping[str, Any], *, name: str) -> Prescription:
 
 
 def checked_lens(lens: Prescription) -> Prescription:
-    """Check a prescription and give it back; raises InputError as `lens_from_dict` says."""
+    """Validate a prescription and return it; raises InputError like `lens_from_dict`."""
     stops = [s for s in lens.surfaces if s.role == "stop"]
     if len(stops) != 1:
         raise InputError(f"lens {lens.name!r} has {len(stops)} stops: mark exactly one surface with stop = true")
@@ -226,13 +227,12 @@ def with_filter_at(lens: Prescription, offset_mm: float) -> Prescription:
     ----------
     lens : Prescription
     offset_mm : float
-        + towards the sensor; in front of the first vertex is allowed, as for film laid on a smartphone's
-        lens.
+        + towards the sensor; in front of the first vertex is allowed, as for film on a smartphone's lens.
 
     Returns
     -------
     Prescription
-        With a plane that carries the filters; pupil coordinates stay in units of the stop's radius.
+        With an added filter plane; pupil coordinates stay in units of the stop's radius.
 
     Raises
     ------

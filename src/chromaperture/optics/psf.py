@@ -1,7 +1,7 @@
 """Geometric point-spread functions: the scaled shadow of the aperture, per sensor channel.
 
-A point with signed blur radius r is seen in channel k as the copy A_k(x / r), upright beyond focus (r > 0)
-and turned by 180 degrees before it (r < 0).
+The image of a point with signed blur radius r in channel k is A_k(x / r), upright beyond focus (r > 0) and turned by
+180 degrees before it (r < 0).
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.pupil_samples import pupil_samples
 
-_LARGEST_KEPT = 500_000  # px; 48 of these are 600 MB, and a video of VGA frames needs about 30
-_CELLS = 128  # across the pupil; the disc's second moment is then right to 1e-4
+_LARGEST_KEPT = 500_000  # px, of cached transfer functions: 48 of these are 600 MB; VGA video needs about 30
+_CELLS = 128  # across the pupil; the disc's second moment is then accurate to 1e-4
 
 
 @lru_cache(maxsize=16)
 def _mask(aperture: Aperture) -> tuple[np.ndarray, np.ndarray]:
-    """Cell midpoints along an axis and the aperture's normalised light in them; (n,), (3, n, n)."""
+    """Compute cell midpoints along an axis and the aperture's normalised light in the cells; (n,), (3, n, n)."""
     axis = (np.arange(_CELLS) + 0.5) * 2 / _CELLS - 1
     points, light = pupil_samples(aperture, _CELLS, 4)
     column, row = (np.clip(np.floor((points + 1) / 2 * _CELLS).astype(int), 0, _CELLS - 1)).T
@@ -31,10 +31,9 @@ def _mask(aperture: Aperture) -> tuple[np.ndarray, np.ndarray]:
 
 
 def geometric_otf(aperture: Aperture, radius_px: float, shape: tuple[int, int], *, pixel: bool = False) -> np.ndarray:
-    """Optical transfer function on the frequencies of `numpy.fft.rfft2`.
+    """Compute the optical transfer function on the frequencies of `numpy.fft.rfft2`.
 
-    Built from the mask itself, not by drawing a small kernel: at two pixels' radius drawing moves the
-    centroid by 2 %.
+    From the mask itself, not from a rasterised kernel: at a radius of 2 px rasterising moves the centroid by 2 %.
 
     Parameters
     ----------
@@ -42,14 +41,13 @@ def geometric_otf(aperture: Aperture, radius_px: float, shape: tuple[int, int], 
     radius_px : float
         Signed blur radius r.
     shape : (int, int)
-        Height and width of the image it is to be multiplied with.
+        Height and width of the image to filter.
     pixel : bool
         Multiply by the transfer function of the pixel's square area.
 
     Returns
     -------
-    (3, h, w // 2 + 1) complex64; 1 at frequency 0 (0 for a channel without light). Shared: do not write into
-    it.
+    (3, h, w // 2 + 1) complex64, read-only; 1 at frequency 0 (0 for a channel without light)
     """
     if shape[0] * shape[1] <= _LARGEST_KEPT:
         return _kept_otf(aperture, float(radius_px), shape, pixel)
@@ -62,7 +60,7 @@ def _otf(aperture: Aperture, radius_px: float, shape: tuple[int, int], pixel: bo
     fx = np.fft.rfftfreq(shape[1])
     rows = np.exp(-2j * np.pi * radius_px * np.outer(fy, axis)).astype(np.complex64)
     columns = np.exp(-2j * np.pi * radius_px * np.outer(axis, fx)).astype(np.complex64)
-    # Cells are squares of side 2 r / n on the image: their own transfer function replaces a sum of points.
+    # Cells are squares of side 2 r / n on the image: multiply by the transfer function of a square.
     cell = np.outer(np.sinc(2 * radius_px / _CELLS * fy), np.sinc(2 * radius_px / _CELLS * fx))
     if pixel:
         cell = cell * np.outer(np.sinc(fy), np.sinc(fx))
@@ -75,7 +73,7 @@ _kept_otf = lru_cache(maxsize=48)(_otf)
 
 
 def geometric_psf(aperture: Aperture, radius_px: float, size: int, *, oversampling: int = 1) -> np.ndarray:
-    """Point-spread functions integrated over pixels, centred in an odd square.
+    """Compute point-spread functions integrated over pixels, centred in an odd square.
 
     Parameters
     ----------
@@ -85,7 +83,7 @@ def geometric_psf(aperture: Aperture, radius_px: float, size: int, *, oversampli
     size : int
         Side of the result in px, odd, more than twice the radius.
     oversampling : int
-        Samples per pixel, odd. Pixels themselves move a small blur's centroid: at r = 2 px by 2 %.
+        Samples per pixel, odd. Whole pixels move a small blur's centroid, at r = 2 px by 2 %.
 
     Returns
     -------
@@ -102,7 +100,7 @@ def geometric_psf(aperture: Aperture, radius_px: float, size: int, *, oversampli
     axis, mask = _mask(aperture)
     edges = (np.arange(size * oversampling + 1) - size * oversampling / 2) / oversampling
     half = max(abs(radius_px) / _CELLS, 1e-9)
-    # Share of each cell, a square on the image, in every sample: exact in x and y apart.
+    # Overlap of each cell, a square on the image, with every sample, separately in x and y.
     covered = np.clip((edges[:, None] - radius_px * axis) / (2 * half) + 0.5, 0, 1)
-    share = np.diff(covered, axis=0)
-    return share @ mask @ share.T
+    overlap = np.diff(covered, axis=0)
+    return overlap @ mask @ overlap.T

@@ -1,4 +1,4 @@
-"""An aperture as weighted points of the pupil, fine enough for shapes with straight and curved rims."""
+"""An aperture as weighted points of the pupil."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from chromaperture.optics.aperture import Aperture
 
 @lru_cache(maxsize=64)
 def pupil_samples(aperture: Aperture, cells: int, supersampling: int = 8) -> tuple[np.ndarray, np.ndarray]:
-    """Cells of a square grid over the pupil, each with the light that passes it.
+    """Sample the pupil by the cells of a square grid, each with the light that passes it.
 
-    Every cell averages finer midpoints, so that a rim that cuts it counts by its share; an even count puts a
-    split along an axis between cells.
+    Every cell averages finer midpoints, so that a cell cut by a rim is weighted by its area; with an even count a
+    division along an axis lies between cells.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def pupil_samples(aperture: Aperture, cells: int, supersampling: int = 8) -> tup
     points : (S, 2) float64
         Centre of the part of each cell inside the pupil, pupil radii.
     weights : (S, 3) float64
-        Share of the open pupil's light in R, G, B; over all cells they sum to the channel transmissions.
+        Fraction of the open pupil's light in R, G, B; over all cells they sum to the channel transmissions.
     """
     fine = cells * supersampling
     axis = (np.arange(fine) + 0.5) * 2 / fine - 1

@@ -125,18 +125,18 @@ def lens_rays(
     longer = max(width_px, height_px)
     gx, gy = (max(3, round(nodes * side / longer)) for side in (width_px, height_px))
     x_px, y_px = np.linspace(0, width_px - 1, gx), np.linspace(0, height_px - 1, gy)
-    fields = np.stack(
+    image_mm = np.stack(
         np.meshgrid((x_px - (width_px - 1) / 2) * pixel_pitch_mm, (y_px - (height_px - 1) / 2) * pixel_pitch_mm),
         axis=-1,
     ).reshape(-1, 2)
 
     unit = _open_light(lens, data, cells)
-    light = lens_light(lens, aperture, fields, data=data, cells=cells) / unit
-    bundles = [lens_bundle(lens, fields, wavelength_um=w, data=data, cells=cells) for w in lens.wavelengths_um]
+    light = lens_light(lens, aperture, image_mm, data=data, cells=cells) / unit
+    bundles = [lens_bundle(lens, image_mm, wavelength_um=w, data=data, cells=cells) for w in lens.wavelengths_um]
     used = light.any(axis=(0, 1))
-    chief = chief_rays(lens, fields, data=data)
+    chief = chief_rays(lens, image_mm, data=data)
     origin, slope = (
-        np.stack([_filled(bundle[i][:, used], chief[:, 2 * i : 2 * i + 2], fields) for bundle in bundles])
+        np.stack([_filled(bundle[i][:, used], chief[:, 2 * i : 2 * i + 2], image_mm) for bundle in bundles])
         for i in range(2)
     )
     return RayTable(
@@ -152,7 +152,7 @@ def lens_rays(
     )
 
 
-def _filled(rays: np.ndarray, chief: np.ndarray, fields: np.ndarray) -> np.ndarray:
+def _filled(rays: np.ndarray, chief: np.ndarray, image_mm: np.ndarray) -> np.ndarray:
     """Extrapolate rays that miss the glass from the nearest image point, for the interpolation; (P, S, 2).
 
     They carry no light. Their difference from the chief ray is copied.
@@ -160,7 +160,7 @@ def _filled(rays: np.ndarray, chief: np.ndarray, fields: np.ndarray) -> np.ndarr
     rays = rays - chief[:, None]
     for s in np.flatnonzero(np.isnan(rays).any(axis=(0, 2))):
         missing = np.isnan(rays[:, s, 0])
-        apart = ((fields[missing, None] - fields[None, ~missing]) ** 2).sum(axis=-1)
+        apart = ((image_mm[missing, None] - image_mm[None, ~missing]) ** 2).sum(axis=-1)
         rays[missing, s] = rays[~missing, s][apart.argmin(axis=1)]
     return rays + chief[:, None]
 

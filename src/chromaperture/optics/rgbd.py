@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 
 from chromaperture.errors import InputError
+from chromaperture.optics.textures import srgb_to_linear
 
-_UNKNOWN = (0, 65535)  # what depth cameras write where they saw nothing
+_UNKNOWN = (0, 65535)  # counts of unknown depth, as depth cameras write it
 
 
 def read_rgbd(
@@ -26,7 +27,7 @@ def read_rgbd(
     depth_unit_mm : float
         Millimetres a count.
     sensor_to_pupil_mm : float
-        Added to the depth: depth cameras measure from their pinhole, we from the sensor plane.
+        Added to the depth: depth cameras measure from their pinhole, this package from the sensor plane.
 
     Returns
     -------
@@ -47,7 +48,7 @@ def read_rgbd(
     white = 255.0 if color.dtype == np.uint8 else 65535.0
     value = color[..., ::-1].astype(np.float32) / np.float32(white)
     if color.dtype == np.uint8:
-        value = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)  # sRGB
+        value = srgb_to_linear(value)
     known = ~np.isin(depth, _UNKNOWN)
     depth_mm = np.where(known, depth * np.float32(depth_unit_mm) + np.float32(sensor_to_pupil_mm), np.nan)
     return np.ascontiguousarray(value, np.float32), depth_mm.astype(np.float32)

@@ -1,4 +1,4 @@
-"""Worlds to photograph: textured planes in the camera frame, made in code or read from a short TOML file."""
+"""Scenes for the renderer: textured planes in the camera frame, made in code or read from a short TOML file."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def plane(
     width_mm: float,
     tilt_deg: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Plane:
-    """Put a picture into the world.
+    """Place a picture in the scene.
 
     Parameters
     ----------

@@ -23,9 +23,9 @@ class SensorModel:
     read_noise_electrons : float
         Standard deviation.
     black_level, white_level : int
-        Counts for no light and for 1.0.
+        Counts at no light and at 1.0.
     bits : int
-        Counts are cut at 2^bits - 1.
+        Counts are clipped at 2^bits - 1.
     """
 
     full_well_electrons: float = 5000.0
@@ -44,7 +44,7 @@ class SensorModel:
 
 
 def expose(image: np.ndarray, sensor: SensorModel, *, seed: int, exposure: float = 1.0) -> np.ndarray:
-    """Photograph linear light.
+    """Simulate the counts of an exposure to linear light.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def expose(image: np.ndarray, sensor: SensorModel, *, seed: int, exposure: float
     sensor : SensorModel
     seed : int
     exposure : float
-        Factor on the light; 1.0 times 1.0 reaches white level.
+        Factor on the light; light 1.0 at exposure 1.0 reaches white level.
 
     Returns
     -------
@@ -74,13 +74,13 @@ def expose(image: np.ndarray, sensor: SensorModel, *, seed: int, exposure: float
 
 
 def develop(counts: np.ndarray, sensor: SensorModel) -> np.ndarray:
-    """Turn counts back into linear light; (H, W, ...) float32, 1.0 = white level."""
+    """Convert counts to linear light; (H, W, ...) float32, 1.0 = white level."""
     span = np.float32(sensor.white_level - sensor.black_level)
     return (np.asarray(counts, np.float32) - np.float32(sensor.black_level)) / span
 
 
 def mosaic(image: np.ndarray, pattern: Pattern = "RGGB") -> np.ndarray:
-    """Keep one channel a pixel, as a Bayer sensor does.
+    """Keep one channel per pixel, as a Bayer sensor does.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ class Shape(Protocol):
     """A region of the pupil plane."""
 
     def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Tell which points lie inside; bool array of the shape of ``x``."""
+        """Test which points lie inside; bool array of the shape of ``x``."""
         ...
 
 
@@ -62,7 +62,7 @@ class Polygon:
     corners: tuple[tuple[float, float], ...]
 
     def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:  # noqa: D102 - see Shape
-        # Even-odd rule; points sorted by y, so that an edge meets only those beside it.
+        # Points are sorted by y, so that each edge is tested only against those in its range.
         order = np.argsort(y, axis=None)
         xs, ys = np.ravel(x)[order], np.ravel(y)[order]
         inside = np.zeros(xs.shape, bool)

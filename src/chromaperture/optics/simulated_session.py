@@ -1,4 +1,4 @@
-"""A calibration session photographed in the simulator, in the folder layout that ``calibrate`` reads."""
+"""A simulated calibration session, in the folder layout that ``calibrate`` reads."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ from chromaperture.optics.scene import Plane, plane
 from chromaperture.optics.sensor import SensorModel, expose
 from chromaperture.optics.shapes import Disc
 
-_WHITE_LEVEL = 0.9  # white paper reaches this in the brightest channel
+_WHITE_LEVEL = 0.9  # of white paper in the brightest channel: its noise does not clip
 _CORNERS, _SQUARE_MM = (9, 6), 30.0
+_PAPER_MM = 0.1  # thickness of the board
 
 
 @dataclass(frozen=True)
 class SessionPlan:
-    """What is photographed.
+    """Content of a session.
 
     Attributes
     ----------
@@ -37,7 +38,7 @@ class SessionPlan:
     tilts : int
         Tilted views of the board.
     ruler_error_mm : float
-        The board stands off the distance written down by up to this much.
+        Largest difference between the board's true distance and the recorded one.
     seed : int
     sensor : SensorModel
     """
@@ -59,21 +60,21 @@ def write_session(
     plan: SessionPlan,
     report: Callable[[str], None] = lambda name: None,
 ) -> None:
-    """Photograph a session.
+    """Render and write a session.
 
     Parameters
     ----------
     folder : Path
-        Becomes the session's folder; ``white`` and ``truth`` are written beside it.
+        The session's folder; ``white`` and ``truth`` are written beside it.
     aperture : Aperture
     camera : PupilCamera
-        For what the person at the camera knows, and for the true pupil.
+        For the facts in ``session.toml`` and the true pupil.
     rays : callable
-        Gives the ray table of the camera with any aperture in it.
+        Returns the ray table of the camera with an aperture.
     scenes : dict of str to planes
     plan : SessionPlan
     report : callable
-        Told the name of each file before it is made.
+        Called with the name of each file before it is rendered.
 
     Raises
     ------
@@ -111,12 +112,8 @@ def write_session(
         lines.append(f"{name},{distance:.0f}")
         stood[name] = true_mm
     for i in range(plan.tilts):
-        around = 2 * math.pi * i / max(plan.tilts, 1)
-        tilt = (18 * math.sin(around), 22 * math.cos(around), float(rng.uniform(-8, 8)))
-        distance = float(rng.uniform(0.85, 1.25)) * (2000 if math.isinf(camera.focus_mm) else camera.focus_mm)
-        side = 0.15 * distance * camera.width_px / camera.focal_px
-        center = (side * math.cos(1.7 * around), 0.6 * side * math.sin(around), distance)
-        photograph(folder / f"tilt/{i:02d}.png", render(table, wall(camera, center, tilt)), for_scene)
+        tilted = wall(camera, *_tilted_pose(i / max(plan.tilts, 1), camera, rng))
+        photograph(folder / f"tilt/{i:02d}.png", render(table, tilted), for_scene)
     for name, planes in scenes.items():
         photograph(folder / f"scene/{name}.png", render(table, planes), for_scene)
         depth = render_depth(table, planes)
@@ -127,9 +124,21 @@ def write_session(
     (truth / "camera.json").write_text(json.dumps(_truth(camera, aperture, stood), indent=1) + "\n", "utf-8")
 
 
+def _tilted_pose(
+    turn: float, camera: PupilCamera, rng: np.random.Generator
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Choose centre (mm) and tilt (degrees) of a board that leans round by turns; figures chosen by hand."""
+    around = 2 * math.pi * turn
+    tilt = (18 * math.sin(around), 22 * math.cos(around), float(rng.uniform(-8, 8)))
+    distance = float(rng.uniform(0.85, 1.25)) * (2000 if math.isinf(camera.focus_mm) else camera.focus_mm)
+    side = 0.15 * distance * camera.width_px / camera.focal_px
+    return (side * math.cos(1.7 * around), 0.6 * side * math.sin(around), distance), tilt
+
+
 def wall(camera: PupilCamera, center: Sequence[float], tilt_deg: Sequence[float]) -> list[Plane]:
-    """Build a wall of grey speckle that fills the picture, with a chessboard taped to its middle."""
-    far = center[2] + 400.0
+    """Build a wall of grey speckle that fills the picture, with a chessboard on its middle."""
+    far = center[2] + 400.0  # mm: reach of a tilted wall
+    # Half a pixel's footprint, but no finer than print at 100 dpi.
     texel = max(0.25, 0.5 * (center[2] - camera.sensor_to_pupil_mm) / camera.focal_px)
     width = 2.0 * far * camera.width_px / camera.focal_px
     shape = (round(width * camera.height_px / camera.width_px / texel), round(width / texel))
@@ -141,20 +150,20 @@ def wall(camera: PupilCamera, center: Sequence[float], tilt_deg: Sequence[float]
         plane(np.repeat(p[..., None], 3, axis=2), center_mm=center, width_mm=w, tilt_deg=tilt_deg) for p, w in pieces
     ]
     normal = np.cross(made[1].right, made[1].down)
-    front = made[1]  # the board lies on the wall, a sheet of paper before it
-    lifted = Plane(front.texture, front.center_mm - 0.1 * normal, front.right, front.down, front.texel_mm)
+    front = made[1]
+    lifted = Plane(front.texture, front.center_mm - _PAPER_MM * normal, front.right, front.down, front.texel_mm)
     return [made[0], lifted]
 
 
 def _sheets(aperture: Aperture) -> dict[str, Filter]:
-    """Full sheets of the film of two-filter designs, photographed for the unmixing."""
+    """List the sheets of film of two-filter designs, photographed for the unmixing."""
     names = {CYAN.name: "sheet_c", YELLOW.name: "sheet_y"}
     return {names[p.filter.name]: p.filter for p in aperture.parts if p.filter.name in names}
 
 
 def _session_toml(aperture: Aperture, camera: PupilCamera, plan: SessionPlan, relative: float) -> str:
     focused = "inf" if math.isinf(camera.focus_mm) else f"{round(camera.focus_mm, -2):.0f}"
-    return f"""# What the person at the camera knows. Nothing here was measured from the images.
+    return f"""# Facts known without the images; nothing here was measured from them.
 design = "{aperture.name}"            # {aperture.title}
 [sensor]
 width_px = {camera.width_px}

@@ -1,4 +1,4 @@
-"""Pictures to put on planes: noise of known statistics, chessboards, plain paper, files."""
+"""Textures of planes: noise of known statistics, chessboards, plain paper, files."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from chromaperture.errors import InputError
 def noise(
     shape: tuple[int, int], *, exponent: float, seed: int, mean: float = 0.45, contrast: float = 0.18
 ) -> np.ndarray:
-    """Gaussian noise with amplitudes falling as frequency^-exponent.
+    """Generate Gaussian noise with amplitudes that fall as frequency^-exponent.
 
     Parameters
     ----------
     shape : (int, int)
     exponent : float
-        0 white, 1 as photographs of nature have.
+        0 is white; natural photographs have about 1.
     seed : int
     mean, contrast : float
         Mean and standard deviation before clipping to [0.02, 0.98].
@@ -39,7 +39,7 @@ def noise(
 def chessboard(
     inner_corners: tuple[int, int], square_mm: float, texel_mm: float, *, margin_mm: float | None = None
 ) -> np.ndarray:
-    """Black and white chessboard with a white margin of one square, black in the top-left corner.
+    """Draw a chessboard with a white margin, its top-left square black.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def chessboard(
         Along x and y.
     square_mm, texel_mm : float
     margin_mm : float, optional
-        White rim; a square wide when absent.
+        One square when absent.
 
     Returns
     -------
@@ -92,5 +92,9 @@ def named(
         raise InputError(
             f"unknown texture {name!r}: choose plain, speckle, clouds, chessboard or a readable picture file"
         )
-    value = picture[..., ::-1].astype(np.float32) / 255
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)  # sRGB
+    return srgb_to_linear(picture[..., ::-1].astype(np.float32) / 255)
+
+
+def srgb_to_linear(encoded: np.ndarray) -> np.ndarray:
+    """Decode the sRGB curve (IEC 61966-2-1), float32; the simulator's own, independent of the estimator's."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4).astype(np.float32)
