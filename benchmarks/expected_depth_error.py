@@ -13,12 +13,12 @@ import json
 from dataclasses import replace
 
 import numpy as np
+from chromaperture.disparity.phase import phase_likelihood
+from chromaperture.disparity.semiglobal import LayerField
 
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
 from chromaperture.config import MatcherConfig, PhaseConfig
 from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.phase import phase_likelihood
-from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.disparity.winner import parabola_winner
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy

@@ -1,12 +1,12 @@
 """Where between two layers a wall lies: known offsets are asked back, and the whole optimiser must not lock."""
 
 import numpy as np
+from chromaperture.disparity.between_layers import between_layers
+from chromaperture.disparity.optimise import optimise_volume
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from chromaperture.config import OptimiserConfig
-from chromaperture.disparity.between_layers import between_layers
-from chromaperture.disparity.optimise import optimise_volume
 
 LAYERS_PX = np.arange(9) * 0.1 - 0.4
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chromaperture.disparity.semiglobal import LayerField
 
 import planes
 from chromaperture.config import CoarseConfig, MatcherConfig
 from chromaperture.disparity import coarse, coarse_kernels
 from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.errors import InputError
 from test_kernels import DESIGNS, capture, inputs_of
 

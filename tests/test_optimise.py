@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chromaperture.disparity.optimise import log_likelihood, match, optimise_volume, relative_scale, with_halves
+from chromaperture.disparity.reference import three_view_score
+from chromaperture.disparity.semiglobal import even_field, layer_field
 
 from chromaperture.config import MatcherConfig, OptimiserConfig
 from chromaperture.disparity import reference, semiglobal, semiglobal_kernels
 from chromaperture.disparity.error_bar import disparity_sigma
-from chromaperture.disparity.optimise import log_likelihood, match, optimise_volume, relative_scale, with_halves
-from chromaperture.disparity.reference import three_view_score
-from chromaperture.disparity.semiglobal import even_field, layer_field
 from chromaperture.disparity.views import MatchInputs
 from chromaperture.disparity.winner import Winner
 from chromaperture.errors import InputError

@@ -4,15 +4,15 @@ import cv2
 import numpy as np
 import pytest
 import scipy.fft
+from chromaperture.disparity.phase import phase_likelihood
+from chromaperture.disparity.phase_kernels import cross_filter
+from chromaperture.disparity.semiglobal import LayerField
+from chromaperture.disparity.tiles import Nodes, signal_share
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from chromaperture.config import MatcherConfig, PhaseConfig
 from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.phase import phase_likelihood
-from chromaperture.disparity.phase_kernels import cross_filter
-from chromaperture.disparity.semiglobal import LayerField
-from chromaperture.disparity.tiles import Nodes, signal_share
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil

@@ -6,10 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
-from chromaperture.config import MatcherConfig
 from chromaperture.disparity.reference import (
     exponential_window,
     recursive_bilateral,
@@ -18,6 +14,10 @@ from chromaperture.disparity.reference import (
     texture_weights,
     three_view_score,
 )
+from hypothesis import given
+from hypothesis import strategies as st
+
+from chromaperture.config import MatcherConfig
 from chromaperture.disparity.views import MatchInputs, smooth
 from chromaperture.disparity.winner import parabola_winner
 
