@@ -61,7 +61,7 @@ class CodedApertureCamera:
     config : Config, optional
         Searches the calibration's working range at real-time quality when absent.
     execution : {"numba", "numpy"}
-        Compiled, or readable and slow.
+        Of the matcher: compiled, or readable and slow.
     """
 
     def __init__(
