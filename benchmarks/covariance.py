@@ -23,6 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import calibrate_session
+from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, made_of
@@ -120,7 +121,7 @@ def main() -> None:
         scratch = Path(tempfile.mkdtemp())
         try:
             render(scratch / "cy_halves", seed, args.width, args.boards)
-            calibration = calibrate_session(scratch / "cy_halves", lens_blur=False).calibration
+            calibration = calibrate_session(scratch / "cy_halves", CalibrationConfig(lens_blur=False)).calibration
             for quality, found in models.items():
                 found.append(calibration.on_axis(quality))
             print(f"session {seed} calibrated", file=sys.stderr, flush=True)

@@ -10,6 +10,7 @@ import pytest
 import tifffile
 
 from chromaperture.calibration.calibrate_session import calibrate_session, leave_one_out
+from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.chessboard import board_distance, board_points, centered_pinhole, fit_intrinsics
 from chromaperture.calibration.curves import weaknesses
 from chromaperture.calibration.fit_curve import fit_depth_model
@@ -17,7 +18,8 @@ from chromaperture.camera_file import Calibration
 from chromaperture.errors import InputError
 from planes import capture, texture
 
-calibrated = partial(calibrate_session, lens_blur=False)  # these boards are shifted views, nothing blurred them
+SHARP = CalibrationConfig(lens_blur=False)
+calibrated = partial(calibrate_session, config=SHARP)  # these boards are shifted views, nothing blurred them
 A, B, DELTA = 4.3, 8200.0, 52.0
 RULERS = (1150, 1400, 1800, 2300, 3000)
 
@@ -117,15 +119,15 @@ def test_a_board_off_its_ruler_is_named_and_left_out(session, tmp_path):
     result = calibrated(copy_with(session, tmp_path, distances__csv="file,ruler_mm\n" + rows))
     assert list(result.outliers) == ["1800.png"]
     assert any("1800.png" in note and "off its ruler" in note for note in result.notes)
-    assert result.evidence.believed.sum() == len(RULERS) - 1
+    assert result.evidence.used.sum() == len(RULERS) - 1
     assert result.calibration.in_focus_mm == pytest.approx(B / A + DELTA, abs=20)  # four boards are left
 
 
 def test_boards_on_one_side_of_the_focus_leave_it_weak(session):
     whole = calibrated(session)
-    assert weaknesses(whole.evidence, whole.fits) == [n for n in whole.notes if "in-focus" in n]
-    far = replace(whole.evidence, believed=np.array([r > 1970 for r in RULERS]))
-    near = replace(whole.evidence, believed=np.array([r < 1900 for r in RULERS]))
+    assert weaknesses(whole.evidence, whole.fits) == tuple(n for n in whole.notes if "in-focus" in n)
+    far = replace(whole.evidence, used=np.array([r > 1970 for r in RULERS]))
+    near = replace(whole.evidence, used=np.array([r < 1900 for r in RULERS]))
     assert any("beyond the focus" in text and "nearer" in text for text in weaknesses(far, whole.fits))
     assert any("nearer than the focus" in text for text in weaknesses(near, whole.fits))
 
@@ -159,7 +161,8 @@ def test_what_was_kept_and_is_damaged_is_measured_again(session, tmp_path):
 
 def test_curves_free_at_every_place_stay_near_the_smooth_ones(session):
     """This world's fields are flat: what is free must find nothing, within what its ridge and boards leave of noise."""
-    smooth, free = (calibrated(session, per_pixel=choice).calibration.depth for choice in (False, True))
+    options = (SHARP, replace(SHARP, per_pixel=True))
+    smooth, free = (calibrated(session, config=option).calibration.depth for option in options)
     for quality in ("paper", "real-time"):
         assert smooth[quality].local is None
         local = free[quality].local

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from chromaperture.camera_file import FORMAT_VERSION, Calibration, Film, Lens, Sensor
+from chromaperture.camera_file import FORMAT_VERSION, Calibration, CameraSensor, Film, Lens
 from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.errors import InputError
 from chromaperture.products.samples import SAMPLES, sample_camera
@@ -24,7 +24,7 @@ def make_calibration(shape=None, **changes):
     depth = DepthField(np.array(infinity), np.array(scale), 49.5, np.diag([1e-4, 900.0, 4.0]), local=local)
     calibration = Calibration(
         design="cy_halves",
-        sensor=Sensor(9, 6, 0.031, 16.0, 1016.0, 5000.0, 4.0),
+        sensor=CameraSensor(9, 6, 0.031, 16.0, 1016.0, 5000.0, 4.0),
         lens=Lens(50.3, np.array([[1668.0, 0, 4.0], [0, 1668.0, 2.5], [0, 0, 1]]), np.array([-0.1, 0, 0, 0, 0.0]), 2.0),
         film=Film(
             {"cyan": np.array([0.09, 0.57, 0.59]), "yellow": np.array([0.83, 0.76, 0.09])},

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from chromaperture.depth.conversion import DepthModel, depth_by_formulas, disparity_to_depth
+from chromaperture.depth.conversion import DepthModel, depth_and_sigma, disparity_to_depth
 from chromaperture.depth.nonlinearity import Nonlinearity
 
 SHAPE = (9, 13)
@@ -50,7 +50,7 @@ def test_kernel_and_formulas_agree(seed, maps, known, curved, doubted, single, s
     if sigma_is_map:
         sigma[0, -1] = np.nan
     with np.errstate(all="ignore"):  # the formulas divide by what is not there
-        depth, error = depth_by_formulas(disparity, model, sigma, max_depth_mm=9000.0)
+        depth, error = depth_and_sigma(disparity, sigma, model, max_depth_mm=9000.0)
     found, found_error = disparity_to_depth(disparity, model, sigma, max_depth_mm=9000.0)
     assert found.dtype == found_error.dtype == np.float32
     # Both calculate in double precision and round once: one last place of float32 apart, 1.2e-7, at the most; the error
