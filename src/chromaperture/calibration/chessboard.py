@@ -12,14 +12,14 @@ from chromaperture.errors import InputError
 from chromaperture.optics.pinhole import centered_pinhole
 
 MIN_VIEWS = 4  # two determine the pinhole, more average its errors; chosen by hand
-_PERFECT_PX = 0.01  # reprojection error below which models are not told apart: corners are never better
+_PERFECT_PX = 0.01  # reprojection error below which models are equally good: corners are never better
 _CONTRAST_PERCENTILES = (0.5, 99.5)  # of the picture, set to black and white before the search; chosen by hand
 _START_FOCAL = 1.2  # focal length over the longer side of the frame: the start of the fit
 _THOROUGH = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SQUARE_PX = (24, 60)  # second search: smallest squares it gets, by enlarging, and those it need not enlarge
 # A small board in the middle of the frame determines neither the principal point nor high orders of distortion: free
 # parameters diverge together (centre 47 px off at 0.11 px rms) and bias the focal length. A model with more parameters
-# (their number stands beside it) is used only where Schwarz's information criterion prefers it.
+# (their number is beside it) is used only where Schwarz's information criterion prefers it.
 _CENTERED = (
     cv2.CALIB_USE_INTRINSIC_GUESS
     | cv2.CALIB_FIX_PRINCIPAL_POINT

@@ -29,7 +29,7 @@ from chromaperture.threads import parallel_map
 
 NAMES = tuple(f.name for f in fields(BlurModel))
 
-# Chosen by hand, not tuned, unless a reason stands beside it.
+# Chosen by hand, not tuned, unless a reason is given.
 _CORE_PX = 72  # side of a tile's core: tiles must get close to the frame's border, where aberrations are largest
 _BLUR_ROOM = (2.2, 12)  # around the core: so many times the blur of infinity, which near boards seldom exceed, and px
 _FEW_TILES = 45  # of the first two fits
@@ -90,7 +90,7 @@ def fit_blur(
     Parameters
     ----------
     boards : iterable of ((H, W, 3) float32, float)
-        Linear photographs and 1 / z of the board in them, z from the entrance pupil in mm. Read once, one at a time.
+        Linear photographs and 1 / z of their board, z from the entrance pupil in mm. Iterated over once.
     start : FieldBlur
         Focus and scale to 20 %; aberrations may be 0.
     board_count : int

@@ -23,7 +23,7 @@ _SMALLEST_PX = 1e-9  # residual scale of exact data, against division by 0
 _SAMPLES_A_TERM = 20  # least measurements for a coefficient of A; chosen by hand
 _TILES = 4  # across the frame: wider tiles find no more covariance, errors are not correlated farther than that
 _LEAST_LEFT = 0.05  # least of 1 - leverage, which errors are divided by the root of; chosen by hand
-_RIDGE_PX = 1.0  # prior of a coefficient of the nonlinearity, tenths of a px as a rule: only determines idle ones
+_RIDGE_PX = 1.0  # prior of a coefficient of the nonlinearity, tenths of a px as a rule: only determines unused ones
 
 
 def fit_depth_field(
@@ -103,8 +103,8 @@ def fit_depth_field(
             problem = _Problem(basis, standard_q, np.moveaxis(powers[..., 2:], -1, 0))
         weights = board_weight[:, None] ** 2 * robust
         normal, right = problem.normal(weights), problem.project(weights * np.where(known, disparity, 0.0)).sum(axis=0)
-        idle = np.arange(2 * count, len(normal))
-        normal[idle, idle] += board_weight.mean() ** 2 / _RIDGE_PX**2
+        own = np.arange(2 * count, len(normal))
+        normal[own, own] += board_weight.mean() ** 2 / _RIDGE_PX**2
         solution = np.linalg.lstsq(normal, right, rcond=None)[0]
         residual = disparity - problem.predict(solution)
         relative = np.abs(residual) * board_weight[:, None]

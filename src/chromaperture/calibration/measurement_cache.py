@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import io
 import os
-import shutil
 import zipfile
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
@@ -48,8 +47,3 @@ class Store:
                 np.savez(file, allow_pickle=False, **arrays)
             os.replace(part, path)
         return arrays
-
-    def clear(self) -> None:
-        """Delete the folder."""
-        if self.folder is not None:
-            shutil.rmtree(self.folder, ignore_errors=True)

@@ -49,7 +49,7 @@ def rendered_nonlinearity(
     camera : Calibration
     session : Session
     evidence : Evidence
-        Distances of the session's boards, and which to use; rendered ones stand between the nearest and the farthest.
+        Distances of the session's boards, and which to use; rendered ones lie between the nearest and the farthest.
     config : CalibrationConfig
     store : Store, optional
         Cache of the measurements.

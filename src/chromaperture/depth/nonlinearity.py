@@ -45,7 +45,7 @@ class Nonlinearity:
         if not self.high_px > self.low_px:
             raise InputError(f"nonlinearity over an empty range {self.low_px:g}..{self.high_px:g} px")
         if self.is_folded:
-            raise InputError("the matcher's nonlinearity turns back: photograph more boards, evenly spread")
+            raise InputError("the matcher's nonlinearity turns back: photograph more boards, evenly spaced")
 
     @property
     def is_folded(self) -> bool:
