@@ -84,7 +84,7 @@ def test_boards_without_texture_are_refused():
 
 
 class Boards:
-    """As much of a session as the blur's fit looks at."""
+    """The part of a session that the fit of the blur uses."""
 
     def __init__(self, count):
         made = list(boards())[:count]

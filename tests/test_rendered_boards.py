@@ -1,4 +1,4 @@
-"""Boards computed from a lens's blur tell what a shift matcher reads beside the shift."""
+"""Boards rendered with the blur of a lens determine the nonlinearity of shift matching."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def photograph(inverse_mm, seed):
 
 
 class Session:
-    """As much of a session as the rendering looks at."""
+    """The part of a session that rendering uses."""
 
     boards = dict.fromkeys(range(len(Z_MM)))
 
