@@ -1,10 +1,10 @@
-"""Score a calibration by the boards themselves, each measured by a camera that never saw it.
+"""Score a calibration by its boards, each measured by a camera calibrated without it.
 
     python benchmarks/calibration.py --data FOLDER [--designs ...] [--quality paper real-time accurate] [--json]
 
-FOLDER holds one session folder a design, white/, and, where the lens is known, truth/lens.json. Shares are of ALL
-pixels of the frame; a bias is the median over the frame of measured minus true distance. "True" is ruler and pose
-together; the same against the ruler alone is printed beside it (a ruler that errs by 3 mm adds up to 0.3 % at 1 m).
+FOLDER holds a session folder for each design, white/, and, where the lens is known, truth/lens.json. Fractions are of
+all pixels of the frame; a bias is the median over the frame of measured minus true distance. "True" is ruler and pose
+together; the bias against the ruler alone is printed beside it (a ruler error of 3 mm is 0.3 % at 1 m).
 """
 
 from __future__ import annotations
@@ -15,19 +15,21 @@ import tempfile
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session, leave_one_out
 from chromaperture.camera import CodedApertureCamera, default_config
 from chromaperture.camera_file import Calibration
 from chromaperture.config import Quality
+from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.depth.field import DepthField
 
-FLAT_MM = 2500.0
+FLAT_MM = 2500.0  # board whose flatness is measured: beyond the focus, inside the range
 
 
 def leave_one_out_table(result: CalibrationResult, quality: Quality, *, only: int | None = None) -> list[dict]:
-    """Bias, spread and share within 2 % of every board, whole frame, by a camera fitted without it."""
+    """Bias and fractions within 1 and 2 % of every board, whole frame, by a camera calibrated without it."""
     session, rows = result.session, []
     distances = result.evidence.from_sensor_mm
     for i, path in enumerate(session.boards):
@@ -57,8 +59,6 @@ def flatness(result: CalibrationResult, quality: Quality) -> dict[str, float]:
 
     Depth of both is smoothed by a median of 25 px, so that the lens is compared and not the noise of single pixels.
     """
-    import cv2
-
     session = result.session
     rulers = np.array([*session.boards.values()])
     board = int(np.argmin(np.abs(rulers - FLAT_MM)))
@@ -68,8 +68,6 @@ def flatness(result: CalibrationResult, quality: Quality) -> dict[str, float]:
     camera = CodedApertureCamera(calibration, default_config(calibration, quality))
     frame = camera.measure(session.read(path))
     model = DepthField.constant(axis).model(calibration.sensor.width_px, calibration.sensor.height_px)
-    from chromaperture.depth.conversion import disparity_to_depth
-
     flat, _ = disparity_to_depth(frame.disparity_px, model)
 
     def rms(depth: np.ndarray) -> float:
@@ -127,7 +125,7 @@ def main() -> None:
 
 
 def geometry(result: CalibrationResult, data: Path) -> dict[str, float]:
-    """Lens as it was found, and how far that is from the truth where there is one."""
+    """Fitted lens, and its errors where the truth is known."""
     found = result.calibration.summary()
     figures = {name: float(found[name]) for name in ("focal_length_mm", "sensor_to_pupil_mm", "in_focus_mm")}
     figures["sensor_to_pupil_sigma_mm"] = result.evidence.distances.sigma_mm

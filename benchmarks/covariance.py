@@ -1,12 +1,12 @@
-"""Covariance of the calibrated parameters against their spread over simulated sessions.
+"""Covariance of the calibrated parameters against their scatter over simulated sessions.
 
     python benchmarks/covariance.py [--sessions 30] [--first 0] [--width 360] [--boards 10] [--quality paper real-time]
-        [--out spread.png] [--json]
+        [--out sessions.png] [--json]
 
-Every session is rendered anew: its boards stand elsewhere, so that their texture falls on other pixels and the curve is
-held at other places; noise and ruler errors are its own. Parameters are those of the middle of the frame, A, B, delta,
-the in-focus distance, and depth as the whole curve reads it at three disparities. The ratio is the standard deviation
-that a session states over the one found among sessions: 1 is honest, below 1 a session is too sure.
+Every session is rendered with its own board distances, so that textures fall on other pixels and the curve is fitted at
+other distances, and its own noise and ruler errors. Parameters are those of the middle of the frame, A, B, delta,
+the in-focus distance, and depth by the whole curve at three disparities. The ratio is the stated standard deviation
+over that among sessions: 1 is right, below 1 the stated one is too small.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import calibrate_session
+from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, made_of
@@ -45,11 +46,11 @@ def render(folder: Path, seed: int, width: int, boards: int) -> None:
     def rays(coded):
         return lens_rays(lens, coded, width_px=width, height_px=height, pixel_pitch_mm=pitch, cells=CELLS)
 
-    # Spread in 1 / z, each somewhere in its part of the range: what the curve cannot follow differs too. The nearest
-    # and the farthest hold the range itself: beyond them depth is extrapolated, and A and B mean another line.
+    # Distances are random within equal intervals of 1 / z, so that misfits of the curve differ between sessions. The
+    # nearest and the farthest are fixed: A and B depend on the range.
     rng = np.random.default_rng(seed)
-    share = np.r_[0, (np.arange(boards - 2) + rng.random(boards - 2)) / (boards - 2), 1]
-    stand = 1 / (1 / NEAR_MM + share * (1 / FAR_MM - 1 / NEAR_MM)) + rng.uniform(-JITTER_MM, JITTER_MM, boards)
+    fraction = np.r_[0, (np.arange(boards - 2) + rng.random(boards - 2)) / (boards - 2), 1]
+    stand = 1 / (1 / NEAR_MM + fraction * (1 / FAR_MM - 1 / NEAR_MM)) + rng.uniform(-JITTER_MM, JITTER_MM, boards)
     plan = replace(SessionPlan(), distances_mm=tuple(np.round(stand)), tilts=8, seed=seed)
     write_session(
         folder, aperture=made_of(DESIGNS["cy_halves"], "real"), camera=camera, rays=rays, scenes={}, plan=plan,
@@ -58,7 +59,7 @@ def render(folder: Path, seed: int, width: int, boards: int) -> None:
 
 
 def parameters(model: DepthModel, true: DepthModel | None) -> tuple[dict[str, float], dict[str, float]]:
-    """Values and stated standard deviations; depth is what the whole curve reads where ``true`` puts the probes."""
+    """Values and stated standard deviations; depths are taken at the disparities that ``true`` has at the probes."""
     a, b, delta = (float(v) for v in (model.infinity_disparity_px, model.scale_px_mm, model.sensor_to_pupil_mm))
     covariance = np.asarray(model.covariance, float)
     found = {"A_px": a, "B_px_mm": b, "delta_mm": delta, "in_focus_mm": b / a + delta}
@@ -73,25 +74,25 @@ def parameters(model: DepthModel, true: DepthModel | None) -> tuple[dict[str, fl
 
 
 def rows_of(models: list[DepthModel]) -> list[tuple[dict[str, float], dict[str, float]]]:
-    """Parameters of every session; its depths are read where the median curve puts the probes."""
+    """Parameters of every session; depths are those at the disparities that the median curve has at the probes."""
     names = ("infinity_disparity_px", "scale_px_mm", "sensor_to_pupil_mm")
     middle = replace(models[0], **{name: float(np.median([getattr(m, name) for m in models])) for name in names})
     return [parameters(model, middle) for model in models]
 
 
 def ratios(rows: list[tuple[dict[str, float], dict[str, float]]]) -> dict[str, dict[str, float]]:
-    """Median, spread, stated standard deviation and their ratio, of every parameter."""
+    """Median, scatter, stated standard deviation and their ratio, of every parameter."""
     report = {}
     for name in rows[0][0]:
         values, sigmas = np.array([r[0][name] for r in rows]), np.array([r[1][name] for r in rows])
-        spread, stated = float(values.std(ddof=1)), float(np.sqrt(np.mean(sigmas**2)))
+        scatter, stated = float(values.std(ddof=1)), float(np.sqrt(np.mean(sigmas**2)))
         median = float(np.median(values))
-        report[name] = {"median": median, "spread": spread, "stated": stated, "ratio": stated / spread}
+        report[name] = {"median": median, "scatter": scatter, "stated": stated, "ratio": stated / scatter}
     return report
 
 
 def draw(rows: dict[str, list[tuple[dict[str, float], dict[str, float]]]], out: Path) -> None:
-    """Picture of every session's values with their error bars; a column a quality, a row a parameter."""
+    """Draw every session's values with error bars: qualities in columns, parameters in rows."""
     names = list(next(iter(rows.values()))[0][0])
     figure, axes = plt.subplots(len(names), len(rows), figsize=(6 * len(rows), 1.6 * len(names)), squeeze=False)
     for column, (quality, found) in zip(axes.T, rows.items(), strict=True):
@@ -108,7 +109,7 @@ def draw(rows: dict[str, list[tuple[dict[str, float], dict[str, float]]]], out: 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sessions", type=int, default=30)
-    parser.add_argument("--first", type=int, default=0, help="number of the first session: others are other worlds")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first session")
     parser.add_argument("--width", type=int, default=360)
     parser.add_argument("--boards", type=int, default=10)
     parser.add_argument("--quality", nargs="+", choices=("paper", "real-time"), default=("paper", "real-time"))
@@ -120,7 +121,7 @@ def main() -> None:
         scratch = Path(tempfile.mkdtemp())
         try:
             render(scratch / "cy_halves", seed, args.width, args.boards)
-            calibration = calibrate_session(scratch / "cy_halves", lens_blur=False).calibration
+            calibration = calibrate_session(scratch / "cy_halves", CalibrationConfig(lens_blur=False)).calibration
             for quality, found in models.items():
                 found.append(calibration.on_axis(quality))
             print(f"session {seed} calibrated", file=sys.stderr, flush=True)

@@ -8,8 +8,9 @@ import scipy.fft
 
 from cameras import halves_camera
 from chromaperture.calibration.board_distances import BoardDistances
+from chromaperture.calibration.calibrate_blur import calibrate_blur
+from chromaperture.calibration.curves import Evidence
 from chromaperture.calibration.fit_blur import fit_blur, measured_layers
-from chromaperture.calibration.lens_blur import add_blur
 from chromaperture.camera_file import Calibration
 from chromaperture.config import MatcherConfig
 from chromaperture.depth.conversion import DepthModel
@@ -83,7 +84,7 @@ def test_boards_without_texture_are_refused():
 
 
 class Boards:
-    """As much of a session as the blur's fit looks at."""
+    """The part of a session that the fit of the blur uses."""
 
     def __init__(self, count):
         made = list(boards())[:count]
@@ -94,9 +95,11 @@ class Boards:
         return self.images[i]
 
 
-def distances(count):
+def evidence(count):
     none = np.zeros(count)
-    return BoardDistances(np.array(DISTANCES_MM[:count]), 50.0, 0.5, 1.0, 0.1 * np.eye(count + 1), none, none + 1.0)
+    z = np.array(DISTANCES_MM[:count])
+    distances = BoardDistances(z, 50.0, 0.5, 1.0, 0.1 * np.eye(count + 1), none, none + 1.0)
+    return Evidence(draft().sensor, [], distances, 3.0, np.ones(count, bool))
 
 
 def draft():
@@ -105,9 +108,9 @@ def draft():
 
 
 def test_a_camera_gets_its_blur_and_keeps_it_in_its_file(tmp_path):
-    notes = []
-    camera, layers = add_blur(draft(), Boards(5), distances(5), np.ones(5, bool), notes)
-    assert not notes
+    blurred = calibrate_blur(draft(), Boards(5), evidence(5))
+    camera, layers = blurred.camera, blurred.layers
+    assert not blurred.notes
     assert layers.disagreement < layers.start_disagreement / 4
     curve = camera.on_axis("accurate")
     at_infinity, scale = camera.field_blur().reference
@@ -122,15 +125,14 @@ def test_a_camera_gets_its_blur_and_keeps_it_in_its_file(tmp_path):
 
 def test_a_lens_that_is_known_is_where_the_fit_starts():
     unknown, known = (
-        add_blur(draft(), Boards(5), distances(5), np.ones(5, bool), [], lens=lens)[1] for lens in (None, TRUE)
+        calibrate_blur(draft(), Boards(5), evidence(5), lens=lens).layers for lens in (None, TRUE)
     )
     assert known.start_disagreement < 1.05 * known.disagreement  # what is left is noise
     assert unknown.start_disagreement > 3 * known.start_disagreement
 
 
 def test_three_boards_are_too_few():
-    notes = []
-    camera, layers = add_blur(draft(), Boards(3), distances(3), np.ones(3, bool), notes)
-    assert layers is None
-    assert camera.blur is None
-    assert "3 boards" in notes[0]
+    blurred = calibrate_blur(draft(), Boards(3), evidence(3))
+    assert blurred.layers is None
+    assert blurred.camera.blur is None
+    assert "3 boards" in blurred.notes[0]

@@ -1,7 +1,8 @@
 """A session of simulated boards comes back as the camera that took it."""
 
+import hashlib
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 
 import cv2
@@ -9,15 +10,22 @@ import numpy as np
 import pytest
 import tifffile
 
+from chromaperture.calibration.assemble_camera import accurate_matches_like
 from chromaperture.calibration.calibrate_session import calibrate_session, leave_one_out
+from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.chessboard import board_distance, board_points, centered_pinhole, fit_intrinsics
 from chromaperture.calibration.curves import weaknesses
 from chromaperture.calibration.fit_curve import fit_depth_model
 from chromaperture.camera_file import Calibration
+from chromaperture.color.unmixing import ideal_unmixing, pure_channels
+from chromaperture.config import MatcherConfig
+from chromaperture.disparity.estimate import colour_spaces
 from chromaperture.errors import InputError
+from chromaperture.optics.aperture import DESIGNS, made_of
 from planes import capture, texture
 
-calibrated = partial(calibrate_session, lens_blur=False)  # these boards are shifted views, nothing blurred them
+SHARP = CalibrationConfig(lens_blur=False)
+calibrated = partial(calibrate_session, config=SHARP)  # these boards are shifted views, nothing blurred them
 A, B, DELTA = 4.3, 8200.0, 52.0
 RULERS = (1150, 1400, 1800, 2300, 3000)
 
@@ -117,15 +125,15 @@ def test_a_board_off_its_ruler_is_named_and_left_out(session, tmp_path):
     result = calibrated(copy_with(session, tmp_path, distances__csv="file,ruler_mm\n" + rows))
     assert list(result.outliers) == ["1800.png"]
     assert any("1800.png" in note and "off its ruler" in note for note in result.notes)
-    assert result.evidence.believed.sum() == len(RULERS) - 1
+    assert result.evidence.used.sum() == len(RULERS) - 1
     assert result.calibration.in_focus_mm == pytest.approx(B / A + DELTA, abs=20)  # four boards are left
 
 
 def test_boards_on_one_side_of_the_focus_leave_it_weak(session):
     whole = calibrated(session)
-    assert weaknesses(whole.evidence, whole.fits) == [n for n in whole.notes if "in-focus" in n]
-    far = replace(whole.evidence, believed=np.array([r > 1970 for r in RULERS]))
-    near = replace(whole.evidence, believed=np.array([r < 1900 for r in RULERS]))
+    assert weaknesses(whole.evidence, whole.fits) == tuple(n for n in whole.notes if "in-focus" in n)
+    far = replace(whole.evidence, used=np.array([r > 1970 for r in RULERS]))
+    near = replace(whole.evidence, used=np.array([r < 1900 for r in RULERS]))
     assert any("beyond the focus" in text and "nearer" in text for text in weaknesses(far, whole.fits))
     assert any("nearer than the focus" in text for text in weaknesses(near, whole.fits))
 
@@ -159,7 +167,8 @@ def test_what_was_kept_and_is_damaged_is_measured_again(session, tmp_path):
 
 def test_curves_free_at_every_place_stay_near_the_smooth_ones(session):
     """This world's fields are flat: what is free must find nothing, within what its ridge and boards leave of noise."""
-    smooth, free = (calibrated(session, per_pixel=choice).calibration.depth for choice in (False, True))
+    options = (SHARP, replace(SHARP, per_pixel=True))
+    smooth, free = (calibrated(session, config=option).calibration.depth for option in options)
     for quality in ("paper", "real-time"):
         assert smooth[quality].local is None
         local = free[quality].local
@@ -180,6 +189,48 @@ def test_the_sensors_noise_is_read_from_the_sheets(session, tmp_path, rng):
     # 3 sheets of 108 blocks that are known to 8.6 %, seven in nine of them bright: .6 %
     assert result.calibration.sensor.full_well_electrons == pytest.approx(4000, rel=0.03)
     assert any("full well" in note for note in result.notes)
+
+
+def test_the_camera_file_records_what_made_it(session, tmp_path):
+    folder = copy_with(session, tmp_path)
+    made = calibrated(folder, command="chromaperture calibrate 'my session' --no-blur").calibration.provenance
+    assert made["command"] == "chromaperture calibrate 'my session' --no-blur"
+    assert made["options"] == asdict(SHARP)
+    assert set(made["versions"]) == {"chromaperture", "numpy", "numba", "opencv"}
+    assert made["lens_from"] is None
+    content = (folder / "board" / "1800.png").read_bytes()
+    assert made["files"]["board/1800.png"] == hashlib.sha256(content).hexdigest()
+    assert {"session.toml", "distances.csv", "white/sheet_c.png"} < set(made["files"])
+    assert "holiday.png" not in made["files"]
+
+    with (folder / "session.toml").open("a") as text:
+        text.write("# a word more\n")
+    other = calibrated(folder, lens_from=calibrated(session).calibration).calibration.provenance
+    assert "command" not in other  # called from Python: there was none
+    assert other["lens_from"]["design"] == "cy_halves"
+    assert [name for name in made["files"] if other["files"][name] != made["files"][name]] == ["session.toml"]
+
+
+@pytest.mark.parametrize("design", [name for name, aperture in DESIGNS.items() if aperture.views])
+def test_accurate_takes_the_curve_of_the_quality_that_matches_its_views(design):
+    real = made_of(DESIGNS[design], "real")
+    rows = ideal_unmixing(real)
+    accurate, *others = (
+        colour_spaces(DESIGNS[design], rows, MatcherConfig.preset(quality))[0]
+        for quality in ("accurate", "paper", "real-time")
+    )
+    alike = dict(zip(("paper", "real-time"), (np.array_equal(accurate, other) for other in others), strict=True))
+    assert alike[accurate_matches_like(DESIGNS[design])]
+    # Where film leaks, unmixed views and pure channels differ, and only one quality matches those of accurate.
+    assert sum(alike.values()) == (1 if pure_channels(DESIGNS[design]) is not None else 2)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"blur_tiles": 0}, {"rendered_boards": 2}, {"pupil_sigma_mm": 0.0}, {"range_margin": (1.1, 1.3)}]
+)
+def test_options_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        CalibrationConfig(**wrong)
 
 
 def test_a_lens_of_another_resolution_is_refused(session):

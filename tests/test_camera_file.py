@@ -3,16 +3,19 @@
 import dataclasses
 import re
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from chromaperture.camera_file import FORMAT_VERSION, Calibration, Film, Lens, Sensor
+from chromaperture.camera import load_camera
+from chromaperture.camera_file import FORMAT_VERSION, Calibration, CameraSensor, Film, Lens
+from chromaperture.capture.files import read_image
 from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.errors import InputError
-from chromaperture.products.samples import SAMPLES, sample_camera
+from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 
 
 def make_calibration(shape=None, **changes):
@@ -24,7 +27,7 @@ def make_calibration(shape=None, **changes):
     depth = DepthField(np.array(infinity), np.array(scale), 49.5, np.diag([1e-4, 900.0, 4.0]), local=local)
     calibration = Calibration(
         design="cy_halves",
-        sensor=Sensor(9, 6, 0.031, 16.0, 1016.0, 5000.0, 4.0),
+        sensor=CameraSensor(9, 6, 0.031, 16.0, 1016.0, 5000.0, 4.0),
         lens=Lens(50.3, np.array([[1668.0, 0, 4.0], [0, 1668.0, 2.5], [0, 0, 1]]), np.array([-0.1, 0, 0, 0, 0.0]), 2.0),
         film=Film(
             {"cyan": np.array([0.09, 0.57, 0.59]), "yellow": np.array([0.83, 0.76, 0.09])},
@@ -85,6 +88,41 @@ def test_bundled_cameras_are_sound(name):
     assert summary["focal_length_mm"] == pytest.approx(50.34, rel=0.01)
     assert summary["sensor_to_pupil_mm"] == pytest.approx(49.5, abs=5)
     assert summary["in_focus_mm"] == pytest.approx(2000, abs=80)
+
+
+# Curves in the middle of the frame as the release of that file read them: A px, B px mm, their standard deviations, and
+# the range px and the sum of the coefficients px of the nonlinearity.
+OLD_CURVES = {
+    "paper": (4.583440196486705, 8775.15068739682, 0.00537400008, 13.1861040, -4.667237589809361, 2.3620565447797115,
+              0.05302657142773963),
+    "real-time": (3.8306134850387337, 7357.245110683508, 0.00596792096, 14.9509654, -3.920597058113941,
+                  1.969127758688736, 0.07390644808098364),
+    "accurate": (3.4834737492839567, 6650.773739405499, 0.00347522376, 9.35628612, -3.7036517676783447,
+                 1.8056382876779777, -0.0005532384142722408),
+}  # fmt: skip
+
+
+def test_a_camera_file_of_november_2026_opens_and_measures():
+    path = Path(__file__).parent / "data" / "camera_2026_11.asdf"
+    camera = Calibration.load(path)
+    for quality, expected in OLD_CURVES.items():
+        curve = camera.on_axis(quality)
+        sigmas = np.sqrt(np.diag(curve.covariance))[:2]
+        ends = (curve.nonlinearity.low_px, curve.nonlinearity.high_px)
+        found = (curve.infinity_disparity_px, curve.scale_px_mm, *sigmas, *ends, curve.nonlinearity.coefficients.sum())
+        assert found == pytest.approx(expected, rel=1e-8)  # digits of the sigmas above
+    summary = camera.summary()
+    figures = {"focal_length_mm": 50.21438734387805, "in_focus_mm": 1971.7064251975553,
+               "baseline_mm": 10.541998777492598, "sensor_to_pupil_mm": 51.062345752115085}  # fmt: skip
+    assert {name: summary[name] for name in figures} == pytest.approx(figures, rel=1e-12)  # rounding
+    assert camera.blur.infinity_px == 10.157751695532317
+    assert camera.provenance["command"] == "chromaperture calibrate cy_halves"
+    frame = load_camera(path).measure(
+        read_image(sample_image("still_life_cy_halves"), black_level=16, white_level=1016)
+    )
+    # As measured then; other matchers may differ, by a fraction of the 10 % error bar of a pixel.
+    assert np.nanmedian(frame.depth_mm) == pytest.approx(1895.35, rel=0.02)
+    assert np.isfinite(frame.depth_mm).mean() > 0.9
 
 
 def test_newer_format_asks_for_an_upgrade(tmp_path):

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from chromaperture.optics.thin_lens import disparity_to_object
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,21 +16,20 @@ from chromaperture.depth.conversion import (
     disparity_to_depth,
     disparity_to_inverse_depth,
 )
-from chromaperture.depth.paper_form import (
-    PaperParameters,
-    complex_lens_depth,
-    complex_lens_pupil_depth,
-    model_to_paper,
-    paper_to_model,
-    thin_lens_depth,
-)
+from chromaperture.depth.paper_form import PaperParameters, model_to_paper, paper_to_model
 from chromaperture.errors import InputError
 
 # A 50 mm f/1.8 lens on a 1920 px wide picture, complementary halves, focused at about 2 m.
 FOCAL_MM, PITCH_MM = 51.62, 0.0116
-PAPER = PaperParameters(in_focus_mm=1985.0, baseline_mm=11.79, sensor_to_pupil_mm=50.0)
-MODEL = paper_to_model(PAPER, focal_length_mm=FOCAL_MM, pixel_pitch_mm=PITCH_MM)
-KNOWN = {"focal_length_mm": FOCAL_MM, "pixel_pitch_mm": PITCH_MM}
+PAPER = PaperParameters(in_focus_mm=1985.0, baseline_mm=11.79, sensor_to_pupil_mm=50.0, focal_length_mm=FOCAL_MM)
+MODEL = paper_to_model(PAPER, pixel_pitch_mm=PITCH_MM)
+
+
+def paper_depth(disparity_px, paper):
+    """Eq. (9), or (10) where the parameters are maps, as the paper prints it."""
+    b, f, delta = paper.baseline_mm, paper.focal_length_mm, paper.sensor_to_pupil_mm
+    swing = 2 * PITCH_MM * disparity_px * (paper.in_focus_mm - delta - f)
+    return (b * f * paper.in_focus_mm - swing * delta) / (b * f - swing)
 
 
 class Element(NamedTuple):
@@ -75,7 +75,8 @@ def test_eq_7_is_where_two_rays_through_the_sub_apertures_come_from():
         )
         # The picture is upside down on the sensor, and the disparity is half of the two spots' distance.
         disparity_px = -(upper - lower) / 2 / PITCH_MM
-        found = thin_lens_depth(disparity_px, in_focus_mm=2000.0, baseline_mm=11.79, **KNOWN)
+        thin = paper_to_model(PaperParameters(2000.0, 11.79, 0.0, FOCAL_MM), pixel_pitch_mm=PITCH_MM)
+        found = 1 / disparity_to_inverse_depth(disparity_px, thin)
         # 1e-9: (f - F) cancels four digits of 1e-16 in the trace, and z / |z - z_of| three more
         assert found == pytest.approx(distance_mm, rel=1e-9)
         assert np.sign(disparity_px) == np.sign(distance_mm - 2000.0)
@@ -114,38 +115,22 @@ def test_any_lens_is_exactly_linear_in_inverse_depth_from_its_entrance_pupil():
 
 
 @pytest.mark.parametrize("disparity_px", [-15.0, -3.2, -0.01, 0.0, 0.01, 2.0, 7.1, 13.0])
-def test_eqs_7_to_10_and_the_linear_form_are_one_curve(disparity_px):
-    sensor = complex_lens_depth(
-        disparity_px, in_focus_mm=1985.0, baseline_mm=11.79, sensor_to_pupil_mm=50.0, **KNOWN
-    )
-    pupil = complex_lens_pupil_depth(
-        disparity_px, in_focus_mm=1985.0, baseline_mm=11.79, sensor_to_pupil_mm=50.0, **KNOWN
-    )
-    thin = thin_lens_depth(disparity_px, in_focus_mm=1935.0, baseline_mm=11.79, **KNOWN)
-    linear = 1 / disparity_to_inverse_depth(disparity_px, MODEL)
-    assert pupil + 50.0 == pytest.approx(sensor, rel=1e-12)  # (8) is (9)
-    assert thin == pytest.approx(pupil, rel=1e-12)
-    assert linear == pytest.approx(pupil, rel=1e-9)
+def test_eqs_7_to_9_and_the_linear_form_are_one_curve(disparity_px):
+    z = 1 / disparity_to_inverse_depth(disparity_px, MODEL)
+    thin = disparity_to_object(disparity_px, 1935.0, FOCAL_MM, baseline=11.79, pixel_pitch=PITCH_MM)
+    # 1e-9: near infinity b f - swing and A - d have lost two digits each
+    assert z == pytest.approx(thin, rel=1e-9)  # Eq. (7) from the pupil is Eq. (8)
+    assert z + 50.0 == pytest.approx(paper_depth(disparity_px, PAPER), rel=1e-9)
 
 
-def test_eq_10_is_eq_9_in_every_pixel(rng):
+def test_eq_10_is_the_linear_form_in_every_pixel(rng):
     in_focus = 1985.0 + rng.normal(0, 20, (5, 7))
     baseline = 11.79 + rng.normal(0, 0.2, (5, 7))
     disparity = rng.uniform(-10, 10, (5, 7))
-    whole = complex_lens_depth(
-        disparity, in_focus_mm=in_focus, baseline_mm=baseline, sensor_to_pupil_mm=50.0, **KNOWN
-    )
-    model = paper_to_model(PaperParameters(in_focus, baseline, 50.0), **KNOWN)
-    np.testing.assert_allclose(1 / disparity_to_inverse_depth(disparity, model) + 50.0, whole, rtol=1e-9)
-    for i, j in np.ndindex(5, 7):
-        one = complex_lens_depth(
-            disparity[i, j],
-            in_focus_mm=in_focus[i, j],
-            baseline_mm=baseline[i, j],
-            sensor_to_pupil_mm=50.0,
-            **KNOWN,
-        )
-        assert whole[i, j] == one
+    maps = PaperParameters(in_focus, baseline, 50.0, FOCAL_MM)
+    model = paper_to_model(maps, pixel_pitch_mm=PITCH_MM)
+    found = 1 / disparity_to_inverse_depth(disparity, model) + 50.0
+    np.testing.assert_allclose(found, paper_depth(disparity, maps), rtol=1e-9)  # as above
 
 
 def test_zero_disparity_is_the_focus_surface():
@@ -164,14 +149,6 @@ def test_depth_grows_without_bound_towards_the_disparity_of_infinity_and_is_unkn
     depth_mm, sigma_mm = disparity_to_depth(disparity, MODEL, np.full((1, 4), 0.1))
     assert np.isnan(depth_mm).all()
     assert np.isnan(sigma_mm).all()
-    for equation in (
-        thin_lens_depth(disparity, in_focus_mm=1935.0, baseline_mm=11.79, **KNOWN),
-        complex_lens_depth(
-            disparity, in_focus_mm=1985.0, baseline_mm=11.79, sensor_to_pupil_mm=50.0, **KNOWN
-        ),
-    ):
-        # at A itself the last bit decides, so only what lies beyond is asked for
-        assert np.isnan(equation[:, 2:]).all()
 
 
 def test_depth_beyond_the_limit_is_unknown():
@@ -213,30 +190,35 @@ def test_disparity_to_depth_and_back(gap_exponent, a, b, delta):
 
 @given(in_focus=st.floats(200, 1e5), baseline=st.floats(0.05, 60), delta=st.floats(-20, 100))
 def test_paper_parameters_to_model_and_back(in_focus, baseline, delta):
-    there = paper_to_model(PaperParameters(in_focus, baseline, delta), **KNOWN)
-    back = model_to_paper(there, **KNOWN)
-    assert back.in_focus_mm == pytest.approx(in_focus, rel=1e-12)
+    there = paper_to_model(PaperParameters(in_focus, baseline, delta, FOCAL_MM), pixel_pitch_mm=PITCH_MM)
+    image_mm = 2 * PITCH_MM * there.scale_px_mm / baseline
+    assert 1 / image_mm + 1 / (in_focus - delta) == pytest.approx(1 / FOCAL_MM, rel=1e-12)  # Eq. (2)
+    back = model_to_paper(there, image_distance_mm=image_mm, pixel_pitch_mm=PITCH_MM)
+    assert back.in_focus_mm == pytest.approx(in_focus, rel=1e-12)  # rounding
     assert back.baseline_mm == pytest.approx(baseline, rel=1e-12)
+    assert back.focal_length_mm == pytest.approx(FOCAL_MM, rel=1e-12)
     assert back.sensor_to_pupil_mm == delta
 
 
 def test_a_lens_focused_at_infinity_sees_everything_in_front_of_focus():
-    model = paper_to_model(PaperParameters(np.inf, 11.79, 50.0), **KNOWN)
+    model = paper_to_model(PaperParameters(np.inf, 11.79, 50.0, FOCAL_MM), pixel_pitch_mm=PITCH_MM)
     assert model.infinity_disparity_px == 0
     # A point at distance z blurs over b f / z between the centroids when the sensor is in the focal plane.
     far_image = [trace(0.0, y / 3000.0, -3000.0, [Element(0.0, FOCAL_MM)], FOCAL_MM) for y in (-5.895, 5.895)]
     half_px = (far_image[0] - far_image[1]) / 2 / PITCH_MM
     assert depth_to_disparity(3050.0, model) == pytest.approx(half_px, rel=1e-9)
     assert half_px < 0
-    assert model_to_paper(model, **KNOWN).in_focus_mm == np.inf
+    back = model_to_paper(model, image_distance_mm=FOCAL_MM, pixel_pitch_mm=PITCH_MM)
+    assert back.in_focus_mm == np.inf
+    assert back.focal_length_mm == pytest.approx(FOCAL_MM, rel=1e-12)
 
 
 @pytest.mark.parametrize("disparity_px", [-12.0, 0.0, 6.0])
 def test_sigma_matches_random_draws_of_disparity_and_model(rng, disparity_px):
     # Correlations of a real fit: A and B rise together, delta against them.
-    spread = np.array([0.027, 0.004 * MODEL.scale_px_mm, 3.5])
+    sigmas = np.array([0.027, 0.004 * MODEL.scale_px_mm, 3.5])
     correlation = np.array([[1, 0.9, -0.8], [0.9, 1, -0.95], [-0.8, -0.95, 1]])
-    covariance = correlation * np.outer(spread, spread)
+    covariance = correlation * np.outer(sigmas, sigmas)
     model = DepthModel(MODEL.infinity_disparity_px, MODEL.scale_px_mm, 50.0, covariance)
     _, sigma_mm = disparity_to_depth(disparity_px, model, 0.02)
 
@@ -280,4 +262,4 @@ def test_what_cannot_be_a_model_is_refused():
     with pytest.raises(InputError, match="calibrated"):
         disparity_to_depth(np.zeros((5, 6)), field)
     with pytest.raises(InputError, match="focal length"):
-        paper_to_model(PaperParameters(90.0, 11.79, 50.0), **KNOWN)
+        paper_to_model(PaperParameters(90.0, 11.79, 50.0, FOCAL_MM), pixel_pitch_mm=PITCH_MM)

@@ -30,16 +30,16 @@ def test_ruler_and_poses_give_pupil_scale_and_distances(rng):
 
 
 @pytest.mark.parametrize("better", [0.5, 1.0, 3.0])
-def test_the_promised_errors_are_those_of_many_sessions(better):
-    """Also where the corners are better or worse than was thought."""
+def test_the_stated_errors_are_those_of_many_sessions(better):
+    """Also where the corners are better or worse than assumed."""
     rng = np.random.default_rng(5)
-    found, promised = [], []
+    found, stated = [], []
     for _ in range(60):
         pose = Z * (1 + better * 5e-4 * rng.normal(size=25))
         result = reconcile(Z + DELTA + rng.normal(0, 1.7, 25), pose, pose_sigma_mm=5e-4 * Z)
         found.append([*result.from_pupil_mm, result.sensor_to_pupil_mm])
-        promised.append(np.sqrt(np.diag(result.covariance)))
-    ratio = np.std(found, axis=0) / np.mean(promised, axis=0)
+        stated.append(np.sqrt(np.diag(result.covariance)))
+    ratio = np.std(found, axis=0) / np.mean(stated, axis=0)
     # 60 sessions know one standard deviation to 9 %, the mean of 25 to far better
     assert 0.8 < ratio[:-1].mean() < 1.25
     assert 0.75 < ratio[-1] < 1.3

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from chromaperture.calibration.calibrate_session import calibrate_session
+from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.errors import InputError
 from chromaperture.evaluation.paper import bench_prior, figure_15, methods, stereo_pair, trial, world
@@ -87,7 +88,7 @@ def test_a_stereo_pair_gives_the_depth_of_its_shift(rng, distance_mm):
 
 
 def test_a_prior_method_is_calibrated_on_the_boards_it_reads(session, tmp_path):  # noqa: F811
-    result = calibrate_session(session, lens_blur=False)
+    result = calibrate_session(session, CalibrationConfig(lens_blur=False))
     setting = methods.Setting("cy_halves", result.calibration.unmixing, (-4.5, 3.0), 8.0)
     calls = []
 
@@ -105,7 +106,7 @@ def test_a_prior_method_is_calibrated_on_the_boards_it_reads(session, tmp_path):
 
 
 def test_a_method_that_reads_nothing_of_the_boards_cannot_be_calibrated(session, tmp_path):  # noqa: F811
-    result = calibrate_session(session, lens_blur=False)
+    result = calibrate_session(session, CalibrationConfig(lens_blur=False))
 
     def read(image):
         return np.zeros(image.shape[:2])

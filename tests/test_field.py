@@ -33,7 +33,7 @@ def exact_distances(z=RULERS - DELTA):
 
 
 def erring_distances(rng, z, covariance):
-    """What a session believes of boards that stand at z, with errors drawn from a covariance of all and of delta."""
+    """Distances of boards at z with errors drawn from the covariance of all of them and of delta."""
     error = np.linalg.cholesky(covariance) @ rng.normal(size=len(z) + 1)
     return BoardDistances(z + error[:-1], DELTA + error[-1], 2.0, 1.0, covariance, *np.full((2, len(z)), np.nan))
 
@@ -78,11 +78,11 @@ def test_noise_missing_pixels_and_wrong_layers_are_survived(rng):
 
 
 def bent(linear_px):
-    """What a matcher might read: too little near focus, too much far from it."""
+    """A matcher's bias: too little near focus, too much far from it."""
     return linear_px + 0.15 * np.sin(1.1 * linear_px) - 0.1
 
 
-def test_a_matchers_nonlinearity_is_told_from_the_lens(rng):
+def test_the_nonlinearity_is_separated_from_the_lens(rng):
     z = np.linspace(1000, 4000, 16) - DELTA
     x, y, linear = measured_boards(rng, 0.0, z)
     disparity = bent(linear) + rng.normal(0, 0.01, linear.shape)
@@ -136,8 +136,8 @@ def test_a_curve_known_beforehand_is_taken_where_it_is_right(rng):
     assert np.abs(np.median(residual, axis=1)).max() < 0.002  # 0.01 px, averaged over the frame
 
 
-def test_many_boards_speak_for_themselves(rng):
-    """A curve computed beforehand, nearly right, would tie with the boards' own; 31 boards need it no more."""
+def test_many_boards_need_no_rendered_curve(rng):
+    """A nearly right rendered curve would predict as well as a fitted one; with 31 boards it is not tried."""
     z = np.linspace(1000, 4000, 31) - DELTA
     x, y, linear = measured_boards(rng, 0.0, z)
     known = Nonlinearity(float(linear.min()), float(linear.max()), np.array([0.02, -0.05]))
@@ -162,42 +162,42 @@ def test_few_boards_carry_no_terms(rng):
     ) == [0]  # fmt: skip
 
 
-def test_covariance_is_the_spread_of_many_sessions():
+def test_covariance_is_the_scatter_of_many_sessions():
     """Forty sessions: noise of every sample, and a ruler that errs by the same mm at all samples of a board."""
     rng = np.random.default_rng(7)
     z = RULERS - DELTA
     x, y, clean = measured_boards(rng, 0.0)
     covariance = np.diag([1.7**2] * len(z) + [2.0**2])
     covariance[-1, :-1] = covariance[:-1, -1] = -1.0
-    found, promised = [], []
+    found, stated = [], []
     for _ in range(40):
-        believed = erring_distances(rng, z, covariance)
-        field, _ = fit(x, y, clean + rng.normal(0, 0.05, clean.shape), believed, degree=2)
+        assumed = erring_distances(rng, z, covariance)
+        field, _ = fit(x, y, clean + rng.normal(0, 0.05, clean.shape), assumed, degree=2)
         places = [field.at(np.array(px), np.array(py), WIDTH, HEIGHT) for px, py in ((30.0, 20.0), (5.0, 4.0))]
         found.append([value for m in places for value in (*_numbers(m), _depth_at(m, 2200.0))])
-        promised.append([s for m in places for s in _sigmas(m)])
-    ratio = np.std(found, axis=0) / np.sqrt(np.mean(np.square(promised), axis=0))
+        stated.append([s for m in places for s in _sigmas(m)])
+    ratio = np.std(found, axis=0) / np.sqrt(np.mean(np.square(stated), axis=0))
     # 40 sessions know a standard deviation to 11 %; twice that
     assert np.all((ratio > 0.75) & (ratio < 1.3)), ratio
 
 
-def test_covariance_is_the_spread_where_the_matcher_bends_too():
-    """As above with a nonlinearity, whose terms trade with A and B: what a whole curve reads is known best."""
+def test_covariance_is_the_scatter_with_a_nonlinearity_too():
+    """As above with a nonlinearity, whose terms are correlated with A and B: depth by the whole curve is known best."""
     rng = np.random.default_rng(11)
     z = np.linspace(1000, 4000, 16) - DELTA
     x, y, linear = measured_boards(rng, 0.0, z)
     clean = Nonlinearity(float(linear.min()), float(linear.max()), np.array([0.06, -0.04])).measured(linear)
     covariance = np.diag([1.7**2] * len(z) + [2.0**2])
-    found, promised = [], []
+    found, stated = [], []
     for _ in range(40):
-        believed = erring_distances(rng, z, covariance)
-        field, _ = fit(x, y, clean + rng.normal(0, 0.05, clean.shape), believed, degree=2, nonlinearity=2)
+        assumed = erring_distances(rng, z, covariance)
+        field, _ = fit(x, y, clean + rng.normal(0, 0.05, clean.shape), assumed, degree=2, nonlinearity=2)
         model = field.on_axis(WIDTH, HEIGHT)
         readings = np.interp(1 / np.array([1100.0, 1600, 2200, 3600]), 1 / (z + DELTA)[::-1], clean[::-1, 20 * 31 // 2])
         depth, sigma = disparity_to_depth(readings, model, sigma_px=np.zeros(4))
         found.append([*_numbers(model), *depth])
-        promised.append([*np.sqrt(np.diag(model.covariance)), *sigma])
-    ratio = np.std(found, axis=0) / np.sqrt(np.mean(np.square(promised), axis=0))
+        stated.append([*np.sqrt(np.diag(model.covariance)), *sigma])
+    ratio = np.std(found, axis=0) / np.sqrt(np.mean(np.square(stated), axis=0))
     assert np.all((ratio > 0.75) & (ratio < 1.3)), ratio  # 40 sessions know a standard deviation to 11 %; twice that
 
 

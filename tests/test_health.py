@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from chromaperture.camera_file import Calibration, Film, Lens
-from chromaperture.camera_file import Sensor as SensorData
+from chromaperture.camera_file import CameraSensor as SensorData
 from chromaperture.capture.exif import Exif, read_exif
 from chromaperture.cli.main import main
 from chromaperture.depth.conversion import DepthModel

@@ -1,4 +1,4 @@
-"""The curve between linear and measured disparity: inverse of each other, honest slope, no fold."""
+"""The curve from linear to measured disparity: its inverse, its slope, and curves that are refused."""
 
 from dataclasses import replace
 
@@ -48,14 +48,14 @@ def test_a_curve_that_turns_back_is_refused():
 
 
 @pytest.mark.parametrize("depth_mm", [1100.0, 1900.0, 3500.0])
-def test_error_bar_holds_the_error_of_the_curve_and_of_what_it_shares(depth_mm, rng):
-    """Spread over cameras drawn from one covariance of everything, in which the curve and A lean on each other."""
+def test_error_bar_includes_the_error_of_the_curve_and_its_correlations(depth_mm, rng):
+    """Scatter over cameras drawn from one covariance, in which the curve and A are correlated."""
     root = rng.normal(size=(7, 7)) * np.array([0.02, 30.0, 1.0, 0.01, 0.01, 0.01, 0.01])[:, None]
     root[0] -= 0.8 * root[3]  # what the curve adds in the middle is taken from A
     covariance = root @ root.T
-    doubted = replace(MODEL, covariance=covariance[:3, :3], curve_covariance=covariance[3:])
+    uncertain = replace(MODEL, covariance=covariance[:3, :3], curve_covariance=covariance[3:])
     reading = depth_to_disparity(depth_mm, MODEL)
-    _, sigma = disparity_to_depth(reading, doubted, sigma_px=0.0)
+    _, sigma = disparity_to_depth(reading, uncertain, sigma_px=0.0)
     depths = []
     for a, b, delta, *series in rng.multivariate_normal([4.3, 8200.0, 50.0, *CURVE.coefficients], covariance, 4000):
         other = DepthModel(a, b, delta, nonlinearity=replace(CURVE, coefficients=np.array(series)))

@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from chromaperture.calibration.calibrate_session import calibrate_session
+from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.camera_file import Calibration
 from chromaperture.cli.main import app
 from chromaperture.errors import InputError
@@ -103,7 +104,7 @@ def test_a_session_without_a_camera_file_is_judged_board_by_board_without_that_b
 
 def test_a_camera_file_is_used_as_it_is_and_that_it_knows_the_boards_is_said(session, tmp_path):  # noqa: F811
     camera = tmp_path / "camera.asdf"
-    calibration = calibrate_session(session, lens_blur=False).calibration
+    calibration = calibrate_session(session, CalibrationConfig(lens_blur=False)).calibration
     calibration.save(camera)
     parent = tmp_path / "data"
     shutil.copytree(session, parent / "cy_halves")  # a folder of sessions serves as well

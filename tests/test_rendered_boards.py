@@ -1,4 +1,4 @@
-"""Boards computed from a lens's blur tell what a shift matcher reads beside the shift."""
+"""Boards rendered with the blur of a lens determine the nonlinearity of shift matching."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ import scipy.fft
 
 from cameras import halves_camera
 from chromaperture.calibration.board_distances import BoardDistances
+from chromaperture.calibration.curves import Evidence
 from chromaperture.calibration.read_boards import read_board
 from chromaperture.calibration.rendered_boards import render_board, rendered_nonlinearity, surrogate
 from chromaperture.depth.conversion import DepthModel
@@ -30,7 +31,7 @@ def photograph(inverse_mm, seed):
 
 
 class Session:
-    """As much of a session as the rendering looks at."""
+    """The part of a session that rendering uses."""
 
     boards = dict.fromkeys(range(len(Z_MM)))
 
@@ -43,9 +44,10 @@ def camera(model=LENS):
     return halves_camera(DepthModel(6.0 * reach, 12000.0 * reach, DELTA), W, H, blur=model)
 
 
-def distances():
+def evidence():
     none = np.zeros(len(Z_MM))
-    return BoardDistances(Z_MM, DELTA, 0.5, 1.0, np.zeros((len(Z_MM) + 1,) * 2), none, none + 1.0)
+    distances = BoardDistances(Z_MM, DELTA, 0.5, 1.0, np.zeros((len(Z_MM) + 1,) * 2), none, none + 1.0)
+    return Evidence(camera().sensor, [], distances, 3.0, np.ones(len(Z_MM), bool))
 
 
 def test_a_surrogate_has_the_spectrum_and_is_another_pattern(rng):
@@ -93,9 +95,9 @@ def test_blur_that_changes_over_the_frame_is_that_of_the_place():
         assert size2 == pytest.approx(radius**2 / 2 + 1 / 3, rel=0.1)
 
 
-def test_it_foretells_what_the_matcher_reads():
+def test_it_predicts_what_the_matcher_measures():
     """Photographs by another way of blurring, at distances of their own, read as straight lines of 1 / z."""
-    curves = rendered_nonlinearity(camera(), Session(), distances(), np.ones(len(Z_MM), bool))
+    curves = rendered_nonlinearity(camera(), Session(), evidence())
     z = np.linspace(1000, 4000, 13)
     photographs = [[photograph(1 / at, 100 * k + i) for k in range(4)] for i, at in enumerate(z)]
     readings = [[read_board(image, camera()) for image in images] for images in photographs]
@@ -111,4 +113,4 @@ def test_it_foretells_what_the_matcher_reads():
 
 
 def test_without_a_blur_nothing_is_known():
-    assert rendered_nonlinearity(camera(None), Session(), distances(), np.ones(len(Z_MM), bool)) == {}
+    assert rendered_nonlinearity(camera(None), Session(), evidence()) == {}

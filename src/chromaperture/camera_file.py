@@ -1,7 +1,6 @@
-"""What is known about one camera: the parameters of all stages, in one file a person can read.
+"""The parameters of one camera, in one file.
 
-The file is ASDF, a YAML text that any editor opens; fields over the frame are a few polynomial coefficients. No fitting
-happens here.
+The file is ASDF: YAML text that any editor opens, and binary arrays for large maps.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.field_file import field_from_tree, field_to_tree, finite, plain
+from chromaperture.depth.paper_form import PaperParameters, model_to_paper
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
@@ -35,14 +35,14 @@ _ABOUT = (
     "(infinity_disparity_px - disparity). The two fields are polynomials over the frame: coefficients of Chebyshev "
     "products in x and y over [-1, 1] by rising degree in x, then in y; a single number holds for the whole frame. "
     "covariance is that of A, B and sensor_to_pupil_mm, or of all coefficients in that order, then those of the "
-    "nonlinearity. nonlinearity is what the matcher reads beyond that disparity: Chebyshev coefficients of T2, T3, ... "
-    "over low_px..high_px. local is to be added to the fields: maps on a grid over the frame, or null."
+    "nonlinearity. nonlinearity is what the matcher measures beyond that disparity: Chebyshev coefficients of T2, T3, "
+    "... over low_px..high_px. local is to be added to the fields: maps on a grid over the frame, or null."
 )
 
 
 @dataclass(frozen=True)
-class Sensor:
-    """The sensor. Levels are counts of the camera's own linear files; electrons may be unknown (None)."""
+class CameraSensor:
+    """The sensor. Levels are counts of its linear files; electrons are None where unknown."""
 
     width_px: int
     height_px: int
@@ -55,7 +55,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Lens:
-    """The lens as a pinhole in the centre of the entrance pupil.
+    """The lens as a pinhole at the centre of the entrance pupil.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class Film:
-    """Colours of white light as the sensor sees them, R, G, B, 1 = white level.
+    """Colours of white light on the sensor: R, G, B, 1 = white level.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Film:
     clear : (3,) float64
         Through the open pupil, at the same exposure.
     aperture : (3,) float64
-        Through the coded aperture: what the camera calls white.
+        Through the coded aperture: the camera's white.
     """
 
     filters: Mapping[str, np.ndarray]
@@ -92,34 +92,34 @@ class Film:
     aperture: np.ndarray
 
     def transmissions(self) -> dict[str, np.ndarray]:
-        """Transmission of each filter per sensor channel; dict of str to (3,)."""
+        """Return the transmission of each filter in R, G, B; dict of str to (3,)."""
         return {name: color / self.clear for name, color in self.filters.items()}
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Everything `chromaperture.camera.CodedApertureCamera` needs to know.
+    """The parameters of a `chromaperture.camera.CodedApertureCamera`.
 
     Attributes
     ----------
     design : str
         Name of the aperture design.
-    sensor : Sensor
+    sensor : CameraSensor
     lens : Lens
     film : Film
     depth : dict of str to DepthField
-        The depth curves of the frame, for each quality: every matcher reads a blurred edge a little differently.
-        Empty where the camera was never calibrated: then it measures disparity only.
+        Depth curves over the frame for each quality, because each matcher has a bias of its own. Empty in an
+        uncalibrated camera, which measures disparity only.
     near_mm, far_mm : float
-        Range of depths that is searched, from the sensor plane.
+        Working range of depth, from the sensor plane, in which disparities are searched.
     provenance : dict
-        How the file came about: command, date, data, fit residuals.
+        Origin of the file: command, date, versions, options, hashes of the photographs, fit residuals.
     blur : BlurModel or None
-        The lens's blur over the frame, for PSF-aware matching; then ``depth["accurate"]`` holds for its layers.
+        Blur of the lens over the frame, for PSF-aware matching; ``depth["accurate"]`` is then the curve of its layers.
     """
 
     design: str
-    sensor: Sensor
+    sensor: CameraSensor
     lens: Lens
     film: Film
     depth: Mapping[Quality, DepthField]
@@ -141,11 +141,11 @@ class Calibration:
 
     @property
     def image_distance_mm(self) -> float:
-        """Distance F from the pinhole's pupil to its sensor, fx times the pixel pitch."""
+        """Distance F from the pinhole's centre to its sensor: fx times the pixel pitch."""
         return float(self.lens.camera_matrix[0, 0]) * self.sensor.pixel_pitch_mm
 
     def field_blur(self) -> LensBlur | None:
-        """Give lens and film together; None where the blur was not fitted."""
+        """Return the blur of lens and film; None where it was not fitted."""
         if self.blur is None:
             return None
         pupil = sample_pupil(self.aperture.with_film(self.film.transmissions()))
@@ -153,11 +153,11 @@ class Calibration:
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether depth in mm can be had."""
+        """Whether the camera measures depth in mm."""
         return bool(self.depth)
 
     def depth_model(self, quality: Quality = "real-time") -> DepthModel:
-        """Give the depth curve of a quality; raises InputError where there is none."""
+        """Return the depth curve of a quality over the frame; raises InputError where there is none."""
         if quality not in self.depth:
             known = f"it has {', '.join(self.depth)}" if self.depth else "it was never calibrated"
             raise InputError(f"this camera has no depth curve for quality {quality}: {known}; run 'calibrate' again")
@@ -170,26 +170,28 @@ class Calibration:
 
     @property
     def baseline_mm(self) -> float:
-        """Distance of two opposed centroids in the entrance pupil, on the axis: b = 2 mu B / F.
+        """Baseline b of the unmixed views on the axis; that of the channels is shorter, because film leaks."""
+        return float(self.paper_parameters(self.on_axis("paper")).baseline_mm)
 
-        That of the unmixed views, the paper's; the sensor's own channels see leaks and sit a little closer.
-        """
-        scale = float(self.on_axis("paper").scale_px_mm)
-        return 2 * self.sensor.pixel_pitch_mm * scale / self.image_distance_mm
+    def paper_parameters(self, model: DepthModel) -> PaperParameters:
+        """Return a depth curve of this camera as the paper's z~_of, b, delta and f (section 3.4, Figure 7)."""
+        return model_to_paper(
+            model, image_distance_mm=self.image_distance_mm, pixel_pitch_mm=self.sensor.pixel_pitch_mm
+        )
 
     def on_axis(self, quality: Quality) -> DepthModel:
-        """Give the depth curve of a quality in the middle of the frame, as numbers."""
+        """Return the depth curve of a quality in the middle of the frame, as numbers."""
         self.depth_model(quality)
         return self.depth[quality].on_axis(self.sensor.width_px, self.sensor.height_px)
 
     def disparity_range_px(self, quality: Quality = "real-time") -> tuple[float, float]:
-        """Smallest and largest disparity of the working range, over the whole frame."""
+        """Return the smallest and the largest disparity of the working range over the frame."""
         model = self.depth_model(quality)
         near, far = (depth_to_disparity(z, model) for z in (self.near_mm, self.far_mm))
         return float(np.min(near)), float(np.max(far))
 
     def summary(self) -> dict[str, Any]:
-        """Give the figures ``chromaperture info`` prints, units in the names; None where uncalibrated."""
+        """Return the figures that ``chromaperture info`` prints, units in the names; None where uncalibrated."""
         on_axis = self.depth["real-time"].on_axis(self.sensor.width_px, self.sensor.height_px) if self.depth else None
         return {
             "design": self.design,
@@ -213,15 +215,15 @@ class Calibration:
 
     @classmethod
     def uncalibrated(cls, design: str, *, width_px: int, height_px: int) -> Calibration:
-        """Describe a camera of which only the aperture is known: it measures disparity, not depth."""
+        """Return a camera of which only the aperture is known; it measures disparity, not depth."""
         aperture = design_named(design)
         ideal_unmixing(aperture)  # refuses designs without parallax
         colors = {name: np.array(aperture.filter_named(name).transmission) for name in aperture.views}
-        focal_px = 1.2 * max(width_px, height_px)  # a normal lens; only a label here, no point cloud is made
+        focal_px = 1.2 * max(width_px, height_px)  # a normal lens; a placeholder, no point cloud is made
         matrix = centered_pinhole(focal_px, (width_px, height_px))
         return cls(
             design=design,
-            sensor=Sensor(width_px, height_px, pixel_pitch_mm=36.0 / width_px),
+            sensor=CameraSensor(width_px, height_px, pixel_pitch_mm=36.0 / width_px),
             lens=Lens(focal_length_mm=50.0, camera_matrix=matrix),
             film=Film(colors, np.ones(3), np.ones(3)),
             depth={},
@@ -286,8 +288,8 @@ class Calibration:
 
 
 def _from_tree(tree: Mapping[str, Any]) -> Calibration:
-    """Rebuild and check; any KeyError or ValueError becomes the caller's "damaged"."""
-    sensor = Sensor(**{f.name: tree["sensor"][f.name] for f in dataclasses.fields(Sensor)})
+    """Rebuild and check; the caller reports any KeyError or ValueError as damage."""
+    sensor = CameraSensor(**{f.name: tree["sensor"][f.name] for f in dataclasses.fields(CameraSensor)})
     lens = tree["lens"]
     film = tree["film"]
     depth = tree["depth"]
@@ -323,7 +325,7 @@ def _blur_from_tree(tree: Mapping[str, Any] | None) -> BlurModel | None:
 
 
 def _check(calibration: Calibration) -> None:
-    """Refuse what cannot be a camera."""
+    """Raise ValueError for parameters that no camera has."""
     sensor, lens, film = calibration.sensor, calibration.lens, calibration.film
     positive = {
         "sensor.width_px": sensor.width_px,

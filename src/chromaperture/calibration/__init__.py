@@ -1,1 +1,1 @@
-"""From a session folder of photographs to a camera file (paper section 3.4)."""
+"""Calibration: a session folder of photographs becomes a camera file (paper section 3.4)."""

@@ -1,12 +1,12 @@
-"""Where the boards stood: ruler and the boards' own corners together, and which of them cannot be true.
+"""Distances of the boards, from ruler and pose together, and boards whose ruler must be wrong.
 
-A ruler starts at the sensor plane and errs by a few mm at any distance; a pose starts at the entrance pupil, is
-proportional to the focal length and errs with blur and distance. With one distance z a board from the pupil::
+A ruler measures from the sensor plane and errs by a few mm at any distance. A pose measures from the entrance pupil, is
+proportional to the focal length and errs with blur and distance. With z the distance of a board from the pupil::
 
     ruler = z + delta + e,        scale * pose = z + p
 
-both are observations of z, of the common sensor-to-pupil distance delta, and of the correction ``scale`` of the focal
-length: a linear problem but for the weights.
+both observe z, the sensor-to-pupil distance delta, and the correction ``scale`` of the focal length: a linear problem
+except for the weights.
 """
 
 from __future__ import annotations
@@ -17,19 +17,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.errors import InputError
+from chromaperture.robust import huber_weights
 
-_HUBER = 1.345
-_ROUNDS = 20
-_UNITS = {"cm": 10.0, "m": 1000.0, "inches": 25.4, "feet": 304.8}
-_OTHER_UNIT = 5.0
-_MIN_POSES = 4
-_MOST_FACTOR, _FACTOR_SIGMA = 5.0, 1.0  # of the corners' error, the second in natural logarithms
-_OUTLIER = 5.0  # standard deviations, and at least twice the ruler's own error
+_ROUNDS = 20  # of reweighting; chosen by hand, far more than it needs
+_UNITS = {"cm": 10.0, "m": 1000.0, "inches": 25.4, "feet": 304.8}  # mm
+_OTHER_UNIT = 5.0  # ratio of expected to given distance from which the unit is wrong: half that of cm
+_MIN_POSES = 4  # two determine delta and scale; chosen by hand
+_SCALE_SIGMA = 0.05  # prior of scale: Zhang's method finds a focal length to better than 5 %
+_FIXED_SCALE_SIGMA = 1e-6  # without poses
+_MOST_FACTOR, _FACTOR_SIGMA = 5.0, 1.0  # limit of the correction of the corners' error; prior, in natural logarithms
+_OUTLIER = 5.0  # standard deviations, and at least twice the ruler's own error; chosen by hand
+_NO_WEIGHT = 1e-6  # of a ruler that is off by twice that: a weight of 0 could leave the equations singular
 
 
 @dataclass(frozen=True)
 class BoardDistances:
-    """Distances of the boards and what follows from them.
+    """Distances of the boards, and pupil and focal length by them.
 
     Attributes
     ----------
@@ -38,7 +41,7 @@ class BoardDistances:
     sensor_to_pupil_mm, sigma_mm : float
         delta and its standard deviation.
     scale : float
-        What the focal length in px must be multiplied by: a pose is proportional to it.
+        Factor by which to correct the focal length in px.
     covariance : (N + 1, N + 1) float64, mm^2
         Of the z of all boards and, last, of delta.
     residual_mm : (N,) float64
@@ -65,7 +68,7 @@ def fit_distances(
     sensor_to_pupil_mm: float,
     sensor_to_pupil_sigma_mm: float,
 ) -> BoardDistances:
-    """Reconcile ruler and poses, robustly.
+    """Fit distances to rulers and poses, robustly.
 
     Parameters
     ----------
@@ -76,7 +79,7 @@ def fit_distances(
     ruler_sigma_mm : float
     pose_sigma_mm : (N,) float
     sensor_to_pupil_mm, sensor_to_pupil_sigma_mm : float
-        What is known of delta beforehand: all there is when fewer than four boards have a pose.
+        Prior of delta, which alone determines it when fewer than four boards have a pose.
 
     Returns
     -------
@@ -94,20 +97,19 @@ def fit_distances(
     rows[n + board, board], rows[n + board, n + 1] = 1, np.where(seen, -pose, 0)
     rows[2 * n, n], values[2 * n], weights[2 * n] = 1, sensor_to_pupil_mm, 1 / sensor_to_pupil_sigma_mm
     rows[2 * n + 1, n + 1], values[2 * n + 1] = 1, 1.0
-    weights[2 * n + 1] = 1 / 0.05 if seen.any() else 1e6  # a focal length from Zhang's method is better than 5 %
+    weights[2 * n + 1] = 1 / (_SCALE_SIGMA if seen.any() else _FIXED_SCALE_SIGMA)
     weights[:n] = 1 / ruler_sigma_mm
-    trust, pose_sigma = np.ones(n), np.asarray(pose_sigma_mm, float)
-    for turn in range(_ROUNDS):  # a misread ruler is outvoted by the pose, and only there can it be told
+    robust, pose_sigma = np.ones(n), np.asarray(pose_sigma_mm, float)
+    for turn in range(_ROUNDS):  # a misread ruler loses weight; it shows only where there is a pose
         w = weights.copy()
-        w[:n] *= np.sqrt(trust)
+        w[:n] *= np.sqrt(robust)
         w[n : 2 * n] = np.where(seen, 1 / pose_sigma, 0.0)
         information = (rows * (w**2)[:, None]).T @ rows
         solution = np.linalg.solve(information, (rows * (w**2)[:, None]).T @ values)
         by_pose = np.where(seen, solution[n + 1] * pose + solution[n], np.nan)
         expected = np.where(seen, np.hypot(ruler_sigma_mm, np.where(seen, pose_sigma, 0.0)), np.inf)
         standard = np.where(seen, np.abs(ruler - by_pose) / expected, 0.0)
-        trust = np.where(standard > _HUBER, _HUBER / np.maximum(standard, 1e-9), 1.0)
-        trust = np.where(standard > 2 * _OUTLIER, 1e-6, trust)
+        robust = np.where(standard > 2 * _OUTLIER, _NO_WEIGHT, huber_weights(standard))
         if turn == _ROUNDS // 2 and seen.any():
             factor = _pose_factor((ruler - by_pose)[seen], np.asarray(pose_sigma_mm, float)[seen], ruler_sigma_mm)
             pose_sigma = factor * np.asarray(pose_sigma_mm, float)
@@ -119,14 +121,14 @@ def fit_distances(
 
 
 def _pose_factor(residual_mm: np.ndarray, pose_sigma_mm: np.ndarray, ruler_sigma_mm: float) -> float:
-    """How much worse or better the corners are than was thought, as the rulers tell; the most probable factor.
+    """Return the most probable factor on the stated error of the poses, given the residuals against the rulers.
 
-    How well corners are found depends on the print, the light and the lens: it cannot be known beforehand to better
-    than a factor of two or so, and the rulers' own error is stated by whoever held it.
+    The precision of corners depends on print, light and lens and is known to a factor of two at best, whereas the error
+    of the ruler is stated in the session.
     """
-    factors = np.geomspace(1 / _MOST_FACTOR, _MOST_FACTOR, 81)
+    factors = np.geomspace(1 / _MOST_FACTOR, _MOST_FACTOR, 81)  # steps of 4 %
     variance = ruler_sigma_mm**2 + (factors[:, None] * pose_sigma_mm) ** 2
-    degrees = max(len(residual_mm) - 2, 1) / len(residual_mm)  # delta and the scale took two
+    degrees = max(len(residual_mm) - 2, 1) / len(residual_mm)  # delta and scale take two degrees of freedom
     squares = np.minimum(residual_mm**2, _OUTLIER**2 * variance)
     cost = 0.5 * (squares / variance + degrees * np.log(variance)).sum(axis=1)
     cost += 0.5 * (np.log(factors) / _FACTOR_SIGMA) ** 2
@@ -134,15 +136,15 @@ def _pose_factor(residual_mm: np.ndarray, pose_sigma_mm: np.ndarray, ruler_sigma
 
 
 def check_units(ruler_mm: np.ndarray, expected_mm: np.ndarray | float, *, where: str) -> None:
-    """Refuse distances that are in another unit than mm; raises InputError that names it.
+    """Raise InputError that names the unit, where distances are not in mm.
 
     Parameters
     ----------
     ruler_mm : (N,) float
     expected_mm : (N,) float or float
-        What they should be to within tens of per cent, from poses or from the focus; NaN is left out.
+        Rough distances from poses or from the focus; NaN is left out.
     where : str
-        The file they come from.
+        File of the distances.
     """
     ratios = np.asarray(expected_mm, float) / np.asarray(ruler_mm, float)
     ratios = ratios[np.isfinite(ratios)]
@@ -158,13 +160,13 @@ def check_units(ruler_mm: np.ndarray, expected_mm: np.ndarray | float, *, where:
 def find_outliers(
     names: Sequence[str], ruler_mm: np.ndarray, measured_mm: np.ndarray, sigma_mm: np.ndarray, *, ruler_error_mm: float
 ) -> dict[str, str]:
-    """Name boards whose ruler contradicts what was measured, and pairs that were swapped.
+    """Find boards whose ruler contradicts the measurement, and pairs that were swapped.
 
     Parameters
     ----------
     names : sequence of str
     ruler_mm, measured_mm : (N,) float
-        Distance from the sensor by ruler, and by the corners or else by the fitted curve; NaN where unknown.
+        Distance from the sensor by ruler, and by corners or fitted curve; NaN unknown.
     sigma_mm : (N,) float
         Standard deviation of their difference.
     ruler_error_mm : float

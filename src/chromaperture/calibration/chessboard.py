@@ -1,4 +1,4 @@
-"""Chessboards: corners, intrinsics and distances, all by OpenCV (Zhang's method, paper reference [21])."""
+"""Chessboards: corners, intrinsics and distances, by OpenCV (Zhang's method, paper reference [21])."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ import numpy as np
 from chromaperture.errors import InputError
 from chromaperture.optics.pinhole import centered_pinhole
 
-MIN_VIEWS = 4
-_PERFECT_PX = 0.01
+MIN_VIEWS = 4  # two determine the pinhole, more average its errors; chosen by hand
+_PERFECT_PX = 0.01  # reprojection error below which models are equally good: corners are never better
+_CONTRAST_PERCENTILES = (0.5, 99.5)  # of the picture, set to black and white before the search; chosen by hand
+_START_FOCAL = 1.2  # focal length over the longer side of the frame: the start of the fit
 _THOROUGH = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
-_SQUARE_PX = (24, 60)  # of squares to be found again: at least, and those that need no enlargement
-# A small board in the middle of the frame fixes neither the principal point nor high orders of distortion: left free
-# they run away together (centre 47 px off at 0.11 px rms) and drag the focal length along. So the richer models, with
-# how many numbers each adds to the first, are taken only where Schwarz's criterion says that the corners ask for them.
+_SQUARE_PX = (24, 60)  # second search: smallest squares it gets, by enlarging, and those it need not enlarge
+# A small board in the middle of the frame determines neither the principal point nor high orders of distortion: free
+# parameters diverge together (centre 47 px off at 0.11 px rms) and bias the focal length. A model with more parameters
+# (their number is beside it) is used only where Schwarz's information criterion prefers it.
 _CENTERED = (
     cv2.CALIB_USE_INTRINSIC_GUESS
     | cv2.CALIB_FIX_PRINCIPAL_POINT
@@ -49,7 +51,7 @@ class Intrinsics:
 
 
 def find_corners(plane: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarray | None:
-    """Find the inner corners of a chessboard.
+    """Find the inner corners of a chessboard to sub-pixel precision.
 
     Parameters
     ----------
@@ -61,11 +63,11 @@ def find_corners(plane: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarra
     -------
     (N, 2) float32, px, row by row; None where the board is not found
     """
-    low, high = np.percentile(plane, (0.5, 99.5))
+    low, high = np.percentile(plane, _CONTRAST_PERCENTILES)
     if not high > low:
         return None
     level = np.clip((np.asarray(plane, np.float32) - np.float32(low)) / np.float32(high - low), 0, 1)
-    # Gamma and a long search find blurred boards; in linear light, without it, small squares are found better.
+    # A gamma curve and an exhaustive search find blurred boards; linear light and a short one find small squares.
     corners = _detect(np.sqrt(level), inner_corners, 1, _THOROUGH)
     if corners is None:
         corners = _detect(level, inner_corners, 1, cv2.CALIB_CB_ACCURACY)
@@ -73,8 +75,8 @@ def find_corners(plane: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarra
 
 
 def _detect(level: np.ndarray, inner_corners: tuple[int, int], scale: int, flags: int) -> np.ndarray | None:
-    """Find corners in a picture, in [0, 1], enlarged by a whole factor; (N, 2) float32, px of the given picture."""
-    inset = (scale - 1) / 2  # of the first pixel's centre
+    """Find corners in a picture in [0, 1] after enlarging it; (N, 2) float32, px of the given picture."""
+    inset = (scale - 1) / 2  # centre of the first pixel, px of the enlarged picture
     if scale > 1:
         size = (level.shape[1] * scale, level.shape[0] * scale)
         grow = np.array([[scale, 0, inset], [0, scale, inset]])
@@ -87,12 +89,12 @@ def _detect(level: np.ndarray, inner_corners: tuple[int, int], scale: int, flags
 def _refined(corners: np.ndarray, level: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarray:
     """Find the corners again in linear light and with the board enlarged; (N, 2) float32, px.
 
-    Where squares are 17 to 21 px wide the detector places corners outwards by up to 4 in 1000 of the board, above by
-    less than 1, and best in a picture twice as large. Where a blurred board is not found again, the first stand.
+    With squares 17 to 21 px wide the detector's corners lie up to 0.4 % of the board too far out, with larger ones less
+    than 0.1 %, and least in a picture twice as large. A blurred board that is not found again keeps the first corners.
     """
     columns, rows = inner_corners
     square_px = float(np.median(np.linalg.norm(np.diff(corners.reshape(rows, columns, 2), axis=1), axis=2)))
-    reach = 1.5 * square_px
+    reach = 1.5 * square_px  # the outer row of squares, and paper around it
     left, top = np.maximum(np.floor(corners.min(axis=0) - reach), 0).astype(int)
     right, bottom = np.ceil(corners.max(axis=0) + reach).astype(int) + 1
     scale = 1 if square_px > _SQUARE_PX[1] else max(2, math.ceil(_SQUARE_PX[0] / square_px))
@@ -100,12 +102,12 @@ def _refined(corners: np.ndarray, level: np.ndarray, inner_corners: tuple[int, i
     if again is None:
         return corners
     again += np.array([left, top], np.float32)
-    same = np.abs(again - corners).max() < square_px / 2  # a symmetrical board may be numbered from another corner
+    same = np.abs(again - corners).max() < square_px / 2  # a symmetric board may be numbered from another corner
     return again if same else corners
 
 
 def board_points(inner_corners: tuple[int, int], square_mm: float) -> np.ndarray:
-    """Corners in the board's own frame, in the order of `find_corners`; (N, 3) float32, mm."""
+    """Return the corners in the board's own coordinates, in the order of `find_corners`; (N, 3) float32, mm."""
     columns, rows = inner_corners
     grid = np.zeros((columns * rows, 3), np.float32)
     grid[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2) * square_mm
@@ -115,9 +117,9 @@ def board_points(inner_corners: tuple[int, int], square_mm: float) -> np.ndarray
 def fit_intrinsics(
     views: list[np.ndarray], image_size: tuple[int, int], inner_corners: tuple[int, int], square_mm: float
 ) -> Intrinsics:
-    """Calibrate the pinhole from several views of the board, tilted against each other.
+    """Fit the pinhole to several views of a tilted board.
 
-    The principal point and a second term of radial distortion are fitted where the corners ask for them.
+    The principal point and a second term of radial distortion are free only where the corners support it.
 
     Parameters
     ----------
@@ -137,7 +139,7 @@ def fit_intrinsics(
     samples = 2 * sum(len(view) for view in views)
     best, least = None, np.inf
     for flags, numbers in _MODELS:
-        guess = centered_pinhole(1.2 * max(image_size), image_size)
+        guess = centered_pinhole(_START_FOCAL * max(image_size), image_size)
         rms, matrix, distortion, *_ = cv2.calibrateCamera(
             [grid] * len(views), views, image_size, guess, np.zeros(5), flags=flags
         )
@@ -151,7 +153,7 @@ def fit_intrinsics(
 def board_distance(
     corners: np.ndarray, intrinsics: Intrinsics, inner_corners: tuple[int, int], square_mm: float
 ) -> float:
-    """Distance of the board's plane from the entrance pupil, along the optical axis; mm."""
+    """Return the distance of the board's plane from the entrance pupil along the optical axis; mm."""
     grid = board_points(inner_corners, square_mm)
     _, rotation, translation = cv2.solvePnP(grid, corners, intrinsics.camera_matrix, intrinsics.distortion)
     normal = cv2.Rodrigues(rotation)[0][:, 2]

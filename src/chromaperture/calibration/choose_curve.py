@@ -1,4 +1,4 @@
-"""Which curve of a matcher's nonlinearity a camera needs: the one that foretells boards that were left out best."""
+"""Choice of the nonlinearity: the one that predicts left-out boards best."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from chromaperture.calibration.fit_fields import fit_depth_field
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 
-_FOLDS = 8
-_TRIALS = (2, 3, 4, 5, 6, 7, 8)  # mirrored halves of a pupil never read straight, see `Nonlinearity`
-_BOARDS_A_TERM = 3  # fewer would be drawn by the error of each board's distance
-MANY_BOARDS = _TRIALS[-1] * _BOARDS_A_TERM  # enough for every trial: what they show beats a curve from a model of blur
-_POINTS = 400  # of the frame suffice: the nonlinearity is one curve for all of it
-_AS_GOOD = 1.25  # two standard errors of a root mean square over thirty boards: so much is chance
+_FOLDS = 8  # of the cross-validation; chosen by hand, not tuned
+_TRIALS = (2, 3, 4, 5, 6, 7, 8)  # terms; mirrored halves of a pupil always bias a shift matcher, see `Nonlinearity`
+_BOARDS_A_TERM = 3  # with fewer boards for a term, it follows the error of single distances; chosen by hand
+MANY_BOARDS = _TRIALS[-1] * _BOARDS_A_TERM  # enough for every trial; measured beats rendered nonlinearity from here on
+_POINTS = 400  # samples of the frame: the nonlinearity is the same everywhere; chosen by hand
+_AS_GOOD = 1.25  # ratio of errors that is chance: two standard errors of a root mean square over thirty boards
 
 
 def ranked_curves(
@@ -30,10 +30,10 @@ def ranked_curves(
     boards: np.ndarray,
     known: Nonlinearity | None = None,
 ) -> list[int | Nonlinearity]:
-    """Rank numbers of Chebyshev terms, and a curve known beforehand, by cross-validation over boards.
+    """Rank numbers of Chebyshev terms, and a known nonlinearity, by cross-validation over boards.
 
-    What is judged is the median over the frame of each board that was left out, relative to its distance: noise of
-    single pixels does not come into it.
+    The error is the median over the frame of each left-out board, relative to its distance, which excludes the noise of
+    single pixels.
 
     Parameters
     ----------
@@ -48,21 +48,20 @@ def ranked_curves(
     boards : (N,) bool
         Which boards to use.
     known : Nonlinearity, optional
-        A curve that the boards need not fix; for where they are few.
+        From rendered boards; tried where there are fewer than ``MANY_BOARDS``.
 
     Returns
     -------
     list of int or Nonlinearity
-        What asks least of the boards among those that are as good as any: the known curve, else the fewest terms. Then
-        the others from the best on, and last 0, which always fits: all boards together may refuse what most of them
-        allowed.
+        First the known nonlinearity or, if it is worse than the best by more than chance, the fewest terms that are
+        not. Then the others, best first. Last 0 terms, because a curve that was monotonic without some boards may not
+        be with all of them.
     """
     thin = slice(None, None, max(1, len(x_px) // _POINTS))
     x, y, disparity = x_px[thin], y_px[thin], disparity_px[:, thin]
     tried = [n for n in _TRIALS if n * _BOARDS_A_TERM <= boards.sum()]
-    errors: dict[int | Nonlinearity, float] = {}  # what asks least of the boards comes first
-    foreseen = [] if known is None or boards.sum() >= MANY_BOARDS else [known]
-    candidates: list[int | Nonlinearity] = [*foreseen, *tried]
+    errors: dict[int | Nonlinearity, float] = {}  # simplest first
+    candidates: list[int | Nonlinearity] = [*([] if known is None or boards.sum() >= MANY_BOARDS else [known]), *tried]
     for curve in candidates:
         try:
             biases = []
@@ -72,18 +71,18 @@ def ranked_curves(
                     boards=boards & ~left_out, covariance=False,
                 )  # fmt: skip
                 seen = left_out & np.isfinite(residual).any(axis=1)
-                # One px is z^2 / B mm: the relative error of depth goes with z times the residual.
+                # 1 px is z^2 / B mm: the relative error of depth is proportional to z times the residual.
                 biases.append(distances.from_pupil_mm[seen] * np.nanmedian(residual[seen], axis=1))
-        except InputError:  # a nonlinearity that turns back, or too few boards
+        except InputError:  # not monotonic, or too few boards
             continue
         errors[curve] = float(np.sqrt(np.mean(np.concatenate(biases) ** 2)))
     ranked = sorted(errors, key=errors.__getitem__)
-    modest = [curve for curve, error in errors.items() if error <= _AS_GOOD * errors[ranked[0]]][:1]
-    return [*modest, *(curve for curve in ranked if curve not in modest), 0]
+    simplest = [curve for curve, error in errors.items() if error <= _AS_GOOD * errors[ranked[0]]][:1]
+    return [*simplest, *(curve for curve in ranked if curve not in simplest), 0]
 
 
 def _folds(boards: np.ndarray) -> Iterator[np.ndarray]:
-    """Every n-th of the boards in use, by turns; (N,) bool each."""
+    """Yield the left-out boards of every fold: each n-th of those in use; (N,) bool."""
     used = np.flatnonzero(boards)
     for fold in range(min(_FOLDS, len(used))):
         left_out = np.zeros(len(boards), bool)

@@ -1,23 +1,23 @@
-"""Fit the blur of a lens to photographs of boards at known distances: Gauss-Newton on what the channels disagree about.
+"""Fit the blur of a lens to photographs of boards at known distances, whatever their pattern.
 
-Nothing about the boards' pattern is used. With the blur H_k right, two channels filtered with each other's blur agree
-(``disparity/phase.py``), so the residual of a tile is ``P / |P| - Q / |Q|`` in its core, in space: a window before the
-transform would leak the tile's border into it and bias the fit. The filter's falling edge is held at the blur of the
-last step; were it to follow the parameters, more blur would always fit better, for it hides the noise.
+With the true blur H_k, two channels are equal after each is filtered with the blur of the other, P and Q
+(``disparity/phase.py``). The residual of a tile is ``P / |P| - Q / |Q|`` in its core, in space: a window before the
+transform would bias it by the tile's border. The roll-off of the filter is held at the blur of the last step; if it
+followed the parameters, more blur would always fit better, because it suppresses noise.
 """
 
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields
 
 import cv2
 import numpy as np
 import scipy.fft
 
+from chromaperture.calibration.calibration_config import DEFAULT
+from chromaperture.calibration.progress import Progress, reported, silent
 from chromaperture.config import AccurateConfig
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.labels import IDENTITY
@@ -25,18 +25,24 @@ from chromaperture.disparity.stages.tiles import without_shading
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
+from chromaperture.threads import parallel_map
 
-Progress = Callable[[str, int, int], None]
 NAMES = tuple(f.name for f in fields(BlurModel))
 
-_CORE_PX = 72  # a tile's core: small enough to reach the frame's border, where the aberrations are largest
-_FEW_TILES = 45
-_DAMPING = 0.04
-_SEARCHED = (6, 15)  # layers to either side of the expected one; more where that left cells unknown
-_KNOWN_CELLS = 0.9
-_LEAST_CONTRAST = 1e-3  # of full scale: less is paper without print
-_FLOOR = 0.02  # share of a tile's power that is never believed: the blur changes within a tile
-_PRIOR = 5e-3  # weight of all priors against the boards; they only hold what the boards do not see
+# Chosen by hand, not tuned, unless a reason is given.
+_CORE_PX = 72  # side of a tile's core: tiles must get close to the frame's border, where aberrations are largest
+_BLUR_ROOM = (2.2, 12)  # around the core: so many times the blur of infinity, which near boards seldom exceed, and px
+_FEW_TILES = 45  # of the first two fits
+_LEAST_TILES = 4  # of a board
+_FINEST_PX, _COARSEST_PX = 0.8, 6.0  # sigma of the Gaussians that bound the pass band: noise, and what a core holds
+_DAMPING = 0.04  # of the roll-off sqrt(S / (S + damping)), S being the mean power transfer: as in docs/equations.md
+_LEAST_POWER = np.float32(1e-5)  # added to S, against division by 0
+_SEARCHED = (6, 15)  # layers searched to either side of the expected one; the second where cells remained unknown
+_KNOWN_CELLS = 0.9  # fraction of cells that ends the search
+_LEAST_CONTRAST = 1e-3  # standard deviation, white level = 1: less is paper without print
+_FLOOR = 0.02  # of a tile's power: residuals below are not fitted further, because the blur varies within a tile
+_PRIOR = 5e-3  # weight of the priors; strong ones stop the fit halfway from spherical aberration to defocus
+_FIRST_DAMPING, _LEAST_DAMPING, _DAMPING_STEP, _TRIES = 1e-3, 1e-6, 8.0, 6  # of Levenberg and Marquardt, no unit
 _FIRST = (
     "infinity_px", "scale_px_mm", "axial_red_px", "axial_blue_px", "curvature_px", "spherical_px", "oblique_px",
     "oblique_tangential_px", "astigmatism_px", "coma_px", "lateral_red_px", "lateral_blue_px",
@@ -45,7 +51,7 @@ _FIRST = (
 
 @dataclass(frozen=True)
 class _Tile:
-    """One tile of one board: its middle, its distance, and the spectra of its channels."""
+    """One tile of one board: its centre, inverse distance, and the spectra of its channels."""
 
     x_px: float
     y_px: float
@@ -61,7 +67,7 @@ class BlurFit:
     ----------
     blur : LensBlur
     disagreement : float
-        Mean share of the power of two cross-filtered channels that disagrees, pairs by weight; noise included.
+        Mean fraction of the power of two cross-filtered channels that disagrees, weighted by pair; includes noise.
     start_disagreement : float
         The same before the fit.
     """
@@ -76,20 +82,20 @@ def fit_blur(
     start: LensBlur,
     *,
     board_count: int,
-    tile_count: int = 180,
-    progress: Progress = lambda what, done, total: None,
+    tile_count: int = DEFAULT.blur_tiles,
+    progress: Progress = silent,
 ) -> BlurFit:
-    """Fit all numbers of the blur.
+    """Fit all parameters of the blur: the important ones, then all, then all to all tiles.
 
     Parameters
     ----------
     boards : iterable of ((H, W, 3) float32, float)
-        Linear photographs and 1 / z of the board in them, z from the entrance pupil in mm. Read once, one at a time.
+        Linear photographs and 1 / z of their board, z from the entrance pupil in mm. Iterated over once.
     start : LensBlur
-        Focus and scale right to a fifth, aberrations none.
+        Focus and scale to 20 %; aberrations may be 0.
     board_count : int
     tile_count : int
-        Tiles of all boards together; time grows with it, the error of the fit falls with its root.
+        Tiles of all boards together; see `CalibrationConfig`.
     progress : callable, optional
 
     Returns
@@ -101,24 +107,19 @@ def fit_blur(
     InputError
         No board, or none with texture.
     """
-    per_board = max(4, math.ceil(tile_count / max(board_count, 1)))
+    per_board = max(_LEAST_TILES, math.ceil(tile_count / max(board_count, 1)))
     size, tiles = _tile_size(start), []
     for number, (image, inverse_mm) in enumerate(boards):
-        fitting = max(4, round(2 * image.shape[0] * image.shape[1] / _CORE_PX**2))  # more would see the same pixels
-        tiles += _cut(image, inverse_mm, size, min(per_board, fitting), seed=number)
+        most = max(_LEAST_TILES, round(2 * image.shape[0] * image.shape[1] / _CORE_PX**2))  # each pixel in two tiles
+        tiles += _cut(image, inverse_mm, size, min(per_board, most), seed=number)
     if not tiles:
         raise InputError("no board has texture to fit the blur to: photograph a printed pattern that fills the frame")
     few = tiles[:: max(1, len(tiles) // _FEW_TILES)]
-    total = 3
-    progress("blur of the lens", 0, total)
-    before = float(np.mean(_cost(start, few, _tapers(start, few))))
-    blur = _gauss_newton(start, few, _FIRST, rounds=8, tolerance=2e-3)
-    progress("blur of the lens", 1, total)
-    blur = _gauss_newton(blur, few, NAMES, rounds=8, tolerance=2e-3)
-    progress("blur of the lens", 2, total)
-    blur = _gauss_newton(blur, tiles, NAMES, rounds=5, tolerance=1e-3)
-    progress("blur of the lens", 3, total)
-    after = float(np.mean(_cost(blur, few, _tapers(blur, few))))
+    blur = start
+    stages = ((few, _FIRST, 8, 2e-3), (few, NAMES, 8, 2e-3), (tiles, NAMES, 5, 1e-3))  # tolerance: change of log cost
+    for cut, names, rounds, tolerance in reported(stages, "blur of the lens", progress):
+        blur = _gauss_newton(blur, cut, names, rounds=rounds, tolerance=tolerance)
+    before, after = (float(np.mean(_cost(b, few, _tapers(b, few)))) for b in (start, blur))
     return BlurFit(blur, after, before)
 
 
@@ -132,13 +133,13 @@ def measured_layers(
     unmixing: np.ndarray | None = None,
     noise_variance: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the layer that the matcher, as it is used, sees a flat board in, in cells over the frame.
+    """Measure the disparity of a flat board, in cells over the frame, with the matcher as the camera uses it.
 
     Parameters
     ----------
     image : (H, W, 3) float32
     inverse_mm : float, 1/mm
-        Of the board; layers near it are searched.
+        1 / z of the board, around which disparities are searched.
     blur : LensBlur
     aperture : Aperture
     cell_px : int
@@ -151,9 +152,9 @@ def measured_layers(
     Returns
     -------
     x_px, y_px : (N,) float
-        Middles of the cells.
+        Centres of the cells.
     layer_px : (N,) float64
-        Median of a cell, NaN where less than half of it is known.
+        Median of a cell; NaN where less than half of it is known.
     """
     height, width = image.shape[:2]
     at_infinity, scale = blur.reference
@@ -179,18 +180,20 @@ def measured_layers(
 
 
 def _median(cell: np.ndarray) -> float:
-    """Median of a cell, NaN where less than half of it is known."""
+    """Return the median of a cell; NaN where less than half of it is known."""
     return float(np.nanmedian(cell)) if np.isfinite(cell).mean() >= 0.5 else math.nan
 
 
 def _tile_size(blur: LensBlur) -> int:
-    """Side of a tile with room for the blur of twice the infinity, which a near board seldom exceeds."""
-    size = int(scipy.fft.next_fast_len(_CORE_PX + 2 * (math.ceil(2.2 * abs(blur.model.infinity_px)) + 12), real=True))
+    """Return the side of a tile: its core with room for the blur around it."""
+    factor, more = _BLUR_ROOM
+    room = math.ceil(factor * abs(blur.model.infinity_px)) + more
+    size = int(scipy.fft.next_fast_len(_CORE_PX + 2 * room, real=True))
     return size + size % 2
 
 
 def _cut(image: np.ndarray, inverse_mm: float, size: int, count: int, *, seed: int) -> list[_Tile]:
-    """Tiles spread over a board's photograph up to its border, at places of their own on every board."""
+    """Cut tiles from a photograph up to its border, one at random near each cell of a grid."""
     height, width = image.shape[:2]
     margin = (size - _CORE_PX) // 2
     padded = cv2.copyMakeBorder(without_shading(image), margin, margin, margin, margin, cv2.BORDER_REFLECT_101)
@@ -200,7 +203,7 @@ def _cut(image: np.ndarray, inverse_mm: float, size: int, count: int, *, seed: i
     tiles = []
     for row in range(rows):
         for column in range(columns):
-            u, v = rng.random(2) * 1.6 - 0.3  # beyond the cell: the outer ones end up at the frame's border
+            u, v = rng.random(2) * 1.6 - 0.3  # beyond the cell: outer tiles reach the frame's border
             x0 = int((width - _CORE_PX) * np.clip((column + u) / columns, 0, 1))
             y0 = int((height - _CORE_PX) * np.clip((row + v) / rows, 0, 1))
             cut = padded[y0 : y0 + size, x0 : x0 + size].transpose(2, 0, 1)
@@ -211,13 +214,14 @@ def _cut(image: np.ndarray, inverse_mm: float, size: int, count: int, *, seed: i
 
 
 def _whitening(size: int) -> np.ndarray:
-    """Raise fine detail to the level of coarse, and leave out what is finer than noise or coarser than the core."""
+    """Return the filter that makes power that falls with the square of frequency white, within a pass band."""
     w2 = (2 * np.pi * scipy.fft.fftfreq(size))[:, None] ** 2 + (2 * np.pi * scipy.fft.rfftfreq(size)) ** 2
-    return (np.sqrt(w2) * np.exp(-0.32 * w2) * (1 - np.exp(-18 * w2))).astype(np.float32)
+    fine, coarse = (np.exp(-(sigma**2) / 2 * w2) for sigma in (_FINEST_PX, _COARSEST_PX))
+    return (np.sqrt(w2) * fine * (1 - coarse)).astype(np.float32)
 
 
 def _weighted_pairs(blur: LensBlur) -> list[tuple[int, int, float]]:
-    """Give the pairs of channels with the distance of their views, the widest one's being 1."""
+    """Return the pairs of channels, weighted by the distance of their views; the widest is 1."""
     return [(a, b, blur.separations[a, b]) for a, b in (*blur.pairs, *blur.other_pairs)]
 
 
@@ -226,7 +230,7 @@ def _power(transfer: np.ndarray, a: int, b: int) -> np.ndarray:
 
 
 def _tapers(blur: LensBlur, tiles: Sequence[_Tile]) -> list[list[np.ndarray]]:
-    """Give the filters of every tile and pair that stay as they are while the parameters take a step."""
+    """Return the filters of every tile and pair that are constant during a step."""
     white = _whitening(tiles[0].spectrum.shape[1])
 
     def one(tile: _Tile) -> list[np.ndarray]:
@@ -234,18 +238,17 @@ def _tapers(blur: LensBlur, tiles: Sequence[_Tile]) -> list[list[np.ndarray]]:
         powers = (_power(transfer, a, b) for a, b, _ in _weighted_pairs(blur))
         return [white * np.sqrt(p / (p + _DAMPING)) for p in powers]
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(one, tiles))
+    return parallel_map(one, tiles)
 
 
 def _residual(blur: LensBlur, tile: _Tile, taper: Sequence[np.ndarray]) -> np.ndarray:
-    """Tell what the cross-filtered channels of a tile disagree about, in its core; (pairs * core * core,) float32."""
+    """Return the difference of a tile's cross-filtered channels in its core; (pairs * core * core,) float32."""
     size = tile.spectrum.shape[1]
     margin = (size - _CORE_PX) // 2
     transfer = blur.transfer(tile.x_px, tile.y_px, tile.inverse_mm, size)
     out = []
     for (a, b, weight), edge in zip(_weighted_pairs(blur), taper, strict=True):
-        q = edge / np.sqrt(_power(transfer, a, b) + np.float32(1e-5))
+        q = edge / np.sqrt(_power(transfer, a, b) + _LEAST_POWER)
         both = scipy.fft.irfft2(np.stack([tile.spectrum[a] * transfer[b] * q, tile.spectrum[b] * transfer[a] * q]))
         both = both[:, margin : margin + _CORE_PX, margin : margin + _CORE_PX]
         both /= np.sqrt((both**2).sum(axis=(1, 2), keepdims=True)) + np.float32(1e-12)
@@ -258,18 +261,17 @@ def _cost(blur: LensBlur, tiles: Sequence[_Tile], tapers: Sequence[list[np.ndarr
         residual = _residual(blur, tiles[i], tapers[i])
         return float(residual @ residual)
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return np.array(list(pool.map(one, range(len(tiles)))))
+    return np.array(parallel_map(one, range(len(tiles))))
 
 
 def _gauss_newton(
     start: LensBlur, tiles: Sequence[_Tile], names: Sequence[str], *, rounds: int, tolerance: float
 ) -> LensBlur:
-    """Levenberg-Marquardt on the sum of the logarithms of the tiles' costs, which bounds what a bad tile can do."""
+    """Minimise the sum of the logarithms of the tiles' costs, which limits outliers, by Levenberg and Marquardt."""
     free = np.array([NAMES.index(name) for name in names])
     steps, priors = _steps(start.model), _priors(start.model)
     origin = np.array(astuple(start.model))
-    blur, damping = start, 1e-3
+    blur, damping = start, _FIRST_DAMPING
     for _ in range(rounds):
         tapers = _tapers(blur, tiles)
         values = np.array(astuple(blur.model))
@@ -283,8 +285,7 @@ def _gauss_newton(
                 jacobian[row] = (_residual(_with(blur, moved), tiles[i], tapers[i]) - residual) / steps[p]  # noqa: B023
             return float(residual @ residual), jacobian @ jacobian.T, jacobian @ residual
 
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            results = list(pool.map(linearised, range(len(tiles))))
+        results = parallel_map(linearised, range(len(tiles)))
         costs, squares, slopes = (np.array(part) for part in zip(*results, strict=True))
         weights = 1 / np.maximum(costs, _FLOOR)
         prior = _PRIOR / priors[free] ** 2
@@ -292,17 +293,17 @@ def _gauss_newton(
         slope = weights @ slopes + prior * (values - origin)[free]
         unit = np.sqrt(np.diag(matrix))
         before = np.log(np.maximum(costs, _FLOOR)).sum()
-        for _ in range(6):
+        for _ in range(_TRIES):
             move = np.linalg.solve(matrix / np.outer(unit, unit) + damping * np.eye(len(free)), slope / unit) / unit
             moved = values.copy()
             moved[free] -= move
             after = np.log(np.maximum(_cost(_with(blur, moved), tiles, tapers), _FLOOR)).sum()
             if after < before:
                 break
-            damping *= 8
+            damping *= _DAMPING_STEP
         if after >= before:
             break
-        blur, damping = _with(blur, moved), max(damping / 8, 1e-6)
+        blur, damping = _with(blur, moved), max(damping / _DAMPING_STEP, _LEAST_DAMPING)
         if before - after < tolerance * len(tiles):
             break
     return blur
@@ -313,22 +314,24 @@ def _with(blur: LensBlur, values: np.ndarray) -> LensBlur:
 
 
 def _steps(model: BlurModel) -> np.ndarray:
-    """Give the steps of the finite differences: a fiftieth of a px or so on the sensor."""
+    """Return the steps of the finite differences: 0.02 to 0.05 px at the pupil's edge, or 0.02 pupil radii of a rim."""
     by_name = {name: 0.05 if name.endswith("px") else 0.02 for name in NAMES}
-    by_name |= {"infinity_px": 0.02, "scale_px_mm": 0.003 * model.scale_px_mm}
     by_name |= {name: 0.02 for name in NAMES if name.startswith(("axial", "lateral"))}
+    by_name |= {"infinity_px": 0.02, "scale_px_mm": 0.003 * model.scale_px_mm}
     return np.array([by_name[name] for name in NAMES])
 
 
 def _priors(model: BlurModel) -> np.ndarray:
-    """Scales, standard deviations as it were, within which lenses differ; in px they grow with the blur itself."""
+    """Return the standard deviations of the priors: px for a blur of 10 px at infinity, or pupil radii of a rim.
+
+    Typical differences between lenses, chosen by hand; they scale with the blur. Defocus and scale are all but free.
+    """
     size = abs(model.infinity_px) / 10
     by_name = {name: 1.0 * size for name in NAMES}
-    by_name |= {"infinity_px": 10 * size, "scale_px_mm": 5 * model.scale_px_mm}
     by_name |= {name: 2.0 * size for name in ("curvature_px", "curvature4_px", "astigmatism_px")}
     by_name |= {name: 1.5 * size for name in ("spherical_px", "oblique_px", "oblique_tangential_px")}
-    colours = [name for name in NAMES if name.startswith("lateral") or name.endswith(("red_px", "blue_px"))]
-    by_name |= {name: 0.5 * size for name in colours}
+    by_name |= {name: 0.5 * size for name in NAMES if name.endswith(("red_px", "blue_px"))}  # of one colour only
     by_name |= {name: 1.0 * size for name in NAMES if name.startswith("axial")}
+    by_name |= {"infinity_px": 10 * size, "scale_px_mm": 5 * model.scale_px_mm}
     by_name |= {"front_rim_radius": 0.1, "rear_rim_radius": 0.1, "front_rim_shift": 0.15, "rear_rim_shift": 0.15}
     return np.array([by_name[name] for name in NAMES])

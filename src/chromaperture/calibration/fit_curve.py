@@ -1,4 +1,4 @@
-"""Fit of the disparity-to-depth curve to boards at measured distances (paper section 3.4, one curve a frame)."""
+"""Fit of one disparity-to-depth curve to boards at measured distances (paper section 3.4)."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ from scipy.optimize import least_squares
 
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
 from chromaperture.errors import InputError
+from chromaperture.robust import HUBER
 
-_HUBER = 1.345  # standard deviations; 95 % efficient for Gaussian errors
+_MIN_BOARDS = 3  # as many as unknowns
+_LEAST_RANGE = 0.05  # of 1 / distance, relative to the nearest board: less is one distance; chosen by hand
 
 
 @dataclass(frozen=True)
 class DepthFit:
-    """A fitted curve and how well it fits.
+    """A fitted curve and its residuals.
 
     Attributes
     ----------
     model : DepthModel
         A, B, delta and their covariance.
     residual_mm : (N,) float64, mm
-        Measured minus true distance of every board; NaN where nothing was measured.
+        Measured minus true distance of every board; NaN not measured.
     residual_px : (N,) float64, px
     rms_mm : float
     """
@@ -42,10 +44,10 @@ def fit_depth_model(
     sensor_to_pupil_mm: float,
     sensor_to_pupil_sigma_mm: float,
 ) -> DepthFit:
-    """Fit d = A - B / (distance - delta), robustly, with what is known of delta beforehand.
+    """Fit d = A - B / (distance - delta), robustly, with a prior on delta.
 
-    Three numbers are all a curve d(distance) has; delta is the weakest of them (3 mm where A is good to 0.03 px), so
-    it enters with a prior from the boards' own poses or the lens's focal length.
+    Delta is the worst determined of the three (to 3 mm where A is to 0.03 px); its prior comes from the boards' poses
+    or from the focal length of the lens.
 
     Parameters
     ----------
@@ -66,18 +68,18 @@ def fit_depth_model(
     Raises
     ------
     InputError
-        Too few boards, or boards that do not fix the curve.
+        The boards do not determine the curve, or disparity falls with distance.
     """
     all_distances, all_disparities = np.asarray(distance_mm, float), np.asarray(disparity_px, float)
     sigma = np.asarray(disparity_sigma_px, float)
     good = np.isfinite(all_distances) & np.isfinite(all_disparities) & np.isfinite(sigma)
     distance, disparity, sigma = all_distances[good], all_disparities[good], sigma[good]
-    if len(distance) < 3 or np.ptp(1 / distance) * distance.min() < 0.05:
+    if len(distance) < _MIN_BOARDS or np.ptp(1 / distance) * distance.min() < _LEAST_RANGE:
         raise InputError(
             f"{len(distance)} usable boards do not fix the depth curve: photograph the board at three or more "
             "distances, nearer and farther than the focus"
         )
-    # Straight line in inverse depth for the start: the curve is linear there once delta is known.
+    # Start with delta at its prior: the curve is then linear in inverse depth.
     inverse = 1 / (distance - sensor_to_pupil_mm)
     slope, offset = np.polyfit(inverse, disparity, 1)
     if slope >= 0:
@@ -94,7 +96,7 @@ def fit_depth_model(
 
     start = np.array([offset, -slope, sensor_to_pupil_mm])
     scale = np.maximum(np.abs(start), 1e-3)
-    fit = least_squares(residuals, start, x_scale=scale, loss="huber", f_scale=_HUBER)
+    fit = least_squares(residuals, start, x_scale=scale, loss="huber", f_scale=HUBER)
     covariance = np.linalg.inv(fit.jac.T @ fit.jac)
     model = DepthModel(float(fit.x[0]), float(fit.x[1]), float(fit.x[2]), covariance)
     residual_mm = disparity_to_depth(all_disparities, model)[0].astype(float) - all_distances

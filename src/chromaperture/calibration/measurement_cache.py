@@ -1,4 +1,4 @@
-"""Intermediate results on disk, so that an interrupted calibration goes on where it stopped."""
+"""Cache of measurements on disk, from which an interrupted calibration resumes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import io
 import os
-import shutil
 import zipfile
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
@@ -18,12 +17,12 @@ _RELEASE = version("chromaperture")
 
 
 class Store:
-    """Arrays by the content they were computed from; without a folder nothing is kept.
+    """Arrays, keyed by what they were computed from; without a folder nothing is kept.
 
     Parameters
     ----------
     folder : Path or None
-        Made on first use. A folder that cannot be written to is no error: then everything is computed again.
+        Created on first use. If it cannot be written to, everything is computed again.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -32,7 +31,7 @@ class Store:
     def arrays(
         self, photograph: Path, settings: object, compute: Callable[[], Mapping[str, np.ndarray]]
     ) -> Mapping[str, np.ndarray]:
-        """Give what ``compute`` returns, from disk where this release saw that photograph with those settings."""
+        """Return ``compute()``, from disk if this release has computed it for that photograph and those settings."""
         if self.folder is None:
             return compute()
         name = hashlib.sha256(photograph.read_bytes() + repr((_RELEASE, settings)).encode()).hexdigest()[:32]
@@ -48,8 +47,3 @@ class Store:
                 np.savez(file, allow_pickle=False, **arrays)
             os.replace(part, path)
         return arrays
-
-    def clear(self) -> None:
-        """Remove everything that was kept."""
-        if self.folder is not None:
-            shutil.rmtree(self.folder, ignore_errors=True)

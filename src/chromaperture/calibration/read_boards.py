@@ -1,4 +1,4 @@
-"""Boards at known distances: what the matcher reads on each of them, with the very settings of the camera's use."""
+"""Measure the disparity of boards at known distances, with the matcher settings of the camera's qualities."""
 
 from __future__ import annotations
 
@@ -9,22 +9,27 @@ from pathlib import Path
 import numpy as np
 
 from chromaperture.calibration.measurement_cache import Store
+from chromaperture.calibration.place_boards import Pinhole, PlacedBoards
+from chromaperture.calibration.progress import Progress, reported
 from chromaperture.calibration.session import Session
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import sensor_noise
 from chromaperture.config import PaperConfig, Quality, RealTimeConfig
 from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.robust import MEDIAN_INEFFICIENCY, robust_sigma
 
-MEASURED: tuple[Quality, ...] = ("paper", "real-time")
-_MIDDLE = 1 / 3  # share of the width and height that stands for the axis
-_GRID_PX = 6  # neighbours share their window anyway
+MEASURED: tuple[Quality, ...] = ("paper", "real-time")  # qualities that match shifted views
+_MIDDLE = 1 / 3  # of the width and height: the part of the frame that counts as the axis
+_KNOWN = 1 / 4  # of the pixels there must have a disparity; chosen by hand
+_GRID_PX = 6  # pitch of the grid: neighbours have the matcher's window in common
 _GRID_COLUMNS = 120  # at most, so that memory does not grow with the sensor
-_MIN_SIGMA_PX = 0.05  # two halves blur as mirror images, not as shifted copies: a shift reads that much wrong
+_MIN_SIGMA_PX = 0.05  # bias of shift matching: up to 0.06 px on mirrored halves (tests/test_rendered_boards.py)
+_SEARCH = (1.5, 1.0)  # the nominal range is searched times the first, px the second wider: the lens is known to 20 %
 
 
 @dataclass(frozen=True)
 class BoardMeasurement:
-    """One board: where it stood and what each quality measured.
+    """One board: its distance and the disparity that each quality measured.
 
     Attributes
     ----------
@@ -35,7 +40,7 @@ class BoardMeasurement:
     disparity_px, sigma_px : dict of quality to float, px
         Median over the middle of the photograph and its standard error; NaN where too little is known.
     grid_px : dict of quality to (h, w) float32, px
-        Disparity of every few px of the frame, NaN unknown.
+        Disparity on a grid over the frame, NaN unknown.
     corners_px : (N, 2) float32 or None
         Chessboard corners, row by row; None where the board was not found.
     pose_mm : float, mm
@@ -52,58 +57,54 @@ class BoardMeasurement:
 
 
 def grid(count: int, width_px: int) -> np.ndarray:
-    """Places along a side of ``count`` px at which boards are kept; px.
-
-    Parameters
-    ----------
-    count : int
-        Width or height of the frame, px.
-    width_px : int
-        Width of the frame, which sets the distance of two places.
-    """
+    """Return the image positions of the boards' grid along a side of ``count`` px, in a frame of ``width_px``; px."""
     step = max(_GRID_PX, round(width_px / _GRID_COLUMNS))
     return np.arange(step // 2, count, step, dtype=float)
 
 
-def measure_board(session: Session, draft: Calibration, path: Path, *, store: Store) -> BoardMeasurement:
-    """Match one board at every quality; the photograph is not kept.
+def measure_boards(
+    session: Session, draft: Calibration, pinhole: Pinhole, placed: PlacedBoards, *, store: Store, progress: Progress
+) -> list[BoardMeasurement]:
+    """Match all boards of a session; photographs are not kept.
 
-    Parameters
-    ----------
-    session : Session
-    draft : Calibration
-        Film and sensor as they are, depth curves to some 20 %: they only set the search range.
-    path : Path
-    store : Store
+    ``draft`` has the true film and sensor; its depth curves only set the search range and may be off by 20 %.
     """
+    configs, film = _configs(draft), {name: color.tolist() for name, color in draft.film.filters.items()}
+    boards = []
+    for i, path in enumerate(reported(list(session.boards), "board disparity", progress)):
 
-    def measured() -> dict[str, np.ndarray]:
-        return read_board(session.read(path), draft)
+        def measured(path: Path = path) -> dict[str, np.ndarray]:
+            return read_board(session.read(path), draft)
 
-    film = {name: color.tolist() for name, color in draft.film.filters.items()}
-    kept = store.arrays(path, ("board", draft.design, draft.sensor, film, _configs(draft)), measured)
-    return BoardMeasurement(
-        path.name,
-        session.boards[path],
-        {q: float(kept[f"{q} middle"][0]) for q in MEASURED},
-        {q: float(kept[f"{q} middle"][1]) for q in MEASURED},
-        {q: kept[q] for q in MEASURED},
-    )
+        kept = store.arrays(path, ("board", draft.design, draft.sensor, film, configs), measured)
+        boards.append(
+            BoardMeasurement(
+                name=path.name,
+                ruler_mm=session.boards[path],
+                disparity_px={q: float(kept[f"{q} middle"][0]) for q in MEASURED},
+                sigma_px={q: float(kept[f"{q} middle"][1]) for q in MEASURED},
+                grid_px={q: kept[q] for q in MEASURED},
+                corners_px=pinhole.corners.get(path),
+                pose_mm=float(session.boards[path] - placed.distances.residual_mm[i]),
+            )
+        )
+    return boards
 
 
 def read_board(image: np.ndarray, draft: Calibration) -> dict[str, np.ndarray]:
-    """Match a photograph of a board at every quality, on the grid of places at which boards are kept.
+    """Match a photograph of a board at every quality.
 
     Parameters
     ----------
     image : (H, W, 3) float32
     draft : Calibration
-        Film and sensor as they are, depth curves to some 20 %: they only set the search range.
+        True film and sensor; depth curves to 20 %, which only set the search range.
 
     Returns
     -------
     dict of str to array
-        By quality (h, w) disparities, px; by "QUALITY middle" the median about the axis and its standard error.
+        By quality (h, w) disparities on the grid, px; by "QUALITY middle" the median about the axis and its standard
+        error, px.
     """
     noise = sensor_noise(image, draft)
     found = {}
@@ -118,34 +119,31 @@ def read_board(image: np.ndarray, draft: Calibration) -> dict[str, np.ndarray]:
 
 
 def _configs(draft: Calibration) -> dict[Quality, PaperConfig | RealTimeConfig]:
-    """Search wider than the lens's nominal figures say: it is not known yet."""
+    """Return the matcher settings of every quality, over a wider range than the draft's."""
+    factor, more = _SEARCH
     presets: dict[Quality, PaperConfig | RealTimeConfig] = {"paper": PaperConfig(), "real-time": RealTimeConfig()}
     ranges = {quality: draft.disparity_range_px(quality) for quality in presets}
     return {
-        quality: presets[quality].with_range(1.5 * low - 1, 1.5 * high + 1)
+        quality: presets[quality].with_range(factor * low - more, factor * high + more)
         for quality, (low, high) in ranges.items()
     }
 
 
 def _middle_median(disparity: np.ndarray, config: PaperConfig | RealTimeConfig) -> tuple[float, float]:
-    """Median over the middle of the frame and its standard error; NaN where too little is known."""
+    """Return the median over the middle of the frame and its standard error; NaN where too little is known."""
     rows, columns = (slice(round(n * (1 - _MIDDLE) / 2), round(n * (1 + _MIDDLE) / 2)) for n in disparity.shape)
     middle = disparity[rows, columns]
     known = middle[np.isfinite(middle)]
-    if known.size < middle.size / 4:
+    if known.size < middle.size * _KNOWN:
         return np.nan, np.nan
     median = float(np.median(known))
-    spread = 1.4826 * float(np.median(np.abs(known - median)))
     decay = config.correlation.window_decay
-    window_px = (1 + decay) / (1 - decay)  # neighbours share their window
-    return median, max(_MIN_SIGMA_PX, 1.2533 * spread * window_px / np.sqrt(known.size))
+    window_px = (1 + decay) / (1 - decay)  # so many neighbours have one error
+    error = MEDIAN_INEFFICIENCY * robust_sigma(known - median) * window_px / np.sqrt(known.size)
+    return median, max(_MIN_SIGMA_PX, error)
 
 
-def spread(residual_px: np.ndarray) -> np.ndarray:
-    """Robust standard deviation of single pixels about each board's own median; (boards,) float64, px."""
-    flat = residual_px.reshape(len(residual_px), -1).astype(float)
-    known = np.isfinite(flat).any(axis=1)
-    found = np.full(len(flat), np.nan)
-    centre = np.nanmedian(flat[known], axis=1, keepdims=True)
-    found[known] = 1.4826 * np.nanmedian(np.abs(flat[known] - centre), axis=1)
-    return found
+def pixel_sigma(residual_px: np.ndarray) -> np.ndarray:
+    """Return the robust standard deviation of single pixels about the median of their board; (boards,) float64, px."""
+    boards = residual_px.reshape(len(residual_px), -1).astype(float)
+    return np.array([robust_sigma(row - np.nanmedian(row)) if np.isfinite(row).any() else np.nan for row in boards])

@@ -1,6 +1,6 @@
-"""A calibration session: a folder of photographs and what the person at the camera knows.
+"""A calibration session: a folder of photographs, ``session.toml`` and ``distances.csv``.
 
-``session.toml`` and ``distances.csv`` say what was photographed; ``docs/calibration-session.md`` shows the layout.
+``docs/calibration-session.md`` shows the layout.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.calibration.board_distances import check_units
-from chromaperture.camera_file import Sensor
+from chromaperture.camera_file import CameraSensor
 from chromaperture.capture.files import photographs, read_image
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, design_named
@@ -26,13 +26,13 @@ _SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": 
 
 @dataclass(frozen=True)
 class Session:
-    """Everything a session folder says, checked.
+    """The checked contents of a session folder.
 
     Attributes
     ----------
     folder : Path
     design : str
-    sensor : Sensor
+    sensor : CameraSensor
     nominal_focal_length_mm, nominal_f_number, focused_at_about_mm : float
     inner_corners : (columns, rows)
     square_mm, ruler_error_mm : float
@@ -44,7 +44,7 @@ class Session:
 
     folder: Path
     design: str
-    sensor: Sensor
+    sensor: CameraSensor
     nominal_focal_length_mm: float
     nominal_f_number: float
     focused_at_about_mm: float
@@ -67,31 +67,31 @@ class Session:
 
     @property
     def sheets(self) -> dict[str, Path]:
-        """Photographs of white sheets by name: those in the session's folder, and beside it where it has none."""
+        """Photographs of white sheets by name; those in the session's folder replace those beside it."""
         folders = (self.folder.parent / "white", self.folder / "white")
         names = {"open", *DESIGNS, *_SHEETS.values()}
         return {path.stem: path for folder in folders for path in photographs(folder) if path.stem in names}
 
     def white(self, name: str) -> np.ndarray | None:
-        """Mean colour of the middle of a white-sheet photograph, or None where there is none; (3,) float64."""
+        """Return the mean colour of the middle of a white sheet; (3,) float64, None where there is no photograph."""
         if name not in self.sheets:
             return None
         image = self.read(self.sheets[name])
-        rows, columns = (slice(n * 2 // 5, n * 3 // 5) for n in image.shape[:2])
+        rows, columns = (slice(n * 2 // 5, n * 3 // 5) for n in image.shape[:2])  # vignetting spares the middle fifth
         return image[rows, columns].reshape(-1, 3).mean(axis=0).astype(float)
 
-    def sheet(self, filter_name: str) -> np.ndarray | None:
-        """White light through a whole pupil of one filter, or None; (3,) float64."""
-        return self.white(_SHEETS[filter_name]) if filter_name in _SHEETS else None
+    def sheet_name(self, filter_name: str) -> str:
+        """Return the name of the white sheet through a whole pupil of one filter; empty for film without a name."""
+        return _SHEETS.get(filter_name, "")
 
 
 def read_session(folder: str | Path) -> Session:
-    """Read a session folder.
+    """Read and check a session folder.
 
     Raises
     ------
     InputError
-        A file or an entry is missing or does not make sense; the message names it.
+        A file or an entry is missing or invalid; the message names it.
     """
     folder = Path(folder)
     settings = folder / "session.toml"
@@ -113,23 +113,24 @@ def read_session(folder: str | Path) -> Session:
     corners = _entry(tree, "board").get("inner_corners", [9, 6])
     if not (isinstance(corners, list) and len(corners) == 2 and all(isinstance(c, int) and c > 2 for c in corners)):
         raise InputError(f"{settings}: inner_corners in [board] must be two whole numbers, such as [9, 6]")
-    optional = _entry(tree, "sensor")
+
+    def electrons(key: str) -> float | None:
+        return number("sensor", key) if key in _entry(tree, "sensor") else None
+
     boards = _distances(folder)
     rulers = np.array([*boards.values()])
     check_units(rulers, number("lens", "focused_at_about_mm"), where=str(folder / "distances.csv"))
     return Session(
         folder=folder,
         design=design_named(str(tree.get("design"))).name,
-        sensor=Sensor(
+        sensor=CameraSensor(
             width_px=int(number("sensor", "width_px")),
             height_px=int(number("sensor", "height_px")),
             pixel_pitch_mm=number("sensor", "pixel_pitch_mm"),
             black_level=number("sensor", "black_level", 0.0),
             white_level=number("sensor", "white_level", 65535.0),
-            full_well_electrons=number("sensor", "full_well_electrons") if "full_well_electrons" in optional else None,
-            read_noise_electrons=number("sensor", "read_noise_electrons")
-            if "read_noise_electrons" in optional
-            else None,
+            full_well_electrons=electrons("full_well_electrons"),
+            read_noise_electrons=electrons("read_noise_electrons"),
         ),
         nominal_focal_length_mm=number("lens", "nominal_focal_length_mm"),
         nominal_f_number=number("lens", "nominal_f_number"),

@@ -1,57 +1,88 @@
-"""What a session's white sheets tell: the colours of the film, and the sensor's noise."""
+"""Colours of the film and noise of the sensor, from photographs of white sheets."""
 
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from chromaperture.calibration.session import Session
-from chromaperture.camera_file import Film, Sensor
+from chromaperture.camera_file import CameraSensor, Film
 from chromaperture.color.film import completed_film
 from chromaperture.color.noise import fit_photon_noise, noise_samples
-from chromaperture.optics.aperture import Aperture, channel_transmission
+from chromaperture.color.unmixing import ideal_unmixing
+from chromaperture.optics.aperture import channel_transmission, design_named
 
-_NOISE_BOARDS = 8
+_NOISE_BOARDS = 8  # boards that the noise is fitted to where there is no sheet: more were not needed; chosen by hand
+_DARKEST = 1e-3  # of the white level: least colour of white light through the aperture, which colours are divided by
 
 
-def measure_film(session: Session, aperture: Aperture, notes: list[str]) -> Film:
-    """Colours of the filters from the white sheets; usual film where a sheet is missing."""
+@dataclass(frozen=True)
+class WhiteSheets:
+    """Film and noise.
+
+    Attributes
+    ----------
+    film : Film
+    sensor : CameraSensor
+        The session's, with its noise where that could be found.
+    files : tuple of Path
+        Sheets that were read.
+    notes : tuple of str
+    """
+
+    film: Film
+    sensor: CameraSensor
+    files: tuple[Path, ...]
+    notes: tuple[str, ...]
+
+
+def measure_white_sheets(session: Session) -> WhiteSheets:
+    """Measure film and noise; raises InputError for a design without parallax."""
+    ideal_unmixing(design_named(session.design))
+    sensor, noise_notes = _sensor_with_noise(session)
+    film, film_notes = _film(session)
+    stems = {"open", session.design, *map(session.sheet_name, film.filters)}
+    known = session.sensor.full_well_electrons is not None and session.sensor.read_noise_electrons is not None
+    files = tuple(path for name, path in session.sheets.items() if name in stems or not known)
+    return WhiteSheets(film, sensor, files, (*noise_notes, *film_notes))
+
+
+def _film(session: Session) -> tuple[Film, list[str]]:
+    """Return the colours of the filters: measured, or those of usual film where a sheet is missing; and notes."""
+    aperture, notes = design_named(session.design), []
     clear = session.white("open")
     if clear is None:
         notes.append("no white sheet through the open pupil: colours are relative to full scale")
         clear = np.ones(3)
-    sheets = {name: session.sheet(name) for name in aperture.views}
-    measured = {name: sheet for name, sheet in sheets.items() if sheet is not None}
+    sheets = {name: session.white(session.sheet_name(name)) for name in aperture.views}
+    measured = {name: sheet / clear for name, sheet in sheets.items() if sheet is not None}
     white = session.white(session.design)
-    film = completed_film(
-        aperture,
-        {name: sheet / clear for name, sheet in measured.items()},
-        light=None if white is None else white / clear,
-    )
+    film = completed_film(aperture, measured, light=None if white is None else white / clear)
     missing = [name for name in aperture.views if name not in measured]
     if missing:
-        means = "" if white is None else ", as much of it as the white sheet through the aperture shows"
+        means = "" if white is None else ", scaled to the light of the white sheet through the aperture"
         notes.append(f"no sheet of {', '.join(missing)} film: taken as usual film{means}; the views may mix a little")
     if white is None:
         notes.append("no white sheet through the aperture: the colour balance is computed from the film")
-        white = np.maximum(channel_transmission(aperture.with_film(film)), 1e-3) * clear
-    return Film({name: film[name] * clear for name in aperture.views}, clear, white)
+        white = np.maximum(channel_transmission(aperture.with_film(film)), _DARKEST) * clear
+    return Film({name: film[name] * clear for name in aperture.views}, clear, white), notes
 
 
-def with_noise(session: Session, notes: list[str]) -> Sensor:
-    """Give the sensor with its noise: as the session says, else as the white sheets or the boards show it."""
+def _sensor_with_noise(session: Session) -> tuple[CameraSensor, list[str]]:
+    """Return the sensor with the noise that the session states, else that of the sheets or the boards; and notes."""
     sensor = session.sensor
     if sensor.full_well_electrons is not None and sensor.read_noise_electrons is not None:
-        return sensor
+        return sensor, []
     boards = list(session.boards)
     paths = list(session.sheets.values()) or boards[:: max(1, len(boards) // _NOISE_BOARDS)]
     samples = [noise_samples(session.read(path)) for path in paths]
     found = fit_photon_noise(*(np.concatenate(part) for part in zip(*samples, strict=True)))
     if found is None:
-        notes.append("the photographs do not show how noise grows with light: it is estimated in every photograph anew")
-        return sensor
+        return sensor, ["the photographs do not show how noise grows with light: it is estimated in every photograph"]
     full_well, read_noise = found
     source = "the white sheets" if session.sheets else "the boards, whose finest texture counts as noise"
-    notes.append(f"noise told from {source}: full well {full_well:.0f} electrons, read noise {read_noise:.1f}")
-    return dataclasses.replace(sensor, full_well_electrons=full_well, read_noise_electrons=read_noise)
+    note = f"noise measured on {source}: full well {full_well:.0f} electrons, read noise {read_noise:.1f}"
+    return dataclasses.replace(sensor, full_well_electrons=full_well, read_noise_electrons=read_noise), [note]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -40,6 +42,7 @@ def calibrate(
     from rich.table import Table
 
     from chromaperture.calibration.calibrate_session import calibrate_session
+    from chromaperture.calibration.calibration_config import CalibrationConfig
     from chromaperture.camera_file import Calibration
     from chromaperture.cli.console import out as console
     from chromaperture.cli.console import print_files, print_json, progress
@@ -48,7 +51,12 @@ def calibrate(
     kept = out.parent / f".{out.stem}.calibrating"  # what an interrupted run has measured so far
     with progress(quiet=quiet or json) as update:
         result = calibrate_session(
-            session, lens_from=known, lens_blur=not no_blur, per_pixel=per_pixel, progress=update, keep_in=kept
+            session,
+            CalibrationConfig(lens_blur=not no_blur, per_pixel=per_pixel),
+            lens_from=known,
+            command=shlex.join(["chromaperture", *sys.argv[1:]]),
+            progress=update,
+            keep_in=kept,
         )
     files = [out]
     if not no_report:  # first: a picture that cannot be read leaves no camera file without its report

@@ -27,6 +27,6 @@ def info(
         provenance = summary.pop("provenance")
         table = Table(title=escape(str(camera)), show_header=False)
         for name, value in {**summary, **provenance}.items():
-            if name != "boards":
+            if name not in ("boards", "files"):
                 table.add_row(name, escape(f"{value:.6g}" if isinstance(value, float) else str(value)))
         out.print(table)

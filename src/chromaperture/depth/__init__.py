@@ -1,1 +1,1 @@
-"""Disparity to millimetres: conversion, fit, boards, point cloud (paper sections 3.2 to 3.4)."""
+"""Disparity to millimetres: conversion, depth fields, point cloud (paper sections 3.2 to 3.4)."""

@@ -1,8 +1,7 @@
 """Disparity to depth and back, with an error bar (paper sections 3.2 to 3.4).
 
-The package works with ``d = A - B / z``, where z is the distance from the entrance pupil: disparity is linear
-in inverse depth. It holds for every lens in the paraxial approximation and is the same curve as the paper's
-Eqs. (7) to (10), which are in ``paper_form.py``; ``docs/equations.md`` derives both.
+The package computes with ``d = A - B / z``, z being the distance from the entrance pupil: disparity is linear in
+inverse depth for every paraxial lens. The paper's Eqs. (7) to (10), in ``paper_form.py``, are the same curve.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from chromaperture.config import DepthConfig
-from chromaperture.depth.conversion_kernels import Curve, Fields, curve_of, depth_and_sigma, fields_of
+from chromaperture.depth import conversion_kernels
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 
@@ -22,7 +21,7 @@ Map = np.ndarray | float
 
 @dataclass(frozen=True)
 class DepthModel:
-    """The curve ``d = A - B / (depth_mm - delta)`` of a whole image, or of every pixel.
+    """The curve ``d = A - B / (depth_mm - delta)``, one for the whole image or one for every pixel.
 
     Attributes
     ----------
@@ -35,10 +34,10 @@ class DepthModel:
     covariance : (..., 3, 3) array
         Covariance of (A, B, delta); leading dimensions must broadcast with the image. Zero: exactly known.
     nonlinearity : Nonlinearity, optional
-        How the matcher's reading differs from the disparity that is linear in inverse depth.
+        Measured disparity as a function of the disparity that is linear in inverse depth.
     curve_covariance : (K, 3 + K) array, optional
-        Covariance of the nonlinearity's coefficients with (A, B, delta), as it is over the frame on average, and with
-        one another. Without it they are exactly known.
+        Covariance of the K coefficients of the nonlinearity with (A, B, delta), averaged over the frame, and with one
+        another. None: exactly known.
 
     Raises
     ------
@@ -75,16 +74,19 @@ class DepthModel:
         return self.sensor_to_pupil_mm + focus_from_pupil(self.infinity_disparity_px, self.scale_px_mm)
 
     @cached_property
-    def prepared(self) -> tuple[Fields, Curve]:
-        """What the compiled conversion reads, laid out once for all pictures."""
+    def tables(self) -> tuple[conversion_kernels.FieldMaps, conversion_kernels.CurveTable]:
+        """Input of the compiled conversion, computed once."""
         parts = (self.infinity_disparity_px, self.scale_px_mm, self.sensor_to_pupil_mm)
-        return fields_of(*parts, self.covariance), curve_of(self.nonlinearity, self.curve_covariance)
+        return (
+            conversion_kernels.field_maps(*parts, self.covariance),
+            conversion_kernels.curve_table(self.nonlinearity, self.curve_covariance),
+        )
 
 
 def disparity_to_inverse_depth(disparity_px: Map, model: DepthModel) -> np.ndarray:
-    """Inverse of the distance from the entrance pupil, the quantity in which disparity is linear.
+    """Compute 1 / z, z being the distance from the entrance pupil.
 
-    Average this and not the depth: its error is as symmetric as the disparity's.
+    Average inverse depth, not depth: its error is as symmetric as that of the disparity.
 
     Parameters
     ----------
@@ -108,14 +110,16 @@ def disparity_to_depth(
     *,
     max_depth_mm: float = DepthConfig.max_depth_mm,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Depth and its standard deviation.
+    """Compute depth and its standard deviation.
+
+    Pictures go through the compiled form, other shapes through the NumPy form; both are named `depth_and_sigma`.
 
     Parameters
     ----------
     disparity_px : (H, W) float, px, half disparity, + beyond focus
     model : DepthModel
     sigma_px : (H, W) float, px, optional
-        Standard deviation of the disparity. Without it the depth's is unknown.
+        Standard deviation of the disparity. Without it that of the depth is unknown.
     max_depth_mm : float, mm from the sensor
         Farther depths, and disparities at or beyond that of infinity, are unknown.
 
@@ -134,14 +138,14 @@ def disparity_to_depth(
         raise InputError(f"max_depth_mm must be finite and beyond the entrance pupil, got {max_depth_mm:g}")
     if sigma_px is not None and _is_picture(disparity_px, sigma_px, model):
         disparity, sigma = (np.ascontiguousarray(np.atleast_2d(v)) for v in (disparity_px, sigma_px))
-        return depth_and_sigma(disparity, sigma, *model.prepared, max_depth_mm=max_depth_mm)
-    return depth_by_formulas(disparity_px, model, sigma_px, max_depth_mm=max_depth_mm)
+        return conversion_kernels.depth_and_sigma(disparity, sigma, *model.tables, max_depth_mm=max_depth_mm)
+    return depth_and_sigma(disparity_px, sigma_px, model, max_depth_mm=max_depth_mm)
 
 
-def depth_by_formulas(
-    disparity_px: Map, model: DepthModel, sigma_px: Map | None = None, *, max_depth_mm: float
+def depth_and_sigma(
+    disparity_px: Map, sigma_px: Map | None, model: DepthModel, *, max_depth_mm: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`disparity_to_depth` for any shape, to be read; it is compiled for pictures in ``conversion_kernels``."""
+    """Compute `disparity_to_depth` in NumPy, for any shape; ``conversion_kernels.depth_and_sigma`` is compiled."""
     reach_mm = max_depth_mm - np.asarray(model.sensor_to_pupil_mm, float)
     inverse = disparity_to_inverse_depth(disparity_px, model)
     z = _reciprocal(inverse, inverse * reach_mm >= 1)
@@ -152,7 +156,7 @@ def depth_by_formulas(
 
 
 def depth_sigma(z_mm: Map, model: DepthModel, sigma_px: Map) -> np.ndarray:
-    """Propagate the errors of d, A, B, delta and the nonlinearity, correlations included, to the depth (first order).
+    """Propagate the errors of d, A, B, delta and the nonlinearity to the depth: first order, with correlations.
 
     Parameters
     ----------
@@ -166,8 +170,8 @@ def depth_sigma(z_mm: Map, model: DepthModel, sigma_px: Map) -> np.ndarray:
     """
     z = np.asarray(z_mm, float)
     c = np.asarray(model.covariance, float)
-    by_b = z / model.scale_px_mm  # depth = B / (A - d) + delta: its derivative after B is z / B,
-    by_d = z * by_b  # after d z^2 / B, after A minus that, after delta 1
+    by_b = z / model.scale_px_mm  # depth = B / (A - d) + delta: d depth / dB = z / B,
+    by_d = z * by_b  # d depth / dd = z^2 / B = -d depth / dA, d depth / ddelta = 1
     calibrated = (
         by_d**2 * c[..., 0, 0]
         + by_b**2 * c[..., 1, 1]
@@ -177,20 +181,20 @@ def depth_sigma(z_mm: Map, model: DepthModel, sigma_px: Map) -> np.ndarray:
     by_reading = by_d
     if model.nonlinearity is not None:
         linear = model.infinity_disparity_px - model.scale_px_mm / z
-        by_reading = by_d / model.nonlinearity.slope(linear)  # one that rises slower than the disparity tells less
+        by_reading = by_d / model.nonlinearity.slope(linear)  # a flatter curve magnifies errors
         if model.curve_covariance is not None:
             curve = model.nonlinearity.errors(linear, model.curve_covariance)
             own, with_a, with_b, with_delta = np.moveaxis(curve, -1, 0)
-            # A reading stays and the curve rises by T_k dc_k: the linear disparity falls by that over the slope.
+            # At a fixed reading, a change T_k dc_k of the curve lowers the linear disparity by T_k dc_k / slope.
             calibrated = calibrated + by_reading**2 * own + by_reading * 2 * (
                 by_d * with_a - by_b * with_b - with_delta
             )
-    # A fitted covariance is positive only to rounding, and that of the nonlinearity only on average over the frame.
+    # Rounding, and averaging the nonlinearity's covariance over the frame, can make the variance slightly negative.
     return np.sqrt(np.square(by_reading * np.asarray(sigma_px, float)) + np.maximum(calibrated, 0.0))
 
 
 def depth_to_disparity(depth_mm: Map, model: DepthModel) -> np.ndarray:
-    """Half disparity that is measured of an object at a depth: d = A - B / (depth_mm - delta), as the matcher reads it.
+    """Compute the half disparity measured at a depth: d = A - B / (depth_mm - delta), then the nonlinearity.
 
     Parameters
     ----------
@@ -207,19 +211,19 @@ def depth_to_disparity(depth_mm: Map, model: DepthModel) -> np.ndarray:
 
 
 def _reciprocal(values: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """1 / values, NaN where not wanted."""
+    """Return 1 / values, NaN outside ``where``."""
     values, where = np.broadcast_arrays(values, where)
     return np.divide(1.0, values, out=np.full(values.shape, np.nan), where=where)
 
 
 def focus_from_pupil(infinity_disparity_px: Map, scale_px_mm: Map) -> np.ndarray:
-    """Give the distance z_of = B / A of the focus surface from the entrance pupil; inf where A is 0."""
+    """Return the distance z_of = B / A of the focus surface from the entrance pupil, mm; inf where A is 0."""
     at_infinity, scale = np.broadcast_arrays(np.asarray(infinity_disparity_px, float), scale_px_mm)
     return np.divide(scale, at_infinity, out=np.full(scale.shape, np.inf), where=at_infinity != 0)
 
 
 def _is_picture(disparity_px: Map, sigma_px: Map, model: DepthModel) -> bool:
-    """Whether these are floats, (H, W), and the model's fields are numbers or (H, W): what the kernel takes."""
+    """Return whether both are (H, W) floats and the model's fields are numbers or (H, W), as the kernel needs."""
     disparity, sigma = np.asarray(disparity_px), np.asarray(sigma_px)
     if disparity.ndim != 2 or disparity.dtype.kind != "f" or sigma.dtype.kind != "f":
         return False
@@ -229,7 +233,7 @@ def _is_picture(disparity_px: Map, sigma_px: Map, model: DepthModel) -> bool:
 
 
 def _map(values: Map, model: DepthModel) -> np.ndarray:
-    """Give the values as float64, checked against the size of the model's fields."""
+    """Return the values as float64 after checking their shape against that of the model's fields."""
     values = np.asarray(values, float)
     for name in ("infinity_disparity_px", "scale_px_mm", "sensor_to_pupil_mm"):
         shape = np.shape(getattr(model, name))

@@ -1,21 +1,22 @@
-"""Disparity to millimetres in one pass over a picture; `conversion` holds the same formulas in NumPy, its oracle."""
+"""Disparity to millimetres in one compiled pass over a picture; ``conversion.py`` has the same formulas in NumPy."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from chromaperture.compilation import compiled, inlined
 from chromaperture.depth.nonlinearity import Nonlinearity
+from chromaperture.threads import in_parallel
 
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # upper triangle of the covariance of A, B, delta
 
 
-class Curve(NamedTuple):
-    """A nonlinearity as numbers: range and Chebyshev series of its slope, range and table of its inverse; all px.
+class CurveTable(NamedTuple):
+    """A nonlinearity: range and Chebyshev series of its slope, range and table of its inverse, all px.
 
-    ``errors`` are (N, 4) at the table's entries, see `Nonlinearity.errors`; empty where the curve is exactly known.
+    ``errors`` (N, 4) are `Nonlinearity.errors` at the table's entries; empty where the curve is exactly known.
     """
 
     low_px: float
@@ -27,8 +28,8 @@ class Curve(NamedTuple):
     errors: np.ndarray
 
 
-class Fields(NamedTuple):
-    """A model's fields as matrices of the picture's size, or of one element: A, B, delta, and the six covariances."""
+class FieldMaps(NamedTuple):
+    """A, B, delta and their six covariances, each (H, W) or (1, 1)."""
 
     infinity_px: np.ndarray
     scale_px_mm: np.ndarray
@@ -36,75 +37,79 @@ class Fields(NamedTuple):
     covariance: tuple[np.ndarray, ...]
 
 
-def curve_of(nonlinearity: Nonlinearity | None, covariance: np.ndarray | None) -> Curve:
-    """Give what the kernel needs of a nonlinearity and its covariance; empty where there is none."""
+def curve_table(nonlinearity: Nonlinearity | None, covariance: np.ndarray | None) -> CurveTable:
+    """Return the tables of a nonlinearity and its covariance; empty without one."""
     if nonlinearity is None:
-        return Curve(0.0, 0.0, np.empty(0), 0.0, 0.0, np.empty(0), np.empty((0, 4)))
+        return CurveTable(0.0, 0.0, np.empty(0), 0.0, 0.0, np.empty(0), np.empty((0, 4)))
     knots, linear = nonlinearity.inverse_table
     slope = nonlinearity.slope_series()
-    slope = np.concatenate([slope, np.zeros(max(0, 2 - len(slope)))])  # two at least: Clenshaw's rule begins with two
+    slope = np.concatenate([slope, np.zeros(max(0, 2 - len(slope)))])  # Clenshaw's rule starts with two
     ends = float(nonlinearity.low_px), float(nonlinearity.high_px)
     errors = np.empty((0, 4)) if covariance is None else nonlinearity.errors(linear, covariance)
-    return Curve(*ends, slope, float(knots[0]), float(knots[-1]), linear, np.ascontiguousarray(errors))
+    return CurveTable(*ends, slope, float(knots[0]), float(knots[-1]), linear, np.ascontiguousarray(errors))
 
 
-def fields_of(
+def field_maps(
     infinity_px: np.ndarray | float,
     scale_px_mm: np.ndarray | float,
     pupil_mm: np.ndarray | float,
     covariance: np.ndarray,
-) -> Fields:
-    """Lay a model's fields out as the kernel reads them; each must be a number or (H, W), the covariance with 3 x 3."""
+) -> FieldMaps:
+    """Return the fields as contiguous matrices; each is a number or (H, W), the covariance with two more axes 3 x 3."""
     parts = (infinity_px, scale_px_mm, pupil_mm)
     a, b, delta = (np.ascontiguousarray(np.atleast_2d(np.asarray(part, float))) for part in parts)
     c = np.asarray(covariance)
     c = c if c.dtype == np.float32 else c.astype(float)
-    return Fields(a, b, delta, tuple(np.ascontiguousarray(np.atleast_2d(c[..., i, j])) for i, j in _PAIRS))
+    return FieldMaps(a, b, delta, tuple(np.ascontiguousarray(np.atleast_2d(c[..., i, j])) for i, j in _PAIRS))
 
 
 def depth_and_sigma(
-    disparity_px: np.ndarray, sigma_px: np.ndarray, fields: Fields, curve: Curve, *, max_depth_mm: float
+    disparity_px: np.ndarray, sigma_px: np.ndarray, fields: FieldMaps, curve: CurveTable, *, max_depth_mm: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Depth and its standard deviation, two (H, W) float32, mm; NaN unknown.
+    """Compute depth and its standard deviation, two (H, W) float32, mm; NaN unknown.
 
     Parameters
     ----------
     disparity_px : (H, W) float
     sigma_px : (H, W) or (1, 1) float
     fields, curve
-        From `fields_of` and `curve_of`.
+        From `field_maps` and `curve_table`.
     max_depth_mm : float
     """
     depth_mm, sigma_mm = (np.empty(disparity_px.shape, np.float32) for _ in range(2))
-    _convert(disparity_px, sigma_px, *fields, *curve, float(max_depth_mm), depth_mm, sigma_mm)
+
+    def rows(thread: int, first: int, last: int) -> None:
+        _convert(first, last, disparity_px, sigma_px, *fields, *curve, float(max_depth_mm), depth_mm, sigma_mm)
+
+    in_parallel(rows, len(disparity_px))
     return depth_mm, sigma_mm
 
 
-@numba.njit(cache=True, parallel=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _convert(  # type: ignore[no-untyped-def]
-    disparity, sigma, infinity, scale, pupil, covariance, low, high, series, first, last, table, errors,
-    max_depth, depth_out, sigma_out,
+    first_row, last_row, disparity, sigma, infinity, scale, pupil, covariance, low, high, series, first, last, table,
+    errors, max_depth, depth_out, sigma_out,
 ):  # fmt: skip
-    height, width = disparity.shape
+    width = disparity.shape[1]
     caa, cab, cad, cbb, cbd, cdd = covariance
-    # A field of one element is read at 0, 0 everywhere.
+    # A factor 0 makes every pixel read element 0, 0 of a (1, 1) field.
     sa, sb, sp, sc, ss = (
         int(infinity.size > 1), int(scale.size > 1), int(pupil.size > 1), int(caa.size > 1), int(sigma.size > 1)
     )  # fmt: skip
-    curved, doubted = len(table) > 0, len(errors) > 0
+    curved, uncertain = len(table) > 0, len(errors) > 0
     per_px = (len(table) - 1) / (last - first) if curved else 0.0
-    for y in numba.prange(height):
+    for y in range(first_row, last_row):
         for x in range(width):
             a, b, delta = infinity[y * sa, x * sa], scale[y * sb, x * sb], pupil[y * sp, x * sp]
-            d, k, share = float(disparity[y, x]), 0, 0.0
+            d, k, part = float(disparity[y, x]), 0, 0.0
             if curved:
-                k, share = _place(d, first, last, per_px, len(table))
-                beyond = min(d - first, 0.0) + max(d - last, 0.0)  # straight on; NaN stays NaN
-                d = table[k] + share * (table[k + 1] - table[k]) + beyond
-            if not (a - d) * (max_depth - delta) >= b:  # at infinity, beyond the reach, or unknown
+                k, part = _place(d, first, last, per_px, len(table))
+                beyond = min(d - first, 0.0) + max(d - last, 0.0)  # slope 1 outside; NaN stays NaN
+                d = table[k] + part * (table[k + 1] - table[k]) + beyond
+            if not (a - d) * (max_depth - delta) >= b:  # at infinity, too far, or unknown
                 depth_out[y, x] = sigma_out[y, x] = np.nan
                 continue
-            by_b = 1 / (a - d)  # divisions are what takes the time here
+            by_b = 1 / (a - d)  # divisions take most of the time here
             z = b * by_b
             depth_out[y, x] = z + delta
             i, j = y * sc, x * sc
@@ -116,16 +121,16 @@ def _convert(  # type: ignore[no-untyped-def]
                 + cdd[i, j]
                 + 2 * (by_b * cbd[i, j] - by_d * cad[i, j] - by_d * by_b * cab[i, j])
             )
-            if doubted:
-                own, with_a, with_b, with_delta = _row(errors, k, share)
+            if uncertain:
+                own, with_a, with_b, with_delta = _row(errors, k, part)
                 variance += by_reading * (by_reading * own + 2 * (by_d * with_a - by_b * with_b - with_delta))
             variance = 0.0 if variance < 0 else variance
             sigma_out[y, x] = np.sqrt((by_reading * float(sigma[y * ss, x * ss])) ** 2 + variance)
 
 
-@numba.njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@inlined(inline="always", error_model="numpy")
 def _place(measured, first, last, per_px, count):  # type: ignore[no-untyped-def]
-    """Entry of an evenly spaced table and the share of the next one; its ends beyond them."""
+    """Return the entry of an evenly spaced table and the weight of the next one, clamped to its ends."""
     if not measured > first:
         return 0, 0.0
     if measured >= last:
@@ -135,20 +140,20 @@ def _place(measured, first, last, per_px, count):  # type: ignore[no-untyped-def
     return k, at - k
 
 
-@numba.njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _row(table, k, share):  # type: ignore[no-untyped-def]
-    """Row of a table with four columns, linear between its entries."""
+@inlined(inline="always", error_model="numpy")
+def _row(table, k, part):  # type: ignore[no-untyped-def]
+    """Return a row of a table with four columns, interpolated linearly."""
     return (
-        table[k, 0] + share * (table[k + 1, 0] - table[k, 0]),
-        table[k, 1] + share * (table[k + 1, 1] - table[k, 1]),
-        table[k, 2] + share * (table[k + 1, 2] - table[k, 2]),
-        table[k, 3] + share * (table[k + 1, 3] - table[k, 3]),
+        table[k, 0] + part * (table[k + 1, 0] - table[k, 0]),
+        table[k, 1] + part * (table[k + 1, 1] - table[k, 1]),
+        table[k, 2] + part * (table[k + 1, 2] - table[k, 2]),
+        table[k, 3] + part * (table[k + 1, 3] - table[k, 3]),
     )
 
 
-@numba.njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@inlined(inline="always", error_model="numpy")
 def _slope(linear, low, high, series):  # type: ignore[no-untyped-def]
-    """Give the derivative of the measured by the linear disparity: Clenshaw's rule for Chebyshev polynomials."""
+    """Return d measured / d linear disparity: Clenshaw's rule for Chebyshev polynomials."""
     if linear <= low or linear >= high:
         return 1.0
     s = (2 * linear - low - high) / (high - low)

@@ -1,8 +1,8 @@
 """The depth curve of every pixel as two smooth fields (paper section 3.4, Figure 7).
 
-Field curvature moves A and vignetting lowers B towards the corners. Both enter the disparity linearly, d = A - B q with
-q = 1 / (depth - delta), so both are fitted at once, as polynomials over the frame, by linear least squares; the paper's
-b(i, j) and z_of(i, j) follow from them.
+Field curvature changes A and vignetting lowers B towards the corners. The disparity d = A - B / (depth - delta) is
+linear in both, so linear least squares fits both at once, as polynomials over the frame. The paper's b(i, j) and
+z_of(i, j) follow from them (``paper_form.py``).
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 
-_NODES = 33
+_NODES = 33  # a side, for the covariance over the frame: bilinear between them it is within 5 % (tests/test_field.py)
 
 
 @dataclass(frozen=True)
 class LocalField:
-    """What is left of A and B at each place of a grid over the frame, once smooth fields are taken off.
+    """Corrections to the smooth fields A and B, on a grid over the frame.
 
     Attributes
     ----------
     start_px, step_px : float, px
-        Where the grid's first column and row stand, and the distance of two.
+        Position of the first column and row of the grid, and its pitch.
     infinity_disparity_px, scale_px_mm : (h, w) float32, px and px mm
-        To be added to A and B; between the places they are interpolated linearly, beyond them the last one holds.
+        Added to A and B; bilinear between the grid's points, constant beyond them.
     covariance : (2, 2) float64
-        Of both at any one place, typically.
+        Of the two corrections, the median over the grid.
     """
 
     start_px: float
@@ -41,9 +41,9 @@ class LocalField:
     covariance: np.ndarray
 
     def at(self, x_px: np.ndarray, y_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Give both at some pixels; two float64 of their shape."""
+        """Return both corrections at pixels; two float64 of their shape."""
         column, row = (
-            np.atleast_2d((np.asarray(place, np.float32) - self.start_px) / self.step_px) for place in (x_px, y_px)
+            np.atleast_2d((np.asarray(px, np.float32) - self.start_px) / self.step_px) for px in (x_px, y_px)
         )
 
         def between(values: np.ndarray) -> np.ndarray:
@@ -55,7 +55,7 @@ class LocalField:
 
 @dataclass(frozen=True)
 class DepthField:
-    """Depth curves over the frame.
+    """The depth curve of every image position.
 
     Attributes
     ----------
@@ -65,12 +65,12 @@ class DepthField:
     sensor_to_pupil_mm : float
         delta, the same in the whole frame.
     covariance : (3, 3), (2 N + 1, 2 N + 1) or (2 N + 1 + K, 2 N + 1 + K) float64
-        Of A, B, delta in the middle of the frame; or of all coefficients, those of A, then of B, then delta, and then
-        those of the nonlinearity where it was fitted with them.
+        Of A, B, delta in the middle of the frame; or of all coefficients in the order A, B, delta, and the
+        nonlinearity where it was fitted with them.
     nonlinearity : Nonlinearity, optional
-        Between the linear disparity of this curve and what the matcher reads; K coefficients.
+        From the linear disparity of this curve to the measured one; K coefficients.
     local : LocalField, optional
-        What the polynomials leave, free at every place of the frame.
+        Corrections to the polynomials, independent at every point of a grid.
     """
 
     infinity_disparity_px: np.ndarray
@@ -82,7 +82,7 @@ class DepthField:
 
     @classmethod
     def constant(cls, model: DepthModel) -> DepthField:
-        """Give one curve for the whole frame."""
+        """Return one curve for the whole frame."""
         covariance = np.asarray(model.covariance, float)
         if model.curve_covariance is not None:
             with_others, own = np.split(model.curve_covariance, [3], axis=1)
@@ -96,7 +96,7 @@ class DepthField:
         )
 
     def on_axis(self, width_px: int, height_px: int) -> DepthModel:
-        """Give the curve in the middle of the frame, as numbers."""
+        """Return the curve in the middle of the frame, as numbers."""
         middle = self.at(np.array((width_px - 1) / 2), np.array((height_px - 1) / 2), width_px, height_px)
         return replace(
             middle,
@@ -105,7 +105,7 @@ class DepthField:
         )
 
     def at(self, x_px: np.ndarray, y_px: np.ndarray, width_px: int, height_px: int) -> DepthModel:
-        """Give the curves at some pixels; arrays of their shape."""
+        """Return the curves at pixels; arrays of their shape."""
         basis = polynomials(x_px, y_px, width_px, height_px, degree_of(len(self.scale_px_mm)))
         return self._with_local(
             DepthModel(
@@ -121,12 +121,11 @@ class DepthField:
         )
 
     def model(self, width_px: int, height_px: int) -> DepthModel:
-        """Evaluate the fields; maps of (height, width), or numbers where the fields are constant."""
+        """Evaluate the fields: (height, width) maps, or numbers where the fields are constant."""
         if len(self.scale_px_mm) == 1:
             return self.on_axis(width_px, height_px)
         size = (width_px, height_px)
-        # Covariances are as smooth as the fields: every few px and bilinear between is exact to a per mille, and 30
-        # times faster.
+        # The covariance is as smooth as the fields: bilinear between nodes it is 30 times faster.
         x, y = np.meshgrid(*(np.linspace(0, count - 1, _NODES) for count in size))
         nodes = polynomials(x, y, *size, degree_of(len(self.scale_px_mm)))
         smooth = DepthModel(
@@ -140,7 +139,7 @@ class DepthField:
         return self._with_local(smooth, *np.meshgrid(np.arange(width_px), np.arange(height_px)))
 
     def _with_local(self, smooth: DepthModel, x_px: np.ndarray, y_px: np.ndarray) -> DepthModel:
-        """Add what is free at every place to the polynomials' curves at some pixels."""
+        """Add the local corrections to the polynomials' curves at pixels."""
         if self.local is None:
             return smooth
         infinity, scale = self.local.at(x_px, y_px)
@@ -154,7 +153,7 @@ class DepthField:
         )
 
     def _covariance_at(self, basis: np.ndarray) -> np.ndarray:
-        """Covariance of A, B and delta where the polynomials are ``basis``, (..., N); (..., 3, 3)."""
+        """Return the covariance of A, B and delta where the polynomials are ``basis``, (..., N); (..., 3, 3)."""
         n = basis.shape[-1]
         if len(self.covariance) == 3 and n != 1:
             return self.covariance
@@ -168,9 +167,9 @@ class DepthField:
         return found
 
     def _curve_covariance(self, basis: np.ndarray) -> np.ndarray | None:
-        """Covariance of the nonlinearity's K coefficients with A, B, delta where the polynomials are ``basis``, (N,).
+        """Return the covariance of the K coefficients of the nonlinearity with A, B, delta and one another; (K, 3 + K).
 
-        And with each other: (K, 3 + K). None where they were not fitted with them.
+        A and B are taken where the polynomials are ``basis``, (N,). None where the K were not fitted with them.
         """
         n = len(basis)
         rows = self.covariance[2 * n + 1 :]
@@ -179,21 +178,21 @@ class DepthField:
         return np.column_stack([rows[:, :n] @ basis, rows[:, n : 2 * n] @ basis, rows[:, 2 * n :]])
 
     def _covariance_map(self, basis: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
-        """Covariance over the frame, of which ``basis`` has nodes; (3, 3), or (height, width, 3, 3) float32."""
+        """Interpolate the covariance between the nodes of ``basis``; (3, 3), or (height, width, 3, 3) float32."""
         if len(self.covariance) == 3:
             return self.covariance
         nodes = self._covariance_at(basis).reshape(_NODES, _NODES, 9)
         rows, columns = (np.linspace(0, _NODES - 1, n).astype(np.float32) for n in (height_px, width_px))
         at = (np.broadcast_to(columns, (height_px, width_px)).copy(), np.repeat(rows[:, None], width_px, axis=1))
         maps = [cv2.remap(np.ascontiguousarray(nodes[..., k]), *at, cv2.INTER_LINEAR) for k in (0, 1, 2, 4, 5, 8)]
-        found = np.empty((3, 3, height_px, width_px), np.float32)  # each element in one piece: they are read one by one
+        found = np.empty((3, 3, height_px, width_px), np.float32)  # elements are read one by one: keep each contiguous
         for (i, j), values in zip(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), maps, strict=True):
             found[i, j] = found[j, i] = values
         return np.moveaxis(found, (0, 1), (2, 3))
 
 
 def _evaluate(coefficients: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
-    """Field over the whole frame; (height, width) float64."""
+    """Evaluate a field over the whole frame; (height, width) float64."""
     degree = degree_of(len(coefficients))
     i, j = np.divmod(np.arange((degree + 1) ** 2), degree + 1)
     square = np.zeros((degree + 1) ** 2)
@@ -203,7 +202,10 @@ def _evaluate(coefficients: np.ndarray, width_px: int, height_px: int) -> np.nda
 
 
 def degree_of(count: int) -> int:
-    """Total degree of a polynomial with so many coefficients; raises InputError if there is none."""
+    """Return the total degree of a polynomial in two variables with ``count`` coefficients.
+
+    Raises InputError where no degree has that count.
+    """
     degree = round((np.sqrt(8 * count + 1) - 3) / 2)
     if count < 1 or (degree + 1) * (degree + 2) // 2 != count:
         raise InputError(f"{count} coefficients are not a polynomial of total degree 0, 1, 2, ... (1, 3, 6, 10, 15)")
@@ -211,7 +213,7 @@ def degree_of(count: int) -> int:
 
 
 def polynomials(x: np.ndarray, y: np.ndarray, width_px: int, height_px: int, degree: int) -> np.ndarray:
-    """Chebyshev products of total degree up to ``degree`` at pixels; (..., N) float64."""
+    """Evaluate the Chebyshev products of total degree up to ``degree`` at pixels; (..., N) float64."""
     u = (2 * np.asarray(x, float) - (width_px - 1)) / max(width_px - 1, 1)
     v = (2 * np.asarray(y, float) - (height_px - 1)) / max(height_px - 1, 1)
     products = chebyshev.chebvander2d(u, v, [degree, degree])

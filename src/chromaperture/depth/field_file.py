@@ -1,4 +1,4 @@
-"""Depth fields as trees of plain values, as they stand in a camera file."""
+"""Depth fields as trees of plain values, for the camera file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from chromaperture.depth.nonlinearity import Nonlinearity
 
 
 def field_to_tree(field: DepthField) -> dict[str, Any]:
-    """Give a field as a tree of plain values and, where there are thousands of them, arrays."""
+    """Return a field as a tree of plain values, and of arrays where there are thousands of values."""
     tree = dict(plain(dataclasses.asdict(field)))
     if field.local is not None:
         maps = {name: getattr(field.local, name) for name in ("infinity_disparity_px", "scale_px_mm")}
@@ -22,7 +22,7 @@ def field_to_tree(field: DepthField) -> dict[str, Any]:
 
 
 def field_from_tree(tree: Mapping[str, Any]) -> DepthField:
-    """Rebuild a field from its tree; raises KeyError, TypeError or ValueError where that is none."""
+    """Rebuild a field; raises KeyError, TypeError or ValueError where the tree holds none."""
     infinity, scale = (np.atleast_1d(np.array(tree[n], float)) for n in ("infinity_disparity_px", "scale_px_mm"))
     for coefficients in (infinity, scale):
         degree_of(len(coefficients))
@@ -53,7 +53,7 @@ def field_from_tree(tree: Mapping[str, Any]) -> DepthField:
 
 
 def plain(value: Any) -> Any:
-    """Turn small arrays and NumPy scalars into lists and numbers, so that they stand readable in the YAML."""
+    """Turn small arrays and NumPy scalars into lists and numbers, which YAML shows as text."""
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, np.ndarray):
@@ -64,7 +64,7 @@ def plain(value: Any) -> Any:
 
 
 def finite(value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Give numbers as a float64 array; raises ValueError where the shape is another or one is not finite."""
+    """Return a float64 array; raises ValueError where the shape differs or a number is not finite."""
     array = np.array(value, dtype=np.float64)
     if array.shape != shape or not np.isfinite(array).all():
         raise ValueError(f"expected finite numbers of shape {shape}")

@@ -1,4 +1,4 @@
-"""Depth to coloured points."""
+"""Depth maps as coloured point clouds."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def depth_to_points(
     distortion : (5,) float
         OpenCV's k1, k2, p1, p2, k3.
     sensor_to_pupil_mm : float
-        delta: points are measured from the entrance pupil, Z = depth - delta.
+        delta; Z = depth - delta, from the entrance pupil.
 
     Returns
     -------
@@ -62,9 +62,7 @@ def depth_to_points(
 
 def write_ply(path: Path, cloud: PointCloud) -> None:
     """Write a binary PLY with positions in mm and 8-bit colours."""
-    vertices = np.empty(
-        len(cloud.points_mm), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)]
-    )  # packed, as the format wants it
+    vertices = np.empty(len(cloud.points_mm), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])  # PLY has no padding
     vertices["xyz"], vertices["rgb"] = cloud.points_mm, cloud.colors
     names = [f"property float {n}" for n in "xyz"] + [f"property uchar {n}" for n in ("red", "green", "blue")]
     header = "\n".join(

@@ -20,7 +20,7 @@ def draw_blur(result: CalibrationResult) -> Figure | None:
     blur = result.calibration.field_blur()
     if blur is None or result.layers is None:
         return None
-    z = result.evidence.distances.from_pupil_mm[result.evidence.believed]
+    z = result.evidence.distances.from_pupil_mm[result.evidence.used]
     distances = (float(z.min()), float(z.max()))
     delta = result.evidence.distances.sensor_to_pupil_mm
     figure = new_figure(height=2.9)

@@ -58,10 +58,9 @@ def draw_surfaces(result: CalibrationResult) -> Figure:
     """Draw Figure 7: the baseline and the in-focus distance over the frame."""
     calibration = result.calibration
     shape = (calibration.sensor.height_px, calibration.sensor.width_px)
-    model = calibration.depth_model("paper")
-    baseline = 2 * calibration.sensor.pixel_pitch_mm * model.scale_px_mm / calibration.image_distance_mm
+    paper = calibration.paper_parameters(calibration.depth_model("paper"))
     figure = new_figure(height=3.0)
-    maps = ((baseline, "baseline b, mm", "viridis"), (model.in_focus_mm, "in focus at, mm", "cividis"))
+    maps = ((paper.baseline_mm, "baseline b, mm", "viridis"), (paper.in_focus_mm, "in focus at, mm", "cividis"))
     for axes, (values, name, colors) in zip(figure.subplots(1, 2), maps, strict=True):
         values = np.broadcast_to(np.asarray(values, float), shape)
         shown = axes.imshow(values, cmap=colors)

@@ -57,7 +57,7 @@ def boards(result: CalibrationResult, quality: Quality = "real-time") -> Table:
             _number(float(result.fits[quality].residual_mm[i]), "+.1f"),
             _number(float(errors[i]), "+.1f"),
             _number(100 * float(errors[i]) / board.ruler_mm, "+.2f"),
-            _number(float(result.spread_px[quality][i]), ".3f"),
+            _number(float(result.pixel_sigma_px[quality][i]), ".3f"),
         ))  # fmt: skip
     head = ("photograph", "ruler, mm", "pose, mm", "disparity, px", "error, middle, mm", "error, frame, mm", "%",
             "spread of a pixel, px")  # fmt: skip
@@ -109,9 +109,8 @@ def parameters(result: CalibrationResult) -> Table:
 def provenance(result: CalibrationResult) -> Table:
     """How the camera file came about."""
     known = result.calibration.provenance
-    rows = [
-        (str(name).replace("_", " "), _text(value)) for name, value in known.items() if name not in ("boards", "notes")
-    ]
+    left_out = ("boards", "notes", "files")
+    rows = [(str(name).replace("_", " "), _text(value)) for name, value in known.items() if name not in left_out]
     return Table("", ("", ""), [*rows, ("chromaperture", metadata.version("chromaperture"))])
 
 

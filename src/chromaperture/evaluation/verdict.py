@@ -59,7 +59,7 @@ def reach(result: CalibrationResult, quality: Quality = "real-time") -> Reach:
     model = calibration.on_axis(quality)
     depth = np.linspace(calibration.near_mm, calibration.far_mm, _STEPS)
     rulers = np.array([board.ruler_mm for board in result.boards])
-    spread = np.asarray(result.spread_px[quality], float)
+    spread = np.asarray(result.pixel_sigma_px[quality], float)
     known = np.isfinite(spread)
     order = np.argsort(rulers[known])
     # Blur widens the spread away from the focus: it is taken from the boards on either side.

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
+from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
@@ -74,7 +75,9 @@ def _kept(context: Context, design: str) -> Path:
 def _calibrated(context: Context, design: str, lens: Calibration | None) -> CalibrationResult:
     """Calibrate without the lens's blur, which takes long: a camera file given with --camera may have it."""
     folder = _folder(context) / design
-    return calibrate_session(folder, lens_from=lens, lens_blur=False, keep_in=_kept(context, design))
+    return calibrate_session(
+        folder, CalibrationConfig(lens_blur=False), lens_from=lens, keep_in=_kept(context, design)
+    )
 
 
 def _measured(

@@ -117,7 +117,7 @@ def fitted(
     chosen = np.unique(np.linspace(0, len(paths) - 1, min(_BOARDS, len(paths))).round().astype(int))
     used = np.zeros(len(paths), bool)
     used[chosen] = True
-    used &= evidence.believed
+    used &= evidence.used
     width, height = session.sensor.width_px, session.sensor.height_px
     rows, columns = (grid(n, width).astype(int) for n in (height, width))
     middle = np.s_[height // 3 : -height // 3, width // 3 : -width // 3]
@@ -135,7 +135,7 @@ def fitted(
         found = store.arrays(path, ("prior", name, session.design), look)
         sign = -1.0 if sided is not None and board.ruler_mm < sided else 1.0
         boards.append(_read_as(board, sign * float(found["middle"]), sign * found["grid"].astype(np.float32)))
-    curve = fit_curve(replace(evidence, boards=boards, believed=used), "real-time", [])
+    curve = fit_curve(replace(evidence, boards=boards, used=used), "real-time")
     return curve.field.model(width, height)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
+from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.paper.sweep import sweep
 from chromaperture.evaluation.paper.trial import Trial
@@ -98,7 +99,7 @@ class Context:
             folder = self._session_folder()
             where = "photographs in --data" if self.data else "a simulated session, traced ray by ray"
             kept = self.work / ("calibrating-data" if self.data else "calibrating")
-            result = calibrate_session(folder, lens_blur=False, keep_in=kept)
+            result = calibrate_session(folder, CalibrationConfig(lens_blur=False), keep_in=kept)
             size = f"{result.calibration.sensor.width_px}x{result.calibration.sensor.height_px} px"
             self._kept["session"] = result, f"From {where}: {len(result.boards)} boards at {size}."
         result, source = self._kept["session"]

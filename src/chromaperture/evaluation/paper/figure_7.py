@@ -12,11 +12,8 @@ from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Made
 def make(context: Context) -> Made:
     """Draw the fields of the calibrated camera."""
     result, source = context.calibrated()
-    model = result.calibration.depth_model("paper")
-    focus = np.asarray(model.in_focus_mm, float)
-    scale = np.asarray(model.scale_px_mm, float)
-    cal = result.calibration
-    baseline = 2 * cal.sensor.pixel_pitch_mm * scale / cal.image_distance_mm
+    paper = result.calibration.paper_parameters(result.calibration.depth_model("paper"))
+    focus, baseline = np.asarray(paper.in_focus_mm, float), np.asarray(paper.baseline_mm, float)
     return Made(
         source=source,
         drawn=[Drawn("surfaces", draw_surfaces(result),

@@ -1,0 +1,61 @@
+"""Options of a calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from chromaperture.errors import InputError
+
+
+@dataclass(frozen=True)
+class CalibrationConfig:
+    """Options of `calibrate_session`; the camera file records them. Defaults were chosen by hand where none is cited.
+
+    Attributes
+    ----------
+    lens_blur : bool
+        Fit the blur of the lens, which takes most of the time. Quality ``accurate`` matches with it.
+    per_pixel : bool
+        Correct A and B of shift matching at every point of a grid, towards the smooth fields where boards are few.
+    field_degrees : tuple of int
+        Total degrees of the polynomials A and B, tried in this order until B is positive all over the frame.
+    min_field_boards : int
+        Fewer boards get one curve for the whole frame.
+    blur_tiles : int
+        Tiles, over all boards, that the blur is fitted to: time grows with it, the error falls with its root.
+    layer_boards : int
+        Most boards on which the depth curve of ``accurate`` is measured.
+    rendered_boards : int
+        Boards rendered with the fitted blur to measure the nonlinearity of shift matching, where boards are few:
+        three for each of its eight terms.
+    pupil_sigma_mm : float
+        Standard deviation of the prior that the entrance pupil lies one image distance before the sensor.
+    range_margin : (near, far)
+        The working range is that of the boards times these.
+
+    Raises
+    ------
+    InputError
+        A count is too small or the margins shrink the range.
+    """
+
+    lens_blur: bool = True
+    per_pixel: bool = False
+    field_degrees: tuple[int, ...] = (4, 2)
+    min_field_boards: int = 5
+    blur_tiles: int = 180
+    layer_boards: int = 40
+    rendered_boards: int = 24
+    pupil_sigma_mm: float = 10.0
+    range_margin: tuple[float, float] = (0.9, 1.3)
+
+    def __post_init__(self) -> None:
+        least = {"min_field_boards": 3, "blur_tiles": 1, "layer_boards": 3, "rendered_boards": 3}
+        for name, count in least.items():
+            if getattr(self, name) < count:
+                raise InputError(f"{name} must be at least {count}, is {getattr(self, name)}")
+        if not (self.pupil_sigma_mm > 0 and 0 < self.range_margin[0] <= 1 <= self.range_margin[1] < float("inf")):
+            raise InputError("pupil_sigma_mm must be positive, and range_margin reach beyond the boards: (0.9, 1.3)")
+
+
+DEFAULT = CalibrationConfig()
