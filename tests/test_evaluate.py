@@ -21,7 +21,7 @@ from chromaperture.errors import InputError
 from chromaperture.evaluation.figures import new_figure
 from chromaperture.evaluation.paper import figure_6, figure_8, methods, registry, run, sweep, trial, world
 from chromaperture.evaluation.paper.context import Context
-from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Exhibit, Listed, Made
+from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable, Exhibit
 from chromaperture.evaluation.paper.html_page import page_html
 from chromaperture.evaluation.prior import annulus, colour_lines, correlation, shifts, stereo
 from chromaperture.evaluation.tables import Table
@@ -49,8 +49,9 @@ def small_made():
     figure = new_figure(2, 1)
     figure.subplots().plot([0, 1])
     table = Table("caption", ("a", "b"), [("1", "two, and three")])
-    compared = [Compared("light <&>", "55 %", "54 %", "A sentence.")]
-    return Made("Made up.", [Drawn("picture", figure, "Look.")], [Listed("figures", table)], compared, ["Last line."])
+    compared = [Comparison("light <&>", "55 %", "54 %", "A sentence.")]
+    tables = [CsvTable("figures", table)]
+    return Content("Made up.", [Chart("picture", figure, "Look.")], tables, compared, ["Last line."])
 
 
 # The frame
@@ -228,13 +229,16 @@ def test_a_shift_is_that_of_the_spline(rng):
     view = rng.normal(size=(40, 50)).astype(np.float32)
     for dx, dy in ((0.3, -2.6), (-7.25, 0.0), (11.0, 3.5)):
         expected = scipy.ndimage.shift(view, (-dy, -dx), order=3, mode="mirror")
-        np.testing.assert_allclose(shifts.shifted(view, dx, dy), expected, atol=1e-5)  # float32
+        np.testing.assert_allclose(shifts.sampled(shifts.spline(view), dx, dy), expected, atol=1e-5)  # float32
 
 
 def test_shifts_follow_the_sign_convention():
     ramp = np.tile(np.arange(20.0, dtype=np.float32), (20, 1))
-    np.testing.assert_allclose(shifts.shifted(ramp, 1.25, 0)[8:12, 8:12], ramp[8:12, 8:12] + 1.25, atol=2e-3)
-    np.testing.assert_allclose(shifts.shifted(ramp.T, 0, -2)[8:12, 8:12], ramp.T[8:12, 8:12] - 2, atol=1e-4)
+    inner = np.s_[8:12, 8:12]
+    right = shifts.sampled(shifts.spline(ramp), 1.25, 0)[inner]
+    np.testing.assert_allclose(right, ramp[inner] + 1.25, atol=2e-3)  # the mirrored rim, felt 8 px away
+    up = shifts.sampled(shifts.spline(ramp.T), 0, -2)[inner]
+    np.testing.assert_allclose(up, ramp.T[inner] - 2, atol=1e-4)  # whole px: the sample itself, in float32
 
 
 # Judging
@@ -252,11 +256,11 @@ def test_a_calibrated_reading_gives_the_radius_back():
     def reading(r):
         return 0.4 * r + 0.02 * r * abs(r)
 
-    curve = methods.rising(radius, reading(radius))
+    curve = methods.increasing_curve(radius, reading(radius))
     np.testing.assert_allclose(curve.radius_of(reading(radius)), radius, atol=1e-12)
     np.testing.assert_allclose(curve.radius_of(np.array([np.nan, reading(3.0) + 0.01]))[1], 3 + 0.01 / 0.49, rtol=1e-9)
-    assert len(methods.rising(radius, -radius).reading) == 1
-    assert np.isnan(methods.rising(radius, -radius).radius_of(np.zeros((2, 2)))).all()
+    assert len(methods.increasing_curve(radius, -radius).reading) == 1
+    assert np.isnan(methods.increasing_curve(radius, -radius).radius_of(np.zeros((2, 2)))).all()
 
 
 def test_scores_count_all_pixels_with_truth():
@@ -347,7 +351,7 @@ def test_two_workers_one_killed_give_what_one_gives_byte_for_byte(tmp_path):
 
 def test_a_sweep_goes_on_from_what_is_kept(tmp_path, monkeypatch):
     for one in trials():
-        sweep._keep(tmp_path, one, {"fill": 0.5, "median_error": float("nan")})
+        sweep.keep(tmp_path, one, {"fill": 0.5, "median_error": float("nan")})
     monkeypatch.setattr(sweep, "ProcessPoolExecutor", None)  # nothing is left to compute
     results = sweep.sweep(trials(), workers=2, keep_in=tmp_path)
     assert [r["fill"] for r in results] == [0.5] * len(trials())

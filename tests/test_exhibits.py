@@ -20,8 +20,8 @@ from test_calibrate import B as SCALE_PX_MM
 
 def test_a_camera_that_goes_round_a_point_keeps_it_ahead():
     for pose in figure_15.orbit(7):
-        local = (figure_15._PIVOT_MM - pose[:3, 3]) @ pose[:3, :3]
-        np.testing.assert_allclose(local, figure_15._PIVOT_MM, atol=1e-9)
+        local = (figure_15.PIVOT_MM - pose[:3, 3]) @ pose[:3, :3]
+        np.testing.assert_allclose(local, figure_15.PIVOT_MM, atol=1e-9)
     np.testing.assert_allclose(figure_15.orbit(7)[0], np.eye(4), atol=1e-12)
 
 
@@ -118,12 +118,12 @@ def test_a_method_that_reads_nothing_of_the_boards_cannot_be_calibrated(session,
 
 
 def test_light_makes_walls_better_and_another_seed_another_wall():
-    def spread(exposure, seed=0):
+    def scatter(exposure, seed=0):
         one = trial.Trial(
             "normalised cross-correlation, unmixed", "cy_halves", exposure, 120, 96, 6, seed, 0.0, "wall", 2600.0
         )
-        return trial.run_trial(one)["spread"]
+        return trial.run_trial(one)["scatter"]
 
-    bright, dim = spread(0.9), spread(0.02)
+    bright, dim = scatter(0.9), scatter(0.02)
     assert dim > 2 * bright  # noise falls with the root of the light: 6.7 times, where photons rule
-    assert spread(0.9, seed=1) != bright
+    assert scatter(0.9, seed=1) != bright

@@ -29,7 +29,7 @@ from chromaperture.depth.field import DepthField
 from chromaperture.evaluation import blur_evidence, figures
 from chromaperture.evaluation.figures import layer_errors, plane_residual
 from chromaperture.evaluation.report import report_html
-from chromaperture.evaluation.verdict import board_depth, board_errors, reach, sentences, stretches, weaknesses
+from chromaperture.evaluation.verdict import board_depth, board_errors, depth_accuracy, intervals, sentences, weaknesses
 from chromaperture.optics.field_blur import BlurModel
 
 WIDTH, HEIGHT = 96, 72
@@ -134,15 +134,15 @@ def test_errors_of_boards_come_back(result):
     assert np.abs(errors[[0, 1, 2]]).max() < 3
 
 
-def test_the_reach_agrees_with_drawn_cameras(result):
+def test_the_accuracy_agrees_with_drawn_cameras(result):
     """Spread of the depth over cameras drawn from the covariance and pixels drawn from the noise."""
     rng = np.random.default_rng(4)
-    seen = reach(result)
+    seen = depth_accuracy(result)
     a, b, delta = rng.multivariate_normal([A, B, DELTA], np.diag([1e-4, 100.0, 4.0]), 20000).T
     for true in (1200.0, 2400.0):
         d = A - B / (true - DELTA) + rng.normal(0, NOISE_PX, a.size)
-        spread = np.std(b / (a - d) + delta)
-        assert np.interp(true, seen.depth_mm, seen.pixel_sigma_mm) == pytest.approx(spread, rel=0.05)
+        scatter = np.std(b / (a - d) + delta)
+        assert np.interp(true, seen.depth_mm, seen.pixel_sigma_mm) == pytest.approx(scatter, rel=0.05)
     step = np.interp(2400.0, seen.depth_mm, seen.step_mm)
     near, far = (B / (A - d) + DELTA for d in A - B / (2400.0 - DELTA) + np.array([-0.005, 0.005]))
     assert step == pytest.approx((far - near) / 0.01, rel=1e-3)
@@ -175,10 +175,10 @@ def test_layers_are_coarser_than_their_parabola(result):
     assert np.median(layers / fine) > 2  # a layer of 0.5 px is off by 0.12 px on average, the noise is 0.02
 
 
-def test_stretches():
+def test_intervals_of_depth():
     depth = np.arange(6.0)
-    assert stretches(depth, np.array([True, True, False, False, True, True])) == [(0, 1), (4, 5)]
-    assert stretches(depth, np.zeros(6, bool)) == []
+    assert intervals(depth, np.array([True, True, False, False, True, True])) == [(0, 1), (4, 5)]
+    assert intervals(depth, np.zeros(6, bool)) == []
 
 
 def test_the_verdict_changes_with_the_evidence(result):

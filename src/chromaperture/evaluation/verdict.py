@@ -1,4 +1,4 @@
-"""What a calibration is worth, in the words of the person who will use the camera."""
+"""How accurate a calibration is, in sentences for the person who will use the camera."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import depth_sigma, depth_to_disparity, disparity_to_depth
 
-_STEPS = 400  # of the working range
+_STEPS = 400  # depths over the working range
+_LARGE_PUPIL_SIGMA_MM = 5.0  # standard deviation of delta above which more boards are advised; chosen by hand
+_LARGE_CORNER_RMS_PX = 0.5  # residual of the lens model above which flatness and focus are questioned; chosen by hand
 
 
 @dataclass(frozen=True)
-class Reach:
-    """How well a quality measures over the working range, on the axis.
+class DepthAccuracy:
+    """Accuracy of a quality over the working range, on the axis.
 
     Attributes
     ----------
@@ -24,11 +26,11 @@ class Reach:
     pixel_sigma_mm : (N,) float64
         Standard deviation of one pixel on the boards, calibration included.
     curve_sigma_mm : (N,) float64
-        That of the calibration alone: what averaging over many pixels leaves.
+        That of the calibration alone, which averaging over pixels does not reduce.
     bias_mm : (N,) float64
-        Error of the boards' medians over the frame, between the boards; NaN beyond them.
+        Error of the boards' medians over the frame, interpolated between the boards; NaN beyond them.
     step_mm : (N,) float64
-        What one px of disparity is worth there.
+        Depth per px of disparity.
     """
 
     depth_mm: np.ndarray
@@ -39,48 +41,40 @@ class Reach:
 
     @property
     def total_mm(self) -> np.ndarray:
-        """Root mean square error of one pixel, its bias counted; NaN beyond the boards."""
+        """Root mean square error of one pixel, bias included; NaN beyond the boards."""
         return np.hypot(self.pixel_sigma_mm, self.bias_mm)
 
 
-def reach(result: CalibrationResult, quality: Quality = "real-time") -> Reach:
-    """Propagate the spread of pixels on the boards and the covariance of the curve to millimetres.
-
-    Parameters
-    ----------
-    result : CalibrationResult
-    quality : Quality
-
-    Returns
-    -------
-    Reach
-    """
+def depth_accuracy(result: CalibrationResult, quality: Quality = "real-time") -> DepthAccuracy:
+    """Propagate the pixel noise on the boards and the covariance of the curve to millimetres."""
     calibration = result.calibration
     model = calibration.on_axis(quality)
     depth = np.linspace(calibration.near_mm, calibration.far_mm, _STEPS)
     rulers = np.array([board.ruler_mm for board in result.boards])
-    spread = np.asarray(result.spread_px[quality], float)
-    known = np.isfinite(spread)
-    order = np.argsort(rulers[known])
-    # Blur widens the spread away from the focus: it is taken from the boards on either side.
-    sigma = np.interp(depth, rulers[known][order], spread[known][order]) if known.any() else np.full(_STEPS, np.nan)
+
+    def between_boards(values: np.ndarray, beyond: float | None) -> np.ndarray:
+        known = np.isfinite(values)
+        if not known.any():
+            return np.full(_STEPS, np.nan)
+        order = np.argsort(rulers[known])
+        return np.interp(depth, rulers[known][order], values[known][order], left=beyond, right=beyond)
+
+    # Interpolated, because blur increases the noise away from the focus.
+    noise_px = between_boards(np.asarray(result.spread_px[quality], float), None)
+    bias = between_boards(board_errors(result, quality), np.nan)
     z = depth - float(np.asarray(model.sensor_to_pupil_mm))
     step = z**2 / float(np.asarray(model.scale_px_mm))  # d depth / d disparity of d = A - B / z
-    errors = board_errors(result, quality)
-    measured = np.isfinite(errors)
-    order = np.argsort(rulers[measured])
-    bias = np.interp(depth, rulers[measured][order], errors[measured][order], left=np.nan, right=np.nan)
-    return Reach(depth, depth_sigma(z, model, sigma), depth_sigma(z, model, 0.0), bias, step)
+    return DepthAccuracy(depth, depth_sigma(z, model, noise_px), depth_sigma(z, model, 0.0), bias, step)
 
 
-def stretches(depth_mm: np.ndarray, good: np.ndarray) -> list[tuple[float, float]]:
-    """Give the stretches of depth where ``good`` holds, from .. to .., mm."""
+def intervals(depth_mm: np.ndarray, good: np.ndarray) -> list[tuple[float, float]]:
+    """Return the intervals of depth where ``good`` holds; list of (first, last), mm."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
     return [(float(depth_mm[a]), float(depth_mm[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def board_errors(result: CalibrationResult, quality: Quality = "real-time") -> np.ndarray:
-    """Median error of every board over the whole frame by the fitted fields; (boards,) float64, mm, NaN unknown."""
+    """Return each board's median error over the frame by the fitted fields; (boards,) float64, mm, NaN unknown."""
     depth = [board_depth(result, i, quality) for i in range(len(result.boards))]
     return np.array([
         float(np.nanmedian(d)) - board.ruler_mm if np.isfinite(d).any() else np.nan
@@ -91,7 +85,7 @@ def board_errors(result: CalibrationResult, quality: Quality = "real-time") -> n
 def board_depth(
     result: CalibrationResult, index: int, quality: Quality = "real-time", *, corrected: bool = True
 ) -> np.ndarray:
-    """Depth of a board on the grid: by the fields over the frame, or by the one curve of the axis.
+    """Compute the depth of a board on the grid.
 
     Parameters
     ----------
@@ -100,7 +94,7 @@ def board_depth(
         Of the board.
     quality : Quality
     corrected : bool
-        Whether to use the fields.
+        By the fields over the frame; otherwise by the curve of the axis.
 
     Returns
     -------
@@ -110,7 +104,7 @@ def board_depth(
     axis = calibration.on_axis(quality)
     disparity = np.asarray(board.grid_px[quality], float)
     if corrected:
-        # A px of residual is worth 1 / B(i, j) of inverse depth: put back onto the curve of the axis.
+        # A px of residual is 1 / B(i, j) of inverse depth; added to the curve of the axis.
         ratio = float(np.asarray(axis.scale_px_mm)) / _scale_on_grid(result, quality)
         residual = np.asarray(result.residual_px[quality][index], float)
         disparity = float(depth_to_disparity(board.ruler_mm, axis)) + residual * ratio
@@ -133,67 +127,64 @@ class Sentence:
 
 
 def sentences(result: CalibrationResult, quality: Quality = "real-time") -> list[Sentence]:
-    """Say what the camera is good for, what is weak, and what to do about it."""
+    """Describe accuracy and range of the camera, then its weaknesses and their remedies."""
     calibration = result.calibration
-    seen = reach(result, quality)
-    lines = [_accuracy(seen, share) for share in (0.01, 0.02)]
+    found = depth_accuracy(result, quality)
+    lines = [_accurate_range(found, fraction) for fraction in (0.01, 0.02)]
     lines.append(Sentence(
         f"It measures from {calibration.near_mm:.0f} to {calibration.far_mm:.0f} mm (boards stood from "
         f"{min(b.ruler_mm for b in result.boards):.0f} to {max(b.ruler_mm for b in result.boards):.0f} mm) and is in "
         f"focus at {calibration.in_focus_mm:.0f} mm. Distances count from the sensor plane."
     ))  # fmt: skip
-    middle = len(seen.depth_mm) // 2
     lines.append(Sentence(
         "A tenth of a pixel of disparity is worth " + ", ".join(
-            f"{0.1 * seen.step_mm[i]:.0f} mm at {seen.depth_mm[i]:.0f} mm" for i in (0, middle, -1)
+            f"{0.1 * found.step_mm[i]:.0f} mm at {found.depth_mm[i]:.0f} mm" for i in (0, _STEPS // 2, -1)
         ) + "."
     ))  # fmt: skip
     rulers = np.array([board.ruler_mm for board in result.boards])
     errors = board_errors(result, quality)
     worst = int(np.nanargmax(np.abs(errors / rulers)))
-    share = abs(errors[worst]) / rulers[worst]
+    relative = abs(errors[worst]) / rulers[worst]
     lines.append(Sentence(
-        f"The boards themselves come back to within {share:.1%} over the whole frame; the worst is "
+        f"The boards themselves come back to within {relative:.1%} over the whole frame; the worst is "
         f"{result.boards[worst].name}, off by {errors[worst]:+.0f} mm.",
-        "good" if share <= 0.01 else "weak",
+        "good" if relative <= 0.01 else "weak",
     ))  # fmt: skip
     return lines + weaknesses(result, quality)
 
 
-def _accuracy(seen: Reach, share: float) -> Sentence:
-    """Where one pixel is good to a share of its depth."""
-    total = seen.total_mm / seen.depth_mm
-    good = np.isfinite(total) & (total <= share)
-    ranges = stretches(seen.depth_mm, good)
-    if not ranges:
-        if not np.isfinite(total).any():
-            return Sentence(f"Whether a pixel is good to {share:.0%} cannot be told: too few boards were read.", "weak")
-        best = int(np.nanargmin(total))
-        where = f"{total[best]:.1%}, at {seen.depth_mm[best]:.0f} mm"
-        return Sentence(f"One pixel is nowhere good to {share:.0%}; its best is {where}.", "weak")
-    text = " and ".join(f"from {a:.0f} to {b:.0f} mm" for a, b in ranges)
-    return Sentence(f"One pixel is good to {share:.0%} {text} (one standard deviation, on the boards).", "good")
+def _accurate_range(found: DepthAccuracy, fraction: float) -> Sentence:
+    """State where one pixel is accurate to a fraction of its depth."""
+    total = found.total_mm / found.depth_mm
+    ranges = intervals(found.depth_mm, np.isfinite(total) & (total <= fraction))
+    if ranges:
+        text = " and ".join(f"from {a:.0f} to {b:.0f} mm" for a, b in ranges)
+        return Sentence(f"One pixel is good to {fraction:.0%} {text} (one standard deviation, on the boards).", "good")
+    if not np.isfinite(total).any():
+        return Sentence(f"Whether a pixel is good to {fraction:.0%} is unknown: too few boards were read.", "weak")
+    best = int(np.nanargmin(total))
+    where = f"{total[best]:.1%}, at {found.depth_mm[best]:.0f} mm"
+    return Sentence(f"One pixel is nowhere good to {fraction:.0%}; its best is {where}.", "weak")
 
 
 def weaknesses(result: CalibrationResult, quality: Quality) -> list[Sentence]:
-    """Give what limits this calibration, each with what to do."""
+    """List what limits this calibration, each with its remedy."""
     found = []
     rulers = np.array([board.ruler_mm for board in result.boards])
     focus = result.calibration.in_focus_mm
-    near, far = int((rulers < 0.95 * focus).sum()), int((rulers > 1.05 * focus).sum())
-    if min(near, far) == 0:
-        side = "nearer" if near == 0 else "farther"
+    nearer, farther = (rulers < 0.95 * focus).any(), (rulers > 1.05 * focus).any()  # 5 %: clearly off the focus
+    if not (nearer and farther):
+        side = "farther" if nearer else "nearer"
         found.append(f"No board stands {side} than the focus at {focus:.0f} mm: photograph two or three there.")
-    model = result.fits[quality].model
-    sigma = np.sqrt(np.diag(np.asarray(model.covariance)))
-    if sigma[2] > 5:
+    sigma = np.sqrt(np.diag(np.asarray(result.fits[quality].model.covariance)))
+    if sigma[2] > _LARGE_PUPIL_SIGMA_MM:
         found.append(
             f"The distance from the sensor to the pupil is known to {sigma[2]:.0f} mm only, which is that much of "
             "error near the camera: add boards close by and tilted ones."
         )
     if result.intrinsics is None:
         found.append("The lens was not measured, points may be off sideways by a few %: add tilted boards.")
-    elif result.intrinsics.rms_px > 0.5:
+    elif result.intrinsics.rms_px > _LARGE_CORNER_RMS_PX:
         found.append(f"Corners miss the lens model by {result.intrinsics.rms_px:.2f} px: is the board flat and sharp?")
     missing = [board.name for board in result.boards if board.corners_px is None]
     if missing:
@@ -201,17 +192,13 @@ def weaknesses(result: CalibrationResult, quality: Quality) -> list[Sentence]:
             f"No chessboard was found in {len(missing)} of {len(rulers)} boards ({', '.join(missing[:4])}): their "
             "distance rests on the ruler alone."
         )
-    blank = [
-        board.name
-        for board in result.boards
-        if not np.isfinite(board.grid_px[quality]).mean() > 0.5
-    ]
+    blank = [board.name for board in result.boards if not np.isfinite(board.grid_px[quality]).mean() > 0.5]
     if blank:
         found.append(f"Less than half of the frame has texture on {', '.join(blank[:4])}: cover the wall with speckle.")
-    trusted_mm = result.session.ruler_error_mm
     found += [
         f"Ruler and corners of {board.name} disagree by {off:+.0f} mm: measure that distance again."
         for board, off in zip(result.boards, result.ruler_residual_mm, strict=False)
-        if abs(off) > 3 * trusted_mm and board.name not in result.outliers  # False where there is no pose
+        # False without a pose, where ``off`` is NaN.
+        if abs(off) > 3 * result.session.ruler_error_mm and board.name not in result.outliers
     ]
     return [Sentence(text, "weak") for text in (*found, *result.outliers.values())]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from matplotlib.figure import Figure
 
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
 from chromaperture.camera import CodedApertureCamera, default_config
@@ -18,21 +19,22 @@ from chromaperture.errors import InputError
 from chromaperture.evaluation.figures import new_figure
 from chromaperture.evaluation.paper import bench_prior, methods
 from chromaperture.evaluation.paper.context import Context
-from chromaperture.evaluation.paper.exhibit import Drawn, Listed, Made
-from chromaperture.evaluation.paper.world import NUMERALS
+from chromaperture.evaluation.paper.exhibit import Chart, Content, CsvTable
+from chromaperture.evaluation.paper.world import full_name
 from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.products.measure_file import read_capture
 
-FIRST = "cy_halves"  # has tilted boards, and gives its lens to the others
+FIRST = "cy_halves"  # has tilted boards, which determine the lens of all designs
 DESIGNS_READ = ("rgb_squares", "cmy_circles", "cy_halves", "magenta_annulus", "cy_open", "open")
 SCENES = ("steps", "room", "desk")
 _SHOWN = "steps"
+_SCORES = ("fill", "within_2", "within_5", "within_10", "median_error")
 Row = tuple[str, str, str, dict[str, float], float]  # method, design, scene, scores, seconds
 
 
-def make(context: Context) -> Made:
-    """Calibrate each design's session for every method, measure its scenes."""
+def make(context: Context) -> Content:
+    """Calibrate each design's session for every method and measure its scenes."""
     data = _folder(context)
     qualities: tuple[Quality, ...] = ("real-time",) if context.quick else ("paper", "real-time", "accurate")
     given = {c.design: c for c in (Calibration.load(path) for path in context.cameras)}
@@ -44,7 +46,7 @@ def make(context: Context) -> Made:
     for number, design in enumerate(DESIGNS_READ):
         if not DESIGNS[design].views and design != "magenta_annulus":
             continue
-        context.tell(f"bench: {design}", number, len(DESIGNS_READ))
+        context.progress(f"bench: {design}", number, len(DESIGNS_READ))
         if design == "magenta_annulus":
             found = bench_prior.measured_by_annulus(data / design, first, truths, keep_in=_kept(context, design))
         else:
@@ -57,7 +59,7 @@ def make(context: Context) -> Made:
             rows.append((method, design, scene, methods.scores(depth, truths[scene]), seconds))
             if scene == _SHOWN:
                 pictures[method, design] = depth
-    return _shown(rows, pictures, truths[_SHOWN], blurred=[d for d, c in given.items() if c.blur is not None])
+    return _content(rows, pictures, truths[_SHOWN], blurred=[d for d, c in given.items() if c.blur is not None])
 
 
 def _folder(context: Context) -> Path:
@@ -71,7 +73,7 @@ def _kept(context: Context, design: str) -> Path:
 
 
 def _calibrated(context: Context, design: str, lens: Calibration | None) -> CalibrationResult:
-    """Calibrate without the lens's blur, which takes long: a camera file given with --camera may have it."""
+    """Calibrate without the lens's blur, which takes long; camera files given with --camera may have it."""
     folder = _folder(context) / design
     return calibrate_session(folder, lens_from=lens, lens_blur=False, keep_in=_kept(context, design))
 
@@ -79,10 +81,10 @@ def _calibrated(context: Context, design: str, lens: Calibration | None) -> Cali
 def _measured(
     folder: Path, calibration: Calibration, qualities: tuple[Quality, ...]
 ) -> Iterator[tuple[str, str, np.ndarray, float]]:
-    """Measure the scenes with the project's own method; method, scene, depth in mm, seconds."""
+    """Measure the scenes with the project's own method; yields method, scene, depth in mm, seconds."""
     for quality in qualities:
         camera = CodedApertureCamera(calibration, default_config(calibration, quality))
-        camera.measure(read_capture(folder / "scene" / f"{SCENES[0]}.png", camera))  # compiles, fills its tables
+        camera.measure(read_capture(folder / "scene" / f"{SCENES[0]}.png", camera))  # compiles, fills tables
         for scene in SCENES:
             image = read_capture(folder / "scene" / f"{scene}.png", camera)
             start = time.perf_counter()
@@ -90,32 +92,45 @@ def _measured(
             yield f"ours, {quality}", scene, depth, time.perf_counter() - start
 
 
-def _shown(
+def _content(
     rows: list[Row], pictures: dict[tuple[str, str], np.ndarray], truth: np.ndarray, *, blurred: list[str]
-) -> Made:
+) -> Content:
     designs = [d for d in DESIGNS_READ if any(row[1] == d for row in rows)]
     names = list(dict.fromkeys(row[0] for row in rows))
     best = [
-        (
-            name,
-            *(_cell([r[3] for r in rows if r[:2] == (name, d)]) for d in designs),
-            "no disparity",
-            _mean_ms(rows, name),
-        )
+        (name, *(_cell([r[3] for r in rows if r[:2] == (name, d)]) for d in designs), "no disparity",
+         f"{1000 * float(np.nanmean([r[4] for r in rows if r[0] == name])):.0f}")
         for name in names
-    ]
+    ]  # fmt: skip
     every = [
-        (m, d, s, *(f"{scores[k]:.4f}" for k in ("fill", "within_2", "within_5", "within_10", "median_error")),
-         f"{1000 * seconds:.0f}")
-        for m, d, s, scores, seconds in rows
-    ]  # fmt: skip
-    head = ("method", *(f"{NUMERALS[d]} {d}" for d in (*designs, "open")), "time, ms")
+        (*names, *(f"{scores[k]:.4f}" for k in _SCORES), f"{1000 * seconds:.0f}") for *names, scores, seconds in rows
+    ]
+    head = ("method", *(full_name(d) for d in (*designs, "open")), "time, ms")
     listed = [
-        Listed("bench", Table("Shares of ALL pixels whose depth is right within 2 % / within 5 %, fill; mean of "
-                              f"{', '.join(SCENES)}", head, best)),
-        Listed("scenes", Table("Every scene", ("method", "design", "scene", "fill", "within 2 %", "within 5 %",
-                                               "within 10 %", "median error", "time, ms"), every)),
+        CsvTable("bench", Table("Fractions of ALL pixels whose depth is right within 2 % / within 5 %, fill; mean of "
+                                f"{', '.join(SCENES)}", head, best)),
+        CsvTable("scenes", Table("Every scene", ("method", "design", "scene", "fill", "within 2 %", "within 5 %",
+                                                 "within 10 %", "median error", "time, ms"), every)),
     ]  # fmt: skip
+    accurate = f"with the lens's blur for {', '.join(blurred)} and without for the others" if blurred else "without it"
+    return Content(
+        f"From {len(designs)} sessions in --data.",
+        [Chart("scenes", _figure(names, designs, pictures, truth),
+               f"Depth of {_SHOWN}; blue is near, yellow far, white unknown.")],
+        listed,
+        lines=[
+            "Every method has the same calibration: curve and fields of d = A - B / z, fitted to its own readings of "
+            "the design's boards (prior methods: at most eight). An empty cell is a design that the method cannot "
+            "read: stereo pairs must be shifted along x, and the annulus has a method of its own. VIII, the open "
+            "pupil, has no disparity and no method here can read it.",
+            f"Quality accurate takes the lens's blur from the camera file only; here {accurate}.",
+        ],
+    )
+
+
+def _figure(
+    names: list[str], designs: list[str], pictures: dict[tuple[str, str], np.ndarray], truth: np.ndarray
+) -> Figure:
     figure = new_figure(width=1.9 * len(designs) + 1.2, height=1.15 * len(names) + 0.5)
     low, high = (float(v) for v in np.nanpercentile(truth, (1, 99)))
     panels = figure.subplots(len(names), len(designs), squeeze=False)
@@ -129,20 +144,8 @@ def _shown(
                 axes.set_frame_on(False)
         line[0].set_ylabel(name.replace(", ", ",\n").replace(" cross-", "\ncross-"), fontsize=7)
     for axes, design in zip(panels[0], designs, strict=True):
-        axes.set_title(f"{NUMERALS[design]} {design}", fontsize=8)
-    accurate = f"with the lens's blur for {', '.join(blurred)} and without for the others" if blurred else "without it"
-    return Made(
-        f"From {len(designs)} sessions in --data.",
-        [Drawn("scenes", figure, f"Depth of {_SHOWN}; blue is near, yellow far, white unknown.")],
-        listed,
-        lines=[
-            "Every method has the same calibration: curve and fields of d = A - B / z, fitted to its own readings of "
-            "the design's boards (prior methods: at most eight). Where there is no cell, a method cannot read the "
-            "design: stereo pairs must move along x, and the annulus has a method of its own. VIII, the open pupil, "
-            "has no disparity and no method here can read it.",
-            f"Quality accurate knows the lens's blur from the camera file only; here {accurate}.",
-        ],
-    )
+        axes.set_title(full_name(design), fontsize=8)
+    return figure
 
 
 def _cell(scores: list[dict[str, float]]) -> str:
@@ -154,13 +157,10 @@ def _cell(scores: list[dict[str, float]]) -> str:
     return f"{two:.1%} / {five:.1%}, {fill:.0%}"
 
 
-def _mean_ms(rows: list[Row], method: str) -> str:
-    return f"{1000 * float(np.nanmean([r[4] for r in rows if r[0] == method])):.0f}"
-
-
 def truth_mm(data: Path, scene: str) -> np.ndarray:
     """Read a scene's true depth; (H, W) float64, mm, NaN unknown."""
-    stored = cv2.imread(str(data / "truth" / f"{scene}.depth_0.1mm.png"), cv2.IMREAD_UNCHANGED)
+    path = data / "truth" / f"{scene}.depth_0.1mm.png"
+    stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if stored is None:
-        raise InputError(f"cannot read {data / 'truth' / f'{scene}.depth_0.1mm.png'}")
+        raise InputError(f"cannot read {path}")
     return np.where(stored > 0, stored / 10.0, np.nan)

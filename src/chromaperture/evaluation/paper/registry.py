@@ -1,4 +1,4 @@
-"""All exhibits by name, in the paper's order; a figure's own module is loaded when it is made."""
+"""All exhibits by name, in the paper's order; an exhibit's module is imported when it is made."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from chromaperture.errors import InputError
-from chromaperture.evaluation.paper.exhibit import Exhibit, Made
+from chromaperture.evaluation.paper.exhibit import Content, Exhibit
 
 if TYPE_CHECKING:
     from chromaperture.evaluation.paper.context import Context
@@ -29,10 +29,9 @@ def _exhibit(
 ) -> Exhibit:
     module = f"chromaperture.evaluation.paper.{name.replace('-', '_')}"
 
-    def make(context: Context) -> Made:
-        made = importlib.import_module(module).make(context)
-        assert isinstance(made, Made)
-        return made
+    def make(context: Context) -> Content:
+        content: Content = importlib.import_module(module).make(context)
+        return content
 
     return Exhibit(name, title, make, files, only_data, reads_all)
 
@@ -63,13 +62,7 @@ EXHIBITS: dict[str, Exhibit] = {
 
 
 def chosen(names: Sequence[str]) -> list[Exhibit]:
-    """Look exhibits up; ``all`` or nothing is all of them.
-
-    Raises
-    ------
-    InputError
-        An unknown name; the message suggests the nearest.
-    """
+    """Return exhibits by name, all for ``all`` or nothing; InputError suggests the nearest to an unknown name."""
     if not names or "all" in names:
         return list(EXHIBITS.values())
     for name in names:

@@ -1,4 +1,4 @@
-"""The colour-line measure of the paper's [4]: where channels are aligned, their colours lie on a line."""
+"""The colour-line measure of the paper's [4]: colours of aligned channels lie on a line."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from chromaperture.config import OptimiserConfig
 from chromaperture.disparity.optimise import optimise_volume
 from chromaperture.evaluation.prior.shifts import best_layer, box, sampled, spline
 
-_PATHS = OptimiserConfig(slope_penalty=1.0, jump_penalty=1.0, coupling_rounds=0)
-_LOG_SPAN = 16.0  # nats: below exp(-16) a window is a perfect line, and noise tells which is more so
+_PATHS = OptimiserConfig(slope_penalty=1.0, jump_penalty=1.0, coupling_rounds=0)  # penalties chosen by hand
+_LOG_SPAN = 16.0  # nats; a smaller measure, below exp(-16), depends on noise; chosen by hand
+_GUIDE_STEP = 0.06  # unit of the guide's steps, of the bright level (99th percentile); chosen by hand
 
 
 def colour_line_measure(
     image: np.ndarray, directions: np.ndarray, layers_px: np.ndarray, *, side_px: int = 15
 ) -> np.ndarray:
-    """Product of the eigenvalues of the local colour covariance over the product of its diagonal.
+    """Return the determinant of the local colour covariance over the product of its diagonal.
 
     With eigenvalues l_i and channel variances s_c^2, L = l_0 l_1 l_2 / (s_r^2 s_g^2 s_b^2) in [0, 1]: 0 for colours on
-    a line or plane, 1 for channels that have nothing to do with each other. The product is the determinant.
+    a line or plane, 1 for uncorrelated channels.
 
     Parameters
     ----------
@@ -46,22 +47,11 @@ def colour_line_measure(
 
 
 def colour_lines(
-    image: np.ndarray,
-    directions: np.ndarray,
-    layers_px: np.ndarray,
-    *,
-    side_px: int = 15,
-    optimised: bool = True,
+    image: np.ndarray, directions: np.ndarray, layers_px: np.ndarray, *, side_px: int = 15, optimised: bool = True
 ) -> np.ndarray:
-    """Match by colour lines, every pixel alone or with a global optimisation.
+    """Match by `colour_line_measure`, pixel by pixel or with a global optimisation.
 
-    The original solves a Markov field by graph cuts; here semi-global paths take their place, over the same measure.
-
-    Parameters
-    ----------
-    image, directions, layers_px, side_px
-        As in `colour_line_measure`.
-    optimised : bool
+    The original optimises a Markov random field by graph cuts; here semi-global paths replace them.
 
     Returns
     -------
@@ -71,7 +61,8 @@ def colour_lines(
     if not optimised:
         return best_layer(-measure, layers_px)
     likelihood = -np.log(np.maximum(measure, np.exp(-_LOG_SPAN)))
-    guide = np.ascontiguousarray(image.mean(axis=2) / (0.06 * max(float(np.percentile(image, 99)), 1e-6)), np.float32)
+    bright = max(float(np.percentile(image, 99)), 1e-6)
+    guide = np.ascontiguousarray(image.mean(axis=2) / (_GUIDE_STEP * bright), np.float32)
     volume = np.ascontiguousarray(np.moveaxis(likelihood, 0, 2), np.float32)
     found = optimise_volume(volume, guide, layers_px, config=_PATHS)
     return np.asarray(found.disparity_px, float)

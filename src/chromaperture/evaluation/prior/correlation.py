@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import combinations
 
+import cv2
 import numpy as np
 
 from chromaperture.evaluation.prior.shifts import best_layer, box, sampled, spline
@@ -49,21 +50,19 @@ def phase_correlation(
 
         score(d) = sum_w Re[ F_a conj(F_b) / |F_a F_b| exp(i w (u_a - u_b) d) ],
 
-    is largest at the disparity. Only frequencies below a quarter of the sampling rate vote: above, noise does.
+    is largest at the disparity. Only frequencies below a quarter of the sampling rate are used: above, noise dominates.
 
     Parameters
     ----------
     views, directions, layers_px
         As in `cross_correlation`.
     side_px, step_px : int
-        Block and distance of two blocks; between them the scores are interpolated.
+        Size and distance of the blocks, between which the scores are interpolated.
 
     Returns
     -------
     (H, W) float64, px
     """
-    import cv2
-
     height, width, count = views.shape
     half = side_px // 2
     rows, columns = np.arange(0, height, step_px), np.arange(0, width, step_px)
@@ -85,9 +84,9 @@ def phase_correlation(
             cross /= np.maximum(np.abs(cross), 1e-12)
             u, v = directions[a] - directions[b]
             turns = np.exp(1j * np.outer(wx * u + wy * v, layers_px))
-            # Not as a product of matrices: the threads of BLAS wait for each other longer than they count here.
+            # Not as a matrix product: for these sizes, synchronising the threads of BLAS takes longer than the sum.
             coarse[:, i] += np.einsum("bw,wd->db", cross, turns).real
-    # Block centres lie on the grid's pixels; map every pixel to its place between them.
+    # Block centres lie on the pixels of the grid; every pixel is interpolated between them.
     x, y = np.meshgrid(np.arange(width, dtype=np.float32) / step_px, np.arange(height, dtype=np.float32) / step_px)
     fine = [cv2.remap(s.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for s in coarse]
     return best_layer(np.stack(fine), layers_px)
