@@ -38,24 +38,7 @@ def style_axes(axes: Axes, **labels: str) -> None:
 def show_image(
     axes: Axes, image: np.ndarray, title: str = "", *, size: int = 9, bar: str | None = None, **options: Any
 ) -> AxesImage:
-    """Show an image or a map without ticks.
-
-    Parameters
-    ----------
-    axes : Axes
-    image : (H, W) or (H, W, 3) array
-    title : str
-    size : int
-        Of the title's font.
-    bar : str, optional
-        Label of a colour bar; no bar when absent.
-    **options
-        Of ``Axes.imshow``.
-
-    Returns
-    -------
-    AxesImage
-    """
+    """Show an (H, W) map or (H, W, 3) image without ticks; ``bar`` labels a colour bar, ``options`` are of imshow."""
     shown = axes.imshow(image, **options)
     axes.set_title(title, fontsize=size, loc="left")
     axes.set_axis_off()

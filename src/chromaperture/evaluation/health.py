@@ -48,8 +48,6 @@ class Check:
 
     Attributes
     ----------
-    name : str
-    verdict : "ok", "warn" or "cannot tell"
     finding : str
         One sentence with the measured values.
     advice : str
@@ -81,15 +79,10 @@ def check_camera(
     Parameters
     ----------
     image : (H, W, 3) float, linear RGB, 1.0 = white level
-    calibration : Calibration
     board : Board, optional
         The chessboard to look for.
     exif : Exif, optional
         Settings that the camera wrote into the file.
-
-    Returns
-    -------
-    list of Check
 
     Raises
     ------

@@ -30,13 +30,10 @@ class Tint:
         Largest relative change of a channel ratio from the middle of the frame to its edge.
     scatter : float
         Robust relative standard deviation of the cells about the ramp: large in coloured scenes.
-    direction : (2,) float64
-        Gradient of the ratio that changes most; x right, y down, log ratio from middle to edge.
     """
 
     ramp: float
     scatter: float
-    direction: np.ndarray
 
 
 def measure_tint(image: np.ndarray) -> Tint | None:
@@ -72,7 +69,7 @@ def measure_tint(image: np.ndarray) -> Tint | None:
     tints = []
     for a, b in ((0, 1), (1, 2), (0, 2)):
         slope, scatter = _robust_plane(basis, logs[:, a] - logs[:, b])
-        tints.append(Tint(float(np.expm1(np.hypot(*slope))), scatter, slope))
+        tints.append(Tint(float(np.expm1(np.hypot(*slope))), scatter))
     return max(tints, key=lambda tint: tint.ramp - tint.scatter)
 
 

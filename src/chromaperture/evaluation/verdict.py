@@ -89,10 +89,8 @@ def board_depth(
 
     Parameters
     ----------
-    result : CalibrationResult
     index : int
         Of the board.
-    quality : Quality
     corrected : bool
         By the fields over the frame; otherwise by the curve of the axis.
 

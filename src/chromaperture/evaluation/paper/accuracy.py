@@ -13,7 +13,6 @@ from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable
 from chromaperture.evaluation.paper.trial import Trial
 from chromaperture.evaluation.paper.world import EIGHT, NUMERALS, full_name
-from chromaperture.evaluation.tables import Table
 
 _WIDTH, _HEIGHT = 160, 112  # px, a crop of the full picture
 _FULL_MM, _QUICK_MM = (1150.0, 1500.0, 1850.0, 2300.0, 2900.0, 3600.0), (1500.0, 2900.0)
@@ -63,8 +62,8 @@ def make(context: Context) -> Content:
                   "picture may have less.")
         ],
         tables=[
-            CsvTable("accuracy", Table("Median over seeds; scatter is the robust standard deviation", head, rows)),
-            CsvTable("trials", Table("Every trial", (*_FIELDS, *_KEYS), every), on_page=False),
+            CsvTable("accuracy", "Median over seeds; scatter is the robust standard deviation", head, rows),
+            CsvTable("trials", "Every trial", (*_FIELDS, *_KEYS), every, on_page=False),
         ],
         comparisons=[
             Comparison(f"ranking, {light}", "V for depth, VII for light", _ranking(results, light),

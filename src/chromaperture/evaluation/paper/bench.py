@@ -21,7 +21,6 @@ from chromaperture.evaluation.paper import bench_prior, methods
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Content, CsvTable
 from chromaperture.evaluation.paper.world import full_name
-from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.products.measure_file import read_capture
 
@@ -107,10 +106,10 @@ def _content(
     ]
     head = ("method", *(full_name(d) for d in (*designs, "open")), "time, ms")
     listed = [
-        CsvTable("bench", Table("Fractions of ALL pixels whose depth is right within 2 % / within 5 %, fill; mean of "
-                                f"{', '.join(SCENES)}", head, best)),
-        CsvTable("scenes", Table("Every scene", ("method", "design", "scene", "fill", "within 2 %", "within 5 %",
-                                                 "within 10 %", "median error", "time, ms"), every)),
+        CsvTable("bench", "Fractions of ALL pixels whose depth is right within 2 % / within 5 %, fill; mean of "
+                 f"{', '.join(SCENES)}", head, best),
+        CsvTable("scenes", "Every scene", ("method", "design", "scene", "fill", "within 2 %", "within 5 %",
+                                           "within 10 %", "median error", "time, ms"), every),
     ]  # fmt: skip
     accurate = f"with the lens's blur for {', '.join(blurred)} and without for the others" if blurred else "without it"
     return Content(

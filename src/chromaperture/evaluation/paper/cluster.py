@@ -26,23 +26,8 @@ def dask_distributed() -> Any:
 def on_cluster(trials: Sequence[Trial], address: str) -> Iterator[tuple[Trial, dict[str, float]]]:
     """Run trials on the workers of a scheduler.
 
-    Parameters
-    ----------
-    trials : sequence of Trial
-    address : str
-        Of the scheduler, such as ``tcp://10.0.0.1:8786``.
-
-    Yields
-    ------
-    (Trial, dict)
-        As they finish. Dask reassigns the trials of a worker that died.
-
-    Raises
-    ------
-    InputError
-        No answer, no worker, workers of another version, or the cluster was lost.
-    MissingDependencyError
-        The extra ``cluster`` is not installed.
+    Trials and results are yielded as they finish; Dask reassigns the trials of a worker that died. Raises InputError
+    without an answer, without workers, for workers of another version, and when the cluster is lost.
     """
     dask = dask_distributed()
     with _client(dask, address) as client:

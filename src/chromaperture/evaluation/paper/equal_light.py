@@ -13,7 +13,6 @@ from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable
 from chromaperture.evaluation.paper.trial import Trial
 from chromaperture.evaluation.paper.world import DIM, EIGHT, LIGHTS, NUMERALS, full_name
-from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import channel_transmission
 
 _AT_MM = 2600.0  # distance of the wall of the bound: beyond the focus, within the still life
@@ -56,8 +55,8 @@ def make(context: Context) -> Content:
         source=f"Simulated: {len(seeds)} still life{'s' if len(seeds) > 1 else ''} a point, {width}x{height} px.",
         charts=[Chart("equal-light", _figure(found, light_of), "Right and low is good. Dashed: no method can be better "
                       "on a grey wall, with the same window; edges, occlusions and colours cost the rest.")],
-        tables=[CsvTable("equal-light", Table("Equal level: white paper at 0.9; equal time: 0.9 through the open "
-                                              f"pupil; dim: {DIM:g} through the open pupil", head, rows))],
+        tables=[CsvTable("equal-light", "Equal level: white paper at 0.9; equal time: 0.9 through the open pupil; "
+                         f"dim: {DIM:g} through the open pupil", head, rows)],
         comparisons=_comparisons({key: at["within_5"] for key, at in found.items()}),
     )  # fmt: skip
 

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
-from chromaperture.evaluation.tables import Table
-
 if TYPE_CHECKING:
     from chromaperture.evaluation.paper.context import Context
 
@@ -35,10 +33,12 @@ class Chart:
 
 @dataclass(frozen=True)
 class CsvTable:
-    """A table and the stem of its CSV file; ``on_page`` is false for tables too long for the page."""
+    """A table of text and the stem of its CSV file; ``on_page`` is false for tables too long for the page."""
 
     stem: str
-    table: Table
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
     on_page: bool = True
 
 

@@ -11,7 +11,6 @@ from chromaperture.evaluation.paper import methods, world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable
 from chromaperture.evaluation.paper.world import EIGHT, NUMERALS, full_name
-from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import channel_transmission
 from chromaperture.optics.pinhole import PupilCamera
 
@@ -60,8 +59,8 @@ def make(context: Context) -> Content:
         source=f"Simulated: a still life at {camera.width_px}x{camera.height_px} px through an ideal 50 mm f/2 lens, "
         "exposed until white paper reaches the same level in every design, as the paper does.",
         charts=[Chart("designs", figure, "Rows I to VIII. Blue is near, yellow far; the last column is the truth.")],
-        tables=[CsvTable("designs", Table("Fractions of ALL pixels whose depth is right; exposure relative to the open "
-                                          "pupil", head, rows))],
+        tables=[CsvTable("designs", "Fractions of ALL pixels whose depth is right; exposure relative to the open pupil",
+                         head, rows)],
         comparisons=[
             Comparison("V against VI", "V seems better at almost the same light",
                        f"within 5 %: V {good['cy_halves']:.0%}, VI {good['magenta_annulus']:.0%}",

@@ -10,7 +10,6 @@ from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable
 from chromaperture.evaluation.paper.white import transparencies, white_sheets
 from chromaperture.evaluation.paper.world import EIGHT, NUMERALS, full_name
-from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import DESIGNS, channel_transmission
 
 
@@ -38,8 +37,8 @@ def make(context: Context) -> Content:
     return Content(
         source=source,
         charts=[Chart("light", figure, "Transmitted light, relative to an open pupil, by channel.")],
-        tables=[CsvTable("light", Table("Light efficiency; the last column with ideal film",
-                                        ("design", "R", "G", "B", "mean", "luminance", "ideal film"), rows))],
+        tables=[CsvTable("light", "Light efficiency; the last column with ideal film",
+                         ("design", "R", "G", "B", "mean", "luminance", "ideal film"), rows)],
         comparisons=[
             Comparison("order by light", ", ".join(paper), ", ".join(order), _difference(paper, order)),
             Comparison("V with ideal filters", "over 65 %", f"{halves:.1%}",

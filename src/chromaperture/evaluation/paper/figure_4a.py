@@ -9,7 +9,6 @@ from chromaperture.evaluation.figures import new_figure
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable
-from chromaperture.evaluation.tables import Table
 
 
 def make(context: Context) -> Content:
@@ -38,8 +37,8 @@ def make(context: Context) -> Content:
         source="The film of the package ('real'), no photograph needed.",
         charts=[Chart("cyx", figure, "Grey things seen through the two halves lie in the plane of C and Y.")],
         tables=[
-            CsvTable("matrix", Table("Columns of M and rows of its inverse, Eq. (1)",
-                                     ("axis", "R", "G", "B", "R of row", "G of row", "B of row"), rows))
+            CsvTable("matrix", "Columns of M and rows of its inverse, Eq. (1)",
+                     ("axis", "R", "G", "B", "R of row", "G of row", "B of row"), rows)
         ],
         comparisons=[
             Comparison("X", "orthogonal to the CY plane", f"orthogonal; greys leave the plane by {off:.0e}",

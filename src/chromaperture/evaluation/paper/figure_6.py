@@ -11,7 +11,6 @@ from chromaperture.evaluation.figures import BLUE, GREY, new_figure, style_axes
 from chromaperture.evaluation.paper import methods, world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable
-from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.robust import robust_sigma
@@ -52,10 +51,10 @@ def make(context: Context) -> Content:
     return Content(
         source=f"Simulated: {len(rulers)} boards, ideal lens, off their ruler distance by up to {_RULER_MM:g} mm.",
         charts=[Chart("calibration", figure, "Points on the line are right.")],
-        tables=[CsvTable("calibration", Table(
-            "Fits on the axis: range is the half disparity from the nearest to the farthest board; layers, how many "
-            "standard deviations of a pixel fit in",
-            ("panel", "rms, mm", "range, px", "sigma of a pixel, px", "layers", "in focus, mm", "boards read"), rows))],
+        tables=[CsvTable(
+            "calibration", "Fits on the axis: range is the half disparity from the nearest to the farthest board; "
+            "layers, the range in standard deviations of a pixel",
+            ("panel", "rms, mm", "range, px", "sigma of a pixel, px", "layers", "in focus, mm", "boards read"), rows)],
         comparisons=[
             Comparison("CYX instead of RGB, open centre", "more depth layers (no figure given)",
                        f"{spans['c'] / spans['d']:.2f} times the disparity range",

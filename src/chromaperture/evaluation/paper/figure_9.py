@@ -7,7 +7,6 @@ import numpy as np
 from chromaperture.evaluation.figures import draw_layers, layer_errors, ruler_distances
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable
-from chromaperture.evaluation.tables import Table
 
 
 def make(context: Context) -> Content:
@@ -22,8 +21,8 @@ def make(context: Context) -> Content:
     return Content(
         source=source,
         charts=[Chart("layers", draw_layers(result), "Median error of single pixels in the middle of the frame.")],
-        tables=[CsvTable("layers", Table("Median error of a pixel, mm",
-                                         ("ruler, mm", "layers of 1 px", "the matcher's layers", "sub-pixel"), rows))],
+        tables=[CsvTable("layers", "Median error of a pixel, mm",
+                         ("ruler, mm", "layers of 1 px", "the matcher's layers", "sub-pixel"), rows)],
         comparisons=[
             Comparison("sub-pixel against layers", "significantly better (a picture)",
                        f"{ratio:.1f} times smaller error than whole-px layers, in the median over the boards",

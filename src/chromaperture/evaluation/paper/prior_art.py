@@ -12,7 +12,6 @@ from chromaperture.evaluation.paper import methods, stereo_pair, world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Content, CsvTable
 from chromaperture.evaluation.paper.world import NUMERALS, Capture, full_name
-from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import channel_transmission
 from chromaperture.optics.pinhole import PupilCamera
 
@@ -52,8 +51,8 @@ def make(context: Context) -> Content:
     return Content(
         source=f"Simulated still life at {camera.width_px}x{camera.height_px} px, equal image level, real film.",
         charts=[Chart("methods", figure, "Depth of the coloured still life through cyan and yellow halves.")],
-        tables=[CsvTable("methods", Table("Fractions of ALL pixels whose depth is right; every method is calibrated on "
-                                          "the same boards", head, rows))],
+        tables=[CsvTable("methods", "Fractions of ALL pixels whose depth is right; every method is calibrated on the "
+                         "same boards", head, rows)],
         lines=[
             ranking(rows, NUMERALS[_SHOWN]),
             "Every prior method is implemented from its publication's formulas. Graph cuts of [4] are replaced by "

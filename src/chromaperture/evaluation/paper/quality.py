@@ -20,7 +20,6 @@ from chromaperture.evaluation.figures import BLUE, GREY, ORANGE, new_figure, sho
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Content, CsvTable
-from chromaperture.evaluation.tables import Table
 
 _MOST_QUICK = 6  # boards of a quick run
 _MAP_CELLS = (6, 9)  # rows, columns
@@ -149,9 +148,9 @@ def _content(source: str, measured: dict[Quality, list[Measured]]) -> Content:
             Chart("frame", _frame_figure(measured[first]), f"Over the frame, quality {first}, median over the walls."),
         ],
         tables=[
-            CsvTable("distance", Table("By distance", ("quality", "distance, mm", *_NAMES), by_distance)),
-            CsvTable("position", Table(f"By position in the frame, quality {first}, median over the walls, each zone "
-                                       "against its own plane", ("zone", *_NAMES), zones)),
+            CsvTable("distance", "By distance", ("quality", "distance, mm", *_NAMES), by_distance),
+            CsvTable("position", f"By position in the frame, quality {first}, median over the walls, each zone "
+                     "against its own plane", ("zone", *_NAMES), zones),
         ],
         lines=[*lines,
                "Z accuracy is the median of (measured - true) / true; the RMS figures are taken from the best plane, "

@@ -39,6 +39,8 @@ def evaluate(
 ) -> list[Outcome]:
     """Make exhibits, each into its folder below ``context.out``.
 
+    A problem with one does not stop the others.
+
     Parameters
     ----------
     exhibits : sequence of Exhibit
@@ -47,11 +49,6 @@ def evaluate(
         Make finished ones too.
     progress : callable
         Called with the current step, how many are done, and of how many.
-
-    Returns
-    -------
-    list of Outcome
-        One an exhibit; a problem with one does not stop the others.
     """
     context.progress = progress
     outcomes = []
@@ -126,9 +123,9 @@ def _write(folder: Path, exhibit: Exhibit, content: Content, stamp: dict[str, An
     with staged(folder) as stage:
         for chart in content.charts:
             chart.figure.savefig(stage.path(f"{chart.stem}.png"), format="png", metadata={"Software": None})
-        for listed in content.tables:
-            with stage.path(f"{listed.stem}.csv").open("w", encoding="utf-8", newline="") as file:
-                csv.writer(file).writerows([listed.table.head, *listed.table.rows])
+        for table in content.tables:
+            with stage.path(f"{table.stem}.csv").open("w", encoding="utf-8", newline="") as file:
+                csv.writer(file).writerows([table.head, *table.rows])
         result = {
             "name": exhibit.name,
             "title": exhibit.title,
@@ -137,7 +134,10 @@ def _write(folder: Path, exhibit: Exhibit, content: Content, stamp: dict[str, An
             "seconds": round(seconds, 1),
             "files": list(stage.names),
             "pictures": [{"file": f"{c.stem}.png", "caption": c.caption} for c in content.charts],
-            "tables": [{"file": f"{t.stem}.csv", **asdict(t.table)} for t in content.tables if t.on_page],
+            "tables": [
+                {"file": f"{t.stem}.csv", "caption": t.caption, "head": t.head, "rows": t.rows}
+                for t in content.tables if t.on_page
+            ],
             "compared": [asdict(c) for c in content.comparisons],
             "lines": list(content.lines),
         }

@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 
 from chromaperture.evaluation.paper import world
+from chromaperture.evaluation.prior.stereo import semi_global_matching
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.scene import Plane
 
 BASELINE_MM, STOPPED = 60.0, 4.0  # as in commercial pairs; f/2 stopped down to f/8, so that all is sharp
-_BLOCK_PX = 7  # chosen by hand; penalties as OpenCV's documentation recommends for it
+_NEAREST_MM = 1000.0  # of the searched range, as the coded cameras'
 
 
 def measured(
@@ -42,17 +43,13 @@ def measured(
     return shots[0], depth, time.perf_counter() - start
 
 
-def depth_of_pair(left: np.ndarray, right: np.ndarray, camera: PupilCamera, *, nearest_mm: float = 1000) -> np.ndarray:
+def depth_of_pair(left: np.ndarray, right: np.ndarray, camera: PupilCamera) -> np.ndarray:
     """Match two pictures of cameras side by side; depth from the sensor plane, (H, W) float64, mm, NaN unknown."""
     scale = camera.focal_px * BASELINE_MM
-    count = 16 * int(np.ceil(scale / (nearest_mm - camera.sensor_to_pupil_mm) / 16))
+    count = 16 * int(np.ceil(scale / (_NEAREST_MM - camera.sensor_to_pupil_mm) / 16))
     pair = [(255 * np.sqrt(np.clip(picture.mean(axis=2), 0, 1))).astype(np.uint8) for picture in (left, right)]
     padded = [cv2.copyMakeBorder(p, 0, 0, count, 0, cv2.BORDER_REFLECT_101) for p in pair]
-    area = _BLOCK_PX**2
-    matcher = cv2.StereoSGBM.create(
-        0, count, _BLOCK_PX, P1=8 * area, P2=32 * area, uniquenessRatio=5, mode=cv2.STEREO_SGBM_MODE_HH
-    )
-    disparity = np.asarray(matcher.compute(padded[0], padded[1]), float)[:, count:] / 16
+    disparity = semi_global_matching(padded[0], padded[1], 0, count)[:, count:].astype(float)
     with np.errstate(divide="ignore"):
         return np.where(disparity > 0, scale / disparity + camera.sensor_to_pupil_mm, np.nan)
 

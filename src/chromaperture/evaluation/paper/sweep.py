@@ -38,26 +38,19 @@ def sweep(
 
     Parameters
     ----------
-    trials : sequence of Trial
     workers : int
         Processes on this machine, at least 1.
     keep_in : Path
         Folder of the finished trials, from which an interrupted run continues.
     cluster : str, optional
-        Address of a Dask scheduler, whose workers run the trials instead.
+        Address of a Dask scheduler, whose workers run the trials instead; see `on_cluster`.
     progress : callable, optional
         Called with how many are done, and of how many.
-
-    Returns
-    -------
-    list of dict, in the order of the trials
 
     Raises
     ------
     InputError
         Workers died repeatedly, or the cluster cannot be reached.
-    MissingDependencyError
-        A cluster is given and the extra ``cluster`` is not installed.
     """
     results = {trial.key: _kept(keep_in, trial) for trial in trials}
     missing = list({t.key: t for t in trials if results[t.key] is None}.values())

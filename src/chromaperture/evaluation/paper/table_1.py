@@ -8,7 +8,6 @@ from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable
 from chromaperture.evaluation.paper.white import transparencies, white_sheets
 from chromaperture.evaluation.paper.world import NUMERALS, full_name
-from chromaperture.evaluation.tables import Table
 
 # Read off the paper: minimum and maximum for R, G, B, and the integral efficiency.
 PAPER = {
@@ -46,6 +45,6 @@ def make(context: Context) -> Content:
             Comparison(f"{title}, transparency", theirs, ours, why),
             Comparison(f"{title}, light efficiency", f"{efficiency:.1%}", f"{light.efficiency:.1%}", why),
         ]
-    table = CsvTable("transparency", Table("Transparency, smallest to largest over the frame",
-                                           ("design", "R", "G", "B", "mean"), rows))  # fmt: skip
+    caption = "Transparency, smallest to largest over the frame"
+    table = CsvTable("transparency", caption, ("design", "R", "G", "B", "mean"), rows)
     return Content(source, [Chart("maps", figure, "Eq. (11), as in Table 1.")], [table], comparisons)

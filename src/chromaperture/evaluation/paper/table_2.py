@@ -10,7 +10,6 @@ from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Comparison, Content, CsvTable
 from chromaperture.evaluation.paper.white import transparencies, white_sheets
 from chromaperture.evaluation.paper.world import NUMERALS, full_name
-from chromaperture.evaluation.tables import Table
 
 # Loss in the middle and at the border, dB. The paper's columns are named by pictures; by their light they are the
 # open pupil, VII, V and II.
@@ -50,5 +49,5 @@ def make(context: Context) -> Content:
     )  # fmt: skip
     head = ("design", "light", "middle, dB", "border, dB", "photon noise predicts, dB",
             "exposure, photon noise", "exposure, sensor noise")  # fmt: skip
-    table = CsvTable("snr", Table("Loss relative to the middle of the open pupil", head, rows))
+    table = CsvTable("snr", "Loss relative to the middle of the open pupil", head, rows)
     return Content(source, (), [table], comparisons)

@@ -17,7 +17,6 @@ from chromaperture.disparity.variational import smooth_disparity
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Comparison, Content, CsvTable
 from chromaperture.evaluation.prior.annulus import annulus_radius
-from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.psf import geometric_otf
 from chromaperture.optics.textures import noise
@@ -56,8 +55,8 @@ def make(context: Context) -> Content:
     other = "Another machine and ten years: the order of size only."
     return Content(
         source=f"Timed on this machine ({platform.machine()}, {most} threads), the best of {repeats} runs.",
-        tables=[CsvTable("times", Table("Milliseconds for one image",
-                                        ("what", *(f"{c} thread{'s' if c > 1 else ''}" for c in threads)), rows))],
+        tables=[CsvTable("times", "Milliseconds for one image",
+                         ("what", *(f"{c} thread{'s' if c > 1 else ''}" for c in threads)), rows)],
         comparisons=[
             Comparison("HD, Galaxy S3 / Note 3", "30 s / 5 s", "not measured", "No telephone at hand."),
             Comparison("HD, Core i7-2600, Matlab", "2 s", ours("HD, two filters, paper"), other),

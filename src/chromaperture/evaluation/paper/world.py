@@ -83,12 +83,11 @@ def traced_table(camera: PupilCamera, aperture: Aperture, cells: int) -> RayTabl
 
 
 def photograph(
-    table: RayTable, planes: Sequence[Plane], camera: PupilCamera, *, seed: int, exposure: float, noisy: bool = True
+    table: RayTable, planes: Sequence[Plane], camera: PupilCamera, *, seed: int, exposure: float
 ) -> Capture:
     """Photograph planes; ``exposure`` is the image level of a reflectance of 1 through an open pupil."""
-    light = render(table, planes, seed=seed)
     sensor = Sensor()
-    image = develop(expose(light, sensor, seed=seed, exposure=exposure), sensor) if noisy else light * exposure
+    image = develop(expose(render(table, planes, seed=seed), sensor, seed=seed, exposure=exposure), sensor)
     depth = np.asarray(render_depth(table, planes), float)
     return Capture(np.asarray(image, np.float32), depth, camera.blur_radius_px(depth))
 

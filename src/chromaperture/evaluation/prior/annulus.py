@@ -11,10 +11,9 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from chromaperture.evaluation.prior.shifts import best_layer
+from chromaperture.evaluation.prior.shifts import WINDOW_PX, best_layer
 
 _NOISE = 1e-3  # lambda of the corrective kernels, on the power of the gradient; chosen by hand
-_WINDOW_PX = 15  # along the gradient; chosen by hand
 
 
 def corrective_kernel_spectrum(target: np.ndarray, own: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -94,15 +93,15 @@ def misfit(channels: np.ndarray) -> np.ndarray:
 def _mean_along(values: np.ndarray, x: float, y: float) -> np.ndarray:
     """Average over 15 px of a row, a column or a diagonal; (H, W) float64."""
     if 0 in (x, y):
-        size = (_WINDOW_PX, 1) if x else (1, _WINDOW_PX)
+        size = (WINDOW_PX, 1) if x else (1, WINDOW_PX)
         return np.asarray(cv2.blur(values, size, borderType=cv2.BORDER_REFLECT_101))
-    half, (height, width) = _WINDOW_PX // 2, values.shape
+    half, (height, width) = WINDOW_PX // 2, values.shape
     big = cv2.copyMakeBorder(values, half, half, half, half, cv2.BORDER_REFLECT_101)
-    down = range(_WINDOW_PX) if x * y > 0 else range(_WINDOW_PX - 1, -1, -1)
+    down = range(WINDOW_PX) if x * y > 0 else range(WINDOW_PX - 1, -1, -1)
     total = np.zeros_like(values)
     for j, i in enumerate(down):
         total += big[i : i + height, j : j + width]
-    return total / _WINDOW_PX
+    return total / WINDOW_PX
 
 
 def largest_eigenvalue(

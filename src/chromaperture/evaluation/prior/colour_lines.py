@@ -13,9 +13,7 @@ _LOG_SPAN = 16.0  # nats; a smaller measure, below exp(-16), depends on noise; c
 _GUIDE_STEP = 0.06  # unit of the guide's steps, of the bright level (99th percentile); chosen by hand
 
 
-def colour_line_measure(
-    image: np.ndarray, directions: np.ndarray, layers_px: np.ndarray, *, side_px: int = 15
-) -> np.ndarray:
+def colour_line_measure(image: np.ndarray, directions: np.ndarray, layers_px: np.ndarray) -> np.ndarray:
     """Return the determinant of the local colour covariance over the product of its diagonal.
 
     With eigenvalues l_i and channel variances s_c^2, L = l_0 l_1 l_2 / (s_r^2 s_g^2 s_b^2) in [0, 1]: 0 for colours on
@@ -27,7 +25,6 @@ def colour_line_measure(
     directions : (3, 2) float
         Displacement (x, y) of R, G, B per px of disparity.
     layers_px : (D,) float
-    side_px : int
 
     Returns
     -------
@@ -37,9 +34,9 @@ def colour_line_measure(
     planes = [spline(image[..., c]) for c in range(3)]
     for i, d in enumerate(layers_px):
         r, g, b = (sampled(p, d * u, d * v).astype(np.float64) for p, (u, v) in zip(planes, directions, strict=True))
-        mr, mg, mb = box(r, side_px), box(g, side_px), box(b, side_px)
-        rr, gg, bb = box(r * r, side_px) - mr * mr, box(g * g, side_px) - mg * mg, box(b * b, side_px) - mb * mb
-        rg, rb, gb = box(r * g, side_px) - mr * mg, box(r * b, side_px) - mr * mb, box(g * b, side_px) - mg * mb
+        mr, mg, mb = box(r), box(g), box(b)
+        rr, gg, bb = box(r * r) - mr * mr, box(g * g) - mg * mg, box(b * b) - mb * mb
+        rg, rb, gb = box(r * g) - mr * mg, box(r * b) - mr * mb, box(g * b) - mg * mb
         rr, gg, bb = (np.maximum(s, 1e-10) for s in (rr, gg, bb))
         determinant = rr * (gg * bb - gb**2) - rg * (rg * bb - gb * rb) + rb * (rg * gb - gg * rb)
         measure[i] = np.clip(determinant / (rr * gg * bb), 0, 1)
@@ -47,7 +44,7 @@ def colour_line_measure(
 
 
 def colour_lines(
-    image: np.ndarray, directions: np.ndarray, layers_px: np.ndarray, *, side_px: int = 15, optimised: bool = True
+    image: np.ndarray, directions: np.ndarray, layers_px: np.ndarray, *, optimised: bool = True
 ) -> np.ndarray:
     """Match by `colour_line_measure`, pixel by pixel or with a global optimisation.
 
@@ -57,7 +54,7 @@ def colour_lines(
     -------
     (H, W) float64, px; NaN at the ends of the range
     """
-    measure = colour_line_measure(image, directions, layers_px, side_px=side_px)
+    measure = colour_line_measure(image, directions, layers_px)
     if not optimised:
         return best_layer(-measure, layers_px)
     likelihood = -np.log(np.maximum(measure, np.exp(-_LOG_SPAN)))
