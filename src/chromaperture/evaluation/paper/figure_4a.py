@@ -31,7 +31,7 @@ def make(context: Context) -> Content:
     rows = [
         (name, *(f"{v:+.3f}" for v in mixing[:, k]), *(f"{v:+.3f}" for v in inverse[k])) for k, name in enumerate("CYX")
     ]
-    off = float(np.abs(inverse[2] @ cloud.T).max())
+    off = float(np.abs((inverse @ cloud.T)[2]).max())
     angle = np.degrees(np.arccos(np.dot(*[mixing[:, k] / np.linalg.norm(mixing[:, k]) for k in (0, 1)])))
     return Content(
         source="The film of the package ('real'), no photograph needed.",
