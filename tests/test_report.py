@@ -189,15 +189,15 @@ def test_the_verdict_changes_with_the_evidence(result):
 
 def test_what_is_weak_is_named_with_what_to_do(result):
     near = replace(result, boards=result.boards[:2], outliers={"1000.png": "board 1000 is 14 mm off its ruler."})
-    text = " ".join(s.text for s in weaknesses(near, "real-time"))
+    text = " ".join(s.text for s in weaknesses(near))
     for word in ("No board stands farther", "photograph two or three", "was found in 2 of 2", "14 mm off"):
         assert word in text
     misread = replace(result, ruler_residual_mm=np.array([0, 0, 14.0, np.nan, 2]))
-    said = [s.text for s in weaknesses(misread, "real-time") if "disagree" in s.text]
+    said = [s.text for s in weaknesses(misread) if "disagree" in s.text]
     assert len(said) == 1
     assert "2000.png disagree by +14 mm" in said[0]
     lost = replace(result, intrinsics=None)
-    assert any("add tilted boards" in s.text for s in weaknesses(lost, "real-time"))
+    assert any("add tilted boards" in s.text for s in weaknesses(lost))
 
 
 class _Page(HTMLParser):

@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.color.srgb import linear_to_srgb
-from chromaperture.config import Quality
 from chromaperture.evaluation.figures import (
     BLUE,
     CHANNEL_COLORS,
@@ -19,6 +18,7 @@ from chromaperture.evaluation.figures import (
     show_image,
     style_axes,
 )
+from chromaperture.evaluation.verdict import QUALITY
 
 _THUMB_PX = 360  # largest width of a shown photograph
 _THUMBS = 8  # boards shown at most, and four tilted ones
@@ -123,9 +123,9 @@ def draw_ruler(result: CalibrationResult) -> Figure | None:
     return figure
 
 
-def draw_correlation(result: CalibrationResult, quality: Quality = "real-time") -> Figure:
+def draw_correlation(result: CalibrationResult) -> Figure:
     """Draw the correlation of the three parameters of the curve."""
-    covariance = np.asarray(result.fits[quality].model.covariance)
+    covariance = np.asarray(result.fits[QUALITY].model.covariance)
     sigma = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values = covariance / np.outer(sigma, sigma)
     names = ("A", "B", "δ")

@@ -12,7 +12,7 @@ from matplotlib.image import AxesImage
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.config import MatcherConfig, Quality
 from chromaperture.depth.conversion import disparity_to_depth
-from chromaperture.evaluation.verdict import board_depth, board_errors, depth_accuracy
+from chromaperture.evaluation.verdict import QUALITY, board_depth, board_errors, depth_accuracy
 from chromaperture.robust import robust_sigma
 
 BLUE, ORANGE, GREY, RED = "#2b6ca3", "#c8702a", "#777777", "#b03030"
@@ -20,7 +20,7 @@ CHANNEL_COLORS = {"R": "#c83c3c", "G": "#3c9c50", "B": "#3c5cc8"}
 _QUALITIES: tuple[tuple[Quality, str], ...] = (("real-time", BLUE), ("paper", ORANGE))
 _OUTLIER_SIGMAS = 4.0  # residuals beyond are matching errors, not errors of the field; chosen by hand
 _ROUNDS = 5  # fits, each without the outliers of the one before; chosen by hand
-_SHOWN_BOARD = 1.25  # in-focus distances: beyond the focus, where a px of disparity is worth much; chosen by hand
+_SHOWN_BOARD = 1.25  # in-focus distances: beyond the focus, where depth changes much per px; chosen by hand
 
 
 def new_figure(width: float = 8.0, height: float = 3.4) -> Figure:
@@ -126,36 +126,36 @@ def plane_residual(depth_mm: np.ndarray) -> tuple[np.ndarray, float]:
     return out, float(np.sqrt(np.mean(residual[keep] ** 2)))
 
 
-def flat_board(result: CalibrationResult, quality: Quality = "real-time") -> tuple[int, float, float]:
+def flat_board(result: CalibrationResult) -> tuple[int, float, float]:
     """Return the board nearest to 1.25 in-focus distances and its plane-fit RMS before and after the fields, mm."""
     index = int(np.argmin(np.abs(ruler_distances(result) - _SHOWN_BOARD * result.calibration.in_focus_mm)))
-    before, after = (plane_residual(board_depth(result, index, quality, corrected=c))[1] for c in (False, True))
+    before, after = (plane_residual(board_depth(result, index, corrected=c))[1] for c in (False, True))
     return index, before, after
 
 
-def draw_flat_board(result: CalibrationResult, quality: Quality = "real-time") -> Figure:
+def draw_flat_board(result: CalibrationResult) -> Figure:
     """Draw Figure 8: deviation of a flat board from a plane, before and after the fields."""
-    index, before, _ = flat_board(result, quality)
+    index, before, _ = flat_board(result)
     figure = new_figure(height=2.9)
     limit_mm = max(3 * before, 1e-6)
     panels = figure.subplots(1, 2)
     for axes, corrected, name in zip(panels, (False, True), ("one curve", "field"), strict=True):
-        values, rms = plane_residual(board_depth(result, index, quality, corrected=corrected))
+        values, rms = plane_residual(board_depth(result, index, corrected=corrected))
         title = f"{name}: {rms:.0f} mm rms from a plane"
         shown = show_image(axes, values, title, size=10, cmap="RdBu_r", vmin=-limit_mm, vmax=limit_mm)
     figure.colorbar(shown, ax=list(panels), fraction=0.025, label="from the plane, mm", extend="both")
     return figure
 
 
-def layer_errors(result: CalibrationResult, quality: Quality = "paper") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def layer_errors(result: CalibrationResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return each board's median error of a pixel with whole-px layers, the matcher's layers, and sub-pixel; mm."""
-    axis = result.calibration.on_axis(quality)
+    axis = result.calibration.on_axis("paper")
     out = []
-    for step in (1.0, MatcherConfig.preset(quality).step_px, 0.0):
+    for step in (1.0, MatcherConfig.preset("paper").step_px, 0.0):
         errors = []
         for board in result.boards:
-            rows, columns = (slice(n // 3, n - n // 3) for n in board.grid_px[quality].shape)
-            disparity = np.asarray(board.grid_px[quality][rows, columns], float)
+            rows, columns = (slice(n // 3, n - n // 3) for n in board.grid_px["paper"].shape)
+            disparity = np.asarray(board.grid_px["paper"][rows, columns], float)
             layered = np.round(disparity / step) * step if step else disparity
             depth = disparity_to_depth(layered, axis)[0]
             known = np.isfinite(depth)
@@ -198,16 +198,16 @@ def draw_accuracy(result: CalibrationResult) -> Figure:
     return figure
 
 
-def draw_residuals(result: CalibrationResult, quality: Quality = "real-time") -> Figure:
+def draw_residuals(result: CalibrationResult) -> Figure:
     """Draw the residuals of every board over the whole frame: median, quartiles and 5 to 95 %, in px and per cent."""
     figure = new_figure()
     left, right = figure.subplots(1, 2)
     numbers = np.arange(len(result.boards))
     names = [f"{board.ruler_mm:.0f}" for board in result.boards]
-    residuals = np.asarray(result.residual_px[quality], float).reshape(len(numbers), -1)
+    residuals = np.asarray(result.residual_px[QUALITY], float).reshape(len(numbers), -1)
     measured = np.isfinite(residuals).any(axis=1)
     draw_boxes(left, numbers[measured], residuals[measured])
-    errors = 100 * board_errors(result, quality) / ruler_distances(result)
+    errors = 100 * board_errors(result) / ruler_distances(result)
     right.bar(numbers, errors, color=[RED if board.name in result.outliers else BLUE for board in result.boards])
     right.axhline(0, color=GREY, linewidth=0.8)
     for axes, label in ((left, "residual, px"), (right, "median error, % of distance")):

@@ -161,7 +161,7 @@ def _tint(image: np.ndarray) -> Check:
     if tint is None:
         return Check(_TINT, "cannot tell", "too dark or too bright to compare colours")
     figures = {"ramp_share": tint.ramp, "scatter_share": tint.scatter}
-    finding = f"colour changes by {tint.ramp:.0%} from the middle to the edge, {tint.scatter:.0%} from place to place"
+    finding = f"colour changes by {tint.ramp:.0%} from the middle to the edge, {tint.scatter:.0%} of scatter"
     if tint.ramp > _TINT_TOLERANCE and tint.ramp > 2 * tint.scatter:
         advice = (
             "the filter is not in the plane of the stop (then each part of the frame sees a different part of it), or "

@@ -119,7 +119,7 @@ def _drawn(
     *shown: Table,
     lines: tuple[str, ...] = (),
 ) -> Section:
-    """Make the section of a figure; without a figure it has a line in its place."""
+    """Make the section of a figure; without a figure it has a line instead."""
     figure = draw(result)
     if figure is None:
         return Section(title, tables=shown, lines=lines or ("The session holds nothing to show here.",))

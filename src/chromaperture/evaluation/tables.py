@@ -9,8 +9,7 @@ from importlib import metadata
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
-from chromaperture.config import Quality
-from chromaperture.evaluation.verdict import board_errors, depth_accuracy
+from chromaperture.evaluation.verdict import QUALITY, board_errors, depth_accuracy
 
 
 @dataclass(frozen=True)
@@ -29,9 +28,9 @@ def round_distances(near_mm: float, far_mm: float) -> np.ndarray:
     return np.arange(np.ceil(near_mm / step) * step, far_mm + 1e-6, step)
 
 
-def steps(result: CalibrationResult, quality: Quality = "real-time") -> Table:
+def steps(result: CalibrationResult) -> Table:
     """List the depth per px of disparity and the standard deviations at round distances."""
-    found = depth_accuracy(result, quality)
+    found = depth_accuracy(result)
     rows = []
     for distance in round_distances(result.calibration.near_mm, result.calibration.far_mm):
         step, pixel, curve = (
@@ -44,24 +43,24 @@ def steps(result: CalibrationResult, quality: Quality = "real-time") -> Table:
     return Table("Depth per step of disparity, and one standard deviation", head, rows)
 
 
-def boards(result: CalibrationResult, quality: Quality = "real-time") -> Table:
+def boards(result: CalibrationResult) -> Table:
     """List the boards with their readings and errors."""
-    errors = board_errors(result, quality)
+    errors = board_errors(result)
     rows = []
     for i, board in enumerate(result.boards):
         rows.append((
             board.name + (" (outlier)" if board.name in result.outliers else ""),
             f"{board.ruler_mm:.0f}",
             _number(board.pose_mm, ".1f"),
-            _number(float(board.disparity_px[quality]), "+.3f"),
-            _number(float(result.fits[quality].residual_mm[i]), "+.1f"),
+            _number(float(board.disparity_px[QUALITY]), "+.3f"),
+            _number(float(result.fits[QUALITY].residual_mm[i]), "+.1f"),
             _number(float(errors[i]), "+.1f"),
             _number(100 * float(errors[i]) / board.ruler_mm, "+.2f"),
-            _number(float(result.spread_px[quality][i]), ".3f"),
+            _number(float(result.spread_px[QUALITY][i]), ".3f"),
         ))  # fmt: skip
     head = ("photograph", "ruler, mm", "pose, mm", "disparity, px", "error, middle, mm", "error, frame, mm", "%",
             "sigma of a pixel, px")  # fmt: skip
-    return Table(f"Boards at quality {quality}; errors are measured minus ruler", head, rows)
+    return Table(f"Boards at quality {QUALITY}; errors are measured minus ruler", head, rows)
 
 
 def unmixing(result: CalibrationResult) -> Table:

@@ -10,6 +10,7 @@ from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import depth_sigma, depth_to_disparity, disparity_to_depth
 
+QUALITY: Quality = "real-time"  # of the report: the one that users start with
 _STEPS = 400  # depths over the working range
 _LARGE_PUPIL_SIGMA_MM = 5.0  # standard deviation of delta above which more boards are advised; chosen by hand
 _LARGE_CORNER_RMS_PX = 0.5  # residual of the lens model above which flatness and focus are questioned; chosen by hand
@@ -17,7 +18,7 @@ _LARGE_CORNER_RMS_PX = 0.5  # residual of the lens model above which flatness an
 
 @dataclass(frozen=True)
 class DepthAccuracy:
-    """Accuracy of a quality over the working range, on the axis.
+    """Accuracy over the working range, on the axis.
 
     Attributes
     ----------
@@ -45,10 +46,10 @@ class DepthAccuracy:
         return np.hypot(self.pixel_sigma_mm, self.bias_mm)
 
 
-def depth_accuracy(result: CalibrationResult, quality: Quality = "real-time") -> DepthAccuracy:
+def depth_accuracy(result: CalibrationResult) -> DepthAccuracy:
     """Propagate the pixel noise on the boards and the covariance of the curve to millimetres."""
     calibration = result.calibration
-    model = calibration.on_axis(quality)
+    model = calibration.on_axis(QUALITY)
     depth = np.linspace(calibration.near_mm, calibration.far_mm, _STEPS)
     rulers = np.array([board.ruler_mm for board in result.boards])
 
@@ -60,8 +61,8 @@ def depth_accuracy(result: CalibrationResult, quality: Quality = "real-time") ->
         return np.interp(depth, rulers[known][order], values[known][order], left=beyond, right=beyond)
 
     # Interpolated, because blur increases the noise away from the focus.
-    noise_px = between_boards(np.asarray(result.spread_px[quality], float), None)
-    bias = between_boards(board_errors(result, quality), np.nan)
+    noise_px = between_boards(np.asarray(result.spread_px[QUALITY], float), None)
+    bias = between_boards(board_errors(result), np.nan)
     z = depth - float(np.asarray(model.sensor_to_pupil_mm))
     step = z**2 / float(np.asarray(model.scale_px_mm))  # d depth / d disparity of d = A - B / z
     return DepthAccuracy(depth, depth_sigma(z, model, noise_px), depth_sigma(z, model, 0.0), bias, step)
@@ -73,18 +74,16 @@ def intervals(depth_mm: np.ndarray, good: np.ndarray) -> list[tuple[float, float
     return [(float(depth_mm[a]), float(depth_mm[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def board_errors(result: CalibrationResult, quality: Quality = "real-time") -> np.ndarray:
+def board_errors(result: CalibrationResult) -> np.ndarray:
     """Return each board's median error over the frame by the fitted fields; (boards,) float64, mm, NaN unknown."""
-    depth = [board_depth(result, i, quality) for i in range(len(result.boards))]
+    depth = [board_depth(result, i) for i in range(len(result.boards))]
     return np.array([
         float(np.nanmedian(d)) - board.ruler_mm if np.isfinite(d).any() else np.nan
         for d, board in zip(depth, result.boards, strict=True)
     ])  # fmt: skip
 
 
-def board_depth(
-    result: CalibrationResult, index: int, quality: Quality = "real-time", *, corrected: bool = True
-) -> np.ndarray:
+def board_depth(result: CalibrationResult, index: int, *, corrected: bool = True) -> np.ndarray:
     """Compute the depth of a board on the grid.
 
     Parameters
@@ -99,20 +98,20 @@ def board_depth(
     (h, w) float64, mm from the sensor plane; NaN unknown
     """
     board, calibration = result.boards[index], result.calibration
-    axis = calibration.on_axis(quality)
-    disparity = np.asarray(board.grid_px[quality], float)
+    axis = calibration.on_axis(QUALITY)
+    disparity = np.asarray(board.grid_px[QUALITY], float)
     if corrected:
         # A px of residual is 1 / B(i, j) of inverse depth; added to the curve of the axis.
-        ratio = float(np.asarray(axis.scale_px_mm)) / _scale_on_grid(result, quality)
-        residual = np.asarray(result.residual_px[quality][index], float)
+        ratio = float(np.asarray(axis.scale_px_mm)) / _scale_on_grid(result)
+        residual = np.asarray(result.residual_px[QUALITY][index], float)
         disparity = float(depth_to_disparity(board.ruler_mm, axis)) + residual * ratio
     return disparity_to_depth(disparity, axis)[0].astype(float)
 
 
-def _scale_on_grid(result: CalibrationResult, quality: Quality) -> np.ndarray:
+def _scale_on_grid(result: CalibrationResult) -> np.ndarray:
     sensor = result.calibration.sensor
     shape = (sensor.height_px, sensor.width_px)
-    scale = np.broadcast_to(np.asarray(result.calibration.depth_model(quality).scale_px_mm), shape)
+    scale = np.broadcast_to(np.asarray(result.calibration.depth_model(QUALITY).scale_px_mm), shape)
     return scale[np.ix_(result.grid_y_px.astype(int), result.grid_x_px.astype(int))]
 
 
@@ -124,23 +123,23 @@ class Sentence:
     tone: str = "plain"
 
 
-def sentences(result: CalibrationResult, quality: Quality = "real-time") -> list[Sentence]:
+def sentences(result: CalibrationResult) -> list[Sentence]:
     """Describe accuracy and range of the camera, then its weaknesses and their remedies."""
     calibration = result.calibration
-    found = depth_accuracy(result, quality)
+    found = depth_accuracy(result)
     lines = [_accurate_range(found, fraction) for fraction in (0.01, 0.02)]
     lines.append(Sentence(
-        f"It measures from {calibration.near_mm:.0f} to {calibration.far_mm:.0f} mm (boards stood from "
+        f"It measures from {calibration.near_mm:.0f} to {calibration.far_mm:.0f} mm (boards from "
         f"{min(b.ruler_mm for b in result.boards):.0f} to {max(b.ruler_mm for b in result.boards):.0f} mm) and is in "
         f"focus at {calibration.in_focus_mm:.0f} mm. Distances count from the sensor plane."
     ))  # fmt: skip
     lines.append(Sentence(
-        "A tenth of a pixel of disparity is worth " + ", ".join(
+        "A tenth of a pixel of disparity is " + ", ".join(
             f"{0.1 * found.step_mm[i]:.0f} mm at {found.depth_mm[i]:.0f} mm" for i in (0, _STEPS // 2, -1)
         ) + "."
     ))  # fmt: skip
     rulers = np.array([board.ruler_mm for board in result.boards])
-    errors = board_errors(result, quality)
+    errors = board_errors(result)
     worst = int(np.nanargmax(np.abs(errors / rulers)))
     relative = abs(errors[worst]) / rulers[worst]
     lines.append(Sentence(
@@ -148,7 +147,7 @@ def sentences(result: CalibrationResult, quality: Quality = "real-time") -> list
         f"{result.boards[worst].name}, off by {errors[worst]:+.0f} mm.",
         "good" if relative <= 0.01 else "weak",
     ))  # fmt: skip
-    return lines + weaknesses(result, quality)
+    return lines + weaknesses(result)
 
 
 def _accurate_range(found: DepthAccuracy, fraction: float) -> Sentence:
@@ -165,7 +164,7 @@ def _accurate_range(found: DepthAccuracy, fraction: float) -> Sentence:
     return Sentence(f"One pixel is nowhere good to {fraction:.0%}; its best is {where}.", "weak")
 
 
-def weaknesses(result: CalibrationResult, quality: Quality) -> list[Sentence]:
+def weaknesses(result: CalibrationResult) -> list[Sentence]:
     """List what limits this calibration, each with its remedy."""
     found = []
     rulers = np.array([board.ruler_mm for board in result.boards])
@@ -174,7 +173,7 @@ def weaknesses(result: CalibrationResult, quality: Quality) -> list[Sentence]:
     if not (nearer and farther):
         side = "farther" if nearer else "nearer"
         found.append(f"No board stands {side} than the focus at {focus:.0f} mm: photograph two or three there.")
-    sigma = np.sqrt(np.diag(np.asarray(result.fits[quality].model.covariance)))
+    sigma = np.sqrt(np.diag(np.asarray(result.fits[QUALITY].model.covariance)))
     if sigma[2] > _LARGE_PUPIL_SIGMA_MM:
         found.append(
             f"The distance from the sensor to the pupil is known to {sigma[2]:.0f} mm only, which is that much of "
@@ -190,7 +189,7 @@ def weaknesses(result: CalibrationResult, quality: Quality) -> list[Sentence]:
             f"No chessboard was found in {len(missing)} of {len(rulers)} boards ({', '.join(missing[:4])}): their "
             "distance rests on the ruler alone."
         )
-    blank = [board.name for board in result.boards if not np.isfinite(board.grid_px[quality]).mean() > 0.5]
+    blank = [board.name for board in result.boards if not np.isfinite(board.grid_px[QUALITY]).mean() > 0.5]
     if blank:
         found.append(f"Less than half of the frame has texture on {', '.join(blank[:4])}: cover the wall with speckle.")
     found += [

@@ -21,11 +21,10 @@ from chromaperture.evaluation.paper import bench_prior, methods
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Content, CsvTable
 from chromaperture.evaluation.paper.world import full_name
-from chromaperture.optics.aperture import DESIGNS
 from chromaperture.products.measure_file import read_capture
 
 FIRST = "cy_halves"  # has tilted boards, which determine the lens of all designs
-DESIGNS_READ = ("rgb_squares", "cmy_circles", "cy_halves", "magenta_annulus", "cy_open", "open")
+DESIGNS_READ = ("rgb_squares", "cmy_circles", "cy_halves", "magenta_annulus", "cy_open")
 SCENES = ("steps", "room", "desk")
 _SHOWN = "steps"
 _SCORES = ("fill", "within_2", "within_5", "within_10", "median_error")
@@ -34,22 +33,22 @@ Row = tuple[str, str, str, dict[str, float], float]  # method, design, scene, sc
 
 def make(context: Context) -> Content:
     """Calibrate each design's session for every method and measure its scenes."""
-    data = _folder(context)
+    data = context.data
+    if data is None:
+        raise InputError("bench needs photographs: give their folder with --data")
     qualities: tuple[Quality, ...] = ("real-time",) if context.quick else ("paper", "real-time", "accurate")
     given = {c.design: c for c in (Calibration.load(path) for path in context.cameras)}
-    first = _calibrated(context, FIRST, None)
+    first = _calibrated(context, data, FIRST, None)
     truths = {scene: truth_mm(data, scene) for scene in SCENES}
     rows: list[Row] = []
     found: Iterable[tuple[str, str, np.ndarray, float]]
     pictures: dict[tuple[str, str], np.ndarray] = {}
     for number, design in enumerate(DESIGNS_READ):
-        if not DESIGNS[design].views and design != "magenta_annulus":
-            continue
         context.progress(f"bench: {design}", number, len(DESIGNS_READ))
         if design == "magenta_annulus":
             found = bench_prior.measured_by_annulus(data / design, first, truths, keep_in=_kept(context, design))
         else:
-            result = first if design == FIRST else _calibrated(context, design, first.calibration)
+            result = first if design == FIRST else _calibrated(context, data, design, first.calibration)
             calibration = given.get(design, result.calibration)
             found = _measured(data / design, calibration, qualities)
             if not context.quick:
@@ -61,20 +60,13 @@ def make(context: Context) -> Content:
     return _content(rows, pictures, truths[_SHOWN], blurred=[d for d, c in given.items() if c.blur is not None])
 
 
-def _folder(context: Context) -> Path:
-    if context.data is None:
-        raise InputError("bench needs photographs: give their folder with --data")
-    return context.data
-
-
 def _kept(context: Context, design: str) -> Path:
     return context.work / f"calibrating-data-{design}"
 
 
-def _calibrated(context: Context, design: str, lens: Calibration | None) -> CalibrationResult:
+def _calibrated(context: Context, data: Path, design: str, lens: Calibration | None) -> CalibrationResult:
     """Calibrate without the lens's blur, which takes long; camera files given with --camera may have it."""
-    folder = _folder(context) / design
-    return calibrate_session(folder, lens_from=lens, lens_blur=False, keep_in=_kept(context, design))
+    return calibrate_session(data / design, lens_from=lens, lens_blur=False, keep_in=_kept(context, design))
 
 
 def _measured(

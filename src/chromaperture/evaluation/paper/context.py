@@ -18,7 +18,7 @@ from chromaperture.optics.simulated_session import SessionPlan, write_session
 
 T = TypeVar("T")
 DESIGN = "cy_halves"  # of the session: V, the paper's choice for depth
-# Distances of the boards; the paper's 31 boards stand from 1 to 4 m.
+# Distances of the boards; the paper has 31 boards from 1 to 4 m.
 QUICK_MM = (1000.0, 1300.0, 1650.0, 2000.0, 2400.0, 3000.0, 4000.0)
 FULL_MM = tuple(float(d) for d in range(1000, 4001, 200))
 

@@ -64,7 +64,7 @@ def make(context: Context) -> Content:
         comparisons=[
             Comparison("V against VI", "V seems better at almost the same light",
                        f"within 5 %: V {good['cy_halves']:.0%}, VI {good['magenta_annulus']:.0%}",
-                       "Agrees: VI cannot tell near from far, and everything before the focus is put behind it."),
+                       "Agrees: VI cannot distinguish near from far; everything before the focus is placed behind it."),
             Comparison("VII", "for when depth quality is no issue",
                        f"within 5 %: VII {good['cy_open']:.0%}, V {good['cy_halves']:.0%}",
                        "Agrees: its views lie a third as far apart."

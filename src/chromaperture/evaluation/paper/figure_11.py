@@ -60,4 +60,4 @@ def _difference(paper: list[str], ours: list[str]) -> str:
     if paper == ours:
         return "The same order."
     moved = [n for n, m in zip(paper, ours, strict=True) if n != m]
-    return f"{', '.join(moved)} change places: their light differs by less than one film from another."
+    return f"{', '.join(moved)} change positions: their light differs by less than one film from another."

@@ -156,7 +156,7 @@ def tracked_model(views: Sequence[View], matrix: np.ndarray, poses: Sequence[np.
 
 
 def placed_cloud(views: Sequence[View], matrix: np.ndarray, poses: Sequence[np.ndarray], delta_mm: float) -> Model:
-    """Place the points of all views by the true poses, in the place of a tracked model."""
+    """Place the points of all views by the true poses, instead of a tracked model."""
     points, colors = [], []
     v, u = np.indices(views[0].z_mm.shape)
     rays = np.stack([(u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1], np.ones(u.shape)], axis=-1)

@@ -15,7 +15,7 @@ from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.robust import robust_sigma
 
-_RGB_ROWS = np.eye(3)[[2, 0]]  # blue stands for cyan, red for yellow
+_RGB_ROWS = np.eye(3)[[2, 0]]  # blue in place of cyan, red of yellow
 PANELS = (
     ("a", "rgb_circles", "RGB circles in RGB", np.eye(3)),
     ("b", "cy_halves", "cyan and yellow halves in CYX", None),

@@ -47,7 +47,7 @@ def make(context: Context) -> Content:
 
 
 def floor_scene() -> list[Plane]:
-    """Build a floor that fills the picture, and a small upright object in the place of the paper's rabbit."""
+    """Build a floor that fills the picture, and a small upright object instead of the paper's rabbit."""
     from chromaperture.optics import textures
     from chromaperture.optics.scene import plane
 

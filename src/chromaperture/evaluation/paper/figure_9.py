@@ -26,7 +26,7 @@ def make(context: Context) -> Content:
         comparisons=[
             Comparison("sub-pixel against layers", "significantly better (a picture)",
                        f"{ratio:.1f} times smaller error than whole-px layers, in the median over the boards",
-                       "Agrees. Near the focus blur is small and both are good; layers hurt where a px is worth most. "
-                       "A board that happens to stand on a layer flatters them.")
+                       "Agrees. Near the focus blur is small and both are good; layers are worst where depth "
+                       "changes most per px. A board whose disparity happens to be a layer favours them.")
         ],
     )  # fmt: skip

@@ -28,7 +28,7 @@ from chromaperture.optics.psf import geometric_otf
 from chromaperture.optics.sensor import Sensor
 from chromaperture.robust import robust_sigma
 
-RANGE_MM = np.array([1000.0, 4500.0])  # working range; the scenes stand from 1.15 to 3.3 m
+RANGE_MM = np.array([1000.0, 4500.0])  # working range; the scenes are at 1.15 to 3.3 m
 BOARDS_MM = (1150.0, 1350.0, 1600.0, 2050.0, 2400.0, 2900.0, 3500.0)
 HALVES_BETA = 0.42  # half disparity of two halves over the blur radius: centroid of a half disc, 4 / (3 pi)
 _MARGIN_PX = 0.75  # searched beyond the disparities of the working range; chosen by hand
