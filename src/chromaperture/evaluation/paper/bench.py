@@ -20,12 +20,12 @@ from chromaperture.evaluation.figures import new_figure
 from chromaperture.evaluation.paper import bench_prior, methods
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Content, CsvTable
+from chromaperture.evaluation.paper.registry import BENCH_DESIGNS as DESIGNS
+from chromaperture.evaluation.paper.registry import BENCH_SCENES as SCENES
 from chromaperture.evaluation.paper.world import full_name
 from chromaperture.products.measure_file import read_capture
 
-FIRST = "cy_halves"  # has tilted boards, which determine the lens of all designs
-DESIGNS_READ = ("rgb_squares", "cmy_circles", "cy_halves", "magenta_annulus", "cy_open")
-SCENES = ("steps", "room", "desk")
+_FIRST = "cy_halves"  # has tilted boards, which determine the lens of all designs
 _SHOWN = "steps"
 _SCORES = ("fill", "within_2", "within_5", "within_10", "median_error")
 Row = tuple[str, str, str, dict[str, float], float]  # method, design, scene, scores, seconds
@@ -38,17 +38,17 @@ def make(context: Context) -> Content:
         raise InputError("bench needs photographs: give their folder with --data")
     qualities: tuple[Quality, ...] = ("real-time",) if context.quick else ("paper", "real-time", "accurate")
     given = {c.design: c for c in (Calibration.load(path) for path in context.cameras)}
-    first = _calibrated(context, data, FIRST, None)
+    first = _calibrated(context, data, _FIRST, None)
     truths = {scene: truth_mm(data, scene) for scene in SCENES}
     rows: list[Row] = []
     found: Iterable[tuple[str, str, np.ndarray, float]]
     pictures: dict[tuple[str, str], np.ndarray] = {}
-    for number, design in enumerate(DESIGNS_READ):
-        context.progress(f"bench: {design}", number, len(DESIGNS_READ))
+    for number, design in enumerate(DESIGNS):
+        context.progress(f"bench: {design}", number, len(DESIGNS))
         if design == "magenta_annulus":
             found = bench_prior.measured_by_annulus(data / design, first, truths, keep_in=_kept(context, design))
         else:
-            result = first if design == FIRST else _calibrated(context, data, design, first.calibration)
+            result = first if design == _FIRST else _calibrated(context, data, design, first.calibration)
             calibration = given.get(design, result.calibration)
             found = _measured(data / design, calibration, qualities)
             if not context.quick:
@@ -86,7 +86,7 @@ def _measured(
 def _content(
     rows: list[Row], pictures: dict[tuple[str, str], np.ndarray], truth: np.ndarray, *, blurred: list[str]
 ) -> Content:
-    designs = [d for d in DESIGNS_READ if any(row[1] == d for row in rows)]
+    designs = [d for d in DESIGNS if any(row[1] == d for row in rows)]
     names = list(dict.fromkeys(row[0] for row in rows))
     best = [
         (name, *(_cell([r[3] for r in rows if r[:2] == (name, d)]) for d in designs), "no disparity",

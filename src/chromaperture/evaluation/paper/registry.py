@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 _SESSION = ("cy_halves/session.toml", "cy_halves/distances.csv")
 _WHITE = tuple(f"white/{name}.png" for name in ("open", "rgb_squares", "cy_halves", "cy_open"))
-_DESIGNS = ("cy_halves", "cy_open", "rgb_squares", "cmy_circles", "magenta_annulus")
-_SCENES = ("steps", "room", "desk")
+BENCH_DESIGNS = ("rgb_squares", "cmy_circles", "cy_halves", "magenta_annulus", "cy_open")
+BENCH_SCENES = ("steps", "room", "desk")
 _BENCH = (
-    *(f"{design}/session.toml" for design in _DESIGNS),
-    *(f"{design}/scene/{scene}.png" for design in _DESIGNS for scene in _SCENES),
-    *(f"truth/{scene}.depth_0.1mm.png" for scene in _SCENES),
+    *(f"{design}/session.toml" for design in BENCH_DESIGNS),
+    *(f"{design}/scene/{scene}.png" for design in BENCH_DESIGNS for scene in BENCH_SCENES),
+    *(f"truth/{scene}.depth_0.1mm.png" for scene in BENCH_SCENES),
 )
 
 
