@@ -177,9 +177,9 @@ TRIANGLE = np.array([(0.0, -1.0), (-0.866, 0.5), (0.866, 0.5)])
 )
 def test_prior_methods_find_a_shift_and_its_sign(rng, method, directions, disparity):
     found = method(moved_views(rng, directions, disparity), directions, LAYERS)[INNER]
-    assert np.isfinite(found).mean() > 0.98
+    assert np.isfinite(found).mean() > 0.98  # noise sends single pixels to an end of the range
     # A tenth of a px: layers of a quarter px, a parabola between them, noise of a twentieth of the texture. Blocks cut
-    # out at one place share the less the more the picture moved, which draws the phase towards 0: 6 % of 2.6 px.
+    # at one position overlap less the more the picture moved, which biases the phase towards 0: 6 % of 2.6 px.
     most = 0.16 if method is correlation.phase_correlation else 0.1
     assert abs(np.nanmedian(found) - disparity) < most
     assert np.nanmedian(np.abs(found - disparity)) < most + 0.05
@@ -245,7 +245,7 @@ def test_shifts_follow_the_sign_convention():
 def test_depth_and_blur_radius_invert_each_other():
     camera = world.camera_of(96, 64)
     depth = np.array([900.0, 2000.0, 5000.0])
-    np.testing.assert_allclose(methods.depth_of(camera.blur_radius_px(depth), camera), depth, rtol=1e-9)
+    np.testing.assert_allclose(methods.depth_of(camera.blur_radius_px(depth), camera), depth, rtol=1e-9)  # float64
 
 
 def test_a_calibrated_reading_gives_the_radius_back():
@@ -255,8 +255,9 @@ def test_a_calibrated_reading_gives_the_radius_back():
         return 0.4 * r + 0.02 * r * abs(r)
 
     curve = methods.increasing_curve(radius, reading(radius))
-    np.testing.assert_allclose(curve.radius_of(reading(radius)), radius, atol=1e-12)
-    np.testing.assert_allclose(curve.radius_of(np.array([np.nan, reading(3.0) + 0.01]))[1], 3 + 0.01 / 0.49, rtol=1e-9)
+    np.testing.assert_allclose(curve.radius_of(reading(radius)), radius, atol=1e-12)  # float64
+    beyond = curve.radius_of(np.array([np.nan, reading(3.0) + 0.01]))[1]
+    np.testing.assert_allclose(beyond, 3 + 0.01 / 0.49, rtol=1e-9)  # float64
     assert len(methods.increasing_curve(radius, -radius).reading) == 1
     assert np.isnan(methods.increasing_curve(radius, -radius).radius_of(np.zeros((2, 2)))).all()
 
@@ -291,7 +292,7 @@ def test_the_apertures_colour_space_separates_the_views_of_an_open_design_furthe
     # The centroids say by how much: of the unmixed views, and of the sensor's blue and red.
     film = world.real_film("cy_open")
     unmixed, sensor = (np.ptp(centroids(film, rows)[:, 0]) for rows in (film_unmixing(film), np.eye(3)[[2, 0]]))
-    # Blur of the open centre draws both readings in, not quite alike: within a quarter.
+    # Blur of the open centre reduces both readings, not quite alike: within a quarter.
     assert ranges[0] / ranges[1] == pytest.approx(unmixed / sensor, rel=0.25)
 
 
