@@ -24,14 +24,15 @@ from timing import fastest_ms
 
 from chromaperture.calibration import calibrate_session as calibrate
 from chromaperture.calibration.calibration_config import CalibrationConfig
-from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_matching import default_config
 from chromaperture.camera_file import Calibration
 from chromaperture.config import CoarseConfig, MatcherConfig
 from chromaperture.depth.field import DepthField
 from chromaperture.disparity import optimise
 from chromaperture.products.measure_file import read_capture
 
-REAL_TIME = MatcherConfig.preset("real-time")
+REAL_TIME = preset("real-time")
 VARIANTS: dict[str, MatcherConfig] = {
     "everything": REAL_TIME,
     "no field over the frame": REAL_TIME,

@@ -1,12 +1,12 @@
-"""Figures of the colour picture: light, alignment, restoration, all-in-focus.
+"""Quality of the colour picture: light, alignment, restoration, all-in-focus.
 
     python benchmarks/colour.py --data DATA [PART...] [--work DIR] [--out DIR]
 
 DATA holds bench50/ and real/. Parts: light (Tables 1 and 2, Figure 11), alignment (misalignment and colour on all
-designs and scenes), windows (what the measure reads where nothing is displaced), bando (real photographs), sharp
-(all-in-focus against simulated truth), cmu (against real sharp photographs). Each prints its figures line by line and
-then as a table. Cameras and disparities are kept in the folder --work and taken from there when they are there. Needs
-scikit-image; PSNR, SSIM and CIEDE2000 are of sRGB values after the exposure of each channel is matched.
+designs and scenes), windows (the measure of misalignment on aligned channels), bando (real photographs), sharp
+(all-in-focus against simulated truth), cmu (against real sharp photographs). Each prints its results line by line and
+then as a table. Cameras and disparities are stored in the folder --work and read from there. Needs scikit-image; PSNR,
+SSIM and CIEDE2000 are of sRGB values after the exposure of each channel is matched.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import tempfile
 from pathlib import Path
 
 from colour_alignment import bando_rows, bench_rows, window_rows
-from colour_data import Bench, markdown, say
+from colour_data import Bench, markdown, print_row
 from sharp_pictures import cmu_rows, simulated_rows
 
 from chromaperture.cli.transparency import draw, figures
@@ -38,7 +38,7 @@ def light(bench: Bench, out: Path | None) -> list[dict]:
         sheet = bench.white(design)
         maps[design] = transparency(sheet, bare)
         row = {"design": design, **figures(sheet, bare, maps[design])}
-        say(row)
+        print_row(row)
         ranges = zip("RGB", row["minimum_rgb"], row["maximum_rgb"], strict=True)
         rows.append({**row, **{k: f"{a:.2f}-{b:.2f}" for k, a, b in ranges}, "paper": PAPER.get(design, "")})
     columns = {
@@ -67,7 +67,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; all when absent")
     parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--work", type=Path, help="cameras and disparities; a folder that is thrown away when absent")
+    parser.add_argument("--work", type=Path, help="folder of cameras and disparities; a temporary one when absent")
     parser.add_argument("--out", type=Path, help="write pictures here")
     args = parser.parse_args()
     unknown = set(args.parts) - set(PARTS)
@@ -76,8 +76,8 @@ def main() -> None:
     for folder in (args.out, args.work):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as thrown_away:
-        bench = Bench(args.data, args.work or Path(thrown_away))
+    with tempfile.TemporaryDirectory() as temporary:
+        bench = Bench(args.data, args.work or Path(temporary))
         for name in args.parts or PARTS:
             print(f"\n# {name}", flush=True)
             PARTS[name](bench, args.out)

@@ -7,24 +7,26 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from colour_data import PARALLAX, SCENES, Bench, markdown, save, say
+from colour_data import PARALLAX, SCENES, Bench, markdown, print_row, save
 from no_parallax import sharp_scene, without_parallax
 from picture_quality import SURE_PX, compare, matched_exposure, misalignment, phase_misalignment
 
-from chromaperture.camera import CodedApertureCamera, channel_shifts, default_config
+from chromaperture.camera import CodedApertureCamera, channel_shifts
+from chromaperture.camera_matching import default_config
 from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import read_image
 from chromaperture.color.alignment import align_channels
 from chromaperture.color.transparency_map import compensate_vignetting, flat_field
 from chromaperture.effects.restore import restore, white_gains
 
-RIM_PX = 20
-LEAST_RESPONSE = 0.3  # of the peak of a phase correlation
-REAL_NCC = 0.8  # real filters overlap in colour and the photographs are grainy: a lower score must do
+RIM_PX = 20  # left out of PSNR, SSIM and CIEDE2000
+LEAST_RESPONSE = 0.3  # of the peak of a phase correlation, to be counted
+SURE_RESPONSE = 0.5  # to select windows
+REAL_NCC = 0.8  # lower than for simulated captures: real filters overlap in colour, and the photographs are noisy
 
 
 def bench_rows(bench: Bench, out: Path | None) -> list[dict]:
-    """All designs with parallax, all scenes."""
+    """Measure all designs with parallax on all scenes."""
     rows: list[dict] = []
 
     @cache
@@ -46,19 +48,19 @@ def bench_rows(bench: Bench, out: Path | None) -> list[dict]:
                 "all in focus": restore(image, camera=camera, **known).color,
             }
             nothing = without_parallax(sharp(scene), camera.blur_radius_px(true), image, camera)
-            # Texture allows a figure where the open capture, whose channels are one view, registers.
-            told = misalignment(bare)[:, 0] < SURE_PX
+            # Windows with enough texture: those that register in the open capture, whose channels are aligned.
+            sure = misalignment(bare)[:, 0] < SURE_PX
             phase = phase_misalignment(bare)
-            phase_told = (phase[:, 0] < SURE_PX) & (phase[:, 1] > 0.5)
+            phase_sure = (phase[:, 0] < SURE_PX) & (phase[:, 1] > SURE_RESPONSE)
             inner = np.zeros(image.shape[:2], bool)
             inner[RIM_PX:-RIM_PX, RIM_PX:-RIM_PX] = True
-            row: dict = {"design": design, "scene": scene, "windows": int(told.sum())}
+            row: dict = {"design": design, "scene": scene, "windows": int(sure.sum())}
             for name, picture in {**made, "floor": nothing}.items():
-                row[name] = displaced(picture, told, phase_told)
+                row[name] = displaced(picture, sure, phase_sure)
                 if name != "floor":
                     natural = compensate_vignetting(np.maximum(picture, 0), shading)
                     row[name] |= compare(natural, bare, inner)
-                say({"design": design, "scene": scene, "picture": name, **row[name]})
+                print_row({"design": design, "scene": scene, "picture": name, **row[name]})
             rows.append(row)
             if out:
                 pictures = [matched_exposure(np.maximum(p, 0), bare, inner) for p in (*made.values(), bare)]
@@ -67,9 +69,9 @@ def bench_rows(bench: Bench, out: Path | None) -> list[dict]:
     return rows
 
 
-def displaced(picture: np.ndarray, told: np.ndarray, phase_told: np.ndarray) -> dict[str, float]:
+def displaced(picture: np.ndarray, sure: np.ndarray, phase_sure: np.ndarray) -> dict[str, float]:
     found = misalignment(picture)
-    moved, phase = found[told, 0], phase_misalignment(picture)[phase_told]
+    moved, phase = found[sure, 0], phase_misalignment(picture)[phase_sure]
     return {
         "median_px": float(np.nanmedian(moved)),
         "most_px": float(np.nanpercentile(moved, 90)),
@@ -96,19 +98,19 @@ COLUMNS = {
 
 
 def window_rows(bench: Bench) -> list[dict]:
-    """What windows of the open aperture's captures read, where nothing is displaced, by their own standard error."""
+    """Measure aligned channels, those of the open aperture's captures, by the standard error of the windows."""
     found = np.concatenate([misalignment(bench.bare(scene)) for scene in SCENES])
     rows = []
     for low, high in ((0.0, 0.05), (0.05, 0.1), (0.1, 0.15), (0.15, 0.2), (0.2, 0.3), (0.3, 0.5), (0.5, 1.0)):
         read = found[(found[:, 1] >= low) & (found[:, 1] < high), 0]
         rows.append({"error": f"{low:g}-{high:g}", "read_px": float(np.median(read)), "windows": len(read)})
-        say(rows[-1])
+        print_row(rows[-1])
     print(markdown(rows, {"error": "{error}", "median": "{read_px:.2f}", "windows": "{windows}"}), flush=True)
     return rows
 
 
 def bando_rows(folder: Path, out: Path | None) -> list[dict]:
-    """Real photographs through RGB squares, of a camera that nobody calibrated; there is no truth."""
+    """Measure real photographs through RGB squares, by an uncalibrated camera and without truth."""
     rows = []
     for name in ("dog", "sheep"):
         image = read_image(folder / f"{name}.ppm")
@@ -122,12 +124,13 @@ def bando_rows(folder: Path, out: Path | None) -> list[dict]:
             found = misalignment(picture, least_ncc=REAL_NCC)
             sure = found[found[:, 1] < SURE_PX, 0]
             phase = phase_misalignment(picture)
+            steady = phase[phase[:, 1] > SURE_RESPONSE, 0]
             row = {"scene": name, "picture": label, "all_px": float(np.nanmedian(found[:, 0])),
                    "error_of_all_px": float(np.nanmedian(found[:, 1])), "windows": int(np.isfinite(found[:, 0]).sum()),
                    "sure_px": float(np.median(sure)), "sure_most_px": float(np.percentile(sure, 90)),
-                   "sure_windows": len(sure), "phase_px": float(np.median(phase[phase[:, 1] > 0.5, 0]))}  # fmt: skip
+                   "sure_windows": len(sure), "phase_px": float(np.median(steady))}  # fmt: skip
             rows.append(row)
-            say(row)
+            print_row(row)
         if out:
             save(out / f"bando_{name}.png", [image, aligned, restored.color])
     print(markdown(rows, BANDO_COLUMNS), flush=True)
@@ -137,7 +140,7 @@ def bando_rows(folder: Path, out: Path | None) -> list[dict]:
 BANDO_COLUMNS = {
     "photograph": "{scene}",
     "picture": "{picture}",
-    "windows that tell 0.1 px": "{sure_px:.2f}, {sure_most_px:.2f} ({sure_windows})",
+    "windows good to 0.1 px": "{sure_px:.2f}, {sure_most_px:.2f} ({sure_windows})",
     "all windows": "{all_px:.2f} ({windows})",
     "their own error": "{error_of_all_px:.2f}",
     "phase": "{phase_px:.2f}",

@@ -1,4 +1,4 @@
-"""What the figures of the colour picture are measured on: cameras, their disparities, captures; kept between runs."""
+"""Input of the colour benchmarks: cameras, their disparities, captures; stored between runs."""
 
 from __future__ import annotations
 
@@ -11,29 +11,32 @@ import cv2
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_matching import default_config
 from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import read_image
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.color.transparency_map import compensate_vignetting, flat_field
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import depth_to_disparity
+from chromaperture.evaluation.paper.bench import truth_mm
 
 SCENES = ("still_life", "steps", "room", "desk")
 PARALLAX = ("cy_halves", "cy_open", "rgb_squares", "cmy_circles")
-LEVELS = {"black_level": 16, "white_level": 1016}
+FOCUS_MM = 2000.0  # of the sessions of bench50
+LEVELS = {"black_level": 16, "white_level": 1016}  # counts, of all captures of bench50
 
 
 @dataclass(frozen=True)
 class Bench:
-    """bench50, with what was made of it.
+    """The data set bench50, with stored results.
 
     Attributes
     ----------
     data : Path
         Holds bench50/ and real/.
     work : Path
-        Calibrated cameras, DESIGN.asdf, and disparities, DESIGN_SCENE_QUALITY.npz; what is missing is made.
+        Calibrated cameras, DESIGN.asdf, and disparities, DESIGN_SCENE_QUALITY.npz; made when missing.
     """
 
     data: Path
@@ -46,7 +49,7 @@ class Bench:
     def calibration(self, design: str) -> Calibration:
         path = self.work / f"{design}.asdf"
         if not path.exists():
-            # A lens is measured once, with the tilted boards of the first design.
+            # Only the first design has tilted boards, which determine the lens.
             lens = None if design == PARALLAX[0] else self.calibration(PARALLAX[0])
             calibrate_session(self.folder / design, lens_from=lens).calibration.save(path)
         return Calibration.load(path)
@@ -82,16 +85,17 @@ class Bench:
             return dict(kept)
 
     def true_disparity(self, scene: str, camera: CodedApertureCamera) -> np.ndarray:
-        stored = cv2.imread(str(self.folder / "truth" / f"{scene}.depth_0.1mm.png"), cv2.IMREAD_UNCHANGED) / 10.0
-        return depth_to_disparity(np.where(stored > 0, stored, 2000.0), camera.depth_model).astype(np.float32)
+        """Disparity by the true depth; unknown depths are taken to be in focus."""
+        depth = np.nan_to_num(truth_mm(self.folder, scene), nan=FOCUS_MM)
+        return depth_to_disparity(depth, camera.depth_model).astype(np.float32)
 
 
-def say(row: dict) -> None:
+def print_row(row: dict) -> None:
     print(json.dumps({k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()}), flush=True)
 
 
 def save(path: Path, pictures: list[np.ndarray]) -> None:
-    """Write pictures as they are, two beside each other, 8-bit sRGB."""
+    """Write linear pictures as 8-bit sRGB, two side by side."""
     path.parent.mkdir(parents=True, exist_ok=True)
     tiles = [np.rint(linear_to_srgb(p) * 255).astype(np.uint8)[..., ::-1] for p in pictures]
     tiles += [np.zeros_like(tiles[0])] * (len(tiles) % 2)
@@ -100,7 +104,7 @@ def save(path: Path, pictures: list[np.ndarray]) -> None:
 
 
 def markdown(rows: list[dict], columns: dict[str, str]) -> str:
-    """Table of rows: heading -> what to put there, a format string over the row's keys."""
+    """Table of rows; columns map a heading to a format string over the row's keys."""
     lines = ["| " + " | ".join(columns) + " |", "| " + " | ".join("---" for _ in columns) + " |"]
     lines += ["| " + " | ".join(f.format(**row) for f in columns.values()) + " |" for row in rows]
     return "\n".join(lines)

@@ -1,24 +1,25 @@
 """Rate and memory of the live loop: python benchmarks/live.py SOURCE --camera CAMERA.asdf [--seconds 60].
 
 SOURCE is a live one, as "replay:FOLDER?speed=1&loop=1" or "simulate:FOLDER?speed=1&loop=1". Without a browser; --page
-draws the page as if somebody looked. CPU seconds a frame say what two free cores could do where the machine is busy
-with other things. The first third warms up: compilation, and the model of the place grows. Growth is said of all memory
-and of what is left without the voxels in use, which a new place may ask for; straight lines fitted to the rest of the
-time. --out FOLDER keeps the curves as memory.csv and memory.png.
+draws the page as for a viewer. CPU seconds a frame are comparable between busy and free machines. The first third is
+warm-up: compilation, and growth of the model. Memory growth is of a straight line fitted to the remaining time, for all
+memory and without the voxels in use, which new places need. --out FOLDER stores the curves, memory.csv and memory.png.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import tempfile
 import threading
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
-from chromaperture.camera import load_camera
+from chromaperture.camera import CodedApertureCamera, load_camera
 from chromaperture.capture.open import open_source
 from chromaperture.reconstruction.volume import BLOCK_BYTES
 from chromaperture.viewer.loop import LiveLoop
@@ -30,8 +31,8 @@ def resident_mb() -> float:
     return pages * 4096 / 2**20
 
 
-def looked_at(loop: LiveLoop, folder: str) -> tuple[LivePage, threading.Thread]:
-    """Draw the page for nobody."""
+def with_page(loop: LiveLoop, folder: str) -> tuple[LivePage, threading.Thread]:
+    """Draw the page without a browser."""
     page = LivePage(loop, host="127.0.0.1", port=8990, out=Path(folder))
 
     def show() -> None:
@@ -45,6 +46,27 @@ def looked_at(loop: LiveLoop, folder: str) -> tuple[LivePage, threading.Thread]:
     thread = threading.Thread(target=show, daemon=True)
     thread.start()
     return page, thread
+
+
+@contextlib.contextmanager
+def running(
+    args: argparse.Namespace, camera: CodedApertureCamera, listener: Callable[[str], None]
+) -> Iterator[LiveLoop]:
+    sensor = camera.calibration.sensor
+    levels = (sensor.black_level, sensor.white_level)
+    with (
+        open_source(args.source, camera_levels=levels) as source,
+        LiveLoop(source, camera, track=not args.no_model, listener=listener) as loop,
+    ):
+        yield loop
+
+
+def sample(loop: LiveLoop, now: float) -> tuple[float, ...]:
+    """One row of the curve: seconds, resident MB, frames, blocks, keyframes, vertices."""
+    model = loop.model.current if loop.model else None
+    grown = (model.volume.blocks, len(model.keyframes)) if model and model.volume else (0, 0)
+    vertices = len(loop.mesh.vertices_mm) if loop.mesh else 0
+    return (now, resident_mb(), loop.meters["depth"].count, *grown, vertices)
 
 
 def voxels_mb(rows: np.ndarray) -> np.ndarray:
@@ -83,21 +105,13 @@ def main() -> None:
     args = parser.parse_args()
 
     camera = load_camera(args.camera)
-    rows, said = [], []
-    levels = (camera.calibration.sensor.black_level, camera.calibration.sensor.white_level)
+    rows, messages = [], []
     warm_s = args.seconds / 3
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        open_source(args.source, camera_levels=levels) as source,
-        LiveLoop(source, camera, track=not args.no_model, listener=said.append) as loop,
-    ):
-        page, thread = looked_at(loop, folder) if args.page else (None, None)
+    with tempfile.TemporaryDirectory() as folder, running(args, camera, messages.append) as loop:
+        page, thread = with_page(loop, folder) if args.page else (None, None)
         start, warm = time.monotonic(), None
         while (now := time.monotonic() - start) < args.seconds and not loop.over.is_set():
-            model = loop.model.current if loop.model else None
-            grown = (model.volume.blocks, len(model.keyframes)) if model and model.volume else (0, 0)
-            vertices = len(loop.mesh.vertices_mm) if loop.mesh else 0
-            rows.append((now, resident_mb(), loop.meters["depth"].count, *grown, vertices))
+            rows.append(sample(loop, now))
             if warm is None and now >= warm_s:
                 warm = (now, time.process_time(), loop.meters["depth"].count)
             loop.over.wait(1.0)
@@ -122,8 +136,8 @@ def main() -> None:
                 "vertices": [int(late[0, 5]), int(late[-1, 5])],
                 "memory_mb": curve[-1, 1],
                 "frames": int(curve[-1, 2]),
-                "said": sorted(set(said))[:20],
-                "lines_said": len(said),
+                "said": sorted(set(messages))[:20],
+                "lines_said": len(messages),
                 "stages": figures,
             },
             indent=1,

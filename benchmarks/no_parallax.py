@@ -1,8 +1,8 @@
-"""What the measures of misalignment read where nothing is misaligned: their own error on a scene and a design.
+"""Pictures with aligned channels, on which measures of misalignment show their own error for a scene and a design.
 
 The scene's open-aperture capture, sharpened with the same lens's open pupil, is blurred again by each channel's own
-kernel at the true depth, the displacement taken out of it, and given the coded capture's noise. Texture, colours, blur
-and noise are those of the restored picture; its channels lie where they belong.
+kernel at the true depth without its displacement, and given the coded capture's noise. Texture, colours, blur and noise
+are those of the restored picture; its channels are aligned.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from chromaperture.optics.aperture import design_named
 from chromaperture.optics.lens_blur import sample_pupil
 from chromaperture.optics.lens_otf import traced
 
-TILE_PX = 144
+TILE_PX = 144  # limits memory
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,14 @@ class InPlace:
     ) -> np.ndarray:
         otf = self.blur(radius_px, shape, center=center)
         lens, (x, y) = self.blur.shift, center or (0.0, 0.0)
-        place = ((x + 1) * lens.blur.width_px / 2 - 0.5, (y + 1) * lens.blur.height_px / 2 - 0.5)
-        shift = least_fringes(traced(lens.blur, place, float(lens.inverse_mm(radius_px))))
+        position_px = ((x + 1) * lens.blur.width_px / 2 - 0.5, (y + 1) * lens.blur.height_px / 2 - 0.5)
+        shift = least_fringes(traced(lens.blur, position_px, float(lens.inverse_mm(radius_px))))
         fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
         return np.stack([h * np.exp(2j * np.pi * (fx * s[0] + fy * s[1])) for h, s in zip(otf, shift, strict=True)])
 
 
 def sharp_scene(bare: np.ndarray, radius_px: np.ndarray, lens: LensShift) -> np.ndarray:
-    """The open aperture's capture in focus everywhere; its channels are one view."""
+    """Sharpen the open aperture's capture, whose channels are aligned, everywhere."""
     open_pupil = replace(lens.blur, pupil=sample_pupil(design_named("open")))
     shift = LensShift.__new__(LensShift)
     shift.blur, shift.radii_px = open_pupil, lens.radii_px
@@ -74,7 +74,7 @@ def without_parallax(
 
     clean = by_tiles(radius_px.shape, tile, tile_px=TILE_PX, overlap_px=_overlap(radius_px))
     gains = white_gains(camera.calibration)
-    # Both at the exposure of the capture, after its white balance.
+    # At the exposure of the capture, after its white balance.
     clean = clean * ((image * gains).mean(axis=(0, 1)) / clean.mean(axis=(0, 1)))
     grain = np.random.default_rng(1).normal(size=clean.shape) * np.sqrt(sensor_noise(image, camera.calibration))
     return (clean + grain * gains).astype(np.float32)

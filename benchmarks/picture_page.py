@@ -1,4 +1,4 @@
-"""A page of restored pictures at their own size: what to look at are edges, thin structures and highlights.
+"""A page of restored pictures at their own size: for edges, thin structures and highlights.
 
     python benchmarks/picture_page.py --data DATA --camera CAMERA.asdf [--camera ...] --out DIR
 
@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 from colour_data import LEVELS, SCENES
 
-from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_matching import default_config
 from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import read_image
 from chromaperture.color.srgb import linear_to_srgb
@@ -24,8 +25,8 @@ from chromaperture.color.transparency_map import compensate_vignetting, flat_fie
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.effects.restore import restore, white_gains
 
-CROPS = {"middle": (160, 300), "corner": (0, 0)}  # top, left
-SIZE = (240, 300)  # height, width
+CROPS = {"middle": (160, 300), "corner": (0, 0)}  # top, left, px
+SIZE = (240, 300)  # height, width, px
 
 
 def pictures(data: Path, camera: CodedApertureCamera, scene: str) -> dict[str, np.ndarray]:

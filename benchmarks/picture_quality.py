@@ -7,15 +7,16 @@ import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb
 
-TEMPLATE, SEARCH, STRIDE = 35, 16, 14  # px
+# Chosen by hand.
+TEMPLATE, SEARCH, STRIDE = 35, 16, 14  # px; the search covers the largest displacement
 PHASE_SIDE, PHASE_STRIDE = 48, 28  # px
-PARTS = 3  # of a window, along each side
-SURE_PX = 0.1  # standard error up to which texture allows a figure
-LEAST_GRADIENT = 4e-3  # a px, of the square root of light
+PARTS = 3  # of a window, along each side, with independent errors
+SURE_PX = 0.1  # largest standard error of the windows that are counted
+LEAST_GRADIENT = 4e-3  # per px, of the square root of light, in the direction with less texture
 
 
 def matched_exposure(picture: np.ndarray, reference: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Scale each channel to the reference's light: exposure and white are no errors of restoration."""
+    """Scale each channel to the reference: exposure and white balance are not errors of restoration."""
     gain = (reference * valid[..., None]).sum(axis=(0, 1)) / (picture * valid[..., None]).sum(axis=(0, 1))
     return picture * gain.astype(np.float32)
 
@@ -36,10 +37,10 @@ def compare(picture: np.ndarray, reference: np.ndarray, valid: np.ndarray) -> di
 
 
 def misalignment(picture: np.ndarray, *, least_ncc: float = 0.85) -> np.ndarray:
-    """Displacement of red and blue against green, px, window by window; (N, 2) float.
+    """Measure the displacement of red and blue from green in windows; (N, 2) float, px.
 
-    Columns are the displacement and its standard error, from how much the parts of the window agree; NaN where nothing
-    registers. The windows lie on a fixed grid, so that pictures of the same size can be compared one by one.
+    Columns are the displacement and its standard error, from the scatter between the parts of the window; NaN where no
+    match is found. The windows form a fixed grid, so that pictures of the same size can be compared window by window.
     """
     p = np.maximum(np.asarray(picture, np.float32), 0)
     p = cv2.GaussianBlur(np.sqrt(p), (0, 0), 1.0)  # equal noise in dark and light
@@ -55,9 +56,9 @@ def misalignment(picture: np.ndarray, *, least_ncc: float = 0.85) -> np.ndarray:
 
 
 def phase_misalignment(picture: np.ndarray) -> np.ndarray:
-    """The same by phase correlation, an estimator that shares nothing with those of the restoration; (N, 2) float.
+    """Measure the same by phase correlation, which the restoration does not use; (N, 2) float.
 
-    Columns are the displacement in px and the response of the peak, on a grid of its own.
+    Columns are the displacement in px and the response of the peak, on another grid.
     """
     p = np.sqrt(np.maximum(np.asarray(picture, np.float32), 0))
     p = cv2.GaussianBlur(p, (0, 0), 1.0)
@@ -76,7 +77,7 @@ def phase_misalignment(picture: np.ndarray) -> np.ndarray:
 
 def _displacement(patch: np.ndarray, area: np.ndarray, least_ncc: float) -> tuple[float, float]:
     gy, gx = np.gradient(patch)
-    # Structure in both directions, or a displacement along a lone edge would be a matter of luck.
+    # Texture in both directions: along a lone edge the displacement is undetermined.
     if np.linalg.eigvalsh(np.cov(gx.ravel(), gy.ravel()))[0] ** 0.5 < LEAST_GRADIENT:
         return np.nan, np.nan
     score = cv2.matchTemplate(area, patch, cv2.TM_CCOEFF_NORMED)
@@ -91,7 +92,7 @@ def _displacement(patch: np.ndarray, area: np.ndarray, least_ncc: float) -> tupl
 
 
 def _standard_error(patch: np.ndarray, there: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> float:
-    """Of a displacement: what is left of the patch after it, taken to hang together within each part of the window."""
+    """Of a displacement, from the residual of the patch, taken to be correlated within each part of the window."""
     tone = there - there.mean()
     left = patch - patch.mean()
     left = left - (left * tone).sum() / (tone * tone).sum() * tone

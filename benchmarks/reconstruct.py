@@ -2,8 +2,8 @@
 
 FOLDER holds cy_halves/walk/*.png, truth/walk/NNN.depth_0.1mm.png and truth/walk/poses_camera_to_world_mm.txt (origin on
 the sensor plane). Positions are compared after rigid alignment without scale; vertices of the mesh with the true depth
-along the ray of the picture that sees them best, as a share of the distance. --work W keeps the measured
-frames there and does not measure them again: take a new folder for another camera or another matcher.
+along the ray of the picture that fits best, relative to the distance. --work W stores the measured frames and does not
+measure them again: use a new folder for another camera or another matcher.
 """
 
 from __future__ import annotations
@@ -25,15 +25,21 @@ from chromaperture.reconstruction.fusion import Reconstruction
 
 
 def rigid(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation and shift that bring points a (N, 3) onto b."""
+    """Rotation and shift that map points a (N, 3) to b."""
     ca, cb = a.mean(axis=0), b.mean(axis=0)
     u, _, vt = np.linalg.svd((b - cb).T @ (a - ca))
     turn = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
     return turn, cb - turn @ ca
 
 
+def trajectory_errors(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Distances of positions (N, 3) from the true ones after rigid alignment; (N,) float64, mm."""
+    turn, shift = rigid(found, true)
+    return np.linalg.norm(found @ turn.T + shift - true, axis=1)
+
+
 def off_surface(world: np.ndarray, poses: list[np.ndarray], truths: list[np.ndarray], cal, delta: float) -> np.ndarray:
-    """Smallest |depth - truth| / truth over the pictures whose truth the vertex is nearest to; NaN where unseen."""
+    """Smallest |depth - truth| / truth of each vertex over all pictures; NaN where it is in none."""
     best = np.full(len(world), np.inf)
     for pose, truth in zip(poses, truths, strict=True):
         inside = (world - pose[:3, 3]) @ pose[:3, :3]
@@ -49,7 +55,7 @@ def off_surface(world: np.ndarray, poses: list[np.ndarray], truths: list[np.ndar
 
 
 def measured(data: Path, camera: CodedApertureCamera, work: Path | None) -> Iterator[View]:
-    """Views of the walk, from the folder where they are kept if there is one."""
+    """Views of the walk, from the folder of stored ones if there is one."""
     sensor, to_view = camera.calibration.sensor, undistorter(camera)
     levels = (sensor.black_level, sensor.white_level)
     with open_source(str(data / "cy_halves" / "walk"), camera_levels=levels) as source:
@@ -87,13 +93,12 @@ def main() -> None:
     poses = [p @ pupil for p in np.loadtxt(folder / "poses_camera_to_world_mm.txt").reshape(-1, 4, 4)]
     placed = [place for place in model.placed if place.pose is not None and place.submap == 0]
     found = np.array([place.pose[:3, 3] for place in placed])
-    turn, shift = rigid(found, np.array([poses[place.index][:3, 3] for place in placed]))
-    errors = np.linalg.norm(found @ turn.T + shift - [poses[place.index][:3, 3] for place in placed], axis=1)
+    errors = trajectory_errors(found, np.array([poses[place.index][:3, 3] for place in placed]))
     truths = [
         cv2.imread(str(folder / f"{i:03d}.depth_0.1mm.png"), cv2.IMREAD_UNCHANGED) / 10 for i in range(len(poses))
     ]
     vertices = model.meshes()[0].vertices_mm.astype(float)
-    # The mesh stands in the world of the first camera; its own error of pose belongs to the trajectory.
+    # The mesh is in the frame of the first camera, whose pose error is counted in the trajectory.
     world = vertices @ poses[placed[0].index][:3, :3].T + poses[placed[0].index][:3, 3]
     off = off_surface(world, poses, truths, cal, delta)
     print(

@@ -1,4 +1,4 @@
-"""Code RGB-D pictures with an aperture: frames a second of the layered renderer, and pictures to look at.
+"""Render RGB-D pictures through an aperture: frames a second of the layered renderer, and the pictures.
 
 python benchmarks/render_rgbd.py --data DATA/real [--out DIR]
 """
@@ -12,41 +12,35 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from chromaperture.color.srgb import linear_to_srgb_bytes, srgb_to_linear
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.layer_renderer import render_layers
 from chromaperture.optics.pinhole import PupilCamera
 
 SENSOR_TO_PUPIL_MM = 50.0
+SEVEN_SCENES_PX = 585.0  # focal length
+# Middlebury 2014: depth = focal length * baseline / (disparity + offset of the principal points).
+MOTORCYCLE_PX, MOTORCYCLE_BASELINE_MM, MOTORCYCLE_OFFSET_PX = 994.978, 193.001, 31.086
 
 
 def linear(path):
-    value = cv2.imread(str(path))[..., ::-1].astype(np.float32) / 255
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
-
-
-def display(image):
-    value = np.clip(image, 0, 1)
-    value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
-    return (value[..., ::-1] * 255).round().astype(np.uint8)
+    return srgb_to_linear(cv2.imread(str(path))[..., ::-1].astype(np.float32) / 255)
 
 
 def seven_scenes(folder):
     for path in sorted(folder.glob("*.color.jpg")):
-        depth = cv2.imread(str(path).replace("color.jpg", "depth.png"), cv2.IMREAD_UNCHANGED).astype(
-            np.float32
-        )
+        depth = cv2.imread(str(path).replace("color.jpg", "depth.png"), cv2.IMREAD_UNCHANGED).astype(np.float32)
         depth[(depth == 0) | (depth == 65535)] = np.nan
-        yield path.name.split(".")[0], linear(path), depth + SENSOR_TO_PUPIL_MM, 585.0, 2000.0
+        yield path.name.split(".")[0], linear(path), depth + SENSOR_TO_PUPIL_MM, SEVEN_SCENES_PX, 2000.0
 
 
 def motorcycle(folder):
-    color = linear(folder / "motorcycle_left.png")
     stored = np.load(folder / "motorcycle_disp.npz")
     disparity = stored[stored.files[0]].astype(np.float32)
-    depth = np.where(
-        np.isfinite(disparity) & (disparity > 0), 994.978 * 193.001 / (disparity + 31.086), np.nan
-    )
-    yield "motorcycle", color, (depth + SENSOR_TO_PUPIL_MM).astype(np.float32), 994.978, 3000.0
+    seen = np.isfinite(disparity) & (disparity > 0)
+    depth = np.where(seen, MOTORCYCLE_PX * MOTORCYCLE_BASELINE_MM / (disparity + MOTORCYCLE_OFFSET_PX), np.nan)
+    depth = (depth + SENSOR_TO_PUPIL_MM).astype(np.float32)
+    yield "motorcycle", linear(folder / "motorcycle_left.png"), depth, MOTORCYCLE_PX, 3000.0
 
 
 def main():
@@ -72,10 +66,8 @@ def main():
         rows.append((name, time.perf_counter() - start, made.layer_count, color.shape[0] * color.shape[1]))
         if args.out:
             args.out.mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(args.out / f"{name}.png"), display(np.hstack([color, made.image])))
-    video = [
-        row for row in rows[1:] if row[0] != "motorcycle"
-    ]  # the first frame builds the transfer functions
+            cv2.imwrite(str(args.out / f"{name}.png"), linear_to_srgb_bytes(np.hstack([color, made.image]))[..., ::-1])
+    video = [row for row in rows[1:] if row[0] != "motorcycle"]  # the first frame builds the transfer functions
     report = {
         "design": args.design,
         "frames": len(video) + 1,

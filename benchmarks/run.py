@@ -2,8 +2,8 @@
 
     python benchmarks/run.py [NAME...] [--json]
 
-Every benchmark is one function in a file of its own beside this one; it returns a dict of cases. Runs of the project
-and of its peers take turns and the fastest of each counts, so that a busy machine slows both.
+Every benchmark is one function in a file beside this one; it returns a dict of cases. Runs of the project and of its
+peers alternate and the fastest of each counts, so that a busy machine slows both.
 """
 
 from __future__ import annotations
@@ -14,13 +14,7 @@ import json
 import sys
 from pathlib import Path
 
-# Name on the command line -> module beside this file with a function `benchmark() -> dict`.
-BENCHMARKS = {
-    "matcher": "matcher",
-    "variational": "variational",
-    "restoration": "restoration",
-    "growth": "growth",
-}
+BENCHMARKS = ("matcher", "variational", "restoration", "growth")  # modules with a function `benchmark() -> dict`
 
 
 def main() -> None:
@@ -33,13 +27,9 @@ def main() -> None:
     if unknown:
         parser.error(f"unknown benchmark {', '.join(sorted(unknown))}: choose from {', '.join(BENCHMARKS)}")
     results: dict = {}
-    for name in arguments.names or available():
-        results |= importlib.import_module(BENCHMARKS[name]).benchmark()
+    for name in arguments.names or BENCHMARKS:
+        results |= importlib.import_module(name).benchmark()
     print(json.dumps(results, indent=2) if arguments.json else table(results))
-
-
-def available() -> list[str]:
-    return [name for name, module in BENCHMARKS.items() if (Path(__file__).parent / f"{module}.py").exists()]
 
 
 def table(results: dict) -> str:

@@ -1,4 +1,4 @@
-"""The simulator against captures of the same lens by an independent ray tracer: shift, blur, vignetting.
+"""Compare the simulator with captures of the same lens by an independent ray tracer: shift, blur, vignetting.
 
 python benchmarks/simulated_capture.py --data DATA/bench50 [--out DIR]
 """
@@ -18,21 +18,21 @@ from chromaperture.optics.ray_table import lens_rays
 from chromaperture.optics.render import render
 from chromaperture.optics.scene import plane
 
-WIDTH, HEIGHT, PITCH_MM = 720, 480, 0.0309722
+WIDTH, HEIGHT, PITCH_MM = 720, 480, 0.0309722  # of the captures of bench50: 22.3 mm over 720 px
 CORNERS, SQUARE_MM = (9, 6), 30.0
+BLACK, SPAN = 16, 1000  # counts: black level, and white level above it
 
 
 def read(path):
     counts = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    return (counts[..., ::-1].astype(np.float32) - 16) / 1000
+    return (counts[..., ::-1].astype(np.float32) - BLACK) / SPAN
 
 
 def corners_of(image):
     """Chessboard corners in green; (54, 2) px."""
     green = np.clip(image[..., 1] / np.percentile(image[..., 1], 99.5) * 255, 0, 255).astype(np.uint8)
-    found, points = cv2.findChessboardCornersSB(
-        green, CORNERS, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    )
+    flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    found, points = cv2.findChessboardCornersSB(green, CORNERS, flags=flags)
     if not found:
         raise SystemExit("no chessboard found")
     points = points.reshape(-1, 2)
@@ -61,10 +61,8 @@ def compare_board(capture, table, camera, distance_mm, texel_mm):
         rotation = cv2.Rodrigues(r1)[0] @ cv2.Rodrigues(r0)[0].T @ rotation
         center = center + (t1 - t0).ravel()
     simulated = render(table, [board(rotation, center, texel_mm)], seed=1)
-    low, high = (
-        seen.min(axis=0) - camera.focal_px / distance_mm * 20,
-        seen.max(axis=0) + camera.focal_px / distance_mm * 20,
-    )
+    margin = camera.focal_px / distance_mm * 20  # 20 mm around the corners
+    low, high = seen.min(axis=0) - margin, seen.max(axis=0) + margin
     (x0, y0), (x1, y1) = np.maximum(low, 4).astype(int), np.minimum(high, (WIDTH - 4, HEIGHT - 4)).astype(int)
     window = np.s_[y0:y1, x0:x1]
     rows = []
@@ -106,7 +104,7 @@ def vignetting(data, design, table):
         "95_percent_below": np.percentile(error, 95, axis=(0, 1)).round(4).tolist(),
         "99_percent_below": np.percentile(error, 99, axis=(0, 1)).round(4).tolist(),
         "max": error.max(axis=(0, 1)).round(4).tolist(),
-        # Lens and film are the same seen upside down, so a photograph that is not tells its own error.
+        # Lens and film are symmetric up and down; a photograph that is not shows its own error.
         "photograph_upside_down_max": np.abs(white[::-1] / white - 1).max(axis=(0, 1)).round(4).tolist(),
     }
 
@@ -119,46 +117,38 @@ def main():
         "--board-texel-mm",
         type=float,
         default=0.5,
-        help="sharpness of the drawn board, a divisor of 30 mm; how sharp the photographed one is, nobody says",
+        help="sharpness of the drawn board, a divisor of 30 mm; the sharpness of the photographed one is unknown",
     )
     parser.add_argument("--out", type=Path)
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     lens = load_lens("double_gauss_50")
     aperture = made_of(DESIGNS["cy_halves"], "real")
-    camera = pupil_camera(lens, width_px=WIDTH, height_px=HEIGHT, pixel_pitch_mm=PITCH_MM)
-    table = lens_rays(
-        lens, aperture, width_px=WIDTH, height_px=HEIGHT, pixel_pitch_mm=PITCH_MM, cells=16, nodes=25
-    )
+    size = {"width_px": WIDTH, "height_px": HEIGHT, "pixel_pitch_mm": PITCH_MM}
+    camera = pupil_camera(lens, **size)
+    table = lens_rays(lens, aperture, cells=16, nodes=25, **size)
     report = {}
     for distance in args.distances:
         capture = read(args.data / "cy_halves" / "board" / f"{distance}.png")
         rows, center, simulated = compare_board(capture, table, camera, distance, args.board_texel_mm)
         moments = spot_moments(table, camera, center[2])
         shift = rows[:, :2] - rows[1, :2]
-        # The regression compares variances; both pictures hold the pixel's 1/12 and the pre-smoothing alike.
+        # The regression compares variances; both pictures include the pixel's 1/12 and the same pre-smoothing.
         base = moments[:, 2:] + 1 / 12
         blur = np.sqrt((base + rows[:, 2:4]) / base)
         report[distance] = {
             "board_z_mm": round(float(center[2]), 2),
-            "simulated_shift_of_red_and_blue_px": [
-                round(float(v), 3) for v in moments[[0, 2], 0] - moments[1, 0]
-            ],
+            "simulated_shift_of_red_and_blue_px": np.round(moments[[0, 2], 0] - moments[1, 0], 3).tolist(),
             "shift_difference_to_green_px": np.round(shift[[0, 2]], 4).tolist(),
             "blur_rms_difference_x_y_px": np.round(np.sqrt(base + rows[:, 2:4]) - np.sqrt(base), 3).tolist(),
             "blur_radius_ratio_x_y": np.round(blur, 4).tolist(),
         }
         if args.out:
             args.out.mkdir(parents=True, exist_ok=True)
-            pair = np.hstack([simulated * rows[1, 4], capture])
-            cv2.imwrite(
-                str(args.out / f"board_{distance}.png"),
-                np.clip(pair[..., ::-1] * 255, 0, 255).astype(np.uint8),
-            )
+            pair = np.hstack([simulated * rows[1, 4], capture])[..., ::-1]
+            cv2.imwrite(str(args.out / f"board_{distance}.png"), np.clip(pair * 255, 0, 255).astype(np.uint8))
     report["vignetting_difference_cy_halves"] = vignetting(args.data, "cy_halves", table)
-    bare = lens_rays(
-        lens, DESIGNS["open"], width_px=WIDTH, height_px=HEIGHT, pixel_pitch_mm=PITCH_MM, cells=16
-    )
+    bare = lens_rays(lens, DESIGNS["open"], cells=16, **size)
     report["vignetting_difference_open"] = vignetting(args.data, "open", bare)
     print(json.dumps(report, indent=None if args.json else 1))
 

@@ -216,7 +216,7 @@ def test_accurate_takes_the_curve_of_the_quality_that_matches_its_views(design):
     real = made_of(DESIGNS[design], "real")
     rows = ideal_unmixing(real)
     accurate, *others = (
-        colour_spaces(DESIGNS[design], rows, MatcherConfig.preset(quality))[0]
+        colour_spaces(DESIGNS[design], rows, preset(quality))[0]
         for quality in ("accurate", "paper", "real-time")
     )
     alike = dict(zip(("paper", "real-time"), (np.array_equal(accurate, other) for other in others), strict=True))

@@ -60,7 +60,7 @@ def test_two_dask_workers_one_killed_in_the_middle_give_the_same_files_byte_for_
             killed.append(workers[0].pid)
             os.kill(workers[0].pid, signal.SIGKILL)
 
-    shared = sweep.sweep(trials(range(4)), workers=1, keep_in=tmp_path / "two", cluster=address, tell=kill_one)
+    shared = sweep.sweep(trials(range(4)), workers=1, keep_in=tmp_path / "two", cluster=address, progress=kill_one)
     assert killed
     assert workers[0].wait(timeout=10) == -signal.SIGKILL
     assert workers[1].poll() is None
@@ -74,13 +74,13 @@ def test_a_cluster_without_workers_is_told(scheduler, monkeypatch, tmp_path):
     for worker in workers:
         worker.kill()
         worker.wait()
-    monkeypatch.setattr(cluster, "_WORKERS_S", 1)
+    monkeypatch.setattr(cluster, "WORKERS_S", 1)
     with pytest.raises(InputError, match="has no workers"):
         sweep.sweep(trials(), workers=1, keep_in=tmp_path, cluster=address)
 
 
 def test_no_scheduler_is_told(dask, monkeypatch, tmp_path):
-    monkeypatch.setattr(cluster, "_CONNECT_S", 1)
+    monkeypatch.setattr(cluster, "CONNECT_S", 1)
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):
         with pytest.raises(InputError, match="no Dask scheduler answers"):
             sweep.sweep(trials(), workers=1, keep_in=tmp_path, cluster=address)

@@ -21,9 +21,9 @@ from test_calibrate import B as SCALE_PX_MM
 
 def test_a_camera_that_goes_round_a_point_keeps_it_ahead():
     for pose in figure_15.orbit(7):
-        local = (figure_15._PIVOT_MM - pose[:3, 3]) @ pose[:3, :3]
-        np.testing.assert_allclose(local, figure_15._PIVOT_MM, atol=1e-9)
-    np.testing.assert_allclose(figure_15.orbit(7)[0], np.eye(4), atol=1e-12)
+        local = (figure_15.PIVOT_MM - pose[:3, 3]) @ pose[:3, :3]
+        np.testing.assert_allclose(local, figure_15.PIVOT_MM, atol=1e-9)  # float64, mm
+    np.testing.assert_allclose(figure_15.orbit(7)[0], np.eye(4), atol=1e-12)  # float64
 
 
 def test_planes_seen_from_a_pose_are_where_points_are_seen_and_points_on_them_are_on_the_surface(rng):
@@ -36,7 +36,7 @@ def test_planes_seen_from_a_pose_are_where_points_are_seen_and_points_on_them_ar
         np.testing.assert_allclose((point - pose[:3, 3]) @ pose[:3, :3], q.center_mm + a * q.right + b * q.down)
         normal = np.cross(p.right, p.down)
         off = figure_15.off_surface(np.array([point, point + 7 * normal]), [p])
-        np.testing.assert_allclose(off, [0, 7], atol=1e-9)
+        np.testing.assert_allclose(off, [0, 7], atol=1e-9)  # float64, mm
 
 
 def test_points_of_perfect_views_put_together_lie_on_the_surfaces():
@@ -56,7 +56,7 @@ def test_points_of_perfect_views_put_together_lie_on_the_surfaces():
     # Rays through the centre of the pupil meet the planes: float32 is good to 0.0003 mm at 3 m, grazing ones to more.
     assert np.nanmax(off) < 0.05
     picture = figure_15.splat(model, matrix, np.eye(4), (64, 96))
-    assert (picture == 90).all(axis=2).mean() > 0.9
+    assert (picture == 90).all(axis=2).mean() > 0.9  # a tenth for what no view shows
 
 
 def test_the_nearer_point_is_painted_over_the_farther():
@@ -79,9 +79,9 @@ def test_a_stereo_pair_gives_the_depth_of_its_shift(rng, distance_mm):
     right = moved(left, -shift, 0.0)
     found = stereo_pair.depth_of_pair(*(np.repeat(p[..., None], 3, axis=2) for p in (left, right)), camera)
     inner = found[20:-20, 60:-20]
-    # OpenCV's sub-pixel estimate is drawn towards whole px, by up to a third of one.
+    # OpenCV's sub-pixel estimate is biased towards whole px, by up to a third of one.
     assert np.nanmedian(np.abs(inner / distance_mm - 1)) < 0.34 / shift
-    assert np.isfinite(inner).mean() > 0.9
+    assert np.isfinite(inner).mean() > 0.9  # OpenCV rejects ambiguous matches
 
 
 # The bench
@@ -119,12 +119,12 @@ def test_a_method_that_reads_nothing_of_the_boards_cannot_be_calibrated(session,
 
 
 def test_light_makes_walls_better_and_another_seed_another_wall():
-    def spread(exposure, seed=0):
+    def scatter(exposure, seed=0):
         one = trial.Trial(
             "normalised cross-correlation, unmixed", "cy_halves", exposure, 120, 96, 6, seed, 0.0, "wall", 2600.0
         )
-        return trial.run_trial(one)["spread"]
+        return trial.run_trial(one)["scatter"]
 
-    bright, dim = spread(0.9), spread(0.02)
+    bright, dim = scatter(0.9), scatter(0.02)
     assert dim > 2 * bright  # noise falls with the root of the light: 6.7 times, where photons rule
-    assert spread(0.9, seed=1) != bright
+    assert scatter(0.9, seed=1) != bright

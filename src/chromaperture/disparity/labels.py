@@ -16,16 +16,17 @@ class LabelMap(NamedTuple):
 
     Attributes
     ----------
-    offset_px : (H, W) or (1, 1) float32, px
-    scale : (H, W) or (1, 1) float32
+    offset_px : (H, W) float32, px
+    scale : (H, W) float32
+        Only `IDENTITY` is (1, 1).
     """
 
     offset_px: np.ndarray
     scale: np.ndarray
 
     @property
-    def is_uniform(self) -> bool:
-        """Whether one offset and scale hold for the whole frame."""
+    def is_identity(self) -> bool:
+        """Whether labels are disparities."""
         return self.scale.size == 1
 
     def disparity(self, label: np.ndarray) -> np.ndarray:

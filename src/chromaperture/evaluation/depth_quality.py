@@ -1,4 +1,4 @@
-"""Depth quality as depth cameras are judged by: flat walls at known distances, over the frame and zone by zone."""
+"""Depth quality by the usual figures of depth cameras: flat walls at known distances, whole and zone by zone."""
 
 from __future__ import annotations
 
@@ -7,28 +7,30 @@ from itertools import pairwise
 
 import numpy as np
 
+from chromaperture.robust import robust_sigma
+
 ZONES = ("top left", "top", "top right", "left", "middle", "right", "bottom left", "bottom", "bottom right")
-_OUTLIER = 4.0  # robust standard deviations from the plane: the matcher's errors, which are counted by themselves
-_ROUNDS = 5
+_OUTLIER_SIGMAS = 4.0  # from the plane: matching errors, counted separately; a Gaussian has 0.006 % beyond
+_ROUNDS = 5  # fits, each without the outliers of the one before; chosen by hand
+_LEAST_PIXELS = 12  # for a fit of three parameters; chosen by hand
 
 
 @dataclass(frozen=True)
 class PlaneQuality:
-    """How well a piece of a flat wall was measured.
+    """Quality of the measured depth of a piece of a flat wall.
 
     Attributes
     ----------
     fill : float
-        Share of the pixels with a depth.
+        Fraction of the pixels with a depth.
     accuracy : float
         Z accuracy: median of (measured - true) / true; signed.
     plane_rms : float
-        Root mean square distance from the best plane, as a share of the distance.
+        Root mean square distance from the best plane, relative to the distance; without outliers.
     subpixel_rms_px : float
         The same in px of half disparity, which does not grow with distance.
     outliers : float
-        Share of the pixels with a depth that lie more than four robust standard deviations off the plane; the two
-        figures before leave them out.
+        Fraction of the pixels with a depth that lie more than four robust standard deviations off the plane.
     """
 
     fill: float
@@ -41,7 +43,7 @@ class PlaneQuality:
 def plane_quality(
     depth_mm: np.ndarray, truth_mm: float, *, sensor_to_pupil_mm: float, scale_px_mm: np.ndarray | float
 ) -> PlaneQuality:
-    """Judge a flat wall that stands square to the axis.
+    """Measure the quality of the depth of a flat wall perpendicular to the axis.
 
     Parameters
     ----------
@@ -57,24 +59,24 @@ def plane_quality(
     Returns
     -------
     PlaneQuality
-        NaN where fewer than a dozen pixels are known.
+        NaN where fewer than 12 pixels are known.
     """
     known = np.isfinite(depth_mm)
     fill = float(known.mean())
-    if known.sum() < 12:
+    if known.sum() < _LEAST_PIXELS:
         return PlaneQuality(fill, np.nan, np.nan, np.nan, np.nan)
     depth = np.asarray(depth_mm, float)[known]
     inverse = 1 / (depth - sensor_to_pupil_mm)
     y, x = np.mgrid[-1 : 1 : depth_mm.shape[0] * 1j, -1 : 1 : depth_mm.shape[1] * 1j]
-    # A plane in space is a plane in inverse depth over the picture of a pinhole, whatever its tilt.
+    # A plane in space, of any tilt, is a plane in inverse depth over the picture of a pinhole.
     basis = np.stack([np.ones(len(inverse)), x[known], y[known]], axis=1)
     keep: np.ndarray = np.ones(len(inverse), bool)
     residual = np.zeros(len(inverse))
     for _ in range(_ROUNDS):
         solution, *_ = np.linalg.lstsq(basis[keep], inverse[keep], rcond=None)
         residual = inverse - basis @ solution
-        sigma = 1.4826 * float(np.median(np.abs(residual - np.median(residual[keep]))))
-        keep = np.abs(residual) <= _OUTLIER * sigma + 1e-12
+        sigma = robust_sigma(residual - np.median(residual[keep]))
+        keep = np.abs(residual) <= _OUTLIER_SIGMAS * sigma + 1e-12  # 1/mm; keeps all of an exact plane
     scale = np.broadcast_to(np.asarray(scale_px_mm, float), depth_mm.shape)[known]
     z = truth_mm - sensor_to_pupil_mm
     return PlaneQuality(
@@ -87,13 +89,9 @@ def plane_quality(
 
 
 def cells(height: int, width: int, rows: int, columns: int) -> list[tuple[slice, slice]]:
-    """Cut a frame into rows and columns, row by row."""
+    """Divide a frame into cells; returns their (rows, columns), row by row."""
     down, across = (np.linspace(0, n, count + 1).round().astype(int) for n, count in ((height, rows), (width, columns)))
-    return [
-        (slice(int(a), int(b)), slice(int(c), int(d)))
-        for a, b in pairwise(down)
-        for c, d in pairwise(across)
-    ]
+    return [(slice(int(a), int(b)), slice(int(c), int(d))) for a, b in pairwise(down) for c, d in pairwise(across)]
 
 
 def by_cell(
@@ -105,11 +103,9 @@ def by_cell(
     rows: int = 3,
     columns: int = 3,
 ) -> list[PlaneQuality]:
-    """Judge every cell of the frame by itself, each against a plane of its own; row by row, see `plane_quality`."""
+    """Apply `plane_quality` to every cell of the frame, each with its own plane; row by row."""
     scale = np.broadcast_to(np.asarray(scale_px_mm, float), depth_mm.shape)
     return [
-        plane_quality(
-            depth_mm[cell], truth_mm, sensor_to_pupil_mm=sensor_to_pupil_mm, scale_px_mm=scale[cell]
-        )
+        plane_quality(depth_mm[cell], truth_mm, sensor_to_pupil_mm=sensor_to_pupil_mm, scale_px_mm=scale[cell])
         for cell in cells(depth_mm.shape[0], depth_mm.shape[1], rows, columns)
     ]

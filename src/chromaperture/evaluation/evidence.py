@@ -1,4 +1,4 @@
-"""Pictures of the calibration report about its evidence: photographs, corners, film, ruler, covariance."""
+"""Figures of the calibration report about its input: photographs, corners, film, ruler, covariance."""
 
 from __future__ import annotations
 
@@ -8,20 +8,29 @@ from matplotlib.figure import Figure
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.color.srgb import linear_to_srgb
-from chromaperture.config import Quality
-from chromaperture.evaluation.figures import BLUE, GREY, ORANGE, new_figure, rulers_of, tidy
+from chromaperture.evaluation.figures import (
+    BLUE,
+    CHANNEL_COLORS,
+    GREY,
+    ORANGE,
+    new_figure,
+    ruler_distances,
+    show_image,
+    style_axes,
+)
+from chromaperture.evaluation.verdict import QUALITY
 
-_THUMB_PX = 360
-_THUMBS = 8
+_THUMB_PX = 360  # largest width of a shown photograph
+_THUMBS = 8  # boards shown at most, and four tilted ones
 
 
 def draw_corners(result: CalibrationResult) -> Figure:
-    """Show photographs of boards, near to far, then tilted ones, with the corners that were found."""
+    """Draw photographs of boards, near to far, then tilted ones, with the corners found."""
     session = result.session
     found = {board.name: board.corners_px for board in result.boards}
     boards = sorted(session.boards, key=lambda path: session.boards[path])
-    places = np.unique(np.linspace(0, len(boards) - 1, min(_THUMBS, len(boards))).round().astype(int))
-    shown = [(boards[i], found.get(boards[i].name), f"{session.boards[boards[i]]:.0f} mm") for i in places]
+    chosen = np.unique(np.linspace(0, len(boards) - 1, min(_THUMBS, len(boards))).round().astype(int))
+    shown = [(boards[i], found.get(boards[i].name), f"{session.boards[boards[i]]:.0f} mm") for i in chosen]
     shown += [(path, result.tilts.get(path.name), f"tilt {path.stem}") for path in session.tilts[:4]]
     columns = min(4, len(shown))
     rows = -(-len(shown) // columns)
@@ -34,16 +43,16 @@ def draw_corners(result: CalibrationResult) -> Figure:
         image = session.read(path)
         scale = min(1.0, _THUMB_PX / image.shape[1])
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        axes.imshow(linear_to_srgb(small / max(float(np.percentile(small, 99.5)), 1e-6)))
+        title = title if corners is not None else f"{title}: no corners"
+        show_image(axes, linear_to_srgb(small / max(float(np.percentile(small, 99.5)), 1e-6)), title, size=8)
         if corners is not None:
             x, y = ((corners + 0.5) * scale - 0.5).T
             axes.plot(x, y, ".", color="#ff2050", markersize=1.5)
-        axes.set_title(title if corners is not None else f"{title}: no corners", fontsize=8, loc="left")
     return figure
 
 
 def white_sheets(result: CalibrationResult) -> dict[str, np.ndarray]:
-    """Read the white sheets through the open pupil and through the aperture, where there are any."""
+    """Read and smooth the white sheets through the open pupil and through the aperture, as far as they exist."""
     session = result.session
     return {
         name: cv2.GaussianBlur(session.read(session.sheets[name]), (0, 0), session.sensor.width_px / 90)
@@ -53,7 +62,7 @@ def white_sheets(result: CalibrationResult) -> dict[str, np.ndarray]:
 
 
 def draw_transparency(result: CalibrationResult) -> Figure | None:
-    """Draw vignetting (Eq. 11's open sheet) and the transparency of the aperture per channel; None without sheets."""
+    """Draw vignetting (the open sheet of Eq. 11) and the aperture's transparency by channel; None without sheets."""
     sheets = white_sheets(result)
     if not sheets:
         return None
@@ -69,14 +78,10 @@ def draw_transparency(result: CalibrationResult) -> Figure | None:
                 panels.append((f"{name} / middle", coded[..., channel] / _middle(coded[..., channel])))
     figure = new_figure(height=2.0)
     for axes, (name, values) in zip(figure.subplots(1, len(panels), squeeze=False).ravel(), panels, strict=True):
-        # Never a narrower scale than +-15 %: an even sheet shall look even.
+        # At least +-15 % of range, so that an even sheet looks even.
         center = _middle(values)
         low, high = min(float(values.min()), 0.85 * center), max(float(values.max()), 1.15 * center)
-        shown = axes.imshow(values, cmap="viridis", vmin=low, vmax=high)
-        axes.set_title(name, fontsize=8, loc="left")
-        axes.set_axis_off()
-        bar = figure.colorbar(shown, ax=axes, fraction=0.035)
-        bar.ax.tick_params(labelsize=7)
+        show_image(axes, values, name, size=8, bar="", cmap="viridis", vmin=low, vmax=high)
     return figure
 
 
@@ -86,18 +91,18 @@ def _middle(plane: np.ndarray) -> float:
 
 
 def draw_film(result: CalibrationResult) -> Figure:
-    """Draw what each piece of film and the aperture let through in R, G, B."""
+    """Draw the transmission of each piece of film and of the aperture in R, G, B."""
     film = result.calibration.film
     rows = {**film.transmissions(), "aperture": film.aperture / film.clear}
     figure = new_figure(height=2.4)
     axes = figure.subplots()
     width = 0.25
-    for channel, (name, color) in enumerate((("R", "#c83c3c"), ("G", "#3c9c50"), ("B", "#3c5cc8"))):
+    for channel, (name, color) in enumerate(CHANNEL_COLORS.items()):
         heights = [float(row[channel]) for row in rows.values()]
         bars = axes.bar(np.arange(len(rows)) + (channel - 1) * width, heights, width, color=color, label=name)
         axes.bar_label(bars, fmt="%.2f", fontsize=7)
     axes.set_xticks(range(len(rows)), list(rows))
-    tidy(axes, ylabel="share of the light")
+    style_axes(axes, ylabel="transmission")
     axes.legend(frameon=False, ncols=3, loc="upper right", bbox_to_anchor=(1, 1.2))
     return figure
 
@@ -109,32 +114,27 @@ def draw_ruler(result: CalibrationResult) -> Figure | None:
     figure = new_figure(height=2.6)
     axes = figure.subplots()
     error = result.session.ruler_error_mm
-    axes.axhspan(-error, error, color=GREY, alpha=0.15, label=f"what the ruler is trusted to, ±{error:g} mm")
+    axes.axhspan(-error, error, color=GREY, alpha=0.15, label=f"error limit of the ruler, ±{error:g} mm")
     colors = [ORANGE if board.name in result.outliers else BLUE for board in result.boards]
-    axes.scatter(rulers_of(result), result.ruler_residual_mm, c=colors, s=22, zorder=3)
+    axes.scatter(ruler_distances(result), result.ruler_residual_mm, c=colors, s=22, zorder=3)
     axes.axhline(0, color=GREY, linewidth=0.8)
-    tidy(axes, xlabel="distance by ruler, mm", ylabel="ruler - pose, mm")
+    style_axes(axes, xlabel="distance by ruler, mm", ylabel="ruler - pose, mm")
     axes.legend(frameon=False, fontsize=8)
     return figure
 
 
-def correlation(covariance: np.ndarray) -> np.ndarray:
-    """Correlation matrix of a covariance; (N, N)."""
+def draw_correlation(result: CalibrationResult) -> Figure:
+    """Draw the correlation of the three parameters of the curve."""
+    covariance = np.asarray(result.fits[QUALITY].model.covariance)
     sigma = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    return np.asarray(covariance / np.outer(sigma, sigma))
-
-
-def draw_correlation(result: CalibrationResult, quality: Quality = "real-time") -> Figure:
-    """Draw how the three parameters of the curve hang together."""
-    values = correlation(np.asarray(result.fits[quality].model.covariance))
+    values = covariance / np.outer(sigma, sigma)
     names = ("A", "B", "δ")
     figure = new_figure(width=4.4, height=2.8)
     axes = figure.subplots()
     shown = axes.imshow(values, cmap="RdBu_r", vmin=-1, vmax=1)
-    for i in range(3):
-        for j in range(3):
-            axes.text(j, i, f"{values[i, j]:+.2f}", ha="center", va="center",
-                      color="white" if abs(values[i, j]) > 0.6 else "black")  # fmt: skip
+    for (i, j), value in np.ndenumerate(values):
+        color = "white" if abs(value) > 0.6 else "black"
+        axes.text(j, i, f"{value:+.2f}", ha="center", va="center", color=color)
     axes.set_xticks(range(3), names)
     axes.set_yticks(range(3), names)
     figure.colorbar(shown, ax=axes, label="correlation")

@@ -1,79 +1,104 @@
-"""Pictures of the calibration report about depth: the paper's Figures 6 to 9, residuals, reach."""
+"""Figures of the calibration report about depth: the paper's Figures 6 to 9, residuals, accuracy."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.config import Quality, preset
 from chromaperture.depth.conversion import disparity_to_depth
-from chromaperture.evaluation.verdict import board_depth, board_errors, reach
+from chromaperture.evaluation.verdict import QUALITY, board_depth, board_errors, depth_accuracy
+from chromaperture.robust import robust_sigma
 
 BLUE, ORANGE, GREY, RED = "#2b6ca3", "#c8702a", "#777777", "#b03030"
+CHANNEL_COLORS = {"R": "#c83c3c", "G": "#3c9c50", "B": "#3c5cc8"}
 _QUALITIES: tuple[tuple[Quality, str], ...] = (("real-time", BLUE), ("paper", ORANGE))
+_OUTLIER_SIGMAS = 4.0  # residuals beyond are matching errors, not errors of the field; chosen by hand
+_ROUNDS = 5  # fits, each without the outliers of the one before; chosen by hand
+_SHOWN_BOARD = 1.25  # in-focus distances: beyond the focus, where depth changes much per px; chosen by hand
 
 
 def new_figure(width: float = 8.0, height: float = 3.4) -> Figure:
-    """Give an empty figure of the report's size, in inches."""
+    """Return an empty figure; width and height in inches."""
     return Figure(figsize=(width, height), dpi=110, layout="constrained", facecolor="white")
 
 
-def tidy(axes: Axes, **labels: str) -> None:
-    """Label a plot and take the ink off that says nothing."""
+def style_axes(axes: Axes, **labels: str) -> None:
+    """Label a plot, add a light grid, remove the upper and the right border."""
     axes.set(**labels)
     axes.grid(alpha=0.25, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def rulers_of(result: CalibrationResult) -> np.ndarray:
-    """Ruler distances of the boards; (boards,) float64, mm."""
+def show_image(
+    axes: Axes, image: np.ndarray, title: str = "", *, size: int = 9, bar: str | None = None, **options: Any
+) -> AxesImage:
+    """Show an (H, W) map or (H, W, 3) image without ticks; ``bar`` labels a colour bar, ``options`` are of imshow."""
+    shown = axes.imshow(image, **options)
+    axes.set_title(title, fontsize=size, loc="left")
+    axes.set_axis_off()
+    if bar is not None:
+        axes.figure.colorbar(shown, ax=axes, fraction=0.035, label=bar)
+    return shown
+
+
+def ruler_distances(result: CalibrationResult) -> np.ndarray:
+    """Return the boards' ruler distances; (boards,) float64, mm."""
     return np.array([board.ruler_mm for board in result.boards])
 
 
 def draw_true_against_measured(result: CalibrationResult) -> Figure:
     """Draw Figure 6 of the paper: measured against true distance, and the difference below."""
-    rulers = rulers_of(result)
+    rulers = ruler_distances(result)
     figure = new_figure(height=4.6)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1.5, 1))
     line = np.array([rulers.min(), rulers.max()])
     above.plot(line, line, color=GREY, linewidth=0.8, label="perfect")
     below.axhline(0, color=GREY, linewidth=0.8)
-    for share, alpha in ((0.02, 0.10), (0.01, 0.16)):
-        below.fill_between(line, -share * line, share * line, color=GREY, alpha=alpha, linewidth=0,
-                           label=f"±{share:.0%}")  # fmt: skip
+    for fraction, alpha in ((0.02, 0.10), (0.01, 0.16)):
+        band = fraction * line
+        below.fill_between(line, -band, band, color=GREY, alpha=alpha, linewidth=0, label=f"±{fraction:.0%}")
     for (quality, color), marker in zip(_QUALITIES, "os", strict=True):
         residual = result.fits[quality].residual_mm
         above.plot(rulers, rulers + residual, marker, color=color, label=quality, markersize=5, alpha=0.8)
         below.plot(rulers, residual, marker, color=color, markersize=5, alpha=0.8)
-    tidy(above, ylabel="measured, mm")
+    style_axes(above, ylabel="measured, mm")
     above.legend(frameon=False)
-    tidy(below, xlabel="true distance by ruler, mm", ylabel="measured - true, mm")
+    style_axes(below, xlabel="true distance by ruler, mm", ylabel="measured - true, mm")
     below.legend(frameon=False, ncols=2, loc="upper left", fontsize=8)
     return figure
+
+
+def baseline_map(result: CalibrationResult) -> np.ndarray:
+    """Return the equivalent baseline b = 2 μ B / F; (H, W) float64 or a scalar, mm."""
+    calibration = result.calibration
+    scale = np.asarray(calibration.depth_model("paper").scale_px_mm, float)
+    return np.asarray(2 * calibration.sensor.pixel_pitch_mm * scale / calibration.image_distance_mm)
 
 
 def draw_surfaces(result: CalibrationResult) -> Figure:
     """Draw Figure 7: the baseline and the in-focus distance over the frame."""
     calibration = result.calibration
     shape = (calibration.sensor.height_px, calibration.sensor.width_px)
-    paper = calibration.paper_parameters(calibration.depth_model("paper"))
+    in_focus = calibration.depth_model("paper").in_focus_mm
     figure = new_figure(height=3.0)
-    maps = ((paper.baseline_mm, "baseline b, mm", "viridis"), (paper.in_focus_mm, "in focus at, mm", "cividis"))
+    maps = ((baseline_map(result), "baseline b, mm", "viridis"), (in_focus, "in focus at, mm", "cividis"))
     for axes, (values, name, colors) in zip(figure.subplots(1, 2), maps, strict=True):
         values = np.broadcast_to(np.asarray(values, float), shape)
-        shown = axes.imshow(values, cmap=colors)
-        if np.ptp(values) > 1e-9 * abs(float(values.mean())):
+        if np.ptp(values) > 1e-9 * abs(float(values.mean())):  # contours of a constant map raise a warning
             lines = axes.contour(values, levels=6, colors="white", linewidths=0.6)
             axes.clabel(lines, fontsize=7, fmt="%.4g")
-        figure.colorbar(shown, ax=axes, fraction=0.035, label=name)
-        axes.set_axis_off()
+        show_image(axes, values, bar=name, cmap=colors)
     return figure
 
 
 def plane_residual(depth_mm: np.ndarray) -> tuple[np.ndarray, float]:
-    """Take the best plane off a depth map, robustly.
+    """Subtract the best plane from a depth map, ignoring outliers.
 
     Parameters
     ----------
@@ -87,53 +112,50 @@ def plane_residual(depth_mm: np.ndarray) -> tuple[np.ndarray, float]:
     """
     y, x = np.mgrid[: depth_mm.shape[0], : depth_mm.shape[1]]
     known = np.isfinite(depth_mm)
+    out = np.full(depth_mm.shape, np.nan)
     if known.sum() < 3:
-        return np.full(depth_mm.shape, np.nan), np.nan
+        return out, np.nan
     basis = np.stack([np.ones(known.sum()), x[known], y[known]], axis=1)
     values, keep = depth_mm[known], np.ones(known.sum(), bool)
-    residual: np.ndarray = np.zeros(known.sum())
-    for _ in range(5):
+    residual = values
+    for _ in range(_ROUNDS):
         solution, *_ = np.linalg.lstsq(basis[keep], values[keep], rcond=None)
         residual = values - basis @ solution
-        keep = np.abs(residual) <= 4 * 1.4826 * np.median(np.abs(residual)) + 1e-9
-    out = np.full(depth_mm.shape, np.nan)
+        keep = np.abs(residual) <= _OUTLIER_SIGMAS * robust_sigma(residual) + 1e-9  # mm; all of an exact plane
     out[known] = residual
     return out, float(np.sqrt(np.mean(residual[keep] ** 2)))
 
 
-def flat_board(result: CalibrationResult, quality: Quality = "real-time") -> tuple[int, float, float]:
-    """Give the board next to 1.25 times the focus and its plane-fit RMS before and after the fields, mm."""
-    index = int(np.argmin(np.abs(rulers_of(result) - 1.25 * result.calibration.in_focus_mm)))
-    before, after = (plane_residual(board_depth(result, index, quality, corrected=c))[1] for c in (False, True))
+def flat_board(result: CalibrationResult) -> tuple[int, float, float]:
+    """Return the board nearest to 1.25 in-focus distances and its plane-fit RMS before and after the fields, mm."""
+    index = int(np.argmin(np.abs(ruler_distances(result) - _SHOWN_BOARD * result.calibration.in_focus_mm)))
+    before, after = (plane_residual(board_depth(result, index, corrected=c))[1] for c in (False, True))
     return index, before, after
 
 
-def draw_flat_board(result: CalibrationResult, quality: Quality = "real-time") -> Figure:
-    """Draw Figure 8: what a flat board departs from a plane by, before and after the fields."""
-    index, *_ = flat_board(result, quality)
+def draw_flat_board(result: CalibrationResult) -> Figure:
+    """Draw Figure 8: deviation of a flat board from a plane, before and after the fields."""
+    index, before, _ = flat_board(result)
     figure = new_figure(height=2.9)
-    pictures = []
-    for corrected in (False, True):
-        pictures.append(plane_residual(board_depth(result, index, quality, corrected=corrected)))
-    reach_mm = max(3 * pictures[0][1], 1e-6)
+    limit_mm = max(3 * before, 1e-6)
     panels = figure.subplots(1, 2)
-    for axes, (values, rms), name in zip(panels, pictures, ("one curve", "field"), strict=True):
-        shown = axes.imshow(values, cmap="RdBu_r", vmin=-reach_mm, vmax=reach_mm)
-        axes.set_title(f"{name}: {rms:.0f} mm rms from a plane", fontsize=10, loc="left")
-        axes.set_axis_off()
+    for axes, corrected, name in zip(panels, (False, True), ("one curve", "field"), strict=True):
+        values, rms = plane_residual(board_depth(result, index, corrected=corrected))
+        title = f"{name}: {rms:.0f} mm rms from a plane"
+        shown = show_image(axes, values, title, size=10, cmap="RdBu_r", vmin=-limit_mm, vmax=limit_mm)
     figure.colorbar(shown, ax=list(panels), fraction=0.025, label="from the plane, mm", extend="both")
     return figure
 
 
-def layer_errors(result: CalibrationResult, quality: Quality = "paper") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Median error of single pixels with whole-px layers, with the matcher's layers, and below layers; mm each."""
-    axis = result.calibration.on_axis(quality)
+def layer_errors(result: CalibrationResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return each board's median error of a pixel with whole-px layers, the matcher's layers, and sub-pixel; mm."""
+    axis = result.calibration.on_axis("paper")
     out = []
-    for step in (1.0, preset(quality).layers.step_px, 0.0):
+    for step in (1.0, preset("paper").layers.step_px, 0.0):
         errors = []
         for board in result.boards:
-            rows, columns = (slice(n // 3, n - n // 3) for n in board.grid_px[quality].shape)
-            disparity = np.asarray(board.grid_px[quality][rows, columns], float)
+            rows, columns = (slice(n // 3, n - n // 3) for n in board.grid_px["paper"].shape)
+            disparity = np.asarray(board.grid_px["paper"][rows, columns], float)
             layered = np.round(disparity / step) * step if step else disparity
             depth = disparity_to_depth(layered, axis)[0]
             known = np.isfinite(depth)
@@ -144,7 +166,7 @@ def layer_errors(result: CalibrationResult, quality: Quality = "paper") -> tuple
 
 def draw_layers(result: CalibrationResult) -> Figure:
     """Draw Figure 9: error with whole layers against sub-pixel estimation."""
-    rulers = rulers_of(result)
+    rulers = ruler_distances(result)
     order = np.argsort(rulers)
     figure = new_figure()
     axes = figure.subplots()
@@ -152,47 +174,53 @@ def draw_layers(result: CalibrationResult) -> Figure:
     for values, name, color in zip(layer_errors(result), names, (RED, ORANGE, BLUE), strict=True):
         axes.plot(rulers[order], values[order], "o-", color=color, label=name, markersize=4)
     axes.set_yscale("log")
-    tidy(axes, xlabel="true distance by ruler, mm", ylabel="median error of a pixel, mm")
+    style_axes(axes, xlabel="true distance by ruler, mm", ylabel="median error of a pixel, mm")
     axes.legend(frameon=False)
     return figure
 
 
-def draw_reach(result: CalibrationResult) -> Figure:
-    """Draw the error bar of a pixel and of the calibration alone over the working range, in per cent of the depth."""
-    seen = reach(result)
+def draw_accuracy(result: CalibrationResult) -> Figure:
+    """Draw the standard deviation of a pixel and of the calibration alone over the working range, % of depth."""
+    found = depth_accuracy(result)
     figure = new_figure()
     axes = figure.subplots()
-    axes.plot(seen.depth_mm, 100 * seen.pixel_sigma_mm / seen.depth_mm, color=BLUE, label="one pixel")
-    axes.plot(seen.depth_mm, 100 * seen.curve_sigma_mm / seen.depth_mm, color=ORANGE, label="the calibration alone")
-    axes.plot(seen.depth_mm, 100 * np.abs(seen.bias_mm) / seen.depth_mm, color=GREY, linewidth=1,
-              label="error of the boards' medians")  # fmt: skip
-    for share in (1, 2):
-        axes.axhline(share, color=GREY, linewidth=0.8, linestyle=":")
-    tidy(axes, xlabel="distance from the sensor plane, mm", ylabel="standard deviation, % of distance")
+    for values, color, name in (
+        (found.pixel_sigma_mm, BLUE, "one pixel"),
+        (found.curve_sigma_mm, ORANGE, "the calibration alone"),
+        (np.abs(found.bias_mm), GREY, "error of the boards' medians"),
+    ):
+        axes.plot(found.depth_mm, 100 * values / found.depth_mm, color=color, label=name)
+    for percent in (1, 2):
+        axes.axhline(percent, color=GREY, linewidth=0.8, linestyle=":")
+    style_axes(axes, xlabel="distance from the sensor plane, mm", ylabel="standard deviation, % of distance")
     axes.set_ylim(bottom=0)
     axes.legend(frameon=False)
     return figure
 
 
-def draw_residuals(result: CalibrationResult, quality: Quality = "real-time") -> Figure:
+def draw_residuals(result: CalibrationResult) -> Figure:
     """Draw the residuals of every board over the whole frame: median, quartiles and 5 to 95 %, in px and per cent."""
     figure = new_figure()
     left, right = figure.subplots(1, 2)
-    places = np.arange(len(result.boards))
+    numbers = np.arange(len(result.boards))
     names = [f"{board.ruler_mm:.0f}" for board in result.boards]
-    residuals = np.asarray(result.residual_px[quality], float).reshape(len(places), -1)
-    for place, values in zip(places, residuals, strict=True):
-        known = values[np.isfinite(values)]
-        if known.size:
-            p = np.percentile(known, (5, 25, 50, 75, 95))
-            left.plot([place, place], p[[0, 4]], color=BLUE, linewidth=1)
-            left.plot([place, place], p[[1, 3]], color=BLUE, linewidth=5, alpha=0.5, solid_capstyle="butt")
-            left.plot(place, p[2], "o", color=BLUE, markersize=4)
-    errors = 100 * board_errors(result, quality) / rulers_of(result)
-    right.bar(places, errors, color=[RED if board.name in result.outliers else BLUE for board in result.boards])
+    residuals = np.asarray(result.residual_px[QUALITY], float).reshape(len(numbers), -1)
+    measured = np.isfinite(residuals).any(axis=1)
+    draw_boxes(left, numbers[measured], residuals[measured])
+    errors = 100 * board_errors(result) / ruler_distances(result)
+    right.bar(numbers, errors, color=[RED if board.name in result.outliers else BLUE for board in result.boards])
+    right.axhline(0, color=GREY, linewidth=0.8)
     for axes, label in ((left, "residual, px"), (right, "median error, % of distance")):
-        axes.axhline(0, color=GREY, linewidth=0.8)
-        every = -(-len(places) // 8)  # more names run into each other
-        axes.set_xticks(places[::every], names[::every], fontsize=8)
-        tidy(axes, xlabel="board at, mm", ylabel=label)
+        every = -(-len(numbers) // 8)  # more labels overlap
+        axes.set_xticks(numbers[::every], names[::every], fontsize=8)
+        style_axes(axes, xlabel="board at, mm", ylabel=label)
     return figure
+
+
+def draw_boxes(axes: Axes, x: np.ndarray, values: np.ndarray) -> None:
+    """Draw median, quartiles and 5 to 95 % of each row of values (N, P), over x (N,)."""
+    low, first, median, third, high = np.nanpercentile(values, (5, 25, 50, 75, 95), axis=1)
+    axes.vlines(x, low, high, color=GREY, linewidth=1)
+    axes.vlines(x, first, third, color=BLUE, linewidth=4)
+    axes.plot(x, median, ".", color="white", markersize=4, markeredgecolor=BLUE)
+    axes.axhline(0, color=GREY, linewidth=0.8)

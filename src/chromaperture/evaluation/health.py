@@ -1,7 +1,7 @@
-"""Is the camera still the one that was calibrated? One photograph answers what it can and says what it cannot.
+"""Compare one photograph with the camera file, to find what changed since the calibration.
 
-A photograph of the chessboard tells most: its corners give a distance that owes nothing to the aperture, and the
-disparity there must be the one the camera file predicts.
+A photograph of the chessboard is the best: its corners determine a distance independently of the aperture, and the
+disparity there must be the one that the camera file predicts.
 """
 
 from __future__ import annotations
@@ -24,18 +24,22 @@ from chromaperture.evaluation.tint import measure_tint
 
 Verdict = Literal["ok", "warn", "cannot tell"]
 
+_TINT, _DISTANCE, _ORIENTATION = "tint over the frame", "board distance", "filter orientation"  # names of checks
 _QUALITY: Quality = "real-time"
-_FOCAL_TOLERANCE = 0.06  # zooms engrave and EXIF rounds; a lens of another focal length is further off
+# Tolerances, chosen by hand from the causes named; relative unless in px.
+_FOCAL_TOLERANCE = 0.06  # zooms engrave and EXIF rounds; a lens of another focal length differs by more
 _STOP_TOLERANCE = 0.09  # a third of a stop is 12 % of the f-number
 _FOCUS_TOLERANCE = 0.10  # cameras report the focus distance in coarse steps
-_DISPARITY_TOLERANCE_PX = 0.15  # blur's own bias is 0.05 px; a calibrated camera stays within 0.1
-_DISPARITY_TOLERANCE = 0.06  # of the disparity itself: what a change of aperture by a sixth of a stop makes
-_FAR_FROM_FOCUS_PX = 0.4  # below, a turned filter reads the same as the right one, within the tolerance
+_DISPARITY_TOLERANCE_PX = 0.15  # the bias by blur is 0.05 px; a calibrated camera stays within 0.1
+_DISPARITY_TOLERANCE = 0.06  # of the disparity: the effect of a change of the aperture by a sixth of a stop
+_FAR_FROM_FOCUS_PX = 0.4  # expected disparity below which a turned filter is within the tolerance
+_TURNED_TOLERANCE_PX = 0.35  # from the mirrored disparity: the bias is larger with the wrong layout of the filter
 _DEPTH_TOLERANCE = 0.02
-_TINT_TOLERANCE = 0.10  # from the middle of the frame to its edge
-_SATURATED = 0.02
-_DARK = 0.05  # of the white level: noise rules
-_SEARCH_MARGIN_PX = 1.5
+_TINT_TOLERANCE = 0.10  # change of a channel ratio from the middle of the frame to its edge
+_SATURATED = 0.02  # fraction of the pixels above which the exposure is too long
+_DARK = 0.05  # 99th percentile, of the white level, below which noise dominates
+_SEARCH_MARGIN_PX = 1.5  # beyond the calibrated disparities: a refocused camera has others
+_LEAST_MEASURED = 0.25  # fraction of the board's pixels that must have a disparity
 
 
 @dataclass(frozen=True)
@@ -44,14 +48,12 @@ class Check:
 
     Attributes
     ----------
-    name : str
-    verdict : "ok", "warn" or "cannot tell"
     finding : str
-        What was found, in one sentence with its figures.
+        One sentence with the measured values.
     advice : str
-        What to do; empty when nothing.
+        The remedy; empty when none is needed.
     figures : dict of str to float
-        The same figures, units in their names.
+        The measured values, units in their names.
     """
 
     name: str
@@ -63,7 +65,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Board:
-    """The chessboard in a photograph: inner corners (columns, rows) and the side of a square."""
+    """The chessboard in a photograph: inner corners (columns, rows) and side of a square, mm."""
 
     inner_corners: tuple[int, int]
     square_mm: float
@@ -77,66 +79,58 @@ def check_camera(
     Parameters
     ----------
     image : (H, W, 3) float, linear RGB, 1.0 = white level
-    calibration : Calibration
     board : Board, optional
         The chessboard to look for.
     exif : Exif, optional
-        What the camera wrote into the file.
-
-    Returns
-    -------
-    list of Check
+        Settings that the camera wrote into the file.
 
     Raises
     ------
     InputError
-        The image is no RGB picture, or the camera was never calibrated.
+        The image is not RGB, or the camera was never calibrated.
     """
     image = checked_image(image)
     if not calibration.is_calibrated:
-        raise InputError("this camera file holds no depth curve to check against; run 'chromaperture calibrate' first")
+        raise InputError("this camera file has no depth curve to check against; run 'chromaperture calibrate' first")
     checks = [_resolution(image, calibration), *_settings(exif or Exif(), calibration), _exposure(image)]
     if checks[0].verdict == "warn":
         reason = "the photograph is not of the calibrated size"
-        names = ("tint over the frame", "board distance", "filter orientation")
-        return [*checks, *(Check(name, "cannot tell", reason) for name in names)]
-    checks.append(_tint(image, calibration))
-    return [*checks, *_against_board(image, calibration, board)]
+        return checks + [Check(name, "cannot tell", reason) for name in (_TINT, _DISTANCE, _ORIENTATION)]
+    return [*checks, _tint(image), *_against_board(image, calibration, board)]
 
 
 def is_healthy(checks: list[Check]) -> bool:
-    """Tell whether nothing warns."""
+    """Return whether no check warns."""
     return all(check.verdict != "warn" for check in checks)
 
 
 def _resolution(image: np.ndarray, calibration: Calibration) -> Check:
-    have, want = image.shape[1::-1], (calibration.sensor.width_px, calibration.sensor.height_px)
+    have, expected = image.shape[1::-1], (calibration.sensor.width_px, calibration.sensor.height_px)
     figures = {"width_px": float(have[0]), "height_px": float(have[1])}
-    if have == want:
+    if have == expected:
         return Check("resolution", "ok", f"{have[0]}x{have[1]} px, as calibrated", "", figures)
-    if have == want[::-1]:
+    if have == expected[::-1]:
         advice = "the picture was turned: give the file as the sensor read it, without rotation"
     else:
         advice = "give the original of the calibrated size, neither cropped nor scaled, or calibrate at this size"
-    finding = f"{have[0]}x{have[1]} px, calibrated at {want[0]}x{want[1]}"
+    finding = f"{have[0]}x{have[1]} px, calibrated at {expected[0]}x{expected[1]}"
     return Check("resolution", "warn", finding, advice, figures)
 
 
 def _settings(exif: Exif, calibration: Calibration) -> list[Check]:
-    focus_mm = calibration.in_focus_mm
     rows = (
         ("focal length (EXIF)", exif.focal_length_mm, calibration.lens.focal_length_mm, "mm", _FOCAL_TOLERANCE,
          "set the lens to the focal length of the calibration; a zoom needs one calibration for each"),
         ("aperture (EXIF)", exif.f_number, calibration.lens.f_number, "f-number", _STOP_TOLERANCE,
          "open the iris as for the calibration: it must not cut the filter"),
-        ("focus (EXIF)", exif.subject_distance_mm, focus_mm, "mm", _FOCUS_TOLERANCE,
+        ("focus (EXIF)", exif.subject_distance_mm, calibration.in_focus_mm, "mm", _FOCUS_TOLERANCE,
          "focus as for the calibration and tape the ring; or calibrate again"),
     )  # fmt: skip
     checks = []
     for name, found, expected, unit, tolerance, advice in rows:
         if found is None or expected is None or not np.isfinite(expected):
-            where = "the file does not say" if found is None else "the camera file does not say"
-            checks.append(Check(name, "cannot tell", where))
+            where = "the file" if found is None else "the camera file"
+            checks.append(Check(name, "cannot tell", f"{where} does not state it"))
             continue
         ok = abs(found / expected - 1) <= tolerance
         finding = f"{found:.4g} {unit}, calibrated at {expected:.4g}"
@@ -149,12 +143,12 @@ def _settings(exif: Exif, calibration: Calibration) -> list[Check]:
 def _exposure(image: np.ndarray) -> Check:
     finite = image[np.isfinite(image).all(axis=2)]
     if not finite.size:
-        raise InputError("the image holds no finite value; export it again")
+        raise InputError("the image has no finite value; export it again")
     saturated = float((finite.max(axis=1) >= SATURATION).mean())
     bright = float(np.percentile(finite, 99))
     figures = {"saturated_share": saturated, "percentile_99": bright}
     if saturated > _SATURATED:
-        advice = "expose less: where a channel is full, nothing is measured"
+        advice = "expose less: where a channel is saturated, nothing is measured"
         return Check("exposure", "warn", f"{saturated:.1%} of the pixels are saturated", advice, figures)
     if bright < _DARK:
         advice = "expose longer or add light; check --black-level and --white-level"
@@ -162,42 +156,42 @@ def _exposure(image: np.ndarray) -> Check:
     return Check("exposure", "ok", f"{saturated:.1%} saturated, bright parts at {bright:.0%}", "", figures)
 
 
-def _tint(image: np.ndarray, calibration: Calibration) -> Check:
-    name = "tint over the frame"
+def _tint(image: np.ndarray) -> Check:
     tint = measure_tint(image)
     if tint is None:
-        return Check(name, "cannot tell", "too dark or too full to compare colours")
+        return Check(_TINT, "cannot tell", "too dark or too bright to compare colours")
     figures = {"ramp_share": tint.ramp, "scatter_share": tint.scatter}
-    finding = f"colour changes by {tint.ramp:.0%} from the middle to the edge, {tint.scatter:.0%} from place to place"
+    finding = f"colour changes by {tint.ramp:.0%} from the middle to the edge, {tint.scatter:.0%} of scatter"
     if tint.ramp > _TINT_TOLERANCE and tint.ramp > 2 * tint.scatter:
         advice = (
-            "the filter is not in the plane of the stop (then every part of the frame sees another part of it), or the "
-            "light is uneven: move the filter to the iris and photograph a white sheet"
+            "the filter is not in the plane of the stop (then each part of the frame sees a different part of it), or "
+            "the light is uneven: move the filter to the iris and photograph a white sheet"
         )
-        return Check(name, "warn", finding, advice, figures)
+        return Check(_TINT, "warn", finding, advice, figures)
     if tint.scatter > _TINT_TOLERANCE:
-        return Check(name, "cannot tell", f"{finding}: the scene has colours", "photograph a white sheet", figures)
-    return Check(name, "ok", finding, "", figures)
+        return Check(_TINT, "cannot tell", f"{finding}: the scene has colours", "photograph a white sheet", figures)
+    return Check(_TINT, "ok", finding, "", figures)
 
 
 def _against_board(image: np.ndarray, calibration: Calibration, board: Board | None) -> list[Check]:
-    distance, turned = "board distance", "filter orientation"
+    def unknown(reason: str, advice: str) -> list[Check]:
+        return [Check(name, "cannot tell", reason, advice) for name in (_DISTANCE, _ORIENTATION)]
+
     if board is None:
-        advice = "photograph the chessboard and give --board and --square"
-        return [Check(name, "cannot tell", "no board was asked for", advice) for name in (distance, turned)]
+        return unknown("no board was asked for", "photograph the chessboard and give --board and --square")
     corners = find_corners(image[..., 1], board.inner_corners)
     if corners is None:
         advice = "show the whole board, larger and nearer to focus; check --board (inner corners)"
-        return [Check(name, "cannot tell", "no board was found", advice) for name in (distance, turned)]
-    seen = _compare(image, calibration, board, corners)
-    if seen is None:
+        return unknown("no board was found", advice)
+    found = _compare(image, calibration, board, corners)
+    if found is None:
         advice = "add texture around the board (chromaperture board prints some) or come nearer to focus"
-        return [Check(name, "cannot tell", "no disparity on the board", advice) for name in (distance, turned)]
-    return [_board_distance(seen, calibration), _orientation(seen)]
+        return unknown("no disparity on the board", advice)
+    return [_board_distance(found, calibration), _orientation(found)]
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _BoardReading:
     """Medians over the board: distance by pose, mm from the sensor, and disparities, px."""
 
     pose_mm: float
@@ -210,17 +204,15 @@ class _Seen:
 
     @property
     def is_turned(self) -> bool:
-        """Whether the mirrored disparity explains what was seen and the right one does not."""
-        far = abs(self.expected_px) > _FAR_FROM_FOCUS_PX
-        # The blur of a turned filter is that of the other side of the focus; matched with the wrong layout its bias
-        # adds up, so the mirrored value is met less closely.
-        return far and abs(self.measured_px + self.expected_px) < max(0.35, 2 * self.tolerance_px) < abs(
-            self.measured_px - self.expected_px
-        )
+        """Whether the mirrored disparity explains the measured one and the expected one does not."""
+        if abs(self.expected_px) <= _FAR_FROM_FOCUS_PX:
+            return False
+        mirrored, upright = abs(self.measured_px + self.expected_px), abs(self.measured_px - self.expected_px)
+        return mirrored < max(_TURNED_TOLERANCE_PX, 2 * self.tolerance_px) < upright
 
 
-def _compare(image: np.ndarray, calibration: Calibration, board: Board, corners: np.ndarray) -> _Seen | None:
-    """Pose and disparity on the board; None where too little is measured."""
+def _compare(image: np.ndarray, calibration: Calibration, board: Board, corners: np.ndarray) -> _BoardReading | None:
+    """Measure pose and disparity on the board; None where too little is measured."""
     import cv2
 
     pose = Intrinsics(calibration.lens.camera_matrix, calibration.lens.distortion, 0.0)
@@ -230,7 +222,7 @@ def _compare(image: np.ndarray, calibration: Calibration, board: Board, corners:
     x0, y0 = np.floor(corners.min(axis=0)).astype(int)
     x1, y1 = np.ceil(corners.max(axis=0)).astype(int)
     rows, columns = slice(max(y0, 0), y1 + 1), slice(max(x0, 0), x1 + 1)
-    # Depth of the board's plane along every ray: n . (z r) = n . t
+    # Depth z of the board's plane along every ray r: n . (z r) = n . t
     height, width = image.shape[:2]
     y, x = np.mgrid[:height, :width][:, rows, columns].astype(float)
     rays = cv2.undistortPoints(np.stack([x, y], -1).reshape(-1, 1, 2), pose.camera_matrix, pose.distortion)
@@ -253,66 +245,64 @@ def _compare(image: np.ndarray, calibration: Calibration, board: Board, corners:
         config=preset(_QUALITY).with_range(-reach, reach),
     ).value_px[rows, columns]
     known = np.isfinite(disparity) & np.isfinite(expected)
-    if known.mean() < 0.25:
+    if known.mean() < _LEAST_MEASURED:
         return None
     difference = float(np.median((disparity - expected)[known]))
     middle = float(np.median(expected[known]))
-    return _Seen(float(np.median(z)) + delta, middle + difference, middle)
+    return _BoardReading(float(np.median(z)) + delta, middle + difference, middle)
 
 
-def _board_distance(seen: _Seen, calibration: Calibration) -> Check:
+def _board_distance(found: _BoardReading, calibration: Calibration) -> Check:
     axis = calibration.on_axis(_QUALITY)
     infinity, scale, delta = (
         float(v) for v in (axis.infinity_disparity_px, axis.scale_px_mm, axis.sensor_to_pupil_mm)
     )
-    shift = seen.measured_px - seen.expected_px
-    inverse = 1 / (seen.pose_mm - delta) - shift / scale  # by the calibrated curve
+    shift = found.measured_px - found.expected_px
+    inverse = 1 / (found.pose_mm - delta) - shift / scale  # by the calibrated curve
     depth_mm = 1 / inverse + delta if inverse > 0 else np.inf
-    # A sensor moved by a refocus shifts A and hardly touches B: d = A - B / z.
+    # Refocusing moves the sensor, which changes A and hardly B: d = A - B / z.
     focus_mm = scale / (infinity + shift) + delta if infinity + shift > 0 else np.inf
-    error_mm = depth_mm - seen.pose_mm
+    error_mm = depth_mm - found.pose_mm
     figures = {
-        "pose_mm": seen.pose_mm,
+        "pose_mm": found.pose_mm,
         "depth_mm": depth_mm,
         "error_mm": error_mm,
-        "measured_disparity_px": seen.measured_px,
-        "expected_disparity_px": seen.expected_px,
+        "measured_disparity_px": found.measured_px,
+        "expected_disparity_px": found.expected_px,
         "difference_px": shift,
         "in_focus_if_refocused_mm": focus_mm,
         "in_focus_calibrated_mm": calibration.in_focus_mm,
     }
     finding = (
-        f"board at {seen.pose_mm:.0f} mm by its corners, {depth_mm:.0f} mm by its disparity ({error_mm:+.0f} mm); "
-        f"disparity {seen.measured_px:+.2f} px, expected {seen.expected_px:+.2f}"
+        f"board at {found.pose_mm:.0f} mm by its corners, {depth_mm:.0f} mm by its disparity ({error_mm:+.0f} mm); "
+        f"disparity {found.measured_px:+.2f} px, expected {found.expected_px:+.2f}"
     )
-    if abs(shift) <= seen.tolerance_px:
-        return Check("board distance", "ok", finding, "", figures)
-    if abs(error_mm) <= _DEPTH_TOLERANCE * seen.pose_mm and abs(shift) <= 2 * _DISPARITY_TOLERANCE_PX:
-        return Check("board distance", "ok", finding, "", figures)
+    accurate = abs(error_mm) <= _DEPTH_TOLERANCE * found.pose_mm and abs(shift) <= 2 * _DISPARITY_TOLERANCE_PX
+    if abs(shift) <= found.tolerance_px or accurate:
+        return Check(_DISTANCE, "ok", finding, "", figures)
     advice = (
-        f"if only the focus moved, it now stands at {focus_mm:.0f} mm instead of {calibration.in_focus_mm:.0f}: set it "
+        f"if only the focus moved, it is now at {focus_mm:.0f} mm instead of {calibration.in_focus_mm:.0f}: set it "
         "back, or calibrate again"
     )
-    if seen.is_turned:
+    if found.is_turned:
         advice = "see the filter's orientation first"
-    elif abs(seen.expected_px) > _FAR_FROM_FOCUS_PX and 0.2 < seen.measured_px / seen.expected_px < 5:
-        ratio = seen.measured_px / seen.expected_px
+    elif abs(found.expected_px) > _FAR_FROM_FOCUS_PX and 0.2 < found.measured_px / found.expected_px < 5:
+        ratio = found.measured_px / found.expected_px
         figures["scale_if_aperture_changed"] = ratio
         advice += f"; if only the aperture changed, the pupil is {ratio:.2f} times as wide: set the iris as it was"
-    return Check("board distance", "warn", finding, advice, figures)
+    return Check(_DISTANCE, "warn", finding, advice, figures)
 
 
-def _orientation(seen: _Seen) -> Check:
-    name = "filter orientation"
-    figures = {"measured_disparity_px": seen.measured_px, "expected_disparity_px": seen.expected_px}
-    if seen.is_turned:
-        finding = f"disparity {seen.measured_px:+.2f} px, expected {seen.expected_px:+.2f}: the sign is wrong"
+def _orientation(found: _BoardReading) -> Check:
+    figures = {"measured_disparity_px": found.measured_px, "expected_disparity_px": found.expected_px}
+    if found.is_turned:
+        finding = f"disparity {found.measured_px:+.2f} px, expected {found.expected_px:+.2f}: the sign is wrong"
         advice = "the filter is turned by 180 degrees or its colours are swapped: turn it, arrow up"
-        return Check(name, "warn", finding, advice, figures)
-    if abs(seen.expected_px) <= _FAR_FROM_FOCUS_PX:
-        finding = f"the board is too near to the focus ({seen.expected_px:+.2f} px) to tell"
-        return Check(name, "cannot tell", finding, "photograph it clearly nearer or farther", figures)
-    if seen.measured_px * seen.expected_px > 0 and abs(seen.measured_px) > seen.tolerance_px:
-        return Check(name, "ok", f"disparity {seen.measured_px:+.2f} px has the expected sign", "", figures)
-    finding = f"disparity {seen.measured_px:+.2f} px instead of {seen.expected_px:+.2f}: neither right nor mirrored"
-    return Check(name, "cannot tell", finding, "set the focus right first", figures)
+        return Check(_ORIENTATION, "warn", finding, advice, figures)
+    if abs(found.expected_px) <= _FAR_FROM_FOCUS_PX:
+        finding = f"the board is too near to the focus ({found.expected_px:+.2f} px) to tell"
+        return Check(_ORIENTATION, "cannot tell", finding, "photograph it clearly nearer or farther", figures)
+    if found.measured_px * found.expected_px > 0 and abs(found.measured_px) > found.tolerance_px:
+        return Check(_ORIENTATION, "ok", f"disparity {found.measured_px:+.2f} px has the expected sign", "", figures)
+    finding = f"disparity {found.measured_px:+.2f} px instead of {found.expected_px:+.2f}: neither right nor mirrored"
+    return Check(_ORIENTATION, "cannot tell", finding, "set the focus right first", figures)

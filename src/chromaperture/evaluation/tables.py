@@ -1,4 +1,4 @@
-"""Tables of the calibration report, every figure with its unit."""
+"""Tables of the calibration report."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ from importlib import metadata
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
-from chromaperture.config import Quality
-from chromaperture.evaluation.verdict import board_errors, reach
+from chromaperture.evaluation.verdict import QUALITY, board_errors, depth_accuracy
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells as text."""
+    """A table whose cells are text."""
 
     caption: str
     head: Sequence[str]
@@ -23,49 +22,49 @@ class Table:
 
 
 def round_distances(near_mm: float, far_mm: float) -> np.ndarray:
-    """About eight round distances within a range; mm."""
+    """Return at most nine round distances within a range; mm."""
     span = far_mm - near_mm
     step = next((s for s in (10, 20, 50, 100, 200, 250, 500, 1000, 2000) if span / s <= 8), 5000)
     return np.arange(np.ceil(near_mm / step) * step, far_mm + 1e-6, step)
 
 
-def steps(result: CalibrationResult, quality: Quality = "real-time") -> Table:
-    """Give what a px of disparity and one standard deviation are worth, at round distances."""
-    seen = reach(result, quality)
+def steps(result: CalibrationResult) -> Table:
+    """List the depth per px of disparity and the standard deviations at round distances."""
+    found = depth_accuracy(result)
     rows = []
     for distance in round_distances(result.calibration.near_mm, result.calibration.far_mm):
-        curves = (seen.step_mm, seen.pixel_sigma_mm, seen.curve_sigma_mm)
-        step, pixel, curve = (float(np.interp(distance, seen.depth_mm, values)) for values in curves)
-        rows.append((
-            f"{distance:.0f}", f"{step:.0f}", f"{0.1 * step:.0f}", f"{pixel:.0f}", f"{pixel / distance:.1%}",
-            f"{curve:.1f}",
-        ))  # fmt: skip
+        step, pixel, curve = (
+            float(np.interp(distance, found.depth_mm, values))
+            for values in (found.step_mm, found.pixel_sigma_mm, found.curve_sigma_mm)
+        )
+        cells = (f"{mm:.0f}" for mm in (distance, step, 0.1 * step, pixel))
+        rows.append((*cells, f"{pixel / distance:.1%}", f"{curve:.1f}"))
     head = ("distance, mm", "1 px, mm", "0.1 px, mm", "one pixel ±, mm", "of distance", "calibration ±, mm")
-    return Table("What a step of disparity is worth, and one standard deviation", head, rows)
+    return Table("Depth per step of disparity, and one standard deviation", head, rows)
 
 
-def boards(result: CalibrationResult, quality: Quality = "real-time") -> Table:
-    """One row a board."""
-    errors = board_errors(result, quality)
+def boards(result: CalibrationResult) -> Table:
+    """List the boards with their readings and errors."""
+    errors = board_errors(result)
     rows = []
     for i, board in enumerate(result.boards):
         rows.append((
             board.name + (" (outlier)" if board.name in result.outliers else ""),
             f"{board.ruler_mm:.0f}",
             _number(board.pose_mm, ".1f"),
-            _number(float(board.disparity_px[quality]), "+.3f"),
-            _number(float(result.fits[quality].residual_mm[i]), "+.1f"),
+            _number(float(board.disparity_px[QUALITY]), "+.3f"),
+            _number(float(result.fits[QUALITY].residual_mm[i]), "+.1f"),
             _number(float(errors[i]), "+.1f"),
             _number(100 * float(errors[i]) / board.ruler_mm, "+.2f"),
-            _number(float(result.pixel_sigma_px[quality][i]), ".3f"),
+            _number(float(result.pixel_sigma_px[QUALITY][i]), ".3f"),
         ))  # fmt: skip
     head = ("photograph", "ruler, mm", "pose, mm", "disparity, px", "error, middle, mm", "error, frame, mm", "%",
-            "spread of a pixel, px")  # fmt: skip
-    return Table(f"Boards at quality {quality}; errors are measured minus ruler", head, rows)
+            "sigma of a pixel, px")  # fmt: skip
+    return Table(f"Boards at quality {QUALITY}; errors are measured minus ruler", head, rows)
 
 
 def unmixing(result: CalibrationResult) -> Table:
-    """Colours of the film and the rows of M^-1."""
+    """List the colours of the film and the rows of M^-1."""
     calibration = result.calibration
     rows = [
         (f"{name} film, colour", *(f"{v:.3f}" for v in color)) for name, color in calibration.film.filters.items()
@@ -78,7 +77,7 @@ def unmixing(result: CalibrationResult) -> Table:
 
 
 def parameters(result: CalibrationResult) -> Table:
-    """Fitted parameters with standard deviations, and what is derived from them."""
+    """List the fitted parameters with standard deviations, and what is derived from them."""
     calibration = result.calibration
     rows = []
     for quality, fit in result.fits.items():
@@ -98,19 +97,20 @@ def parameters(result: CalibrationResult) -> Table:
         ("baseline b, mm", f"{calibration.baseline_mm:.3f}", "", "derived: 2 μ B / F"),
     ]
     if result.ruler is not None:
-        rows.append(
-            ("sensor to pupil δ, mm", f"{result.ruler.sensor_to_pupil_mm:.2f}", f"{result.ruler.sigma_mm:.2g}",
-             "ruler against poses")
-        )  # fmt: skip
-        rows.append(("scale of the focal length", f"{result.ruler.scale:.5f}", "", "ruler against poses"))
+        pupil, sigma_mm = f"{result.ruler.sensor_to_pupil_mm:.2f}", f"{result.ruler.sigma_mm:.2g}"
+        rows += [
+            ("sensor to pupil δ, mm", pupil, sigma_mm, "ruler against poses"),
+            ("scale of the focal length", f"{result.ruler.scale:.5f}", "", "ruler against poses"),
+        ]
     return Table("d = A - B / (distance - δ)", ("parameter", "value", "±", "how"), rows)
 
 
 def provenance(result: CalibrationResult) -> Table:
-    """How the camera file came about."""
+    """List how the camera file was made."""
     known = result.calibration.provenance
-    left_out = ("boards", "notes", "files")
-    rows = [(str(name).replace("_", " "), _text(value)) for name, value in known.items() if name not in left_out]
+    rows = [
+        (str(name).replace("_", " "), _text(value)) for name, value in known.items() if name not in ("boards", "notes")
+    ]
     return Table("", ("", ""), [*rows, ("chromaperture", metadata.version("chromaperture"))])
 
 

@@ -1,7 +1,7 @@
-"""Does white keep its colour over the frame? It does not where the filter is off the stop.
+"""Change of colour over the frame, which shows a filter outside the plane of the stop.
 
-Behind a stop every point of the frame sees the whole pupil; at a distance from it, points beside the axis see the
-filter displaced, so that one colour gains on one side of the frame and the other on the other.
+In the stop, every image position sees the whole filter. At a distance from it, off-axis positions see the filter
+displaced, so that one colour dominates on one side of the frame and the other colour on the other side.
 """
 
 from __future__ import annotations
@@ -11,10 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.color.image import SATURATION
+from chromaperture.robust import robust_sigma
 
-_CELLS = (8, 12)
-_LEAST = 0.004  # linear light below which a cell says nothing of its colour
-_ROUNDS = 5
+_CELLS = (8, 12)  # rows, columns
+_LEAST = 0.004  # mean of a channel, of white level, below which a cell is too dark to have a colour; chosen by hand
+_LEAST_PIXELS = 16  # usable ones of a cell; chosen by hand
+_ROUNDS = 5  # of reweighting; chosen by hand
+_LINEAR_FROM = 1.5  # robust standard deviations at which the loss turns linear, as Huber's at 1.345; chosen by hand
 
 
 @dataclass(frozen=True)
@@ -24,16 +27,13 @@ class Tint:
     Attributes
     ----------
     ramp : float
-        Largest change of a channel ratio from the middle of the frame to its edge, as a share.
+        Largest relative change of a channel ratio from the middle of the frame to its edge.
     scatter : float
-        Robust standard deviation of the cells about the ramp, as a share: large in coloured scenes.
-    direction : (2,) float64
-        Gradient of the ratio that changes most; x right, y down, log ratio from middle to edge.
+        Robust relative standard deviation of the cells about the ramp: large in coloured scenes.
     """
 
     ramp: float
     scatter: float
-    direction: np.ndarray
 
 
 def measure_tint(image: np.ndarray) -> Tint | None:
@@ -52,35 +52,35 @@ def measure_tint(image: np.ndarray) -> Tint | None:
     columns = np.array_split(np.arange(width), _CELLS[1])
     with np.errstate(invalid="ignore"):
         usable = (image.max(axis=2) < SATURATION) & np.isfinite(image).all(axis=2)
-    values, places = [], []
+    values, positions = [], []
     for r in rows:
         for c in columns:
             cell = image[r[0] : r[-1] + 1, c[0] : c[-1] + 1][usable[r[0] : r[-1] + 1, c[0] : c[-1] + 1]]
-            if len(cell) < 16:
+            if len(cell) < _LEAST_PIXELS:
                 continue
             mean = cell.mean(axis=0)
             if mean.min() > _LEAST:
                 values.append(np.log(mean))
-                places.append((2 * c.mean() / (width - 1) - 1, 2 * r.mean() / (height - 1) - 1))
+                positions.append((2 * c.mean() / (width - 1) - 1, 2 * r.mean() / (height - 1) - 1))
     if len(values) < _CELLS[0] * _CELLS[1] / 2:
         return None
     logs = np.array(values)
-    basis = np.column_stack([np.ones(len(places)), np.array(places)])
+    basis = np.column_stack([np.ones(len(positions)), np.array(positions)])
     tints = []
     for a, b in ((0, 1), (1, 2), (0, 2)):
         slope, scatter = _robust_plane(basis, logs[:, a] - logs[:, b])
-        tints.append(Tint(float(np.expm1(np.hypot(*slope))), scatter, slope))
+        tints.append(Tint(float(np.expm1(np.hypot(*slope))), scatter))
     return max(tints, key=lambda tint: tint.ramp - tint.scatter)
 
 
 def _robust_plane(basis: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, float]:
-    """Slopes in x and y and the robust scatter about the plane."""
+    """Fit a plane by reweighted least squares; return its slopes in x and y and the robust scatter about it."""
     weights: np.ndarray = np.ones(len(values))
     scatter = 0.0
     solution: np.ndarray = np.zeros(3)
     for _ in range(_ROUNDS):
         solution, *_ = np.linalg.lstsq(basis * weights[:, None], values * weights, rcond=None)
         residual = values - basis @ solution
-        scatter = 1.4826 * float(np.median(np.abs(residual)))
-        weights = 1 / np.sqrt(np.maximum(1.0, np.abs(residual) / max(1.5 * scatter, 1e-6)))
+        scatter = robust_sigma(residual)
+        weights = 1 / np.sqrt(np.maximum(1.0, np.abs(residual) / max(_LINEAR_FROM * scatter, 1e-6)))
     return solution[1:], scatter

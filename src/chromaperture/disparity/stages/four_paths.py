@@ -35,12 +35,12 @@ def four_path_winner(
     layers_px : (D,) float, px
         The labels that are tested.
     label_map : LabelMap
-        (h, w), or uniform.
+        (h, w), or `IDENTITY`.
     correlation : CorrelationConfig
     paths : FourPathsConfig
     """
     score = correlate(views, layers_px, config=correlation)
-    if not label_map.is_uniform:
+    if not label_map.is_identity:
         score = scores_at_labels(score, layers_px, label_map)
     likelihood = log_likelihood(score, view_count=views.pictures.shape[2]) * views.mask[..., None]
     penalties = PathPenalties(paths.slope_penalty, paths.jump_penalty, paths.edge_range, paths.edge_floor)

@@ -1,7 +1,7 @@
-"""Prior methods on photographs: calibrated on the same boards, with the same fields over the frame, as the project's.
+"""Prior methods on photographs, calibrated on the same boards and with the same fields as the project's own method.
 
-A method reads every board; the curve d = A - B / z with its fields and its nonlinearity is fitted to what it reads by
-the very code that fits the project's own. What is left to tell them apart is the matching.
+A method reads every board; the curve d = A - B / z with its fields and its nonlinearity is fitted to the readings by
+the code that fits the project's own, so that the results differ by the matching only.
 """
 
 from __future__ import annotations
@@ -23,36 +23,21 @@ from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.errors import InputError
 from chromaperture.evaluation.paper import methods
 
-_BOARDS = 8  # at most, for each method
-_SPAN = (1.2, 0.75)  # how much farther than the camera's own range is searched: factor, and px
-_BETA = 0.42  # half disparity of the halves per px of blur radius: 4 / (3 pi)
+_BOARDS = 8  # at most, for each method, to limit the time
+_SPAN = (1.2, 0.75)  # of the searched range over the camera's own: factor, and px added; chosen by hand
+_LARGER_BLUR = 1.1  # of the searched blur over that of the camera's range; chosen by hand
+_SIGMA_PX = 0.05  # of a board's median; small beside the error of the boards; chosen by hand
+Measurement = tuple[str, str, np.ndarray, float]  # method, scene, depth in mm, seconds
 Read = Callable[[np.ndarray], np.ndarray]
 
 
-def measured(
-    result: CalibrationResult, scenes: Sequence[str], *, keep_in: Path
-) -> Iterator[tuple[str, str, np.ndarray, float]]:
-    """Measure scenes by every prior method that can read the design.
-
-    Parameters
-    ----------
-    result : CalibrationResult
-        Of the design's session.
-    scenes : sequence of str
-    keep_in : Path
-        Folder for what was read on the boards.
-
-    Yields
-    ------
-    method, scene : str
-    depth_mm : (H, W) float64
-    seconds : float
-    """
+def measured(result: CalibrationResult, scenes: Sequence[str], *, keep_in: Path) -> Iterator[Measurement]:
+    """Measure scenes by every prior method that can read the design; ``keep_in`` holds the readings of boards."""
     calibration, session = result.calibration, result.session
     low, high = calibration.disparity_range_px("real-time")
     factor, more = _SPAN
     span = (factor * low - more, factor * high + more)
-    setting = methods.Setting(session.design, calibration.unmixing, span, max(np.abs(span)) / _BETA)
+    setting = methods.Setting(session.design, calibration.unmixing, span, max(np.abs(span)) / methods.HALVES_BETA)
     for name, method in methods.METHODS.items():
         if name.startswith("ours") or not methods.applies(name, session.design):
             continue
@@ -62,7 +47,7 @@ def measured(
 
         try:
             model = fitted(result.evidence, session, name, read, keep_in=keep_in)
-        except InputError:  # what it reads on the boards has no course
+        except InputError:  # no curve fits its readings of the boards
             nothing = np.full((session.sensor.height_px, session.sensor.width_px), np.nan)
             yield from ((name, scene, nothing, float("nan")) for scene in scenes)
             continue
@@ -71,12 +56,12 @@ def measured(
 
 def measured_by_annulus(
     folder: Path, lens: CalibrationResult, truths: Mapping[str, np.ndarray], *, keep_in: Path
-) -> Iterator[tuple[str, str, np.ndarray, float]]:
-    """Measure scenes through the magenta annulus, which reads the size of the blur; see `measured`.
+) -> Iterator[Measurement]:
+    """Measure scenes through the magenta annulus, which measures the size of the blur; see `measured`.
 
-    Its boards' distances are the rulers', the pupil lies where another session of the same lens found it. On the boards
-    the side of the focus is known, so that all of them can be used; in scenes everything is taken to be beyond, and
-    once more, for what the ambiguity costs, on the side where the truth (mm, by scene) is.
+    Distances of boards are by ruler, the pupil's position by another session of the same lens. The side of the focus
+    is known for boards, so that all can be used. Scenes are taken to be beyond the focus, and a second time on the side
+    of the truth (mm, by scene), which shows the cost of the ambiguity.
     """
     session = read_session(folder)
     rulers = np.array([*session.boards.values()])
@@ -91,8 +76,8 @@ def measured_by_annulus(
     )
     boards = [BoardMeasurement(p.name, r, {}, {}, {}) for p, r in session.boards.items()]
     evidence = Evidence(session.sensor, boards, distances, session.ruler_error_mm, np.ones(len(boards), bool))
-    reach = np.abs(lens.calibration.disparity_range_px("paper")).max() / _BETA
-    setting = methods.Setting(session.design, np.zeros((0, 3)), (0.0, 0.0), float(1.1 * reach))
+    reach = np.abs(lens.calibration.disparity_range_px("paper")).max() / methods.HALVES_BETA
+    setting = methods.Setting(session.design, np.zeros((0, 3)), (0.0, 0.0), float(_LARGER_BLUR * reach))
 
     def read(image: np.ndarray) -> np.ndarray:
         return methods.METHODS["annulus"](image, setting)
@@ -111,7 +96,7 @@ def measured_by_annulus(
 def fitted(
     evidence: Evidence, session: Session, name: str, read: Read, *, keep_in: Path, sided: float | None = None
 ) -> DepthModel:
-    """Read boards and fit the curve and its fields; ``sided`` is the focus where a method reads sizes only, mm."""
+    """Read boards and fit the curve and its fields; ``sided`` is the focus, mm, if readings have no sign."""
     store = Store(keep_in)
     paths = list(session.boards)
     chosen = np.unique(np.linspace(0, len(paths) - 1, min(_BOARDS, len(paths))).round().astype(int))
@@ -122,10 +107,9 @@ def fitted(
     rows, columns = (grid(n, width).astype(int) for n in (height, width))
     middle = np.s_[height // 3 : -height // 3, width // 3 : -width // 3]
     boards = []
-    for board, path, believed in zip(evidence.boards, paths, used, strict=True):
-        if not believed:
-            nothing = np.full((len(rows), len(columns)), np.nan, np.float32)
-            boards.append(_read_as(board, np.nan, nothing))
+    for board, path, use in zip(evidence.boards, paths, used, strict=True):
+        if not use:
+            boards.append(_read_as(board, np.nan, np.full((len(rows), len(columns)), np.nan, np.float32)))
             continue
 
         def look(path: Path = path) -> dict[str, np.ndarray]:
@@ -140,18 +124,17 @@ def fitted(
 
 
 def _read_as(board: BoardMeasurement, middle_px: float, grid_px: np.ndarray) -> BoardMeasurement:
-    sigma = 0.05  # px, of the median; the boards' own error is larger
     return replace(
         board,
         disparity_px={"real-time": middle_px},
-        sigma_px={"real-time": sigma},
+        sigma_px={"real-time": _SIGMA_PX},
         grid_px={"real-time": grid_px},
     )
 
 
 def _scenes(
     session: Session, name: str, read: Read, model: DepthModel, scenes: Sequence[str]
-) -> Iterator[tuple[str, str, np.ndarray, float]]:
+) -> Iterator[Measurement]:
     for scene in scenes:
         image = session.read(session.folder / "scene" / f"{scene}.png")
         start = time.perf_counter()

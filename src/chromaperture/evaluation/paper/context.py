@@ -1,10 +1,10 @@
-"""What exhibits share in one run: where to write, which data, how large, and the calibrated camera."""
+"""State of one run that all exhibits use: output folder, data, sizes, and the calibrated camera."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,9 +14,12 @@ from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.paper.sweep import sweep
 from chromaperture.evaluation.paper.trial import Trial
 from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.scene import Plane
 from chromaperture.optics.simulated_session import SessionPlan, write_session
 
 T = TypeVar("T")
+DESIGN = "cy_halves"  # of the session: V, the paper's choice for depth
+# Distances of the boards; the paper has 31 boards from 1 to 4 m.
 QUICK_MM = (1000.0, 1300.0, 1650.0, 2000.0, 2400.0, 3000.0, 4000.0)
 FULL_MM = tuple(float(d) for d in range(1000, 4001, 200))
 
@@ -28,7 +31,7 @@ class Context:
     Attributes
     ----------
     out : Path
-        Folder of the report; ``out/work`` keeps what a run that was interrupted need not do again.
+        Folder of the report; ``out/work`` holds intermediate results, so that an interrupted run can continue.
     data : Path or None
         Folder of sessions and white sheets.
     quick : bool
@@ -38,8 +41,8 @@ class Context:
         Address of a Dask scheduler for sweeps.
     cameras : tuple of Path
         Camera files, used instead of calibrating.
-    tell : callable
-        Told what is made, how much is done, and of how much.
+    progress : callable
+        Called with the current step, how much is done, and of how much.
     """
 
     out: Path
@@ -48,7 +51,7 @@ class Context:
     workers: int = 0
     cluster: str | None = None
     cameras: tuple[Path, ...] = ()
-    tell: Callable[[str, int, int], None] = lambda what, done, total: None
+    progress: Callable[[str, int, int], None] = lambda what, done, total: None
     _kept: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -57,9 +60,9 @@ class Context:
         return self.out / "work" / ("quick" if self.quick else "full")
 
     @property
-    def processes(self) -> int:
-        """Processes of a sweep."""
-        return self.workers or os.cpu_count() or 1
+    def simulated(self) -> Context:
+        """The same run without the data folder."""
+        return self if self.data is None else replace(self, data=None, cameras=(), _kept={})
 
     @property
     def scene_size(self) -> tuple[int, int]:
@@ -77,43 +80,53 @@ class Context:
         return 10 if self.quick else 16
 
     def sweep(self, trials: Sequence[Trial], what: str) -> list[dict[str, float]]:
-        """Run trials on this machine's cores or on the cluster, and keep them in the work folder."""
+        """Run trials on this machine's cores or on the cluster; results are kept in the work folder."""
         return sweep(
             trials,
-            workers=self.processes,
+            workers=self.workers or os.cpu_count() or 1,
             cluster=self.cluster,
             keep_in=self.work / "trials",
-            tell=lambda done, total: self.tell(what, done, total),
+            progress=lambda done, total: self.progress(what, done, total),
         )
 
     def once(self, key: str, make: Callable[[], T]) -> T:
-        """Give what ``make`` makes, made once in this run: white sheets serve three exhibits."""
+        """Return the result of ``make``, computed once in this run: white sheets serve three exhibits."""
         if key not in self._kept:
             self._kept[key] = make()
         kept: T = self._kept[key]
         return kept
 
+    def traced(self, design: str, planes: Sequence[Plane], *, seed: int, exposure: float) -> world.Capture:
+        """Photograph planes with the camera of the simulated session through a design, traced ray by ray."""
+        camera = self.session_camera
+        aperture = world.real_film(design)
+        table = self.once(f"rays {design}", lambda: world.traced_table(camera, aperture, self.cells))
+        return world.photograph(table, planes, camera, seed=seed, exposure=exposure)
+
+    def session_capture(self, planes: Sequence[Plane], *, seed: int) -> world.Capture:
+        """Photograph planes as the simulated session's boards are photographed."""
+        return self.traced(DESIGN, planes, seed=seed, exposure=world.level_exposure(DESIGN))
+
     def calibrated(self) -> tuple[CalibrationResult, str]:
-        """Calibrate design V, from the data folder's session or a simulated one; the result and what it is from."""
-        if "session" not in self._kept:
-            folder = self._session_folder()
-            where = "photographs in --data" if self.data else "a simulated session, traced ray by ray"
-            kept = self.work / ("calibrating-data" if self.data else "calibrating")
-            result = calibrate_session(folder, CalibrationConfig(lens_blur=False), keep_in=kept)
-            size = f"{result.calibration.sensor.width_px}x{result.calibration.sensor.height_px} px"
-            self._kept["session"] = result, f"From {where}: {len(result.boards)} boards at {size}."
-        result, source = self._kept["session"]
-        return result, source
+        """Calibrate design V from the data folder's session or a simulated one; return it and its source."""
+        result = self.once("session", self._calibrate)
+        where = "photographs in --data" if self.data else "a simulated session, traced ray by ray"
+        size = f"{result.calibration.sensor.width_px}x{result.calibration.sensor.height_px} px"
+        return result, f"From {where}: {len(result.boards)} boards at {size}."
+
+    def _calibrate(self) -> CalibrationResult:
+        kept = self.work / ("calibrating-data" if self.data else "calibrating")
+        return calibrate_session(self._session_folder(), CalibrationConfig(lens_blur=False), keep_in=kept)
 
     def _session_folder(self) -> Path:
         if self.data is not None:
-            return self.data if (self.data / "session.toml").is_file() else self.data / "cy_halves"
-        folder = self.work / "session" / "cy_halves"
+            return self.data if (self.data / "session.toml").is_file() else self.data / DESIGN
+        folder = self.work / "session" / DESIGN
         if not (folder / "session.toml").is_file():  # written last
             camera = self.session_camera
             write_session(
                 folder,
-                aperture=world.real_film("cy_halves"),
+                aperture=world.real_film(DESIGN),
                 camera=camera,
                 rays=lambda aperture: world.traced_table(camera, aperture, self.cells),
                 scenes={},

@@ -1,4 +1,4 @@
-"""What a figure or table of the paper is made of, and what the page shows of it."""
+"""A figure or table of the paper, and what its part of the page contains."""
 
 from __future__ import annotations
 
@@ -8,23 +8,13 @@ from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
-from chromaperture.evaluation.tables import Table
-
 if TYPE_CHECKING:
     from chromaperture.evaluation.paper.context import Context
 
 
 @dataclass(frozen=True)
-class Compared:
-    """A number of the paper beside ours.
-
-    Attributes
-    ----------
-    what, paper, ours : str
-        With their units.
-    why : str
-        A sentence on the difference.
-    """
+class Comparison:
+    """A quantity, the paper's value and ours with their units, and a sentence on the difference."""
 
     what: str
     paper: str
@@ -33,8 +23,8 @@ class Compared:
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """A picture, the stem of its file and the sentence that says what to see."""
+class Chart:
+    """A figure, the stem of its file, and its caption."""
 
     stem: str
     figure: Figure
@@ -42,28 +32,24 @@ class Drawn:
 
 
 @dataclass(frozen=True)
-class Listed:
-    """A table and the stem of its CSV file; one that is too long for the page is in the file alone."""
+class CsvTable:
+    """A table of text and the stem of its CSV file; ``on_page`` is false for tables too long for the page."""
 
     stem: str
-    table: Table
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
     on_page: bool = True
 
 
 @dataclass(frozen=True)
-class Made:
-    """All of one figure or table.
-
-    Attributes
-    ----------
-    source : str
-        What the input was.
-    """
+class Content:
+    """Content of one exhibit; ``source`` states what the input was."""
 
     source: str
-    drawn: Sequence[Drawn] = ()
-    listed: Sequence[Listed] = ()
-    compared: Sequence[Compared] = ()
+    charts: Sequence[Chart] = ()
+    tables: Sequence[CsvTable] = ()
+    comparisons: Sequence[Comparison] = ()
     lines: Sequence[str] = ()
 
 
@@ -74,12 +60,12 @@ class Exhibit:
     Attributes
     ----------
     name : str
-        As given on the command line and as the folder is called.
+        On the command line, and of its folder.
     title : str
     make : callable
         Makes it from a `Context`.
     files : tuple of str
-        What it reads below ``--data`` where such a folder is given.
+        Files that it reads below ``--data`` where such a folder is given.
     only_data : bool
         Whether it has no simulated input.
     reads_all : bool
@@ -88,7 +74,7 @@ class Exhibit:
 
     name: str
     title: str
-    make: Callable[[Context], Made]
+    make: Callable[[Context], Content]
     files: tuple[str, ...] = ()
     only_data: bool = False
     reads_all: bool = False

@@ -9,16 +9,16 @@ from chromaperture.disparity.variation import smooth_disparity
 from chromaperture.evaluation.figures import new_figure
 from chromaperture.evaluation.paper import methods, world
 from chromaperture.evaluation.paper.context import Context
-from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Listed, Made
-from chromaperture.evaluation.paper.world import EIGHT, NUMERALS
-from chromaperture.evaluation.tables import Table
+from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable
+from chromaperture.evaluation.paper.world import EIGHT, NUMERALS, full_name
 from chromaperture.optics.aperture import channel_transmission
+from chromaperture.optics.pinhole import PupilCamera
 
 _SEED = 0
-_TV_PER_RADIUS = 0.2  # fidelity times px of blur radius: the same robust step for all designs
+_TV_FIDELITY = 0.2  # per px of blur radius, a unit common to all designs; chosen by hand
 
 
-def make(context: Context) -> Made:
+def make(context: Context) -> Content:
     """Photograph the same still life through every design and match as the paper does."""
     camera = world.camera_of(*context.scene_size)
     planes = world.still_life(seed=_SEED)
@@ -28,30 +28,25 @@ def make(context: Context) -> Made:
     good: dict[str, float] = {}
     low, high = (float(r) for r in camera.blur_radius_px(np.array([1100.0, 3400.0])))
     for line, design in zip(panels, EIGHT, strict=True):
-        exposure = world.level_exposure(design)
-        table = world.pinhole_table(camera, design, context.cells)
-        shot = world.photograph(table, planes, camera, seed=_SEED, exposure=exposure)
+        shot = world.pinhole_capture(design, planes, camera, cells=context.cells, seed=_SEED)
         line[0].imshow(linear_to_srgb(np.clip(shot.image / 0.9, 0, 1)))
         line[0].set_ylabel(NUMERALS[design], rotation=0, labelpad=14, va="center", fontsize=11)
         line[3].imshow(shot.radius_px, cmap="viridis", vmin=low, vmax=high)
+        relative_exposure = world.level_exposure(design) / world.level_exposure("open")
         light = float(channel_transmission(world.real_film(design)).mean())
+        first = (full_name(design), f"{light:.0%}", f"{relative_exposure:.2f}")
         if design == "open":
             for axes in line[1:3]:
                 axes.text(0.5, 0.5, "no disparity", ha="center", va="center", transform=axes.transAxes, fontsize=9)
-            rows.append((f"{NUMERALS[design]} {design}", f"{light:.0%}", f"{1:.2f}", "-", "-", "-", "-", "-"))
+            rows.append((*first, *"-----"))
             continue
-        method = "annulus" if design == "magenta_annulus" else "ours, paper"
-        calibrated = methods.calibrate(method, design, camera, context.cells)
-        raw = calibrated.radius_of(methods.METHODS[method](shot.image, methods.setting_of(design, camera)))
-        smooth = smooth_disparity(raw, fidelity=_TV_PER_RADIUS, bounds_px=(low - 1, high + 1)).disparity_px
-        for axes, radius in zip(line[1:3], (raw, smooth), strict=True):
+        both = _raw_and_regularised(design, shot.image, camera, context.cells, (low - 1, high + 1))
+        for axes, radius in zip(line[1:3], both, strict=True):
             axes.imshow(radius, cmap="viridis", vmin=low, vmax=high)
-        both = [methods.scores(methods.depth_of(np.asarray(r, float), camera), shot.depth_mm) for r in (raw, smooth)]
-        good[design] = both[1]["within_5"]
-        rows.append((
-            f"{NUMERALS[design]} {design}", f"{light:.0%}", f"{exposure / world.level_exposure('open'):.2f}",
-            *(f"{s[key]:.1%}" for s in both for key in ("within_2", "within_5")), f"{both[1]['median_error']:.1%}",
-        ))  # fmt: skip
+        found = [methods.scores(methods.depth_of(np.asarray(r, float), camera), shot.depth_mm) for r in both]
+        good[design] = found[1]["within_5"]
+        within = (f"{s[key]:.1%}" for s in found for key in ("within_2", "within_5"))
+        rows.append((*first, *within, f"{found[1]['median_error']:.1%}"))
     for axes, title in zip(panels[0], ("capture", "raw disparity", "regularised", "truth"), strict=True):
         axes.set_title(title, fontsize=9)
     for axes in panels.ravel():
@@ -60,23 +55,33 @@ def make(context: Context) -> Made:
     head = ("design", "light", "exposure", "raw: within 2 %", "within 5 %", "regularised: within 2 %", "within 5 %",
             "median error")  # fmt: skip
     order = [NUMERALS[n] for n in sorted(good, key=lambda n: good[n], reverse=True)]
-    return Made(
+    return Content(
         source=f"Simulated: a still life at {camera.width_px}x{camera.height_px} px through an ideal 50 mm f/2 lens, "
         "exposed until white paper reaches the same level in every design, as the paper does.",
-        drawn=[Drawn("designs", figure, "Rows I to VIII. Blue is near, yellow far; the last column is the truth.")],
-        listed=[Listed("designs", Table("Shares of ALL pixels whose depth is right; exposure against the open pupil",
-                                        head, rows))],
-        compared=[
-            Compared("V against VI", "V seems better at almost the same light",
-                     f"within 5 %: V {good['cy_halves']:.0%}, VI {good['magenta_annulus']:.0%}",
-                     "Agrees: VI cannot tell near from far, and everything before the focus is put behind it."),
-            Compared("VII", "for when depth quality is no issue",
-                     f"within 5 %: VII {good['cy_open']:.0%}, V {good['cy_halves']:.0%}",
-                     "Agrees: its views lie a third as far apart."
-                     if good["cy_open"] < good["cy_halves"] else "Does not agree on this scene."),
-            Compared("depth at equal image level, best first", "not ranked", ", ".join(order),
-                     "At equal level noise is alike; what counts is how far apart the views are and how they blur."),
+        charts=[Chart("designs", figure, "Rows I to VIII. Blue is near, yellow far; the last column is the truth.")],
+        tables=[CsvTable("designs", "Fractions of ALL pixels whose depth is right; exposure relative to the open pupil",
+                         head, rows)],
+        comparisons=[
+            Comparison("V against VI", "V seems better at almost the same light",
+                       f"within 5 %: V {good['cy_halves']:.0%}, VI {good['magenta_annulus']:.0%}",
+                       "Agrees: VI cannot distinguish near from far; everything before the focus is placed behind it."),
+            Comparison("VII", "for when depth quality is no issue",
+                       f"within 5 %: VII {good['cy_open']:.0%}, V {good['cy_halves']:.0%}",
+                       "Agrees: its views lie a third as far apart."
+                       if good["cy_open"] < good["cy_halves"] else "Does not agree on this scene."),
+            Comparison("depth at equal image level, best first", "not ranked", ", ".join(order),
+                       "At equal level the noise is the same; distance and blur of the views decide."),
         ],
         lines=["All designs but VI go through the same matcher (quality paper); VI has its own likelihood [5]. The "
                "same total variation [6] regularises all."],
     )  # fmt: skip
+
+
+def _raw_and_regularised(
+    design: str, image: np.ndarray, camera: PupilCamera, cells: int, bounds_px: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Measure the blur radius as the paper does, before and after total variation; two (H, W) arrays, px."""
+    method = methods.method_of(design)
+    reading = methods.METHODS[method](image, methods.setting_of(design, camera))
+    raw = methods.calibrate(method, design, camera, cells).radius_of(reading)
+    return raw, smooth_disparity(raw, fidelity=_TV_FIDELITY, bounds_px=bounds_px).disparity_px

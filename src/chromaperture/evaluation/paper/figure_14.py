@@ -1,4 +1,4 @@
-"""Figure 14: the restored picture and its focus moved by depth."""
+"""Figure 14: the restored picture, refocused by depth."""
 
 from __future__ import annotations
 
@@ -9,44 +9,35 @@ from chromaperture.camera_matching import default_config
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.effects.restore import restore
-from chromaperture.evaluation.figures import new_figure
+from chromaperture.evaluation.figures import new_figure, show_image
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.paper.context import Context
-from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Made
+from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content
 
 
-def make(context: Context) -> Made:
+def make(context: Context) -> Content:
     """Measure a scene with the calibrated camera, restore it, focus on the front and on the back."""
-    simulated = context if context.data is None else Context(context.out, quick=context.quick, workers=context.workers)
+    simulated = context.simulated
     result, source = simulated.calibrated()
-    calibration = result.calibration
-    optics = context.session_camera
-    table = world.traced_table(optics, world.real_film("cy_halves"), context.cells)
-    shot = world.photograph(
-        table, world.still_life(seed=14, saturation=0.6), optics, seed=14, exposure=world.level_exposure("cy_halves")
-    )
-    camera = CodedApertureCamera(calibration, default_config(calibration, "real-time"))
+    shot = simulated.session_capture(world.still_life(seed=14, saturation=0.6), seed=14)
+    camera = CodedApertureCamera(result.calibration, default_config(result.calibration, "real-time"))
     frame = camera.measure(shot.image)
     sharp = restore(shot.image, frame.disparity_px, camera, sigma_px=frame.disparity_sigma_px, sharpness="fast")
     near, far = (float(v) for v in np.percentile(sharp.radius_px, (3, 90)))
-    focused = [refocus(sharp.color, sharp.radius_px, Focus(at, strength=1.5)) for at in (near, far)]
+    pictures = {"(a) restored": sharp.color}
+    for title, at in (("(c) focus on the foreground", near), ("(d) focus on the background", far)):
+        pictures[title] = refocus(sharp.color, sharp.radius_px, Focus(at, strength=1.5))
     figure = new_figure(height=4.6)
-    pictures = (sharp.color, None, *focused)
-    titles = ("(a) restored", "(b) disparity, px", "(c) focus on the foreground", "(d) focus on the background")
+    first, disparity, *rest = figure.subplots(2, 2).ravel()
+    show_image(disparity, frame.disparity_px, "(b) disparity, px", bar="", cmap="viridis")
     white = float(np.percentile(sharp.color, 99.5))
-    for axes, picture, title in zip(figure.subplots(2, 2).ravel(), pictures, titles, strict=True):
-        if picture is None:
-            shown = axes.imshow(frame.disparity_px, cmap="viridis")
-            figure.colorbar(shown, ax=axes, fraction=0.03)
-        else:
-            axes.imshow(linear_to_srgb(np.clip(picture / white, 0, 1)))
-        axes.set_title(title, fontsize=9, loc="left")
-        axes.set_axis_off()
-    return Made(
+    for axes, (title, picture) in zip((first, *rest), pictures.items(), strict=True):
+        show_image(axes, linear_to_srgb(np.clip(picture / white, 0, 1)), title)
+    return Content(
         source=f"{source} The scene is photographed by the same simulated lens.",
-        drawn=[Drawn("effects", figure, "One capture; the focus is set afterwards.")],
-        compared=[
-            Compared("effects", "pictures of a telephone", "pictures of a simulated reflex camera",
-                     "The same chain: disparity, restored colour, blur by depth.")
+        charts=[Chart("effects", figure, "One capture; the focus is set afterwards.")],
+        comparisons=[
+            Comparison("effects", "pictures of a telephone", "pictures of a simulated reflex camera",
+                       "The same chain: disparity, restored colour, blur by depth.")
         ],
     )  # fmt: skip

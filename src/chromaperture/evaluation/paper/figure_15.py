@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.errors import MissingDependencyError
-from chromaperture.evaluation.figures import new_figure
+from chromaperture.evaluation.figures import new_figure, show_image
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.paper.context import Context
-from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Made
+from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content
 from chromaperture.optics.scene import Plane
 from chromaperture.products.rectified import View, undistorter
 from chromaperture.reconstruction.clean_views import cleaned
@@ -24,17 +25,17 @@ from chromaperture.reconstruction.fusion import Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.volume import open3d
 
-_PIVOT_MM = np.array([0.0, 0.0, 2200.0])
-_STEP_DEG, _NOD_DEG = 0.8, 1.0  # about the vertical from frame to frame; up and down
-_SEEN_FROM_DEG = ((-12.0, 8.0), (20.0, 8.0))  # where the model is looked at from
-# Pictures are a third of a camera's: less can be thrown away, and nothing reduced once more to track.
+PIVOT_MM = np.array([0.0, 0.0, 2200.0])  # centre of the camera's orbit, in the middle of the still life
+_STEP_DEG, _NOD_DEG = 0.8, 1.0  # yaw from frame to frame; amplitude of the pitch; chosen by hand
+_VIEWPOINTS_DEG = ((-12.0, 8.0), (20.0, 8.0))  # yaw and pitch of the shown renderings of the model
+# Pictures have a third of a camera's size: discard fewer pixels at edges, track at full size.
 _CONFIG = ReconstructionConfig(tracking_scale=1, edge_px=1, edge_jump=0.08, max_relative_sigma=0.2)
-_MARGIN_MM = 30.0  # a point this far beside a board still belongs to it
+_MARGIN_MM = 30.0  # a point at most this far beside a board is assigned to it; chosen by hand
 
 
 @dataclass(frozen=True)
 class Model:
-    """Points of a model, world frame of the first camera's pupil."""
+    """Points of a model in the frame of the first camera's pupil, and how it was tracked."""
 
     points_mm: np.ndarray
     colors: np.ndarray
@@ -43,66 +44,68 @@ class Model:
     track_ms: float
 
 
-def make(context: Context) -> Made:
-    """Swing the simulated camera about a still life; measure, track, fuse, and look at the model from elsewhere."""
-    simulated = context if context.data is None else Context(context.out, quick=context.quick, workers=context.workers)
+def make(context: Context) -> Content:
+    """Swing the simulated camera about a still life; measure, track, fuse, and render the model from elsewhere."""
+    simulated = context.simulated
     result, source = simulated.calibrated()
-    calibration = result.calibration
-    optics = simulated.session_camera
-    camera = CodedApertureCamera(calibration, default_config(calibration, "real-time"))
+    matrix = result.calibration.lens.camera_matrix
     poses = orbit(6 if context.quick else 16)
     planes = world.still_life(seed=15, saturation=0.4)
-    table = world.traced_table(optics, world.real_film("cy_halves"), simulated.cells)
-    to_view = undistorter(camera)
-    views, measure_ms = [], []
-    for k, pose in enumerate(poses):
-        context.tell("frames of figure-15", k, len(poses))
-        exposure = world.level_exposure("cy_halves")
-        shot = world.photograph(table, seen_from(planes, pose), optics, seed=150 + k, exposure=exposure)
-        start = time.perf_counter()
-        views.append(to_view(camera.measure(shot.image), k / 15, k))
-        measure_ms.append(1000 * (time.perf_counter() - start))
-    delta = float(np.mean(camera.calibration.depth_model("real-time").sensor_to_pupil_mm))
-    matrix = calibration.lens.camera_matrix
+    views, measure_ms = _measured(simulated, result.calibration, planes, poses)
+    delta = float(np.mean(result.calibration.depth_model("real-time").sensor_to_pupil_mm))
     try:
         open3d()
         model = tracked_model(views, matrix, poses, delta)
     except MissingDependencyError:
         model = placed_cloud(views, matrix, poses, delta)
-    off = off_surface(model.points_mm + np.array([0, 0, delta]), planes)
+    pupil = np.array([0, 0, delta])
+    off = off_surface(model.points_mm + pupil, planes)
     median, most = (float(v) for v in np.percentile(off / np.maximum(model.points_mm[:, 2], 1), (50, 90)))
-    rate = 1000 / (float(np.median(measure_ms)) + model.track_ms)
     figure = new_figure(height=4.8)
     panels = figure.subplots(2, 2).ravel()
-    panels[0].imshow(views[0].color)
-    shown = panels[1].imshow(views[0].z_mm, cmap="viridis")
-    figure.colorbar(shown, ax=panels[1], fraction=0.03, label="mm")
-    for axes, (yaw, pitch) in zip(panels[2:], _SEEN_FROM_DEG, strict=True):
-        axes.imshow(splat(model, matrix, turned(yaw, pitch, _PIVOT_MM - np.array([0, 0, delta])), views[0].z_mm.shape))
-    titles = ("(c) test scene, first frame", "its depth", "(d) model, from the left", "(f) model, from the right")
-    for axes, title in zip(panels, titles, strict=True):
-        axes.set_title(title, fontsize=9, loc="left")
-        axes.set_axis_off()
-    size = f"{optics.width_px}x{optics.height_px} px"
-    return Made(
+    show_image(panels[0], views[0].color, "(c) test scene, first frame")
+    show_image(panels[1], views[0].z_mm, "its depth", bar="mm", cmap="viridis")
+    titles = ("(d) model, from the left", "(f) model, from the right")
+    for axes, title, (yaw, pitch) in zip(panels[2:], titles, _VIEWPOINTS_DEG, strict=True):
+        pose = turned(yaw, pitch, PIVOT_MM - pupil)
+        show_image(axes, splat(model, matrix, pose, views[0].z_mm.shape), title)
+    rates = (measure_ms, model.track_ms or np.inf, measure_ms + model.track_ms)
+    size = f"{simulated.session_camera.width_px}x{simulated.session_camera.height_px} px"
+    return Content(
         source=f"{source} It swings by {_STEP_DEG * (len(poses) - 1):g}° about a still life in {len(poses)} frames.",
-        drawn=[Drawn("model", figure, "Below, the model looked at from where the camera never was.")],
-        compared=[
-            Compared("3D model", "pictures", f"points off the true surfaces by {median:.1%} of the distance in the "
-                     f"median, nine tenths within {most:.1%}", "The paper has no truth to compare with; ours does."),
-            Compared("camera path", "a picture", model.tracked,
-                     "KinFu there, Open3D's odometry against the model here; the chessboard of the paper's scene gave "
-                     "texture, as our speckle does."),
-            Compared("rate: depth / tracking and fusion / all", "53 / 45 / 15 frames a second on a GPU",
-                     f"{1000 / np.median(measure_ms):.0f} / {1000 / model.track_ms if model.track_ms else 0:.0f} / "
-                     f"{rate:.0f} at {size}", "On this machine's processor, colour restored too; frames are smaller."),
+        charts=[Chart("model", figure, "Below, the model rendered from where the camera never was.")],
+        comparisons=[
+            Comparison("3D model", "pictures", f"points off the true surfaces by {median:.1%} of the distance in the "
+                       f"median, nine tenths within {most:.1%}", "The paper has no truth to compare with; ours does."),
+            Comparison("camera path", "a picture", model.tracked,
+                       "KinFu there, Open3D's odometry against the model here; the chessboard in the paper's scene "
+                       "adds texture, as our speckle does."),
+            Comparison("rate: depth / tracking and fusion / all", "53 / 45 / 15 frames a second on a GPU",
+                       f"{' / '.join(f'{1000 / ms:.0f}' for ms in rates)} at {size}",
+                       "On this machine's processor, colour restored too; frames are smaller."),
         ],
         lines=model.lines,
     )  # fmt: skip
 
 
+def _measured(
+    context: Context, calibration: Calibration, planes: Sequence[Plane], poses: Sequence[np.ndarray]
+) -> tuple[list[View], float]:
+    """Photograph and measure planes from poses; return the views and the median time of a measurement, ms."""
+    camera = CodedApertureCamera(calibration, default_config(calibration, "real-time"))
+    to_view = undistorter(camera)
+    views, took = [], []
+    for k, pose in enumerate(poses):
+        context.progress("frames of figure-15", k, len(poses))
+        shot = context.session_capture(seen_from(planes, pose), seed=150 + k)
+        start = time.perf_counter()
+        views.append(to_view(camera.measure(shot.image), k / 15, k))
+        took.append(1000 * (time.perf_counter() - start))
+    return views, float(np.median(took))
+
+
 def turned(yaw_deg: float, pitch_deg: float, pivot_mm: np.ndarray) -> np.ndarray:
-    """Pose of a camera that looked along z and went round a point; (4, 4), camera to world, mm."""
+    """Return the pose of a camera that looked along z and was rotated about a point; (4, 4), camera to world, mm."""
     about_y = cv2.Rodrigues(np.array([0.0, np.radians(yaw_deg), 0.0]))[0]
     about_x = cv2.Rodrigues(np.array([np.radians(pitch_deg), 0.0, 0.0]))[0]
     pose = np.eye(4)
@@ -112,21 +115,21 @@ def turned(yaw_deg: float, pitch_deg: float, pivot_mm: np.ndarray) -> np.ndarray
 
 
 def orbit(count: int) -> list[np.ndarray]:
-    """Poses of a camera that swings to one side and nods; the first is the identity."""
-    return [turned(k * _STEP_DEG, _NOD_DEG * np.sin(2 * np.pi * k / count), _PIVOT_MM) for k in range(count)]
+    """Return poses of a camera that swings to one side and nods; the first is the identity."""
+    return [turned(k * _STEP_DEG, _NOD_DEG * np.sin(2 * np.pi * k / count), PIVOT_MM) for k in range(count)]
 
 
 def seen_from(planes: Sequence[Plane], pose: np.ndarray) -> list[Plane]:
-    """Put planes of the world into the frame of a camera."""
-    turn, place = pose[:3, :3], pose[:3, 3]
+    """Transform planes of the world into the frame of a camera."""
+    turn, origin = pose[:3, :3], pose[:3, 3]
     return [
-        replace(p, center_mm=turn.T @ (p.center_mm - place), right=turn.T @ p.right, down=turn.T @ p.down)
+        replace(p, center_mm=turn.T @ (p.center_mm - origin), right=turn.T @ p.right, down=turn.T @ p.down)
         for p in planes
     ]
 
 
 def in_pupil(pose: np.ndarray, delta_mm: float) -> np.ndarray:
-    """Give a pose between frames whose origin is the pupil and not the sensor; (4, 4)."""
+    """Convert a pose between frames with origin on the sensor to one with origin in the pupil; (4, 4)."""
     shift = np.eye(4)
     shift[2, 3] = delta_mm
     return np.asarray(np.linalg.inv(shift) @ pose @ shift)
@@ -154,25 +157,25 @@ def tracked_model(views: Sequence[View], matrix: np.ndarray, poses: Sequence[np.
 
 
 def placed_cloud(views: Sequence[View], matrix: np.ndarray, poses: Sequence[np.ndarray], delta_mm: float) -> Model:
-    """Put the points of all views where the true poses say: what is left without a tracker."""
+    """Place the points of all views by the true poses, instead of a tracked model."""
     points, colors = [], []
     v, u = np.indices(views[0].z_mm.shape)
     rays = np.stack([(u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1], np.ones(u.shape)], axis=-1)
     for view, pose in zip(views, poses, strict=True):
         z = cleaned(view, _CONFIG).z_mm
         known = np.isfinite(z)
-        place = in_pupil(pose, delta_mm)
-        points.append((rays[known] * z[known][:, None]) @ place[:3, :3].T + place[:3, 3])
+        moved = in_pupil(pose, delta_mm)
+        points.append((rays[known] * z[known][:, None]) @ moved[:3, :3].T + moved[:3, 3])
         colors.append(view.color[known])
     lines = (
-        "The extra 'reconstruct' is not installed: the points of all frames are put where the TRUE poses say, not "
-        "tracked, and not fused.",
+        "The extra 'reconstruct' is not installed: the points of all frames are placed by the TRUE poses, "
+        "neither tracked nor fused.",
     )
     return Model(np.concatenate(points), np.concatenate(colors), lines, "not tracked", 0.0)
 
 
 def off_surface(points_mm: np.ndarray, planes: Sequence[Plane]) -> np.ndarray:
-    """Distance of points from the nearest of the planes; (N,) float64, mm."""
+    """Return the distance of points from the nearest of the planes; (N,) float64, mm."""
     best = np.full(len(points_mm), np.inf)
     for p in planes:
         height, width = p.texture.shape[:2]
@@ -185,10 +188,10 @@ def off_surface(points_mm: np.ndarray, planes: Sequence[Plane]) -> np.ndarray:
 
 
 def splat(model: Model, matrix: np.ndarray, pose: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Look at points from a pose; (H, W, 3) uint8, white where there is none."""
+    """Render points from a pose; (H, W, 3) uint8, white where there is none."""
     height, width = shape
     local = (model.points_mm - pose[:3, 3]) @ pose[:3, :3]
-    order = np.argsort(-local[:, 2])  # the nearest is painted last
+    order = np.argsort(-local[:, 2])  # the nearest is drawn last
     local, colors = local[order], model.colors[order]
     ahead = local[:, 2] > 1
     u, v = (local[ahead, :2] / local[ahead, 2:] * [matrix[0, 0], matrix[1, 1]] + matrix[:2, 2]).T

@@ -1,4 +1,4 @@
-"""The page: one HTML file with all pictures inside."""
+"""The page: one HTML file with all figures inside."""
 
 from __future__ import annotations
 
@@ -14,22 +14,9 @@ from chromaperture.storage import staged
 
 
 def page_html(out: Path, outcomes: Sequence[Outcome], *, quick: bool) -> str:
-    """Give the page as HTML.
-
-    Parameters
-    ----------
-    out : Path
-        Folder with a folder for every exhibit.
-    outcomes : sequence of Outcome
-    quick : bool
-
-    Returns
-    -------
-    str
-    """
-    template = page_template("paper.html")
+    """Render the page from the exhibits' folders below ``out``."""
     size = "Small pictures (--quick): figures are coarser than those of the full run." if quick else "Full run."
-    return template.render(
+    return page_template("paper.html").render(
         title="The paper, reproduced",
         subtitle=f"chromaperture {metadata.version('chromaperture')}. {size}",
         sections=[_section(out, outcome) for outcome in outcomes],
@@ -37,7 +24,7 @@ def page_html(out: Path, outcomes: Sequence[Outcome], *, quick: bool) -> str:
 
 
 def write_page(out: Path, outcomes: Sequence[Outcome], *, quick: bool) -> Path:
-    """Write ``report.html``, whole or not at all; gives its path."""
+    """Write ``report.html`` atomically; return its path."""
     text = page_html(out, outcomes, quick=quick)
     with staged(out) as stage:
         stage.path("report.html").write_text(text, encoding="utf-8")
@@ -45,23 +32,9 @@ def write_page(out: Path, outcomes: Sequence[Outcome], *, quick: bool) -> Path:
 
 
 def _section(out: Path, outcome: Outcome) -> dict[str, Any]:
-    section: dict[str, Any] = {
-        "name": outcome.exhibit.name,
-        "title": outcome.exhibit.title,
-        "problem": outcome.problem,
-        "source": "",
-        "seconds": 0.0,
-        "pictures": [],
-        "tables": [],
-        "compared": [],
-        "lines": [],
-    }
-    if outcome.result is None:
-        return section
-    section |= {key: outcome.result[key] for key in ("source", "seconds", "tables", "compared", "lines")}
-    folder = out / outcome.exhibit.name
-    section["pictures"] = [
-        {"caption": p["caption"], "data": base64.b64encode((folder / p["file"]).read_bytes()).decode("ascii")}
-        for p in outcome.result["pictures"]
+    exhibit, result = outcome.exhibit, outcome.result or {}
+    pictures = [
+        {**p, "data": base64.b64encode((out / exhibit.name / p["file"]).read_bytes()).decode("ascii")}
+        for p in result.get("pictures", ())
     ]
-    return section
+    return {**result, "name": exhibit.name, "title": exhibit.title, "problem": outcome.problem, "pictures": pictures}

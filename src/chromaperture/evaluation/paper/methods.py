@@ -1,4 +1,4 @@
-"""Every method behind one signature, calibrated on the same boards and judged by the same depth errors."""
+"""All methods behind one signature, calibrated on the same boards and scored by the same depth errors."""
 
 from __future__ import annotations
 
@@ -23,19 +23,23 @@ from chromaperture.evaluation.prior.colour_lines import colour_lines
 from chromaperture.evaluation.prior.correlation import cross_correlation, phase_correlation
 from chromaperture.evaluation.prior.stereo import stereo_sgbm
 from chromaperture.optics.aperture import DESIGNS, centroids
+from chromaperture.optics.depth_error_bound import expected_accuracy
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_otf
 from chromaperture.optics.sensor import SensorModel
+from chromaperture.robust import robust_sigma
 
-NEAREST_MM, FARTHEST_MM = 1000.0, 4500.0
+RANGE_MM = np.array([1000.0, 4500.0])  # working range; the scenes are at 1.15 to 3.3 m
 BOARDS_MM = (1150.0, 1350.0, 1600.0, 2050.0, 2400.0, 2900.0, 3500.0)
-_STEP_PX = 0.25  # of the prior methods' layers, half disparity
+HALVES_BETA = 0.42  # half disparity of two halves over the blur radius: centroid of a half disc, 4 / (3 pi)
+_MARGIN_PX = 0.75  # searched beyond the disparities of the working range; chosen by hand
+_STEP_PX = 0.25  # between the prior methods' layers, half disparity; chosen by hand
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What a method may know of a camera.
+    """Properties of a camera that a method may use.
 
     Attributes
     ----------
@@ -61,7 +65,7 @@ class Setting:
 
     @property
     def directions(self) -> np.ndarray:
-        """How the sensor's channels move per px; leaks only scale the disparity; (3, 2) float64."""
+        """Displacement of R, G, B per px of disparity; leaks of the film only scale it; (3, 2) float64."""
         return channel_directions(DESIGNS[self.design], {})
 
 
@@ -69,78 +73,67 @@ Method = Callable[[np.ndarray, Setting], np.ndarray]
 
 
 def setting_of(design: str, camera: PupilCamera) -> Setting:
-    """Give what is known of a simulated camera."""
-    reach = camera.blur_radius_px(np.array([NEAREST_MM, FARTHEST_MM]))
-    rows = film_rows(design) if DESIGNS[design].views else np.zeros((0, 3))
-    span = disparity_range(design, camera) if DESIGNS[design].views else (0.0, 0.0)
-    return Setting(design, rows, span, float(np.abs(reach).max()))
+    """Return the setting of a simulated camera."""
+    blur_px = float(np.abs(camera.blur_radius_px(RANGE_MM)).max())
+    if not DESIGNS[design].views:
+        return Setting(design, np.zeros((0, 3)), (0.0, 0.0), blur_px)
+    return Setting(design, film_rows(design), disparity_range(design, camera), blur_px)
 
 
 def film_rows(design: str) -> np.ndarray:
-    """Unmixing of a design's real film, as photographed sheets of it would give; (K, 3) float64."""
+    """Return the unmixing of a design's real film, as calibrated from photographed sheets; (K, 3) float64."""
     real = world.real_film(design)
     colours = np.array([real.filter_named(name).transmission for name in real.views])
     return unmixing_rows(mixing_matrix(colours), len(real.views))
 
 
 def disparity_range(design: str, camera: PupilCamera) -> tuple[float, float]:
-    """Half disparities of the working range, with a margin; px."""
+    """Return the half disparities of the working range with a margin, px."""
     beta = aperture_figures(DESIGNS[design], film_unmixing(DESIGNS[design])).beta
-    low, high = (beta * float(r) for r in camera.blur_radius_px(np.array([NEAREST_MM, FARTHEST_MM])))
-    return low - 0.75, high + 0.75
+    low, high = (beta * float(r) for r in camera.blur_radius_px(RANGE_MM))
+    return low - _MARGIN_PX, high + _MARGIN_PX
+
+
+def noise_variance(image: np.ndarray) -> np.ndarray:
+    """Return the noise variance of a simulated image; (H, W, 3) float32, (white level)^2."""
+    sensor = SensorModel()
+    return photon_noise_variance(
+        image, full_well_electrons=sensor.full_well_electrons, read_noise_electrons=sensor.read_noise_electrons
+    )
 
 
 def our_disparity(image: np.ndarray, setting: Setting, *, quality: Quality) -> Disparity:
     """Match by the project's own method at a quality."""
-    sensor = SensorModel()
     config = preset(quality).with_range(*setting.span_px)
     return estimate_disparity(
         image,
         aperture=DESIGNS[setting.design],
         unmixing=setting.rows,
         config=config,
-        label_maps=_label_maps(setting) if quality == "accurate" else (),
-        noise_variance=photon_noise_variance(
-            image,
-            full_well_electrons=sensor.full_well_electrons,
-            read_noise_electrons=sensor.read_noise_electrons,
-        ),
+        label_maps=_label_maps(setting, image.shape[:2]) if quality == "accurate" else (),
+        noise_variance=noise_variance(image),
     )
 
 
-def _label_maps(setting: Setting) -> list[LabelMap]:
-    """As a calibrated camera has them: leaking film brings the pure channels closer together than the unmixed views."""
+def _label_maps(setting: Setting, shape: tuple[int, ...]) -> list[LabelMap]:
+    """Return each view space's disparity relative to the first's: leaks make it smaller in pure channels."""
     film = world.real_film(setting.design)
     spaces = view_spaces(DESIGNS[setting.design], setting.rows, "both")
     reach = [float(np.linalg.norm(centroids(film, space.rows), axis=1).mean()) for space in spaces]
-    return [LabelMap(np.zeros((1, 1), np.float32), np.full((1, 1), r / reach[0], np.float32)) for r in reach]
+    zero = np.zeros(shape, np.float32)
+    return [LabelMap(zero, zero + np.float32(r / reach[0])) for r in reach]
 
 
 def _ours(quality: Quality) -> Method:
-    def method(image: np.ndarray, setting: Setting) -> np.ndarray:
-        return np.asarray(our_disparity(image, setting, quality=quality).value_px, float)
-
-    return method
+    return lambda image, setting: np.asarray(our_disparity(image, setting, quality=quality).value_px, float)
 
 
-def _ncc(image: np.ndarray, setting: Setting) -> np.ndarray:
-    return cross_correlation(image, setting.directions, setting.layers_px)
+def _by_channels(match: Callable[..., np.ndarray], **options: bool) -> Method:
+    return lambda image, setting: match(image, setting.directions, setting.layers_px, **options)
 
 
 def _ncc_views(image: np.ndarray, setting: Setting) -> np.ndarray:
     return cross_correlation(image @ setting.rows.T, view_directions(DESIGNS[setting.design]), setting.layers_px)
-
-
-def _phase(image: np.ndarray, setting: Setting) -> np.ndarray:
-    return phase_correlation(image, setting.directions, setting.layers_px)
-
-
-def _lines(image: np.ndarray, setting: Setting) -> np.ndarray:
-    return colour_lines(image, setting.directions, setting.layers_px, optimised=False)
-
-
-def _lines_optimised(image: np.ndarray, setting: Setting) -> np.ndarray:
-    return colour_lines(image, setting.directions, setting.layers_px)
 
 
 def _sgbm(image: np.ndarray, setting: Setting) -> np.ndarray:
@@ -159,18 +152,23 @@ METHODS: dict[str, Method] = {
     "ours, paper": _ours("paper"),
     "ours, real-time": _ours("real-time"),
     "ours, accurate": _ours("accurate"),
-    "normalised cross-correlation, RGB": _ncc,
+    "normalised cross-correlation, RGB": _by_channels(cross_correlation),
     "normalised cross-correlation, unmixed": _ncc_views,
-    "phase correlation": _phase,
-    "colour lines, box window": _lines,
-    "colour lines, optimised": _lines_optimised,
+    "phase correlation": _by_channels(phase_correlation),
+    "colour lines, box window": _by_channels(colour_lines, optimised=False),
+    "colour lines, optimised": _by_channels(colour_lines),
     "OpenCV StereoSGBM": _sgbm,
     "annulus": _annulus,
 }
 
 
+def method_of(design: str) -> str:
+    """Return the name of the paper's method for a design."""
+    return "annulus" if design == "magenta_annulus" else "ours, paper"
+
+
 def applies(method: str, design: str) -> bool:
-    """Tell whether a method can read a design: the annulus its own only, stereo pairs that move along x."""
+    """Return whether a method can read a design: the annulus only its own, stereo matching only shifts along x."""
     if (method == "annulus") != (design == "magenta_annulus"):
         return False
     if method == "OpenCV StereoSGBM":
@@ -181,7 +179,7 @@ def applies(method: str, design: str) -> bool:
 
 @dataclass(frozen=True)
 class Curve:
-    """A method's reading on flat boards over their blur radius: straight between the boards and beyond them.
+    """A method's reading on flat boards over their blur radius: linear between the boards and beyond them.
 
     Attributes
     ----------
@@ -195,43 +193,40 @@ class Curve:
     reading: np.ndarray
 
     def radius_of(self, value: np.ndarray) -> np.ndarray:
-        """Blur radius from a reading; (H, W) float64, px."""
+        """Convert a reading to a blur radius; (H, W) float64, px."""
         value = np.asarray(value, float)
         if len(self.reading) < 2:
             return np.full(value.shape, np.nan)
         inside = np.interp(value, self.reading, self.radius_px)
-        low, high = (
-            (self.radius_px[j] - self.radius_px[i]) / (self.reading[j] - self.reading[i]) for i, j in ((0, 1), (-2, -1))
-        )
-        beyond = np.maximum(value - self.reading[-1], 0) * high + np.minimum(value - self.reading[0], 0) * low
+        slope = np.diff(self.radius_px) / np.diff(self.reading)
+        beyond = np.maximum(value - self.reading[-1], 0) * slope[-1] + np.minimum(value - self.reading[0], 0) * slope[0]
         return np.asarray(inside + beyond)
 
 
 @cache
 def calibrate(method: str, design: str, camera: PupilCamera, cells: int) -> Curve:
-    """Read boards at known distances in good light; every method gets the same ones."""
+    """Read boards at known distances in good light, the same ones for every method."""
     distances = np.array([d for d in BOARDS_MM if method != "annulus" or d > world.FOCUS_MM])
     read = []
     for distance in distances:
         image, small = _board(design, camera, float(distance), cells)
         read.append(float(np.nanmedian(METHODS[method](image, setting_of(design, small))[30:-30, 30:-30])))
     known = np.isfinite(read)
-    return rising(camera.blur_radius_px(distances)[known], np.array(read)[known])
+    return increasing_curve(camera.blur_radius_px(distances)[known], np.array(read)[known])
 
 
 @lru_cache(maxsize=64)
 def _board(design: str, camera: PupilCamera, distance_mm: float, cells: int) -> tuple[np.ndarray, PupilCamera]:
-    """Photograph a board with the middle of a camera's sensor; the picture and that smaller camera."""
+    """Photograph a board with the middle of a camera's sensor; return the image and the smaller camera."""
     width, height = min(camera.width_px, 200), min(camera.height_px, 140)
     small = world.camera_of(width, height, pitch_mm=camera.pixel_pitch_mm)
     seed = 1000 + BOARDS_MM.index(distance_mm)
     planes = world.board(small, distance_mm, seed=seed)
-    table, exposure = world.pinhole_table(small, design, cells), world.level_exposure(design)
-    return world.photograph(table, planes, small, seed=seed, exposure=exposure).image, small
+    return world.pinhole_capture(design, planes, small, cells=cells, seed=seed).image, small
 
 
-def rising(radius_px: np.ndarray, reading: np.ndarray) -> Curve:
-    """Make a curve of boards, without those that read no more than a nearer one."""
+def increasing_curve(radius_px: np.ndarray, reading: np.ndarray) -> Curve:
+    """Make a curve of boards, without those whose reading does not exceed all nearer ones."""
     order = np.argsort(radius_px)
     radius, value = radius_px[order], reading[order]
     before = np.concatenate([[-np.inf], np.maximum.accumulate(value)[:-1]])
@@ -240,14 +235,20 @@ def rising(radius_px: np.ndarray, reading: np.ndarray) -> Curve:
 
 
 def depth_of(radius_px: np.ndarray, camera: PupilCamera) -> np.ndarray:
-    """Depth from the sensor plane at a signed blur radius; (H, W) float64, mm, NaN beyond infinity."""
+    """Convert a signed blur radius to depth from the sensor plane; (H, W) float64, mm, NaN beyond infinity."""
     inverse = 1 / (camera.focus_mm - camera.sensor_to_pupil_mm) - radius_px / (camera.focal_px * camera.pupil_radius_mm)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(inverse > 0, 1 / inverse + camera.sensor_to_pupil_mm, np.nan)
 
 
+def relative_bound(design: str, light: str, camera: PupilCamera, distances_mm: np.ndarray) -> np.ndarray:
+    """Return the Cramer-Rao bound of a grey wall's depth over its distance; (N,) float64, infinite without views."""
+    exposure = world.exposure_in(design, light)
+    return expected_accuracy(world.real_film(design), camera, distances_mm, exposure=exposure).sigma_mm / distances_mm
+
+
 def scores(depth_mm: np.ndarray, truth_mm: np.ndarray) -> dict[str, float]:
-    """Judge a depth map.
+    """Compute the errors of a depth map.
 
     Parameters
     ----------
@@ -256,18 +257,18 @@ def scores(depth_mm: np.ndarray, truth_mm: np.ndarray) -> dict[str, float]:
     Returns
     -------
     dict
-        Shares of ALL pixels with known truth: fill, within_2, within_5, within_10; and median_error, the median of
-        |error| / truth where there is an answer; bias, the median of error / truth, and spread, 1.4826 times the
-        median deviation from it.
+        Fractions of ALL pixels with known truth: fill, within_2, within_5, within_10 per cent. Where there is a depth:
+        median_error of |error| / truth; bias, the median of error / truth, and scatter, its robust standard deviation.
     """
     known = np.isfinite(truth_mm)
     signed = (depth_mm - truth_mm)[known] / truth_mm[known]
-    error = np.abs(signed)
-    answered = np.isfinite(error)
-    shares = {f"within_{p}": float((error[answered] < p / 100).sum() / len(error)) for p in (2, 5, 10)}
-    if not answered.any():
-        return {"fill": 0.0, **shares, "median_error": np.nan, "bias": np.nan, "spread": np.nan}
-    bias = float(np.median(signed[answered]))
-    spread = 1.4826 * float(np.median(np.abs(signed[answered] - bias)))
-    middle = float(np.median(error[answered]))
-    return {"fill": float(answered.mean()), **shares, "median_error": middle, "bias": bias, "spread": spread}
+    measured = signed[np.isfinite(signed)]
+    error = np.abs(measured)
+    bias = float(np.median(measured)) if measured.size else np.nan
+    return {
+        "fill": measured.size / len(signed),
+        **{f"within_{p}": float((error < p / 100).sum() / len(signed)) for p in (2, 5, 10)},
+        "median_error": float(np.median(error)) if measured.size else np.nan,
+        "bias": bias,
+        "scatter": robust_sigma(measured - bias),
+    }

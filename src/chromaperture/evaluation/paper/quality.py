@@ -1,9 +1,9 @@
-"""Depth quality of one's own camera: flat walls at known distances, by distance and by position in the frame."""
+"""Depth quality of a camera: flat walls at known distances, by distance and by position in the frame."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,21 +17,20 @@ from chromaperture.camera_matching import default_config
 from chromaperture.config import Quality
 from chromaperture.errors import InputError
 from chromaperture.evaluation.depth_quality import ZONES, PlaneQuality, by_cell, plane_quality
-from chromaperture.evaluation.figures import BLUE, GREY, ORANGE, new_figure, tidy
+from chromaperture.evaluation.figures import BLUE, GREY, ORANGE, new_figure, show_image, style_axes
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.paper.context import Context
-from chromaperture.evaluation.paper.exhibit import Drawn, Listed, Made
-from chromaperture.evaluation.tables import Table
+from chromaperture.evaluation.paper.exhibit import Chart, Content, CsvTable
 
 _MOST_QUICK = 6  # boards of a quick run
-_MAP_CELLS = (6, 9)
+_MAP_CELLS = (6, 9)  # rows, columns
 _COLORS: dict[Quality, str] = {"real-time": BLUE, "accurate": ORANGE}
 _NAMES = ("fill", "Z accuracy", "plane-fit RMS", "sub-pixel RMS, px", "outliers")
 
 
 @dataclass(frozen=True)
 class Wall:
-    """A photographed wall, where it stands, and the camera to measure it with."""
+    """A photographed wall, its distance from the sensor, and the camera to measure it with."""
 
     image: np.ndarray
     truth_mm: float
@@ -40,7 +39,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class Measured:
-    """One wall at one quality: as a whole, in nine zones, and in the cells of a map."""
+    """Depth quality of one wall: whole, in nine zones, and in the cells of a map."""
 
     truth_mm: float
     whole: PlaneQuality
@@ -48,43 +47,40 @@ class Measured:
     map: list[PlaneQuality]
 
 
-def make(context: Context) -> Made:
-    """Measure every wall there is."""
+def make(context: Context) -> Content:
+    """Measure all walls."""
     source, walls = _walls(context)
     qualities: tuple[Quality, ...] = ("real-time",) if context.quick else ("real-time", "accurate")
     measured: dict[Quality, list[Measured]] = {quality: [] for quality in qualities}
     for number, wall in enumerate(walls):
-        context.tell("walls", number, 0)
+        context.progress("walls", number, 0)
         for quality in qualities:
             measured[quality].append(measure(wall, quality))
     for found in measured.values():
         found.sort(key=lambda m: m.truth_mm)
-    return _shown(source, measured)
+    return _content(source, measured)
 
 
 def measure(wall: Wall, quality: Quality) -> Measured:
-    """Measure a wall and judge it."""
+    """Measure a wall and compute its depth quality."""
     camera = CodedApertureCamera(wall.calibration, default_config(wall.calibration, quality))
     depth = np.asarray(camera.measure(wall.image).depth_mm, float)
     model = wall.calibration.depth_model(quality)
     delta, scale = float(np.mean(model.sensor_to_pupil_mm)), np.asarray(model.scale_px_mm, float)
 
     def cut(rows: int, columns: int) -> list[PlaneQuality]:
-        return by_cell(
-            depth, wall.truth_mm, sensor_to_pupil_mm=delta, scale_px_mm=scale, rows=rows, columns=columns
-        )
+        return by_cell(depth, wall.truth_mm, sensor_to_pupil_mm=delta, scale_px_mm=scale, rows=rows, columns=columns)
 
     whole = plane_quality(depth, wall.truth_mm, sensor_to_pupil_mm=delta, scale_px_mm=scale)
     return Measured(wall.truth_mm, whole, cut(3, 3), cut(*_MAP_CELLS))
 
 
 def _walls(context: Context) -> tuple[str, Iterator[Wall]]:
-    """Choose the walls: a session's boards, or simulated ones that the camera was not calibrated on."""
+    """Return source and walls: a session's boards, or simulated ones that the camera was not calibrated on."""
     if context.data is None:
         result, source = context.calibrated()
-        return f"{source} Other walls are photographed by the same simulated lens.", _simulated(
-            context, result.calibration
-        )
+        source += " Other walls are photographed by the same simulated lens."
+        return source, _simulated(context, result.calibration)
     if context.cameras:
         cameras = {c.design: c for c in (Calibration.load(path) for path in context.cameras)}
         session = read_session(session_folder(context.data, tuple(cameras)))
@@ -96,7 +92,7 @@ def _walls(context: Context) -> tuple[str, Iterator[Wall]]:
         seen = sum(path.name in known for path in boards)
         source = f"{len(boards)} boards of {session.folder.name}, measured with {calibration.design}'s camera file."
         if seen:
-            source += f" {seen} of them have names that it was calibrated on: others would tell more."
+            source += f" {seen} of them have names that it was calibrated on: others are better evidence."
         return source, (Wall(session.read(path), mm, calibration) for path, mm in boards.items())
     result, source = context.calibrated()
     boards = chosen_boards(result.session, quick=context.quick)
@@ -108,7 +104,7 @@ def _walls(context: Context) -> tuple[str, Iterator[Wall]]:
 
 
 def session_folder(data: Path, designs: tuple[str, ...] = ("cy_halves",)) -> Path:
-    """Find the session: the data folder itself, or a folder in it that is called as a design."""
+    """Find the session: the data folder itself, or a folder in it with the name of a design."""
     for folder in (data, *(data / design for design in designs)):
         if (folder / "session.toml").is_file():
             return folder
@@ -116,7 +112,7 @@ def session_folder(data: Path, designs: tuple[str, ...] = ("cy_halves",)) -> Pat
 
 
 def chosen_boards(session: Session, *, quick: bool) -> dict[Path, float]:
-    """Give all boards, or few evenly spaced ones."""
+    """Return all boards, or a few evenly spaced ones, with their distances in mm."""
     paths = sorted(session.boards, key=lambda path: session.boards[path])
     if not paths:
         raise InputError(f"{session.folder} has no boards: depth quality needs walls at known distances")
@@ -126,53 +122,36 @@ def chosen_boards(session: Session, *, quick: bool) -> dict[Path, float]:
 
 
 def _simulated(context: Context, calibration: Calibration) -> Iterator[Wall]:
-    camera = context.session_camera
-    table = world.traced_table(camera, world.real_film("cy_halves"), context.cells)
-    distances = np.linspace(1150, 3750, 4 if context.quick else 9)
-    for seed, distance in enumerate(distances):
-        planes = world.board(camera, float(distance), seed=500 + seed)
-        exposure = world.level_exposure("cy_halves")
-        shot = world.photograph(table, planes, camera, seed=500 + seed, exposure=exposure)
-        yield Wall(shot.image, float(distance), calibration)
+    for seed, distance in enumerate(np.linspace(1150, 3750, 4 if context.quick else 9), 500):
+        planes = world.board(context.session_camera, float(distance), seed=seed)
+        yield Wall(context.session_capture(planes, seed=seed).image, float(distance), calibration)
 
 
-def _shown(source: str, measured: dict[Quality, list[Measured]]) -> Made:
+def _content(source: str, measured: dict[Quality, list[Measured]]) -> Content:
     first: Quality = next(reversed(measured))
     by_distance = [
         (quality, f"{m.truth_mm:.0f}", *_cells(m.whole)) for quality, found in measured.items() for m in found
     ]
     zones = [(zone, *_cells(_median([m.zones[i] for m in measured[first]]))) for i, zone in enumerate(ZONES)]
-    figure = new_figure(height=4.8)
-    panels = figure.subplots(2, 2).ravel()
-    scale = (100, 100, 100, 1, 100)
-    titles = ("fill, %", "Z accuracy, %", "plane-fit RMS, %", "sub-pixel RMS, px")
-    for k, (axes, title) in enumerate(zip(panels, titles, strict=True)):
-        for quality, found in measured.items():
-            values = [scale[k] * _values(m.whole)[k] for m in found]
-            distances = [m.truth_mm for m in found]
-            axes.plot(distances, values, "o-", color=_COLORS[quality], markersize=4, label=quality)
-        axes.axhline(0, color=GREY, linewidth=0.8)
-        tidy(axes, xlabel="distance, mm", ylabel=title)
-    panels[0].set_ylim(0, 105)
-    panels[0].legend(frameon=False, fontsize=8)
-    whole = [_median([m.whole for m in found]) for found in measured.values()]
-    lines = [
-        f"Quality {quality}, median over the walls: {q.fill:.1%} filled, {_abs_accuracy(found):.2%} of Z accuracy "
-        f"(its size), {q.plane_rms:.2%} of plane-fit RMS, {q.subpixel_rms_px:.3f} px of sub-pixel RMS."
-        for (quality, found), q in zip(measured.items(), whole, strict=True)
-    ]
-    head = ("quality", "distance, mm", *_NAMES)
-    return Made(
+    lines = []
+    for quality, found in measured.items():
+        q = _median([m.whole for m in found])
+        size = _median([replace(m.whole, accuracy=abs(m.whole.accuracy)) for m in found])
+        lines.append(
+            f"Quality {quality}, median over the walls: {q.fill:.1%} filled, {size.accuracy:.2%} of Z accuracy "
+            f"(its size), {q.plane_rms:.2%} of plane-fit RMS, {q.subpixel_rms_px:.3f} px of sub-pixel RMS."
+        )
+    return Content(
         source=source,
-        drawn=[
-            Drawn("distance", figure, "Flat walls over the whole frame. Sub-pixel RMS should be level; plane-fit RMS "
-                  "grows with the distance, as in every triangulating camera."),
-            Drawn("frame", _frame_figure(measured[first]), f"Over the frame, quality {first}, median over the walls."),
+        charts=[
+            Chart("distance", _distance_figure(measured), "Flat walls over the whole frame. Sub-pixel RMS should be "
+                  "level; plane-fit RMS grows with the distance, as in every triangulating camera."),
+            Chart("frame", _frame_figure(measured[first]), f"Over the frame, quality {first}, median over the walls."),
         ],
-        listed=[
-            Listed("distance", Table("By distance", head, by_distance)),
-            Listed("position", Table(f"By position in the frame, quality {first}, median over the walls, each zone "
-                                     "against its own plane", ("zone", *_NAMES), zones)),
+        tables=[
+            CsvTable("distance", "By distance", ("quality", "distance, mm", *_NAMES), by_distance),
+            CsvTable("position", f"By position in the frame, quality {first}, median over the walls, each zone "
+                     "against its own plane", ("zone", *_NAMES), zones),
         ],
         lines=[*lines,
                "Z accuracy is the median of (measured - true) / true; the RMS figures are taken from the best plane, "
@@ -180,41 +159,42 @@ def _shown(source: str, measured: dict[Quality, list[Measured]]) -> Made:
     )  # fmt: skip
 
 
-def _frame_figure(found: list[Measured]) -> Figure:
-    figure = new_figure(height=2.4)
-    cells = [_median([m.map[i] for m in found]) for i in range(_MAP_CELLS[0] * _MAP_CELLS[1])]
-    fill, accuracy, rms = (np.array([_values(c)[k] for c in cells]).reshape(_MAP_CELLS) for k in range(3))
-    most = max(float(np.nanmax(np.abs(100 * accuracy))), 0.5)
-    shown = (
-        (100 * fill, "fill, %", {"cmap": "viridis", "vmin": min(80.0, float(100 * fill.min())), "vmax": 100}),
-        (100 * accuracy, "Z accuracy, %", {"cmap": "RdBu_r", "vmin": -most, "vmax": most}),
-        (100 * rms, "plane-fit RMS, %", {"cmap": "magma_r", "vmin": 0}),
-    )
-    for axes, (values, title, how) in zip(figure.subplots(1, 3), shown, strict=True):
-        picture = axes.imshow(values, **how)
-        figure.colorbar(picture, ax=axes, fraction=0.035)
-        axes.set_title(title, fontsize=9, loc="left")
-        axes.set_axis_off()
+def _distance_figure(measured: dict[Quality, list[Measured]]) -> Figure:
+    figure = new_figure(height=4.8)
+    panels = figure.subplots(2, 2).ravel()
+    quantities = (("fill, %", 100), ("Z accuracy, %", 100), ("plane-fit RMS, %", 100), ("sub-pixel RMS, px", 1))
+    for k, (axes, (title, scale)) in enumerate(zip(panels, quantities, strict=True)):
+        for quality, found in measured.items():
+            values = [scale * astuple(m.whole)[k] for m in found]
+            distances = [m.truth_mm for m in found]
+            axes.plot(distances, values, "o-", color=_COLORS[quality], markersize=4, label=quality)
+        axes.axhline(0, color=GREY, linewidth=0.8)
+        style_axes(axes, xlabel="distance, mm", ylabel=title)
+    panels[0].set_ylim(0, 105)
+    panels[0].legend(frameon=False, fontsize=8)
     return figure
 
 
-def _values(quality: PlaneQuality) -> tuple[float, ...]:
-    return tuple(float(getattr(quality, f.name)) for f in fields(quality))
+def _frame_figure(found: list[Measured]) -> Figure:
+    figure = new_figure(height=2.4)
+    cells = np.array([astuple(_median([m.map[i] for m in found])) for i in range(_MAP_CELLS[0] * _MAP_CELLS[1])])
+    fill, accuracy, rms = (100 * cells[:, k].reshape(_MAP_CELLS) for k in range(3))
+    most = max(float(np.nanmax(np.abs(accuracy))), 0.5)  # no narrower scale, so that an accurate camera looks even
+    fill_axes, accuracy_axes, rms_axes = figure.subplots(1, 3)
+    show_image(fill_axes, fill, "fill, %", bar="", cmap="viridis", vmin=min(80.0, float(fill.min())), vmax=100)
+    show_image(accuracy_axes, accuracy, "Z accuracy, %", bar="", cmap="RdBu_r", vmin=-most, vmax=most)
+    show_image(rms_axes, rms, "plane-fit RMS, %", bar="", cmap="magma_r", vmin=0)
+    return figure
 
 
 def _cells(quality: PlaneQuality) -> tuple[str, ...]:
-    fill, accuracy, plane, pixel, outliers = _values(quality)
+    fill, accuracy, plane, pixel, outliers = astuple(quality)
     return f"{fill:.1%}", f"{accuracy:+.2%}", f"{plane:.2%}", f"{pixel:.3f}", f"{outliers:.1%}"
 
 
 def _median(found: list[PlaneQuality]) -> PlaneQuality:
-    table = np.array([_values(q) for q in found])
+    table = np.array([astuple(q) for q in found])
     known = np.isfinite(table).any(axis=0)
     middle = np.full(table.shape[1], np.nan)
     middle[known] = np.nanmedian(table[:, known], axis=0)
     return PlaneQuality(*(float(v) for v in middle))
-
-
-def _abs_accuracy(found: list[Measured]) -> float:
-    sizes = np.abs([m.whole.accuracy for m in found])
-    return float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else float("nan")

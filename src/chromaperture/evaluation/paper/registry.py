@@ -1,4 +1,4 @@
-"""All exhibits by name, in the paper's order; a figure's own module is loaded when it is made."""
+"""All exhibits by name, in the paper's order; an exhibit's module is imported when it is made."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from chromaperture.errors import InputError
-from chromaperture.evaluation.paper.exhibit import Exhibit, Made
+from chromaperture.evaluation.paper.exhibit import Content, Exhibit
 
 if TYPE_CHECKING:
     from chromaperture.evaluation.paper.context import Context
 
 _SESSION = ("cy_halves/session.toml", "cy_halves/distances.csv")
 _WHITE = tuple(f"white/{name}.png" for name in ("open", "rgb_squares", "cy_halves", "cy_open"))
-_DESIGNS = ("cy_halves", "cy_open", "rgb_squares", "cmy_circles", "magenta_annulus")
-_SCENES = ("steps", "room", "desk")
+BENCH_DESIGNS = ("rgb_squares", "cmy_circles", "cy_halves", "magenta_annulus", "cy_open")
+BENCH_SCENES = ("steps", "room", "desk")
 _BENCH = (
-    *(f"{design}/session.toml" for design in _DESIGNS),
-    *(f"{design}/scene/{scene}.png" for design in _DESIGNS for scene in _SCENES),
-    *(f"truth/{scene}.depth_0.1mm.png" for scene in _SCENES),
+    *(f"{design}/session.toml" for design in BENCH_DESIGNS),
+    *(f"{design}/scene/{scene}.png" for design in BENCH_DESIGNS for scene in BENCH_SCENES),
+    *(f"truth/{scene}.depth_0.1mm.png" for scene in BENCH_SCENES),
 )
 
 
@@ -29,10 +29,9 @@ def _exhibit(
 ) -> Exhibit:
     module = f"chromaperture.evaluation.paper.{name.replace('-', '_')}"
 
-    def make(context: Context) -> Made:
-        made = importlib.import_module(module).make(context)
-        assert isinstance(made, Made)
-        return made
+    def make(context: Context) -> Content:
+        content: Content = importlib.import_module(module).make(context)
+        return content
 
     return Exhibit(name, title, make, files, only_data, reads_all)
 
@@ -63,13 +62,7 @@ EXHIBITS: dict[str, Exhibit] = {
 
 
 def chosen(names: Sequence[str]) -> list[Exhibit]:
-    """Look exhibits up; ``all`` or nothing is all of them.
-
-    Raises
-    ------
-    InputError
-        An unknown name; the message suggests the nearest.
-    """
+    """Return exhibits by name, all for ``all`` or nothing; InputError suggests the nearest to an unknown name."""
     if not names or "all" in names:
         return list(EXHIBITS.values())
     for name in names:

@@ -1,4 +1,4 @@
-"""Makes exhibits one by one; what is finished lies in its own folder and is not made again."""
+"""Make exhibits one by one, each into its own folder; finished ones are not made again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 
 from chromaperture.errors import ChromapertureError
 from chromaperture.evaluation.paper.context import Context
-from chromaperture.evaluation.paper.exhibit import Exhibit, Made
+from chromaperture.evaluation.paper.exhibit import Content, Exhibit
 from chromaperture.storage import staged, write_json
 
 RESULT = "result.json"
@@ -22,7 +22,7 @@ RESULT = "result.json"
 
 @dataclass(frozen=True)
 class Outcome:
-    """One exhibit after the run; ``result`` is the content of its result.json, None where it was not made."""
+    """One exhibit after the run; ``result`` is the content of its result.json, None if it was not made."""
 
     exhibit: Exhibit
     result: dict[str, Any] | None
@@ -39,20 +39,18 @@ def evaluate(
 ) -> list[Outcome]:
     """Make exhibits, each into its folder below ``context.out``.
 
+    A problem with one does not stop the others.
+
     Parameters
     ----------
     exhibits : sequence of Exhibit
     context : Context
     again : bool
-        Make those too that are finished.
+        Make finished ones too.
     progress : callable
-        Told what is made, how many are done, and of how many.
-
-    Returns
-    -------
-    list of Outcome, one an exhibit; what could not be made says why and stops none of the others
+        Called with the current step, how many are done, and of how many.
     """
-    context.tell = progress
+    context.progress = progress
     outcomes = []
     for number, exhibit in enumerate(exhibits):
         progress(exhibit.title, number, len(exhibits))
@@ -70,10 +68,8 @@ def evaluate(
 
 
 def missing_files(exhibit: Exhibit, data: Path | None) -> str:
-    """Say which files an exhibit misses below the data folder; empty where none."""
-    if data is None:
-        return ""
-    missing = [name for name in exhibit.files if not (data / name).is_file()]
+    """Return a message that names the files missing below the data folder; empty if none."""
+    missing = [name for name in exhibit.files if data is not None and not (data / name).is_file()]
     if not missing:
         return ""
     more = f" and {len(missing) - 6} more" if len(missing) > 6 else ""
@@ -81,20 +77,18 @@ def missing_files(exhibit: Exhibit, data: Path | None) -> str:
 
 
 def stamp_of(exhibit: Exhibit, context: Context) -> dict[str, Any]:
-    """Give what a result depends on; another stamp makes it again."""
+    """Return what a result depends on; with another stamp it is made again."""
     stamp = {"version": metadata.version("chromaperture"), "quick": context.quick, "data": ""}
     data = context.data
-    if data is not None and exhibit.reads_all:
-        paths = [*sorted(data.rglob("*")), *context.cameras]
-    elif data is not None and exhibit.files:
-        paths = [data / name for name in exhibit.files]
-    else:
+    if data is None or not (exhibit.reads_all or exhibit.files):
         return stamp
-    return stamp | {"data": _fingerprint(data, paths)}
+    if exhibit.reads_all:
+        return stamp | {"data": _fingerprint(data, [*sorted(data.rglob("*")), *context.cameras])}
+    return stamp | {"data": _fingerprint(data, [data / name for name in exhibit.files])}
 
 
 def _fingerprint(data: Path, paths: Sequence[Path]) -> str:
-    """Of the files' names, sizes and times: another folder, or photographs taken again, make it anew."""
+    """Hash names, sizes and times of the files, which change where photographs are taken again."""
     total = hashlib.sha256(str(data.resolve()).encode())
     for path in paths:
         if path.is_file():
@@ -104,7 +98,7 @@ def _fingerprint(data: Path, paths: Sequence[Path]) -> str:
 
 
 def finished_result(folder: Path, stamp: dict[str, Any]) -> dict[str, Any] | None:
-    """Read a result with this stamp whose files are all there; None where there is none."""
+    """Read a complete result with this stamp; None if there is none."""
     try:
         result = json.loads((folder / RESULT).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -117,31 +111,35 @@ def finished_result(folder: Path, stamp: dict[str, Any]) -> dict[str, Any] | Non
 def _made(exhibit: Exhibit, context: Context, stamp: dict[str, Any]) -> Outcome:
     start = time.perf_counter()
     try:
-        made = exhibit.make(context)
+        content = exhibit.make(context)
     except ChromapertureError as error:
         return Outcome(exhibit, None, problem=str(error))
-    return Outcome(exhibit, write_made(context.out / exhibit.name, exhibit, made, stamp, time.perf_counter() - start))
+    seconds = time.perf_counter() - start
+    return Outcome(exhibit, _write(context.out / exhibit.name, exhibit, content, stamp, seconds))
 
 
-def write_made(folder: Path, exhibit: Exhibit, made: Made, stamp: dict[str, Any], seconds: float) -> dict[str, Any]:
-    """Write pictures, CSV files and, last, result.json, whole or not at all; gives the content of the latter."""
+def _write(folder: Path, exhibit: Exhibit, content: Content, stamp: dict[str, Any], seconds: float) -> dict[str, Any]:
+    """Write figures, CSV files and result.json atomically; return the content of the latter."""
     with staged(folder) as stage:
-        for drawn in made.drawn:
-            drawn.figure.savefig(stage.path(f"{drawn.stem}.png"), format="png", metadata={"Software": None})
-        for listed in made.listed:
-            with stage.path(f"{listed.stem}.csv").open("w", encoding="utf-8", newline="") as file:
-                csv.writer(file).writerows([listed.table.head, *listed.table.rows])
+        for chart in content.charts:
+            chart.figure.savefig(stage.path(f"{chart.stem}.png"), format="png", metadata={"Software": None})
+        for table in content.tables:
+            with stage.path(f"{table.stem}.csv").open("w", encoding="utf-8", newline="") as file:
+                csv.writer(file).writerows([table.head, *table.rows])
         result = {
             "name": exhibit.name,
             "title": exhibit.title,
             "stamp": stamp,
-            "source": made.source,
+            "source": content.source,
             "seconds": round(seconds, 1),
             "files": list(stage.names),
-            "pictures": [{"file": f"{d.stem}.png", "caption": d.caption} for d in made.drawn],
-            "tables": [{"file": f"{t.stem}.csv", **asdict(t.table)} for t in made.listed if t.on_page],
-            "compared": [asdict(c) for c in made.compared],
-            "lines": list(made.lines),
+            "pictures": [{"file": f"{c.stem}.png", "caption": c.caption} for c in content.charts],
+            "tables": [
+                {"file": f"{t.stem}.csv", "caption": t.caption, "head": t.head, "rows": t.rows}
+                for t in content.tables if t.on_page
+            ],
+            "compared": [asdict(c) for c in content.comparisons],
+            "lines": list(content.lines),
         }
         write_json(stage.path(RESULT), result)
     return dict(json.loads((folder / RESULT).read_text(encoding="utf-8")))

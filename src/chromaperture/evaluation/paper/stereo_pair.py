@@ -1,4 +1,4 @@
-"""What a user would pick instead: two ordinary cameras side by side, matched by OpenCV."""
+"""The usual alternative: two ordinary cameras side by side, matched by OpenCV."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 
 from chromaperture.evaluation.paper import world
+from chromaperture.evaluation.prior.stereo import semi_global_matching
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.scene import Plane
 
-BASELINE_MM, STOPPED = 60.0, 4.0  # as in shop-bought pairs; f/2 stopped down to f/8, for both must be sharp
-_BLOCK_PX = 7
+BASELINE_MM, STOPPED = 60.0, 4.0  # as in commercial pairs; f/2 stopped down to f/8, so that all is sharp
+_NEAREST_MM = 1000.0  # of the searched range, as the coded cameras'
 
 
 def measured(
@@ -23,19 +24,13 @@ def measured(
 ) -> tuple[world.Capture, np.ndarray, float]:
     """Photograph a scene with two cameras, exposed to the same level as the others, and match them.
 
-    Parameters
-    ----------
-    planes : sequence of Plane
-    camera : PupilCamera
-        The left one; the right one is the same.
-    seed, cells : int
-
     Returns
     -------
     capture : Capture
         The left picture and its truth.
     depth_mm : (H, W) float64, NaN unknown
     seconds : float
+        Of the matching.
     """
     stopped = replace(camera, pupil_radius_mm=camera.pupil_radius_mm / STOPPED)
     table = pinhole_rays(stopped, world.real_film("open"), cells=cells)
@@ -48,22 +43,17 @@ def measured(
     return shots[0], depth, time.perf_counter() - start
 
 
-def depth_of_pair(left: np.ndarray, right: np.ndarray, camera: PupilCamera, *, nearest_mm: float = 1000) -> np.ndarray:
+def depth_of_pair(left: np.ndarray, right: np.ndarray, camera: PupilCamera) -> np.ndarray:
     """Match two pictures of cameras side by side; depth from the sensor plane, (H, W) float64, mm, NaN unknown."""
     scale = camera.focal_px * BASELINE_MM
-    count = 16 * int(np.ceil(scale / (nearest_mm - camera.sensor_to_pupil_mm) / 16))
-    pair = [np.clip(255 * np.sqrt(np.clip(picture.mean(axis=2), 0, 1)), 0, 255).astype(np.uint8)
-            for picture in (left, right)]  # fmt: skip
+    count = 16 * int(np.ceil(scale / (_NEAREST_MM - camera.sensor_to_pupil_mm) / 16))
+    pair = [(255 * np.sqrt(np.clip(picture.mean(axis=2), 0, 1))).astype(np.uint8) for picture in (left, right)]
     padded = [cv2.copyMakeBorder(p, 0, 0, count, 0, cv2.BORDER_REFLECT_101) for p in pair]
-    area = _BLOCK_PX**2
-    matcher = cv2.StereoSGBM.create(
-        0, count, _BLOCK_PX, P1=8 * area, P2=32 * area, uniquenessRatio=5, mode=cv2.STEREO_SGBM_MODE_HH
-    )
-    disparity = np.asarray(matcher.compute(padded[0], padded[1]), float)[:, count:] / 16
+    disparity = semi_global_matching(padded[0], padded[1], 0, count)[:, count:].astype(float)
     with np.errstate(divide="ignore"):
         return np.where(disparity > 0, scale / disparity + camera.sensor_to_pupil_mm, np.nan)
 
 
 def _beside(planes: Sequence[Plane], x_mm: float) -> list[Plane]:
-    """Put planes into the frame of a camera that stands farther right."""
+    """Transform planes into the frame of a camera that stands farther right."""
     return [replace(p, center_mm=p.center_mm - np.array([x_mm, 0, 0])) for p in planes]

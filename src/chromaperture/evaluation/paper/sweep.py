@@ -1,7 +1,7 @@
-"""Many small trials on all cores: the result depends on the trials alone, not on how many workers shared them.
+"""Many small trials on all cores; the result does not depend on the number of workers.
 
-Each trial carries its own seed, every worker computes on one thread, and results are put together in the order of the
-trials. What is finished is kept; a worker that dies takes with it only the trials it was at, and they are done again.
+Each trial has its own seed, every worker computes on one thread, and results are returned in the order of the trials.
+Finished trials are kept; when a worker dies, only its unfinished trials are repeated.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from chromaperture.evaluation.paper.cluster import on_cluster
 from chromaperture.evaluation.paper.trial import Trial, one_thread, run_trial
 from chromaperture.storage import staged, write_json
 
-_ATTEMPTS = 4
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_ATTEMPTS = 4  # pools of processes, each after the one before died; chosen by hand
+_ONE_THREAD = {f"{name}_THREADS": "1" for name in ("CHROMAPERTURE", "OMP_NUM", "OPENBLAS_NUM", "MKL_NUM")}
 Result = dict[str, float]
 
 
@@ -32,49 +32,42 @@ def sweep(
     workers: int,
     keep_in: Path,
     cluster: str | None = None,
-    tell: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Result]:
     """Run trials in parallel.
 
     Parameters
     ----------
-    trials : sequence of Trial
     workers : int
         Processes on this machine, at least 1.
     keep_in : Path
-        Folder for the finished trials: a run that was interrupted goes on from there.
+        Folder of the finished trials, from which an interrupted run continues.
     cluster : str, optional
-        Address of a Dask scheduler, whose workers run the trials instead.
-    tell : callable, optional
-        Told how many are done, and of how many.
-
-    Returns
-    -------
-    list of dict, in the order of the trials; the same for any number of workers
+        Address of a Dask scheduler, whose workers run the trials instead; see `on_cluster`.
+    progress : callable, optional
+        Called with how many are done, and of how many.
 
     Raises
     ------
     InputError
-        Workers died again and again, as they do where memory is short; or the cluster cannot be reached.
-    MissingDependencyError
-        A cluster is given and the extra ``cluster`` is not installed.
+        Workers died repeatedly, or the cluster cannot be reached.
     """
     results = {trial.key: _kept(keep_in, trial) for trial in trials}
     missing = list({t.key: t for t in trials if results[t.key] is None}.values())
     done = len(results) - len(missing)
-    tell(done, len(results))
+    progress(done, len(results))
     if missing:
         finished = on_cluster(missing, cluster) if cluster else _on_this_machine(missing, workers)
-        for trial, result in finished:
-            results[trial.key] = _keep(keep_in, trial, result)
-            done += 1
-            tell(done, len(results))
+        for count, (trial, result) in enumerate(finished, done + 1):
+            keep(keep_in, trial, result)
+            results[trial.key] = result
+            progress(count, len(results))
     in_order = [results[trial.key] for trial in trials]
     return [result for result in in_order if result is not None]
 
 
 def _on_this_machine(trials: Sequence[Trial], workers: int) -> Iterator[tuple[Trial, Result]]:
-    """Give trials and their results as they finish; raises InputError when workers keep dying."""
+    """Yield trials and their results as they finish; raises InputError when workers die repeatedly."""
     left = {trial.key: trial for trial in trials}
     for _ in range(_ATTEMPTS):
         context = get_context("spawn")  # a fork would copy the threads' locks
@@ -89,12 +82,12 @@ def _on_this_machine(trials: Sequence[Trial], workers: int) -> Iterator[tuple[Tr
         except BrokenProcessPool:
             if not left:
                 return
-    raise InputError("worker processes died four times: run again with fewer --workers, which need less memory")
+    raise InputError(f"worker processes died {_ATTEMPTS} times: run again with fewer --workers, which need less memory")
 
 
 @contextlib.contextmanager
 def _inherited(variables: dict[str, str]) -> Iterator[None]:
-    """Set environment variables for processes that start meanwhile: BLAS reads its number of threads at start."""
+    """Set environment variables for processes started meanwhile: BLAS reads its number of threads at start."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
@@ -115,7 +108,7 @@ def _kept(folder: Path, trial: Trial) -> Result | None:
     return {name: float("nan") if value is None else float(value) for name, value in content["result"].items()}
 
 
-def _keep(folder: Path, trial: Trial, result: Result) -> Result:
+def keep(folder: Path, trial: Trial, result: Result) -> None:
+    """Store the result of a trial for `sweep`."""
     with staged(folder) as stage:
         write_json(stage.path(f"{trial.key}.json"), {"trial": asdict(trial), "result": result})
-    return result

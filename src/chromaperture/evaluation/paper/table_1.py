@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from chromaperture.color.transparency_map import light_efficiency
-from chromaperture.evaluation.figures import new_figure
+from chromaperture.evaluation.figures import new_figure, show_image
 from chromaperture.evaluation.paper.context import Context
-from chromaperture.evaluation.paper.exhibit import Compared, Drawn, Listed, Made
-from chromaperture.evaluation.paper.white import shares, white_sheets
-from chromaperture.evaluation.paper.world import NUMERALS
-from chromaperture.evaluation.tables import Table
+from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable
+from chromaperture.evaluation.paper.white import transparencies, white_sheets
+from chromaperture.evaluation.paper.world import NUMERALS, full_name
 
 # Read off the paper: minimum and maximum for R, G, B, and the integral efficiency.
 PAPER = {
@@ -17,38 +16,35 @@ PAPER = {
     "rgb_squares": (((0.04, 0.06), (0.05, 0.07), (0.06, 0.08)), 0.055),
 }
 _WHY = {
-    "cy_open": "The paper's film and the width of its open part are not given; ours are chosen to come near.",
-    "cy_halves": "The film is chosen after this row; the spread over the frame is the lens's vignetting.",
+    "cy_open": "The paper's film and the width of its open part are not given; ours are chosen to be close.",
+    "cy_halves": "The film is chosen after this row; the variation over the frame is the lens's vignetting.",
     "rgb_squares": "Squares of this size pass 16 % with ideal film and 13 % with ours: the paper's film is darker, or "
     "its squares are smaller.",
 }
 
 
-def make(context: Context) -> Made:
+def make(context: Context) -> Content:
     """Divide white sheets, Eq. (11)."""
     sheets, source = white_sheets(context, ("open", *PAPER))
-    maps = shares(sheets)
+    maps = transparencies(sheets)
     figure = new_figure(height=6.0)
     panels = figure.subplots(3, len(maps), squeeze=False)
-    rows, compared = [], []
-    for column, (name, share) in enumerate(maps.items()):
-        light = light_efficiency(share)
-        cells = [f"{NUMERALS[name]} {name}"]
-        for k, channel in enumerate("RGB"):
-            axes = panels[k, column]
-            shown = axes.imshow(share[..., k], cmap="viridis")
-            figure.colorbar(shown, ax=axes, fraction=0.04)
-            low, high = light.minimum[k], light.maximum[k]
-            axes.set_title(f"{NUMERALS[name]} {channel}: {low:.2f} to {high:.2f}", fontsize=9, loc="left")
-            axes.set_axis_off()
-            cells.append(f"{low:.3f} to {high:.3f}")
-        rows.append((*cells, f"{light.efficiency:.1%}"))
+    rows, comparisons = [], []
+    for column, (name, transparency) in enumerate(maps.items()):
+        light = light_efficiency(transparency)
+        limits = list(zip("RGB", light.minimum, light.maximum, strict=True))
+        for k, (channel, low, high) in enumerate(limits):
+            title = f"{NUMERALS[name]} {channel}: {low:.2f} to {high:.2f}"
+            show_image(panels[k, column], transparency[..., k], title, bar="", cmap="viridis")
+        rows.append((full_name(name), *(f"{a:.3f} to {b:.3f}" for _, a, b in limits), f"{light.efficiency:.1%}"))
         ranges, efficiency = PAPER[name]
         theirs = ", ".join(f"{c} {a:.2f} to {b:.2f}" for c, (a, b) in zip("RGB", ranges, strict=True))
-        ours = ", ".join(f"{c} {a:.2f} to {b:.2f}" for c, a, b in zip("RGB", light.minimum, light.maximum, strict=True))
-        compared.append(Compared(f"{NUMERALS[name]}, transparency", theirs, ours, _WHY[name]))
-        compared.append(
-            Compared(f"{NUMERALS[name]}, light efficiency", f"{efficiency:.1%}", f"{light.efficiency:.1%}", _WHY[name])
-        )
-    table = Table("Transparency, smallest to largest over the frame", ("design", "R", "G", "B", "mean"), rows)
-    return Made(source, [Drawn("maps", figure, "Eq. (11), as in Table 1.")], [Listed("transparency", table)], compared)
+        ours = ", ".join(f"{c} {a:.2f} to {b:.2f}" for c, a, b in limits)
+        title, why = NUMERALS[name], _WHY[name]
+        comparisons += [
+            Comparison(f"{title}, transparency", theirs, ours, why),
+            Comparison(f"{title}, light efficiency", f"{efficiency:.1%}", f"{light.efficiency:.1%}", why),
+        ]
+    caption = "Transparency, smallest to largest over the frame"
+    table = CsvTable("transparency", caption, ("design", "R", "G", "B", "mean"), rows)
+    return Content(source, [Chart("maps", figure, "Eq. (11), as in Table 1.")], [table], comparisons)

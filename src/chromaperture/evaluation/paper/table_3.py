@@ -1,35 +1,38 @@
-"""Table 3: time of the depth extraction, and the times that section 4.1 names."""
+"""Table 3: time of the depth extraction, and the times in section 4.1."""
 
 from __future__ import annotations
 
+import contextlib
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import cv2
 import numba
 import numpy as np
 
-from chromaperture.config import preset
+from chromaperture.config import Quality, preset
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.variation import smooth_disparity
 from chromaperture.evaluation.paper.context import Context
-from chromaperture.evaluation.paper.exhibit import Compared, Listed, Made
+from chromaperture.evaluation.paper.exhibit import Comparison, Content, CsvTable
 from chromaperture.evaluation.prior.annulus import annulus_radius
-from chromaperture.evaluation.tables import Table
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.psf import geometric_otf
 from chromaperture.optics.textures import noise
+from chromaperture.threads import limited_threads, thread_count
 
-_HD, _PAPER = (720, 1280), (1280, 1920)
+_HD, _PAPER = (720, 1280), (1280, 1920)  # rows, columns, of the paper's pictures
+_ANNULUS_PARTS = 64  # the annulus is timed on this part of the paper's picture
 
 
-def make(context: Context) -> Made:
+def make(context: Context) -> Content:
     """Time single images from linear RGB to disparity and error bar, 32 layers, after one run to compile."""
     repeats = 1 if context.quick else 5
-    threads = sorted({1, numba.get_num_threads()})
+    most = thread_count()
+    threads = sorted({1, most})
     hd, large = picture(_HD), picture(_PAPER)
-    disparity = np.asarray(5 * picture(_PAPER)[..., 0], np.float32)
+    disparity = np.asarray(5 * large[..., 0], np.float32)
     cases: dict[str, Callable[[], object]] = {
         "HD, two filters, real-time": lambda: _match(hd, "cy_halves", "real-time"),
         "HD, two filters, paper": lambda: _match(hd, "cy_halves", "paper"),
@@ -38,61 +41,67 @@ def make(context: Context) -> Made:
         "1280x1920, total variation, 100 rounds": lambda: smooth_disparity(disparity, iterations=100),
     }
     seconds: dict[tuple[str, int], float] = {}
-    at_first, at_first_cv = numba.get_num_threads(), cv2.getNumThreads()
-    try:
-        for count in threads:
-            numba.set_num_threads(count)
-            cv2.setNumThreads(count)
+    for count in threads:
+        with _threads(count):
             for name, run in cases.items():
                 run()
                 seconds[name, count] = min(_seconds(run) for _ in range(repeats))
-    finally:
-        numba.set_num_threads(at_first)
-        cv2.setNumThreads(at_first_cv)
-    annulus_s = 64 * _annulus_s()
+    annulus_s = _ANNULUS_PARTS * _annulus_s()
     rows = [(name, *(f"{1000 * seconds[name, count]:.0f}" for count in threads)) for name in cases]
-    most = threads[-1]
 
     def ours(name: str, count: int = 1) -> str:
         return f"{1000 * seconds[name, count]:.0f} ms on {count} thread{'s' if count > 1 else ''}"
 
     other = "Another machine and ten years: the order of size only."
-    return Made(
+    return Content(
         source=f"Timed on this machine ({platform.machine()}, {most} threads), the best of {repeats} runs.",
-        listed=[Listed("times", Table("Milliseconds for one image",
-                                      ("what", *(f"{c} thread{'s' if c > 1 else ''}" for c in threads)), rows))],
-        compared=[
-            Compared("HD, Galaxy S3 / Note 3", "30 s / 5 s", "not measured", "No telephone at hand."),
-            Compared("HD, Core i7-2600, Matlab", "2 s", ours("HD, two filters, paper"), other),
-            Compared("HD, GeForce 780 Ti", "19 ms (53 frames a second)", ours("HD, two filters, real-time", most),
-                     "Ours runs on the processor alone."),
-            Compared("1280x1920, two filters, one thread", "3.5 s", ours("1280x1920, two filters, paper"), other),
-            Compared("1280x1920, three filters, one thread", "6 s", ours("1280x1920, three filters, paper"), other),
-            Compared("1280x1920, magenta annulus [5]", "28 s", f"{annulus_s:.0f} s",
-                     "Its likelihood written anew in NumPy: 13 sizes of blur on a picture of 240x160, times 64."),
-            Compared("1280x1920, total variation", "3 s", ours("1280x1920, total variation, 100 rounds"),
-                     "The paper gives no number of rounds."),
+        tables=[CsvTable("times", "Milliseconds for one image",
+                         ("what", *(f"{c} thread{'s' if c > 1 else ''}" for c in threads)), rows)],
+        comparisons=[
+            Comparison("HD, Galaxy S3 / Note 3", "30 s / 5 s", "not measured", "No telephone at hand."),
+            Comparison("HD, Core i7-2600, Matlab", "2 s", ours("HD, two filters, paper"), other),
+            Comparison("HD, GeForce 780 Ti", "19 ms (53 frames a second)", ours("HD, two filters, real-time", most),
+                       "Ours runs on the processor alone."),
+            Comparison("1280x1920, two filters, one thread", "3.5 s", ours("1280x1920, two filters, paper"), other),
+            Comparison("1280x1920, three filters, one thread", "6 s", ours("1280x1920, three filters, paper"), other),
+            Comparison("1280x1920, magenta annulus [5]", "28 s", f"{annulus_s:.0f} s",
+                       "Its likelihood written anew in NumPy: 13 sizes of blur on a picture of 240x160, times 64."),
+            Comparison("1280x1920, total variation", "3 s", ours("1280x1920, total variation, 100 rounds"),
+                       "The paper gives no number of rounds."),
         ],
     )  # fmt: skip
 
 
 def picture(shape: tuple[int, int]) -> np.ndarray:
-    """Texture whose red and blue are moved against each other; (H, W, 3) float32."""
+    """Return a texture whose red and blue are shifted by +-3 px; (H, W, 3) float32."""
     grey = noise(shape, exponent=1.0, seed=1)
     return np.ascontiguousarray(np.stack([np.roll(grey, 3, 1), grey, np.roll(grey, -3, 1)], axis=-1))
 
 
 def _annulus_s() -> float:
-    """Seconds of the annulus's likelihood on a 64th of the paper's picture, with the 13 levels of its publication."""
+    """Time the annulus's likelihood on a 64th of the paper's picture, with the 13 levels of its publication; s."""
     small = cv2.resize(picture(_HD), (240, 160), interpolation=cv2.INTER_AREA)
     radii, padded = np.arange(13) / 2, (200, 288)
     transfer = [geometric_otf(DESIGNS["magenta_annulus"], float(r), padded) for r in radii]
     return _seconds(lambda: annulus_radius(small, transfer, radii, padded))
 
 
-def _match(image: np.ndarray, design: str, quality: str) -> object:
-    config = preset("paper" if quality == "paper" else "real-time")
-    return estimate_disparity(image, aperture=design, config=config)
+def _match(image: np.ndarray, design: str, quality: Quality) -> object:
+    return estimate_disparity(image, aperture=design, config=preset(quality))
+
+
+@contextlib.contextmanager
+def _threads(count: int) -> Iterator[None]:
+    """Limit OpenCV and the kernels to a number of threads."""
+    before, before_cv = numba.get_num_threads(), cv2.getNumThreads()
+    try:
+        with limited_threads(count):
+            numba.set_num_threads(count)
+            cv2.setNumThreads(count)
+            yield
+    finally:
+        numba.set_num_threads(before)
+        cv2.setNumThreads(before_cv)
 
 
 def _seconds(run: Callable[[], object]) -> float:

@@ -1,4 +1,4 @@
-"""One trial of a sweep: a capture that is simulated, a method, and what its depth is worth."""
+"""One trial of a sweep: a simulated capture, a method, and the quality of its depth."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import json
 import threading
 from dataclasses import asdict, dataclass
 from importlib import metadata
+
+from chromaperture.threads import limited_threads
 
 _ALONE = threading.Lock()
 
@@ -19,14 +21,14 @@ class Trial:
     ----------
     method, design : str
     exposure : float
-        White level that a reflectance of 1 through an open pupil reaches: light, and with it noise.
+        Image level of a reflectance of 1 through an open pupil, of white level; determines the noise.
     width_px, height_px, cells : int
         Picture, and rays across the pupil.
     seed : int
     saturation : float
         Of the scene's colours.
     scene : str
-        "still life", or "wall": a flat one that fills the picture.
+        "still life", or "wall": flat, filling the picture.
     distance_mm : float
         Of the wall.
     """
@@ -44,52 +46,46 @@ class Trial:
 
     @property
     def key(self) -> str:
-        """Name of the file that keeps the result; another version of the package has another."""
+        """Stem of the file of the result, different for each version of the package."""
         text = json.dumps([metadata.version("chromaperture"), asdict(self)], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
 def run_trial(trial: Trial) -> dict[str, float]:
-    """Photograph the scene, measure, and judge.
-
-    Returns
-    -------
-    dict
-        As `methods.scores`.
-    """
+    """Photograph the scene, measure it, and return `methods.scores`."""
     import numpy as np
 
     from chromaperture.evaluation.paper import methods, world
 
     wall = trial.scene == "wall"
-    # A wall is a piece of the full picture, so that its pixels are as fine as the still life's of a full run.
-    pitch_mm = world.SENSOR_WIDTH_MM / 480 if wall else None
+    # A wall is a crop of the full picture: its pixels are as fine as those of the still life in a full run.
+    pitch_mm = world.FINE_PITCH_MM if wall else None
     camera = world.camera_of(trial.width_px, trial.height_px, pitch_mm=pitch_mm)
-    table = world.pinhole_table(camera, trial.design, trial.cells)
     if wall:
         planes = world.board(camera, trial.distance_mm, seed=trial.seed, saturation=trial.saturation)
     else:
         planes = world.still_life(seed=trial.seed, saturation=trial.saturation)
-    shot = world.photograph(table, planes, camera, seed=trial.seed, exposure=trial.exposure)
+    shot = world.pinhole_capture(
+        trial.design, planes, camera, cells=trial.cells, seed=trial.seed, exposure=trial.exposure
+    )
     curve = methods.calibrate(trial.method, trial.design, camera, trial.cells)
     value = methods.METHODS[trial.method](shot.image, methods.setting_of(trial.design, camera))
-    inner = np.s_[20:-20, 20:-20] if wall else np.s_[:, :]  # the rim, where windows are cut, would be most of a wall
+    inner = np.s_[20:-20, 20:-20] if wall else np.s_[:, :]  # at the rim windows are cut; it is much of a small wall
     depth = methods.depth_of(curve.radius_of(np.asarray(value)), camera)
     return methods.scores(depth[inner], shot.depth_mm[inner])
 
 
 def run_alone(trial: Trial) -> dict[str, float]:
-    """Run a trial on one thread, for sums of many threads depend on their number; in any process, any thread."""
-    with _ALONE:  # threads of one process share the threads of the kernels
+    """Run a trial on one thread, in any process and thread: sums of many threads depend on their number."""
+    with _ALONE, limited_threads(1):  # the limit holds for the whole process
         one_thread()
         return run_trial(trial)
 
 
 def one_thread() -> None:
-    """Keep what calls it to one thread."""
+    """Limit OpenCV, and the kernels in the calling thread, to one thread."""
     import cv2
     import numba
 
     cv2.setNumThreads(1)
     numba.set_num_threads(1)
-

@@ -1,8 +1,8 @@
 """Depth from channels of different blur through a magenta annulus: the paper's [5], design VI.
 
-Green sees the inner disc only and is sharper than red and blue. For each size of blur green is blurred by what it
-lacks; where the size is right, the gradients of the three channels lie on a line. Blur before and beyond the focus is
-the same disc, so the sign of the disparity is not seen: everything is taken to lie beyond the focus, or before it.
+Green passes the inner disc only and is sharper than red and blue. For each size of blur, green is given the blur that
+it lacks; at the right size, the gradients of the three channels lie on a line. Blur before and beyond the focus is the
+same disc, so the sign of the disparity is unknown: everything is taken to be beyond the focus, or before it.
 """
 
 from __future__ import annotations
@@ -11,25 +11,21 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from chromaperture.evaluation.prior.shifts import best_layer
+from chromaperture.evaluation.prior.shifts import WINDOW_PX, best_layer
 
-_NOISE = 1e-3  # lambda of the corrective kernels
-_WINDOW_PX = 15  # along the gradient
+_NOISE = 1e-3  # lambda of the corrective kernels, on the power of the gradient; chosen by hand
 
 
-def corrective_kernel_spectrum(
-    target: np.ndarray, own: np.ndarray, shape: tuple[int, int], *, noise: float = _NOISE
-) -> np.ndarray:
-    """Give the transfer function that turns one channel's blur into another's, damped where it has nothing.
+def corrective_kernel_spectrum(target: np.ndarray, own: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return the transfer function that turns one channel's blur into another's, damped at zeros.
 
-    F[k_R] conj(F[k_i]) / (|F[k_i]|^2 + noise (|F dx|^2 + |F dy|^2))
+    F[k_R] conj(F[k_i]) / (|F[k_i]|^2 + lambda (|F dx|^2 + |F dy|^2))
 
     Parameters
     ----------
     target, own : (h, w // 2 + 1) complex
-        Transfer functions of the two blurs.
+        Transfer functions of the two blurs, for pictures of the shape.
     shape : (h, w)
-    noise : float
 
     Returns
     -------
@@ -37,13 +33,13 @@ def corrective_kernel_spectrum(
     """
     fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
     gradient = 4 * np.sin(np.pi * fx) ** 2 + 4 * np.sin(np.pi * fy) ** 2
-    return np.asarray(target * own.conj() / (np.abs(own) ** 2 + noise * np.maximum(gradient, 1e-6)))
+    return np.asarray(target * own.conj() / (np.abs(own) ** 2 + _NOISE * np.maximum(gradient, 1e-6)))
 
 
 def annulus_radius(
     image: np.ndarray, transfer: list[np.ndarray], radii_px: np.ndarray, padded: tuple[int, int]
 ) -> np.ndarray:
-    """Find the size of the blur, whose sign this design does not show.
+    """Find the size of the blur, whose sign this design does not determine.
 
     Parameters
     ----------
@@ -56,7 +52,7 @@ def annulus_radius(
 
     Returns
     -------
-    (H, W) float64, px; NaN where the largest radius wins
+    (H, W) float64, px; NaN where the largest radius is best
     """
     height, width = image.shape[:2]
     rims = (0, padded[0] - height, 0, padded[1] - width)
@@ -64,22 +60,18 @@ def annulus_radius(
     spectra = [scipy.fft.rfft2(big[..., c]) for c in range(3)]
     score = np.empty((len(radii_px), height, width))
     for i, otf in enumerate(transfer):
-        planes = [
-            scipy.fft.irfft2(s * corrective_kernel_spectrum(otf[0], otf[c], padded), s=padded)[:height, :width]
-            if c
-            else scipy.fft.irfft2(s, s=padded)[:height, :width]
-            for c, s in enumerate(spectra)
-        ]
+        corrected = [spectra[0], *(spectra[c] * corrective_kernel_spectrum(otf[0], otf[c], padded) for c in (1, 2))]
+        planes = [scipy.fft.irfft2(s, s=padded)[:height, :width] for s in corrected]
         score[i] = -misfit(np.stack(planes, axis=-1))
     found = best_layer(score, radii_px)
     return np.where(np.isnan(found) & (score.argmax(axis=0) == 0), radii_px[0], found)
 
 
 def misfit(channels: np.ndarray) -> np.ndarray:
-    """Gradient energy off the local colour line, relative to all of it, summed over four orientations; (H, W) float64.
+    """Return the fraction of the gradient energy off the local colour line, over four orientations; (H, W) float64.
 
-    In windows along each orientation's gradient: tr L - l_1 of the 3 x 3 second moments. Divided by the trace, for a
-    channel that is blurred has less energy and would win for that alone.
+    In windows along each orientation's gradient: tr L - l_1 of the 3 x 3 second moments, over the trace, since blur
+    alone reduces the energy.
     """
     base = cv2.GaussianBlur(np.asarray(channels, np.float32), (0, 0), 1.0)
     gy, gx = np.gradient(base.astype(np.float64), axis=(0, 1))
@@ -99,34 +91,26 @@ def misfit(channels: np.ndarray) -> np.ndarray:
 
 
 def _mean_along(values: np.ndarray, x: float, y: float) -> np.ndarray:
-    """Mean over 15 px of a row, a column or a diagonal; (H, W) float64."""
+    """Average over 15 px of a row, a column or a diagonal; (H, W) float64."""
     if 0 in (x, y):
-        size = (_WINDOW_PX, 1) if x else (1, _WINDOW_PX)
+        size = (WINDOW_PX, 1) if x else (1, WINDOW_PX)
         return np.asarray(cv2.blur(values, size, borderType=cv2.BORDER_REFLECT_101))
-    half, (height, width) = _WINDOW_PX // 2, values.shape
+    half, (height, width) = WINDOW_PX // 2, values.shape
     big = cv2.copyMakeBorder(values, half, half, half, half, cv2.BORDER_REFLECT_101)
-    down = range(_WINDOW_PX) if x * y > 0 else range(_WINDOW_PX - 1, -1, -1)
+    down = range(WINDOW_PX) if x * y > 0 else range(WINDOW_PX - 1, -1, -1)
     total = np.zeros_like(values)
     for j, i in enumerate(down):
         total += big[i : i + height, j : j + width]
-    return total / _WINDOW_PX
+    return total / WINDOW_PX
 
 
 def largest_eigenvalue(
     rr: np.ndarray, gg: np.ndarray, bb: np.ndarray, rg: np.ndarray, rb: np.ndarray, gb: np.ndarray
 ) -> np.ndarray:
-    """Largest eigenvalue of symmetric 3 x 3 matrices, by the cosine solution of the cubic.
+    """Return the largest eigenvalue of symmetric 3 x 3 matrices, from their diagonal and the rest; (H, W) float64.
 
-    With q the mean of the diagonal and p^2 = |A - q|^2 / 6 it is q + 2 p cos(arccos(det((A - q) / p) / 2) / 3).
-
-    Parameters
-    ----------
-    rr, gg, bb, rg, rb, gb : (H, W) float
-        Diagonal, and the rest.
-
-    Returns
-    -------
-    (H, W) float64
+    With q the mean of the diagonal and p^2 = |A - q|^2 / 6 it is q + 2 p cos(arccos(det((A - q) / p) / 2) / 3), the
+    cosine solution of the cubic.
     """
     q = (rr + gg + bb) / 3
     r, g, b = rr - q, gg - q, bb - q

@@ -1,4 +1,4 @@
-"""Shared by the prior methods: sub-pixel shifts, box windows, the best of a stack of layers."""
+"""Sub-pixel shifts, box windows and the best of a stack of layers, for the prior methods."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import cv2
 import numpy as np
 import scipy.ndimage
 
+WINDOW_PX = 15  # side of the windows of the prior methods, the same for all; chosen by hand
+
 
 def spline(view: np.ndarray) -> np.ndarray:
-    """Cubic spline through a view; its coefficients, (H, W) float32, for `sampled`."""
+    """Fit a cubic spline to a view; return its coefficients for `sampled`, (H, W) float32."""
     view = np.asarray(view, np.float32)
     return np.asarray(scipy.ndimage.spline_filter(view, order=3, output=np.float32, mode="mirror"))
 
@@ -16,20 +18,15 @@ def spline(view: np.ndarray) -> np.ndarray:
 def sampled(coefficients: np.ndarray, dx: float, dy: float) -> np.ndarray:
     """Sample a view's spline at (x + dx, y + dy); (H, W) float32, mirrored at the rim.
 
-    Splines, because OpenCV's cubic resampling moves a ramp by up to 0.05 px. All pixels move alike, so that the four
-    weights of an axis are one filter.
+    Splines, because OpenCV's cubic resampling shifts a ramp by up to 0.05 px. One shift for all pixels makes the four
+    weights of an axis a filter.
     """
     x, y = _weights(dx), _weights(dy)
     return np.asarray(cv2.sepFilter2D(coefficients, -1, x, y, borderType=cv2.BORDER_REFLECT_101))
 
 
-def shifted(view: np.ndarray, dx: float, dy: float) -> np.ndarray:
-    """Sample a view at (x + dx, y + dy); (H, W) float32, cubic, mirrored at the rim."""
-    return sampled(spline(view), dx, dy)
-
-
 def _weights(shift: float) -> np.ndarray:
-    """Weights of the coefficients about a pixel, for a value ``shift`` px beside it; float32."""
+    """Return the weights of the coefficients about a pixel, for a value ``shift`` px beside it; float32."""
     whole = int(np.floor(shift))
     t = shift - whole
     reach = max(abs(whole - 1), abs(whole + 2))
@@ -39,14 +36,14 @@ def _weights(shift: float) -> np.ndarray:
     return kernel
 
 
-def box(picture: np.ndarray, side_px: int) -> np.ndarray:
-    """Mean over a square window; (H, W) float64."""
-    mean = cv2.boxFilter(np.asarray(picture, np.float64), -1, (side_px, side_px), borderType=cv2.BORDER_REFLECT_101)
-    return np.asarray(mean)
+def box(picture: np.ndarray) -> np.ndarray:
+    """Average over a square window of WINDOW_PX; (H, W) float64."""
+    values = np.asarray(picture, np.float64)
+    return np.asarray(cv2.blur(values, (WINDOW_PX, WINDOW_PX), borderType=cv2.BORDER_REFLECT_101))
 
 
 def best_layer(score: np.ndarray, layers_px: np.ndarray) -> np.ndarray:
-    """Disparity of the largest score, refined by a parabola; NaN where it lies at an end of the range.
+    """Return the disparity of the largest score, refined by a parabola; NaN at the ends of the range.
 
     Parameters
     ----------
