@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -35,10 +36,10 @@ class InPlace:
     blur: LensBlur
 
     def __call__(
-        self, radius_px: float, shape: tuple[int, int], *, center: tuple[float, float] | None = None
+        self, radius_px: float, shape: tuple[int, int], *, frame_position: tuple[float, float] | None = None
     ) -> np.ndarray:
-        otf = self.blur(radius_px, shape, center=center)
-        lens, (x, y) = self.blur.shift, center or (0.0, 0.0)
+        otf = self.blur(radius_px, shape, frame_position=frame_position)
+        lens, (x, y) = self.blur.shift, frame_position or (0.0, 0.0)
         place = ((x + 1) * lens.blur.width_px / 2 - 0.5, (y + 1) * lens.blur.height_px / 2 - 0.5)
         shift = least_fringes(traced(lens.blur, place, float(lens.inverse_mm(radius_px))))
         fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
@@ -53,8 +54,9 @@ def sharp_scene(bare: np.ndarray, radius_px: np.ndarray, lens: LensShift) -> np.
     noise = estimate_noise_variance(bare)[0, 0]
 
     def tile(piece: tuple[slice, slice], center: tuple[float, float]) -> np.ndarray:
-        return all_in_focus(bare[piece], radius_px[piece], LensBlur(shift), noise_variance=noise,
-                            aligned=bare[piece], config=SharpenConfig(model_error=0.35), center=center)  # fmt: skip
+        blur = partial(LensBlur(shift), frame_position=center)
+        return all_in_focus(bare[piece], radius_px[piece], blur, noise_variance=noise,
+                            aligned=bare[piece], config=SharpenConfig(model_error=0.35))  # fmt: skip
 
     return by_tiles(radius_px.shape, tile, tile_px=TILE_PX, overlap_px=_overlap(radius_px))
 
@@ -67,7 +69,7 @@ def without_parallax(
 
     def tile(piece: tuple[slice, slice], center: tuple[float, float]) -> np.ndarray:
         pad, size = padded_size(radius_px[piece].shape, radius_px[piece])
-        model = LayeredModel(mirrored(radius_px[piece], pad, size), blur, center=center)
+        model = LayeredModel(mirrored(radius_px[piece], pad, size), partial(blur, frame_position=center))
         planes = mirrored(sharp[piece], pad, size).transpose(2, 0, 1)
         height, width = radius_px[piece].shape
         return model.forward(np.ascontiguousarray(planes))[:, pad : pad + height, pad : pad + width].transpose(1, 2, 0)

@@ -20,10 +20,10 @@ from chromaperture.color.alignment import align_channels
 from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
-from chromaperture.effects.blur_layers import layer_radii, shares
+from chromaperture.effects.blur_layers import layer_radii, layer_weights
+from chromaperture.effects.edge_aware import smooth_disparity
 from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.restore import UNFITTED_ERROR, fitted_settings
-from chromaperture.effects.steady import steady_disparity
 from chromaperture.effects.transfer_functions import Blur, LensBlur, MeasuredBlur, ThinLensBlur
 from chromaperture.optics.aperture import centroids
 from chromaperture.optics.field_blur import BlurModel, FieldBlur
@@ -36,16 +36,16 @@ EDGE_PER_DISPARITY = 3 * np.pi / 4  # the rim of a half disc over its centroid
 
 
 def by_peer(image: np.ndarray, radius: np.ndarray, blur: Blur, deconvolve: Callable, size: int) -> np.ndarray:
-    """A peer's deconvolution in each layer, composed by the same shares of the layers."""
+    """A peer's deconvolution in each layer, composed by the same weights of the layers."""
     out = np.zeros_like(image)
     radii = layer_radii(radius)
-    for r, share in zip(radii, shares(radius, radii), strict=True):
-        if not share.any():
+    for r, weight in zip(radii, layer_weights(radius, radii), strict=True):
+        if not weight.any():
             continue
         otf = blur(float(r), (size, size))
         kernels = np.fft.fftshift(np.fft.irfft2(otf, s=(size, size)), axes=(1, 2))
         for k in range(3):
-            out[..., k] += share * deconvolve(image[..., k], np.maximum(kernels[k], 0) / kernels[k].sum())
+            out[..., k] += weight * deconvolve(image[..., k], np.maximum(kernels[k], 0) / kernels[k].sum())
     return np.maximum(out, 0)
 
 
@@ -156,8 +156,9 @@ def fitted(
         config = fitted_settings(lens.blur.reach, reweightings=rounds)
 
         def tile(piece: tuple, middle: tuple, *, config: SharpenConfig = config) -> np.ndarray:
-            return all_in_focus(image[piece], radius[piece], LensBlur(lens), noise_variance=noise,
-                                aligned=aligned[piece], config=config, center=middle)  # fmt: skip
+            blur = partial(LensBlur(lens), frame_position=middle)
+            return all_in_focus(image[piece], radius[piece], blur, noise_variance=noise,
+                                aligned=aligned[piece], config=config)  # fmt: skip
 
         made[name] = by_tiles(radius.shape, tile, tile_px=96, overlap_px=reach)
     valid = np.ones(radius.shape, bool)
@@ -208,10 +209,10 @@ def cmu_rows(folder: Path, out: Path | None) -> list[dict]:
         shifts = np.array([[1.0, 0], [0, 0], [-1.0, 0]])
         crop = np.s_[126:630, 168:840]
         first = align_channels(full, frame.disparity_px, shifts)
-        disparity, spread = steady_disparity(frame.disparity_px, frame.disparity_sigma_px, first)
+        disparity, scatter = smooth_disparity(frame.disparity_px, frame.disparity_sigma_px, first)
         aligned = np.maximum(align_channels(full, disparity, shifts), 0)[crop]
         image = np.maximum(full, 0)[crop]
-        radius, doubt = EDGE_PER_DISPARITY * disparity[crop], EDGE_PER_DISPARITY * spread[crop]
+        radius, doubt = EDGE_PER_DISPARITY * disparity[crop], EDGE_PER_DISPARITY * scatter[crop]
         truth = _half(_read(folder / f"{scene}_gt_all_in_focus.png"))
         truth = np.repeat((truth * 0.8 / np.percentile(truth, 99.5))[..., None], 3, axis=2).astype(np.float32)
         # The sharp photograph was shaded otherwise: the capture tells how, alike for all methods.
@@ -226,8 +227,9 @@ def cmu_rows(folder: Path, out: Path | None) -> list[dict]:
         def tile(piece: tuple, middle: tuple, *, config: SharpenConfig, radius: np.ndarray, image=image,
                  aligned=aligned, noise=noise, blur=blur, doubt=doubt) -> np.ndarray:  # fmt: skip
             frame_position = (0.667 * middle[0], 0.667 * middle[1])  # the crop is the middle of the frame
-            return all_in_focus(image[piece], radius[piece], blur, noise_variance=noise, aligned=aligned[piece],
-                                radius_sigma_px=doubt[piece], config=config, center=frame_position)  # fmt: skip
+            there = partial(blur, frame_position=frame_position)
+            return all_in_focus(image[piece], radius[piece], there, noise_variance=noise, aligned=aligned[piece],
+                                radius_sigma_px=doubt[piece], config=config)  # fmt: skip
 
         made = {"capture": image, "aligned": aligned}
         whole = radius

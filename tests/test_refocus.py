@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.effects.background import apply_background, background_share, desaturate_background
+from chromaperture.effects.background import apply_background, background_weight, desaturate_background
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
+from chromaperture.effects.edge_aware import smooth_disparity
 from chromaperture.effects.focus_sweep import sweep, write_sweep
 from chromaperture.effects.refocusing import Focus, refocus
-from chromaperture.effects.steady import steady_disparity
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.pinhole import PupilCamera
@@ -135,7 +135,7 @@ def test_without_a_pupil_all_stays_sharp(world):
 def test_the_background_turns_grey_at_its_own_luminance(world):
     color, radius = world
     out = desaturate_background(color, radius, float(radius.min()))
-    share = background_share(radius, float(radius.min()))
+    share = background_weight(radius, float(radius.min()))
     far = share == 1
     assert far.any()
     assert np.ptp(out[far], axis=1).max() < 1e-5
@@ -179,14 +179,14 @@ def test_a_sweep_is_a_film_from_near_to_far(tmp_path, world, suffix):
         write_sweep(tmp_path / "film.avi", iter(frames))
 
 
-def test_steady_disparity_fills_and_follows_the_picture_s_edges(rng):
+def test_smooth_disparity_fills_and_follows_the_picture_s_edges(rng):
     truth = np.where(np.arange(90)[None, :] < 40, -2.0, 3.0) * np.ones((60, 1))
     guide = np.where(truth[..., None] < 0, [0.8, 0.3, 0.2], [0.2, 0.4, 0.7]).astype(np.float32)
     sigma = np.full(truth.shape, 0.3, np.float32)
     spoiled = (truth + sigma * rng.normal(size=truth.shape)).astype(np.float32)
     spoiled[10:20, 20:30] = np.nan
     spoiled[30:33, 60:63] = -6.0  # a speck
-    found, spread = steady_disparity(spoiled, sigma, guide)
+    found, spread = smooth_disparity(spoiled, sigma, guide)
     assert np.isfinite(found).all()
     error = np.abs(found - truth)
     # 0.3 px averaged over a few dozen px; the speck weighs a twentieth
@@ -197,6 +197,6 @@ def test_steady_disparity_fills_and_follows_the_picture_s_edges(rng):
 
 def test_unknown_everywhere_is_refused():
     with pytest.raises(InputError, match="unknown everywhere"):
-        steady_disparity(np.full((9, 9), np.nan), None, np.zeros((9, 9, 3)))
+        smooth_disparity(np.full((9, 9), np.nan), None, np.zeros((9, 9, 3)))
     with pytest.raises(InputError, match="two photographs"):
-        steady_disparity(np.zeros((9, 9)), None, np.zeros((9, 8, 3)))
+        smooth_disparity(np.zeros((9, 9)), None, np.zeros((9, 8, 3)))

@@ -9,16 +9,15 @@ from chromaperture.effects.all_in_focus import (
     SharpenConfig,
     all_in_focus,
     colour_lines,
-    conjugate_gradients,
     smoothness,
 )
-from chromaperture.effects.blur_layers import layer_radii, shares
+from chromaperture.effects.blur_layers import layer_radii, layer_weights
 from chromaperture.effects.layered_model import LayeredModel
 from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.transfer_functions import MeasuredBlur, ThinLensBlur
 from chromaperture.effects.wiener import (
     colour_covariance,
-    continued,
+    extrapolated,
     joint_filter,
     natural_spectrum,
     sharpen_layers,
@@ -163,19 +162,10 @@ def test_the_prior_is_symmetric_and_blind_to_even_light(rng):
     assert np.vdot(a, smoothness(a, metric, weight)) > 0
 
 
-def test_conjugate_gradients_solve(rng):
-    square = rng.normal(size=(12, 12))
-    matrix = square @ square.T + 12 * np.eye(12)
-    truth = rng.normal(size=12)
-    found = conjugate_gradients(lambda v: (matrix @ v).astype(np.float32), (matrix @ truth).astype(np.float32),
-                                np.zeros(12), iterations=12)  # fmt: skip
-    np.testing.assert_allclose(found, truth, atol=1e-4)
-
-
-def test_shares_of_layers_sum_to_one_and_average_to_the_radius(rng):
+def test_weights_of_layers_sum_to_one_and_average_to_the_radius(rng):
     radius = (6 * rng.normal(size=(30, 30))).astype(np.float32)
     radii = layer_radii(radius)
-    stack = np.array(list(shares(radius, radii)))
+    stack = np.array(list(layer_weights(radius, radii)))
     np.testing.assert_allclose(stack.sum(axis=0), 1, atol=1e-5)
     np.testing.assert_allclose(np.tensordot(radii, stack, 1), radius, atol=1e-4)
     assert 0.0 in radii
@@ -186,7 +176,7 @@ def test_an_even_picture_needs_two_layers_at_most(value):
     radius = np.full((4, 4), value, np.float32)
     radii = layer_radii(radius)
     assert len(radii) <= 2
-    np.testing.assert_allclose(np.tensordot(radii, np.array(list(shares(radius, radii))), 1), value, atol=1e-5)
+    np.testing.assert_allclose(np.tensordot(radii, np.array(list(layer_weights(radius, radii))), 1), value, atol=1e-5)
 
 
 def test_the_joint_filter_is_the_linear_estimate_of_least_error(rng):
@@ -217,13 +207,13 @@ def test_spectrum_and_covariance_have_unit_variance(rng):
     np.testing.assert_allclose(covariance[0, 1] / (covariance[0, 0] - 0.02), 0.5, rtol=1e-3)
 
 
-def test_a_surface_is_continued_in_its_own_colours():
+def test_a_surface_is_extrapolated_in_its_own_colours():
     picture = np.zeros((40, 60, 3), np.float32)
     picture[:, :20], picture[:, 20:] = 0.8, 0.1
     known = np.zeros((40, 60), bool)
     known[:, :20] = True
-    np.testing.assert_allclose(continued(picture, known), 0.8, atol=1e-4)
-    np.testing.assert_array_equal(continued(picture, np.ones_like(known)), picture)
+    np.testing.assert_allclose(extrapolated(picture, known), 0.8, atol=1e-4)
+    np.testing.assert_array_equal(extrapolated(picture, np.ones_like(known)), picture)
 
 
 def test_measured_kernels_blur_as_they_were_measured(rng):

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, DepthFrame
+from chromaperture.effects.edge_aware import smooth_disparity
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.effects.restore import focus_radius
-from chromaperture.effects.steady import steady_disparity
 from chromaperture.effects.transfer_functions import radius_per_disparity
 from chromaperture.errors import InputError
 
@@ -55,7 +55,7 @@ class Refocuser:
         color = np.ascontiguousarray(made.color[part, part], np.float32)
         disparity, sigma = made.disparity_px[part, part] / _REDUCED, made.disparity_sigma_px[part, part] / _REDUCED
         try:
-            radius = steady_disparity(disparity, sigma, color)[0] * np.float32(self.per_disparity)
+            radius = smooth_disparity(disparity, sigma, color)[0] * np.float32(self.per_disparity)
             return refocus(color, radius, Focus(focus_radius(self.camera, focus_mm) / _REDUCED, strength))
         except InputError:  # nothing is known, or the blur fills the picture
             return color
