@@ -1,4 +1,4 @@
-"""From frames to the files of a model."""
+"""Reconstruct a model from frames and write its files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def reconstruct(
     listener: Callable[[str], None] = lambda line: None,
     progress: Callable[[Placed], None] = lambda placed: None,
 ) -> Reconstruction:
-    """Measure, track and fuse frames until they end, or Ctrl-C: then what was made so far is given.
+    """Measure, track and fuse frames until they end, or until Ctrl-C: then return the model so far.
 
     Parameters
     ----------
@@ -38,9 +38,9 @@ def reconstruct(
         Calibrated.
     config : ReconstructionConfig, optional
     listener : callable, optional
-        Told in one line what a person wants to know.
+        Receives messages for the user, one line each.
     progress : callable, optional
-        Given what became of every frame.
+        Receives the result of every frame.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def summary(model: Reconstruction) -> dict[str, Any]:
         "blocks_capacity": volume.capacity if volume else 0,
         "volume_full": bool(volume and volume.full),
         "median_overlap": float(np.median([p.overlap for p in tracked])) if tracked else None,
-        "median_likeness": float(np.median([p.likeness for p in tracked])) if tracked else None,
+        "median_likeness": float(np.median([p.correlation for p in tracked])) if tracked else None,
         "per_frame": [
             {"index": p.index, "time_s": p.time_s, "submap": p.submap, "overlap": p.overlap, "note": p.note}
             for p in model.placed

@@ -1,4 +1,4 @@
-"""Files of a reconstruction: mesh as PLY and GLB, trajectory as the TUM benchmark has it."""
+"""Write the files of a reconstruction: mesh as PLY and GLB, trajectory in the TUM format."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ def write_mesh_ply(path: Path, mesh: Mesh) -> None:
 
 
 def write_mesh_glb(path: Path, mesh: Mesh) -> None:
-    """Write binary glTF 2.0, in metres with y up as that format wants it."""
+    """Write binary glTF 2.0, in metres with y up as that format requires."""
     path.write_bytes(glb(mesh))
 
 
 def glb(mesh: Mesh) -> bytes:
-    """Give the content of a file of binary glTF 2.0, in metres, y up, z backward; colours are linear there."""
+    """Return the content of a binary glTF 2.0 file, in metres, y up, z backward, colours linear."""
     positions = (mesh.vertices_mm * np.array([1, -1, -1], np.float32) / 1000).astype("<f4")
     colors = np.full((len(positions), 4), 65535, "<u2")
     levels = np.rint(srgb_to_linear(np.arange(256, dtype=np.float32) / 255) * 65535)
     colors[:, :3] = levels.astype("<u2")[mesh.colors]
     indices = mesh.triangles.astype("<u4").ravel()
-    parts, views, at = (positions, colors, indices), [], 0  # each a multiple of four bytes, as the format wants it
+    parts, views, at = (positions, colors, indices), [], 0  # each a multiple of four bytes, as the format requires
     for data, target in zip(parts, (34962, 34962, 34963), strict=True):  # vertex data, vertex data, indices
         views.append({"buffer": 0, "byteOffset": at, "byteLength": data.nbytes, "target": target})
         at += data.nbytes
@@ -88,7 +88,7 @@ def write_trajectory(path: Path, placed: Iterable[Placed]) -> None:
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Give (x, y, z, w) of a rotation matrix, w >= 0."""
+    """Return (x, y, z, w) of a rotation matrix, w >= 0."""
     from scipy.spatial.transform import Rotation
 
     q = Rotation.from_matrix(rotation).as_quat()
