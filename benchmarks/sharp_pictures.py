@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from chromaperture.effects.blur_layers import layer_radii, layer_weights
 from chromaperture.effects.edge_aware import smooth_disparity
 from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.restore import UNFITTED_ERROR, fitted_settings
-from chromaperture.effects.transfer_functions import Blur, LensBlur, MeasuredBlur, ThinLensBlur
+from chromaperture.effects.transfer_functions import Blur, LensBlur, ThinLensBlur, kernel_otf
 from chromaperture.optics.aperture import centroids
 from chromaperture.optics.field_blur import BlurModel, FieldBlur
 from chromaperture.optics.field_otf import Rays
@@ -33,6 +33,44 @@ FULL_WELL, READ_NOISE = 5000.0, 4.0  # electrons
 ROUNDS = {"layered Wiener": 0, "all in focus": 3}
 KNOWN_ERROR = SharpenConfig().model_error  # of kernels that are true
 EDGE_PER_DISPARITY = 3 * np.pi / 4  # the rim of a half disc over its centroid
+
+
+@dataclass(frozen=True)
+class MeasuredBlur:
+    """Measured kernels on a grid of frame positions and blur radii.
+
+    Attributes
+    ----------
+    kernels : (rows, columns, radii, 3, s, s) float
+        Centred on the view of the pupil's centre; s is odd.
+    radii_px : (radii,) float
+        Rising.
+    """
+
+    kernels: np.ndarray
+    radii_px: np.ndarray
+
+    def __post_init__(self) -> None:
+        shape = self.kernels.shape
+        if len(shape) != 6 or shape[3] != 3 or shape[4] != shape[5] or shape[4] % 2 == 0:
+            raise ValueError(f"kernels must be (rows, columns, radii, 3, odd, odd), got {shape}")
+        if shape[2] != len(self.radii_px) or np.any(np.diff(self.radii_px) <= 0):
+            raise ValueError("radii_px must rise and number as many as the kernels' third dimension")
+
+    def __call__(
+        self, radius_px: float, shape: tuple[int, int], *, frame_position: tuple[float, float] | None = None
+    ) -> np.ndarray:
+        """See `Blur`; of the nearest frame position, linear between two radii."""
+        rows, columns = self.kernels.shape[:2]
+        x, y = frame_position or (0.0, 0.0)
+        row = int(np.clip(round((y + 1) / 2 * rows - 0.5), 0, rows - 1))
+        column = int(np.clip(round((x + 1) / 2 * columns - 0.5), 0, columns - 1))
+        position = float(np.interp(radius_px, self.radii_px, np.arange(len(self.radii_px))))
+        below = min(int(position), max(len(self.radii_px) - 2, 0))
+        fraction = position - below
+        stack = self.kernels[row, column]
+        kernel = (1 - fraction) * stack[below] + fraction * stack[min(below + 1, len(stack) - 1)]
+        return kernel_otf(kernel, shape)
 
 
 def by_peer(image: np.ndarray, radius: np.ndarray, blur: Blur, deconvolve: Callable, size: int) -> np.ndarray:

@@ -15,7 +15,7 @@ from chromaperture.products.rectified import View
 from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.reconstruction.clean_views import cleaned, near_steps
 from chromaperture.reconstruction.fusion import Reconstruction, orthonormal
-from chromaperture.reconstruction.model_files import quaternion, write_mesh_glb, write_mesh_ply
+from chromaperture.reconstruction.model_files import glb, quaternion, write_mesh_ply
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import prepare, track
 from chromaperture.reconstruction.volume import Mesh, Volume
@@ -347,7 +347,7 @@ def test_meshes_are_read_by_another_program(o3d, tmp_path):
     np.testing.assert_array_equal(np.rint(read.vertex.colors.numpy() * 255), mesh.colors)
     np.testing.assert_array_equal(read.triangle.indices.numpy(), mesh.triangles)
     trimesh = pytest.importorskip("trimesh", reason="no second reader of GLB: that file is NOT tested")
-    write_mesh_glb(tmp_path / "a.glb", mesh)
+    (tmp_path / "a.glb").write_bytes(glb(mesh))
     solid = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
     np.testing.assert_allclose(solid.vertices * [1000, -1000, -1000], mesh.vertices_mm, atol=1e-3)
     np.testing.assert_array_equal(solid.faces, mesh.triangles)

@@ -68,7 +68,7 @@ def _options(
         bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Hold the options before the subcommand."""
+    """Declare the options before the subcommand."""
 
 
 def main() -> None:

@@ -12,8 +12,8 @@ import numpy as np
 
 from chromaperture.color.alignment import fill_unknown
 from chromaperture.compilation import compiled
+from chromaperture.effects.refocusing_kernels import over_rows
 from chromaperture.errors import InputError
-from chromaperture.threads import in_parallel
 
 # Chosen by hand; not tuned.
 _REACH_PX = 10.0  # standard deviation of the filter inside a surface: a longer one rounds depth, a shorter keeps specks
@@ -85,22 +85,19 @@ def _domain_transform(planes: np.ndarray, guide: np.ndarray) -> np.ndarray:
     for i in range(_ROUNDS):
         reach = _REACH_PX * np.sqrt(3) * 2.0 ** (_ROUNDS - 1 - i) / np.sqrt(4.0**_ROUNDS - 1)
         decay = np.float32(np.exp(-np.sqrt(2) / reach))
-        _smooth_rows(planes, decay ** (1 + across * np.float32(_REACH_PX)))
+        over_rows(_average_rows, len(planes), planes, decay ** (1 + across * np.float32(_REACH_PX)))
         planes = np.ascontiguousarray(planes.transpose(1, 0, 2))
-        _smooth_rows(planes, np.ascontiguousarray((decay ** (1 + down * np.float32(_REACH_PX))).T))
+        along = np.ascontiguousarray((decay ** (1 + down * np.float32(_REACH_PX))).T)
+        over_rows(_average_rows, len(planes), planes, along)
         planes = np.ascontiguousarray(planes.transpose(1, 0, 2))
     return planes
 
 
-def _smooth_rows(planes: np.ndarray, decay: np.ndarray) -> None:
-    in_parallel(lambda _, first, last: _recursive_average(planes, decay, first, last), len(planes))
-
-
 @compiled()
-def _recursive_average(planes, decay, first_row, last_row):  # type: ignore[no-untyped-def]
+def _average_rows(planes, decay, first, last):  # type: ignore[no-untyped-def]
     """Average along the rows, forwards and backwards, in place; decay is that of the step from the left."""
     _, width, count = planes.shape
-    for y in range(first_row, last_row):
+    for y in range(first, last):
         for x in range(1, width):
             a = decay[y, x]
             for c in range(count):

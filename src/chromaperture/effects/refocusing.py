@@ -18,7 +18,7 @@ import numpy as np
 
 from chromaperture.effects.blur_layers import layer_radii
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
-from chromaperture.effects.refocusing_kernels import add_layer, layer_bounds, layer_planes, normalised
+from chromaperture.effects.refocusing_kernels import add_layer, layer_bounds, layer_planes, normalise, over_rows
 from chromaperture.errors import InputError
 from chromaperture.optics.layer_renderer import behind_edges
 
@@ -100,27 +100,32 @@ def _composite(
     else:  # outer neighbours of the ends: no pixel lies beyond, up to rounding
         nodes[0], nodes[-1] = 2 * radii[0] - radii[1], 2 * radii[-1] - radii[-2]
     height, width = new.shape
+    extent = np.empty((height, 2), np.int64)
     total, before = np.zeros((height, width, 4), np.float32), np.zeros((height, width), np.float32)
     pending: list[tuple[float, int, int, np.ndarray]] = []  # blurred layers not yet in `before`
     gap = max(_EDGE_PX * focus.strength, 1.0)
     for i, radius in enumerate(float(r) for r in radii):
-        extent = layer_bounds(new, behind_new, hidden, nodes[i], nodes[i + 2])
+        below, here, above = nodes[i : i + 3]
+        over_rows(layer_bounds, height, new, behind_new, hidden, below, above, extent)
         rows = np.flatnonzero(extent[:, 1] >= 0)
         if not rows.size:
             continue
         # Clearly nearer surfaces occlude this one; neighbouring layers of its own surface add to it.
-        while pending and radius - pending[0][0] > max(gap, 1.5 * float(nodes[i + 1] - nodes[i])):
+        while pending and radius - pending[0][0] > max(gap, 1.5 * float(here - below)):
             _, top, left, cover = pending.pop(0)
             before[top : top + cover.shape[0], left : left + cover.shape[1]] += cover
         reach = math.ceil(abs(radius)) + 2 * _scale(radius)
         top, bottom = max(int(rows[0]) - reach, 0), min(int(rows[-1]) + reach + 1, height)
         left, right = max(int(extent[:, 0].min()) - reach, 0), min(int(extent[:, 1].max()) + reach + 1, width)
-        near, here, far = nodes[i : i + 3]
-        planes = layer_planes(color, new, behind, behind_new, hidden, (near, here, far), (top, bottom, left, right))
+        planes, corner = np.zeros((bottom - top, right - left, 4), np.float32), (top, left)
+        nearby = (below, here, above)
+        over_rows(layer_planes, len(planes), color, new, behind, behind_new, hidden, nearby, corner, planes)
         blurred = _blurred(planes, radius, mask)
-        add_layer(total, before, blurred, top, left)
+        over_rows(add_layer, len(blurred), total, before, blurred, corner)
         pending.append((radius, top, left, blurred[..., 3]))
-    return np.asarray(normalised(total))
+    out = np.empty((height, width, 3), np.float32)
+    over_rows(normalise, height, total, out)
+    return out
 
 
 def _scale(radius_px: float) -> int:

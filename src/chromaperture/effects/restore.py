@@ -21,7 +21,7 @@ from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
 from chromaperture.effects.edge_aware import smooth_disparity
 from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.same_photograph import check_same_photograph
-from chromaperture.effects.transfer_functions import Blur, LensBlur, ThinLensBlur, camera_blur, radius_per_disparity
+from chromaperture.effects.transfer_functions import Blur, LensBlur, ThinLensBlur, radius_per_disparity
 from chromaperture.errors import InputError
 
 _TILES, _MIN_TILE_PX = 5, 96  # tiles along the width, in each of which the blur counts as constant; chosen by hand
@@ -101,7 +101,9 @@ def restore(
         settings = SharpenConfig(model_error=UNFITTED_ERROR, reweightings=rounds)
     else:
         settings = fitted_settings(fitted.blur.reach, reweightings=rounds)
-    transfer = blur or (camera_blur(camera.calibration) if fitted is None else LensBlur(fitted))
+    film = camera.calibration.film.transmissions()
+    thin = ThinLensBlur(camera.calibration.aperture.with_film(film))
+    transfer = blur or (thin if fitted is None else LensBlur(fitted))
     saturated = np.asarray(image.max(axis=2) >= SATURATION)
 
     def sharpened(piece: tuple[slice, slice], middle: tuple[float, float] | None) -> np.ndarray:

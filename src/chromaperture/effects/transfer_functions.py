@@ -63,44 +63,6 @@ class ThinLensBlur:
         return np.asarray(geometric_otf(self.aperture, radius_px, shape))
 
 
-@dataclass(frozen=True)
-class MeasuredBlur:
-    """Measured kernels on a grid of frame positions and blur radii.
-
-    Attributes
-    ----------
-    kernels : (rows, columns, radii, 3, s, s) float
-        Centred on the view of the pupil's centre; s is odd.
-    radii_px : (radii,) float
-        Rising.
-    """
-
-    kernels: np.ndarray
-    radii_px: np.ndarray
-
-    def __post_init__(self) -> None:
-        shape = self.kernels.shape
-        if len(shape) != 6 or shape[3] != 3 or shape[4] != shape[5] or shape[4] % 2 == 0:
-            raise InputError(f"kernels must be (rows, columns, radii, 3, odd, odd), got {shape}")
-        if shape[2] != len(self.radii_px) or np.any(np.diff(self.radii_px) <= 0):
-            raise InputError("radii_px must rise and number as many as the kernels' third dimension")
-
-    def __call__(
-        self, radius_px: float, shape: tuple[int, int], *, frame_position: tuple[float, float] | None = None
-    ) -> np.ndarray:
-        """See `Blur`; of the nearest frame position, linear between two radii."""
-        rows, columns = self.kernels.shape[:2]
-        x, y = frame_position or (0.0, 0.0)
-        row = int(np.clip(round((y + 1) / 2 * rows - 0.5), 0, rows - 1))
-        column = int(np.clip(round((x + 1) / 2 * columns - 0.5), 0, columns - 1))
-        position = float(np.interp(radius_px, self.radii_px, np.arange(len(self.radii_px))))
-        below = min(int(position), max(len(self.radii_px) - 2, 0))
-        fraction = position - below
-        stack = self.kernels[row, column]
-        kernel = (1 - fraction) * stack[below] + fraction * stack[min(below + 1, len(stack) - 1)]
-        return _transfer(kernel, shape)
-
-
 class LensBlur:
     """Blur of a calibrated lens, which changes over the frame.
 
@@ -124,12 +86,12 @@ class LensBlur:
                 self._cache.clear()
             blur, (x, y) = self.shift.blur, frame_position or (0.0, 0.0)
             pixel = ((x + 1) * blur.width_px / 2 - 0.5, (y + 1) * blur.height_px / 2 - 0.5)
-            self._cache[key] = _transfer(field_kernels(blur, pixel, float(self.shift.inverse_mm(radius_px))), shape)
+            self._cache[key] = kernel_otf(field_kernels(blur, pixel, float(self.shift.inverse_mm(radius_px))), shape)
         return self._cache[key]
 
 
-def _transfer(kernels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return the transfer functions of kernels whose odd side has the origin in its middle."""
+def kernel_otf(kernels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return the transfer functions of kernels (3, s, s), s odd, centred; (3, h, w // 2 + 1) complex64."""
     size = kernels.shape[-1]
     if size > min(shape):
         raise InputError(f"a kernel of {size} px does not fit into a picture of {shape[1]}x{shape[0]} px")
@@ -146,8 +108,3 @@ def radius_per_disparity(calibration: Calibration, quality: Quality) -> float:
     pupil = np.nan_to_num(pupil)
     # Least squares over the channels: shift = radius * centroid.
     return float((shifts * pupil).sum() / (pupil**2).sum())
-
-
-def camera_blur(calibration: Calibration) -> ThinLensBlur:
-    """Return the blur of a camera to first order: its aperture with its film, in front of a thin lens."""
-    return ThinLensBlur(calibration.aperture.with_film(calibration.film.transmissions()))

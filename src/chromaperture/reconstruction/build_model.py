@@ -15,7 +15,7 @@ from chromaperture.capture.source import Frame
 from chromaperture.errors import InputError
 from chromaperture.products.rectified import undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction
-from chromaperture.reconstruction.model_files import write_mesh_glb, write_mesh_ply, write_trajectory
+from chromaperture.reconstruction.model_files import glb, write_mesh_ply, write_trajectory
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.volume import open3d
 from chromaperture.storage import staged, write_json
@@ -85,7 +85,7 @@ def write_model(
                 continue
             name = f"mesh_{number}" if number else "mesh"
             write_mesh_ply(stage.path(f"{name}.ply"), mesh)
-            write_mesh_glb(stage.path(f"{name}.glb"), mesh)
+            stage.path(f"{name}.glb").write_bytes(glb(mesh))
         write_trajectory(stage.path("trajectory.txt"), [model.in_root(place) for place in model.placed])
         report |= {"meshes": sizes, "seconds_to_write": round(time.perf_counter() - began, 3)}
         write_json(stage.path("report.json"), report)

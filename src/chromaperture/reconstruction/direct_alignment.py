@@ -44,19 +44,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Result of an alignment.
-
-    Attributes
-    ----------
-    motion : (4, 4) float64
-        Keyframe to camera, mm.
-    overlap : float
-        Fraction of the keyframe's points that are visible at their distance.
-    correlation : float
-        Of the camera's brightness with the keyframe's, -1 to 1.
-    solved : bool
-        False where brightness and distances leave the motion undetermined.
-    """
+    """Motion (4, 4) keyframe to camera in mm, fraction of points visible at their distance, correlation, if solved."""
 
     motion: np.ndarray
     overlap: float = 0.0
@@ -119,6 +107,7 @@ def align(
     Returns
     -------
     Alignment
+        Not `solved` where brightness and distances leave the motion undetermined.
     """
     motion = _best_rotation(points[-1], camera[len(points) - 1], np.array(motion, float), outlier_mm)
     found, brightness = Alignment(motion), np.array([1.0, 0.0])  # gain and offset

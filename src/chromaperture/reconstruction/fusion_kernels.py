@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.compilation import compiled
-from chromaperture.threads import in_parallel
 
 
+@compiled()
 def fuse(
     tsdf: np.ndarray,
     weight: np.ndarray,
@@ -26,7 +26,7 @@ def fuse(
 ) -> None:
     """Update the running means of the blocks in ``slots``, whose corners are ``keys`` times the block's edge.
 
-    Blocks are divided among threads; each slot occurs once, so that no two threads write to the same voxel.
+    A slot occurs once, so that threads may call this for parts of the blocks.
 
     Parameters
     ----------
@@ -41,20 +41,6 @@ def fuse(
     matrix, world_to_camera : (3, 3), (4, 4) float64
     voxel_mm, truncation_mm, max_weight : float
     """
-
-    def work(_: int, first: int, last: int) -> None:
-        _fuse(
-            tsdf, weight, color, slots[first:last], keys[first:last], z_mm, gain, reach_mm, picture, matrix,
-            world_to_camera, voxel_mm, truncation_mm, max_weight,
-        )  # fmt: skip
-
-    in_parallel(work, len(slots))
-
-
-@compiled()
-def _fuse(tsdf, weight, color, slots, keys, z_mm, gain, reach_mm, picture, matrix, world_to_camera, voxel_mm,
-          truncation_mm, max_weight):  # type: ignore[no-untyped-def]  # fmt: skip
-    """Fuse into some of the blocks, see `fuse`."""
     rows, columns = z_mm.shape
     edge = tsdf.shape[1]
     turn, shift = world_to_camera[:3, :3], world_to_camera[:3, 3]

@@ -34,13 +34,8 @@ def write_mesh_ply(path: Path, mesh: Mesh) -> None:
     path.write_bytes("\n".join(lines).encode("ascii") + vertices.tobytes() + faces.tobytes())
 
 
-def write_mesh_glb(path: Path, mesh: Mesh) -> None:
-    """Write binary glTF 2.0, in metres with y up as that format requires."""
-    path.write_bytes(glb(mesh))
-
-
 def glb(mesh: Mesh) -> bytes:
-    """Return the content of a binary glTF 2.0 file, in metres, y up, z backward, colours linear."""
+    """Return the content of a binary glTF 2.0 file: metres, y up, z backward, linear colours, as it requires."""
     positions = (mesh.vertices_mm * np.array([1, -1, -1], np.float32) / 1000).astype("<f4")
     colors = np.full((len(positions), 4), 65535, "<u2")
     levels = np.rint(srgb_to_linear(np.arange(256, dtype=np.float32) / 255) * 65535)

@@ -14,6 +14,7 @@ import numpy as np
 from chromaperture.errors import MissingDependencyError
 from chromaperture.products.rectified import View
 from chromaperture.reconstruction.fusion_kernels import clear_faint, fuse, holds_surface
+from chromaperture.threads import in_parallel
 
 EDGE = 16  # voxels along a block
 BLOCK_BYTES = EDGE**3 * 4 * 5  # tsdf, weight, three colours
@@ -115,22 +116,15 @@ class Volume:
             self._sigma_mm = float(np.median(view.sigma_mm[known]))
         gain = ((self._sigma_mm / np.maximum(sigma, 1e-3)) ** 2).clip(_MIN_GAIN, _MAX_GAIN)  # inverse variance
         reach_mm = np.clip(_SIGMAS * sigma, 3 * self.voxel_mm, truncation_mm)
-        fuse(
-            tsdf[..., 0],
-            weight[..., 0],
-            color,
-            slots,
-            keys,
-            np.ascontiguousarray(view.z_mm, np.float32),
-            gain.astype(np.float32),
-            reach_mm.astype(np.float32),
-            view.color,
-            np.asarray(camera_matrix, float),
-            np.linalg.inv(camera_to_world),
-            self.voxel_mm,
-            truncation_mm,
-            _MAX_WEIGHT,
-        )
+        pixels = [np.ascontiguousarray(m, np.float32) for m in (view.z_mm, gain, reach_mm)]
+        matrix, to_camera = np.asarray(camera_matrix, float), np.linalg.inv(camera_to_world)
+        in_parallel(
+            lambda _, first, last: fuse(
+                tsdf[..., 0], weight[..., 0], color, slots[first:last], keys[first:last], *pixels,
+                view.color, matrix, to_camera, self.voxel_mm, truncation_mm, _MAX_WEIGHT,
+            ),
+            len(slots),
+        )  # fmt: skip
         if self._views % PRUNE_EVERY == 0:
             self.prune()
         return len(keys)
