@@ -95,7 +95,7 @@ def refocus(
         lens = Focus(0.0 if sweep else chosen_radius(eye, picture, distance_mm, pixel), pupil, bokeh)
         (_write_sweep if sweep else _write_picture)(picture, lens, request)
     if json:
-        print_json({"image": photo.name} | _summary(picture, lens, request))
+        print_json(_summary(photo, picture, lens, request))
     elif not quiet:
         print_files([target])
 
@@ -152,8 +152,9 @@ def _write_sweep(picture: SharpPicture, lens: Focus, request: _Request) -> None:
         write_sweep(stage.path(request.target.name), sweep(picture.color, picture.radius_px, lens))
 
 
-def _summary(picture: SharpPicture, lens: Focus, request: _Request) -> dict[str, Any]:
+def _summary(photo: Path, picture: SharpPicture, lens: Focus, request: _Request) -> dict[str, Any]:
     return {
+        "image": photo.name,
         "file": str(request.target),
         "focus_radius_px": None if request.sweep else lens.radius_px,
         "strength": lens.strength,

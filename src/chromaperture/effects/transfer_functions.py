@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import scipy.fft
@@ -19,13 +19,14 @@ from chromaperture.optics.psf import geometric_otf
 
 _CACHE_SIZE = 64  # transfer functions: each layer of a tile is used several times; cleared when full
 
+Size: TypeAlias = tuple[int, int]
+Position: TypeAlias = tuple[float, float]
+
 
 class Blur(Protocol):
     """Transfer functions of the three channels at one blur radius and one frame position."""
 
-    def __call__(
-        self, radius_px: float, shape: tuple[int, int], *, frame_position: tuple[float, float] | None = None
-    ) -> np.ndarray:
+    def __call__(self, radius_px: float, shape: Size, *, frame_position: Position | None = None) -> np.ndarray:
         """Return the transfer functions at the frequencies of `numpy.fft.rfft2`.
 
         Parameters
@@ -56,9 +57,7 @@ class ThinLensBlur:
 
     aperture: Aperture
 
-    def __call__(
-        self, radius_px: float, shape: tuple[int, int], *, frame_position: tuple[float, float] | None = None
-    ) -> np.ndarray:
+    def __call__(self, radius_px: float, shape: Size, *, frame_position: Position | None = None) -> np.ndarray:
         """See `Blur`."""
         return np.asarray(geometric_otf(self.aperture, radius_px, shape))
 
@@ -76,9 +75,7 @@ class LensBlur:
         self.shift = shift
         self._cache: dict[tuple, np.ndarray] = {}
 
-    def __call__(
-        self, radius_px: float, shape: tuple[int, int], *, frame_position: tuple[float, float] | None = None
-    ) -> np.ndarray:
+    def __call__(self, radius_px: float, shape: Size, *, frame_position: Position | None = None) -> np.ndarray:
         """See `Blur`."""
         key = (radius_px, shape, frame_position)
         if key not in self._cache:

@@ -51,11 +51,7 @@ class StageClock:
 
 
 def read_capture(
-    path: Path,
-    camera: CodedApertureCamera,
-    *,
-    black_level: float | None = None,
-    white_level: float | None = None,
+    path: Path, camera: CodedApertureCamera, *, black_level: float | None = None, white_level: float | None = None
 ) -> np.ndarray:
     """Read an image with the given levels, else the camera's where the file can hold its counts; (H, W, 3) linear."""
     black, white = _levels(path.name, lambda: bit_depth(path), camera, black_level, white_level)

@@ -219,23 +219,10 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @compiled()
-def normal_equations(
-    points: np.ndarray,
-    grey: np.ndarray,
-    grad_x: np.ndarray,
-    grad_y: np.ndarray,
-    z_mm: np.ndarray,
-    sigma_mm: np.ndarray,
-    matrix: np.ndarray,
-    motion: np.ndarray,
-    brightness: np.ndarray,
-    grey_sigma: float,
-    depth_weight: float,
-    outlier_mm: float,
-    residual: np.ndarray,
-    matched: np.ndarray,
-    close: np.ndarray,
-) -> np.ndarray:
+def normal_equations(  # type: ignore[no-untyped-def]
+    points, grey, grad_x, grad_y, z_mm, sigma_mm, matrix, motion, brightness, grey_sigma, depth_weight, outlier_mm,
+    residual, matched, close,
+):  # fmt: skip
     """Return the sums of J^T W J (upper triangle) and J^T W r over the points; (44,) float64.
 
     Fills ``residual`` (grey levels, NaN where a point is not visible), ``matched`` (grey of the picture there) and

@@ -8,22 +8,10 @@ from chromaperture.compilation import compiled
 
 
 @compiled()
-def fuse(
-    tsdf: np.ndarray,
-    weight: np.ndarray,
-    color: np.ndarray,
-    slots: np.ndarray,
-    keys: np.ndarray,
-    z_mm: np.ndarray,
-    gain: np.ndarray,
-    reach_mm: np.ndarray,
-    picture: np.ndarray,
-    matrix: np.ndarray,
-    world_to_camera: np.ndarray,
-    voxel_mm: float,
-    truncation_mm: float,
-    max_weight: float,
-) -> None:
+def fuse(  # type: ignore[no-untyped-def]
+    tsdf, weight, color, slots, keys, z_mm, gain, reach_mm, picture, matrix, world_to_camera, voxel_mm, truncation_mm,
+    max_weight,
+):  # fmt: skip
     """Update the running means of the blocks in ``slots``, whose corners are ``keys`` times the block's edge.
 
     A slot occurs once, so that threads may call this for parts of the blocks.
@@ -75,9 +63,7 @@ def fuse(
 
 
 @compiled()
-def holds_surface(
-    tsdf: np.ndarray, weight: np.ndarray, slots: np.ndarray, least_weight: float, reach: float
-) -> np.ndarray:
+def holds_surface(tsdf, weight, slots, min_weight, reach):  # type: ignore[no-untyped-def]
     """Return which blocks have a voxel of that weight within ``reach`` truncations of a surface; (N,) bool."""
     found = np.zeros(len(slots), np.bool_)
     edge = tsdf.shape[1]
@@ -86,7 +72,7 @@ def holds_surface(
         for k in range(edge):
             for j in range(edge):
                 for i in range(edge):
-                    if weight[slot, k, j, i] >= least_weight and abs(tsdf[slot, k, j, i]) <= reach:
+                    if weight[slot, k, j, i] >= min_weight and abs(tsdf[slot, k, j, i]) <= reach:
                         found[n] = True
                         break
                 if found[n]:
@@ -97,7 +83,7 @@ def holds_surface(
 
 
 @compiled()
-def clear_faint(weight: np.ndarray, slots: np.ndarray, fraction: float) -> None:
+def clear_faint(weight, slots, fraction):  # type: ignore[no-untyped-def]
     """Clear the voxels whose weight is below a fraction of the largest in their block."""
     edge = weight.shape[1]
     for n in range(len(slots)):

@@ -64,10 +64,9 @@ class ReconstructionConfig:
     def __post_init__(self) -> None:
         if self.voxel_mm is not None and not 0.1 <= self.voxel_mm <= 1000:
             raise InputError(f"a voxel must measure 0.1 to 1000 mm, got {self.voxel_mm:g}")
-        positive = (self.truncation_voxels, self.max_distance_mm, self.max_relative_sigma, self.edge_jump)
-        if not all(
-            value > 0 for value in (*positive, self.depth_weight, self.outlier_mm, self.max_step_mm, self.max_turn_deg)
-        ):
-            raise InputError("lengths, jumps and error bars of the reconstruction must be positive")
+        lengths = ("truncation_voxels", "max_distance_mm", "outlier_mm", "max_step_mm", "max_turn_deg")
+        for name in (*lengths, "max_relative_sigma", "edge_jump", "depth_weight"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"{name} must be positive, got {getattr(self, name):g}")
         if self.memory_mb < 16 or self.tracking_scale < 1 or self.edge_px < 0 or self.submap_after < 1:
             raise InputError("memory_mb must be at least 16, tracking_scale and submap_after at least 1")

@@ -163,7 +163,7 @@ class Volume:
         seen = self.grid.ray_cast(
             keys,
             self._tensor(camera_matrix),
-            self._tensor(_metres(np.linalg.inv(camera_to_world))),
+            self._extrinsic(camera_to_world),
             -(-width // _RANGE_PX) * _RANGE_PX,
             -(-height // _RANGE_PX) * _RANGE_PX,
             ["depth", "index", "mask", "interp_ratio"],
@@ -203,7 +203,7 @@ class Volume:
         keys = self.grid.compute_unique_block_coordinates(
             image,
             self._tensor(camera_matrix),
-            self._tensor(_metres(np.linalg.inv(camera_to_world))),
+            self._extrinsic(camera_to_world),
             1000.0,
             self.max_distance_mm / 1000,
             self.truncation_voxels,
@@ -228,10 +228,9 @@ class Volume:
         return np.ascontiguousarray(keys)
 
     def _tensor(self, values: np.ndarray) -> Any:
-        return self._core.Tensor(np.ascontiguousarray(values, np.float64), device=self._core.Device("CPU:0"))
+        return self._core.Tensor(np.ascontiguousarray(values, np.float64), device=self._device)
 
-
-def _metres(pose_mm: np.ndarray) -> np.ndarray:
-    pose = np.array(pose_mm, float)
-    pose[:3, 3] /= 1000
-    return pose
+    def _extrinsic(self, camera_to_world: np.ndarray) -> Any:
+        world_to_camera = np.linalg.inv(camera_to_world)
+        world_to_camera[:3, 3] /= 1000
+        return self._tensor(world_to_camera)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, DepthFrame
@@ -16,24 +14,12 @@ from chromaperture.errors import InputError
 _SCALE = 2  # reduction of the picture's sides; a quarter of the pixels
 
 
-@dataclass(frozen=True)
 class Refocuser:
-    """Refocus the frames of one camera.
+    """Refocus the frames of one calibrated camera."""
 
-    Attributes
-    ----------
-    camera : CodedApertureCamera
-    per_disparity : float
-        Blur radius a px of disparity.
-    """
-
-    camera: CodedApertureCamera
-    per_disparity: float
-
-    @classmethod
-    def of(cls, camera: CodedApertureCamera) -> Refocuser:
-        """Create one for a calibrated camera."""
-        return cls(camera, float(radius_per_disparity(camera.calibration, camera.config.quality)))
+    def __init__(self, camera: CodedApertureCamera) -> None:
+        self.camera = camera
+        self._per_disparity = np.float32(radius_per_disparity(camera.calibration, camera.config.quality))
 
     def __call__(self, frame: DepthFrame, *, focus_mm: float, strength: float) -> np.ndarray:
         """Blur the aligned colours as a lens with another focus would.
@@ -55,7 +41,7 @@ class Refocuser:
         color = np.ascontiguousarray(frame.color[part, part], np.float32)
         disparity, sigma = frame.disparity_px[part, part] / _SCALE, frame.disparity_sigma_px[part, part] / _SCALE
         try:
-            radius = smooth_disparity(disparity, sigma, color)[0] * np.float32(self.per_disparity)
+            radius = smooth_disparity(disparity, sigma, color)[0] * self._per_disparity
             return refocus(color, radius, Focus(focus_radius(self.camera, focus_mm) / _SCALE, strength))
         except InputError:  # no depth is known, or the blur fills the picture
             return color

@@ -57,7 +57,7 @@ class LivePage:
         self.loop, self.out, self.listener = loop, out, listener
         self.last: Measured | None = None
         self._mesh: object = None
-        self._refocuser, self._refocus_at = Refocuser.of(loop.camera), 0.0
+        self._refocuser, self._refocus_at = Refocuser(loop.camera), 0.0
         try:
             with contextlib.redirect_stdout(sys.stderr):  # its banner is no result
                 self.server = viser().ViserServer(host=host, port=port, verbose=False)
