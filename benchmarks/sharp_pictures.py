@@ -21,7 +21,7 @@ from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
 from chromaperture.effects.blur_layers import layer_radii, layer_weights
-from chromaperture.effects.edge_aware import smooth_disparity
+from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.restore import UNFITTED_ERROR, fitted_settings
 from chromaperture.effects.transfer_functions import Blur, LensBlur, ThinLensBlur, kernel_otf
@@ -247,7 +247,7 @@ def cmu_rows(folder: Path, out: Path | None) -> list[dict]:
         shifts = np.array([[1.0, 0], [0, 0], [-1.0, 0]])
         crop = np.s_[126:630, 168:840]
         first = align_channels(full, frame.disparity_px, shifts)
-        disparity, scatter = smooth_disparity(frame.disparity_px, frame.disparity_sigma_px, first)
+        disparity, scatter = filter_disparity(frame.disparity_px, frame.disparity_sigma_px, first)
         aligned = np.maximum(align_channels(full, disparity, shifts), 0)[crop]
         image = np.maximum(full, 0)[crop]
         radius, doubt = EDGE_PER_DISPARITY * disparity[crop], EDGE_PER_DISPARITY * scatter[crop]

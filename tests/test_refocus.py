@@ -6,7 +6,7 @@ import pytest
 
 from chromaperture.effects.background import apply_background, background_weight, desaturate_background
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
-from chromaperture.effects.edge_aware import smooth_disparity
+from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.focus_sweep import sweep, write_sweep
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.errors import InputError
@@ -186,7 +186,7 @@ def test_smooth_disparity_fills_and_follows_the_picture_s_edges(rng):
     spoiled = (truth + sigma * rng.normal(size=truth.shape)).astype(np.float32)
     spoiled[10:20, 20:30] = np.nan
     spoiled[30:33, 60:63] = -6.0  # a speck
-    found, spread = smooth_disparity(spoiled, sigma, guide)
+    found, spread = filter_disparity(spoiled, sigma, guide)
     assert np.isfinite(found).all()
     error = np.abs(found - truth)
     # 0.3 px averaged over a few dozen px; the speck weighs a twentieth
@@ -197,6 +197,6 @@ def test_smooth_disparity_fills_and_follows_the_picture_s_edges(rng):
 
 def test_unknown_everywhere_is_refused():
     with pytest.raises(InputError, match="unknown everywhere"):
-        smooth_disparity(np.full((9, 9), np.nan), None, np.zeros((9, 9, 3)))
+        filter_disparity(np.full((9, 9), np.nan), None, np.zeros((9, 9, 3)))
     with pytest.raises(InputError, match="two photographs"):
-        smooth_disparity(np.zeros((9, 9)), None, np.zeros((9, 8, 3)))
+        filter_disparity(np.zeros((9, 9)), None, np.zeros((9, 8, 3)))

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,23 +14,6 @@ from chromaperture.errors import InputError
 if TYPE_CHECKING:
     from chromaperture.optics.aperture import Aperture
     from chromaperture.optics.pinhole import PupilCamera
-
-
-@dataclass(frozen=True)
-class DesignRow:
-    """One row of the table; lists run over the distances."""
-
-    name: str
-    title: str
-    transmission_rgb: list[float]
-    efficiency_mean: float
-    efficiency_luminance: float
-    baseline_mm: float
-    distances_mm: list[float]
-    disparity_px: list[float]
-    disparity_px_per_mm: list[float]
-    blur_radius_px: list[float]
-    depth_sigma_mm: list[float | None]
 
 
 def apertures(
@@ -74,7 +56,7 @@ def apertures(
     if figure:
         draw_designs(figure, chosen, camera)
     if json:
-        print_json([asdict(row) for row in rows])
+        print_json(rows)
     elif not quiet:
         _print_table(rows, camera)
     for path in (template, figure):
@@ -82,8 +64,8 @@ def apertures(
             typer.echo(f"Wrote {path}")
 
 
-def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list[float]) -> list[DesignRow]:
-    """Return the figures of designs in one lens, at equal exposure of the open aperture."""
+def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list[float]) -> list[dict[str, Any]]:
+    """Return the figures of designs in one lens, at equal exposure of the open aperture; lists run over distances."""
     import numpy as np
 
     from chromaperture.optics.depth_error_bound import expected_accuracy
@@ -94,25 +76,23 @@ def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list
         light = aperture_figures(aperture)
         views = aperture_figures(aperture, film_unmixing(aperture))
         curve = expected_accuracy(aperture, camera, np.array(distances_mm))
-        rows.append(
-            DesignRow(
-                name=aperture.name,
-                title=aperture.title,
-                transmission_rgb=light.channel_transmission.round(4).tolist(),
-                efficiency_mean=round(light.efficiency_mean, 4),
-                efficiency_luminance=round(light.efficiency_luminance, 4),
-                baseline_mm=round(views.baseline * camera.pupil_radius_mm if aperture.views else 0.0, 3),
-                distances_mm=[float(z) for z in distances_mm],
-                disparity_px=curve.disparity_px.round(3).tolist(),
-                disparity_px_per_mm=curve.disparity_per_mm.round(6).tolist(),
-                blur_radius_px=curve.blur_px.round(3).tolist(),
-                depth_sigma_mm=[round(float(s), 3) if math.isfinite(s) else None for s in curve.sigma_mm],
-            )
-        )
+        rows.append({
+            "name": aperture.name,
+            "title": aperture.title,
+            "transmission_rgb": light.channel_transmission.round(4).tolist(),
+            "efficiency_mean": round(light.efficiency_mean, 4),
+            "efficiency_luminance": round(light.efficiency_luminance, 4),
+            "baseline_mm": round(views.baseline * camera.pupil_radius_mm if aperture.views else 0.0, 3),
+            "distances_mm": [float(z) for z in distances_mm],
+            "disparity_px": curve.disparity_px.round(3).tolist(),
+            "disparity_px_per_mm": curve.disparity_per_mm.round(6).tolist(),
+            "blur_radius_px": curve.blur_px.round(3).tolist(),
+            "depth_sigma_mm": [round(float(s), 3) if math.isfinite(s) else None for s in curve.sigma_mm],
+        })  # fmt: skip
     return rows
 
 
-def _print_table(rows: list[DesignRow], camera: PupilCamera) -> None:
+def _print_table(rows: list[dict[str, Any]], camera: PupilCamera) -> None:
     from chromaperture.cli.console import out as console
     from chromaperture.cli.console import table
 
@@ -122,26 +102,23 @@ def _print_table(rows: list[DesignRow], camera: PupilCamera) -> None:
     )
     light = table(f"Light and baseline: {lens}", "design", "R", "G", "B", "mean", "luminance", "baseline")
     for row in rows:
-        light_fractions = [*row.transmission_rgb, row.efficiency_mean, row.efficiency_luminance]
-        baseline = f"{row.baseline_mm:.2f} mm" if row.baseline_mm else "-"
-        light.add_row(row.name, *(f"{100 * x:.1f} %" for x in light_fractions), baseline)
+        passed = [*row["transmission_rgb"], row["efficiency_mean"], row["efficiency_luminance"]]
+        baseline = f"{row['baseline_mm']:.2f} mm" if row["baseline_mm"] else "-"
+        light.add_row(row["name"], *(f"{100 * x:.1f} %" for x in passed), baseline)
     console.print(light)
-
-    columns = [f"{z:.0f} mm" for z in rows[0].distances_mm]
-    titles = ("Least depth error, mm", "Disparity, px", "Disparity per mm, px")
-    numbers = (
-        [[f"{s:.1f}" if s is not None else "-" for s in row.depth_sigma_mm] for row in rows],
-        [[f"{d:+.2f}" for d in row.disparity_px] for row in rows],
-        [[f"{d:.5f}" for d in row.disparity_px_per_mm] for row in rows],
-    )
-    for title, cells in zip(titles, numbers, strict=True):
+    columns = [f"{z:.0f} mm" for z in rows[0]["distances_mm"]]
+    for title, key, style in (
+        ("Least depth error, mm", "depth_sigma_mm", ".1f"),
+        ("Disparity, px", "disparity_px", "+.2f"),
+        ("Disparity per mm, px", "disparity_px_per_mm", ".5f"),
+    ):
         figures = table(title, "design", *columns)
-        for row, values in zip(rows, cells, strict=True):
-            if row.baseline_mm:
-                figures.add_row(row.name, *values)
+        for row in rows:
+            if row["baseline_mm"]:
+                figures.add_row(row["name"], *("-" if v is None else format(v, style) for v in row[key]))
         if figures.row_count:
             console.print(figures)
-    blur = ", ".join(f"{r:+.1f} px at {z}" for r, z in zip(rows[0].blur_radius_px, columns, strict=True))
+    blur = ", ".join(f"{r:+.1f} px at {z}" for r, z in zip(rows[0]["blur_radius_px"], columns, strict=True))
     console.print(f"Blur radius of the whole pupil (- nearer than the focus): {blur}")
 
 

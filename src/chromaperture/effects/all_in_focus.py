@@ -23,6 +23,9 @@ from chromaperture.effects.wiener import colour_covariance, mirrored, padded_siz
 from chromaperture.errors import InputError
 
 # Chosen by hand; not tuned.
+_PRIOR_EXPONENT = 0.8  # of the gradients' size: 2 is Gaussian, below 1 favours few strong edges
+_COLOUR_SIGMA_PX = 4.0  # standard deviation of the window over which a colour line is estimated
+_ITERATIONS = 10  # conjugate gradients in each round
 _RADIUS_ERROR_PX, _RADIUS_ERROR = 0.5, 0.08  # error of the blur radius, px and relative, at which a pixel weighs half
 _CONTRAST_PX = 9  # side of the window of the local contrast
 _COLOUR_FLOOR = 0.05  # variance across the colour line, of the mean variance: bounds the inverse
@@ -35,27 +38,17 @@ class SharpenConfig:
 
     Attributes
     ----------
-    prior_exponent : float
-        Exponent of the gradients' size: 2 is Gaussian, below 1 favours few strong edges.
-    prior_weight : float
-        1 takes the differences to be as large as the capture's own.
     model_error : float
         Error of the blur model as a fraction of the local contrast: kernels are never known exactly.
     kernel_error : float
         Error of the transfer functions; docs/colour.md shows which fit which design.
-    colour_sigma_px : float
-        Standard deviation of the window over which a colour line is estimated.
-    reweightings, iterations : int
-        Outer rounds, and conjugate gradients in each; 0 rounds return the layered Wiener estimate.
+    reweightings : int
+        Outer rounds; 0 return the layered Wiener estimate.
     """
 
-    prior_exponent: float = 0.8
-    prior_weight: float = 1.0
     model_error: float = 0.25
     kernel_error: float = 0.15
-    colour_sigma_px: float = 4.0
     reweightings: int = 3
-    iterations: int = 10
 
 
 def all_in_focus(
@@ -126,22 +119,18 @@ def all_in_focus(
     # At depth edges a layer's own estimate rings, and few data would correct it: start from the blurred picture.
     smooth_weight = cv2.GaussianBlur(model.data_weight.min(axis=0), (0, 0), 1.0) ** 2
     x = smooth_weight * x + (1 - smooth_weight) * guide
-    return np.ascontiguousarray(_solved(model, y, precision, x, guide, config)[:, *crop].transpose(1, 2, 0))
+    solution = _solved(model, y, precision, x, guide, rounds=config.reweightings)
+    return np.ascontiguousarray(solution[:, *crop].transpose(1, 2, 0))
 
 
 def _solved(
-    model: LayeredModel,
-    capture: np.ndarray,
-    precision: np.ndarray,
-    x: np.ndarray,
-    guide: np.ndarray,
-    config: SharpenConfig,
+    model: LayeredModel, capture: np.ndarray, precision: np.ndarray, x: np.ndarray, guide: np.ndarray, *, rounds: int
 ) -> np.ndarray:
     """Minimise the sum above from a start x, all (3, H, W) float32."""
-    metric, scale = colour_lines(guide, sigma_px=config.colour_sigma_px)
+    metric, scale = colour_lines(guide, sigma_px=_COLOUR_SIGMA_PX)
     right, shape = model.adjoint(precision * capture), x.shape
-    for _ in range(config.reweightings):
-        weight = _weights(x, metric, scale, config)
+    for _ in range(rounds):
+        weight = _weights(x, metric, scale)
 
         def normal(v: np.ndarray, weight: np.ndarray = weight) -> np.ndarray:
             v = v.reshape(shape)
@@ -150,7 +139,7 @@ def _solved(
         # A fixed number of steps from a good start is the regulariser: no tolerance, except against a residual of 0.
         x = cg(
             LinearOperator((x.size, x.size), normal, dtype=np.float32), right.ravel(), x.ravel(),
-            rtol=0.0, atol=float(np.finfo(np.float32).tiny), maxiter=config.iterations,
+            rtol=0.0, atol=float(np.finfo(np.float32).tiny), maxiter=_ITERATIONS,
         )[0].reshape(shape)  # fmt: skip
         np.maximum(x, 0, out=x)
     return x
@@ -208,11 +197,11 @@ def smoothness(v: np.ndarray, metric: np.ndarray, weight: np.ndarray) -> np.ndar
     return out
 
 
-def _weights(x: np.ndarray, metric: np.ndarray, scale: float, config: SharpenConfig) -> np.ndarray:
+def _weights(x: np.ndarray, metric: np.ndarray, scale: float) -> np.ndarray:
     """Return the curvature of |D x|^p at the present differences; (H, W) float32."""
     squares = sum(np.einsum("ihw,ijhw,jhw->hw", d, metric, d) for d in (_right(x), _down(x))) / np.float32(3 * scale)
-    power = (config.prior_exponent - 2) / 2
-    return np.asarray(config.prior_weight / scale * (squares + _GRADIENT_FLOOR) ** power, np.float32)
+    power = (_PRIOR_EXPONENT - 2) / 2
+    return np.asarray(1 / scale * (squares + _GRADIENT_FLOOR) ** power, np.float32)
 
 
 def _right(v: np.ndarray) -> np.ndarray:

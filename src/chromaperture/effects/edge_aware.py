@@ -23,7 +23,7 @@ _ROUNDS = 3  # of rows and columns; the number Gastal and Oliveira recommend
 _OUTLIER_PX, _OUTLIER_WEIGHT = 0.5, 0.05  # distance from the median of 5 x 5 px that makes an outlier, and its weight
 
 
-def smooth_disparity(
+def filter_disparity(
     disparity_px: np.ndarray, sigma_px: np.ndarray | None, guide: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fill and smooth a disparity map along the surfaces of the picture.

@@ -18,7 +18,7 @@ from chromaperture.color.registration import residual_displacement
 from chromaperture.color.unmixing import pure_channels
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
-from chromaperture.effects.edge_aware import smooth_disparity
+from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.same_photograph import check_same_photograph
 from chromaperture.effects.transfer_functions import Blur, LensBlur, ThinLensBlur, radius_per_disparity
@@ -136,7 +136,7 @@ def _aligned(
         scale = np.float32(lens.blur.model.scale_px_mm / cal.on_axis(quality).scale_px_mm)
     guide = align_channels(balanced, disparity_px, shifts)
     check_same_photograph(balanced, guide)
-    disparity, scatter = smooth_disparity(radius / scale, sigma_px, guide)
+    disparity, scatter = filter_disparity(radius / scale, sigma_px, guide)
     radius = disparity * scale
     disparity = radius / scale
     displacement = linear_displacement(disparity, shifts) if lens is None else lens(radius)

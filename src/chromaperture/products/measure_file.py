@@ -148,12 +148,12 @@ def write_maps(target: Callable[[str], Path], stem: str, camera: CodedApertureCa
 
 def summarise(frame: DepthFrame, camera: CodedApertureCamera, seconds: dict[str, float]) -> dict[str, Any]:
     """Collect the figures of one frame, units in the names."""
-    known = np.isfinite(frame.disparity_px)
+    known, sigma = np.isfinite(frame.disparity_px), frame.sigma_mm[np.isfinite(frame.sigma_mm)]
     return {
         "fill_rate": float((frame.valid if camera.calibration.is_calibrated else known).mean()),
         "disparity_percentiles_px": _percentiles(frame.disparity_px),
         "depth_percentiles_mm": _percentiles(frame.depth_mm),
-        "sigma_median_mm": _median(frame.sigma_mm),
+        "sigma_median_mm": float(np.median(sigma)) if sigma.size else None,
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
         "config": dataclasses.asdict(camera.config),
         "camera": camera.calibration.summary(),
@@ -165,8 +165,3 @@ def _percentiles(values: np.ndarray) -> dict[str, float] | None:
     if known.size == 0:
         return None
     return {str(p): float(v) for p, v in zip(_PERCENTILES, np.percentile(known, _PERCENTILES), strict=True)}
-
-
-def _median(values: np.ndarray) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, DepthFrame
-from chromaperture.effects.edge_aware import smooth_disparity
+from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.effects.restore import focus_radius
 from chromaperture.effects.transfer_functions import radius_per_disparity
@@ -41,7 +41,7 @@ class Refocuser:
         color = np.ascontiguousarray(frame.color[part, part], np.float32)
         disparity, sigma = frame.disparity_px[part, part] / _SCALE, frame.disparity_sigma_px[part, part] / _SCALE
         try:
-            radius = smooth_disparity(disparity, sigma, color)[0] * self._per_disparity
+            radius = filter_disparity(disparity, sigma, color)[0] * self._per_disparity
             return refocus(color, radius, Focus(focus_radius(self.camera, focus_mm) / _SCALE, strength))
         except InputError:  # no depth is known, or the blur fills the picture
             return color
