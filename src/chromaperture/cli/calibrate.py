@@ -29,7 +29,7 @@ def calibrate(
         bool, typer.Option("--no-blur", help="Leave out the lens's blur: faster, quality accurate is less so.")
     ] = False,
     per_pixel: Annotated[
-        bool, typer.Option("--per-pixel", help="Curves free at every place of the frame, for a dozen boards or more.")
+        bool, typer.Option("--per-pixel", help="Curves free at every image position, for a dozen boards or more.")
     ] = False,
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
     json: Json = False,

@@ -49,12 +49,12 @@ def check(
     size = (int(corners[1]), int(corners[2]))
     target = Board(size, millimetres(square)) if square else None
     eye = load_camera(camera)
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", CaptureWarning)
         image = read_capture(photo, eye, black_level=black_level, white_level=white_level)
     file_checks = [
         Check("file", "warn", str(w.message), "give the original file: 16 bit, or 4:4:4")
-        for w in said
+        for w in caught
         if issubclass(w.category, CaptureWarning)
     ] or [Check("file", "ok", "no loss of colour resolution or levels was found")]
     checks = file_checks + check_camera(image, eye.calibration, board=target, exif=read_exif(photo))

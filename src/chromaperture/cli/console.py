@@ -68,9 +68,9 @@ def announce_compilation(*, quiet: bool) -> None:
     """Announce that the first run takes longer, when no compiled matcher is on disk."""
     if quiet:
         return
-    from chromaperture.disparity import kernels  # any module of the matcher that defines compiled functions
+    from chromaperture.disparity import strips as matcher  # any module that defines compiled functions of the matcher
 
-    if not is_compiled(kernels):
+    if not is_compiled(matcher):
         err.print("Compiling the matcher once for this machine (about a minute); later runs start at once.")
 
 
@@ -107,10 +107,10 @@ def _table(reports: list[Report]) -> Table:
 
 def table(title: str, *headings: str, left: int = 1) -> Table:
     """Create a table whose first columns are left-aligned, the others right-aligned."""
-    made = Table(title=escape(title))
+    rows = Table(title=escape(title))
     for i, heading in enumerate(headings):
-        made.add_column(escape(heading), justify="left" if i < left else "right", overflow="fold")
-    return made
+        rows.add_column(escape(heading), justify="left" if i < left else "right", overflow="fold")
+    return rows
 
 
 def print_files(files: list[Path]) -> None:

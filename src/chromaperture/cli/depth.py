@@ -75,12 +75,12 @@ def cameras(
     if design is None or camera is not None:
         same = camera_for(first, camera, design, quality=quality, config=config)
         return lambda image: same
-    made: dict[tuple[int, int], CodedApertureCamera] = {}
+    of_sizes: dict[tuple[int, int], CodedApertureCamera] = {}
 
     def of_size(image: Path) -> CodedApertureCamera:
         size = image_size(image)
-        if size not in made:
-            made[size] = camera_for(image, None, design, quality=quality, config=config)
-        return made[size]
+        if size not in of_sizes:
+            of_sizes[size] = camera_for(image, None, design, quality=quality, config=config)
+        return of_sizes[size]
 
     return of_size

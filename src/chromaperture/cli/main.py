@@ -46,8 +46,8 @@ for module in _MODULES:  # each has a function of its own name
 app.command("simulate-rgbd")(simulate.simulate_rgbd)
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"chromaperture {__version__}")
         raise typer.Exit
 
@@ -62,7 +62,7 @@ def _options(
 
 
 def main() -> None:
-    """Run the command line; errors made by input are one line on standard error and exit code 2."""
+    """Run the command line; invalid input is one line on standard error and exit code 2."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("always", CaptureWarning)

@@ -1,4 +1,4 @@
-"""Options that several subcommands share, declared once."""
+"""Options of several subcommands, declared once."""
 
 from __future__ import annotations
 

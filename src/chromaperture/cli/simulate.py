@@ -105,13 +105,13 @@ def simulate_rgbd(
     height, width = depth_mm.shape
     # The pixel pitch, 0.02 mm, only serves to check that the focus lies beyond the image distance.
     camera = PupilCamera(width, height, focal_px, pupil_radius_mm, focus_mm, sensor_to_pupil_mm, 0.02)
-    made = render_layers(picture, depth_mm, camera=camera, aperture=design, pitch_px=pitch_px)
-    counts = expose(made.image, Sensor(), seed=seed, exposure=exposure)
+    rendered = render_layers(picture, depth_mm, camera=camera, aperture=design, pitch_px=pitch_px)
+    counts = expose(rendered.image, Sensor(), seed=seed, exposure=exposure)
     out.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(out), counts[..., ::-1]):
         raise InputError(f"could not write {out}: use the name of a .png file")
     if not quiet:
-        typer.echo(f"Wrote {out} ({made.layer_count} layers)")
+        typer.echo(f"Wrote {out} ({rendered.layer_count} layers)")
 
 
 def _design(name: str, film: str) -> optics_aperture.Aperture:

@@ -141,9 +141,9 @@ def _aligned(
     disparity = radius / scale
     displacement = linear_displacement(disparity, shifts) if lens is None else lens(radius)
     aligned = align_channels(balanced, disparity, shifts, displacement_px=displacement)
-    # Three small sub-apertures, one a channel, blur alike, so that single surfaces can be registered.
-    alike = len(cal.aperture.views) > 2 and pure_channels(cal.aperture) is not None
-    residual = residual_displacement(aligned, disparity, surfaces=alike)
+    # Three small sub-apertures, one a channel, blur in the same way, so that single surfaces can be registered.
+    same_shape = len(cal.aperture.views) > 2 and pure_channels(cal.aperture) is not None
+    residual = residual_displacement(aligned, disparity, surfaces=same_shape)
     if residual.any():
         aligned = align_channels(balanced, disparity, shifts, displacement_px=displacement + residual)
     return np.maximum(aligned, 0), radius, scatter * scale

@@ -179,7 +179,7 @@ def extrapolated(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
         gain = np.minimum(weight * 4, 1) / np.maximum(weight, 1e-6)
         levels.append((color * gain[..., None], weight * gain))
     color, weight = levels[-1]
-    everywhere = color.sum(axis=(0, 1)) / max(float(weight.sum()), 1e-6)  # where even the coarsest level knows nothing
+    everywhere = color.sum(axis=(0, 1)) / max(float(weight.sum()), 1e-6)  # where even the coarsest level is empty
     filled = np.where(weight[..., None] > 1e-6, color / np.maximum(weight, 1e-6)[..., None], everywhere)
     for color, weight in reversed(levels[:-1]):
         up = cv2.resize(filled, weight.shape[::-1], interpolation=cv2.INTER_LINEAR)

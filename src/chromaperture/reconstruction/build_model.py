@@ -63,7 +63,7 @@ def reconstruct(
         listener(f"interrupted after {len(model.placed)} frames; writing the model of these")
     if not model.placed:
         raise InputError("the source held no frame; there is nothing to reconstruct")
-    if not any(place.pose is not None for place in model.placed):
+    if not any(frame.pose is not None for frame in model.placed):
         raise InputError(f"no frame could be used: {model.placed[-1].note.removeprefix('lost: ')}")
     return model
 
@@ -86,7 +86,7 @@ def write_model(
             name = f"mesh_{number}" if number else "mesh"
             write_mesh_ply(stage.path(f"{name}.ply"), mesh)
             stage.path(f"{name}.glb").write_bytes(glb(mesh))
-        write_trajectory(stage.path("trajectory.txt"), [model.in_root(place) for place in model.placed])
+        write_trajectory(stage.path("trajectory.txt"), [model.in_root(frame) for frame in model.placed])
         report |= {"meshes": sizes, "seconds_to_write": round(time.perf_counter() - began, 3)}
         write_json(stage.path("report.json"), report)
         files = [folder / name for name in stage.names]
@@ -95,7 +95,7 @@ def write_model(
 
 def summary(model: Reconstruction) -> dict[str, Any]:
     """Collect the figures of a reconstruction, units in the names."""
-    tracked = [place for place in model.placed if place.pose is not None]
+    tracked = [frame for frame in model.placed if frame.pose is not None]
     path_mm = sum(
         float(np.linalg.norm(b.pose[:3, 3] - a.pose[:3, 3]))
         for a, b in itertools.pairwise(tracked)

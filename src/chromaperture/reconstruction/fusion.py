@@ -31,7 +31,7 @@ _GOOD_SCORE, _POOR_SCORE = 0.65, 0.3  # of `Track`: from which no other guess is
 _CANDIDATES = 3  # most similar keyframes tried for a lost frame
 _REFRESH = 4  # views fused until the keyframe takes its distances from the model again
 _VOXELS_OF_DISTANCE, _MIN_VOXEL_MM, _MAX_VOXEL_MM = 200, 0.5, 50.0  # default edge: 1/200 of the distance, in limits
-_JOIN_CORRELATION, _JOIN_OVERLAP = 0.75, 0.5  # stricter than tracking: there is no prior that the place was seen before
+_JOIN_CORRELATION, _JOIN_OVERLAP = 0.75, 0.5  # stricter than in tracking, which has a prior
 _JOIN_EVERY = 3  # frames between two searches in older submaps
 _JOIN_MM, _JOIN_DEG = 40.0, 2.0  # largest difference of two poses in a row that join submaps
 

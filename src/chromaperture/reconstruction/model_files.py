@@ -72,13 +72,13 @@ def write_trajectory(path: Path, placed: Iterable[Placed]) -> None:
     """Write ``time tx ty tz qx qy qz qw`` in seconds and metres, camera (centre of the entrance pupil) to world."""
     lines = ["# time_s tx ty tz qx qy qz qw  (m, entrance pupil to world; lost frames are left out)"]
     submap = 0
-    for place in placed:
-        if place.submap != submap and place.pose is not None:
-            submap = place.submap
+    for frame in placed:
+        if frame.submap != submap and frame.pose is not None:
+            submap = frame.submap
             lines.append(f"# submap {submap}: a new origin")
-        if place.pose is not None:
-            numbers = [*(place.pose[:3, 3] / 1000), *quaternion(place.pose[:3, :3])]
-            lines.append(f"{place.time_s:.6f} " + " ".join(f"{value:.7f}" for value in numbers))
+        if frame.pose is not None:
+            numbers = [*(frame.pose[:3, 3] / 1000), *quaternion(frame.pose[:3, :3])]
+            lines.append(f"{frame.time_s:.6f} " + " ".join(f"{value:.7f}" for value in numbers))
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
 
 

@@ -152,9 +152,9 @@ def track(view: PreparedView, keyframe: Keyframe, guess: np.ndarray, *, config: 
     if step > config.max_step_mm or turn > config.max_turn_deg:
         lost = f"a jump of {step:.0f} mm and {turn:.0f} degrees"
     elif found.overlap < config.min_overlap:
-        lost = f"only {found.overlap:.0%} of what was there is seen"
+        lost = f"only {found.overlap:.0%} of the keyframe is visible"
     elif found.correlation < config.min_correlation:
-        lost = f"the picture does not look like the model (correlation {found.correlation:.2f})"
+        lost = f"the picture differs from the model (correlation {found.correlation:.2f})"
     else:
         return Track(pose, found.overlap, found.correlation, "")
     return Track(guess, found.overlap, found.correlation, lost)

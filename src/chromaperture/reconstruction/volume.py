@@ -160,7 +160,7 @@ class Volume:
         keys = self.grid.hashmap().key_tensor()[self.grid.hashmap().active_buf_indices().to(self._core.int64)]
         if len(keys) == 0:
             return np.zeros((height, width), np.float32)
-        seen = self.grid.ray_cast(
+        cast = self.grid.ray_cast(
             keys,
             self._tensor(camera_matrix),
             self._extrinsic(camera_to_world),
@@ -174,15 +174,15 @@ class Volume:
             trunc_voxel_multiplier=self.truncation_voxels,
             range_map_down_factor=_RANGE_PX,
         )
-        z_mm = seen["depth"].numpy()[..., 0]
-        z_mm = np.where(z_mm > 0, z_mm + self._remainder_mm(seen), 0).astype(np.float32)
+        z_mm = cast["depth"].numpy()[..., 0]
+        z_mm = np.where(z_mm > 0, z_mm + self._remainder_mm(cast), 0).astype(np.float32)
         return z_mm[:height, :width].copy()
 
-    def _remainder_mm(self, seen: Any) -> np.ndarray:
+    def _remainder_mm(self, cast: Any) -> np.ndarray:
         """Return the distance from a ray cast's points to the surface: Open3D's stop about a voxel behind it."""
         tsdf = self.grid.attribute("tsdf").numpy().reshape(-1)
-        weight = np.where(seen["mask"].numpy(), seen["interp_ratio"].numpy(), 0.0)
-        distance = np.einsum("hwn,hwn->hw", tsdf[seen["index"].numpy()], weight) / np.maximum(weight.sum(axis=2), 1e-6)
+        weight = np.where(cast["mask"].numpy(), cast["interp_ratio"].numpy(), 0.0)
+        distance = np.einsum("hwn,hwn->hw", tsdf[cast["index"].numpy()], weight) / np.maximum(weight.sum(axis=2), 1e-6)
         remainder_mm = distance * self.truncation_voxels * self.voxel_mm
         return remainder_mm.clip(-2 * self.voxel_mm, 2 * self.voxel_mm)
 

@@ -37,7 +37,7 @@ class Measured:
 
     arrived: float
     frame: Frame
-    made: DepthFrame
+    measurement: DepthFrame
 
 
 class LiveLoop:
@@ -184,14 +184,14 @@ class LiveLoop:
             start = time.monotonic()
             arrived, frame = item
             try:
-                made = self.camera.measure(frame.image)
+                measurement = self.camera.measure(frame.image)
             except ChromapertureError as error:
                 if str(error) != reported:  # once, not for every frame
                     self.listener(f"frame {frame.index}: {error}")
                 reported = str(error)
                 continue
             reported = ""
-            measured = Measured(arrived, frame, made)
+            measured = Measured(arrived, frame, measurement)
             now = time.monotonic()
             self.meters["depth"].record(now - start, now - arrived)
             self.to_view.put(measured)
@@ -208,7 +208,7 @@ class LiveLoop:
         meshed, root = time.monotonic(), 0
         while (item := self._to_track.take()) is not None:
             start = time.monotonic()
-            view = to_view(item.made, item.frame.time_s, item.frame.index)
+            view = to_view(item.measurement, item.frame.time_s, item.frame.index)
             self.placed = placed = model.in_root(model.add(view))
             del model.placed[:-1]  # memory: the path below is thinned
             if placed.pose is not None and placed.submap != root:  # another world frame
@@ -246,8 +246,8 @@ def _trim() -> Callable[[int], int] | None:
 
 def within_limits(measured: Measured, *, max_sigma: float, near_mm: float, far_mm: float) -> Measured:
     """Remove depth with wide error bars, relative to the distance, and depth out of range."""
-    made = measured.made
+    depth_mm, sigma_mm = measured.measurement.depth_mm, measured.measurement.sigma_mm
     with np.errstate(invalid="ignore"):
-        kept = (made.sigma_mm <= max_sigma * made.depth_mm) & (made.depth_mm >= near_mm) & (made.depth_mm <= far_mm)
-    depth_mm = np.where(kept, made.depth_mm, np.float32(np.nan))
-    return replace(measured, made=replace(made, depth_mm=depth_mm))
+        kept = (sigma_mm <= max_sigma * depth_mm) & (depth_mm >= near_mm) & (depth_mm <= far_mm)
+    kept_mm = np.where(kept, depth_mm, np.float32(np.nan))
+    return replace(measured, measurement=replace(measured.measurement, depth_mm=kept_mm))

@@ -121,7 +121,7 @@ class LivePage:
             raise InputError("there is no frame yet")
         stem = time.strftime("snapshot-%Y%m%d-%H%M%S") + f"-{last.frame.index}"
         with staged(self.out) as stage:
-            write_maps(stage.path, stem, self.loop.camera, last.made)
+            write_maps(stage.path, stem, self.loop.camera, last.measurement)
             names = list(stage.names)
         self.listener(f"wrote {stem}.* to {self.out}")
         return [self.out / name for name in names]
@@ -144,12 +144,12 @@ class LivePage:
         near, far = self.near.value, max(self.far.value, self.near.value + 50)
         shown = within_limits(item, max_sigma=self.max_sigma.value / 100, near_mm=near, far_mm=far)
         half = slice(None, None, 2)  # half size is enough for the panel
-        self.depth.image = depth_picture(shown.made.depth_mm[half, half], near_mm=near, far_mm=far)
+        self.depth.image = depth_picture(shown.measurement.depth_mm[half, half], near_mm=near, far_mm=far)
         if self.refocus.value:
             self._show_refocused(item)
         else:
-            self.color.image = linear_to_srgb_bytes(item.made.color[half, half])
-        self.confidence.image = confidence_picture(item.made.confidence[half, half])
+            self.color.image = linear_to_srgb_bytes(item.measurement.color[half, half])
+        self.confidence.image = confidence_picture(item.measurement.confidence[half, half])
         self.status.content = self._status()
         with self.server.atomic():
             self._scene(shown)
@@ -159,7 +159,7 @@ class LivePage:
         start = time.monotonic()
         if start < self._refocus_at:
             return
-        color = self._refocuser(item.made, focus_mm=self.focus.value, strength=self.pupil.value)
+        color = self._refocuser(item.measurement, focus_mm=self.focus.value, strength=self.pupil.value)
         self.color.image = linear_to_srgb_bytes(color)
         now = time.monotonic()
         self._refocus_at = now + _REFOCUS_REST * (now - start)
@@ -169,15 +169,15 @@ class LivePage:
         pose = placed.pose if placed is not None and placed.pose is not None else None
         turn = np.eye(3) if pose is None else pose[:3, :3]
         shift = np.zeros(3) if pose is None else pose[:3, 3]
-        lens, made = self.loop.camera.calibration.lens, item.made
-        step = max(1, round((made.depth_mm.size / _POINTS) ** 0.5))
-        thin = np.full_like(made.depth_mm, np.nan)
+        lens, measured = self.loop.camera.calibration.lens, item.measurement
+        step = max(1, round((measured.depth_mm.size / _POINTS) ** 0.5))
+        thin = np.full_like(measured.depth_mm, np.nan)
         c = self.loop.config  # pixels between two surfaces are removed, as in the model
-        flying = near_steps(made.depth_mm, jump=c.edge_jump, reach_px=c.edge_px)
-        thin[::step, ::step] = np.where(flying, np.float32(np.nan), made.depth_mm)[::step, ::step]
+        flying = near_steps(measured.depth_mm, jump=c.edge_jump, reach_px=c.edge_px)
+        thin[::step, ::step] = np.where(flying, np.float32(np.nan), measured.depth_mm)[::step, ::step]
         cloud = depth_to_points(
             thin,
-            made.color,
+            measured.color,
             camera_matrix=lens.camera_matrix,
             distortion=lens.distortion,
             sensor_to_pupil_mm=self.loop.camera.calibration.depth[self.loop.camera.config.quality].sensor_to_pupil_mm,
@@ -185,7 +185,7 @@ class LivePage:
         points = (cloud.points_mm @ turn.T + shift) / 1000
         scene.add_point_cloud("/points", points.astype(np.float32), cloud.colors, point_size=0.004)
         x, y, z, w = quaternion(turn)
-        height, width = made.depth_mm.shape
+        height, width = measured.depth_mm.shape
         scene.add_camera_frustum(
             "/camera",
             fov=float(2 * np.arctan(height / 2 / lens.camera_matrix[1, 1])),
