@@ -136,7 +136,7 @@ def _solved(
             v = v.reshape(shape)
             return (model.adjoint(precision * model.forward(v)) + smoothness(v, metric, weight)).ravel()
 
-        # A fixed number of steps from a good start is the regulariser: no tolerance, except against a residual of 0.
+        # A fixed number of steps from a good start; atol only stops at a residual of 0, by which the next would divide.
         x = cg(
             LinearOperator((x.size, x.size), normal, dtype=np.float32), right.ravel(), x.ravel(),
             rtol=0.0, atol=float(np.finfo(np.float32).tiny), maxiter=_ITERATIONS,
