@@ -20,8 +20,8 @@ import numpy as np
 
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session, leave_one_out
 from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_matching import default_config
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import default_config
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.depth.field import DepthField

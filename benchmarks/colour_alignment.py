@@ -12,8 +12,8 @@ from no_parallax import sharp_scene, without_parallax
 from picture_quality import SURE_PX, compare, matched_exposure, misalignment, phase_misalignment
 
 from chromaperture.camera import CodedApertureCamera, channel_shifts
-from chromaperture.camera_matching import default_config
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import default_config
 from chromaperture.capture.files import read_image
 from chromaperture.color.alignment import align_channels
 from chromaperture.color.transparency_map import compensate_vignetting, flat_field

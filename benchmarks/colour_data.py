@@ -12,8 +12,8 @@ import numpy as np
 
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_matching import default_config
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import default_config
 from chromaperture.capture.files import read_image
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.color.transparency_map import compensate_vignetting, flat_field

@@ -4,8 +4,8 @@
 
 FOLDER holds NNN_left.png, NNN_right.png, NNN_gt_defocus.png (0 = unknown, the middle two thirds of the frame) and
 calibration/white_sheet_*.png. Red is the left half, blue the right one, green their mean: optics and noise are real,
-the colours composed, at half the resolution. Spearman's correlation needs no calibration; its sign is the camera's.
-Coverage is the fraction of the pixels with truth that are scored, those with the smallest error bars.
+the colours put together, at half the resolution. Spearman's correlation needs no calibration; its sign is the camera's.
+Coverage is the share of the pixels with truth that the matcher is asked about, its own error bar telling which.
 """
 
 from __future__ import annotations
@@ -20,14 +20,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.stats import spearmanr
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_matching import default_config
+from chromaperture.camera import CodedApertureCamera, default_config
 from chromaperture.camera_file import Calibration
 from chromaperture.config import Quality
 
-BLACK = 1024.0  # counts
+BLACK = 1024.0
 COVERAGES = (0.5, 0.7, 0.8, 0.9, 1.0)
-CROP = np.s_[126:630, 168:840]  # the middle two thirds
+CROP = np.s_[126:630, 168:840]
 
 
 def half_size(picture: np.ndarray) -> np.ndarray:
@@ -39,7 +38,7 @@ def read(path: Path) -> np.ndarray:
 
 
 def capture(folder: Path, scene: str) -> np.ndarray:
-    """Compose the photograph of a cyan/yellow pupil; (756, 1008, 3) float32."""
+    """Photograph of a cyan/yellow pupil; (756, 1008, 3) float32."""
     sides = []
     for side in ("left", "right"):
         sheet = cv2.GaussianBlur(read(folder / "calibration" / f"white_sheet_{side}.png") - BLACK, (0, 0), 12)
@@ -49,16 +48,16 @@ def capture(folder: Path, scene: str) -> np.ndarray:
 
 
 def score(disparity: np.ndarray, sigma: np.ndarray, defocus: np.ndarray) -> dict[str, float]:
-    """Spearman's correlation over the pixels with truth and the smallest error bars; unknown ones come last."""
+    """Spearman's correlation over the most trusted share of the pixels with truth; unknown pixels are trusted last."""
     known = defocus > 0
-    value, error, truth = disparity[known], sigma[known], defocus[known].astype(float)
-    error = np.where(np.isfinite(value) & np.isfinite(error), error, np.inf)
-    order = np.argsort(error, kind="stable")
-    found = {"fill": float(np.isfinite(error).mean())}
-    for coverage in COVERAGES:
-        best = order[: round(coverage * len(order))]
-        best = best[np.isfinite(error[best])]
-        found[f"at_{coverage:g}"] = abs(float(spearmanr(value[best], truth[best]).statistic))
+    value, doubt, truth = disparity[known], sigma[known], defocus[known].astype(float)
+    doubt = np.where(np.isfinite(value) & np.isfinite(doubt), doubt, np.inf)
+    order = np.argsort(doubt, kind="stable")
+    found = {"fill": float(np.isfinite(doubt).mean())}
+    for share in COVERAGES:
+        best = order[: round(share * len(order))]
+        best = best[np.isfinite(doubt[best])]
+        found[f"at_{share:g}"] = abs(float(spearmanr(value[best], truth[best]).statistic))
     return found
 
 
@@ -81,7 +80,7 @@ def main() -> None:
     means = {
         quality: {
             name: float(np.mean([row[name] for row in rows if row["quality"] == quality]))
-            for name in ("fill", *(f"at_{coverage:g}" for coverage in COVERAGES))
+            for name in ("fill", *(f"at_{share:g}" for share in COVERAGES))
         }
         for quality in args.quality
     }

@@ -40,7 +40,7 @@ def with_page(loop: LiveLoop, folder: str) -> tuple[LivePage, threading.Thread]:
             start = time.monotonic()
             page.show(item)
             loop.want_mesh.set()
-            loop.meters["view"].passed(time.monotonic() - start, time.monotonic() - item.arrived)
+            loop.meters["view"].record(time.monotonic() - start, time.monotonic() - item.arrived)
             time.sleep(0.1)
 
     thread = threading.Thread(target=show, daemon=True)

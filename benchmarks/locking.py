@@ -57,7 +57,7 @@ def main() -> None:
     figure, axis = plt.subplots(figsize=(8, 3.5), layout="constrained")
     report = {}
     for quality in args.quality:
-        config = preset(quality)
+        config = MatcherConfig.preset(quality)
         bias = np.zeros((TEXTURES, len(disparities)))
         for seed in range(TEXTURES):
             rng = np.random.default_rng(seed)

@@ -20,7 +20,7 @@ from chromaperture.optics.aperture import design_named
 
 HEIGHT, WIDTH = 720, 1280
 NOISE = 0.004
-CONFIG = preset("real-time")
+CONFIG = MatcherConfig.preset("real-time")
 DESIGNS = {"hd32_two_filters": "cy_halves", "hd32_three_filters": "cmy_squares", "hd32_three_circles": "cmy_circles"}
 
 

@@ -17,8 +17,8 @@ import numpy as np
 from colour_data import LEVELS, SCENES
 
 from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_matching import default_config
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import default_config
 from chromaperture.capture.files import read_image
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.color.transparency_map import compensate_vignetting, flat_field

@@ -11,38 +11,73 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from colour_data import markdown, print_row, save
-from half_pupil import CROP, capture, read
+from colour_data import markdown, save, say
 from picture_quality import compare
 
 from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_matching import default_config
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import default_config
 from chromaperture.color.alignment import align_channels
 from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
-from chromaperture.effects.blur_layers import layer_radii, shares
+from chromaperture.effects.blur_layers import layer_radii, layer_weights
+from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.restore import UNFITTED_ERROR, fitted_settings
-from chromaperture.effects.steady import steady_disparity
-from chromaperture.effects.transfer_functions import Blur, LensBlur, MeasuredBlur, ThinLensBlur
+from chromaperture.effects.transfer_functions import Blur, LensTransfer, ThinLensBlur, kernel_otf
 from chromaperture.optics.aperture import centroids
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
-from chromaperture.optics.lens_otf import Rays
 
-FULL_WELL, READ_NOISE = 5000.0, 4.0  # electrons, as the simulator's sensor
+FULL_WELL, READ_NOISE = 5000.0, 4.0  # electrons
 ROUNDS = {"layered Wiener": 0, "all in focus": 3}
 KNOWN_ERROR = SharpenConfig().model_error  # of kernels that are true
-EDGE_PER_DISPARITY = 3 * np.pi / 4  # radius of a half disc over the distance of its centroid
-KERNEL_PX = 63  # of the scaled measured kernels, for radii up to 14 px
+EDGE_PER_DISPARITY = 3 * np.pi / 4  # the rim of a half disc over its centroid
+
+
+@dataclass(frozen=True)
+class MeasuredBlur:
+    """Measured kernels on a grid of frame positions and blur radii.
+
+    Attributes
+    ----------
+    kernels : (rows, columns, radii, 3, s, s) float
+        Centred on the view of the pupil's centre; s is odd.
+    radii_px : (radii,) float
+        Rising.
+    """
+
+    kernels: np.ndarray
+    radii_px: np.ndarray
+
+    def __post_init__(self) -> None:
+        shape = self.kernels.shape
+        if len(shape) != 6 or shape[3] != 3 or shape[4] != shape[5] or shape[4] % 2 == 0:
+            raise ValueError(f"kernels must be (rows, columns, radii, 3, odd, odd), got {shape}")
+        if shape[2] != len(self.radii_px) or np.any(np.diff(self.radii_px) <= 0):
+            raise ValueError("radii_px must rise and number as many as the kernels' third dimension")
+
+    def __call__(
+        self, radius_px: float, shape: tuple[int, int], *, frame_position: tuple[float, float] | None = None
+    ) -> np.ndarray:
+        """See `Blur`; of the nearest frame position, linear between two radii."""
+        rows, columns = self.kernels.shape[:2]
+        x, y = frame_position or (0.0, 0.0)
+        row = int(np.clip(round((y + 1) / 2 * rows - 0.5), 0, rows - 1))
+        column = int(np.clip(round((x + 1) / 2 * columns - 0.5), 0, columns - 1))
+        position = float(np.interp(radius_px, self.radii_px, np.arange(len(self.radii_px))))
+        below = min(int(position), max(len(self.radii_px) - 2, 0))
+        fraction = position - below
+        stack = self.kernels[row, column]
+        kernel = (1 - fraction) * stack[below] + fraction * stack[min(below + 1, len(stack) - 1)]
+        return kernel_otf(kernel, shape)
 
 
 def by_peer(image: np.ndarray, radius: np.ndarray, blur: Blur, deconvolve: Callable, size: int) -> np.ndarray:
-    """Deconvolve each layer by a peer; the layers are combined with the weights of our method."""
+    """A peer's deconvolution in each layer, composed by the same weights of the layers."""
     out = np.zeros_like(image)
     radii = layer_radii(radius)
-    for r, weight in zip(radii, shares(radius, radii), strict=True):
+    for r, weight in zip(radii, layer_weights(radius, radii), strict=True):
         if not weight.any():
             continue
         otf = blur(float(r), (size, size))
@@ -78,9 +113,9 @@ def ours(
 
 
 def simulated_rows(calibration: Calibration, out: Path | None) -> list[dict]:
-    """Restore a small scene through a thin lens (true kernels) and through a ray-traced one (approximate kernels).
+    """A small world seen by a thin lens (the kernels are true) and by a ray-traced one (they are an approximation).
 
-    The ray-traced lens is the calibrated camera's, so that its fitted blur, scaled to these pixels, is valid as well.
+    The ray-traced lens is the calibrated camera's, so that its fitted blur, scaled to these pixels, serves as well.
     """
     from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of
     from chromaperture.optics.paraxial import focused_at
@@ -105,15 +140,21 @@ def simulated_rows(calibration: Calibration, out: Path | None) -> list[dict]:
         tables = {"thin lens": pinhole_rays(camera, aperture, cells=24)}
         if design == "cy_halves":
             tables["ray-traced lens"] = lens_rays(lens, aperture, cells=16, nodes=25, **size)
-        # A pixel of the pinhole reference integrates over its area, as a sensor's does.
+        # A pixel of the pinhole reference collects light over its area, as a sensor's does.
         truth = cv2.resize(
             render_sharp(pinhole_rays(fine, aperture, cells=2), planes), (width, height), interpolation=cv2.INTER_AREA
         )
         for optics, table in tables.items():
-            depth = render_depth(table, planes)
-            radius = np.nan_to_num(camera.blur_radius_px(depth)).astype(np.float32)
-            light, white = render(table, planes), render(table, sheet)
-            image, noise = noisy_capture(light, white, channel_transmission(aperture), rng)
+            white = render(table, sheet)
+            white /= white.max(axis=(0, 1))
+            clean = render(table, planes)
+            clean *= 0.9 / channel_transmission(aperture).max()
+            noisy = clean + rng.normal(size=clean.shape) * np.sqrt(clean / FULL_WELL + (READ_NOISE / FULL_WELL) ** 2)
+            gains = 1 / channel_transmission(aperture) / 0.9 * channel_transmission(aperture).max()
+            image = (noisy * gains / white).astype(np.float32)
+            noise = (noisy.mean(axis=(0, 1)) / FULL_WELL) * gains**2
+            radius = camera.blur_radius_px(render_depth(table, planes)).astype(np.float32)
+            radius = np.nan_to_num(radius)
             aligned = np.maximum(align_channels(image, radius, np.nan_to_num(centroids(aperture))), 0)
             blur = ThinLensBlur(aperture)
             error = KNOWN_ERROR if optics == "thin lens" else UNFITTED_ERROR
@@ -122,8 +163,9 @@ def simulated_rows(calibration: Calibration, out: Path | None) -> list[dict]:
                 made |= peers(image, radius, blur, 33)
             for name, picture in made.items():
                 rows.append({"design": design, "optics": optics, "picture": name, **compare(picture, truth, valid)})
-                print_row(rows[-1])
+                say(rows[-1])
             if optics != "thin lens":
+                depth = render_depth(table, planes)
                 made |= fitted(image, depth, calibration, noise, rows, truth, camera.sensor_to_pupil_mm)
             if out:
                 save(out / f"sharp_{design}_{optics.split()[0]}.png", [*made.values(), truth])
@@ -131,22 +173,11 @@ def simulated_rows(calibration: Calibration, out: Path | None) -> list[dict]:
     return rows
 
 
-def noisy_capture(
-    light: np.ndarray, white: np.ndarray, transmission: np.ndarray, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Add noise at equal level, balance and flatten; the image (H, W, 3) and its mean noise variance (3,)."""
-    white = white / white.max(axis=(0, 1))
-    clean = light * float(0.9 / transmission.max())
-    noisy = clean + rng.normal(size=clean.shape) * np.sqrt(clean / FULL_WELL + (READ_NOISE / FULL_WELL) ** 2)
-    gains = 1 / transmission / 0.9 * transmission.max()
-    return (noisy * gains / white).astype(np.float32), (noisy.mean(axis=(0, 1)) / FULL_WELL) * gains**2
-
-
 def fitted(
     image: np.ndarray, depth_mm: np.ndarray, calibration: Calibration, noise: np.ndarray, rows: list[dict],
     truth: np.ndarray, sensor_to_pupil_mm: float,
 ) -> dict[str, np.ndarray]:  # fmt: skip
-    """Restore with the calibrated camera's kernels, scaled to the pixels of this picture."""
+    """The calibrated camera's kernels, at the pixels of this picture."""
     height, width = depth_mm.shape
     scale = width / calibration.sensor.width_px
     numbers = {k: v if "rim" in k else scale * v for k, v in asdict(calibration.blur).items()}
@@ -163,20 +194,21 @@ def fitted(
         config = fitted_settings(lens.blur.reach, reweightings=rounds)
 
         def tile(piece: tuple, middle: tuple, *, config: SharpenConfig = config) -> np.ndarray:
-            return all_in_focus(image[piece], radius[piece], LensBlur(lens), noise_variance=noise,
-                                aligned=aligned[piece], config=config, center=middle)  # fmt: skip
+            blur = partial(LensTransfer(lens), frame_position=middle)
+            return all_in_focus(image[piece], radius[piece], blur, noise_variance=noise,
+                                aligned=aligned[piece], config=config)  # fmt: skip
 
         made[name] = by_tiles(radius.shape, tile, tile_px=96, overlap_px=reach)
     valid = np.ones(radius.shape, bool)
     for name, picture in made.items():
         rows.append({"design": calibration.design, "optics": "ray-traced lens, fitted kernels", "picture": name,
                      **compare(picture, truth, valid)})  # fmt: skip
-        print_row(rows[-1])
+        say(rows[-1])
     return {f"{name}, fitted": picture for name, picture in made.items()}
 
 
 def by_picture(rows: list[dict], *keys: str) -> list[dict]:
-    """One row for each value of the keys, with PSNR / SSIM / CIEDE2000 of each picture in a column."""
+    """One row for what the keys say, with PSNR / SSIM / CIEDE2000 of each picture in a column."""
     table: dict[tuple, dict] = {}
     for row in rows:
         line = table.setdefault(tuple(row[k] for k in keys), {k: row[k] for k in keys} | heading(rows, *keys, blank=""))
@@ -192,85 +224,88 @@ def heading(rows: list[dict], *keys: str, blank: str | None = None) -> dict[str,
 
 
 def cmu_rows(folder: Path, out: Path | None) -> list[dict]:
-    """Restore real half-pupil photographs, composed to cyan/yellow captures of scenes without colour, at half size.
+    """Real half-pupil photographs as a cyan/yellow capture (red left, blue right, green their mean), at half size.
 
-    Optics and noise are real. Depth is measured by our matcher; kernels are the measured ones, scaled with disparity.
+    Optics and noise are real, the colours are put together: a scene without colour of its own. Depth is what our
+    matcher finds in it; the kernels are the measured ones, scaled with the disparity.
     """
-    rows: list[dict] = []
+    rows = []
+    whites = [_half(_read(folder / "calibration" / f"white_sheet_{s}.png") - 1024) for s in ("left", "right")]
+    whites = [cv2.GaussianBlur(w, (0, 0), 12) for w in whites]
     kernels, at_px = _kernels(folder / "calibration")
     apart = np.array([[at_px / _registered_px(stack) for stack in row] for row in kernels], np.float32)
-    radii = np.sort(np.sign(at_px) * np.array([0.2, *np.arange(1.0, 14.1, 1.0)]))
-    blur = MeasuredBlur(*_scaled(kernels, at_px, radii))
     for scene in ("002", "012"):
-        full = capture(folder, scene)
-        half = _measured(full)
-        truth = _shaded(read(folder / f"{scene}_gt_all_in_focus.png"), half.image)
+        left, right = (
+            _half(_read(folder / f"{scene}_{s}.png") - 1024) / w
+            for s, w in zip(("left", "right"), whites, strict=True)
+        )
+        full = np.dstack([left, (left + right) / 2, right]).astype(np.float32)
+        full *= 0.8 / np.percentile(full, 99.5)
+        calibration = Calibration.uncalibrated("cy_halves", width_px=full.shape[1], height_px=full.shape[0])
+        eye = CodedApertureCamera(calibration, default_config(calibration, "real-time"))
+        frame = eye.measure(full)
+        shifts = np.array([[1.0, 0], [0, 0], [-1.0, 0]])
+        crop = np.s_[126:630, 168:840]
+        first = align_channels(full, frame.disparity_px, shifts)
+        disparity, scatter = filter_disparity(frame.disparity_px, frame.disparity_sigma_px, first)
+        aligned = np.maximum(align_channels(full, disparity, shifts), 0)[crop]
+        image = np.maximum(full, 0)[crop]
+        radius, doubt = EDGE_PER_DISPARITY * disparity[crop], EDGE_PER_DISPARITY * scatter[crop]
+        truth = _half(_read(folder / f"{scene}_gt_all_in_focus.png"))
+        truth = np.repeat((truth * 0.8 / np.percentile(truth, 99.5))[..., None], 3, axis=2).astype(np.float32)
+        # The sharp photograph was shaded otherwise: the capture tells how, alike for all methods.
+        smooth = [cv2.GaussianBlur(p.mean(axis=2), (0, 0), 40) for p in (image, truth)]
+        truth *= (smooth[0] / smooth[1])[..., None]
+        radii = np.sort(np.sign(at_px) * np.array([0.2, *np.arange(1.0, 14.1, 1.0)]))
+        blur = MeasuredBlur(*_scaled(kernels, at_px, radii))
+        radius = np.clip(radius, radii[0], radii[-1]).astype(np.float32)
+        noise = estimate_noise_variance(full)[0, 0]
         begin = time.perf_counter()
-        made = {"capture": half.image, "aligned": half.aligned}
-        # Kernels as far apart as the disparity by their centroids, or by the displacement that registration measures.
-        ratio = cv2.resize(apart, full.shape[1::-1], interpolation=cv2.INTER_LINEAR)[CROP]
-        whole = np.clip(half.radius, radii[0], radii[-1]).astype(np.float32)
-        for rule, factor in (("centroids", np.float32(1)), ("registered", ratio)):
-            radius = np.clip(factor * whole, radii[0], radii[-1]).astype(np.float32)
+
+        def tile(piece: tuple, middle: tuple, *, config: SharpenConfig, radius: np.ndarray, image=image,
+                 aligned=aligned, noise=noise, blur=blur, doubt=doubt) -> np.ndarray:  # fmt: skip
+            frame_position = (0.667 * middle[0], 0.667 * middle[1])  # the crop is the middle of the frame
+            there = partial(blur, frame_position=frame_position)
+            return all_in_focus(image[piece], radius[piece], there, noise_variance=noise, aligned=aligned[piece],
+                                radius_sigma_px=doubt[piece], config=config)  # fmt: skip
+
+        made = {"capture": image, "aligned": aligned}
+        whole = radius
+        # Kernels as far apart as the disparity by their centroids, or by what registration reads between them.
+        ratio = cv2.resize(apart, full.shape[1::-1], interpolation=cv2.INTER_LINEAR)[crop]
+        for rule, share in (("centroids", np.float32(1)), ("registered", ratio)):
+            radius = np.clip(share * whole, radii[0], radii[-1]).astype(np.float32)
             for name, rounds in ROUNDS.items():
                 config = SharpenConfig(model_error=UNFITTED_ERROR, reweightings=rounds)
-                tile = partial(half.sharpened, radius=radius, blur=blur, config=config)
-                made[f"{name}, {rule}"] = by_tiles(radius.shape, tile, tile_px=224, overlap_px=32)
-            made |= {f"{name}, {rule}": p for name, p in peers(half.image, radius, blur, KERNEL_PX).items()}
+                made[f"{name}, {rule}"] = by_tiles(
+                    (504, 672), partial(tile, radius=radius, config=config), tile_px=224, overlap_px=32
+                )
+            made |= {f"{name}, {rule}": p for name, p in peers(image, radius, blur, 63).items()}
         seconds = time.perf_counter() - begin
-        known = read(folder / f"{scene}_gt_defocus.png") > 0
-        valid = known if known.mean() > 0.2 else np.ones(radius.shape, bool)
+        # Channels hold one grey scene: their mean is the picture.
+        known = _half(_read(folder / f"{scene}_gt_defocus.png")) > 0
+        valid = known if known.mean() > 0.2 else np.ones((504, 672), bool)
         for name, picture in made.items():
-            grey = np.repeat(picture.mean(axis=2, keepdims=True), 3, axis=2)  # the channels show one grey scene
+            grey = np.repeat(picture.mean(axis=2, keepdims=True), 3, axis=2)
             rows.append({"scene": scene, "picture": name, **compare(grey, truth, valid)})
-            print_row(rows[-1])
-        print_row({"scene": scene, "seconds": seconds, "radius_5_95": np.percentile(radius, (5, 95)).tolist()})
+            say(rows[-1])
+        say({"scene": scene, "seconds": seconds, "radius_5_95": np.percentile(radius, (5, 95)).tolist()})
         if out:
             save(out / f"cmu_{scene}.png", [*made.values(), truth])
     print(markdown(by_picture(rows, "scene"), heading(rows, "scene")), flush=True)
     return rows
 
 
-@dataclass(frozen=True)
-class HalfPupils:
-    """The middle of a half-pupil capture: image, aligned image, blur radius with its sigma (px), noise variance."""
-
-    image: np.ndarray
-    aligned: np.ndarray
-    radius: np.ndarray
-    sigma: np.ndarray
-    noise: np.ndarray
-
-    def sharpened(
-        self, piece: tuple, middle: tuple, *, radius: np.ndarray, blur: Blur, config: SharpenConfig
-    ) -> np.ndarray:
-        frame_position = (0.667 * middle[0], 0.667 * middle[1])  # the crop is the middle two thirds of the frame
-        return all_in_focus(
-            self.image[piece], radius[piece], blur, noise_variance=self.noise, aligned=self.aligned[piece],
-            radius_sigma_px=self.sigma[piece], config=config, center=frame_position,
-        )  # fmt: skip
+def _read(path: Path) -> np.ndarray:
+    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float32)
 
 
-def _measured(full: np.ndarray) -> HalfPupils:
-    calibration = Calibration.uncalibrated("cy_halves", width_px=full.shape[1], height_px=full.shape[0])
-    frame = CodedApertureCamera(calibration, default_config(calibration, "real-time")).measure(full)
-    shifts = np.array([[1.0, 0], [0, 0], [-1.0, 0]])
-    first = align_channels(full, frame.disparity_px, shifts)
-    disparity, sigma = steady_disparity(frame.disparity_px, frame.disparity_sigma_px, first)
-    aligned = np.maximum(align_channels(full, disparity, shifts), 0)[CROP]
-    radius, radius_sigma = (EDGE_PER_DISPARITY * values[CROP] for values in (disparity, sigma))
-    return HalfPupils(np.maximum(full, 0)[CROP], aligned, radius, radius_sigma, estimate_noise_variance(full)[0, 0])
-
-
-def _shaded(truth: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Shade the sharp photograph (H, W) as the capture, since its vignetting differs; (H, W, 3)."""
-    truth = np.repeat((truth * 0.8 / np.percentile(truth, 99.5))[..., None], 3, axis=2).astype(np.float32)
-    smooth = [cv2.GaussianBlur(p.mean(axis=2), (0, 0), 40) for p in (image, truth)]
-    return truth * (smooth[0] / smooth[1])[..., None]
+def _half(picture: np.ndarray) -> np.ndarray:
+    return cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
 
 
 def _kernels(folder: Path) -> tuple[np.ndarray, float]:
-    """Measured half-pupil kernels as R, G, B over the frame, centred between the halves, and their half disparity."""
+    """Measured half-pupil kernels as R, G, B on the field, centred between the halves, and their half disparity."""
     sides = [np.load(folder / f"blur_kernels_{s}.npy").reshape(6, 8, 61, 61) for s in ("left", "right")]
     stack = np.stack([sides[0], (sides[0] + sides[1]) / 2, sides[1]], axis=2)
     axis = np.arange(61) - 30
@@ -290,20 +325,20 @@ def _kernels(folder: Path) -> tuple[np.ndarray, float]:
 
 
 def _registered_px(stack: np.ndarray) -> float:
-    """Half the displacement that registration measures between the left and the right kernel of one position."""
+    """Half the displacement that registration reads between the left and the right kernel of one place."""
     axis = np.arange(stack.shape[-1], dtype=float) - stack.shape[-1] // 2
-    positions = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     rays = []
     for kernel in np.maximum(stack[[0, 2, 2]], 0):
         lit = kernel.ravel() > 1e-3 * kernel.max()
-        rays.append(Rays(positions[lit], kernel.ravel()[lit] / kernel.ravel()[lit].sum()))
+        rays.append(ChannelRays(places[lit], kernel.ravel()[lit] / kernel.ravel()[lit].sum()))
     shift = least_fringes(rays)
     return float(shift[0, 0] - shift[1, 0]) / 2
 
 
 def _scaled(kernels: np.ndarray, at_px: float, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Kernels for other blur radii, at half the size of the photographs in which they were measured."""
-    size = KERNEL_PX
+    """Kernels for other blur radii, at half the size of the photographs they were measured in."""
+    size = 63
     out = np.zeros((6, 8, len(radii), 3, size, size), np.float32)
     for n, radius in enumerate(radii):
         scale = radius / EDGE_PER_DISPARITY / (0.5 * at_px) * 0.5
@@ -311,7 +346,7 @@ def _scaled(kernels: np.ndarray, at_px: float, radii: np.ndarray) -> tuple[np.nd
         for i in range(6):
             for j in range(8):
                 for k in range(3):
-                    # Blurred by the pixel's size before it is reduced, against aliasing.
+                    # Shrunk after a blur of the pixel's size, or a small kernel would miss its samples.
                     soft = cv2.GaussianBlur(kernels[i, j, k], (0, 0), max(0.25 / max(abs(scale), 0.05), 0.3))
                     out[i, j, n, k] = cv2.warpAffine(soft, matrix, (size, size), flags=cv2.INTER_LINEAR)
     out = np.maximum(out, 0)

@@ -18,8 +18,7 @@ from chromaperture.calibration.curves import weaknesses
 from chromaperture.calibration.fit_curve import fit_depth_model
 from chromaperture.camera_file import Calibration
 from chromaperture.color.unmixing import ideal_unmixing, pure_channels
-from chromaperture.config import MatcherConfig
-from chromaperture.disparity.estimate import colour_spaces
+from chromaperture.disparity.views import view_spaces
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, made_of
 from planes import capture, texture
@@ -215,10 +214,8 @@ def test_the_camera_file_records_what_made_it(session, tmp_path):
 def test_accurate_takes_the_curve_of_the_quality_that_matches_its_views(design):
     real = made_of(DESIGNS[design], "real")
     rows = ideal_unmixing(real)
-    accurate, *others = (
-        colour_spaces(DESIGNS[design], rows, preset(quality))[0]
-        for quality in ("accurate", "paper", "real-time")
-    )
+    spaces = ("both", PaperConfig().space, RealTimeConfig().space)  # of accurate, paper, real-time
+    accurate, *others = (view_spaces(DESIGNS[design], rows, space)[0].rows for space in spaces)
     alike = dict(zip(("paper", "real-time"), (np.array_equal(accurate, other) for other in others), strict=True))
     assert alike[accurate_matches_like(DESIGNS[design])]
     # Where film leaks, unmixed views and pure channels differ, and only one quality matches those of accurate.

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chromaperture.camera import CodedApertureCamera, channel_shifts
-from chromaperture.camera_matching import default_config
+from chromaperture.camera import CodedApertureCamera, channel_shifts, default_config
 from chromaperture.camera_file import Calibration, Film
 from chromaperture.capture.checks import check_capture
 from chromaperture.depth.conversion import DepthModel

@@ -13,6 +13,7 @@ import tifffile
 from PIL import Image
 
 from chromaperture.camera_file import Calibration
+from chromaperture.cli.depth import cameras
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 from planes import capture, texture
 
@@ -193,6 +194,32 @@ def test_one_bad_image_does_not_stop_the_others(run, tmp_path):
     assert result.returncode == 2
     assert "bad.png" in result.stderr
     assert (tmp_path / "out" / f"{good.stem}.depth.tiff").exists()
+
+
+def test_the_camera_file_is_read_once_for_all_images(run, tmp_path, monkeypatch):
+    read, load = [], Calibration.load
+
+    def counted(path):
+        read.append(path)
+        return load(path)
+
+    monkeypatch.setattr(Calibration, "load", counted)
+    images = [tmp_path / "a.png", tmp_path / "b.png"]
+    for image in images:
+        image.write_bytes(sample_image(SAMPLES[0]).read_bytes())
+    result = run("depth", *images, "-c", sample_camera(SAMPLES[0]), "-o", tmp_path / "out", "-q", "--quality", "paper")
+    assert result.returncode == 0, result.stderr
+    assert len(read) == 1
+
+
+def test_images_of_one_size_have_one_camera_of_a_design(tmp_path):
+    sizes = {"a": (20, 30), "b": (20, 30), "c": (30, 20)}
+    for name, size in sizes.items():
+        Image.new("RGB", size).save(tmp_path / f"{name}.png")
+    camera_of = cameras(tmp_path / "a.png", None, "cy_halves", quality="real-time", config=None)
+    a, b, c = (camera_of(tmp_path / f"{name}.png") for name in sizes)
+    assert a is b
+    assert (c.calibration.sensor.width_px, c.calibration.sensor.height_px) == sizes["c"]
 
 
 def test_help_tells_how(run):

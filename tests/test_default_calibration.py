@@ -9,8 +9,8 @@ import pytest
 from chromaperture.calibration.calibrate_session import calibrate_session, leave_one_out
 from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_matching import default_config
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import default_config
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_matching import default_config
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import default_config
 from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.effects.restore import focus_radius, restore
-from chromaperture.effects.transfer_functions import LensBlur as LensTransfer
-from chromaperture.effects.transfer_functions import ThinLensBlur
+from chromaperture.effects.transfer_functions import LensTransfer, ThinLensBlur
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.lens_otf import ChannelRays, traced

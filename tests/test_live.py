@@ -116,7 +116,7 @@ def test_frames_that_cannot_be_measured_are_said_once_and_the_loop_goes_on():
     eye.fails = True
     eye.gate.release(3)
     with LiveLoop(Running(), eye, track=False, listener=said.append) as loop:
-        until(lambda: loop._to_depth.replaced > 20)
+        until(lambda: loop.figures()["depth"]["dropped"] > 20)
         eye.fails = False
         eye.gate.release(2)
         assert loop.to_view.take() is not None

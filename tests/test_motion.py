@@ -1,13 +1,13 @@
-"""A camera that moves steadily is where it was foreseen."""
+"""A camera that moves steadily is where it was predicted."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.reconstruction.motion import Speed
+from chromaperture.reconstruction.motion import ConstantVelocity
 
 
-def test_a_steady_camera_is_foreseen_whenever_the_next_frame_comes():
+def test_a_steady_camera_is_predicted_whenever_the_next_frame_comes():
     turned = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
     start = np.block([[turned, np.array([[10.0], [20.0], [30.0]])], [np.zeros((1, 3)), np.ones((1, 1))]])
 
@@ -19,12 +19,12 @@ def test_a_steady_camera_is_foreseen_whenever_the_next_frame_comes():
         pose[2, 3] = 500 * time_s
         return start @ pose
 
-    speed = Speed(place(0.0), 0.0)
-    np.testing.assert_allclose(speed.ahead(5.0), place(0.0), atol=1e-9)  # at rest until it was seen to move
+    motion = ConstantVelocity(place(0.0), 0.0)
+    np.testing.assert_allclose(motion.predict(5.0), place(0.0), atol=1e-9)  # rounding; at rest at first
     for seen, then in ((0.1, 0.2), (0.3, 0.35), (0.4, 0.7)):
-        speed.met(place(seen), seen)
-        np.testing.assert_allclose(speed.ahead(then), place(then), atol=1e-9)
-    np.testing.assert_array_equal(speed.ahead(9.0), speed.ahead(90.0))  # nobody goes on for ever
-    still = Speed(place(0.0), 0.0)
-    still.met(place(0.1), 0.0)
-    np.testing.assert_allclose(still.ahead(0.0), place(0.2), atol=1e-9)  # frames without times
+        motion.update(place(seen), seen)
+        np.testing.assert_allclose(motion.predict(then), place(then), atol=1e-9)
+    np.testing.assert_array_equal(motion.predict(9.0), motion.predict(90.0))  # nobody goes on for ever
+    still = ConstantVelocity(place(0.0), 0.0)
+    still.update(place(0.1), 0.0)
+    np.testing.assert_allclose(still.predict(0.0), place(0.2), atol=1e-9)  # frames without times

@@ -15,9 +15,9 @@ from chromaperture.products.rectified import View
 from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.reconstruction.clean_views import cleaned, near_steps
 from chromaperture.reconstruction.fusion import Reconstruction, orthonormal
-from chromaperture.reconstruction.model_files import quaternion, write_mesh_glb, write_mesh_ply
+from chromaperture.reconstruction.model_files import glb, quaternion, write_mesh_ply
 from chromaperture.reconstruction.settings import ReconstructionConfig
-from chromaperture.reconstruction.tracking import sight, track
+from chromaperture.reconstruction.tracking import prepare, track
 from chromaperture.reconstruction.volume import Mesh, Volume
 
 MATRIX = np.array([[160.0, 0, 119.5], [0, 160.0, 89.5], [0, 0, 1]])
@@ -82,7 +82,7 @@ def test_our_fusion_is_open3ds_where_all_pixels_weigh_the_same(o3d):
     view = photograph(pose_at(2.0))
     ours = small_volume()
     ours.integrate(View(view.color, view.z_mm, np.full(SIZE, 50.0, np.float32)), MATRIX, pose_at(2.0))
-    core, theirs = o3d.core, small_volume()._grid
+    core, theirs = o3d.core, small_volume().grid
     image = o3d.t.geometry.Image(core.Tensor(view.z_mm))
     extrinsic = np.linalg.inv(pose_at(2.0))
     extrinsic[:3, 3] /= 1000
@@ -96,9 +96,9 @@ def test_our_fusion_is_open3ds_where_all_pixels_weigh_the_same(o3d):
         assert found.numpy().all()
         return grid.attribute(name).numpy()[slots.numpy()]
 
-    seen = (voxels(ours._grid, "weight") > 0) & (voxels(theirs, "weight") > 0)
+    seen = (voxels(ours.grid, "weight") > 0) & (voxels(theirs, "weight") > 0)
     assert seen.mean() > 0.1
-    gap = np.abs(voxels(ours._grid, "tsdf") - voxels(theirs, "tsdf"))[seen]
+    gap = np.abs(voxels(ours.grid, "tsdf") - voxels(theirs, "tsdf"))[seen]
     # Which of two pixels a voxel falls on is rounded in other ways: walls are smooth, but for their corners.
     assert np.median(gap) < 5e-3
     assert np.quantile(gap, 0.8) < 0.05
@@ -123,10 +123,10 @@ def test_what_was_seen_once_and_never_shown_is_forgotten(o3d):
     blocks, before = volume.blocks, volume.mesh()
     volume.integrate(ghost, MATRIX, np.eye(4))
     assert volume.blocks > blocks
-    assert volume.prune(rest=5) == 0  # it may still be confirmed
+    assert volume.prune(min_age=5) == 0  # it may still be confirmed
     ghosts = volume.blocks - blocks
     # The ghost's own blocks go, and those of the wall's that hold nothing but air before it or behind.
-    assert volume.prune(rest=0) >= ghosts
+    assert volume.prune(min_age=0) >= ghosts
     assert volume.blocks <= blocks
     np.testing.assert_array_equal(np.sort(volume.mesh().vertices_mm, axis=0), np.sort(before.vertices_mm, axis=0))
     # Blocks that take the place of the forgotten ones remember nothing of them.
@@ -164,10 +164,10 @@ def test_a_camera_that_errs_for_hours_does_not_fill_the_volume(o3d, monkeypatch)
             blocks.append(volume.blocks)
         return blocks
 
-    monkeypatch.setattr("chromaperture.reconstruction.volume._REST", 16)
-    monkeypatch.setattr("chromaperture.reconstruction.volume._PRUNE_EVERY", 8)
+    monkeypatch.setattr("chromaperture.reconstruction.volume.MIN_AGE", 16)
+    monkeypatch.setattr("chromaperture.reconstruction.volume.PRUNE_EVERY", 8)
     kept = blocks_over_time()
-    monkeypatch.setattr("chromaperture.reconstruction.volume._PRUNE_EVERY", 10**9)
+    monkeypatch.setattr("chromaperture.reconstruction.volume.PRUNE_EVERY", 10**9)
     control = blocks_over_time()
     wall = small_volume(voxel_mm=20.0)
     wall.integrate(plane(1500.0, 10.0), MATRIX, np.eye(4))
@@ -216,8 +216,8 @@ def test_frames_may_be_dropped_and_the_camera_may_leap_to_where_it_was(o3d):
 
 def test_a_guess_that_is_turned_away_leads_to_the_pose():
     config = ReconstructionConfig(tracking_scale=1)
-    keyframe = sight(photograph(pose_at(0)), MATRIX, config).keyframe(pose_at(0))
-    seen = sight(photograph(pose_at(1.0)), MATRIX, config)
+    keyframe = prepare(photograph(pose_at(0)), MATRIX, config).keyframe(pose_at(0))
+    seen = prepare(photograph(pose_at(1.0)), MATRIX, config)
     for across, down in ((-6.0, 0.0), (4.0, 4.0), (0.0, -5.0), (8.0, 0.0)):  # degrees
         guess = pose_at(0)
         guess[:3, :3] = Rotation.from_euler("yx", [across, down], degrees=True).as_matrix() @ guess[:3, :3]
@@ -241,9 +241,9 @@ def behind_bars(pose: np.ndarray, *, seed: int) -> View:
 
 def test_what_hides_a_place_and_has_no_distance_does_not_pull():
     config = ReconstructionConfig(tracking_scale=1)
-    keyframe = sight(behind_bars(pose_at(0), seed=0), MATRIX, config).keyframe(pose_at(0))
+    keyframe = prepare(behind_bars(pose_at(0), seed=0), MATRIX, config).keyframe(pose_at(0))
     for k in (1.0, 2.0):
-        found = track(sight(behind_bars(pose_at(k), seed=1), MATRIX, config), keyframe, pose_at(0), config=config)
+        found = track(prepare(behind_bars(pose_at(k), seed=1), MATRIX, config), keyframe, pose_at(0), config=config)
         assert not found.lost
         # A sixth of a pixel; weights that never fall to nothing leave three times as much.
         assert np.linalg.norm((found.pose - pose_at(k))[:3, 3]) < 2.0
@@ -253,11 +253,11 @@ def test_a_camera_is_found_where_light_has_changed_and_nothing_is_fused():
     config = ReconstructionConfig(tracking_scale=1)
     first, then = photograph(pose_at(0)), photograph(pose_at(2.0))
     dimmed = View(np.rint(0.7 * then.color + 20).astype(np.uint8), then.z_mm, then.sigma_mm)
-    keyframe = sight(first, MATRIX, config).keyframe(pose_at(0))
-    found = track(sight(dimmed, MATRIX, config), keyframe, pose_at(0), config=config)
+    keyframe = prepare(first, MATRIX, config).keyframe(pose_at(0))
+    found = track(prepare(dimmed, MATRIX, config), keyframe, pose_at(0), config=config)
     assert not found.lost
     assert np.linalg.norm((found.pose - pose_at(2.0))[:3, 3]) < 1.5
-    assert found.likeness > 0.99
+    assert found.correlation > 0.99
 
 
 def test_a_place_seen_again_joins_the_submaps(o3d):
@@ -310,7 +310,7 @@ def test_a_full_volume_is_said_once_and_stays_within_its_memory(o3d):
     volume = model.current.volume
     assert volume.full
     assert volume.blocks <= volume.capacity
-    assert volume._grid.hashmap().capacity() == volume.capacity
+    assert volume.grid.hashmap().capacity() == volume.capacity
     assert sum("volume is full" in line for line in said) == 1
 
 
@@ -347,7 +347,7 @@ def test_meshes_are_read_by_another_program(o3d, tmp_path):
     np.testing.assert_array_equal(np.rint(read.vertex.colors.numpy() * 255), mesh.colors)
     np.testing.assert_array_equal(read.triangle.indices.numpy(), mesh.triangles)
     trimesh = pytest.importorskip("trimesh", reason="no second reader of GLB: that file is NOT tested")
-    write_mesh_glb(tmp_path / "a.glb", mesh)
+    (tmp_path / "a.glb").write_bytes(glb(mesh))
     solid = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
     np.testing.assert_allclose(solid.vertices * [1000, -1000, -1000], mesh.vertices_mm, atol=1e-3)
     np.testing.assert_array_equal(solid.faces, mesh.triangles)

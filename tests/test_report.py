@@ -15,11 +15,11 @@ import pytest
 import typer
 
 from chromaperture.calibration.board_distances import BoardDistances
+from chromaperture.calibration.calibrate_blur import LayerEvidence
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.calibration.chessboard import Intrinsics, centered_pinhole
 from chromaperture.calibration.curves import Evidence
 from chromaperture.calibration.fit_curve import DepthFit
-from chromaperture.calibration.calibrate_blur import LayerEvidence
 from chromaperture.calibration.read_boards import BoardMeasurement
 from chromaperture.calibration.session import Session
 from chromaperture.camera_file import Calibration, Film, Lens, Sensor

@@ -9,16 +9,15 @@ from chromaperture.effects.all_in_focus import (
     SharpenConfig,
     all_in_focus,
     colour_lines,
-    conjugate_gradients,
     smoothness,
 )
-from chromaperture.effects.blur_layers import layer_radii, shares
+from chromaperture.effects.blur_layers import layer_radii, layer_weights
 from chromaperture.effects.layered_model import LayeredModel
 from chromaperture.effects.restoration_tiles import by_tiles
-from chromaperture.effects.transfer_functions import MeasuredBlur, ThinLensBlur
+from chromaperture.effects.transfer_functions import ThinLensBlur, kernel_otf
 from chromaperture.effects.wiener import (
     colour_covariance,
-    continued,
+    extrapolated,
     joint_filter,
     natural_spectrum,
     sharpen_layers,
@@ -85,7 +84,7 @@ def test_a_picture_in_focus_stays_as_it_is(rng):
     image, radius, _, aperture = photograph("cy_halves", rng)
     zero = np.zeros_like(radius)
     out = all_in_focus(image, zero, ThinLensBlur(aperture), noise_variance=np.full(3, 1e-8), aligned=image)
-    # With kernels that do nothing all that may change is what the prior takes for noise.
+    # With kernels that do nothing only the prior changes the picture, by its model error of the contrast.
     assert rms(out, image) < 0.01
 
 
@@ -95,7 +94,7 @@ def test_doubtful_depth_leaves_the_aligned_picture(rng):
     out = all_in_focus(image, radius, ThinLensBlur(aperture), noise_variance=np.full(3, 1e-5), aligned=aligned,
                        radius_sigma_px=np.full(radius.shape, 100.0, np.float32),
                        config=SharpenConfig(reweightings=0))  # fmt: skip
-    np.testing.assert_allclose(out, aligned, atol=2e-3)
+    np.testing.assert_allclose(out, aligned, atol=2e-3)  # certainty 1 / (1 + 100^2 / 0.5^2), times the difference
 
 
 def test_clipped_highlights_are_no_data(rng):
@@ -158,26 +157,17 @@ def test_the_prior_is_symmetric_and_blind_to_even_light(rng):
     weight = rng.random((20, 22)).astype(np.float32)
     a, b = (rng.normal(size=(3, 20, 22)).astype(np.float32) for _ in range(2))
     left, right = np.vdot(a, smoothness(b, metric, weight)), np.vdot(smoothness(a, metric, weight), b)
-    np.testing.assert_allclose(left, right, rtol=1e-4)
-    np.testing.assert_allclose(smoothness(np.ones_like(a), metric, weight), 0, atol=1e-5)
+    np.testing.assert_allclose(left, right, rtol=1e-4)  # float32 sums of 1320 products
+    np.testing.assert_allclose(smoothness(np.ones_like(a), metric, weight), 0, atol=1e-5)  # float32
     assert np.vdot(a, smoothness(a, metric, weight)) > 0
 
 
-def test_conjugate_gradients_solve(rng):
-    square = rng.normal(size=(12, 12))
-    matrix = square @ square.T + 12 * np.eye(12)
-    truth = rng.normal(size=12)
-    found = conjugate_gradients(lambda v: (matrix @ v).astype(np.float32), (matrix @ truth).astype(np.float32),
-                                np.zeros(12), iterations=12)  # fmt: skip
-    np.testing.assert_allclose(found, truth, atol=1e-4)
-
-
-def test_shares_of_layers_sum_to_one_and_average_to_the_radius(rng):
+def test_weights_of_layers_sum_to_one_and_average_to_the_radius(rng):
     radius = (6 * rng.normal(size=(30, 30))).astype(np.float32)
     radii = layer_radii(radius)
-    stack = np.array(list(shares(radius, radii)))
-    np.testing.assert_allclose(stack.sum(axis=0), 1, atol=1e-5)
-    np.testing.assert_allclose(np.tensordot(radii, stack, 1), radius, atol=1e-4)
+    stack = np.array(list(layer_weights(radius, radii)))
+    np.testing.assert_allclose(stack.sum(axis=0), 1, atol=1e-5)  # float32
+    np.testing.assert_allclose(np.tensordot(radii, stack, 1), radius, atol=1e-4)  # float32 of 20 px
     assert 0.0 in radii
 
 
@@ -186,7 +176,8 @@ def test_an_even_picture_needs_two_layers_at_most(value):
     radius = np.full((4, 4), value, np.float32)
     radii = layer_radii(radius)
     assert len(radii) <= 2
-    np.testing.assert_allclose(np.tensordot(radii, np.array(list(shares(radius, radii))), 1), value, atol=1e-5)
+    mean = np.tensordot(radii, np.array(list(layer_weights(radius, radii))), 1)
+    np.testing.assert_allclose(mean, value, atol=1e-5)  # float32
 
 
 def test_the_joint_filter_is_the_linear_estimate_of_least_error(rng):
@@ -211,33 +202,28 @@ def test_the_joint_filter_is_the_linear_estimate_of_least_error(rng):
 def test_spectrum_and_covariance_have_unit_variance(rng):
     spectrum = natural_spectrum((32, 40))
     mirrored = np.concatenate([spectrum, spectrum[:, 1:-1]], axis=1)
-    assert mirrored.mean() == pytest.approx(1, rel=0.03)
+    assert mirrored.mean() == pytest.approx(1, rel=0.03)  # the spectrum counts the Nyquist column twice
     picture = rng.random((64, 64, 1)).astype(np.float32) * np.array([1.0, 0.5, 0.25], np.float32)
     covariance = colour_covariance(picture)
-    np.testing.assert_allclose(covariance[0, 1] / (covariance[0, 0] - 0.02), 0.5, rtol=1e-3)
+    np.testing.assert_allclose(covariance[0, 1] / (covariance[0, 0] - 0.02), 0.5, rtol=1e-3)  # float32 blurs
 
 
-def test_a_surface_is_continued_in_its_own_colours():
+def test_a_surface_is_extrapolated_in_its_own_colours():
     picture = np.zeros((40, 60, 3), np.float32)
     picture[:, :20], picture[:, 20:] = 0.8, 0.1
     known = np.zeros((40, 60), bool)
     known[:, :20] = True
-    np.testing.assert_allclose(continued(picture, known), 0.8, atol=1e-4)
-    np.testing.assert_array_equal(continued(picture, np.ones_like(known)), picture)
+    np.testing.assert_allclose(extrapolated(picture, known), 0.8, atol=1e-4)  # float32 over six levels
+    np.testing.assert_array_equal(extrapolated(picture, np.ones_like(known)), picture)
 
 
-def test_measured_kernels_blur_as_they_were_measured(rng):
-    radii = np.array([-4.0, 2.0, 5.0])
-    kernels = np.array([geometric_psf(DESIGNS["cy_halves"], r, 15) for r in radii])[None, None]
-    blur = MeasuredBlur(kernels, radii)
-    for r in radii:
-        psf = np.fft.irfft2(blur(float(r), (32, 40)), s=(32, 40))
-        rolled = np.roll(psf, (7, 7), axis=(1, 2))[:, :15, :15]
-        np.testing.assert_allclose(rolled, geometric_psf(DESIGNS["cy_halves"], r, 15), atol=1e-6)
+def test_kernels_come_back_from_their_transfer_functions():
+    kernels = geometric_psf(DESIGNS["cy_halves"], 5.0, 15)
+    psf = np.fft.irfft2(kernel_otf(kernels, (32, 40)), s=(32, 40))
+    rolled = np.roll(psf, (7, 7), axis=(1, 2))[:, :15, :15]
+    np.testing.assert_allclose(rolled, kernels, atol=1e-6)  # complex64
     with pytest.raises(InputError, match="fit into"):
-        blur(2.0, (8, 8))
-    with pytest.raises(InputError, match="rise"):
-        MeasuredBlur(kernels, radii[::-1])
+        kernel_otf(kernels, (8, 8))
 
 
 def test_tiles_that_do_nothing_give_the_picture_back(rng):
@@ -249,7 +235,7 @@ def test_tiles_that_do_nothing_give_the_picture_back(rng):
         return picture[piece]
 
     out = by_tiles((70, 110), restore, tile_px=40, overlap_px=6)
-    np.testing.assert_allclose(out, picture, atol=1e-6)
+    np.testing.assert_allclose(out, picture, atol=1e-6)  # float32
     assert len(seen) == 6
     # Three columns, two rows, symmetric about the middle but for whole pixels.
     np.testing.assert_allclose(np.mean(seen, axis=0), 0, atol=0.02)

@@ -123,11 +123,6 @@ def is_raw(path: Path) -> bool:
     return path.suffix.lower() in _RAW_SUFFIXES
 
 
-def bit_depth(path: str | Path) -> int:
-    """Return the bits per sample of an image file; raises InputError like `read_image`."""
-    return decode(path).bits
-
-
 def image_size(path: str | Path) -> tuple[int, int]:
     """Return width and height of an image file, px; raises InputError like `read_image`."""
     height, width = decode(path).array.shape[:2]

@@ -1,1 +1,1 @@
-"""The command line: one short file a subcommand, skins over public functions."""
+"""The command line: one file a subcommand, each a thin layer over public functions."""

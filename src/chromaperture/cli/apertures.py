@@ -1,15 +1,14 @@
-"""``chromaperture apertures``: compare designs for a lens, and print one to cut."""
+"""``chromaperture apertures``: compare designs for a lens, and write a template of one."""
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from chromaperture.cli.options import Film, FocusMm, Json, Lens, Quiet, SensorWidthMm, Width
 from chromaperture.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,54 +16,31 @@ if TYPE_CHECKING:
     from chromaperture.optics.pinhole import PupilCamera
 
 
-@dataclass(frozen=True)
-class DesignRow:
-    """One line of the table; lists run over the distances."""
-
-    name: str
-    title: str
-    transmission_rgb: list[float]
-    efficiency_mean: float
-    efficiency_luminance: float
-    baseline_mm: float
-    distances_mm: list[float]
-    disparity_px: list[float]
-    disparity_px_per_mm: list[float]
-    blur_radius_px: list[float]
-    depth_sigma_mm: list[float | None]
-
-
 def apertures(
-    design: Annotated[
-        list[str] | None, typer.Argument(help="Designs or files to compare; all when absent.")
-    ] = None,
-    lens: Annotated[
-        str, typer.Option(help="Lens that comes with the package, or a .toml file.")
-    ] = "double_gauss_50",
-    focus_mm: Annotated[float, typer.Option(help="Focus distance from the sensor, mm.")] = 2000.0,
+    design: Annotated[list[str] | None, typer.Argument(help="Designs or files to compare; all when absent.")] = None,
+    lens: Lens = "double_gauss_50",
+    focus_mm: FocusMm = 2000.0,
     at_mm: Annotated[list[float] | None, typer.Option(help="Distance to judge at; repeatable.")] = None,
-    film: Annotated[str, typer.Option(help="ideal, real or leaky.")] = "real",
-    width: Annotated[int, typer.Option(help="Image width, px.")] = 720,
-    sensor_width_mm: Annotated[float, typer.Option(help="Width of the sensor, mm.")] = 22.3,
-    figure: Annotated[
-        Path | None, typer.Option(help="Write a figure of masks and depth errors (.png, .svg).")
-    ] = None,
-    template: Annotated[
-        Path | None, typer.Option(help="Write a 1:1 template of the one design (.svg, .pdf).")
-    ] = None,
+    film: Film = "real",
+    width: Width = 720,
+    sensor_width_mm: SensorWidthMm = 22.3,
+    figure: Annotated[Path | None, typer.Option(help="Write a figure of masks and depth errors (.png, .svg).")] = None,
+    template: Annotated[Path | None, typer.Option(help="Write a 1:1 template of the one design (.svg, .pdf).")] = None,
     pupil_mm: Annotated[float | None, typer.Option(help="Diameter of the stop for the template, mm.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Compare aperture designs: light, baseline, disparity, blur, and the best depth error they allow.
 
     Example: chromaperture apertures cy_halves --template cy.pdf --pupil-mm 17.1
     """
+    from chromaperture.cli.console import print_json
     from chromaperture.optics.aperture import DESIGNS, made_of
     from chromaperture.optics.aperture_file import load_aperture
     from chromaperture.optics.paraxial import focused_at
     from chromaperture.optics.pinhole import pupil_camera
     from chromaperture.optics.prescription import load_lens
+    from chromaperture.optics.template import write_template
 
     names = design or list(DESIGNS)
     chosen = [made_of(load_aperture(n), film) if n in DESIGNS else load_aperture(n) for n in names]
@@ -73,25 +49,23 @@ def apertures(
     camera = pupil_camera(optics, width_px=width, height_px=round(width * 2 / 3), pixel_pitch_mm=pitch)
     rows = design_table(chosen, camera, at_mm or [1000.0, 1500.0, 2000.0, 3000.0, 4000.0])
     if template:
-        from chromaperture.optics.template import write_template
-
         if len(chosen) != 1:
             raise InputError("--template needs exactly one design")
         stop = next(s for s in optics.surfaces if s.role == "stop")
         write_template(template, chosen[0], pupil_diameter_mm=pupil_mm or 2 * stop.semi_diameter_mm)
     if figure:
         draw_designs(figure, chosen, camera)
-    if as_json:
-        typer.echo(json.dumps([asdict(row) for row in rows], indent=1))
+    if json:
+        print_json(rows)
     elif not quiet:
         _print_table(rows, camera)
     for path in (template, figure):
-        if path and not quiet and not as_json:
+        if path and not quiet and not json:
             typer.echo(f"Wrote {path}")
 
 
-def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list[float]) -> list[DesignRow]:
-    """Collect the figures of designs before one lens, at equal exposure of the open aperture."""
+def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list[float]) -> list[dict[str, Any]]:
+    """Return the figures of designs in one lens, at equal exposure of the open aperture; lists run over distances."""
     import numpy as np
 
     from chromaperture.optics.depth_error_bound import expected_accuracy
@@ -102,59 +76,49 @@ def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list
         light = aperture_figures(aperture)
         views = aperture_figures(aperture, film_unmixing(aperture))
         curve = expected_accuracy(aperture, camera, np.array(distances_mm))
-        rows.append(
-            DesignRow(
-                name=aperture.name,
-                title=aperture.title,
-                transmission_rgb=light.channel_transmission.round(4).tolist(),
-                efficiency_mean=round(light.efficiency_mean, 4),
-                efficiency_luminance=round(light.efficiency_luminance, 4),
-                baseline_mm=round(views.baseline * camera.pupil_radius_mm if aperture.views else 0.0, 3),
-                distances_mm=[float(z) for z in distances_mm],
-                disparity_px=curve.disparity_px.round(3).tolist(),
-                disparity_px_per_mm=curve.disparity_per_mm.round(6).tolist(),
-                blur_radius_px=curve.blur_px.round(3).tolist(),
-                depth_sigma_mm=[round(float(s), 3) if math.isfinite(s) else None for s in curve.sigma_mm],
-            )
-        )
+        rows.append({
+            "name": aperture.name,
+            "title": aperture.title,
+            "transmission_rgb": light.channel_transmission.round(4).tolist(),
+            "efficiency_mean": round(light.efficiency_mean, 4),
+            "efficiency_luminance": round(light.efficiency_luminance, 4),
+            "baseline_mm": round(views.baseline * camera.pupil_radius_mm if aperture.views else 0.0, 3),
+            "distances_mm": [float(z) for z in distances_mm],
+            "disparity_px": curve.disparity_px.round(3).tolist(),
+            "disparity_px_per_mm": curve.disparity_per_mm.round(6).tolist(),
+            "blur_radius_px": curve.blur_px.round(3).tolist(),
+            "depth_sigma_mm": [round(float(s), 3) if math.isfinite(s) else None for s in curve.sigma_mm],
+        })  # fmt: skip
     return rows
 
 
-def _print_table(rows: list[DesignRow], camera: PupilCamera) -> None:
-    from rich.console import Console
-    from rich.table import Table
+def _print_table(rows: list[dict[str, Any]], camera: PupilCamera) -> None:
+    from chromaperture.cli.console import out as console
+    from chromaperture.cli.console import table
 
-    console = Console()
     lens = (
         f"image distance {camera.image_distance_mm:.1f} mm, pupil {2 * camera.pupil_radius_mm:.1f} mm, "
         f"focus {camera.focus_mm:.0f} mm"
     )
-    light = Table(title=f"Light and baseline: {lens}")
-    for heading in ("design", "R", "G", "B", "mean", "luminance", "baseline"):
-        light.add_column(heading, justify="left" if heading == "design" else "right")
+    light = table(f"Light and baseline: {lens}", "design", "R", "G", "B", "mean", "luminance", "baseline")
     for row in rows:
-        shares = [*row.transmission_rgb, row.efficiency_mean, row.efficiency_luminance]
-        baseline = f"{row.baseline_mm:.2f} mm" if row.baseline_mm else "-"
-        light.add_row(row.name, *(f"{100 * share:.1f} %" for share in shares), baseline)
+        passed = [*row["transmission_rgb"], row["efficiency_mean"], row["efficiency_luminance"]]
+        baseline = f"{row['baseline_mm']:.2f} mm" if row["baseline_mm"] else "-"
+        light.add_row(row["name"], *(f"{100 * x:.1f} %" for x in passed), baseline)
     console.print(light)
-
-    columns = [f"{z:.0f} mm" for z in rows[0].distances_mm]
-    titles = ("Least depth error, mm", "Disparity, px", "Disparity per mm, px")
-    numbers = (
-        [[f"{s:.1f}" if s is not None else "-" for s in row.depth_sigma_mm] for row in rows],
-        [[f"{d:+.2f}" for d in row.disparity_px] for row in rows],
-        [[f"{d:.5f}" for d in row.disparity_px_per_mm] for row in rows],
-    )
-    for title, cells in zip(titles, numbers, strict=True):
-        table = Table("design", title=title)
-        for column in columns:
-            table.add_column(column, justify="right")
-        for row, values in zip(rows, cells, strict=True):
-            if row.baseline_mm:
-                table.add_row(row.name, *values)
-        if table.row_count:
-            console.print(table)
-    blur = ", ".join(f"{r:+.1f} px at {z}" for r, z in zip(rows[0].blur_radius_px, columns, strict=True))
+    columns = [f"{z:.0f} mm" for z in rows[0]["distances_mm"]]
+    for title, key, style in (
+        ("Least depth error, mm", "depth_sigma_mm", ".1f"),
+        ("Disparity, px", "disparity_px", "+.2f"),
+        ("Disparity per mm, px", "disparity_px_per_mm", ".5f"),
+    ):
+        figures = table(title, "design", *columns)
+        for row in rows:
+            if row["baseline_mm"]:
+                figures.add_row(row["name"], *("-" if v is None else format(v, style) for v in row[key]))
+        if figures.row_count:
+            console.print(figures)
+    blur = ", ".join(f"{r:+.1f} px at {z}" for r, z in zip(rows[0]["blur_radius_px"], columns, strict=True))
     console.print(f"Blur radius of the whole pupil (- nearer than the focus): {blur}")
 
 
@@ -176,9 +140,7 @@ def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> Non
     below = drawing.add_subplot(grid[1, :])
     x, y = pupil_grid(200)
     last = 4000.0 if math.isinf(camera.focus_mm) else 2 * camera.focus_mm
-    distances = np.linspace(
-        max(0.25 * last, 1.5 * camera.sensor_to_pupil_mm + camera.image_distance_mm), last, 40
-    )
+    distances = np.linspace(max(0.25 * last, 1.5 * camera.sensor_to_pupil_mm + camera.image_distance_mm), last, 40)
     for i, aperture in enumerate(chosen):
         axes = drawing.add_subplot(grid[0, i])
         picture = np.where((np.hypot(x, y) < 1)[..., None], aperture.transmission_map(x, y), 1.0)
@@ -188,9 +150,8 @@ def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> Non
         percent = 100 * aperture_figures(aperture).efficiency_mean
         axes.set_title(f"{aperture.title.replace(': ', chr(10))}\n{percent:.1f} %", fontsize=8)
         if aperture.views:
-            below.semilogy(
-                distances, expected_accuracy(aperture, camera, distances).sigma_mm, label=aperture.title
-            )
+            sigma_mm = expected_accuracy(aperture, camera, distances).sigma_mm
+            below.semilogy(distances, sigma_mm, label=aperture.title)
     below.set(xlabel="distance from the sensor, mm", ylabel="bound on the depth error σ, mm")
     below.grid(alpha=0.3)
     if below.lines:

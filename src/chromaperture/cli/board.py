@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from chromaperture.cli.options import Quiet
 from chromaperture.errors import InputError
 
 
@@ -18,7 +19,7 @@ def board(
     square: Annotated[str, typer.Option(help="Side of a square, such as 22mm or 3cm.")] = "22mm",
     paper: Annotated[str, typer.Option(help="a4, a3 or letter; landscape.")] = "a4",
     wall_pages: Annotated[int, typer.Option(help="Pages of speckle for the wall around the board.", min=0)] = 0,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Write a chessboard of true size, in speckle that helps the matcher.
 

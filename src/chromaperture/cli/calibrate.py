@@ -6,9 +6,14 @@ import shlex
 import shutil
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from chromaperture.cli.options import Json, Quiet
+
+if TYPE_CHECKING:
+    from chromaperture.calibration.calibrate_session import CalibrationResult
 
 
 def calibrate(
@@ -26,11 +31,11 @@ def calibrate(
         bool, typer.Option("--no-blur", help="Leave out the lens's blur: faster, quality accurate is less so.")
     ] = False,
     per_pixel: Annotated[
-        bool, typer.Option("--per-pixel", help="Curves free at every place of the frame, for a dozen boards or more.")
+        bool, typer.Option("--per-pixel", help="Curves free at every image position, for a dozen boards or more.")
     ] = False,
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Calibrate a camera from a folder of photographs.
 
@@ -39,16 +44,13 @@ def calibrate(
     A report with pictures is written beside it, camera.report.html. docs/calibration-session.md shows how the folder is
     laid out.
     """
-    from rich.table import Table
-
     from chromaperture.calibration.calibrate_session import calibrate_session
     from chromaperture.calibration.calibration_config import CalibrationConfig
     from chromaperture.camera_file import Calibration
-    from chromaperture.cli.console import out as console
     from chromaperture.cli.console import print_files, print_json, progress
 
     known = Calibration.load(lens_from) if lens_from else None
-    kept = out.parent / f".{out.stem}.calibrating"  # what an interrupted run has measured so far
+    kept = out.parent / f".{out.stem}.calibrating"  # measurements of an interrupted run
     with progress(quiet=quiet or json) as update:
         result = calibrate_session(
             session,
@@ -69,23 +71,27 @@ def calibrate(
     if json:
         print_json(result.calibration.summary())
     elif not quiet:
-        table = Table(title="Boards")
-        for name in ("photograph", "ruler [mm]", "disparity [px]", "measured - ruler [mm]", "[%]"):
-            table.add_column(name.replace("[", "\\["), justify="right")
-        for board, residual in zip(result.boards, result.fits["real-time"].residual_mm, strict=True):
-            table.add_row(
-                board.name,
-                f"{board.ruler_mm:.0f}",
-                f"{board.disparity_px['real-time']:+.3f}",
-                f"{residual:+.1f}",
-                f"{100 * residual / board.ruler_mm:+.2f}",
-            )
-        console.print(table)
-        cal = result.calibration
-        console.print(
-            f"focal length {cal.lens.focal_length_mm:.2f} mm, in focus at {cal.in_focus_mm:.0f} mm, "
-            f"baseline {cal.baseline_mm:.2f} mm, rms {result.fits['real-time'].rms_mm:.1f} mm"
-        )
-        for note in result.notes:
-            console.print(f"note: {note}")
+        _print_result(result)
         print_files(files)
+
+
+def _print_result(result: CalibrationResult) -> None:
+    from chromaperture.cli.console import out, table
+
+    boards = table("Boards", "photograph", "ruler [mm]", "disparity [px]", "measured - ruler [mm]", "[%]", left=0)
+    for board, residual in zip(result.boards, result.fits["real-time"].residual_mm, strict=True):
+        boards.add_row(
+            board.name,
+            f"{board.ruler_mm:.0f}",
+            f"{board.disparity_px['real-time']:+.3f}",
+            f"{residual:+.1f}",
+            f"{100 * residual / board.ruler_mm:+.2f}",
+        )
+    out.print(boards)
+    cal = result.calibration
+    out.print(
+        f"focal length {cal.lens.focal_length_mm:.2f} mm, in focus at {cal.in_focus_mm:.0f} mm, "
+        f"baseline {cal.baseline_mm:.2f} mm, rms {result.fits['real-time'].rms_mm:.1f} mm"
+    )
+    for note in result.notes:
+        out.print(f"note: {note}")

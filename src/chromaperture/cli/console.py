@@ -1,4 +1,4 @@
-"""What all subcommands print with: results on standard output, progress and complaints on standard error."""
+"""Print for all subcommands: results on standard output, progress, warnings and errors on standard error."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from chromaperture.compilation import is_compiled
 from chromaperture.errors import CaptureWarning
 from chromaperture.products.measure_file import Report
 
@@ -39,7 +40,7 @@ def show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print our own warnings as one line; others as Python does."""
+    """Print the package's own warnings as one line; others as Python does."""
     if issubclass(category, CaptureWarning):
         say_warning(str(message))
     else:
@@ -64,26 +65,33 @@ def progress(*, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
 
 
 def announce_compilation(*, quiet: bool) -> None:
-    """Say beforehand that the first run takes longer, where no compiled matcher lies beside its source."""
-    import chromaperture.disparity
+    """Announce that the first run takes longer, when no compiled matcher is on disk."""
+    if quiet:
+        return
+    from chromaperture.disparity.cpu import strips as matcher  # any module with kernels of the matcher
 
-    folders = [Path(folder, "__pycache__") for folder in chromaperture.disparity.__path__]
-    if not quiet and not any(any(folder.glob("*.nbi")) for folder in folders):
+    if not is_compiled(matcher):
         err.print("Compiling the matcher once for this machine (about a minute); later runs start at once.")
 
 
-def report_table(reports: list[Report]) -> Table:
-    """Give the summary of measured images: fill rate, depth percentiles, time per stage."""
+def print_reports(reports: list[Report], *, note: str = "") -> None:
+    """Print a summary of measured images, a note, and the files written."""
+    out.print(_table(reports))
+    if note:
+        out.print(note)
+    print_files([file for report in reports for file in report.files])
+
+
+def _table(reports: list[Report]) -> Table:
+    """Tabulate fill rate, depth percentiles and time per stage."""
     calibrated = any(r.summary["depth_percentiles_mm"] for r in reports)
     unit, key = ("mm", "depth_percentiles_mm") if calibrated else ("px", "disparity_percentiles_px")
-    table = Table(title="Depth from the sensor plane" if calibrated else "Disparity (no calibration: no millimetres)")
-    table.add_column("image")
-    for report in reports:
-        table.add_column(escape(report.summary["image"]), justify="right")
+    title = "Depth from the sensor plane" if calibrated else "Disparity (no calibration: no millimetres)"
+    summaries = table(title, "image", *(report.summary["image"] for report in reports))
     digits = 0 if calibrated else 2
 
     def row(name: str, cells: Iterable[str], style: str = "") -> None:
-        table.add_row(name, *cells, style=style)
+        summaries.add_row(name, *cells, style=style)
 
     row("fill rate", (f"{r.summary['fill_rate']:.1%}" for r in reports))
     for percentile, name in (("5", "nearest 5 %"), ("50", "median"), ("95", "farthest 5 %")):
@@ -94,11 +102,19 @@ def report_table(reports: list[Report]) -> Table:
         row("median error bar", ("-" if s is None else f"±{s:.0f} mm" for s in sigmas))
     for stage in reports[0].summary["seconds"]:
         row(f"time, {stage}", (f"{1000 * r.summary['seconds'][stage]:.0f} ms" for r in reports), "dim")
-    return table
+    return summaries
+
+
+def table(title: str, *headings: str, left: int = 1) -> Table:
+    """Create a table whose first columns are left-aligned, the others right-aligned."""
+    rows = Table(title=escape(title))
+    for i, heading in enumerate(headings):
+        rows.add_column(escape(heading), justify="left" if i < left else "right", overflow="fold")
+    return rows
 
 
 def print_files(files: list[Path]) -> None:
-    """Say what was written, a folder a line."""
+    """Print what was written, one line a folder."""
     folders: dict[Path, list[str]] = {}
     for file in files:
         folders.setdefault(file.parent, []).append(file.name)

@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from chromaperture.cli.options import BlackLevel, CameraOrDesign, Design, Json, Quality, Quiet, WhiteLevel
+from chromaperture.errors import ChromapertureError, InputError
+
+if TYPE_CHECKING:
+    from chromaperture.camera import CodedApertureCamera
 
 
 def depth(
     images: Annotated[
         list[Path], typer.Argument(help="Photographs through the colour-coded aperture.", metavar="IMAGE...")
     ],
-    camera: Annotated[
-        Path | None,
-        typer.Option("--camera", "-c", help="Camera file from 'chromaperture calibrate'.", metavar="CAMERA.asdf"),
-    ] = None,
-    design: Annotated[
-        str | None, typer.Option(help="Without a camera file: name of the aperture design. Gives disparity only.")
-    ] = None,
+    camera: CameraOrDesign = None,
+    design: Design = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for the results; default beside the image.")
     ] = None,
-    quality: Annotated[str, typer.Option(help="paper, real-time or accurate.")] = "real-time",
-    black_level: Annotated[float | None, typer.Option(help="Counts of no light; default the camera file's.")] = None,
-    white_level: Annotated[float | None, typer.Option(help="Counts of a full well; default the camera file's.")] = None,
+    quality: Quality = "real-time",
+    black_level: BlackLevel = None,
+    white_level: WhiteLevel = None,
     config: Annotated[Path | None, typer.Option(help="TOML file with [matcher] and [depth] settings.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Measure depth in millimetres for every pixel of one or more photographs.
 
@@ -35,46 +37,50 @@ def depth(
 
     chromaperture depth photo.jpg --design rgb_squares        (no calibration: disparity in px)
     """
-    from chromaperture.cli.console import (
-        announce_compilation,
-        print_files,
-        print_json,
-        progress,
-        report_table,
-        say_error,
-    )
-    from chromaperture.cli.console import out as console
-    from chromaperture.cli.setup import camera_for
-    from chromaperture.errors import ChromapertureError, InputError
+    from chromaperture.cli.console import announce_compilation, print_json, print_reports, progress, say_error
     from chromaperture.products.measure_file import measure_file
 
     if len({(out or image.parent, image.stem) for image in images}) < len(images):
         raise InputError("two images would write the same files; measure them into different --out folders")
+    camera_of = cameras(images[0], camera, design, quality=quality, config=config)
     announce_compilation(quiet=quiet or json)
-    reports, failed = [], 0
+    reports = []
     with progress(quiet=quiet or json) as update:
         for i, image in enumerate(images):
+
+            def show(stage: str, i: int = i, name: str = image.name) -> None:
+                update(f"{name}: {stage}", i, len(images))
+
+            levels = {"black_level": black_level, "white_level": white_level}
             try:
-                eye = camera_for(image, camera, design, quality=quality, config=config)
-                reports.append(
-                    measure_file(
-                        image,
-                        eye,
-                        out=out,
-                        black_level=black_level,
-                        white_level=white_level,
-                        listener=lambda name, i=i, image=image: update(f"{image.name}: {name}", i, len(images)),  # type: ignore[misc]
-                    )
-                )
+                reports.append(measure_file(image, camera_of(image), out=out, listener=show, **levels))
             except ChromapertureError as error:
                 say_error(error)
-                failed += 1
     if json:
         print_json([report.summary for report in reports])
     elif reports and not quiet:
-        console.print(report_table(reports))
-        if camera is None:
-            console.print("No calibration: disparity in px only. Depth in mm needs a camera file (--camera).")
-        print_files([file for report in reports for file in report.files])
-    if failed:
+        note = "No calibration: disparity in px only. Depth in mm needs a camera file (--camera)."
+        print_reports(reports, note=note if camera is None else "")
+    if len(reports) < len(images):
         raise typer.Exit(2)
+
+
+def cameras(
+    first: Path, camera: Path | None, design: str | None, *, quality: str, config: Path | None
+) -> Callable[[Path], CodedApertureCamera]:
+    """Return the function from an image to its camera: the file's, read once, or one for each size for a design."""
+    from chromaperture.capture.files import image_size
+    from chromaperture.cli.setup import camera_for
+
+    if design is None or camera is not None:
+        same = camera_for(first, camera, design, quality=quality, config=config)
+        return lambda image: same
+    of_sizes: dict[tuple[int, int], CodedApertureCamera] = {}
+
+    def of_size(image: Path) -> CodedApertureCamera:
+        size = image_size(image)
+        if size not in of_sizes:
+            of_sizes[size] = camera_for(image, None, design, quality=quality, config=config)
+        return of_sizes[size]
+
+    return of_size

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from chromaperture.cli.options import Json, Quiet
 from chromaperture.errors import InputError
+
+if TYPE_CHECKING:
+    from chromaperture.evaluation.paper.exhibit import Exhibit
+    from chromaperture.evaluation.paper.run import Outcome
 
 
 def evaluate(
@@ -27,22 +32,20 @@ def evaluate(
         list[Path] | None, typer.Option("--camera", "-c", help="Camera files, one a design, instead of calibrating.")
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Make what is finished anew too.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Make the paper's figures and tables and put the paper's numbers beside ours.
+    """Make the paper's figures and tables, with the paper's numbers beside those measured.
 
     chromaperture evaluate all --out evaluation
 
-    Every figure has its own folder with pictures and CSV files; report.html holds all of them. A run that was
-    interrupted goes on where it stopped.
+    Every figure has its own folder with pictures and CSV files; report.html contains all of them. An interrupted run
+    continues where it stopped.
     """
     from chromaperture.cli.console import announce_compilation, print_json, progress, say_warning
-    from chromaperture.cli.console import out as console
     from chromaperture.evaluation.paper.cluster import dask_distributed
     from chromaperture.evaluation.paper.context import Context
     from chromaperture.evaluation.paper.html_page import write_page
-    from chromaperture.evaluation.paper.registry import chosen
     from chromaperture.evaluation.paper.run import evaluate as run
 
     if workers < 0:
@@ -54,14 +57,7 @@ def evaluate(
             raise InputError(f"no camera file at {path}")
     if cluster:
         dask_distributed()
-    if data is not None and not data.is_dir():
-        raise InputError(f"--data {data} is no folder: give the one that holds the sessions, or leave it out")
-    exhibits = chosen(names or [])
-    if data is None:  # what has no simulated input is asked for by name or not at all
-        unable = [e.name for e in exhibits if e.only_data]
-        if unable and names and "all" not in names:
-            raise InputError(f"{', '.join(unable)} needs photographs: give their folder with --data")
-        exhibits = [e for e in exhibits if not e.only_data]
+    exhibits = _chosen(names or [], data)
     announce_compilation(quiet=quiet or json)
     context = Context(out, data=data, quick=quick, workers=workers, cluster=cluster, cameras=tuple(camera or ()))
     with progress(quiet=quiet or json) as update:
@@ -73,9 +69,30 @@ def evaluate(
     if json:
         print_json([{"name": o.exhibit.name, "problem": o.problem, **(o.result or {})} for o in outcomes])
     elif not quiet:
-        kept = sum(o.kept for o in outcomes)
-        made = sum(o.result is not None for o in outcomes) - kept
-        console.print(f"{made} made, {kept} kept from before, {len(outcomes) - made - kept} skipped")
-        console.print(f"Wrote {page}", soft_wrap=True, markup=False)
+        _print_outcomes(outcomes, page)
     if any(outcome.problem for outcome in outcomes):
         raise typer.Exit(1)
+
+
+def _chosen(names: list[str], data: Path | None) -> list[Exhibit]:
+    """Return the exhibits to make; raises InputError for those named that have no input."""
+    from chromaperture.evaluation.paper.registry import chosen
+
+    if data is not None and not data.is_dir():
+        raise InputError(f"--data {data} is no folder: give the one that holds the sessions, or leave it out")
+    exhibits = chosen(names)
+    if data is not None:
+        return exhibits
+    unable = [e.name for e in exhibits if e.only_data]
+    if unable and names and "all" not in names:
+        raise InputError(f"{', '.join(unable)} needs photographs: give their folder with --data")
+    return [e for e in exhibits if not e.only_data]
+
+
+def _print_outcomes(outcomes: list[Outcome], page: Path) -> None:
+    from chromaperture.cli.console import out
+
+    kept = sum(o.kept for o in outcomes)
+    made = sum(o.result is not None for o in outcomes) - kept
+    out.print(f"{made} made, {kept} kept from before, {len(outcomes) - made - kept} skipped")
+    out.print(f"Wrote {page}", soft_wrap=True, markup=False)

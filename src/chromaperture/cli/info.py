@@ -7,13 +7,15 @@ from typing import Annotated
 
 import typer
 
+from chromaperture.cli.options import Json, Quiet
+
 
 def info(
     camera: Annotated[Path, typer.Argument(help="Camera file.", metavar="CAMERA.asdf")],
-    json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only check that the file can be read.")] = False,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Show what a camera file says: lens, focus, baseline, aperture, how it was calibrated."""
+    """Show the content of a camera file: lens, focus, baseline, aperture, how it was calibrated."""
     from rich.markup import escape
     from rich.table import Table
 

@@ -37,27 +37,17 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("demo")(demo.demo)
-app.command("depth")(depth.depth)
-app.command("calibrate")(calibrate.calibrate)
-app.command("info")(info.info)
-app.command("check")(check.check)
-app.command("board")(board.board)
-app.command("apertures")(apertures.apertures)
-app.command("refocus")(refocus.refocus)
-app.command("transparency")(transparency.transparency)
-app.command("simulate")(simulate.simulate)
+_MODULES = (
+    demo, depth, calibrate, info, check, board, apertures, refocus, transparency, simulate, sources, record, export,
+    evaluate, reconstruct, live,
+)  # fmt: skip
+for module in _MODULES:  # each has a function of its own name
+    app.command()(getattr(module, module.__name__.rpartition(".")[2]))
 app.command("simulate-rgbd")(simulate.simulate_rgbd)
-app.command("sources")(sources.sources)
-app.command("record")(record.record)
-app.command("export")(export.export)
-app.command("evaluate")(evaluate.evaluate)
-app.command("reconstruct")(reconstruct.reconstruct)
-app.command("live")(live.live)
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"chromaperture {__version__}")
         raise typer.Exit
 
@@ -68,11 +58,11 @@ def _options(
         bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Hold the options before the subcommand."""
+    """Declare the options before the subcommand."""
 
 
 def main() -> None:
-    """Run the command line; errors made by input are one line on standard error and exit code 2."""
+    """Run the command line; invalid input is one line on standard error and exit code 2."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("always", CaptureWarning)

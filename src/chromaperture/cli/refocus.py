@@ -3,49 +3,66 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from chromaperture.cli.options import BlackLevel, CameraOrDesign, Design, Json, Quality, Quiet, WhiteLevel
 from chromaperture.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from chromaperture.camera import CodedApertureCamera
+    from chromaperture.effects.refocusing import Focus
     from chromaperture.effects.restore import SharpPicture
+
+_focus, _lens, _effect = (partial(typer.Option, rich_help_panel=p) for p in ("Where to focus", "New lens", "Picture"))
+
+
+@dataclass(frozen=True)
+class _Request:
+    """Checked options: distance in mm or pixel to focus on, or a sweep; pupil; effects; the file to write."""
+
+    distance_mm: float | None
+    pixel: tuple[int, int] | None
+    sweep: bool
+    f_number: float | None
+    strength: float | None
+    bokeh: str
+    background: Any  # one of BACKGROUND_EFFECTS
+    sharpness: Any  # one of SHARPNESS
+    target: Path
 
 
 def refocus(
     photo: Annotated[Path, typer.Argument(help="Photograph through the colour-coded aperture.", metavar="PHOTO")],
-    camera: Annotated[
-        Path | None,
-        typer.Option("--camera", "-c", help="Camera file from 'chromaperture calibrate'.", metavar="CAMERA.asdf"),
-    ] = None,
-    design: Annotated[str | None, typer.Option(help="Without a camera file: name of the aperture design.")] = None,
+    camera: CameraOrDesign = None,
+    design: Design = None,
     focus: Annotated[
-        str | None, typer.Option(help="Distance from the sensor to focus on, as 1500mm or 1.5m.", metavar="DISTANCE")
+        str | None, _focus(help="Distance from the sensor to focus on, as 1500mm or 1.5m.", metavar="DISTANCE")
     ] = None,
-    point: Annotated[
-        str | None, typer.Option(help="Pixel to focus on, from the top-left corner.", metavar="X,Y")
-    ] = None,
-    sweep: Annotated[bool, typer.Option("--sweep", help="Focus from near to far, as GIF or MP4.")] = False,
-    f_number: Annotated[float | None, typer.Option(help="f-number of the new lens; default the camera's.")] = None,
+    point: Annotated[str | None, _focus(help="Pixel to focus on, from the top-left corner.", metavar="X,Y")] = None,
+    sweep: Annotated[bool, _focus("--sweep", help="Focus from near to far, as GIF or MP4.")] = False,
+    f_number: Annotated[float | None, _lens(help="f-number of the new lens; default the camera's.")] = None,
     strength: Annotated[
-        float | None, typer.Option(help="Instead of --f-number: size of the new pupil, 1 = the camera's, 0 = pinhole.")
+        float | None, _lens(help="Instead of --f-number: size of the new pupil, 1 = the camera's, 0 = pinhole.")
     ] = None,
-    bokeh: Annotated[str, typer.Option(help="disc, hex, or a picture of the pupil.")] = "disc",
-    background: Annotated[str, typer.Option(help="keep, desaturate or blur what lies behind the focus.")] = "keep",
-    sharpness: Annotated[
-        str, typer.Option(help="How to restore the picture first: aligned, fast or full.")
-    ] = "full",
+    bokeh: Annotated[str, _lens(help="disc, hex, or a picture of the pupil.")] = "disc",
+    background: Annotated[str, _effect(help="keep, desaturate or blur what lies behind the focus.")] = "keep",
+    sharpness: Annotated[str, _effect(help="How to restore the picture first: aligned, fast or full.")] = "full",
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Picture to write; default PHOTO.refocus.png.", metavar="FILE")
     ] = None,
-    quality: Annotated[str, typer.Option(help="Of the depth: paper, real-time or accurate.")] = "accurate",
-    black_level: Annotated[float | None, typer.Option(help="Counts of no light; default the camera file's.")] = None,
-    white_level: Annotated[float | None, typer.Option(help="Counts of a full well; default the camera file's.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
+    quality: Quality = "accurate",
+    black_level: BlackLevel = None,
+    white_level: WhiteLevel = None,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Restore the colour picture and focus it elsewhere, with another f-number or pupil.
 
@@ -57,66 +74,95 @@ def refocus(
     """
     from chromaperture.cli.console import announce_compilation, print_files, print_json, progress
     from chromaperture.cli.setup import camera_for
-    from chromaperture.effects.background import BACKGROUND_EFFECTS, apply_background
-    from chromaperture.effects.bokeh import bokeh_mask
-    from chromaperture.effects.focus_sweep import SUFFIXES, write_sweep
-    from chromaperture.effects.focus_sweep import sweep as focus_sweep
     from chromaperture.effects.refocusing import Focus
-    from chromaperture.effects.restore import SHARPNESS, restore
     from chromaperture.products.measure_file import read_capture
-    from chromaperture.storage import staged, write_color_png
 
-    # Everything that can be wrong with the options, before the minute of work.
-    if [focus is not None, point is not None, sweep].count(True) > 1:
-        raise InputError("choose one of --focus, --point and --sweep")
-    if f_number is not None and strength is not None:
-        raise InputError("choose one of --f-number and --strength")
-    for name, value, known in (("background", background, BACKGROUND_EFFECTS), ("sharpness", sharpness, SHARPNESS)):
-        if value not in known:
-            raise InputError(f"unknown --{name} {value!r}: choose {', '.join(known)}")
-    bokeh_mask(bokeh)
     distance_mm = None if focus is None else parse_distance(focus)
     pixel = None if point is None else parse_point(point)
     target = out or photo.with_name(f"{photo.stem}.{'sweep.gif' if sweep else 'refocus.png'}")
-    allowed = SUFFIXES if sweep else (".png",)
-    if target.suffix.lower() not in allowed:
-        raise InputError(f"--out {target.name} must end in {' or '.join(allowed)}")
-    eye = camera_for(photo, camera, design, quality=with_optimiser(quality, camera), config=None)
+    request = _Request(distance_mm, pixel, sweep, f_number, strength, bokeh, background, sharpness, target)
+    _check(request)  # before the minute of work
+    if quality == "accurate" and camera is None:
+        quality = "real-time"  # the accurate one needs a calibration
+    eye = camera_for(photo, camera, design, quality=quality, config=None)
     pupil = pupil_strength(eye, f_number, strength)
     announce_compilation(quiet=quiet or json)
     with progress(quiet=quiet or json) as update:
         update(f"{photo.name}: depth", 0, 3)
         image = read_capture(photo, eye, black_level=black_level, white_level=white_level)
-        frame = eye.measure(image)
-        update(f"{photo.name}: restoration", 1, 3)
-        picture = restore(
-            image, frame.disparity_px, eye, sigma_px=frame.disparity_sigma_px, sharpness=sharpness  # type: ignore[arg-type]
-        )
+        picture = _restored(image, eye, request, lambda: update(f"{photo.name}: restoration", 1, 3))
         update(f"{photo.name}: focus", 2, 3)
-        radius = 0.0 if sweep else chosen_radius(eye, picture, distance_mm, pixel)
-        lens = Focus(radius, pupil, bokeh)
-        with staged(target.parent) as stage:
-            exposed = picture.color * exposure(picture.color)
-            if sweep:
-                write_sweep(stage.path(target.name), focus_sweep(exposed, picture.radius_px, lens))
-            else:
-                shown = apply_background(exposed, picture.radius_px, lens, background)  # type: ignore[arg-type]
-                write_color_png(stage.path(target.name), shown)
+        lens = Focus(0.0 if sweep else chosen_radius(eye, picture, distance_mm, pixel), pupil, bokeh)
+        (_write_sweep if sweep else _write_picture)(picture, lens, request)
     if json:
-        print_json(
-            {
-                "image": photo.name,
-                "file": str(target),
-                "focus_radius_px": None if sweep else radius,
-                "strength": pupil,
-                "radius_range_px": [float(picture.radius_px.min()), float(picture.radius_px.max())],
-                "bokeh": bokeh,
-                "background": background,
-                "sharpness": sharpness,
-            }
-        )
+        print_json(_summary(photo, picture, lens, request))
     elif not quiet:
         print_files([target])
+
+
+def _check(request: _Request) -> None:
+    """Raise InputError for options that contradict each other or are unknown."""
+    from chromaperture.effects.background import BACKGROUND_EFFECTS
+    from chromaperture.effects.bokeh import bokeh_mask
+    from chromaperture.effects.focus_sweep import SUFFIXES
+    from chromaperture.effects.restore import SHARPNESS
+
+    if [request.distance_mm is not None, request.pixel is not None, request.sweep].count(True) > 1:
+        raise InputError("choose one of --focus, --point and --sweep")
+    if request.f_number is not None and request.strength is not None:
+        raise InputError("choose one of --f-number and --strength")
+    for name, known in (("background", BACKGROUND_EFFECTS), ("sharpness", SHARPNESS)):
+        if getattr(request, name) not in known:
+            raise InputError(f"unknown --{name} {getattr(request, name)!r}: choose {', '.join(known)}")
+    bokeh_mask(request.bokeh)
+    allowed = SUFFIXES if request.sweep else (".png",)
+    if request.target.suffix.lower() not in allowed:
+        raise InputError(f"--out {request.target.name} must end in {' or '.join(allowed)}")
+
+
+def _restored(
+    image: np.ndarray, camera: CodedApertureCamera, request: _Request, measured: Callable[[], None]
+) -> SharpPicture:
+    """Measure and restore, scaled so that the picture's brightest lies just below white."""
+    import numpy as np
+
+    from chromaperture.effects.restore import restore
+
+    frame = camera.measure(image)
+    measured()
+    picture = restore(image, frame.disparity_px, camera, sigma_px=frame.disparity_sigma_px, sharpness=request.sharpness)
+    gain = float(0.95 / max(np.percentile(picture.color, 99.8), 1e-6))
+    return replace(picture, color=picture.color * gain)
+
+
+def _write_picture(picture: SharpPicture, lens: Focus, request: _Request) -> None:
+    from chromaperture.effects.background import apply_background
+    from chromaperture.storage import staged, write_color_png
+
+    with staged(request.target.parent) as stage:
+        shown = apply_background(picture.color, picture.radius_px, lens, request.background)
+        write_color_png(stage.path(request.target.name), shown)
+
+
+def _write_sweep(picture: SharpPicture, lens: Focus, request: _Request) -> None:
+    from chromaperture.effects.focus_sweep import sweep, write_sweep
+    from chromaperture.storage import staged
+
+    with staged(request.target.parent) as stage:
+        write_sweep(stage.path(request.target.name), sweep(picture.color, picture.radius_px, lens))
+
+
+def _summary(photo: Path, picture: SharpPicture, lens: Focus, request: _Request) -> dict[str, Any]:
+    return {
+        "image": photo.name,
+        "file": str(request.target),
+        "focus_radius_px": None if request.sweep else lens.radius_px,
+        "strength": lens.strength,
+        "radius_range_px": [float(picture.radius_px.min()), float(picture.radius_px.max())],
+        "bokeh": lens.bokeh,
+        "background": request.background,
+        "sharpness": request.sharpness,
+    }
 
 
 def parse_distance(text: str) -> float:
@@ -142,13 +188,8 @@ def parse_point(text: str) -> tuple[int, int]:
     return x, y
 
 
-def with_optimiser(quality: str, camera: Path | None) -> str:
-    """Give the quality that can be had: the accurate one needs a calibrated camera."""
-    return "real-time" if quality == "accurate" and camera is None else quality
-
-
 def pupil_strength(camera: CodedApertureCamera, f_number: float | None, strength: float | None) -> float:
-    """Size of the new pupil in units of the camera's; raises InputError."""
+    """Return the size of the new pupil in units of the camera's; raises InputError."""
     if strength is not None:
         if not (math.isfinite(strength) and strength >= 0):
             raise InputError(f"--strength must be a number >= 0, got {strength:g}")
@@ -159,14 +200,14 @@ def pupil_strength(camera: CodedApertureCamera, f_number: float | None, strength
         raise InputError(f"--f-number must be positive, got {f_number:g}")
     own = camera.calibration.lens.f_number
     if not own:
-        raise InputError("the camera file does not know the lens's f-number; give --strength instead of --f-number")
+        raise InputError("the camera file lacks the lens's f-number; give --strength instead of --f-number")
     return own / f_number
 
 
 def chosen_radius(
     camera: CodedApertureCamera, picture: SharpPicture, distance_mm: float | None, pixel: tuple[int, int] | None
 ) -> float:
-    """Blur radius of the surface to focus on; that of the capture's own focus when nothing is chosen."""
+    """Return the blur radius of the surface to focus on; 0, the capture's own focus, when none is chosen."""
     import numpy as np
 
     from chromaperture.effects.restore import focus_radius
@@ -180,10 +221,3 @@ def chosen_radius(
     if not (0 <= x < width and 0 <= y < height):
         raise InputError(f"--point {x},{y} lies outside the picture of {width}x{height} px")
     return float(np.median(picture.radius_px[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4]))
-
-
-def exposure(color: object) -> float:
-    """Gain that brings the brightest of the picture just below white."""
-    import numpy as np
-
-    return float(0.95 / max(np.percentile(np.asarray(color), 99.8), 1e-6))

@@ -2,55 +2,42 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from chromaperture.cli.options import Aperture, Film, FocusMm, Lens, Quiet, Seed, SensorWidthMm, Width
 from chromaperture.errors import InputError
+
+if TYPE_CHECKING:
+    from chromaperture.optics import aperture as optics_aperture
 
 
 def simulate(
-    out: Annotated[
-        Path, typer.Argument(help="Folder of the session; white/ and truth/ are written beside it.")
-    ],
-    aperture: Annotated[str, typer.Option(help="Design, or a .toml or .svg file of your own.")] = "cy_halves",
-    film: Annotated[str, typer.Option(help="ideal, real or leaky; own files keep their film.")] = "real",
-    lens: Annotated[
-        str, typer.Option(help="Lens that comes with the package, or a .toml file.")
-    ] = "double_gauss_50",
-    focus_mm: Annotated[
-        float, typer.Option(help="Focus distance from the sensor, mm; inf allowed.")
-    ] = 2000.0,
-    filter_offset_mm: Annotated[
-        float, typer.Option(help="Film off the stop, mm, + towards the sensor.")
-    ] = 0.0,
-    thin: Annotated[
-        bool, typer.Option(help="Use the lens's first order only: no aberrations, no vignetting.")
-    ] = False,
-    scene: Annotated[
-        list[Path] | None, typer.Option(help="Scene file of textured planes; repeatable.")
-    ] = None,
-    width: Annotated[int, typer.Option(help="Image width, px.")] = 720,
+    out: Annotated[Path, typer.Argument(help="Folder of the session; white/ and truth/ are written beside it.")],
+    aperture: Aperture = "cy_halves",
+    film: Film = "real",
+    lens: Lens = "double_gauss_50",
+    focus_mm: FocusMm = 2000.0,
+    filter_offset_mm: Annotated[float, typer.Option(help="Film off the stop, mm, + towards the sensor.")] = 0.0,
+    thin: Annotated[bool, typer.Option(help="Use the lens's first order only: no aberrations, no vignetting.")] = False,
+    scene: Annotated[list[Path] | None, typer.Option(help="Scene file of textured planes; repeatable.")] = None,
+    width: Width = 720,
     height: Annotated[int, typer.Option(help="Image height, px.")] = 480,
-    sensor_width_mm: Annotated[float, typer.Option(help="Width of the sensor, mm.")] = 22.3,
+    sensor_width_mm: SensorWidthMm = 22.3,
     nearest_mm: Annotated[float, typer.Option(help="First board distance.")] = 1000.0,
     farthest_mm: Annotated[float, typer.Option(help="Last board distance.")] = 4000.0,
     step_mm: Annotated[float, typer.Option(help="Distance from board to board.")] = 100.0,
     tilts: Annotated[int, typer.Option(help="Tilted board views.")] = 12,
-    cells: Annotated[
-        int, typer.Option(help="Rays across the pupil, even; noise and time grow with its square.")
-    ] = 16,
-    seed: Annotated[int, typer.Option(help="Seed of noise and ruler errors.")] = 0,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
+    cells: Annotated[int, typer.Option(help="Rays across the pupil, even; noise and time grow with its square.")] = 16,
+    seed: Seed = 0,
+    quiet: Quiet = False,
 ) -> None:
     """Write a calibration session with known truth.
 
     Example: chromaperture simulate session/cy_halves --step-mm 500 --width 360 --height 240
     """
-    from chromaperture.optics.aperture import Aperture, made_of
-    from chromaperture.optics.aperture_file import load_aperture
     from chromaperture.optics.paraxial import focused_at
     from chromaperture.optics.pinhole import pupil_camera
     from chromaperture.optics.prescription import load_lens, with_filter_at
@@ -62,34 +49,24 @@ def simulate(
         raise InputError(f"--cells must be even and at least 4, got {cells}")
     if step_mm <= 0 or farthest_mm < nearest_mm:
         raise InputError("--step-mm must be positive and --farthest-mm at least --nearest-mm")
-    design = load_aperture(aperture)
-    if not aperture.lower().endswith((".toml", ".svg")):
-        design = made_of(design, film)
+    design = _design(aperture, film)
     optics = focused_at(load_lens(lens), focus_mm)
-    pitch = sensor_width_mm / width
-    camera = pupil_camera(optics, width_px=width, height_px=height, pixel_pitch_mm=pitch)
+    size: dict[str, Any] = {"width_px": width, "height_px": height, "pixel_pitch_mm": sensor_width_mm / width}
+    camera = pupil_camera(optics, **size)
     traced = with_filter_at(optics, filter_offset_mm) if filter_offset_mm else optics
 
-    def rays(coded: Aperture) -> RayTable:
-        if thin:
-            return pinhole_rays(camera, coded, cells=cells)
-        size = {"width_px": width, "height_px": height}
-        return lens_rays(traced, coded, **size, pixel_pitch_mm=pitch, cells=cells)
+    def rays(coded: optics_aperture.Aperture) -> RayTable:
+        return pinhole_rays(camera, coded, cells=cells) if thin else lens_rays(traced, coded, **size, cells=cells)
 
     count = int((farthest_mm - nearest_mm) / step_mm + 1e-6) + 1
-    plan = replace(
-        SessionPlan(),
-        distances_mm=tuple(nearest_mm + i * step_mm for i in range(count)),
-        tilts=tilts,
-        seed=seed,
-    )
+    distances_mm = tuple(nearest_mm + i * step_mm for i in range(count))
     write_session(
         out,
         aperture=design,
         camera=camera,
         rays=rays,
         scenes={path.stem: load_scene(path) for path in scene or []},
-        plan=plan,
+        plan=SessionPlan(distances_mm=distances_mm, tilts=tilts, seed=seed),
         report=(lambda name: None) if quiet else typer.echo,
     )
     if not quiet:
@@ -101,18 +78,16 @@ def simulate_rgbd(
     depth: Annotated[Path, typer.Argument(help="16-bit depth of the same size; 0 and 65535 unknown.")],
     out: Annotated[Path, typer.Argument(help="Coded capture to write, 16-bit PNG of linear counts.")],
     focal_px: Annotated[float, typer.Option(help="fx of the RGB-D camera.")],
-    aperture: Annotated[str, typer.Option(help="Design, or a .toml or .svg file of your own.")] = "cy_halves",
-    film: Annotated[str, typer.Option(help="ideal, real or leaky; own files keep their film.")] = "real",
+    aperture: Aperture = "cy_halves",
+    film: Film = "real",
     pupil_radius_mm: Annotated[float, typer.Option(help="Radius of the entrance pupil, mm.")] = 12.5,
-    focus_mm: Annotated[float, typer.Option(help="Focus distance from the sensor, mm.")] = 2000.0,
+    focus_mm: FocusMm = 2000.0,
     sensor_to_pupil_mm: Annotated[float, typer.Option(help="Sensor plane to entrance pupil, mm.")] = 50.0,
     depth_unit_mm: Annotated[float, typer.Option(help="Millimetres a count of the depth map.")] = 1.0,
     pitch_px: Annotated[float, typer.Option(help="Distance of two layers in blur radius.")] = 0.5,
-    exposure: Annotated[
-        float, typer.Option(help="Factor on the light; white paper at 1 fills the sensor.")
-    ] = 0.9,
-    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
+    exposure: Annotated[float, typer.Option(help="Factor on the light; white paper at 1 fills the sensor.")] = 0.9,
+    seed: Seed = 0,
+    quiet: Quiet = False,
 ) -> None:
     """Photograph an RGB-D picture through a coded aperture.
 
@@ -120,25 +95,29 @@ def simulate_rgbd(
     """
     import cv2
 
-    from chromaperture.optics.aperture import made_of
-    from chromaperture.optics.aperture_file import load_aperture
     from chromaperture.optics.layer_renderer import render_layers
     from chromaperture.optics.pinhole import PupilCamera
     from chromaperture.optics.rgbd import read_rgbd
     from chromaperture.optics.sensor import SensorModel, expose
 
-    design = load_aperture(aperture)
-    if not aperture.lower().endswith((".toml", ".svg")):
-        design = made_of(design, film)
-    picture, depth_mm = read_rgbd(
-        color, depth, depth_unit_mm=depth_unit_mm, sensor_to_pupil_mm=sensor_to_pupil_mm
-    )
+    design = _design(aperture, film)
+    picture, depth_mm = read_rgbd(color, depth, depth_unit_mm=depth_unit_mm, sensor_to_pupil_mm=sensor_to_pupil_mm)
     height, width = depth_mm.shape
+    # The pixel pitch, 0.02 mm, only serves to check that the focus lies beyond the image distance.
     camera = PupilCamera(width, height, focal_px, pupil_radius_mm, focus_mm, sensor_to_pupil_mm, 0.02)
-    made = render_layers(picture, depth_mm, camera=camera, aperture=design, pitch_px=pitch_px)
-    counts = expose(made.image, SensorModel(), seed=seed, exposure=exposure)
+    rendered = render_layers(picture, depth_mm, camera=camera, aperture=design, pitch_px=pitch_px)
+    counts = expose(rendered.image, SensorModel(), seed=seed, exposure=exposure)
     out.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(out), counts[..., ::-1]):
         raise InputError(f"could not write {out}: use the name of a .png file")
     if not quiet:
-        typer.echo(f"Wrote {out} ({made.layer_count} layers)")
+        typer.echo(f"Wrote {out} ({rendered.layer_count} layers)")
+
+
+def _design(name: str, film: str) -> optics_aperture.Aperture:
+    """Return a design made of a film, or that of a file with its own film."""
+    from chromaperture.optics.aperture import made_of
+    from chromaperture.optics.aperture_file import load_aperture
+
+    design = load_aperture(name)
+    return design if name.lower().endswith((".toml", ".svg")) else made_of(design, film)

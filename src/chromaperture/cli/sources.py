@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import typer
 
+from chromaperture.cli.options import Json
 
-def sources(json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False) -> None:
+
+def sources(json: Json = False) -> None:
     """List the cameras that are connected, and which extra is missing for the others."""
     from dataclasses import asdict
 

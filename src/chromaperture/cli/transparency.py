@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from chromaperture.cli.options import Json, Quiet
 from chromaperture.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,11 +25,9 @@ def transparency(
     exposure: Annotated[
         float, typer.Option(help="Exposure of the SHEETs over that of the bare one, where they differ.")
     ] = 1.0,
-    figure: Annotated[
-        Path | None, typer.Option(help="Write maps and the bar chart of Figure 11 (.png, .svg).")
-    ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
+    figure: Annotated[Path | None, typer.Option(help="Write maps and the bar chart of Figure 11 (.png, .svg).")] = None,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Measure how much light coded apertures pass, and what that costs in noise.
 
@@ -36,7 +35,7 @@ def transparency(
     """
     from chromaperture.capture.files import read_image
     from chromaperture.cli.console import print_json
-    from chromaperture.color.transparency_map import transparency as share_of_light
+    from chromaperture.color.transparency_map import transparency as transparency_map
     from chromaperture.storage import staged
 
     if not exposure > 0:
@@ -52,7 +51,7 @@ def transparency(
     rows: list[dict[str, Any]] = []
     for path in sheets:
         sheet = read(path)
-        maps[path.stem] = share_of_light(sheet / exposure if exposure != 1 else sheet, open_sheet)
+        maps[path.stem] = transparency_map(sheet / exposure if exposure != 1 else sheet, open_sheet)
         rows.append({"name": path.stem, **figures(sheet, open_sheet, maps[path.stem])})
     if figure is not None:
         with staged(figure.parent) as stage:
@@ -65,14 +64,14 @@ def transparency(
             typer.echo(f"Wrote {figure}")
 
 
-def figures(coded: np.ndarray, bare: np.ndarray, share: np.ndarray) -> dict[str, Any]:
-    """Collect what Tables 1 and 2 and Figure 11 say of one aperture; losses in dB, mean over the channels."""
+def figures(coded: np.ndarray, bare: np.ndarray, transmission: np.ndarray) -> dict[str, Any]:
+    """Return the figures of Tables 1 and 2 and Figure 11 for one aperture; losses in dB, mean over the channels."""
     import numpy as np
 
     from chromaperture.color.snr import exposure_to_restore, snr_db
     from chromaperture.color.transparency_map import light_efficiency
 
-    light = light_efficiency(share)
+    light = light_efficiency(transmission)
     (open_center, _), (center, border) = snr_db(bare), snr_db(coded)
     loss = float(np.mean(open_center - center))
     longer = exposure_to_restore(max(loss, 0.0))
@@ -120,23 +119,21 @@ def draw(path: Path, maps: dict[str, np.ndarray]) -> None:
 
 def _print(rows: list[dict[str, Any]]) -> None:
     from rich.markup import escape
-    from rich.table import Table
 
-    from chromaperture.cli.console import out
+    from chromaperture.cli.console import out, table
 
-    table = Table(title="Transparency, Eq. (11), and loss of signal-to-noise ratio")
-    for heading in ("sheet", "R", "G", "B", "mean", "loss, dB", "exposure"):
-        table.add_column(heading, justify="left" if heading == "sheet" else "right", overflow="fold")
+    title = "Transparency, Eq. (11), and loss of signal-to-noise ratio"
+    sheets = table(title, "sheet", "R", "G", "B", "mean", "loss, dB", "exposure")
     for row in rows:
         ranges = (f"{a:.2f}-{b:.2f}" for a, b in zip(row["minimum_rgb"], row["maximum_rgb"], strict=True))
-        table.add_row(
+        sheets.add_row(
             escape(row["name"]),
             *ranges,
             f"{100 * row['efficiency']:.1f}%",
             f"{row['snr_loss_central_db']:.1f} / {row['snr_loss_border_db']:.1f}",
             f"x{row['exposure_shot_noise']:.2f} (x{row['exposure_amplitude']:.2f})",
         )
-    out.print(table)
+    out.print(sheets)
     out.print(
         "Loss: in the centre / at the border, against the bare centre. "
         "Exposure: what restores the centre's SNR where photons make the noise; in brackets where the sensor's own "

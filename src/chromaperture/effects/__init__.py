@@ -1,1 +1,1 @@
-"""Pictures made with depth: everything in focus, focus elsewhere, effects."""
+"""Pictures computed from depth: everything in focus, another focus, effects."""

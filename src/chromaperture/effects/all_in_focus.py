@@ -1,4 +1,4 @@
-"""Everything in focus: the sharp picture that the capture is most probably a blurred copy of.
+"""Restore everything in focus: the sharp picture of which the capture is most probably a blurred copy.
 
 All layers and all channels are solved for together, so that no layer rings into its neighbours:
 
@@ -11,50 +11,44 @@ heavy-tailed prior |D x|^0.8, found by reweighting; each quadratic problem is so
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.sparse.linalg import LinearOperator, cg
 
 from chromaperture.effects.layered_model import LayeredModel
 from chromaperture.effects.transfer_functions import Blur
 from chromaperture.effects.wiener import colour_covariance, mirrored, padded_size, sharpen_layers
 from chromaperture.errors import InputError
 
-_DOUBT_PX, _DOUBT_SHARE = 0.5, 0.08  # error of the blur radius at which a pixel counts half
-_CONTRAST_PX = 9
-
-Map = Callable[[np.ndarray], np.ndarray]
+# Chosen by hand; not tuned.
+_PRIOR_EXPONENT = 0.8  # of the gradients' size: 2 is Gaussian, below 1 favours few strong edges
+_COLOUR_SIGMA_PX = 4.0  # standard deviation of the window over which a colour line is estimated
+_ITERATIONS = 10  # conjugate gradients in each round
+_RADIUS_ERROR_PX, _RADIUS_ERROR = 0.5, 0.08  # error of the blur radius, px and relative, at which a pixel weighs half
+_CONTRAST_PX = 9  # side of the window of the local contrast
+_COLOUR_FLOOR = 0.05  # variance across the colour line, of the mean variance: bounds the inverse
+_GRADIENT_FLOOR = 0.02  # squared gradient, of its mean, below which the prior is quadratic: bounds its curvature
 
 
 @dataclass(frozen=True)
 class SharpenConfig:
-    """Settings of the restoration.
+    """Settings of the restoration; chosen by hand unless a measurement is stated.
 
     Attributes
     ----------
-    prior_exponent : float
-        Of the gradients' size: 2 is Gaussian, below 1 favours few strong edges.
-    prior_weight : float
-        1 takes the differences to be as large as the capture's own.
     model_error : float
-        What the blur model is wrong by, as a share of the local contrast: kernels are never known exactly.
+        Error of the blur model as a fraction of the local contrast: kernels are never known exactly.
     kernel_error : float
-        What the transfer functions are wrong by.
-    colour_sigma_px : float
-        Reach of a colour line.
-    reweightings, iterations : int
-        Outer rounds, and conjugate gradients in each; 0 rounds give the layered Wiener estimate.
+        Error of the transfer functions; docs/colour.md shows which fit which design.
+    reweightings : int
+        Outer rounds; 0 return the layered Wiener estimate.
     """
 
-    prior_exponent: float = 0.8
-    prior_weight: float = 1.0
     model_error: float = 0.25
     kernel_error: float = 0.15
-    colour_sigma_px: float = 4.0
     reweightings: int = 3
-    iterations: int = 10
 
 
 def all_in_focus(
@@ -67,28 +61,25 @@ def all_in_focus(
     radius_sigma_px: np.ndarray | None = None,
     saturated: np.ndarray | None = None,
     config: SharpenConfig | None = None,
-    center: tuple[float, float] | None = None,
 ) -> np.ndarray:
     """Restore the sharp picture in the view of the pupil's centre.
 
     Parameters
     ----------
     image : (H, W, 3) float32, linear RGB
-        The capture, white balanced, channels where they fell.
+        The capture, white balanced, channels not aligned.
     radius_px : (H, W) float32, px
         Signed blur radius of every pixel, + beyond focus; no NaN.
     blur : Blur
     noise_variance : (3,) float
         Of the white-balanced image.
     aligned : (H, W, 3) float32
-        The capture with its channels aligned: tells the colour lines, and stays where the blur is in doubt.
+        The capture with its channels aligned: source of the colour lines, and kept where the blur is uncertain.
     radius_sigma_px : (H, W) float32, optional
         Standard deviation of the blur radius.
     saturated : (H, W) bool, optional
-        Clipped pixels of the capture, which only say "at least this much": they are no data.
+        Clipped pixels of the capture, lower bounds only: they get no weight.
     config : SharpenConfig, optional
-    center : (x, y), optional
-        Of this picture in the frame, -1 to 1.
 
     Returns
     -------
@@ -108,60 +99,72 @@ def all_in_focus(
     noise = np.asarray(noise_variance, float) + misfit.mean(axis=(0, 1))
     start = sharpen_layers(
         image, radius_px, blur, noise_variance=noise, colour=colour_covariance(aligned),
-        kernel_error=config.kernel_error, center=center,
+        kernel_error=config.kernel_error,
     )  # fmt: skip
-    sure = certainty(radius_px, radius_sigma_px)
-    start = sure[..., None] * start + (1 - sure[..., None]) * aligned
+    certain = certainty(radius_px, radius_sigma_px)
+    start = certain[..., None] * start + (1 - certain[..., None]) * aligned
     if config.reweightings == 0:
         return start
     pad, size = padded_size(radius_px.shape, radius_px)
-    model = LayeredModel(mirrored(radius_px.astype(np.float32), pad, size), blur, center=center)
+    model = LayeredModel(mirrored(radius_px.astype(np.float32), pad, size), blur)
     y, x, guide = (_planes(mirrored(v, pad, size)) for v in (image, start, aligned))
-    trust = model.trust
     variance = _planes(mirrored(misfit + np.asarray(noise_variance, np.float32), pad, size))
-    precision = trust * mirrored(sure, pad, size) / variance
-    # At depth edges a layer's own estimate rings, and little data would correct it: start from the blurred picture.
-    sure = cv2.GaussianBlur(trust.min(axis=0), (0, 0), 1.0) ** 2
-    x = sure * x + (1 - sure) * guide
-    inside = np.zeros(size, np.float32)  # what lies outside the frame was not measured
-    inside[pad : pad + image.shape[0], pad : pad + image.shape[1]] = 1
+    precision = model.data_weight * mirrored(certain, pad, size) / variance
+    crop = np.s_[pad : pad + image.shape[0], pad : pad + image.shape[1]]
+    measured = np.zeros(size, np.float32)  # 0 in the margin
+    measured[crop] = 1
     if saturated is not None:
-        inside *= mirrored(1 - np.asarray(saturated, np.float32), pad, size)
-    precision *= inside
-    metric, scale = colour_lines(guide, sigma_px=config.colour_sigma_px)
-    right = model.adjoint(precision * y)
-    for _ in range(config.reweightings):
-        weight = _weights(x, metric, scale, config)
+        measured *= mirrored(1 - np.asarray(saturated, np.float32), pad, size)
+    precision *= measured
+    # At depth edges a layer's own estimate rings, and few data would correct it: start from the blurred picture.
+    smooth_weight = cv2.GaussianBlur(model.data_weight.min(axis=0), (0, 0), 1.0) ** 2
+    x = smooth_weight * x + (1 - smooth_weight) * guide
+    solution = _solved(model, y, precision, x, guide, rounds=config.reweightings)
+    return np.ascontiguousarray(solution[:, *crop].transpose(1, 2, 0))
+
+
+def _solved(
+    model: LayeredModel, capture: np.ndarray, precision: np.ndarray, x: np.ndarray, guide: np.ndarray, *, rounds: int
+) -> np.ndarray:
+    """Minimise the sum above from a start x, all (3, H, W) float32."""
+    metric, scale = colour_lines(guide, sigma_px=_COLOUR_SIGMA_PX)
+    right, shape = model.adjoint(precision * capture), x.shape
+    for _ in range(rounds):
+        weight = _weights(x, metric, scale)
 
         def normal(v: np.ndarray, weight: np.ndarray = weight) -> np.ndarray:
-            return model.adjoint(precision * model.forward(v)) + smoothness(v, metric, weight)
+            v = v.reshape(shape)
+            return (model.adjoint(precision * model.forward(v)) + smoothness(v, metric, weight)).ravel()
 
-        x = conjugate_gradients(normal, right, x, iterations=config.iterations)
+        # A fixed number of steps from a good start; atol only stops at a residual of 0, by which the next would divide.
+        x = cg(
+            LinearOperator((x.size, x.size), normal, dtype=np.float32), right.ravel(), x.ravel(),
+            rtol=0.0, atol=float(np.finfo(np.float32).tiny), maxiter=_ITERATIONS,
+        )[0].reshape(shape)  # fmt: skip
         np.maximum(x, 0, out=x)
-    crop = x[:, pad : pad + image.shape[0], pad : pad + image.shape[1]]
-    return np.ascontiguousarray(crop.transpose(1, 2, 0))
+    return x
 
 
 def local_variance(picture: np.ndarray) -> np.ndarray:
-    """Variance of each channel around every pixel; (H, W, 3) float32."""
+    """Return the variance of each channel around every pixel; (H, W, 3) float32."""
     mean = cv2.boxFilter(picture, -1, (_CONTRAST_PX, _CONTRAST_PX))
     return np.maximum(cv2.boxFilter(picture * picture, -1, (_CONTRAST_PX, _CONTRAST_PX)) - mean * mean, 0)
 
 
 def certainty(radius_px: np.ndarray, sigma_px: np.ndarray | None) -> np.ndarray:
-    """How far a blur radius can be relied on: little where it is noisy or jumps; (H, W) float32 in [0, 1]."""
+    """Return the weight of a blur radius: low where it is noisy or jumps; (H, W) float32 in [0, 1]."""
     radius = np.asarray(radius_px, np.float32)
     mean = cv2.boxFilter(radius, -1, (5, 5))
-    doubt = np.maximum(cv2.boxFilter(radius * radius, -1, (5, 5)) - mean * mean, 0)
+    variance = np.maximum(cv2.boxFilter(radius * radius, -1, (5, 5)) - mean * mean, 0)
     if sigma_px is not None:
-        doubt = doubt + np.square(np.asarray(sigma_px, np.float32))
-    # A large blur forgives more: what counts is the error relative to it.
-    allowed = np.float32(_DOUBT_PX) ** 2 + (np.float32(_DOUBT_SHARE) * radius) ** 2
-    return np.asarray(1 / (1 + doubt / allowed), np.float32)
+        variance = variance + np.square(np.asarray(sigma_px, np.float32))
+    # A large blur tolerates more: the error relative to it counts.
+    allowed = np.float32(_RADIUS_ERROR_PX) ** 2 + (np.float32(_RADIUS_ERROR) * radius) ** 2
+    return np.asarray(1 / (1 + variance / allowed), np.float32)
 
 
 def colour_lines(guide: np.ndarray, *, sigma_px: float) -> tuple[np.ndarray, float]:
-    """Inverse covariance of the channels' differences around every pixel, and the differences' mean square.
+    """Return the inverse covariance of the channels' differences around every pixel, and their mean square.
 
     Parameters
     ----------
@@ -180,13 +183,13 @@ def colour_lines(guide: np.ndarray, *, sigma_px: float) -> tuple[np.ndarray, flo
     mean = np.trace(covariance) / 3
     scale = max(float(mean.mean()), 1e-10)
     covariance /= np.maximum(mean, 1e-3 * scale)
-    covariance += 0.05 * np.eye(3)[..., None, None]
+    covariance += _COLOUR_FLOOR * np.eye(3)[..., None, None]
     inverse = np.linalg.inv(covariance.transpose(2, 3, 0, 1)).transpose(2, 3, 0, 1)
     return np.ascontiguousarray(inverse, np.float32), scale
 
 
 def smoothness(v: np.ndarray, metric: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Gradient of half the prior: sum_i D_i^T w C^-1 D_i v; (3, H, W) float32."""
+    """Return the gradient of half the prior, sum_i D_i^T w C^-1 D_i v; (3, H, W) float32."""
     a, b = (weight * np.einsum("ijhw,jhw->ihw", metric, d) for d in (_right(v), _down(v)))
     out = -a - b
     out[..., 1:] += a[..., :-1]
@@ -194,30 +197,11 @@ def smoothness(v: np.ndarray, metric: np.ndarray, weight: np.ndarray) -> np.ndar
     return out
 
 
-def conjugate_gradients(normal: Map, right: np.ndarray, start: np.ndarray, *, iterations: int) -> np.ndarray:
-    """Solve normal(x) = right for a symmetric positive map, a few steps from a good start."""
-    x = start.astype(np.float32)
-    residual = right - normal(x)
-    direction = residual.copy()
-    energy = float(np.vdot(residual, residual).real)
-    for _ in range(iterations):
-        if energy <= 0:
-            break
-        image = normal(direction)
-        step = np.float32(energy / max(float(np.vdot(direction, image).real), 1e-30))
-        x += step * direction
-        residual -= step * image
-        left = float(np.vdot(residual, residual).real)
-        direction = residual + np.float32(left / energy) * direction
-        energy = left
-    return x
-
-
-def _weights(x: np.ndarray, metric: np.ndarray, scale: float, config: SharpenConfig) -> np.ndarray:
-    """Curvature of |D x|^p at the present differences; (H, W) float32."""
+def _weights(x: np.ndarray, metric: np.ndarray, scale: float) -> np.ndarray:
+    """Return the curvature of |D x|^p at the present differences; (H, W) float32."""
     squares = sum(np.einsum("ihw,ijhw,jhw->hw", d, metric, d) for d in (_right(x), _down(x))) / np.float32(3 * scale)
-    power = (config.prior_exponent - 2) / 2
-    return np.asarray(config.prior_weight / scale * (squares + 0.02) ** power, np.float32)
+    power = (_PRIOR_EXPONENT - 2) / 2
+    return np.asarray(1 / scale * (squares + _GRADIENT_FLOOR) ** power, np.float32)
 
 
 def _right(v: np.ndarray) -> np.ndarray:

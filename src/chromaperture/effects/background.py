@@ -1,4 +1,4 @@
-"""Effects that depth guides: the background loses its colour, or its sharpness."""
+"""Effects guided by depth: remove colour or sharpness from the background."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from chromaperture.errors import InputError
 
 BackgroundEffect = Literal["keep", "desaturate", "blur"]
 BACKGROUND_EFFECTS: tuple[BackgroundEffect, ...] = get_args(BackgroundEffect)
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
-_DEEP_PX = 1.0  # blur radius of the capture by which the focus surface is deep
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB, IEC 61966-2-1
+_RAMP_PX = 1.0  # blur radius over which the background sets in, and its distance from the focus; chosen by hand
 
 
-def background_share(radius_px: np.ndarray, focus_radius_px: float) -> np.ndarray:
-    """How much each pixel belongs to what lies behind the focus; rises smoothly, (H, W) float32 in [0, 1]."""
-    t = np.clip((radius_px - np.float32(focus_radius_px)) / _DEEP_PX - 1, 0, 1).astype(np.float32)
+def background_weight(radius_px: np.ndarray, focus_radius_px: float) -> np.ndarray:
+    """Return how far each pixel belongs to the background of the focus, a smooth step; (H, W) float32 in [0, 1]."""
+    t = np.clip((radius_px - np.float32(focus_radius_px)) / _RAMP_PX - 1, 0, 1).astype(np.float32)
     return t * t * (3 - 2 * t)
 
 
 def desaturate_background(color: np.ndarray, radius_px: np.ndarray, focus_radius_px: float) -> np.ndarray:
-    """Turn what lies behind the focus grey, at its own luminance.
+    """Turn the background grey at its own luminance.
 
     Parameters
     ----------
@@ -37,21 +37,16 @@ def desaturate_background(color: np.ndarray, radius_px: np.ndarray, focus_radius
     (H, W, 3) float32
     """
     grey = (color @ _LUMINANCE)[..., None]
-    share = background_share(radius_px, focus_radius_px)[..., None]
-    return np.asarray(color + share * (grey - color), np.float32)
-
-
-def blur_background(color: np.ndarray, radius_px: np.ndarray, focus: Focus) -> np.ndarray:
-    """Blur only what lies behind the focus; all before it stays sharp. See `refocus`; (H, W, 3) float32."""
-    return refocus(color, np.maximum(radius_px, np.float32(focus.radius_px)), focus)
+    weight = background_weight(radius_px, focus_radius_px)[..., None]
+    return np.asarray(color + weight * (grey - color), np.float32)
 
 
 def apply_background(color: np.ndarray, radius_px: np.ndarray, focus: Focus, effect: BackgroundEffect) -> np.ndarray:
-    """Refocus with one of the effects; raises InputError for an unknown one; (H, W, 3) float32."""
+    """Refocus with one of the effects, see `refocus`; raises InputError for an unknown one; (H, W, 3) float32."""
     if effect not in BACKGROUND_EFFECTS:
         raise InputError(f"unknown background effect {effect!r}: choose {', '.join(BACKGROUND_EFFECTS)}")
-    if effect == "blur":
-        return blur_background(color, radius_px, focus)
-    if effect == "desaturate":
+    if effect == "blur":  # only what lies behind the focus
+        radius_px = np.maximum(radius_px, np.float32(focus.radius_px))
+    elif effect == "desaturate":
         color = desaturate_background(color, radius_px, focus.radius_px)
     return refocus(color, radius_px, focus)

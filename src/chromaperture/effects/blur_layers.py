@@ -1,4 +1,4 @@
-"""A picture cut into layers of equal blur; two neighbouring layers share the light between them linearly."""
+"""Divide a picture into layers of equal blur; each pixel is weighted linearly between two neighbouring layers."""
 
 from __future__ import annotations
 
@@ -6,22 +6,23 @@ from collections.abc import Iterator
 
 import numpy as np
 
-_STEP_PX = 0.5  # of blur radius, close to focus
-_GROWTH = 0.10  # of the radius itself, beyond: a large blur changes slowly
+# Distance of two layers in blur radius: the larger of a step, px, and a fraction of the radius, because a large blur
+# changes slowly. Chosen by hand; not tuned. Finer layers cost one transform each.
+_STEP_PX, _GROWTH = 0.5, 0.10
 
 
 def layer_radii(radius_px: np.ndarray, *, step_px: float = _STEP_PX, growth: float = _GROWTH) -> np.ndarray:
-    """Choose blur radii that span a picture's, fine near focus and coarser beyond.
+    """Choose blur radii that cover the range of a picture, fine near focus and coarser beyond.
 
     Parameters
     ----------
     radius_px : (H, W) float32, px, no NaN
     step_px, growth : float
-        Distance of two layers: the larger of the step and this share of the radius.
+        Distance of two layers: the larger of the step and this fraction of the radius.
 
     Returns
     -------
-    (L,) float64, rising, one of them 0 unless the whole picture lies to one side
+    (L,) float64, px, rising; one of them is 0 unless the whole picture lies on one side of focus
     """
     low, high = float(radius_px.min()), float(radius_px.max())
     sides = []
@@ -38,12 +39,12 @@ def layer_radii(radius_px: np.ndarray, *, step_px: float = _STEP_PX, growth: flo
     return radii[max(used[0] - 1, 0) if radii[used[0]] > low else used[0] : used[-1] + 2]
 
 
-def shares(radius_px: np.ndarray, radii: np.ndarray) -> Iterator[np.ndarray]:
-    """Share of every pixel in each layer, in the order of the radii; yields (H, W) float32 that sum to 1."""
+def layer_weights(radius_px: np.ndarray, radii: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield the weight of every pixel in each layer, in the order of the radii; (H, W) float32 that sum to 1."""
     for i, center in enumerate(radii):
-        share = np.ones(radius_px.shape, np.float32)
+        weight = np.ones(radius_px.shape, np.float32)
         if i > 0:
-            share = np.minimum(share, (radius_px - np.float32(radii[i - 1])) / np.float32(center - radii[i - 1]))
+            weight = np.minimum(weight, (radius_px - np.float32(radii[i - 1])) / np.float32(center - radii[i - 1]))
         if i + 1 < len(radii):
-            share = np.minimum(share, (np.float32(radii[i + 1]) - radius_px) / np.float32(radii[i + 1] - center))
-        yield np.clip(share, 0, 1, out=share)
+            weight = np.minimum(weight, (np.float32(radii[i + 1]) - radius_px) / np.float32(radii[i + 1] - center))
+        yield np.clip(weight, 0, 1, out=weight)

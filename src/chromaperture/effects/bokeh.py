@@ -12,17 +12,18 @@ import numpy as np
 from chromaperture.color.srgb import srgb_to_linear
 from chromaperture.errors import InputError
 
-_GRID = 256
+_GRID = 256  # cells along a side of a mask; one or more a px of the largest blur of `refocus`, radius 120 px
+_BLACK = 0.02  # linear light of the brightest pixel below which a picture counts as black; chosen by hand
 NAMED = ("disc", "hex")
 
 
 def bokeh_mask(name: str) -> np.ndarray:
-    """Draw the pupil a picture is refocused with.
+    """Return the transmission of the pupil used for refocusing.
 
     Parameters
     ----------
     name : str
-        ``disc``, ``hex``, or the path of a picture file, light on dark; its transparency counts where it has any.
+        ``disc``, ``hex``, or the path of a picture file, light on dark; its alpha channel multiplies the light.
 
     Returns
     -------
@@ -52,8 +53,8 @@ def _from_picture(path: Path) -> np.ndarray:
     light = srgb_to_linear(value[..., :3].mean(axis=2))
     if value.shape[2] == 4:
         light = light * value[..., 3]
-    if not light.max() > 0.02:
-        raise InputError(f"the bokeh picture {path.name} is black: light passes where it is light")
+    if not light.max() > _BLACK:
+        raise InputError(f"the bokeh picture {path.name} is black: draw the opening in white")
     side = max(light.shape)
     square = np.zeros((side, side), np.float32)
     top, left = (side - light.shape[0]) // 2, (side - light.shape[1]) // 2
@@ -62,14 +63,14 @@ def _from_picture(path: Path) -> np.ndarray:
 
 
 def bokeh_kernel(mask: np.ndarray, radius_px: float) -> np.ndarray:
-    """Scale a pupil to a spot; (s, s) float32, unit sum, s odd.
+    """Return the pupil scaled to a blur radius; (s, s) float32, unit sum, s odd.
 
     Parameters
     ----------
     mask : (n, n) float32
         From `bokeh_mask`.
     radius_px : float
-        Signed: upright beyond the focus, turned by 180 degrees before it.
+        Signed: upright beyond the focus, rotated by 180 degrees in front of it.
     """
     return _kernel(mask.tobytes(), mask.shape[0], round(float(radius_px), 3))
 
@@ -81,12 +82,12 @@ def _kernel(data: bytes, count: int, radius_px: float) -> np.ndarray:
         mask = mask[::-1, ::-1]
     radius = abs(radius_px)
     size = 2 * math.ceil(radius) + 1
-    # Every cell of the mask is a square of light on the pixels: exact in x and y apart.
+    # Each cell of the mask is a square of light; its overlap with the pixels is exact and separates into x and y.
     edges = np.arange(size + 1) - size / 2
     cells = ((np.arange(count) + 0.5) * 2 / count - 1) * radius
     half = max(radius / count, 1e-6)
-    share = np.diff(np.clip((edges[:, None] - cells) / (2 * half) + 0.5, 0, 1), axis=0)
-    kernel = share @ mask @ share.T
+    overlap = np.diff(np.clip((edges[:, None] - cells) / (2 * half) + 0.5, 0, 1), axis=0)
+    kernel = overlap @ mask @ overlap.T
     kernel = np.asarray(kernel / kernel.sum(), np.float32)
     kernel.flags.writeable = False
     return kernel

@@ -1,4 +1,4 @@
-"""A focus sweep: from the nearest thing to the farthest and back, as GIF or MP4."""
+"""Write a focus sweep, from the nearest surface to the farthest and back, as GIF or MP4."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.errors import InputError
 
 _FRAMES_PER_SECOND = 12
-_LEAST_SWEEP_PX = 3.0
+_MIN_SWEEP_PX = 3.0  # blur radius: range of the sweep of a flat scene; chosen by hand
 SUFFIXES = (".gif", ".mp4")
 
 
 def sweep(color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, frames: int = 24) -> Iterator[np.ndarray]:
-    """Focus from near to far.
+    """Yield pictures focused from near to far.
 
     Parameters
     ----------
     color, radius_px
         As `refocus` takes them.
     focus : Focus
-        Its pupil; where it focuses is replaced.
+        Pupil and strength; its focus is replaced.
     frames : int
 
     Yields
@@ -36,8 +36,8 @@ def sweep(color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, frames: int
     """
     if frames < 2:
         raise InputError(f"a sweep needs at least 2 frames, got {frames}")
-    near, far = np.percentile(radius_px, (2, 98))
-    short = max(0.0, _LEAST_SWEEP_PX - (far - near)) / 2  # a flat scene is swept through, too
+    near, far = np.percentile(radius_px, (2, 98))  # without outliers
+    short = max(0.0, _MIN_SWEEP_PX - (far - near)) / 2
     near, far = near - short, far + short
     for radius in np.linspace(near, far, frames):
         picture = refocus(color, radius_px, replace(focus, radius_px=float(radius)))
@@ -45,18 +45,18 @@ def sweep(color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, frames: int
 
 
 def write_sweep(path: Path, frames: Iterator[np.ndarray]) -> None:
-    """Write frames there and back again; raises InputError for a suffix other than .gif and .mp4."""
+    """Write frames forwards and backwards; raises InputError for a suffix other than .gif and .mp4."""
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"cannot write a sweep as {path.suffix or 'a file without suffix'}: choose .gif or .mp4")
-    there = list(frames)
-    shown = there + there[-2:0:-1]
+    forwards = list(frames)
+    shown = forwards + forwards[-2:0:-1]
     if path.suffix.lower() == ".gif":
         pictures = [Image.fromarray(frame).quantize(128, dither=Image.Dither.FLOYDSTEINBERG) for frame in shown]
         pictures[0].save(
             path, save_all=True, append_images=pictures[1:], duration=1000 // _FRAMES_PER_SECOND, loop=0, format="GIF"
         )
         return
-    height, width = shown[0].shape[0] // 2 * 2, shown[0].shape[1] // 2 * 2  # the codec halves its colours
+    height, width = shown[0].shape[0] // 2 * 2, shown[0].shape[1] // 2 * 2  # the codec needs even sides
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), _FRAMES_PER_SECOND, (width, height))
     if not video.isOpened():
         raise InputError("this OpenCV cannot write MP4; choose a .gif")

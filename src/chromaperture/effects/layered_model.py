@@ -1,9 +1,10 @@
-"""The camera as one linear map from the sharp picture to the capture, and its adjoint.
+"""The camera as a linear map from the sharp picture to the capture, and its adjoint.
 
     y_k = sum_l (m_l x_k) * h_kl / sum_l m_l * h_kl
 
-m_l are the layers' shares of the pixels. The denominator is 1 within a surface; at depth edges, where light is added
-or hidden that the picture does not hold, it keeps the energy and tells how far the model can be trusted.
+m_l are the weights of the pixels in each layer. The denominator, the coverage, is 1 within a surface. At depth edges
+light is added or hidden that the picture does not contain: there the division preserves energy, and the departure of
+the coverage from 1 measures how unreliable the model is.
 """
 
 from __future__ import annotations
@@ -11,65 +12,63 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 
-from chromaperture.effects.blur_layers import layer_radii, shares
+from chromaperture.effects.blur_layers import layer_radii, layer_weights
 from chromaperture.effects.transfer_functions import Blur
 
-_SHARP_PX = 0.25
-_TRUST = 0.12  # departure from full coverage at which the model's word counts 1/e
+SHARP_PX = 0.25  # blur radius below which a layer counts as in focus; half the distance of two layers
+_COVERAGE_ERROR = 0.12  # departure of the coverage from 1 at which data weigh 1/e; chosen by hand, not tuned
+_MIN_COVERAGE = 0.05  # bounds the division; chosen by hand, not tuned
 
 
 class LayeredModel:
-    """Blur by depth, all over one picture.
+    """Blur of one picture by its depth.
 
     Parameters
     ----------
     radius_px : (H, W) float32
         Signed blur radius of every pixel; no NaN.
     blur : Blur
-    center : (x, y), optional
-        Of the picture in the frame.
     """
 
-    def __init__(self, radius_px: np.ndarray, blur: Blur, *, center: tuple[float, float] | None = None) -> None:
+    def __init__(self, radius_px: np.ndarray, blur: Blur) -> None:
         self.shape = (int(radius_px.shape[0]), int(radius_px.shape[1]))
         self._layers: list[tuple[tuple[slice, slice], np.ndarray, np.ndarray]] = []
         radii = layer_radii(radius_px)
-        for radius, share in zip(radii, shares(radius_px, radii), strict=True):
-            if not share.any():
+        for radius, weight in zip(radii, layer_weights(radius_px, radii), strict=True):
+            if not weight.any():
                 continue
-            rows, columns = np.flatnonzero(share.any(axis=1)), np.flatnonzero(share.any(axis=0))
+            rows, columns = np.flatnonzero(weight.any(axis=1)), np.flatnonzero(weight.any(axis=0))
             box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-            otf = blur(float(radius) if abs(radius) > _SHARP_PX else 0.0, self.shape, center=center)
-            self._layers.append((box, np.ascontiguousarray(share[box]), otf))
-        self.cover = np.ones((3, *self.shape), np.float32)
-        # Light of a coloured half passes where the other does not: coverage differs from channel to channel.
-        self.cover = np.maximum(self._blurred(np.ones((3, *self.shape), np.float32)), np.float32(0.05))
+            otf = blur(float(radius) if abs(radius) > SHARP_PX else 0.0, self.shape)
+            self._layers.append((box, np.ascontiguousarray(weight[box]), otf))
+        # Filters of unlike shape blur edges unlike: the coverage differs from channel to channel.
+        self._coverage = np.maximum(self._blurred(np.ones((3, *self.shape), np.float32)), np.float32(_MIN_COVERAGE))
 
     @property
-    def trust(self) -> np.ndarray:
+    def data_weight(self) -> np.ndarray:
         """(3, H, W) float32 in [0, 1]: low at depth edges, where the model lacks what is hidden."""
-        return np.exp(-(((self.cover - 1) / np.float32(_TRUST)) ** 2))
+        return np.exp(-(((self._coverage - 1) / np.float32(_COVERAGE_ERROR)) ** 2))
 
     def forward(self, sharp: np.ndarray) -> np.ndarray:
         """Blur a sharp picture; (3, H, W) float32."""
-        return self._blurred(sharp) / self.cover
+        return self._blurred(sharp) / self._coverage
 
     def adjoint(self, capture: np.ndarray) -> np.ndarray:
-        """Transpose of `forward`; (3, H, W) float32."""
+        """Apply the transpose of `forward`; (3, H, W) float32."""
         out = np.zeros((3, *self.shape), np.float32)
         with scipy.fft.set_workers(-1):
-            spectra = scipy.fft.rfft2(capture / self.cover)
-            for box, share, otf in self._layers:
+            spectra = scipy.fft.rfft2(capture / self._coverage)
+            for box, weight, otf in self._layers:
                 back = scipy.fft.irfft2(np.conj(otf) * spectra, s=self.shape)
-                out[:, *box] += share * back[:, *box]
+                out[:, *box] += weight * back[:, *box]
         return out
 
     def _blurred(self, sharp: np.ndarray) -> np.ndarray:
         total = np.zeros((3, self.shape[0], self.shape[1] // 2 + 1), np.complex64)
-        held = np.zeros((3, *self.shape), np.float32)
+        masked = np.zeros((3, *self.shape), np.float32)
         with scipy.fft.set_workers(-1):
-            for box, share, otf in self._layers:
-                held[:] = 0
-                held[:, *box] = share * sharp[:, *box]
-                total += otf * scipy.fft.rfft2(held)
+            for box, weight, otf in self._layers:
+                masked[:] = 0
+                masked[:, *box] = weight * sharp[:, *box]
+                total += otf * scipy.fft.rfft2(masked)
             return np.asarray(scipy.fft.irfft2(total, s=self.shape))

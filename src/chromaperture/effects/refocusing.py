@@ -1,11 +1,11 @@
-"""The photograph another lens would have taken: focus elsewhere, another f-number, another shape of pupil.
+"""Compute the photograph of another lens: other focus, f-number or shape of the pupil.
 
-The picture is cut into layers of equal new blur, near to far in the scene. Each is blurred with its share of pixels,
+The picture is divided into layers of equal new blur, near to far in the scene. Each is blurred with its pixel weights,
 
     I = sum_l V_l (a_l J_l * k_l) / sum_l V_l (a_l * k_l),    V_l = 1 - sum of a_m * k_m over clearly nearer layers m,
 
-so that a sharp edge cuts off what is blurred behind it, and a blurred edge lets what is behind show through. What
-near things hide is continued from the far side of the edge. All in linear light: highlights become spots.
+so that a sharp edge occludes the blurred background, and the background shows through a blurred edge. What near
+surfaces hide is extrapolated from the far side of the edge. All in linear light: highlights become spots.
 """
 
 from __future__ import annotations
@@ -18,19 +18,21 @@ import numpy as np
 
 from chromaperture.effects.blur_layers import layer_radii
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
-from chromaperture.effects.refocusing_kernels import add_layer, layer_bounds, layer_planes, normalised
+from chromaperture.effects.refocusing_kernels import add_layer, layer_bounds, layer_planes, normalise, over_rows
 from chromaperture.errors import InputError
 from chromaperture.optics.layer_renderer import behind_edges
 
+# Blur radii in px, chosen by hand; not tuned. docs/colour.md measures error and time of the whole.
 _SHARP_PX = 0.3  # new blur below which nothing is done
-_EDGE_PX = 1.0  # jump of the capture's blur radius that parts two surfaces
+_EDGE_PX = 1.0  # jump of the capture's blur radius that separates two surfaces
+_GROWTH = 0.12  # distance of two layers, of their radius
 _SCALES = ((3.0, 1), (7.0, 2), (16.0, 4), (math.inf, 8))  # blur up to this radius is computed at this reduction
-_LARGEST_PX = 120.0
+_MAX_PX = 120.0  # bounds time and margins
 
 
 @dataclass(frozen=True)
 class Focus:
-    """Where to focus and with which pupil.
+    """Focus and pupil of the new picture.
 
     Attributes
     ----------
@@ -48,13 +50,13 @@ class Focus:
 
 
 def refocus(color: np.ndarray, radius_px: np.ndarray, focus: Focus) -> np.ndarray:
-    """Blur a sharp picture as a lens focused elsewhere would.
+    """Blur a sharp picture as a lens with another focus would.
 
     Parameters
     ----------
     color : (H, W, 3) float32, linear RGB, everything in focus
     radius_px : (H, W) float32, px
-        Signed blur radius that the capture had, + beyond its focus: tells near from far. No NaN.
+        Signed blur radius that the capture had, + beyond its focus: orders near and far. No NaN.
     focus : Focus
 
     Returns
@@ -75,7 +77,7 @@ def refocus(color: np.ndarray, radius_px: np.ndarray, focus: Focus) -> np.ndarra
     color, radius = np.ascontiguousarray(color, np.float32), np.ascontiguousarray(radius_px, np.float32)
     new = (radius - np.float32(focus.radius_px)) * np.float32(focus.strength)
     largest = float(np.abs(new).max())
-    if largest > min(_LARGEST_PX, min(radius.shape) / 2):
+    if largest > min(_MAX_PX, min(radius.shape) / 2):
         raise InputError(f"the new blur would reach {largest:.0f} px: choose a larger f-number or a farther focus")
     if largest < _SHARP_PX:
         return color.copy()
@@ -90,35 +92,40 @@ def _composite(
     color: np.ndarray, new: np.ndarray, behind: np.ndarray, behind_new: np.ndarray, hidden: np.ndarray, focus: Focus
 ) -> np.ndarray:
     mask = bokeh_mask(focus.bokeh)
-    # Rising new blur is rising depth: the pupil's scale does not turn near and far about.
-    radii = layer_radii(np.stack([new, behind_new]), growth=0.12)
+    # New blur rises with depth, because the pupil's scale is positive.
+    radii = layer_radii(np.stack([new, behind_new]), growth=_GROWTH)
     nodes = np.array([-np.inf, *radii, np.inf], np.float32)
     if len(radii) == 1:
         nodes = np.array([radii[0] - 1, radii[0], radii[0] + 1], np.float32)
-    else:  # the ends' outer neighbours: no pixel lies beyond, up to rounding
+    else:  # outer neighbours of the ends: no pixel lies beyond, up to rounding
         nodes[0], nodes[-1] = 2 * radii[0] - radii[1], 2 * radii[-1] - radii[-2]
     height, width = new.shape
+    extent = np.empty((height, 2), np.int64)
     total, before = np.zeros((height, width, 4), np.float32), np.zeros((height, width), np.float32)
-    waiting: list[tuple[float, int, int, np.ndarray]] = []
+    pending: list[tuple[float, int, int, np.ndarray]] = []  # blurred layers not yet in `before`
     gap = max(_EDGE_PX * focus.strength, 1.0)
     for i, radius in enumerate(float(r) for r in radii):
-        extent = layer_bounds(new, behind_new, hidden, nodes[i], nodes[i + 2])
+        below, here, above = nodes[i : i + 3]
+        over_rows(layer_bounds, height, new, behind_new, hidden, below, above, extent)
         rows = np.flatnonzero(extent[:, 1] >= 0)
         if not rows.size:
             continue
-        # Surfaces that stand clear in front of this one; its own neighbours add up with it instead.
-        while waiting and radius - waiting[0][0] > max(gap, 1.5 * float(nodes[i + 1] - nodes[i])):
-            _, top, left, veil = waiting.pop(0)
-            before[top : top + veil.shape[0], left : left + veil.shape[1]] += veil
+        # Clearly nearer surfaces occlude this one; neighbouring layers of its own surface add to it.
+        while pending and radius - pending[0][0] > max(gap, 1.5 * float(here - below)):
+            _, top, left, cover = pending.pop(0)
+            before[top : top + cover.shape[0], left : left + cover.shape[1]] += cover
         reach = math.ceil(abs(radius)) + 2 * _scale(radius)
         top, bottom = max(int(rows[0]) - reach, 0), min(int(rows[-1]) + reach + 1, height)
         left, right = max(int(extent[:, 0].min()) - reach, 0), min(int(extent[:, 1].max()) + reach + 1, width)
-        near, here, far = nodes[i : i + 3]
-        planes = layer_planes(color, new, behind, behind_new, hidden, (near, here, far), (top, bottom, left, right))
+        planes, corner = np.zeros((bottom - top, right - left, 4), np.float32), (top, left)
+        nearby = (below, here, above)
+        over_rows(layer_planes, len(planes), color, new, behind, behind_new, hidden, nearby, corner, planes)
         blurred = _blurred(planes, radius, mask)
-        add_layer(total, before, blurred, top, left)
-        waiting.append((radius, top, left, blurred[..., 3]))
-    return np.asarray(normalised(total))
+        over_rows(add_layer, len(blurred), total, before, blurred, corner)
+        pending.append((radius, top, left, blurred[..., 3]))
+    out = np.empty((height, width, 3), np.float32)
+    over_rows(normalise, height, total, out)
+    return out
 
 
 def _scale(radius_px: float) -> int:
@@ -126,15 +133,15 @@ def _scale(radius_px: float) -> int:
 
 
 def _blurred(planes: np.ndarray, radius_px: float, mask: np.ndarray) -> np.ndarray:
-    """Convolve (h, w, 4) with the pupil; large spots at a lower resolution, which they do not show."""
+    """Convolve (h, w, 4) with the pupil; large spots at a lower resolution, because they have no fine detail."""
     if abs(radius_px) < _SHARP_PX:
         return planes
     scale = _scale(radius_px)
     if scale == 1:
         return _convolved(planes, bokeh_kernel(mask, radius_px))
     height, width = planes.shape[:2]
-    rims = (-height % scale, -width % scale)
-    padded = cv2.copyMakeBorder(planes, 0, rims[0], 0, rims[1], borderType=cv2.BORDER_REPLICATE)
+    margins = (-height % scale, -width % scale)
+    padded = cv2.copyMakeBorder(planes, 0, margins[0], 0, margins[1], borderType=cv2.BORDER_REPLICATE)
     small = cv2.resize(padded, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
     small = _convolved(small, bokeh_kernel(mask, radius_px / scale))
     large = cv2.resize(small, padded.shape[1::-1], interpolation=cv2.INTER_LINEAR)
@@ -142,5 +149,5 @@ def _blurred(planes: np.ndarray, radius_px: float, mask: np.ndarray) -> np.ndarr
 
 
 def _convolved(planes: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    # OpenCV correlates: turned round, the kernel is a spot.
+    # OpenCV correlates: rotate the kernel for a convolution.
     return np.asarray(cv2.filter2D(planes, -1, kernel[::-1, ::-1].copy(), borderType=cv2.BORDER_REFLECT))

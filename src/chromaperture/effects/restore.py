@@ -1,9 +1,10 @@
-"""From a measured photograph to its sharp, naturally coloured picture."""
+"""Restore the sharp, naturally coloured picture from a measured photograph."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -18,16 +19,18 @@ from chromaperture.color.registration import residual_displacement
 from chromaperture.color.unmixing import pure_channels
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
+from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.same_photograph import check_same_photograph
-from chromaperture.effects.steady import steady_disparity
-from chromaperture.effects.transfer_functions import Blur, LensBlur, ThinLensBlur, camera_blur, radius_per_disparity
+from chromaperture.effects.transfer_functions import Blur, LensTransfer, ThinLensBlur, radius_per_disparity
 from chromaperture.errors import InputError
 
-_TILES, _LEAST_TILE_PX = 5, 96  # along the width, over each of which the blur counts as constant
+_TILES, _MIN_TILE_PX = 5, 96  # tiles along the width, in each of which the blur counts as constant; chosen by hand
 _LAYER_ERROR_PX = 0.065  # of half disparity; the error of the blur radius is that over the blur's reach
-FITTED_ERROR, UNFITTED_ERROR = 0.2, 0.45  # least and largest share of contrast by which the kernels are taken as wrong
-_KERNEL_ERROR = (0.15, 0.3)  # least and largest error of their transfer functions
+# Range of the error allowed to the kernels, as a fraction of the contrast, and of that of their transfer functions;
+# docs/colour.md, "Everything in focus", states what designs get, and the gain over a thin lens's kernels.
+FITTED_ERROR, UNFITTED_ERROR = 0.2, 0.45
+_KERNEL_ERROR = (0.15, 0.3)
 
 Sharpness = Literal["aligned", "fast", "full"]
 SHARPNESS: tuple[Sharpness, ...] = get_args(Sharpness)
@@ -41,7 +44,7 @@ class SharpPicture:
     ----------
     color : (H, W, 3) float32, linear RGB, white balanced
     radius_px : (H, W) float32, px
-        Signed blur radius that the capture had at every pixel, + beyond focus.
+        Signed blur radius of the capture at every pixel, + beyond focus.
     """
 
     color: np.ndarray
@@ -57,7 +60,7 @@ def restore(
     sharpness: Sharpness = "full",
     blur: Blur | None = None,
 ) -> SharpPicture:
-    """Align the channels, take the filters' tint away, and sharpen what was out of focus.
+    """Align the channels, remove the filters' tint, and sharpen what was out of focus.
 
     Parameters
     ----------
@@ -68,10 +71,10 @@ def restore(
     sigma_px : (H, W) float, px, optional
         Standard deviation of the disparity.
     sharpness : "aligned", "fast" or "full"
-        Leave the blur; a Wiener filter a layer; all layers and channels solved for together.
+        Keep the blur; a Wiener filter for each layer; a joint solution of all layers and channels.
     blur : Blur, optional
-        The camera's transfer functions; when absent those of its calibrated blur, or else of its aperture before a
-        thin lens.
+        The camera's transfer functions; when absent those of its calibrated blur, or else of its aperture in front of
+        a thin lens.
 
     Returns
     -------
@@ -86,56 +89,71 @@ def restore(
         raise InputError(f"unknown sharpness {sharpness!r}: choose {', '.join(SHARPNESS)}")
     if image.shape[:2] != disparity_px.shape:
         raise InputError(f"disparity {disparity_px.shape} and image {image.shape[:2]} differ in size: two photographs")
-    cal, quality = camera.calibration, camera.config.quality
-    gains = white_gains(cal)
+    gains = white_gains(camera.calibration)
     balanced = np.maximum(np.asarray(image, np.float32), 0) * gains
-    shifts, scale = channel_shifts(cal, quality), np.float32(radius_per_disparity(cal, quality))
-    lens, measured = camera.lens_shift, camera.blur_radius_px(disparity_px)
-    if lens is None or measured is None:
-        measured = np.asarray(disparity_px, np.float32) * scale
-    else:
-        scale = np.float32(lens.blur.model.scale_px_mm / cal.on_axis(quality).scale_px_mm)
-    first = align_channels(balanced, disparity_px, shifts)
-    check_same_photograph(balanced, first)
-    radius, spread = steady_disparity(measured / scale, sigma_px, first)
-    radius, spread = radius * scale, spread * scale
-    displacement = linear_displacement(radius / scale, shifts) if lens is None else lens(radius)
-    aligned = align_channels(balanced, radius / scale, shifts, displacement_px=displacement)
-    # Three small sub-apertures, one a channel, blur alike, so that single surfaces can be registered.
-    alike = len(cal.aperture.views) > 2 and pure_channels(cal.aperture) is not None
-    displacement = displacement + residual_displacement(aligned, radius / scale, surfaces=alike)
-    aligned = align_channels(balanced, radius / scale, shifts, displacement_px=displacement)
-    aligned = np.maximum(aligned, 0)
+    aligned, radius, scatter = _aligned(balanced, disparity_px, sigma_px, camera)
     if sharpness == "aligned":
         return SharpPicture(aligned, radius)
-    variance = sensor_noise(image, cal)
+    variance = sensor_noise(image, camera.calibration)
     noise = (estimate_noise_variance(image) if variance is None else variance).mean(axis=(0, 1)) * gains**2
-    rounds = 3 if sharpness == "full" else 0
-    if lens is None or blur is not None:
+    fitted = camera.lens_shift if blur is None else None
+    rounds = SharpenConfig.reweightings if sharpness == "full" else 0
+    if fitted is None:
         settings = SharpenConfig(model_error=UNFITTED_ERROR, reweightings=rounds)
     else:
-        settings = fitted_settings(lens.blur.reach, reweightings=rounds)
+        settings = fitted_settings(fitted.blur.reach, reweightings=rounds)
+    film = camera.calibration.film.transmissions()
+    thin = ThinLensBlur(camera.calibration.aperture.with_film(film))
+    transfer = blur or (thin if fitted is None else LensTransfer(fitted))
     saturated = np.asarray(image.max(axis=2) >= SATURATION)
-    if blur is None:
-        blur = camera_blur(cal) if lens is None else LensBlur(lens)
 
-    def sharpened(piece: tuple[slice, slice], center: tuple[float, float] | None) -> np.ndarray:
+    def sharpened(piece: tuple[slice, slice], middle: tuple[float, float] | None) -> np.ndarray:
         return all_in_focus(
-            balanced[piece], radius[piece], blur, noise_variance=noise, aligned=aligned[piece],
-            radius_sigma_px=spread[piece], saturated=saturated[piece], config=settings, center=center,
+            balanced[piece], radius[piece], partial(transfer, frame_position=middle), noise_variance=noise,
+            aligned=aligned[piece], radius_sigma_px=scatter[piece], saturated=saturated[piece], config=settings,
         )  # fmt: skip
 
-    if isinstance(blur, ThinLensBlur):  # the same all over the frame
+    if isinstance(transfer, ThinLensBlur):  # the same over the whole frame
         return SharpPicture(sharpened((slice(None), slice(None)), None), radius)
-    reach = math.ceil(float(np.abs(radius).max()))
-    tile_px = max(_LEAST_TILE_PX, radius.shape[1] // _TILES)
-    return SharpPicture(by_tiles(radius.shape, sharpened, tile_px=tile_px, overlap_px=reach + 4), radius)
+    overlap_px = math.ceil(float(np.abs(radius).max())) + 4
+    tile_px = max(_MIN_TILE_PX, radius.shape[1] // _TILES)
+    return SharpPicture(by_tiles(radius.shape, sharpened, tile_px=tile_px, overlap_px=overlap_px), radius)
 
 
-def fitted_settings(reach: float, *, reweightings: int = 3) -> SharpenConfig:
-    """How far a fitted blur is trusted.
+def _aligned(
+    balanced: np.ndarray, disparity_px: np.ndarray, sigma_px: np.ndarray | None, camera: CodedApertureCamera
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Align the channels; returns the picture, the blur radius and its standard deviation.
 
-    A design whose views lie close together tells distance, and with it the blur's radius, less exactly.
+    Each alignment samples the capture itself, so that no pixel is interpolated twice: a coarse one guides the filter of
+    the disparity, registration measures what the second leaves, and the result takes account of it.
+    """
+    cal, quality = camera.calibration, camera.config.quality
+    shifts, scale = channel_shifts(cal, quality), np.float32(radius_per_disparity(cal, quality))
+    lens, radius = camera.lens_shift, camera.blur_radius_px(disparity_px)
+    if lens is None or radius is None:
+        radius = np.asarray(disparity_px, np.float32) * scale
+    else:
+        scale = np.float32(lens.blur.model.scale_px_mm / cal.on_axis(quality).scale_px_mm)
+    guide = align_channels(balanced, disparity_px, shifts)
+    check_same_photograph(balanced, guide)
+    disparity, scatter = filter_disparity(radius / scale, sigma_px, guide)
+    radius = disparity * scale
+    disparity = radius / scale
+    displacement = linear_displacement(disparity, shifts) if lens is None else lens(radius)
+    aligned = align_channels(balanced, disparity, shifts, displacement_px=displacement)
+    # Three small sub-apertures, one a channel, blur in the same way, so that single surfaces can be registered.
+    same_shape = len(cal.aperture.views) > 2 and pure_channels(cal.aperture) is not None
+    residual = residual_displacement(aligned, disparity, surfaces=same_shape)
+    if residual.any():
+        aligned = align_channels(balanced, disparity, shifts, displacement_px=displacement + residual)
+    return np.maximum(aligned, 0), radius, scatter * scale
+
+
+def fitted_settings(reach: float, *, reweightings: int = SharpenConfig.reweightings) -> SharpenConfig:
+    """Return the settings for a fitted blur.
+
+    The blur radius follows from the disparity: the closer the views of a design, the less exactly.
 
     Parameters
     ----------
@@ -152,13 +170,13 @@ def fitted_settings(reach: float, *, reweightings: int = 3) -> SharpenConfig:
 
 
 def white_gains(calibration: Calibration) -> np.ndarray:
-    """Gain of each channel that makes a white sheet behind the aperture white; (3,) float32, the smallest 1."""
+    """Return the gains that make a white sheet behind the aperture white; (3,) float32, the smallest 1."""
     white = np.asarray(calibration.film.aperture, np.float32)
     return white.max() / white
 
 
 def focus_radius(camera: CodedApertureCamera, focus_mm: float) -> float:
-    """Blur radius, px, that the camera gives an object at a distance from its sensor plane, on the axis.
+    """Return the blur radius, px, on the axis of an object at a distance from the sensor plane.
 
     Raises
     ------

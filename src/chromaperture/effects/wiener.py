@@ -1,12 +1,12 @@
-"""Deconvolution of all channels at once, a layer at a time: fast, and the start of the full solution.
+"""Deconvolve all channels at once, layer by layer: fast, and the start of the joint solution.
 
 With transfer functions H_k, noise n_k and a sharp picture whose channels have the covariance C S(w), the linear
 estimate of least error is
 
     X = (H* N^-1 H + (C S)^-1)^-1 H* N^-1 Y,
 
-a 3x3 matrix per frequency. The channels of a coded aperture have their zeros in different places, and C lets each
-help the others: what one half of the pupil has lost the other may have kept.
+a 3x3 matrix per frequency. The channels of a coded aperture have their zeros at different frequencies, and C lets one
+channel restore what another has lost.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from chromaperture.effects.blur_layers import layer_radii, shares
+from chromaperture.effects.blur_layers import layer_radii, layer_weights
+from chromaperture.effects.layered_model import SHARP_PX
 from chromaperture.effects.transfer_functions import Blur
 
-_SHARP_PX = 0.25  # blur radius below which a layer is in focus
-_SAME_PX, _SAME_SHARE = 0.8, 0.12  # difference of blur radius up to which two pixels are of one surface
-_OWN_LIGHT = 0.02  # of a channel that no other shares
+# Chosen by hand; not tuned.
+_SAME_PX, _SAME_RADIUS = 0.8, 0.12  # blur radii that differ by less, px plus a fraction, are of one surface
+_UNCORRELATED = 0.02  # variance of a channel that no other has, of the mean variance: bounds the inverse of C
 
 
 def colour_covariance(image: np.ndarray) -> np.ndarray:
-    """Covariance of the channels' fine structure, unit mean variance; (3, 3) float64.
+    """Return the covariance of the channels' fine structure, unit mean variance; (3, 3) float64.
 
     Parameters
     ----------
@@ -38,14 +39,14 @@ def colour_covariance(image: np.ndarray) -> np.ndarray:
     mean = float(np.trace(covariance)) / 3
     if mean <= 0:
         return np.eye(3)
-    return np.asarray(covariance / mean + _OWN_LIGHT * np.eye(3))
+    return np.asarray(covariance / mean + _UNCORRELATED * np.eye(3))
 
 
 def natural_spectrum(shape: tuple[int, int]) -> np.ndarray:
-    """Power of photographs of nature over frequency, 1 / f^2, unit variance in all; (h, w // 2 + 1) float64."""
+    """Return the power spectrum 1 / f^2 of natural images, of unit variance; (h, w // 2 + 1) float64."""
     fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None]
     power = 1 / np.maximum(fx**2 + fy**2, 1 / max(shape) ** 2)
-    weight = np.full(power.shape, 2.0)  # the half that rfft2 leaves out
+    weight = np.full(power.shape, 2.0)  # for the half that rfft2 omits
     weight[:, 0] = 1.0
     return np.asarray(power / (power * weight).sum() * (shape[0] * shape[1]))
 
@@ -85,16 +86,16 @@ def joint_filter(
 
 
 def padded_size(shape: tuple[int, int], radius_px: np.ndarray) -> tuple[int, tuple[int, int]]:
-    """Margin that keeps blur from wrapping round, and a size the transform likes."""
+    """Return a margin that prevents blur from wrapping round, and a padded size that is fast to transform."""
     pad = min(math.ceil(float(np.abs(radius_px).max())) + 8, min(shape) - 1)
     height, width = (scipy.fft.next_fast_len(n + 2 * pad, real=True) for n in shape)
     return pad, (int(height), int(width))
 
 
 def mirrored(picture: np.ndarray, pad: int, size: tuple[int, int]) -> np.ndarray:
-    """Continue a picture by its mirror image to the given size."""
+    """Extend a picture by its mirror image to the given size."""
     bottom, right = size[0] - picture.shape[0] - pad, size[1] - picture.shape[1] - pad
-    # A margin may exceed the picture by the few px that make the size a product of small primes.
+    # The margin below and to the right includes the few px that make the size a product of small primes.
     return np.asarray(cv2.copyMakeBorder(picture, pad, bottom, pad, right, borderType=cv2.BORDER_REFLECT))
 
 
@@ -106,9 +107,8 @@ def sharpen_layers(
     noise_variance: np.ndarray,
     colour: np.ndarray,
     kernel_error: float = 0.0,
-    center: tuple[float, float] | None = None,
 ) -> np.ndarray:
-    """Deconvolve a picture layer by layer, and take from each layer the pixels that lie in it.
+    """Deconvolve a picture layer by layer, and compose the layers by their weights.
 
     Parameters
     ----------
@@ -120,10 +120,8 @@ def sharpen_layers(
     colour : (3, 3) float
         From `colour_covariance`.
     kernel_error : float
-        Error of the transfer functions where they are far from 1. It turns a share of the picture into noise of the
-        picture's own spectrum, and keeps waves from rising where all channels have their zeros.
-    center : (x, y), optional
-        Of this picture in the frame, -1 to 1.
+        Error of the transfer functions where they are far from 1. It counts as noise of the picture's own spectrum,
+        and prevents ringing at frequencies where all channels have their zeros.
 
     Returns
     -------
@@ -139,25 +137,26 @@ def sharpen_layers(
     radii = layer_radii(radius_px)
     crop = np.s_[pad : pad + image.shape[0], pad : pad + image.shape[1]]
     with scipy.fft.set_workers(-1):
-        for center_px, share in zip(radii, shares(radius_px, radii), strict=True):
-            if not share.any():
+        for layer_px, weight in zip(radii, layer_weights(radius_px, radii), strict=True):
+            if not weight.any():
                 continue
-            tolerance = np.float32(_SAME_PX + _SAME_SHARE * abs(center_px))
-            surface = continued(padded, np.abs(radius - np.float32(center_px)) < tolerance)
+            tolerance = np.float32(_SAME_PX + _SAME_RADIUS * abs(layer_px))
+            surface = extrapolated(padded, np.abs(radius - np.float32(layer_px)) < tolerance)
             spectra = scipy.fft.rfft2(surface.transpose(2, 0, 1))
-            otf = blur(float(center_px) if abs(center_px) > _SHARP_PX else 0.0, size, center=center)
-            # What is not blurred at all is not blurred wrongly either.
+            otf = blur(float(layer_px) if abs(layer_px) > SHARP_PX else 0.0, size)
+            # No blur, no error of the blur.
             noise = error * np.maximum(1 - np.abs(otf) ** 2, 0) + np.asarray(noise_variance)[:, None, None]
             sharp = joint_filter(spectra, otf, noise_variance=noise, signal=signal, colour=colour)
             picture = scipy.fft.irfft2(sharp, s=size).transpose(1, 2, 0)
-            out += share[..., None] * picture[crop]
+            out += weight[..., None] * picture[crop]
     return np.maximum(out + mean, 0)
 
 
-def continued(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Continue a surface smoothly beyond its rim, so that other surfaces do not ring in it.
+def extrapolated(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Extrapolate a surface smoothly beyond its border, so that other surfaces do not ring in it.
 
-    Known pixels are averaged down a pyramid; on the way up what is unknown takes the coarser level's colour.
+    Push-pull (Gortler et al. 1996): known pixels are averaged down a pyramid; on the way up unknown pixels take the
+    colour of the coarser level.
 
     Parameters
     ----------
@@ -176,11 +175,11 @@ def continued(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
         weight = levels[-1][1]
         half = ((weight.shape[1] + 1) // 2, (weight.shape[0] + 1) // 2)
         color, weight = (np.asarray(cv2.resize(v, half, interpolation=cv2.INTER_AREA), np.float32) for v in levels[-1])
-        # Full weight wherever anything is known: the next level then reaches on.
+        # Full weight wherever anything is known, so that the next level reaches farther.
         gain = np.minimum(weight * 4, 1) / np.maximum(weight, 1e-6)
         levels.append((color * gain[..., None], weight * gain))
     color, weight = levels[-1]
-    everywhere = color.sum(axis=(0, 1)) / max(float(weight.sum()), 1e-6)  # for what lies beyond even the coarsest level
+    everywhere = color.sum(axis=(0, 1)) / max(float(weight.sum()), 1e-6)  # where even the coarsest level is empty
     filled = np.where(weight[..., None] > 1e-6, color / np.maximum(weight, 1e-6)[..., None], everywhere)
     for color, weight in reversed(levels[:-1]):
         up = cv2.resize(filled, weight.shape[::-1], interpolation=cv2.INTER_LINEAR)

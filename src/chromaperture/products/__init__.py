@@ -1,1 +1,1 @@
-"""Files, pictures and streams made from measured frames."""
+"""Files, pictures and streams written from measured frames."""

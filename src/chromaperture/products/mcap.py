@@ -1,4 +1,4 @@
-"""MCAP files with ROS 2 messages, which Foxglove, RViz (ros2 bag) and RTAB-Map open."""
+"""Write MCAP files with ROS 2 messages, for Foxglove, RViz (ros2 bag) and RTAB-Map."""
 
 from __future__ import annotations
 

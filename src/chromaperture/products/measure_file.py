@@ -1,4 +1,4 @@
-"""From an image file to the files of a depth camera: reading, timing, writing. The method is in ``camera.py``."""
+"""Measure an image file and write the results. The method is in ``camera.py``."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, DepthFrame
-from chromaperture.capture.files import bit_depth, read_image
+from chromaperture.capture.files import decode, linearise
 from chromaperture.depth.pointcloud import depth_to_points, write_ply
 from chromaperture.errors import CaptureWarning
 from chromaperture.products.preview import write_preview
 from chromaperture.storage import staged, write_color_png, write_depth_png, write_float_tiff, write_json
 
-_PERCENTILES = (5, 25, 50, 75, 95)
+_PERCENTILES = (5, 25, 50, 75, 95)  # of disparity and depth in a summary
 
 
 @dataclass(frozen=True)
 class Report:
-    """What was measured in one image and where it was written; ``summary`` is the content of ``STEM.json``."""
+    """Measurement of one image and the files written; ``summary`` is the content of ``STEM.json``."""
 
     frame: DepthFrame
     summary: dict[str, Any]
@@ -33,7 +33,7 @@ class Report:
 
 
 class StageClock:
-    """Times the stages and tells a listener which one begins."""
+    """Time the stages, and call a listener with the name of each as it begins."""
 
     def __init__(self, listener: Callable[[str], None] = lambda name: None) -> None:
         self.seconds: dict[str, float] = {}
@@ -51,30 +51,31 @@ class StageClock:
 
 
 def read_capture(
-    path: Path,
-    camera: CodedApertureCamera,
-    *,
-    black_level: float | None = None,
-    white_level: float | None = None,
+    path: Path, camera: CodedApertureCamera, *, black_level: float | None = None, white_level: float | None = None
 ) -> np.ndarray:
     """Read an image with the given levels, else the camera's where the file can hold its counts; (H, W, 3) linear."""
+    decoded = decode(path)
+    black, white = _levels(path.name, decoded.bits, camera, black_level, white_level)
+    return linearise(decoded, black_level=black, white_level=white)
+
+
+def _levels(
+    name: str, bits: int, camera: CodedApertureCamera, black: float | None, white: float | None
+) -> tuple[float | None, float | None]:
+    """Return the levels to read a file with; None, None for those of the file's own encoding."""
     sensor = camera.calibration.sensor
-    if black_level is None and white_level is None:
+    if black is None and white is None:
         if not camera.calibration.is_calibrated:
-            return read_image(path)
-        if sensor.white_level > 255 and bit_depth(path) == 8:
+            return None, None
+        if sensor.white_level > 255 and bits == 8:
             warnings.warn(
-                f"{path.name} has 8 bits where the camera was calibrated on linear counts up to "
-                f"{sensor.white_level:g}: decoded as sRGB, which costs accuracy; use the linear original",
+                f"{name} has 8 bits where the camera was calibrated on linear counts up to {sensor.white_level:g}: "
+                "decoded as sRGB, which costs accuracy; use the linear original",
                 CaptureWarning,
-                stacklevel=2,
+                stacklevel=3,
             )
-            return read_image(path)
-    return read_image(
-        path,
-        black_level=sensor.black_level if black_level is None else black_level,
-        white_level=sensor.white_level if white_level is None else white_level,
-    )
+            return None, None
+    return sensor.black_level if black is None else black, sensor.white_level if white is None else white
 
 
 def measure_file(
@@ -93,7 +94,7 @@ def measure_file(
     path : str or Path
     camera : CodedApertureCamera
     out : str or Path, optional
-        Folder; beside the image when absent.
+        Folder; that of the image when absent.
     black_level, white_level : float, optional
         Instead of the camera's.
     listener : callable, optional
@@ -148,17 +149,16 @@ def write_maps(target: Callable[[str], Path], stem: str, camera: CodedApertureCa
 
 def summarise(frame: DepthFrame, camera: CodedApertureCamera, seconds: dict[str, float]) -> dict[str, Any]:
     """Collect the figures of one frame, units in the names."""
-    known = np.isfinite(frame.disparity_px)
-    summary: dict[str, Any] = {
+    known, sigma = np.isfinite(frame.disparity_px), frame.sigma_mm[np.isfinite(frame.sigma_mm)]
+    return {
         "fill_rate": float((frame.valid if camera.calibration.is_calibrated else known).mean()),
         "disparity_percentiles_px": _percentiles(frame.disparity_px),
         "depth_percentiles_mm": _percentiles(frame.depth_mm),
-        "sigma_median_mm": _median(frame.sigma_mm),
+        "sigma_median_mm": float(np.median(sigma)) if sigma.size else None,
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
         "config": dataclasses.asdict(camera.config),
         "camera": camera.calibration.summary(),
     }
-    return summary
 
 
 def _percentiles(values: np.ndarray) -> dict[str, float] | None:
@@ -166,8 +166,3 @@ def _percentiles(values: np.ndarray) -> dict[str, float] | None:
     if known.size == 0:
         return None
     return {str(p): float(v) for p, v in zip(_PERCENTILES, np.percentile(known, _PERCENTILES), strict=True)}
-
-
-def _median(values: np.ndarray) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else None

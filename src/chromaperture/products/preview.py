@@ -1,4 +1,4 @@
-"""One picture a person can read: capture, depth with a colour bar in mm, error bar, restored colour."""
+"""Draw a preview: capture, depth with a colour bar in mm, error bar, restored colour."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def preview_figure(image: np.ndarray, frame: DepthFrame, *, title: str) -> Figur
     Parameters
     ----------
     image : (H, W, 3) float, linear RGB
-        The capture as it came.
+        The capture, channels not aligned.
     frame : DepthFrame
     title : str
 
@@ -56,7 +56,7 @@ def write_preview(path: Path, image: np.ndarray, frame: DepthFrame, *, title: st
 
 def _picture(axes: Axes, picture: np.ndarray, title: str) -> None:
     axes.imshow(picture, interpolation="antialiased")
-    _dress(axes, title)
+    _label(axes, title)
 
 
 def _map(
@@ -79,9 +79,9 @@ def _map(
     bar.set_label(unit, color=_LIGHT)
     bar.ax.tick_params(colors=_LIGHT, labelsize=9)
     bar.outline.set_visible(False)
-    _dress(axes, f"{title}; grey is unknown" if known.size < values.size else title)
+    _label(axes, f"{title}; grey is unknown" if known.size < values.size else title)
 
 
-def _dress(axes: Axes, title: str) -> None:
+def _label(axes: Axes, title: str) -> None:
     axes.set_title(title, color=_LIGHT, fontsize=10, loc="left")
     axes.set_axis_off()

@@ -1,4 +1,4 @@
-"""From a measured frame to pinhole pictures of colour and depth, as 3D models and other programs want them."""
+"""Convert a measured frame to undistorted pinhole pictures of colour and depth, for 3D models and other programs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from chromaperture.errors import InputError
 
 @dataclass(frozen=True)
 class View:
-    """One picture of a pinhole camera without distortion in the centre of the entrance pupil.
+    """Picture of a pinhole camera without distortion, centred in the entrance pupil.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class View:
 
 
 def undistorter(camera: CodedApertureCamera) -> Callable[[DepthFrame, float, int], View]:
-    """Make the function that turns a measured frame, its time and number into a View; raises InputError."""
+    """Return a function that converts a measured frame, its time and number to a View; raises InputError."""
     cal = camera.calibration
     if not cal.is_calibrated:
         raise InputError("undistorted depth needs a calibrated camera; make one with 'chromaperture calibrate'")
@@ -44,7 +44,7 @@ def undistorter(camera: CodedApertureCamera) -> Callable[[DepthFrame, float, int
     straight = cv2.initUndistortRectifyMap(matrix, cal.lens.distortion, None, matrix, size, cv2.CV_32FC1)
 
     def nearest(values: np.ndarray) -> np.ndarray:
-        # A mean of two depths is a place where nothing is: the nearest pixel's is taken. Nothing outside is known.
+        # The mean of two depths belongs to no surface: take the nearest pixel's. Outside the frame depth is unknown.
         values = np.ascontiguousarray(values, np.float32)
         return cv2.remap(values, *straight, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
 

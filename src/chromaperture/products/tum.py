@@ -1,4 +1,4 @@
-"""RGB-D folders as the TUM benchmark has them: rgb/, depth/, rgb.txt, depth.txt, associations.txt."""
+"""Write RGB-D folders in the format of the TUM benchmark: rgb/, depth/, rgb.txt, depth.txt, associations.txt."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from chromaperture.errors import InputError
 from chromaperture.products.rectified import View
 from chromaperture.storage import staged
 
-_COUNTS_PER_MM = 5.0  # 5000 a metre
+_COUNTS_PER_MM = 5.0  # 5000 a metre, fixed by the TUM format
 
 
 def write_tum(folder: str | Path, frames: Iterable[View], *, camera_matrix: np.ndarray) -> int:

@@ -1,1 +1,1 @@
-"""From a moving camera to a mesh: tracking and fusion on Open3D (extra ``reconstruct``)."""
+"""Track a moving camera and fuse its views to a mesh, on Open3D (extra ``reconstruct``)."""

@@ -1,4 +1,4 @@
-"""From frames to the files of a model."""
+"""Reconstruct a model from frames and write its files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from chromaperture.capture.source import Frame
 from chromaperture.errors import InputError
 from chromaperture.products.rectified import undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction
-from chromaperture.reconstruction.model_files import write_mesh_glb, write_mesh_ply, write_trajectory
+from chromaperture.reconstruction.model_files import glb, write_mesh_ply, write_trajectory
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.volume import open3d
 from chromaperture.storage import staged, write_json
@@ -29,7 +29,7 @@ def reconstruct(
     listener: Callable[[str], None] = lambda line: None,
     progress: Callable[[Placed], None] = lambda placed: None,
 ) -> Reconstruction:
-    """Measure, track and fuse frames until they end, or Ctrl-C: then what was made so far is given.
+    """Measure, track and fuse frames until they end, or until Ctrl-C: then return the model so far.
 
     Parameters
     ----------
@@ -38,9 +38,9 @@ def reconstruct(
         Calibrated.
     config : ReconstructionConfig, optional
     listener : callable, optional
-        Told in one line what a person wants to know.
+        Receives messages for the user, one line each.
     progress : callable, optional
-        Given what became of every frame.
+        Receives the result of every frame.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def reconstruct(
         listener(f"interrupted after {len(model.placed)} frames; writing the model of these")
     if not model.placed:
         raise InputError("the source held no frame; there is nothing to reconstruct")
-    if not any(place.pose is not None for place in model.placed):
+    if not any(frame.pose is not None for frame in model.placed):
         raise InputError(f"no frame could be used: {model.placed[-1].note.removeprefix('lost: ')}")
     return model
 
@@ -85,8 +85,8 @@ def write_model(
                 continue
             name = f"mesh_{number}" if number else "mesh"
             write_mesh_ply(stage.path(f"{name}.ply"), mesh)
-            write_mesh_glb(stage.path(f"{name}.glb"), mesh)
-        write_trajectory(stage.path("trajectory.txt"), [model.in_root(place) for place in model.placed])
+            stage.path(f"{name}.glb").write_bytes(glb(mesh))
+        write_trajectory(stage.path("trajectory.txt"), [model.in_root(frame) for frame in model.placed])
         report |= {"meshes": sizes, "seconds_to_write": round(time.perf_counter() - began, 3)}
         write_json(stage.path("report.json"), report)
         files = [folder / name for name in stage.names]
@@ -95,7 +95,7 @@ def write_model(
 
 def summary(model: Reconstruction) -> dict[str, Any]:
     """Collect the figures of a reconstruction, units in the names."""
-    tracked = [place for place in model.placed if place.pose is not None]
+    tracked = [frame for frame in model.placed if frame.pose is not None]
     path_mm = sum(
         float(np.linalg.norm(b.pose[:3, 3] - a.pose[:3, 3]))
         for a, b in itertools.pairwise(tracked)
@@ -114,7 +114,7 @@ def summary(model: Reconstruction) -> dict[str, Any]:
         "blocks_capacity": volume.capacity if volume else 0,
         "volume_full": bool(volume and volume.full),
         "median_overlap": float(np.median([p.overlap for p in tracked])) if tracked else None,
-        "median_likeness": float(np.median([p.likeness for p in tracked])) if tracked else None,
+        "median_likeness": float(np.median([p.correlation for p in tracked])) if tracked else None,
         "per_frame": [
             {"index": p.index, "time_s": p.time_s, "submap": p.submap, "overlap": p.overlap, "note": p.note}
             for p in model.placed

@@ -1,4 +1,4 @@
-"""What spoils a model is forgotten before it gets there: wide error bars, far points, flying pixels."""
+"""Remove from a view what would spoil a model: wide error bars, far points, flying pixels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from chromaperture.reconstruction.settings import ReconstructionConfig
 
 
 def cleaned(view: View, config: ReconstructionConfig) -> View:
-    """Forget what would spoil a model: wide error bars, far points, and pixels at a step of depth."""
+    """Remove wide error bars, far points and pixels at a step of depth: they become NaN."""
     z = view.z_mm
     with np.errstate(invalid="ignore"):
         kept = (z > 0) & (z <= config.max_distance_mm) & (view.sigma_mm <= config.max_relative_sigma * z)
@@ -20,21 +20,22 @@ def cleaned(view: View, config: ReconstructionConfig) -> View:
 
 
 def near_steps(z_mm: np.ndarray, *, jump: float, reach_px: int) -> np.ndarray:
-    """Find flying pixels: those with a relative step of depth within reach.
+    """Find flying pixels: those near a relative step of depth.
 
     Parameters
     ----------
     z_mm : (H, W) float32, NaN unknown
     jump : float
-        Step relative to the distance.
+        Least step relative to the distance.
     reach_px : int
+        Half width of the neighbourhood.
 
     Returns
     -------
     (H, W) bool
     """
     known = np.isfinite(z_mm) & (z_mm > 0)
-    inverse = np.where(known, 1.0 / np.where(known, z_mm, 1.0), np.nan).astype(np.float32)  # planes stay planes
+    inverse = np.where(known, 1.0 / np.where(known, z_mm, 1.0), np.nan).astype(np.float32)  # planes are linear in 1 / z
     window = np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)
     nearest = cv2.dilate(np.where(known, inverse, -1.0), window, borderType=cv2.BORDER_REPLICATE)
     farthest = cv2.erode(np.where(known, inverse, 1e9), window, borderType=cv2.BORDER_REPLICATE)

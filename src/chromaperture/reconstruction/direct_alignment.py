@@ -1,7 +1,7 @@
-"""Where a camera stands against a keyframe: brightness and distance of its points, by Gauss-Newton from coarse to fine.
+"""Align a camera with a keyframe by brightness and distance of its points: Gauss-Newton from coarse to fine.
 
-A point X of the keyframe is seen by the camera at T X. Left there are the difference of brightness, the camera's minus
-gain times the keyframe's plus offset, and the camera's distance minus that of T X. Its motion is xi: T <- exp(xi) T.
+The camera sees a point X of the keyframe at T X. Residuals are the difference of brightness, the camera's minus gain
+times the keyframe's minus offset, and the camera's distance minus that of T X. A step xi updates T <- exp(xi) T.
 """
 
 from __future__ import annotations
@@ -10,56 +10,56 @@ import math
 from dataclasses import dataclass
 
 import cv2
-import numba as nb
 import numpy as np
 
-_UNKNOWNS = 8  # three of place, three of turn, gain, offset
-_MAX_POINTS = 8_000
-_LEAST_SIDE_PX = 40
-_LEVELS = 4
-_ROUNDS = 12
-_ENOUGH_PX = 0.02  # a smaller step ends the search
-_HUBER, _TUKEY = 1.345, 4.685  # both lose 5 % where errors are normal
-_MAD = 1.4826
-_LEAST_GREY = 0.5  # grey levels: rounding alone
-_AGREES, _DIFFERS = 1, 2
-_DAMPING = 1e-4
-_CONDITION = 1e-7
-_ALIKE = 0.7  # correlation of the coarsest pictures from which a guess is near enough
-_TURN_PX, _TURNS = 1.5, 4  # guesses turned that far, so many times to each side, px of the coarsest picture
+from chromaperture.compilation import compiled
+from chromaperture.robust import HUBER, robust_sigma
+
+_UNKNOWNS = 8  # three of translation, three of rotation, gain, offset
+_TUKEY = 4.685  # standard deviations at which Tukey's biweight falls to 0: 95 % efficient for Gaussian errors
+_AGREES, _DIFFERS = 1, 2  # distance of a point: within the outlier limit, or not
+# Chosen by hand; not tuned.
+_MAX_POINTS, _MIN_POINTS = 8_000, 50  # of a scale: bounds its time; fewer do not determine eight unknowns robustly
+_LEVELS, _MIN_SIDE_PX = 4, 40  # scales of the pyramid, each half as large, and the least side of the coarsest
+_ROUNDS, _CONVERGED_PX = 12, 0.02  # Gauss-Newton steps of a scale; a smaller step ends them
+_START_SIGMA, _MIN_SIGMA = 20.0, 0.5  # grey levels: standard deviation before the first round, and of rounding alone
+_MAX_SLOPE = 0.02  # change of distance per px, of the distance, above which its gradient is that of an edge
+_DAMPING = 1e-4  # added to the diagonal of the normal equations, scaled to 1
+_CONDITION = 1e-7  # least eigenvalue of the scaled normal equations; below, the motion is undetermined
+_MIN_CORRELATION = 0.7  # of the coarsest pictures; below, rotations of the guess are tried: Gauss-Newton reaches 1 px
+_TURN_PX, _TURNS = 1.5, 4  # step of these rotations, px of the coarsest picture, and their number to each side
 
 
 @dataclass(frozen=True)
 class Level:
-    """One scale of a picture: (H, W) float32 grey and its gradients, distance and its sigma (mm, NaN), the matrix."""
+    """One scale of a picture: (H, W) float32 grey and gradients, distance and its sigma (mm, NaN), camera matrix."""
 
     grey: np.ndarray
-    across: np.ndarray
-    down: np.ndarray
+    grad_x: np.ndarray
+    grad_y: np.ndarray
     z_mm: np.ndarray
     sigma_mm: np.ndarray
     matrix: np.ndarray
 
 
 @dataclass(frozen=True)
-class Fit:
-    """What was found: motion (4, 4) keyframe to camera, shares of points seen and fitting, likeness, if solved."""
+class Alignment:
+    """Motion (4, 4) keyframe to camera in mm, fraction of points visible at their distance, correlation, if solved."""
 
     motion: np.ndarray
-    seen: float
-    fitting: float
-    likeness: float
-    solved: bool
+    overlap: float = 0.0
+    correlation: float = 0.0
+    solved: bool = True
 
 
 def pyramid(grey: np.ndarray, z_mm: np.ndarray, sigma_mm: np.ndarray, matrix: np.ndarray) -> list[Level]:
-    """Reduce a picture step by step, the finest first; distances are taken as they are, never averaged."""
+    """Reduce a picture step by step, the finest first; distances are sampled, never averaged."""
     levels = []
     for _ in range(_LEVELS):
-        across = cv2.Scharr(grey, cv2.CV_32F, 1, 0, scale=1 / 32)
-        down = cv2.Scharr(grey, cv2.CV_32F, 0, 1, scale=1 / 32)
-        levels.append(Level(grey, across, down, z_mm, sigma_mm, matrix))
-        if min(grey.shape) < 2 * _LEAST_SIDE_PX:
+        grad_x = cv2.Scharr(grey, cv2.CV_32F, 1, 0, scale=1 / 32)
+        grad_y = cv2.Scharr(grey, cv2.CV_32F, 0, 1, scale=1 / 32)
+        levels.append(Level(grey, grad_x, grad_y, z_mm, sigma_mm, matrix))
+        if min(grey.shape) < 2 * _MIN_SIDE_PX:
             break
         rows, columns = (side // 2 * 2 for side in grey.shape)
         grey = cv2.resize(grey[:rows, :columns], (columns // 2, rows // 2), interpolation=cv2.INTER_AREA)
@@ -70,11 +70,11 @@ def pyramid(grey: np.ndarray, z_mm: np.ndarray, sigma_mm: np.ndarray, matrix: np
     return levels
 
 
-def points_of(level: Level) -> np.ndarray:
-    """Points that say most: X (mm), grey, its gradients; (N, 6) float32."""
+def select_points(level: Level) -> np.ndarray:
+    """Return the points with the largest gradients: X (mm), grey, its gradients; (N, 6) float32."""
     known = np.isfinite(level.z_mm)
     known[[0, -1]] = known[:, [0, -1]] = False
-    slope = np.hypot(level.across, level.down)
+    slope = np.hypot(level.grad_x, level.grad_y)
     if known.sum() > _MAX_POINTS:
         known &= slope >= np.quantile(slope[known], max(0.5, 1 - 2 * _MAX_POINTS / known.sum()))
     rows, columns = np.nonzero(known)
@@ -83,110 +83,129 @@ def points_of(level: Level) -> np.ndarray:
     z = level.z_mm[rows, columns]
     m = level.matrix
     x, y = (columns - m[0, 2]) / m[0, 0] * z, (rows - m[1, 2]) / m[1, 1] * z
-    parts = (x, y, z, level.grey[rows, columns], level.across[rows, columns], level.down[rows, columns])
+    parts = (x, y, z, level.grey[rows, columns], level.grad_x[rows, columns], level.grad_y[rows, columns])
     return np.ascontiguousarray(np.stack(parts, axis=1), np.float32)
 
 
 def align(
     points: list[np.ndarray], camera: list[Level], motion: np.ndarray, *, depth_weight: float, outlier_mm: float
-) -> Fit:
+) -> Alignment:
     """Find the motion from keyframe to camera.
 
     Parameters
     ----------
     points : list of (N, 6) float32
-        `points_of` the keyframe's levels, the finest first.
+        `select_points` of the keyframe's levels, the finest first.
     camera : list of Level
     motion : (4, 4) float
-        Where to begin, keyframe to camera, mm.
+        Initial guess, keyframe to camera, mm.
     depth_weight : float
-        Weight of a pixel's distance beside its brightness; below 1 because neighbours err alike.
+        Weight of a pixel's distance relative to its brightness; below 1 because errors of neighbours are correlated.
     outlier_mm : float
-        Points farther from the keyframe's in distance do not pull and do not fit.
+        Points whose distance differs by more are outliers.
 
     Returns
     -------
-    Fit
+    Alignment
         Not `solved` where brightness and distances leave the motion undetermined.
     """
-    motion = np.array(motion, float)
-    brightness, solved = np.array([1.0, 0.0]), True
-    seen = fitting = like = 0.0
-    motion = _turned(points[-1], camera[len(points) - 1], motion, outlier_mm)
+    motion = _best_rotation(points[-1], camera[len(points) - 1], np.array(motion, float), outlier_mm)
+    found, brightness = Alignment(motion), np.array([1.0, 0.0])  # gain and offset
     for cloud, level in reversed(list(zip(points, camera, strict=False))):
-        if len(cloud) < 50:
+        if len(cloud) < _MIN_POINTS:
             continue
-        grey_sigma, distance_mm = 20.0, float(np.median(cloud[:, 2]))
-        residual = np.empty(len(cloud), np.float32)
-        matched = np.empty(len(cloud), np.float32)
-        close = np.empty(len(cloud), np.uint8)
-        for round_ in range(_ROUNDS):
-            sums = normal_equations(
-                cloud, level.grey, level.across, level.down, level.z_mm, level.sigma_mm, level.matrix, motion,
-                brightness, grey_sigma, depth_weight, outlier_mm, residual, matched, close,
-            )  # fmt: skip
-            here = np.isfinite(residual)
-            seen = float(here.mean())
-            if here.sum() < 50:
-                return Fit(motion, seen, 0.0, 0.0, solved=False)
-            grey_sigma = max(_MAD * float(np.median(np.abs(residual[here]))), _LEAST_GREY)
-            if round_ == 0:
-                continue  # the first looks how far apart the pictures are
-            normal = np.zeros((_UNKNOWNS, _UNKNOWNS))
-            normal[np.triu_indices(_UNKNOWNS)] = sums[:-_UNKNOWNS]
-            normal += np.triu(normal, 1).T
-            update, solved = _solved(normal, sums[-_UNKNOWNS:])
-            if not solved:
-                return Fit(motion, seen, 0.0, 0.0, solved=False)
-            motion = _moved(update[:6]) @ motion
-            brightness += update[6:]
-            step_px = level.matrix[0, 0] * (np.abs(update[:3]).max() / distance_mm + np.abs(update[3:6]).max())
-            if step_px < _ENOUGH_PX:
-                break
-        agrees, differs = int((close == _AGREES).sum()), int((close == _DIFFERS).sum())
-        fitting = seen * agrees / max(agrees + differs, 1)  # nothing is known of the rest
-        like = _correlation(cloud[here, 3], matched[here])
-    return Fit(motion, seen, fitting, like, solved)
+        found = _align_level(cloud, level, found.motion, brightness, depth_weight, outlier_mm)
+        if not found.solved:
+            break
+    return found
 
 
-def _turned(cloud: np.ndarray, level: Level, motion: np.ndarray, outlier_mm: float) -> np.ndarray:
-    """Turn the guess to where the coarsest pictures look most alike, if they do not yet: Gauss-Newton reaches a px."""
-    if len(cloud) < 50:
+def _align_level(
+    cloud: np.ndarray, level: Level, motion: np.ndarray, brightness: np.ndarray, depth_weight: float, outlier_mm: float
+) -> Alignment:
+    """Align at one scale; updates ``brightness`` in place."""
+    grey_sigma, distance_mm = _START_SIGMA, float(np.median(cloud[:, 2]))
+    for round_ in range(_ROUNDS):
+        sums, residual, matched, close = _linearised(
+            cloud, level, motion, brightness, grey_sigma, depth_weight, outlier_mm
+        )
+        visible = np.isfinite(residual)
+        if visible.sum() < _MIN_POINTS:
+            return Alignment(motion, solved=False)
+        grey_sigma = max(robust_sigma(residual), _MIN_SIGMA)
+        if round_ == 0:
+            continue  # only measures the standard deviation
+        update = _step(sums)
+        if update is None:
+            return Alignment(motion, solved=False)
+        motion = _exponential(update[:6]) @ motion
+        brightness += update[6:]
+        step_px = level.matrix[0, 0] * (np.abs(update[:3]).max() / distance_mm + np.abs(update[3:6]).max())
+        if step_px < _CONVERGED_PX:
+            break
+    agrees, differs = int((close == _AGREES).sum()), int((close == _DIFFERS).sum())
+    overlap = float(visible.mean()) * agrees / max(agrees + differs, 1)  # points of unknown distance do not count
+    return Alignment(motion, overlap, _correlation(cloud[visible, 3], matched[visible]))
+
+
+def _best_rotation(cloud: np.ndarray, level: Level, motion: np.ndarray, outlier_mm: float) -> np.ndarray:
+    """Rotate the guess to where the coarsest pictures correlate best, unless they correlate well already."""
+    if len(cloud) < _MIN_POINTS:
         return motion
-    found, best = motion, _alike(cloud, level, motion, outlier_mm)
-    if best >= _ALIKE:
+    found, best = motion, _visible_correlation(cloud, level, motion, outlier_mm)
+    if best >= _MIN_CORRELATION:
         return motion
     for right in range(-_TURNS, _TURNS + 1):
         for down in range(-_TURNS, _TURNS + 1):
             turn = np.array([0, 0, 0, -down * _TURN_PX, right * _TURN_PX, 0]) / level.matrix[0, 0]
-            turned = _moved(turn) @ motion
-            if (alike := _alike(cloud, level, turned, outlier_mm)) > best:
-                found, best = turned, alike
+            turned = _exponential(turn) @ motion
+            if (correlation := _visible_correlation(cloud, level, turned, outlier_mm)) > best:
+                found, best = turned, correlation
     return found
 
 
-def _alike(cloud: np.ndarray, level: Level, motion: np.ndarray, outlier_mm: float) -> float:
-    """Correlation of the cloud's grey with what it meets, less where little of it is seen."""
-    residual, matched = np.empty(len(cloud), np.float32), np.empty(len(cloud), np.float32)
-    normal_equations(
-        cloud, level.grey, level.across, level.down, level.z_mm, level.sigma_mm, level.matrix, motion,
-        np.array([1.0, 0.0]), 20.0, 0.0, outlier_mm, residual, matched, np.empty(len(cloud), np.uint8),
-    )  # fmt: skip
-    here = np.isfinite(residual)
-    if here.sum() < 50:
+def _visible_correlation(cloud: np.ndarray, level: Level, motion: np.ndarray, outlier_mm: float) -> float:
+    """Return the correlation of the points' grey with the picture's, reduced where few points are visible."""
+    _, residual, matched, _ = _linearised(cloud, level, motion, np.array([1.0, 0.0]), _START_SIGMA, 0.0, outlier_mm)
+    visible = np.isfinite(residual)
+    if visible.sum() < _MIN_POINTS:
         return 0.0
-    return _correlation(cloud[here, 3], matched[here]) * float(here.mean()) ** 0.5
+    return _correlation(cloud[visible, 3], matched[visible]) * float(visible.mean()) ** 0.5
 
 
-def _solved(normal: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, bool]:
+def _linearised(
+    cloud: np.ndarray,
+    level: Level,
+    motion: np.ndarray,
+    brightness: np.ndarray,
+    grey_sigma: float,
+    depth_weight: float,
+    outlier_mm: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the sums, residuals, matched grey and agreement of distances of `normal_equations`."""
+    residual, matched = np.empty(len(cloud), np.float32), np.empty(len(cloud), np.float32)
+    close = np.empty(len(cloud), np.uint8)
+    sums = normal_equations(
+        cloud, level.grey, level.grad_x, level.grad_y, level.z_mm, level.sigma_mm, level.matrix, motion,
+        brightness, grey_sigma, depth_weight, outlier_mm, residual, matched, close,
+    )  # fmt: skip
+    return sums, residual, matched, close
+
+
+def _step(sums: np.ndarray) -> np.ndarray | None:
+    """Solve the normal equations; None where they are singular."""
+    normal = np.zeros((_UNKNOWNS, _UNKNOWNS))
+    normal[np.triu_indices(_UNKNOWNS)] = sums[:-_UNKNOWNS]
+    normal += np.triu(normal, 1).T
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-12))
     unit = normal / np.outer(scale, scale)
     if not np.isfinite(unit).all() or np.linalg.eigvalsh(unit)[0] < _CONDITION:
-        return np.zeros(_UNKNOWNS), False
-    return -np.linalg.solve(unit + _DAMPING * np.eye(_UNKNOWNS), right / scale) / scale, True
+        return None
+    return np.asarray(-np.linalg.solve(unit + _DAMPING * np.eye(_UNKNOWNS), sums[-_UNKNOWNS:] / scale) / scale)
 
 
-def _moved(step: np.ndarray) -> np.ndarray:
+def _exponential(step: np.ndarray) -> np.ndarray:
+    """Return the (4, 4) motion of a step: translation, then rotation vector."""
     pose = np.eye(4)
     pose[:3, :3] = cv2.Rodrigues(step[3:6])[0]
     pose[:3, 3] = step[:3]
@@ -196,31 +215,18 @@ def _moved(step: np.ndarray) -> np.ndarray:
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
     a, b = a - a.mean(), b - b.mean()
     power = float(np.sqrt((a @ a) * (b @ b)))
-    return float(a @ b) / power if power > len(a) else 0.0  # less than one grey level says nothing
+    return float(a @ b) / power if power > len(a) else 0.0  # contrast below one grey level is noise
 
 
-@nb.njit(cache=True, nogil=True)
-def normal_equations(
-    points: np.ndarray,
-    grey: np.ndarray,
-    across: np.ndarray,
-    down: np.ndarray,
-    z_mm: np.ndarray,
-    sigma_mm: np.ndarray,
-    matrix: np.ndarray,
-    motion: np.ndarray,
-    brightness: np.ndarray,
-    grey_sigma: float,
-    depth_weight: float,
-    outlier_mm: float,
-    residual: np.ndarray,
-    matched: np.ndarray,
-    close: np.ndarray,
-) -> np.ndarray:
-    """Sum J^T W J (upper triangle) and J^T W r over the points; (44,) float64.
+@compiled()
+def normal_equations(  # type: ignore[no-untyped-def]
+    points, grey, grad_x, grad_y, z_mm, sigma_mm, matrix, motion, brightness, grey_sigma, depth_weight, outlier_mm,
+    residual, matched, close,
+):  # fmt: skip
+    """Return the sums of J^T W J (upper triangle) and J^T W r over the points; (44,) float64.
 
-    Fills ``residual`` (grey levels, NaN where a point is not seen), ``matched`` (grey that it meets) and ``close``
-    (whether its distance agrees or differs, 0 where it is unknown).
+    Fills ``residual`` (grey levels, NaN where a point is not visible), ``matched`` (grey of the picture there) and
+    ``close`` (whether its distance agrees or differs, 0 where it is unknown).
     """
     rows, columns = grey.shape
     total, j = np.zeros(44), np.zeros(8)
@@ -242,7 +248,7 @@ def normal_equations(
         near_column, near_row = int(u + 0.5), int(v + 0.5)
         measured = z_mm[near_row, near_column]
         apart = measured - z
-        if apart < -outlier_mm:  # something stands before it now
+        if apart < -outlier_mm:  # another surface hides it now
             close[n] = _DIFFERS
             continue
         w00, w01, w10, w11 = (1 - s) * (1 - t), s * (1 - t), (1 - s) * t, s * t
@@ -251,23 +257,23 @@ def normal_equations(
             + w10 * grey[row + 1, column] + w11 * grey[row + 1, column + 1]
         )  # fmt: skip
         gx = (
-            w00 * across[row, column] + w01 * across[row, column + 1]
-            + w10 * across[row + 1, column] + w11 * across[row + 1, column + 1]
+            w00 * grad_x[row, column] + w01 * grad_x[row, column + 1]
+            + w10 * grad_x[row + 1, column] + w11 * grad_x[row + 1, column + 1]
         )  # fmt: skip
         gy = (
-            w00 * down[row, column] + w01 * down[row, column + 1]
-            + w10 * down[row + 1, column] + w11 * down[row + 1, column + 1]
+            w00 * grad_y[row, column] + w01 * grad_y[row, column + 1]
+            + w10 * grad_y[row + 1, column] + w11 * grad_y[row + 1, column + 1]
         )  # fmt: skip
         r = value - gain * points[n, 3] - offset
         residual[n], matched[n] = r, value
-        # Mean of both gradients: second order in the motion, where they are alike.
+        # Mean of both gradients: second-order convergence where they are similar (Malis 2004).
         gx, gy = 0.5 * (gx + gain * points[n, 4]) * fx / z, 0.5 * (gy + gain * points[n, 5]) * fy / z
         gz = -(gx * x + gy * y) / z
         j[0], j[1], j[2] = gx, gy, gz
         j[3], j[4], j[5] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
         j[6], j[7] = -points[n, 3], -1.0
         ratio = abs(r) / grey_sigma
-        # What stands before a point where no distance is known differs one-sidedly: it must lose all its weight.
+        # An occluder of unknown distance is a one-sided outlier: its weight must fall to 0 (docs/reconstruction.md).
         weight = (1.0 - (ratio / _TUKEY) ** 2) ** 2 / (grey_sigma * grey_sigma) if ratio < _TUKEY else 0.0
         k = 0
         for a in range(8):
@@ -285,14 +291,14 @@ def normal_equations(
             continue
         dx = 0.5 * (z_mm[near_row, near_column + 1] - z_mm[near_row, near_column - 1])
         dy = 0.5 * (z_mm[near_row + 1, near_column] - z_mm[near_row - 1, near_column])
-        if not (abs(dx) < 0.02 * z and abs(dy) < 0.02 * z):
+        if not (abs(dx) < _MAX_SLOPE * z and abs(dy) < _MAX_SLOPE * z):
             continue
         dx, dy = dx * fx / z, dy * fy / z
         dz = -(dx * x + dy * y) / z - 1.0
         j[0], j[1], j[2] = dx, dy, dz
         j[3], j[4], j[5] = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
         ratio = abs(apart) / sigma
-        weight = depth_weight * (1.0 if ratio <= _HUBER else _HUBER / ratio) / (sigma * sigma)
+        weight = depth_weight * (1.0 if ratio <= HUBER else HUBER / ratio) / (sigma * sigma)
         k = 0
         for a in range(6):
             wa = weight * j[a]

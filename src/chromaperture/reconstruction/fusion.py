@@ -1,4 +1,4 @@
-"""The loop: clean a view, find the camera, fuse; say when it is lost, find it again, begin a submap, join it later."""
+"""Reconstruct view by view: clean, track, fuse; relocalise a lost camera, begin submaps and join them."""
 
 from __future__ import annotations
 
@@ -9,32 +9,42 @@ import numpy as np
 
 from chromaperture.products.rectified import View
 from chromaperture.reconstruction.clean_views import cleaned
-from chromaperture.reconstruction.motion import Speed
+from chromaperture.reconstruction.motion import ConstantVelocity
 from chromaperture.reconstruction.settings import ReconstructionConfig
-from chromaperture.reconstruction.tracking import Keyframe, Sight, Track, scaled, sight, track, turn_deg
+from chromaperture.reconstruction.tracking import (
+    MIN_KNOWN,
+    NO_DEPTH,
+    Keyframe,
+    PreparedView,
+    Track,
+    prepare,
+    scaled,
+    track,
+    turn_deg,
+)
 from chromaperture.reconstruction.volume import Mesh, Volume, joined
 
-_KEYFRAMES = 300
-_APART = 0.2  # of the picture's width: farther from every keyframe, a new one is made
-_CLEAR, _DOUBTFUL = 0.65, 0.3  # overlap times likeness: nothing else is tried; all is
-_TRIES = 3  # keyframes tried a lost frame
+# Chosen by hand; docs/reconstruction.md measures the whole.
+_MAX_KEYFRAMES = 300  # of a submap
+_KEYFRAME_DISTANCE = 0.2  # picture widths: a view farther from every keyframe becomes one
+_GOOD_SCORE, _POOR_SCORE = 0.65, 0.3  # of `Track`: from which no other guess is tried; below which all are
+_CANDIDATES = 3  # most similar keyframes tried for a lost frame
 _REFRESH = 4  # views fused until the keyframe takes its distances from the model again
-_VOXELS_OF_DISTANCE = 200
-_MIN_KNOWN = 0.02
-_JOIN_LIKENESS, _JOIN_OVERLAP = 0.75, 0.5  # stricter than tracking: nothing says that the place was seen before
-_JOIN_EVERY = 3  # frames from one look into older submaps to the next
-_JOIN_MM, _JOIN_DEG = 40.0, 2.0  # two finds in a row that agree so well are no accident
+_VOXELS_OF_DISTANCE, _MIN_VOXEL_MM, _MAX_VOXEL_MM = 200, 0.5, 50.0  # default edge: 1/200 of the distance, in limits
+_JOIN_CORRELATION, _JOIN_OVERLAP = 0.75, 0.5  # stricter than in tracking, which has a prior
+_JOIN_EVERY = 3  # frames between two searches in older submaps
+_JOIN_MM, _JOIN_DEG = 40.0, 2.0  # largest difference of two poses in a row that join submaps
 
 
 @dataclass(frozen=True)
 class Placed:
-    """What became of one frame: pose (4, 4) camera to world in mm, None when lost; overlap, likeness, submap, words."""
+    """Result of one frame: pose (4, 4) camera to world in mm, None when lost; overlap, correlation, submap, note."""
 
     index: int
     time_s: float
     pose: np.ndarray | None
     overlap: float = 1.0
-    likeness: float = 1.0
+    correlation: float = 1.0
     submap: int = 0
     note: str = ""
 
@@ -46,12 +56,12 @@ class Submap:
     Attributes
     ----------
     volume : Volume or None
-        While it grows.
+        While it grows; None afterwards.
     mesh : Mesh or None
-        Afterwards.
+        Once it no longer grows.
     keyframes : list of Keyframe
     root, to_root : int, (4, 4) float64
-        The submap that it was joined to, itself at first, and its pose there.
+        The submap that it was joined to, itself at first, and its pose in that one's frame.
     """
 
     volume: Volume | None
@@ -61,7 +71,7 @@ class Submap:
     to_root: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     def surface(self) -> Mesh:
-        """Give its mesh in its own frame."""
+        """Return the mesh in the submap's own frame."""
         if self.mesh is not None:
             return self.mesh
         assert self.volume is not None
@@ -76,7 +86,7 @@ class Reconstruction:
     camera_matrix : (3, 3) float, px
     config : ReconstructionConfig
     listener : callable, optional
-        Told in one line when tracking is lost or found again, a submap begins or is joined, or the volume is full.
+        Receives a line when tracking is lost or found again, a submap begins or is joined, or the volume is full.
     """
 
     def __init__(
@@ -91,63 +101,64 @@ class Reconstruction:
         self.placed: list[Placed] = []
         self.submaps: list[Submap] = []
         self.lost_in_row = 0
-        self._pose, self._speed = np.eye(4), Speed(np.eye(4), 0.0)
-        self._said_full = False
+        self._pose, self._motion = np.eye(4), ConstantVelocity(np.eye(4), 0.0)
+        self._reported_full = False
         self._active: Keyframe | None = None
         self._fused = 0
-        self._joining: tuple[int, np.ndarray] | None = None
+        self._join_candidate: tuple[int, np.ndarray] | None = None
 
     @property
     def current(self) -> Submap | None:
-        """The submap that grows."""
+        """The growing submap."""
         return self.submaps[-1] if self.submaps else None
 
     @property
     def submap(self) -> int:
-        """Number of the submap that grows."""
+        """Number of the growing submap."""
         return max(0, len(self.submaps) - 1)
 
     @property
     def roots(self) -> list[int]:
-        """Submaps that were not joined to an older one: each is a world frame of its own."""
+        """Submaps not joined to an older one: each has a world frame of its own."""
         return sorted({submap.root for submap in self.submaps})
 
     def add(self, view: View) -> Placed:
-        """Track and fuse one view; never raises because of what it shows."""
+        """Track and fuse one view; never raises because of its content."""
         clean = cleaned(view, self.config)
-        seen = sight(clean, self.camera_matrix, self.config)
+        prepared = prepare(clean, self.camera_matrix, self.config)
         if self.current is None or self.lost_in_row >= self.config.submap_after:
-            placed = self._begin(clean, seen)
+            placed = self._begin(clean, prepared)
         else:
-            placed = self._follow(clean, seen, self.current)
+            placed = self._follow(clean, prepared, self.current)
         self.placed.append(placed)
         return placed
 
     def in_root(self, placed: Placed) -> Placed:
-        """Give a frame's pose in the frame of the submap that its own was joined to."""
+        """Return a result whose pose is in the world frame of the submap that its own was joined to."""
         if placed.pose is None:
             return placed
         submap = self.submaps[placed.submap]
         return replace(placed, pose=submap.to_root @ placed.pose, submap=submap.root)
 
     def meshes(self) -> list[Mesh]:
-        """Give one mesh for every world frame, the first first, each of all submaps joined to it; empty ones too."""
+        """Return one mesh for every world frame, in the order of `roots`, each of all its submaps; empty ones too."""
         return [self.mesh(root) for root in self.roots]
 
     def mesh(self, root: int) -> Mesh:
-        """Give the mesh of all submaps joined to one."""
+        """Return the mesh of all submaps joined to one."""
         return joined([(s.surface(), s.to_root) for s in self.submaps if s.root == root])
 
-    def _begin(self, view: View, seen: Sight) -> Placed:
+    def _begin(self, view: View, prepared: PreparedView) -> Placed:
         known = np.isfinite(view.z_mm)
-        if known.mean() < _MIN_KNOWN:
-            return self._lost(view, "hardly any pixel has a depth that can be trusted; light, texture or range?")
+        if known.mean() < MIN_KNOWN:
+            return self._lost(view, NO_DEPTH)
         if self.current is not None:
             self.current.mesh, self.current.volume = self.current.surface(), None
             self.listener(f"frame {view.index}: still lost, so a new submap begins (number {len(self.submaps)})")
         self.lost_in_row = 0
         c = self.config
-        voxel_mm = c.voxel_mm or float(np.clip(np.median(view.z_mm[known]) / _VOXELS_OF_DISTANCE, 0.5, 50.0))
+        default = np.median(view.z_mm[known]) / _VOXELS_OF_DISTANCE
+        voxel_mm = c.voxel_mm or float(np.clip(default, _MIN_VOXEL_MM, _MAX_VOXEL_MM))
         volume = Volume(
             voxel_mm=voxel_mm,
             truncation_voxels=c.truncation_voxels,
@@ -155,56 +166,56 @@ class Reconstruction:
             max_distance_mm=c.max_distance_mm,
         )
         self.submaps.append(Submap(volume, root=len(self.submaps)))
-        self._pose, self._said_full, self._joining = np.eye(4), False, None
-        self._speed = Speed(self._pose, view.time_s)
-        self._fuse(view, seen, self.submaps[-1])
+        self._pose, self._reported_full, self._join_candidate = np.eye(4), False, None
+        self._motion = ConstantVelocity(self._pose, view.time_s)
+        self._fuse(view, prepared, self.submaps[-1])
         return Placed(view.index, view.time_s, self._pose.copy(), submap=self.submap, note="origin")
 
-    def _follow(self, view: View, seen: Sight, submap: Submap) -> Placed:
-        found, seamless = self._found(view, seen, submap)
+    def _follow(self, view: View, prepared: PreparedView, submap: Submap) -> Placed:
+        found, continuous = self._found(view, prepared, submap)
         if found.lost:
             return self._lost(view, found.lost)
         if self.lost_in_row:
             self.listener(f"frame {view.index}: tracking found again after {self.lost_in_row} frames")
         self.lost_in_row = 0
         self._pose = orthonormal(found.pose)
-        if seamless:
-            self._speed.met(self._pose, view.time_s)
+        if continuous:
+            self._motion.update(self._pose, view.time_s)
         else:
-            self._speed = Speed(self._pose, view.time_s)
-        self._fuse(view, seen, submap)
+            self._motion = ConstantVelocity(self._pose, view.time_s)
+        self._fuse(view, prepared, submap)
         if view.index % _JOIN_EVERY == 0:
-            self._join(view, seen, submap)
-        return Placed(view.index, view.time_s, self._pose.copy(), found.overlap, found.likeness, self.submap)
+            self._join(view, prepared, submap)
+        return Placed(view.index, view.time_s, self._pose.copy(), found.overlap, found.correlation, self.submap)
 
-    def _found(self, view: View, seen: Sight, submap: Submap) -> tuple[Track, bool]:
-        """Look for the camera where it should be, where it was, and from the keyframes that look most like the view.
+    def _found(self, view: View, prepared: PreparedView, submap: Submap) -> tuple[Track, bool]:
+        """Track from the predicted pose, the last one, and the keyframes most similar to the view.
 
-        Gives it, and whether it went there from where it was. Far from the right pose a wrong one fits nearly as well:
-        what does not fit clearly is held against what the other guesses lead to.
+        Returns the best, and whether it continues the last pose. Far from the right pose a wrong one fits nearly as
+        well: a fit that is not good is compared with those from other guesses.
         """
-        seamless = not self.lost_in_row
-        ahead = self._speed.ahead(view.time_s) if seamless else self._pose
-        first = self._keyframe(ahead, seen, submap)
-        best = self._tracked(seen, first, ahead)
-        nearest = self._nearest(ahead, seen, submap)
-        if best.score < _CLEAR and nearest is not first:
-            best = max(best, self._tracked(seen, nearest, ahead), key=lambda found: found.score)
-        if best.score >= _DOUBTFUL:
-            return best, seamless
-        others = [(self._nearest(self._pose, seen, submap), self._pose)]
-        for keyframe, guess in others + [(key, key.pose) for key in similar(seen, submap.keyframes)]:
-            found = self._tracked(seen, keyframe, guess)
+        continuous = not self.lost_in_row
+        predicted = self._motion.predict(view.time_s) if continuous else self._pose
+        first = self._keyframe(predicted, prepared, submap)
+        best = self._tracked(prepared, first, predicted)
+        nearest = self._nearest(predicted, prepared, submap)
+        if best.score < _GOOD_SCORE and nearest is not first:
+            best = max(best, self._tracked(prepared, nearest, predicted), key=lambda found: found.score)
+        if best.score >= _POOR_SCORE:
+            return best, continuous
+        others = [(self._nearest(self._pose, prepared, submap), self._pose)]
+        for keyframe, guess in others + [(key, key.pose) for key in similar(prepared, submap.keyframes)]:
+            found = self._tracked(prepared, keyframe, guess)
             if found.score > best.score:
-                best, seamless = found, seamless and guess is self._pose
-            if best.score >= _CLEAR:
+                best, continuous = found, continuous and guess is self._pose
+            if best.score >= _GOOD_SCORE:
                 break
-        return best, seamless
+        return best, continuous
 
-    def _tracked(self, seen: Sight, keyframe: Keyframe, guess: np.ndarray) -> Track:
-        found = track(seen, keyframe, guess, config=self.config)
+    def _tracked(self, prepared: PreparedView, keyframe: Keyframe, guess: np.ndarray) -> Track:
+        found = track(prepared, keyframe, guess, config=self.config)
         if keyframe is not self._active:
-            keyframe.forget_points()
+            keyframe.free_points()
         return found
 
     def _lost(self, view: View, why: str) -> Placed:
@@ -213,82 +224,82 @@ class Reconstruction:
         self.lost_in_row += 1
         return Placed(view.index, view.time_s, None, 0.0, 0.0, self.submap, f"lost: {why}")
 
-    def _fuse(self, view: View, seen: Sight, submap: Submap) -> None:
+    def _fuse(self, view: View, prepared: PreparedView, submap: Submap) -> None:
         volume = submap.volume
         assert volume is not None
         volume.integrate(view, self.camera_matrix, self._pose)
         self._fused += 1
-        if volume.full and not self._said_full:
-            self._said_full = True
+        if volume.full and not self._reported_full:
+            self._reported_full = True
             self.listener(
                 f"frame {view.index}: the volume is full ({self.config.memory_mb} MB); new surface is NOT added. "
                 "Use --memory-mb or a larger --voxel-mm"
             )
-        if all(key.apart(self._pose, seen.median_mm) > _APART for key in submap.keyframes):
-            submap.keyframes.append(seen.keyframe(self._pose))
-            del submap.keyframes[1 : 1 + max(0, len(submap.keyframes) - _KEYFRAMES)]
+        if all(key.distance_to(self._pose, prepared.median_mm) > _KEYFRAME_DISTANCE for key in submap.keyframes):
+            submap.keyframes.append(prepared.keyframe(self._pose))
+            del submap.keyframes[1 : 1 + max(0, len(submap.keyframes) - _MAX_KEYFRAMES)]
 
-    def _keyframe(self, pose: np.ndarray, seen: Sight, submap: Submap) -> Keyframe:
-        """Give the oldest keyframe that sees much of what a camera there does: the older, the less it has drifted."""
-        apart = [key.apart(pose, seen.median_mm) for key in submap.keyframes]
-        close = [key for key, far in zip(submap.keyframes, apart, strict=True) if far <= _APART]
-        chosen = close[0] if close else self._nearest(pose, seen, submap)
+    def _keyframe(self, pose: np.ndarray, prepared: PreparedView, submap: Submap) -> Keyframe:
+        """Return the oldest keyframe close to a pose: the older, the less it has drifted."""
+        close = (key for key in submap.keyframes if key.distance_to(pose, prepared.median_mm) <= _KEYFRAME_DISTANCE)
+        chosen = next(close, None) or self._nearest(pose, prepared, submap)
         if chosen is not self._active or self._fused >= _REFRESH:
             if self._active is not None:
-                self._active.forget_points()
+                self._active.free_points()
             self._active, self._fused = chosen, 0
-            self._look(chosen, submap)
+            self._refresh(chosen, submap)
         return chosen
 
-    def _nearest(self, pose: np.ndarray, seen: Sight, submap: Submap) -> Keyframe:
-        return min(submap.keyframes, key=lambda key: key.apart(pose, seen.median_mm))
+    def _nearest(self, pose: np.ndarray, prepared: PreparedView, submap: Submap) -> Keyframe:
+        return min(submap.keyframes, key=lambda key: key.distance_to(pose, prepared.median_mm))
 
-    def _look(self, keyframe: Keyframe, submap: Submap) -> None:
-        """Give a keyframe the model's distances: frames are tracked against the model, not against one measurement."""
+    def _refresh(self, keyframe: Keyframe, submap: Submap) -> None:
+        """Set a keyframe's distances from the model: frames are tracked against it, not against one measurement."""
         assert submap.volume is not None
         height, width = keyframe.grey.shape
-        z_mm = submap.volume.look(scaled(self.camera_matrix, self.config.tracking_scale), keyframe.pose, width, height)
-        keyframe.see(np.where(z_mm > 0, z_mm, np.float32(np.nan)))
+        matrix = scaled(self.camera_matrix, self.config.tracking_scale)
+        z_mm = submap.volume.ray_cast(matrix, keyframe.pose, width, height)
+        keyframe.set_distances(np.where(z_mm > 0, z_mm, np.float32(np.nan)))
 
-    def _join(self, view: View, seen: Sight, submap: Submap) -> None:
-        """Look for the view in older submaps; two finds that agree join this one to theirs."""
+    def _join(self, view: View, prepared: PreparedView, submap: Submap) -> None:
+        """Track the view in older submaps; two poses in a row that agree join this submap to theirs."""
         older = [s for s in self.submaps if s.root != submap.root]
-        config = replace(self.config, min_likeness=_JOIN_LIKENESS, min_overlap=_JOIN_OVERLAP)
+        config = replace(self.config, min_correlation=_JOIN_CORRELATION, min_overlap=_JOIN_OVERLAP)
         for other in older:
-            for keyframe in similar(seen, other.keyframes):
-                found = track(seen, keyframe, keyframe.pose, config=config)
-                keyframe.forget_points()
+            for keyframe in similar(prepared, other.keyframes):
+                found = track(prepared, keyframe, keyframe.pose, config=config)
+                keyframe.free_points()
                 if found.lost:
                     continue
                 to_other = found.pose @ np.linalg.inv(self._pose)
-                number, before = self._joining or (-1, np.eye(4))
-                self._joining = (other.root, other.to_root @ to_other)
-                if number == other.root and _alike(before, self._joining[1], self._pose):
-                    self._placed_in(other, self._joining[1], submap, view.index)
+                number, before = self._join_candidate or (-1, np.eye(4))
+                self._join_candidate = (other.root, other.to_root @ to_other)
+                if number == other.root and _agree(before, self._join_candidate[1], self._pose):
+                    self._attach(other, self._join_candidate[1], submap, view.index)
                 return
 
-    def _placed_in(self, other: Submap, to_root: np.ndarray, submap: Submap, index: int) -> None:
+    def _attach(self, other: Submap, to_root: np.ndarray, submap: Submap, index: int) -> None:
         old_root, change = submap.root, orthonormal(to_root) @ np.linalg.inv(submap.to_root)
         for each in self.submaps:
             if each.root == old_root:
                 each.root, each.to_root = other.root, change @ each.to_root
-        self._joining = None
+        self._join_candidate = None
         self.listener(f"frame {index}: seen before; submap {old_root} is joined to submap {other.root}")
 
 
-def similar(seen: Sight, keyframes: list[Keyframe]) -> list[Keyframe]:
-    """Give the few keyframes that look most like the view."""
-    return sorted(keyframes, key=lambda key: -float((key.thumbnail * seen.thumbnail).sum()))[:_TRIES]
+def similar(prepared: PreparedView, keyframes: list[Keyframe]) -> list[Keyframe]:
+    """Return the few keyframes whose thumbnails correlate most with the view's."""
+    return sorted(keyframes, key=lambda key: -float((key.thumbnail * prepared.thumbnail).sum()))[:_CANDIDATES]
 
 
 def orthonormal(pose: np.ndarray) -> np.ndarray:
-    """Take rounding out of a rotation that was multiplied many times."""
+    """Remove rounding errors from a rotation that was multiplied many times."""
     u, _, vt = np.linalg.svd(pose[:3, :3])
     clean = pose.copy()
     clean[:3, :3] = u @ vt
     return clean
 
 
-def _alike(a: np.ndarray, b: np.ndarray, here: np.ndarray) -> bool:
+def _agree(a: np.ndarray, b: np.ndarray, here: np.ndarray) -> bool:
     moved = np.linalg.inv(a @ here) @ b @ here
     return float(np.linalg.norm(moved[:3, 3])) < _JOIN_MM and turn_deg(moved) < _JOIN_DEG

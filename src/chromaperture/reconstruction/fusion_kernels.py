@@ -1,29 +1,20 @@
-"""Fusion of one view into the voxels, weighted by the error bar of every pixel, which Open3D's own cannot do."""
+"""Fuse a view into voxels with a weight for every pixel; Open3D's own fusion weighs all pixels alike."""
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
+from chromaperture.compilation import compiled
 
-@nb.njit(cache=True, parallel=True, nogil=True)
-def fuse(
-    tsdf: np.ndarray,
-    weight: np.ndarray,
-    color: np.ndarray,
-    slots: np.ndarray,
-    keys: np.ndarray,
-    z_mm: np.ndarray,
-    gain: np.ndarray,
-    reach_mm: np.ndarray,
-    picture: np.ndarray,
-    matrix: np.ndarray,
-    world_to_camera: np.ndarray,
-    voxel_mm: float,
-    truncation_mm: float,
-    max_weight: float,
-) -> None:
+
+@compiled()
+def fuse(  # type: ignore[no-untyped-def]
+    tsdf, weight, color, slots, keys, z_mm, gain, reach_mm, picture, matrix, world_to_camera, voxel_mm, truncation_mm,
+    max_weight,
+):  # fmt: skip
     """Update the running means of the blocks in ``slots``, whose corners are ``keys`` times the block's edge.
+
+    A slot occurs once, so that threads may call this for parts of the blocks.
 
     Parameters
     ----------
@@ -33,7 +24,7 @@ def fuse(
     slots : (N,) int64
     keys : (N, 3) int32
     z_mm, gain, reach_mm : (H, W) float32
-        Distance (NaN unknown), weight and how far behind the surface a pixel speaks.
+        Distance (NaN unknown), weight and how far behind the surface a pixel is used.
     picture : (H, W, 3) uint8
     matrix, world_to_camera : (3, 3), (4, 4) float64
     voxel_mm, truncation_mm, max_weight : float
@@ -42,7 +33,7 @@ def fuse(
     edge = tsdf.shape[1]
     turn, shift = world_to_camera[:3, :3], world_to_camera[:3, 3]
     fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
-    for n in nb.prange(len(slots)):
+    for n in range(len(slots)):
         slot = slots[n]
         for k in range(edge):
             for j in range(edge):
@@ -71,11 +62,9 @@ def fuse(
                     weight[slot, k, j, i] = min(total, max_weight)
 
 
-@nb.njit(cache=True, nogil=True)
-def holds_surface(
-    tsdf: np.ndarray, weight: np.ndarray, slots: np.ndarray, least_weight: float, reach: float
-) -> np.ndarray:
-    """Tell which blocks have a voxel of that weight within ``reach`` truncations of a surface; (N,) bool."""
+@compiled()
+def holds_surface(tsdf, weight, slots, min_weight, reach):  # type: ignore[no-untyped-def]
+    """Return which blocks have a voxel of that weight within ``reach`` truncations of a surface; (N,) bool."""
     found = np.zeros(len(slots), np.bool_)
     edge = tsdf.shape[1]
     for n in range(len(slots)):
@@ -83,7 +72,7 @@ def holds_surface(
         for k in range(edge):
             for j in range(edge):
                 for i in range(edge):
-                    if weight[slot, k, j, i] >= least_weight and abs(tsdf[slot, k, j, i]) <= reach:
+                    if weight[slot, k, j, i] >= min_weight and abs(tsdf[slot, k, j, i]) <= reach:
                         found[n] = True
                         break
                 if found[n]:
@@ -93,9 +82,9 @@ def holds_surface(
     return found
 
 
-@nb.njit(cache=True, nogil=True)
-def forget_faint(weight: np.ndarray, slots: np.ndarray, share: float) -> None:
-    """Clear the voxels of a block that have less than a share of the weight of its strongest."""
+@compiled()
+def clear_faint(weight, slots, fraction):  # type: ignore[no-untyped-def]
+    """Clear the voxels whose weight is below a fraction of the largest in their block."""
     edge = weight.shape[1]
     for n in range(len(slots)):
         slot = slots[n]
@@ -103,5 +92,5 @@ def forget_faint(weight: np.ndarray, slots: np.ndarray, share: float) -> None:
         for k in range(edge):
             for j in range(edge):
                 for i in range(edge):
-                    if weight[slot, k, j, i] < share * strongest:
+                    if weight[slot, k, j, i] < fraction * strongest:
                         weight[slot, k, j, i] = 0.0

@@ -1,4 +1,4 @@
-"""Files of a reconstruction: mesh as PLY and GLB, trajectory as the TUM benchmark has it."""
+"""Write the files of a reconstruction: mesh as PLY and GLB, trajectory in the TUM format."""
 
 from __future__ import annotations
 
@@ -34,19 +34,14 @@ def write_mesh_ply(path: Path, mesh: Mesh) -> None:
     path.write_bytes("\n".join(lines).encode("ascii") + vertices.tobytes() + faces.tobytes())
 
 
-def write_mesh_glb(path: Path, mesh: Mesh) -> None:
-    """Write binary glTF 2.0, in metres with y up as that format wants it."""
-    path.write_bytes(glb(mesh))
-
-
 def glb(mesh: Mesh) -> bytes:
-    """Give the content of a file of binary glTF 2.0, in metres, y up, z backward; colours are linear there."""
+    """Return the content of a binary glTF 2.0 file: metres, y up, z backward, linear colours, as it requires."""
     positions = (mesh.vertices_mm * np.array([1, -1, -1], np.float32) / 1000).astype("<f4")
     colors = np.full((len(positions), 4), 65535, "<u2")
     levels = np.rint(srgb_to_linear(np.arange(256, dtype=np.float32) / 255) * 65535)
     colors[:, :3] = levels.astype("<u2")[mesh.colors]
     indices = mesh.triangles.astype("<u4").ravel()
-    parts, views, at = (positions, colors, indices), [], 0  # each a multiple of four bytes, as the format wants it
+    parts, views, at = (positions, colors, indices), [], 0  # each a multiple of four bytes, as the format requires
     for data, target in zip(parts, (34962, 34962, 34963), strict=True):  # vertex data, vertex data, indices
         views.append({"buffer": 0, "byteOffset": at, "byteLength": data.nbytes, "target": target})
         at += data.nbytes
@@ -77,18 +72,18 @@ def write_trajectory(path: Path, placed: Iterable[Placed]) -> None:
     """Write ``time tx ty tz qx qy qz qw`` in seconds and metres, camera (centre of the entrance pupil) to world."""
     lines = ["# time_s tx ty tz qx qy qz qw  (m, entrance pupil to world; lost frames are left out)"]
     submap = 0
-    for place in placed:
-        if place.submap != submap and place.pose is not None:
-            submap = place.submap
+    for frame in placed:
+        if frame.submap != submap and frame.pose is not None:
+            submap = frame.submap
             lines.append(f"# submap {submap}: a new origin")
-        if place.pose is not None:
-            numbers = [*(place.pose[:3, 3] / 1000), *quaternion(place.pose[:3, :3])]
-            lines.append(f"{place.time_s:.6f} " + " ".join(f"{value:.7f}" for value in numbers))
+        if frame.pose is not None:
+            numbers = [*(frame.pose[:3, 3] / 1000), *quaternion(frame.pose[:3, :3])]
+            lines.append(f"{frame.time_s:.6f} " + " ".join(f"{value:.7f}" for value in numbers))
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Give (x, y, z, w) of a rotation matrix, w >= 0."""
+    """Return (x, y, z, w) of a rotation matrix, w >= 0."""
     from scipy.spatial.transform import Rotation
 
     q = Rotation.from_matrix(rotation).as_quat()

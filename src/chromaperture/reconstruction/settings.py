@@ -1,4 +1,4 @@
-"""Every default of the reconstruction."""
+"""Settings of the reconstruction and their defaults."""
 
 from __future__ import annotations
 
@@ -9,38 +9,40 @@ from chromaperture.errors import InputError
 
 @dataclass(frozen=True)
 class ReconstructionConfig:
-    """How views are cleaned, tracked and fused.
+    """Settings of cleaning, tracking and fusion; chosen by hand unless a measurement is stated.
 
     Attributes
     ----------
     voxel_mm : float or None
         Edge of a voxel; None takes 1/200 of the first view's median distance.
     truncation_voxels : float
-        Reach of a measurement before and behind the surface, at most; within, it is three standard deviations.
+        Upper limit of the truncation in front of and behind the surface, which is three standard deviations.
     max_distance_mm : float
-        Points beyond are left out.
+        Farther points are removed.
     max_relative_sigma : float
-        Pixels whose error bar exceeds this share of their distance are left out.
+        Pixels whose standard deviation exceeds this fraction of their distance are removed. docs/reconstruction.md:
+        narrower limits do not help.
     edge_jump : float
-        Relative step of distance within ``edge_px`` that makes a pixel a flying one.
+        Relative step of distance within ``edge_px`` from which a pixel is a flying one.
     edge_px : int
-        Half width of the neighbourhood in which a step is looked for.
+        Half width of the neighbourhood in which a step is searched.
     memory_mb : int
-        Memory of the volume, reserved at once and used as the model grows.
+        Memory of the volume, reserved at once; fixes the number of its blocks.
     tracking_scale : int
         Tracking works on pictures reduced by this factor.
     outlier_mm : float
-        Points farther from the model than this do not pull at the pose, at 2 m; grows with the distance.
+        Points farther from the model are outliers; at 2 m, proportional to the distance beyond.
     depth_weight : float
-        Weight of a pixel's distance beside its brightness in tracking; neighbours err alike, so it is far below 1.
+        Weight of a pixel's distance relative to its brightness in tracking; far below 1 because errors of
+        neighbours are correlated. docs/reconstruction.md: other weights do not help.
     min_overlap : float
-        Share of the keyframe's points that the view must show at their distance, else the frame counts as lost.
-    min_likeness : float
-        Correlation of the view's brightness with the keyframe's from the pose that was found, else lost.
+        Fraction of the keyframe's points that must be visible at their distance, else the frame is lost.
+    min_correlation : float
+        Of the view's brightness with the keyframe's at the estimated pose, else the frame is lost.
     max_step_mm, max_turn_deg : float
-        The most a camera moves from one frame to the next.
+        Largest difference between the estimated pose and its guess, else the frame is lost.
     submap_after : int
-        Frames lost in a row after which a new submap is begun.
+        Frames lost in a row after which a new submap begins.
     """
 
     voxel_mm: float | None = None
@@ -54,7 +56,7 @@ class ReconstructionConfig:
     outlier_mm: float = 150.0
     depth_weight: float = 0.03
     min_overlap: float = 0.3
-    min_likeness: float = 0.5
+    min_correlation: float = 0.5
     max_step_mm: float = 300.0
     max_turn_deg: float = 20.0
     submap_after: int = 10
@@ -62,10 +64,9 @@ class ReconstructionConfig:
     def __post_init__(self) -> None:
         if self.voxel_mm is not None and not 0.1 <= self.voxel_mm <= 1000:
             raise InputError(f"a voxel must measure 0.1 to 1000 mm, got {self.voxel_mm:g}")
-        positive = (self.truncation_voxels, self.max_distance_mm, self.max_relative_sigma, self.edge_jump)
-        if not all(
-            value > 0 for value in (*positive, self.depth_weight, self.outlier_mm, self.max_step_mm, self.max_turn_deg)
-        ):
-            raise InputError("lengths, jumps and error bars of the reconstruction must be positive")
+        lengths = ("truncation_voxels", "max_distance_mm", "outlier_mm", "max_step_mm", "max_turn_deg")
+        for name in (*lengths, "max_relative_sigma", "edge_jump", "depth_weight"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"{name} must be positive, got {getattr(self, name):g}")
         if self.memory_mb < 16 or self.tracking_scale < 1 or self.edge_px < 0 or self.submap_after < 1:
             raise InputError("memory_mb must be at least 16, tracking_scale and submap_after at least 1")

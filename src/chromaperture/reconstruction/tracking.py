@@ -1,6 +1,6 @@
-"""Pose of one view against a keyframe, whose distances are those of the model: brightness and distance together.
+"""Estimate the pose of a view against a keyframe, by brightness and distance.
 
-The model's own colours are no sharper than its voxels, the keyframe's are as sharp as the camera's.
+A keyframe has the distances of the model but its own picture: the model's colours are only as sharp as its voxels.
 """
 
 from __future__ import annotations
@@ -11,46 +11,44 @@ import cv2
 import numpy as np
 
 from chromaperture.products.rectified import View
-from chromaperture.reconstruction.direct_alignment import Level, align, points_of, pyramid
+from chromaperture.reconstruction.direct_alignment import Level, align, pyramid, select_points
 from chromaperture.reconstruction.settings import ReconstructionConfig
 
-_THUMBNAIL = (40, 30)
-_MIN_KNOWN = 0.02  # share of a picture with depth, below which nothing can be said
+_THUMBNAIL = (40, 30)  # px; chosen by hand
+MIN_KNOWN = 0.02  # fraction of a view that must have depth to be tracked or to begin a submap; chosen by hand
+NO_DEPTH = "hardly any pixel has a depth that can be trusted; light, texture or range?"
 
 
 @dataclass(frozen=True)
 class Track:
-    """Where the camera was found.
+    """Estimated pose of a view.
 
     Attributes
     ----------
     pose : (4, 4) float64
         Camera to world, mm.
     overlap : float
-        Share of the keyframe's points that the view shows at their distance.
-    likeness : float
-        Correlation of the view's brightness with the keyframe's there, -1..1.
+        Fraction of the keyframe's points that are visible at their distance.
+    correlation : float
+        Of the view's brightness with the keyframe's, -1..1.
     lost : str
-        Why the pose is not to be trusted; empty when it is.
-    seen : float
-        Share of the keyframe's points that fall into the view.
+        Why the pose is not reliable; empty when it is.
     """
 
     pose: np.ndarray
     overlap: float
-    likeness: float
+    correlation: float
     lost: str
-    seen: float = 0.0
 
     @property
     def score(self) -> float:
-        """How much speaks for it: 0 when lost."""
-        return 0.0 if self.lost else self.overlap * self.likeness
+        """Overlap times correlation, higher is better; 0 when lost."""
+        return 0.0 if self.lost else self.overlap * self.correlation
 
 
 @dataclass
 class Keyframe:
-    """A place that tracking works against: its picture, small, and its distances, from the model once there is one.
+    """A past view that others are aligned with: its reduced picture, and distances from the model once there are any.
 
     Attributes
     ----------
@@ -59,7 +57,7 @@ class Keyframe:
     grey : (H, W) uint8
     z_mm : (H, W) float32, NaN unknown
     matrix : (3, 3) float64
-        Of the small picture.
+        Of the reduced picture.
     """
 
     pose: np.ndarray
@@ -71,23 +69,23 @@ class Keyframe:
 
     @property
     def points(self) -> list[np.ndarray]:
-        """Points to be found again, the finest scale first."""
+        """Points to align, the finest scale first."""
         if self._points is None:
             levels = pyramid(self.grey.astype(np.float32), self.z_mm, self.z_mm, self.matrix)
-            self._points = [points_of(level) for level in levels]
+            self._points = [select_points(level) for level in levels]
         return self._points
 
-    def see(self, z_mm: np.ndarray) -> None:
-        """Take distances from the model (NaN unknown), where it has them."""
+    def set_distances(self, z_mm: np.ndarray) -> None:
+        """Replace distances by the model's where it has them (NaN unknown)."""
         self.z_mm = np.where(np.isfinite(z_mm), z_mm, self.z_mm)
         self._points = None
 
-    def forget_points(self) -> None:
-        """Free what can be made again."""
+    def free_points(self) -> None:
+        """Free the memory of `points`, which are computed again when needed."""
         self._points = None
 
-    def apart(self, pose: np.ndarray, depth_mm: float) -> float:
-        """How far its middle lies from the middle of a camera at ``pose``, as a share of the picture's width."""
+    def distance_to(self, pose: np.ndarray, depth_mm: float) -> float:
+        """Return how far the picture's middle moves, and scales, towards a camera at ``pose``, in picture widths."""
         moved = np.linalg.inv(pose) @ self.pose @ np.array([0.0, 0.0, depth_mm, 1.0])
         if moved[2] <= 0.1 * depth_mm:
             return np.inf
@@ -96,8 +94,8 @@ class Keyframe:
 
 
 @dataclass(frozen=True)
-class Sight:
-    """A view made ready for tracking."""
+class PreparedView:
+    """A view prepared for tracking: its pyramid, thumbnail, fraction with depth and median distance."""
 
     levels: list[Level]
     thumbnail: np.ndarray
@@ -111,22 +109,22 @@ class Sight:
         return Keyframe(pose.copy(), self.thumbnail, grey, fine.z_mm.copy(), fine.matrix)
 
 
-def sight(view: View, camera_matrix: np.ndarray, config: ReconstructionConfig) -> Sight:
-    """Make a cleaned view ready for tracking."""
+def prepare(view: View, camera_matrix: np.ndarray, config: ReconstructionConfig) -> PreparedView:
+    """Prepare a cleaned view for tracking."""
     small = shrunk(view, config.tracking_scale)
     grey = cv2.cvtColor(small.color, cv2.COLOR_RGB2GRAY).astype(np.float32)
     levels = pyramid(grey, small.z_mm, small.sigma_mm, scaled(camera_matrix, config.tracking_scale))
     known = np.isfinite(small.z_mm)
     median_mm = float(np.median(small.z_mm[known])) if known.any() else float("nan")
-    return Sight(levels, thumbnail(grey), float(known.mean()), median_mm)
+    return PreparedView(levels, thumbnail(grey), float(known.mean()), median_mm)
 
 
-def track(seen: Sight, keyframe: Keyframe, guess: np.ndarray, *, config: ReconstructionConfig) -> Track:
-    """Find the camera from a guess of its pose.
+def track(view: PreparedView, keyframe: Keyframe, guess: np.ndarray, *, config: ReconstructionConfig) -> Track:
+    """Estimate the pose of a view from a guess.
 
     Parameters
     ----------
-    seen : Sight
+    view : PreparedView
     keyframe : Keyframe
     guess : (4, 4) float, camera to world, mm
     config : ReconstructionConfig
@@ -134,14 +132,14 @@ def track(seen: Sight, keyframe: Keyframe, guess: np.ndarray, *, config: Reconst
     Returns
     -------
     Track
-        Never raises because of what is in the picture: `Track.lost` says what is wrong.
+        Never raises because of what is in the picture: see `Track.lost`.
     """
-    if seen.known < _MIN_KNOWN:
-        return Track(guess, 0.0, 0.0, "hardly any pixel has a depth that can be trusted; light, texture or range?")
-    outlier_mm = config.outlier_mm * max(1.0, seen.median_mm / 2000)
+    if view.known < MIN_KNOWN:
+        return Track(guess, 0.0, 0.0, NO_DEPTH)
+    outlier_mm = config.outlier_mm * max(1.0, view.median_mm / 2000)
     found = align(
         keyframe.points,
-        seen.levels,
+        view.levels,
         np.linalg.inv(guess) @ keyframe.pose,
         depth_weight=config.depth_weight,
         outlier_mm=outlier_mm,
@@ -153,22 +151,22 @@ def track(seen: Sight, keyframe: Keyframe, guess: np.ndarray, *, config: Reconst
     step, turn = float(np.linalg.norm(moved[:3, 3])), turn_deg(moved)
     if step > config.max_step_mm or turn > config.max_turn_deg:
         lost = f"a jump of {step:.0f} mm and {turn:.0f} degrees"
-    elif found.fitting < config.min_overlap:
-        lost = f"only {found.fitting:.0%} of what was there is seen"
-    elif found.likeness < config.min_likeness:
-        lost = f"the picture does not look like the model (correlation {found.likeness:.2f})"
+    elif found.overlap < config.min_overlap:
+        lost = f"only {found.overlap:.0%} of the keyframe is visible"
+    elif found.correlation < config.min_correlation:
+        lost = f"the picture differs from the model (correlation {found.correlation:.2f})"
     else:
-        return Track(pose, found.fitting, found.likeness, "", found.seen)
-    return Track(guess, found.fitting, found.likeness, lost, found.seen)
+        return Track(pose, found.overlap, found.correlation, "")
+    return Track(guess, found.overlap, found.correlation, lost)
 
 
 def turn_deg(pose: np.ndarray) -> float:
-    """Angle of a rotation."""
+    """Return the angle of a rotation."""
     return float(np.degrees(np.arccos(np.clip((np.trace(pose[:3, :3]) - 1) / 2, -1, 1))))
 
 
 def thumbnail(grey: np.ndarray) -> np.ndarray:
-    """Small grey picture of mean 0 and norm 1, blurred enough to forgive some motion."""
+    """Return a small grey picture of mean 0 and norm 1, blurred to tolerate some motion."""
     small = cv2.resize(grey, _THUMBNAIL, interpolation=cv2.INTER_AREA)
     small = cv2.GaussianBlur(small, (0, 0), 1.0)
     small -= small.mean()
@@ -176,7 +174,7 @@ def thumbnail(grey: np.ndarray) -> np.ndarray:
 
 
 def shrunk(view: View, scale: int) -> View:
-    """Reduce a view; colours are averaged, depths and error bars taken as they are."""
+    """Reduce a view; colours are averaged, depths and standard deviations sampled."""
     if scale == 1:
         return view
     size = (view.color.shape[1] // scale, view.color.shape[0] // scale)
@@ -189,7 +187,7 @@ def shrunk(view: View, scale: int) -> View:
 
 
 def scaled(camera_matrix: np.ndarray, scale: int) -> np.ndarray:
-    """Camera matrix of the reduced picture, whose pixel centres lie at (scale - 1) / 2 of the full one's."""
+    """Return the camera matrix of the reduced picture, whose pixel centres lie at (scale - 1) / 2 of the full one's."""
     matrix = np.array(camera_matrix, float)
     matrix[:2] /= scale
     matrix[:2, 2] -= (scale - 1) / (2 * scale)

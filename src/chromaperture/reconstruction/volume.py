@@ -1,6 +1,6 @@
-"""A signed-distance volume of fixed memory on Open3D's voxel blocks: fuse, look at, make a mesh of.
+"""Signed-distance volume of fixed memory on Open3D's voxel blocks: fuse, ray cast, extract a mesh.
 
-Millimetres outside, metres inside Open3D; this file is where they meet.
+The package uses millimetres, Open3D metres; this file converts.
 """
 
 from __future__ import annotations
@@ -13,18 +13,20 @@ import numpy as np
 
 from chromaperture.errors import MissingDependencyError
 from chromaperture.products.rectified import View
-from chromaperture.reconstruction.fusion_kernels import forget_faint, fuse, holds_surface
+from chromaperture.reconstruction.fusion_kernels import clear_faint, fuse, holds_surface
+from chromaperture.threads import in_parallel
 
 EDGE = 16  # voxels along a block
 BLOCK_BYTES = EDGE**3 * 4 * 5  # tsdf, weight, three colours
-_SEEN = 0.02  # weight from which a voxel counts as known
-_SHOWN = 1.5  # weight from which the mesh shows a surface
-_SIGMAS = 3.0
-_PRUNE_EVERY, _REST = 32, 128  # views fused between two clearings, and without a block until it may be cleared
-_FAINT = 0.1  # of the weight of a block's strongest voxel: less is noise
+_RANGE_PX = 8  # cell in which Open3D bounds rays; it reads past the last whole one, so pictures are cast in whole cells
+# Chosen by hand; not tuned. Weight 1 is a pixel of the first view's median standard deviation.
+_KNOWN_WEIGHT = 0.01  # from which a voxel is used by a ray
+_MESH_WEIGHT = 1.5  # from which the mesh has a surface
+_MIN_GAIN, _MAX_GAIN, _MAX_WEIGHT = 0.05, 4.0, 64.0  # weight of a pixel; and of a voxel, so that the mean keeps moving
+_SIGMAS = 3.0  # truncation of the signed distance, standard deviations
+PRUNE_EVERY, MIN_AGE = 32, 128  # views fused between two prunings, and since a block was updated until it may be erased
+_FAINT = 0.1  # of the largest weight in a block, below which a voxel is noise
 _BESIDE_VOXELS = 2.0  # a block that far from any surface has no part in it
-# Open3D bounds rays in cells of so many px, and reads past the last whole one: pictures are cast in whole cells.
-_RANGE_PX = 8
 
 
 def open3d() -> Any:
@@ -33,7 +35,7 @@ def open3d() -> Any:
         import open3d
     except ImportError:
         raise MissingDependencyError("3D models need the extra: pip install 'chromaperture[reconstruct]'") from None
-    # Open3D brings a TBB of its own that Numba finds, thinks too old, and warns about: let it look at the others first.
+    # Open3D brings a TBB that Numba finds, rejects as too old, and warns about: try the other layers first.
     numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]  # type: ignore[attr-defined]
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     return open3d
@@ -49,7 +51,7 @@ class Mesh:
 
 
 def joined(parts: list[tuple[Mesh, np.ndarray]]) -> Mesh:
-    """Make one mesh of several, each moved by its (4, 4) pose; surfaces that lie on each other stay double."""
+    """Join meshes, each moved by its (4, 4) pose; coincident surfaces stay double."""
     if len(parts) == 1 and np.array_equal(parts[0][1], np.eye(4)):
         return parts[0][0]
     vertices, triangles, colors, first = [], [], [], 0
@@ -71,6 +73,11 @@ class Volume:
     memory_mb : int
         Fixes the number of blocks; when they are used up, `full` turns true and nothing outside them is fused.
     max_distance_mm : float
+
+    Attributes
+    ----------
+    grid : open3d.t.geometry.VoxelBlockGrid
+        Metres.
     """
 
     def __init__(self, *, voxel_mm: float, truncation_voxels: float, memory_mb: int, max_distance_mm: float) -> None:
@@ -78,120 +85,113 @@ class Volume:
         self.max_distance_mm = max_distance_mm
         self.capacity = max(64, memory_mb * 2**20 // BLOCK_BYTES)
         self.blocks, self.full = 0, False
-        self._fused, self._asked = 0, np.zeros(self.capacity, np.int64)  # when each block was last fused into
+        self._views, self._updated = 0, np.zeros(self.capacity, np.int64)  # number fused; that at a block's last update
         self._sigma_mm: float | None = None
         o3d = open3d()
         self._o3d, self._core = o3d, o3d.core
         self._device = o3d.core.Device("CPU:0")
         kinds = (o3d.core.float32,) * 3
-        self._grid = o3d.t.geometry.VoxelBlockGrid(
+        self.grid = o3d.t.geometry.VoxelBlockGrid(
             ("tsdf", "weight", "color"), kinds, ((1,), (1,), (3,)), voxel_mm / 1000, EDGE, self.capacity, self._device
         )
 
     def integrate(self, view: View, camera_matrix: np.ndarray, camera_to_world: np.ndarray) -> int:
-        """Fuse a cleaned view; returns the number of blocks that it touched."""
+        """Fuse a cleaned view; returns the number of blocks updated."""
         if not np.isfinite(view.z_mm).any():
             return 0
         keys = self._blocks_of(view.z_mm, camera_matrix, camera_to_world)
         keys = self._with_room(keys)
         if len(keys) == 0:
             return 0
-        table = self._grid.hashmap()
+        table = self.grid.hashmap()
         found, _ = table.find(self._core.Tensor(keys, device=self._device))
         slots = found.numpy().astype(np.int64)
         tsdf, weight, color = self._voxels()
-        self._fused += 1
-        self._asked[slots] = self._fused
+        self._views += 1
+        self._updated[slots] = self._views
         truncation_mm = self.voxel_mm * self.truncation_voxels
         known = np.isfinite(view.z_mm)
         sigma = np.where(known, view.sigma_mm, 1.0)
         if self._sigma_mm is None:
             self._sigma_mm = float(np.median(view.sigma_mm[known]))
-        gain = ((self._sigma_mm / np.maximum(sigma, 1e-3)) ** 2).clip(0.05, 4.0)  # inverse variance, 1 is ordinary
+        gain = ((self._sigma_mm / np.maximum(sigma, 1e-3)) ** 2).clip(_MIN_GAIN, _MAX_GAIN)  # inverse variance
         reach_mm = np.clip(_SIGMAS * sigma, 3 * self.voxel_mm, truncation_mm)
-        fuse(
-            tsdf[..., 0],
-            weight[..., 0],
-            color,
-            slots,
-            keys,
-            np.ascontiguousarray(view.z_mm, np.float32),
-            gain.astype(np.float32),
-            reach_mm.astype(np.float32),
-            view.color,
-            np.asarray(camera_matrix, float),
-            np.linalg.inv(camera_to_world),
-            self.voxel_mm,
-            truncation_mm,
-            64.0,
-        )
-        if self._fused % _PRUNE_EVERY == 0:
+        pixels = [np.ascontiguousarray(m, np.float32) for m in (view.z_mm, gain, reach_mm)]
+        matrix, to_camera = np.asarray(camera_matrix, float), np.linalg.inv(camera_to_world)
+        in_parallel(
+            lambda _, first, last: fuse(
+                tsdf[..., 0], weight[..., 0], color, slots[first:last], keys[first:last], *pixels,
+                view.color, matrix, to_camera, self.voxel_mm, truncation_mm, _MAX_WEIGHT,
+            ),
+            len(slots),
+        )  # fmt: skip
+        if self._views % PRUNE_EVERY == 0:
             self.prune()
         return len(keys)
 
-    def prune(self, *, rest: int | None = None) -> int:
-        """Forget what few views say against many, and blocks that show nothing and no view asked for; returns how many.
+    def prune(self, *, min_age: int | None = None) -> int:
+        """Clear faint voxels, and erase blocks without surface that were not updated lately; returns their number.
 
-        Depth errs, and every frame puts a few of its points where nothing is: behind surfaces, where no view looks
-        through them, they would add up to surfaces of their own, and in time to a full volume.
+        Every view has wrong points: behind surfaces, where no view contradicts them, they would add up to surfaces of
+        their own, and in time to a full volume.
         """
-        table = self._grid.hashmap()
+        table = self.grid.hashmap()
         slots = table.active_buf_indices().numpy().astype(np.int64)
         tsdf, weight, color = self._voxels()
-        forget_faint(weight[..., 0], slots, _FAINT)
-        slots = slots[self._fused - self._asked[slots] >= (_REST if rest is None else rest)]
+        clear_faint(weight[..., 0], slots, _FAINT)
+        slots = slots[self._views - self._updated[slots] >= (MIN_AGE if min_age is None else min_age)]
         reach = _BESIDE_VOXELS / self.truncation_voxels
-        empty = slots[~holds_surface(tsdf[..., 0], weight[..., 0], slots, _SHOWN, reach)]
+        empty = slots[~holds_surface(tsdf[..., 0], weight[..., 0], slots, _MESH_WEIGHT, reach)]
         if len(empty):
             keys = table.key_tensor().numpy()[empty].copy()
             table.erase(self._core.Tensor(keys, device=self._device))
-            for values in (tsdf, weight, color):  # the next block in their place begins with nothing
+            for values in (tsdf, weight, color):  # the next block in their place begins empty
                 values[empty] = 0
             self.blocks -= len(empty)
             self.full = False
         return len(empty)
 
     def _voxels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        tsdf, weight, color = (self._grid.attribute(name).numpy() for name in ("tsdf", "weight", "color"))
+        tsdf, weight, color = (self.grid.attribute(name).numpy() for name in ("tsdf", "weight", "color"))
         return tsdf, weight, color
 
-    def look(self, camera_matrix: np.ndarray, camera_to_world: np.ndarray, width: int, height: int) -> np.ndarray:
-        """Give the distances to the model that a camera would see; (height, width) float32 mm, 0 unknown."""
-        keys = self._grid.hashmap().key_tensor()[self._grid.hashmap().active_buf_indices().to(self._core.int64)]
+    def ray_cast(self, camera_matrix: np.ndarray, camera_to_world: np.ndarray, width: int, height: int) -> np.ndarray:
+        """Return the distances of the model in a camera's picture; (height, width) float32 mm, 0 unknown."""
+        keys = self.grid.hashmap().key_tensor()[self.grid.hashmap().active_buf_indices().to(self._core.int64)]
         if len(keys) == 0:
             return np.zeros((height, width), np.float32)
-        seen = self._grid.ray_cast(
+        cast = self.grid.ray_cast(
             keys,
             self._tensor(camera_matrix),
-            self._tensor(_metres(np.linalg.inv(camera_to_world))),
+            self._extrinsic(camera_to_world),
             -(-width // _RANGE_PX) * _RANGE_PX,
             -(-height // _RANGE_PX) * _RANGE_PX,
             ["depth", "index", "mask", "interp_ratio"],
             depth_scale=1000.0,
             depth_min=0.05,
             depth_max=self.max_distance_mm / 1000,
-            weight_threshold=_SEEN / 2,
+            weight_threshold=_KNOWN_WEIGHT,
             trunc_voxel_multiplier=self.truncation_voxels,
             range_map_down_factor=_RANGE_PX,
         )
-        z_mm = seen["depth"].numpy()[..., 0]
-        z_mm = np.where(z_mm > 0, z_mm + self._left_mm(seen), 0).astype(np.float32)
+        z_mm = cast["depth"].numpy()[..., 0]
+        z_mm = np.where(z_mm > 0, z_mm + self._remainder_mm(cast), 0).astype(np.float32)
         return z_mm[:height, :width].copy()
 
-    def _left_mm(self, seen: Any) -> np.ndarray:
-        """Distance from the points of a ray cast to the surface: Open3D's stop about a voxel behind it."""
-        tsdf = self._grid.attribute("tsdf").numpy().reshape(-1)
-        share = np.where(seen["mask"].numpy(), seen["interp_ratio"].numpy(), 0.0)
-        distance = np.einsum("hwn,hwn->hw", tsdf[seen["index"].numpy()], share) / np.maximum(share.sum(axis=2), 1e-6)
-        left_mm = distance * self.truncation_voxels * self.voxel_mm
-        return left_mm.clip(-2 * self.voxel_mm, 2 * self.voxel_mm)
+    def _remainder_mm(self, cast: Any) -> np.ndarray:
+        """Return the distance from a ray cast's points to the surface: Open3D's stop about a voxel behind it."""
+        tsdf = self.grid.attribute("tsdf").numpy().reshape(-1)
+        weight = np.where(cast["mask"].numpy(), cast["interp_ratio"].numpy(), 0.0)
+        distance = np.einsum("hwn,hwn->hw", tsdf[cast["index"].numpy()], weight) / np.maximum(weight.sum(axis=2), 1e-6)
+        remainder_mm = distance * self.truncation_voxels * self.voxel_mm
+        return remainder_mm.clip(-2 * self.voxel_mm, 2 * self.voxel_mm)
 
-    def mesh(self, *, min_weight: float = _SHOWN) -> Mesh:
-        """Extract the surface where enough was seen."""
+    def mesh(self, *, min_weight: float = _MESH_WEIGHT) -> Mesh:
+        """Extract the surface where voxels have that weight."""
         empty = Mesh(np.empty((0, 3), np.float32), np.empty((0, 3), np.int32), np.empty((0, 3), np.uint8))
         if self.blocks == 0:
             return empty
-        found = self._grid.extract_triangle_mesh(min_weight)
+        found = self.grid.extract_triangle_mesh(min_weight)
         if "positions" not in found.vertex or len(found.vertex.positions) == 0 or "indices" not in found.triangle:
             return empty
         colors = np.rint(np.clip(found.vertex.colors.numpy(), 0.0, 1.0) * 255).astype(np.uint8)
@@ -200,10 +200,10 @@ class Volume:
 
     def _blocks_of(self, z_mm: np.ndarray, camera_matrix: np.ndarray, camera_to_world: np.ndarray) -> np.ndarray:
         image = self._o3d.t.geometry.Image(self._core.Tensor(np.nan_to_num(z_mm).astype(np.float32)))
-        keys = self._grid.compute_unique_block_coordinates(
+        keys = self.grid.compute_unique_block_coordinates(
             image,
             self._tensor(camera_matrix),
-            self._tensor(_metres(np.linalg.inv(camera_to_world))),
+            self._extrinsic(camera_to_world),
             1000.0,
             self.max_distance_mm / 1000,
             self.truncation_voxels,
@@ -211,8 +211,8 @@ class Volume:
         return keys.numpy().copy()
 
     def _with_room(self, keys: np.ndarray) -> np.ndarray:
-        """Activate the blocks that are new, as far as the memory goes; gives those that can be used."""
-        table = self._grid.hashmap()
+        """Activate new blocks as far as the memory allows; returns the keys of those that can be used."""
+        table = self.grid.hashmap()
         _, known = table.find(self._core.Tensor(keys, device=self._device))
         fresh = np.flatnonzero(~known.numpy())
         room = self.capacity - self.blocks
@@ -228,10 +228,9 @@ class Volume:
         return np.ascontiguousarray(keys)
 
     def _tensor(self, values: np.ndarray) -> Any:
-        return self._core.Tensor(np.ascontiguousarray(values, np.float64), device=self._core.Device("CPU:0"))
+        return self._core.Tensor(np.ascontiguousarray(values, np.float64), device=self._device)
 
-
-def _metres(pose_mm: np.ndarray) -> np.ndarray:
-    pose = np.array(pose_mm, float)
-    pose[:3, 3] /= 1000
-    return pose
+    def _extrinsic(self, camera_to_world: np.ndarray) -> Any:
+        world_to_camera = np.linalg.inv(camera_to_world)
+        world_to_camera[:3, 3] /= 1000
+        return self._tensor(world_to_camera)

@@ -1,46 +1,32 @@
-"""The page's picture, focused elsewhere: quick, without restoration, at half size."""
+"""Refocus the live picture: fast, without restoration, at half size."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, DepthFrame
+from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.effects.restore import focus_radius
-from chromaperture.effects.steady import steady_disparity
 from chromaperture.effects.transfer_functions import radius_per_disparity
 from chromaperture.errors import InputError
 
-_REDUCED = 2
+_SCALE = 2  # reduction of the picture's sides; a quarter of the pixels
 
 
-@dataclass(frozen=True)
 class Refocuser:
-    """What a camera needs for it, found once.
+    """Refocus the frames of one calibrated camera."""
 
-    Attributes
-    ----------
-    camera : CodedApertureCamera
-    per_disparity : float
-        Blur radius a px of disparity.
-    """
+    def __init__(self, camera: CodedApertureCamera) -> None:
+        self.camera = camera
+        self._per_disparity = np.float32(radius_per_disparity(camera.calibration, camera.config.quality))
 
-    camera: CodedApertureCamera
-    per_disparity: float
-
-    @classmethod
-    def of(cls, camera: CodedApertureCamera) -> Refocuser:
-        """Make one for a calibrated camera."""
-        return cls(camera, float(radius_per_disparity(camera.calibration, camera.config.quality)))
-
-    def __call__(self, made: DepthFrame, *, focus_mm: float, strength: float) -> np.ndarray:
-        """Blur the aligned colours as a lens focused elsewhere would.
+    def __call__(self, frame: DepthFrame, *, focus_mm: float, strength: float) -> np.ndarray:
+        """Blur the aligned colours as a lens with another focus would.
 
         Parameters
         ----------
-        made : DepthFrame
+        frame : DepthFrame
         focus_mm : float
             From the sensor plane.
         strength : float
@@ -49,13 +35,13 @@ class Refocuser:
         Returns
         -------
         (H / 2, W / 2, 3) float32, linear RGB
-            The colours as they are where nothing can be focused on.
+            The colours unchanged where refocusing is impossible.
         """
-        part = slice(None, None, _REDUCED)
-        color = np.ascontiguousarray(made.color[part, part], np.float32)
-        disparity, sigma = made.disparity_px[part, part] / _REDUCED, made.disparity_sigma_px[part, part] / _REDUCED
+        part = slice(None, None, _SCALE)
+        color = np.ascontiguousarray(frame.color[part, part], np.float32)
+        disparity, sigma = frame.disparity_px[part, part] / _SCALE, frame.disparity_sigma_px[part, part] / _SCALE
         try:
-            radius = steady_disparity(disparity, sigma, color)[0] * np.float32(self.per_disparity)
-            return refocus(color, radius, Focus(focus_radius(self.camera, focus_mm) / _REDUCED, strength))
-        except InputError:  # nothing is known, or the blur fills the picture
+            radius = filter_disparity(disparity, sigma, color)[0] * self._per_disparity
+            return refocus(color, radius, Focus(focus_radius(self.camera, focus_mm) / _SCALE, strength))
+        except InputError:  # no depth is known, or the blur fills the picture
             return color

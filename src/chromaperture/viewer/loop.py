@@ -1,6 +1,6 @@
-"""The live loop: capture, depth and tracking in threads of their own, one item between each two.
+"""Run capture, depth and tracking in threads of their own, connected by queues of one item.
 
-A stage that is slow costs frames, never latency: what it takes is the newest there is.
+A slow stage costs frames, not latency: it takes the newest item.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -34,29 +33,29 @@ STAGES = ("capture", "depth", "tracking", "view")
 
 @dataclass(frozen=True)
 class Measured:
-    """One frame on its way: ``arrived`` on the monotonic clock, the frame, its depth."""
+    """One frame: ``arrived`` on the monotonic clock, the capture, the measurement."""
 
     arrived: float
     frame: Frame
-    made: DepthFrame
+    measurement: DepthFrame
 
 
 class LiveLoop:
-    """Run the stages; a context manager. Leaving stops and joins them.
+    """Run the stages; a context manager that stops and joins them on exit.
 
     Parameters
     ----------
     source : Source
-        Entered.
+        Entered by the caller.
     camera : CodedApertureCamera
         Calibrated.
     track : bool
         Track the camera and build the model; needs the extra ``reconstruct``.
     config : ReconstructionConfig, optional
     listener : callable, optional
-        Told in one line what a person wants to know, from any thread.
+        Receives messages for the user, one line each, from any thread.
     mesh_every_s : float
-        How often a mesh is made of the growing model while somebody looks.
+        Interval of meshes of the growing model while a browser is connected.
     """
 
     def __init__(
@@ -97,25 +96,23 @@ class LiveLoop:
             self._threads.append(thread)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.stop()
 
     def stop(self) -> None:
-        """End all stages; frames under way are dropped, what was recorded stays."""
+        """End all stages; unfinished frames are dropped, recordings are kept."""
         self._leave.set()
         for slot in (self._to_depth, self._to_track, self.to_view):
             slot.close(drop=True)
         self.stop_recording()
         with contextlib.suppress(Exception):
-            self.source.__exit__(None, None, None)  # wakes a stage that waits for a frame
+            self.source.__exit__(None, None, None)  # wakes a stage waiting for a frame
         for thread in self._threads:
             thread.join(timeout=30)
         self.over.set()
 
     def record(self, folder: str | Path) -> None:
-        """Record frames from now on, without slowing the loop; a full disk ends the recording, not the loop."""
+        """Start recording, without slowing the loop; a full disk ends the recording, not the loop."""
         if self._recorder is not None and self._recorder.is_alive():
             return
         slot = self._to_disk = Slot[Frame]()
@@ -145,7 +142,7 @@ class LiveLoop:
         self._to_disk = None
 
     def figures(self) -> dict[str, Any]:
-        """Give rate, duration and latency of each stage, and how many frames each let go."""
+        """Return rate, duration and latency of each stage, and the number of frames dropped."""
         replaced = {
             "capture": getattr(self.source, "dropped", 0),
             "depth": self._to_depth.replaced,
@@ -157,7 +154,7 @@ class LiveLoop:
     def _guarded(self, work: Callable[[], None]) -> None:
         try:
             work()
-        except BaseException as error:  # a thread has nobody to raise to: the loop ends, and says why
+        except BaseException as error:  # no caller catches it: end the loop and report
             if not self._leave.is_set():
                 self.failure = error
                 self.listener(f"{type(error).__name__}: {error}")
@@ -174,7 +171,7 @@ class LiveLoop:
             while self.paused.is_set() and not self.source.live and not self._leave.is_set():
                 time.sleep(0.05)
             arrived = time.monotonic()
-            meter.passed(arrived - start, 0.0)
+            meter.record(arrived - start, 0.0)
             if self._to_disk is not None:
                 self._to_disk.put(frame)
             if not self.paused.is_set():
@@ -182,21 +179,21 @@ class LiveLoop:
         self._to_depth.close()
 
     def _depth(self) -> None:
-        said = ""
+        reported = ""
         while (item := self._to_depth.take()) is not None:
             start = time.monotonic()
             arrived, frame = item
             try:
-                made = self.camera.measure(frame.image)
+                measurement = self.camera.measure(frame.image)
             except ChromapertureError as error:
-                if str(error) != said:  # once, not thirty times a second
+                if str(error) != reported:  # once, not for every frame
                     self.listener(f"frame {frame.index}: {error}")
-                said = str(error)
+                reported = str(error)
                 continue
-            said = ""
-            measured = Measured(arrived, frame, made)
+            reported = ""
+            measured = Measured(arrived, frame, measurement)
             now = time.monotonic()
-            self.meters["depth"].passed(now - start, now - arrived)
+            self.meters["depth"].record(now - start, now - arrived)
             self.to_view.put(measured)
             if self.track:
                 self._to_track.put(measured, patient=not self.source.live)
@@ -211,9 +208,9 @@ class LiveLoop:
         meshed, root = time.monotonic(), 0
         while (item := self._to_track.take()) is not None:
             start = time.monotonic()
-            view = to_view(item.made, item.frame.time_s, item.frame.index)
+            view = to_view(item.measurement, item.frame.time_s, item.frame.index)
             self.placed = placed = model.in_root(model.add(view))
-            del model.placed[:-1]  # the path below is what is kept, and it is bounded
+            del model.placed[:-1]  # memory: the path below is thinned
             if placed.pose is not None and placed.submap != root:  # another world frame
                 root, self.trail = placed.submap, Trail()
             if placed.pose is not None:
@@ -221,9 +218,9 @@ class LiveLoop:
             if self.want_mesh.is_set() and start - meshed > self._mesh_every_s and model.current is not None:
                 self.mesh, meshed = model.mesh(model.current.root), start
                 self.want_mesh.clear()
-                give_back_memory()
+                trim_memory()
             now = time.monotonic()
-            self.meters["tracking"].passed(now - start, now - item.arrived)
+            self.meters["tracking"].record(now - start, now - item.arrived)
         if model.current is not None:
             self.mesh = model.mesh(model.current.root)
         self._finish()
@@ -233,24 +230,24 @@ class LiveLoop:
         self.over.set()
 
 
-def give_back_memory() -> None:
-    """Return freed memory to the system: glibc keeps what many threads freed in pieces, and seems to grow for hours."""
+def trim_memory() -> None:
+    """Return freed memory to the system: glibc keeps fragments freed by many threads, and grows for hours."""
     if (trim := _trim()) is not None:
         trim(0)
 
 
-@functools.cache  # every CDLL refers to itself, and would wait for the collector of cycles
+@functools.cache  # a CDLL is a reference cycle: create one only
 def _trim() -> Callable[[int], int] | None:
     with contextlib.suppress(OSError, AttributeError):
         trim: Callable[[int], int] = ctypes.CDLL("libc.so.6").malloc_trim
         return trim
-    return None  # another C library does as it likes
+    return None  # not glibc
 
 
-def stripped(measured: Measured, *, max_sigma: float, near_mm: float, far_mm: float) -> Measured:
-    """Forget what the sliders leave out: error bars wider than a share of the distance, and what is out of range."""
-    made = measured.made
+def within_limits(measured: Measured, *, max_sigma: float, near_mm: float, far_mm: float) -> Measured:
+    """Remove depth with wide error bars, relative to the distance, and depth out of range."""
+    depth_mm, sigma_mm = measured.measurement.depth_mm, measured.measurement.sigma_mm
     with np.errstate(invalid="ignore"):
-        kept = (made.sigma_mm <= max_sigma * made.depth_mm) & (made.depth_mm >= near_mm) & (made.depth_mm <= far_mm)
-    depth_mm = np.where(kept, made.depth_mm, np.float32(np.nan))
-    return replace(measured, made=replace(made, depth_mm=depth_mm))
+        kept = (sigma_mm <= max_sigma * depth_mm) & (depth_mm >= near_mm) & (depth_mm <= far_mm)
+    kept_mm = np.where(kept, depth_mm, np.float32(np.nan))
+    return replace(measured, measurement=replace(measured.measurement, depth_mm=kept_mm))

@@ -1,4 +1,4 @@
-"""The page: pictures, points, model and path in the browser, with viser."""
+"""Show pictures, points, model and path in the browser, with viser."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.pointcloud import depth_to_points
 from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.products.measure_file import write_maps
@@ -18,12 +19,13 @@ from chromaperture.reconstruction.clean_views import near_steps
 from chromaperture.reconstruction.model_files import glb, quaternion
 from chromaperture.storage import staged
 from chromaperture.viewer.focus import Refocuser
-from chromaperture.viewer.loop import LiveLoop, Measured, stripped
-from chromaperture.viewer.pictures import color_picture, confidence_picture, depth_picture
+from chromaperture.viewer.loop import LiveLoop, Measured, within_limits
+from chromaperture.viewer.pictures import confidence_picture, depth_picture
 
-_POINTS = 40_000
-_REFOCUS_REST = 3.0  # times the duration of a refocused picture until the next: depth and tracking come first
-_MIN_PERIOD_S = 0.1  # the page is drawn at most so often
+# Chosen by hand: the page must leave the processor to depth and tracking.
+_POINTS = 40_000  # of the cloud
+_REFOCUS_REST = 3.0  # pause after a refocused picture, in units of its duration
+_MIN_PERIOD_S = 0.1  # shortest interval of two pages
 
 
 def viser() -> Any:
@@ -36,7 +38,7 @@ def viser() -> Any:
 
 
 class LivePage:
-    """One server; any number of browsers may come and go.
+    """One server for any number of browsers.
 
     Parameters
     ----------
@@ -45,19 +47,19 @@ class LivePage:
         127.0.0.1 is this machine only.
     out : Path
         Folder of snapshots and recordings.
-    say : callable
-        Given a line for the person at the terminal.
+    listener : callable
+        Receives messages for the terminal, one line each.
     """
 
     def __init__(
-        self, loop: LiveLoop, *, host: str, port: int, out: Path, say: Callable[[str], None] = lambda line: None
+        self, loop: LiveLoop, *, host: str, port: int, out: Path, listener: Callable[[str], None] = lambda line: None
     ) -> None:
-        self.loop, self.out, self.say = loop, out, say
+        self.loop, self.out, self.listener = loop, out, listener
         self.last: Measured | None = None
         self._mesh: object = None
-        self._refocuser, self._refocus_at = Refocuser.of(loop.camera), 0.0
+        self._refocuser, self._refocus_at = Refocuser(loop.camera), 0.0
         try:
-            with contextlib.redirect_stdout(sys.stderr):  # its banner is no figure
+            with contextlib.redirect_stdout(sys.stderr):  # its banner is no result
                 self.server = viser().ViserServer(host=host, port=port, verbose=False)
         except OSError as error:
             raise InputError(f"cannot serve on {host}:{port} ({error}); choose another --port") from None
@@ -94,38 +96,38 @@ class LivePage:
 
         @shot.on_click
         def _(event: Any) -> None:
-            self._told(self.snapshot)
+            self._attempt(self.snapshot)
 
         @record.on_click
         def _(event: Any) -> None:
             if record.label == "record":
                 folder = self.out / time.strftime("recording-%Y%m%d-%H%M%S")
-                self._told(lambda: self.loop.record(folder))
+                self._attempt(lambda: self.loop.record(folder))
                 record.label = "stop recording"
             else:
                 self.loop.stop_recording()
                 record.label = "record"
 
-    def _told(self, work: Callable[[], Any]) -> None:
+    def _attempt(self, work: Callable[[], Any]) -> None:
         try:
             work()
         except Exception as error:  # a click must not end the loop
-            self.say(str(error))
+            self.listener(str(error))
 
     def snapshot(self) -> list[Path]:
-        """Write the maps of the frame that is shown."""
+        """Write the maps of the frame shown."""
         last = self.last
         if last is None:
             raise InputError("there is no frame yet")
         stem = time.strftime("snapshot-%Y%m%d-%H%M%S") + f"-{last.frame.index}"
         with staged(self.out) as stage:
-            write_maps(stage.path, stem, self.loop.camera, last.made)
+            write_maps(stage.path, stem, self.loop.camera, last.measurement)
             names = list(stage.names)
-        self.say(f"wrote {stem}.* to {self.out}")
+        self.listener(f"wrote {stem}.* to {self.out}")
         return [self.out / name for name in names]
 
     def run(self, *, until: Callable[[], bool] = lambda: False) -> None:
-        """Show frames until the loop ends or ``until`` says so; nobody looking costs nothing."""
+        """Show frames until the loop ends or ``until`` returns true; nothing is drawn while no browser is connected."""
         meter = self.loop.meters["view"]
         while not until() and (item := self.loop.to_view.take()) is not None:
             start = time.monotonic()
@@ -134,20 +136,20 @@ class LivePage:
                 self.show(item)
                 self.loop.want_mesh.set()
             now = time.monotonic()
-            meter.passed(now - start, now - item.arrived)
+            meter.record(now - start, now - item.arrived)
             time.sleep(max(0.0, _MIN_PERIOD_S - (now - start)))
 
     def show(self, item: Measured) -> None:
-        """Draw one frame and the state of the model."""
+        """Show one frame and the state of the model."""
         near, far = self.near.value, max(self.far.value, self.near.value + 50)
-        shown = stripped(item, max_sigma=self.max_sigma.value / 100, near_mm=near, far_mm=far)
+        shown = within_limits(item, max_sigma=self.max_sigma.value / 100, near_mm=near, far_mm=far)
         half = slice(None, None, 2)  # half size is enough for the panel
-        self.depth.image = depth_picture(shown.made.depth_mm[half, half], near_mm=near, far_mm=far)
+        self.depth.image = depth_picture(shown.measurement.depth_mm[half, half], near_mm=near, far_mm=far)
         if self.refocus.value:
             self._show_refocused(item)
         else:
-            self.color.image = color_picture(item.made.color[half, half])
-        self.confidence.image = confidence_picture(item.made.confidence[half, half])
+            self.color.image = linear_to_srgb_bytes(item.measurement.color[half, half])
+        self.confidence.image = confidence_picture(item.measurement.confidence[half, half])
         self.status.content = self._status()
         with self.server.atomic():
             self._scene(shown)
@@ -157,8 +159,8 @@ class LivePage:
         start = time.monotonic()
         if start < self._refocus_at:
             return
-        color = self._refocuser(item.made, focus_mm=self.focus.value, strength=self.pupil.value)
-        self.color.image = color_picture(color)
+        color = self._refocuser(item.measurement, focus_mm=self.focus.value, strength=self.pupil.value)
+        self.color.image = linear_to_srgb_bytes(color)
         now = time.monotonic()
         self._refocus_at = now + _REFOCUS_REST * (now - start)
 
@@ -167,15 +169,15 @@ class LivePage:
         pose = placed.pose if placed is not None and placed.pose is not None else None
         turn = np.eye(3) if pose is None else pose[:3, :3]
         shift = np.zeros(3) if pose is None else pose[:3, 3]
-        lens, made = self.loop.camera.calibration.lens, item.made
-        step = max(1, round((made.depth_mm.size / _POINTS) ** 0.5))
-        thin = np.full_like(made.depth_mm, np.nan)
-        c = self.loop.config  # pixels between two surfaces hang in the air: as in the model, they are left out
-        flying = near_steps(made.depth_mm, jump=c.edge_jump, reach_px=c.edge_px)
-        thin[::step, ::step] = np.where(flying, np.float32(np.nan), made.depth_mm)[::step, ::step]
+        lens, measured = self.loop.camera.calibration.lens, item.measurement
+        step = max(1, round((measured.depth_mm.size / _POINTS) ** 0.5))
+        thin = np.full_like(measured.depth_mm, np.nan)
+        c = self.loop.config  # pixels between two surfaces are removed, as in the model
+        flying = near_steps(measured.depth_mm, jump=c.edge_jump, reach_px=c.edge_px)
+        thin[::step, ::step] = np.where(flying, np.float32(np.nan), measured.depth_mm)[::step, ::step]
         cloud = depth_to_points(
             thin,
-            made.color,
+            measured.color,
             camera_matrix=lens.camera_matrix,
             distortion=lens.distortion,
             sensor_to_pupil_mm=self.loop.camera.calibration.depth[self.loop.camera.config.quality].sensor_to_pupil_mm,
@@ -183,7 +185,7 @@ class LivePage:
         points = (cloud.points_mm @ turn.T + shift) / 1000
         scene.add_point_cloud("/points", points.astype(np.float32), cloud.colors, point_size=0.004)
         x, y, z, w = quaternion(turn)
-        height, width = made.depth_mm.shape
+        height, width = measured.depth_mm.shape
         scene.add_camera_frustum(
             "/camera",
             fov=float(2 * np.arctan(height / 2 / lens.camera_matrix[1, 1])),
@@ -200,7 +202,7 @@ class LivePage:
         mesh = self.loop.mesh
         if mesh is not None and mesh is not self._mesh and len(mesh.triangles):
             self._mesh = mesh
-            # Written here: a Trimesh refers to itself, and many megabytes of them would wait for the cycle collector.
+            # Not through trimesh: its objects are reference cycles that hold many megabytes until the collector runs.
             scene.add_glb("/model", glb(mesh), wxyz=(0, 1, 0, 0))  # the file's y points up and its z backward
 
     def _status(self) -> str:

@@ -1,4 +1,4 @@
-"""What lies between two stages of the live loop: at most one item, and the clock of a stage."""
+"""Connect two stages of the live loop by a queue of one item, and measure a stage's rate."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ T = TypeVar("T")
 
 
 class Slot(Generic[T]):
-    """A queue of one. The newest item wins, or a patient writer waits until it was taken.
+    """Queue of one item. A new item replaces the old one, or a patient writer waits until it was taken.
 
     Attributes
     ----------
     replaced : int
-        Items that nobody took.
+        Items replaced before they were taken.
     """
 
     def __init__(self) -> None:
@@ -25,7 +25,7 @@ class Slot(Generic[T]):
         self._change = threading.Condition()
 
     def put(self, item: T, *, patient: bool = False) -> None:
-        """Leave an item; nothing happens after closing."""
+        """Put an item; no effect after closing."""
         with self._change:
             if patient:
                 self._change.wait_for(lambda: self._item is None or self._closed)
@@ -44,7 +44,7 @@ class Slot(Generic[T]):
             return item
 
     def close(self, *, drop: bool = False) -> None:
-        """No more items; what lies in the slot can still be taken, unless dropped."""
+        """Accept no more items; the present one can still be taken, unless dropped."""
         with self._change:
             self._closed = True
             if drop:
@@ -53,28 +53,28 @@ class Slot(Generic[T]):
 
 
 class Meter:
-    """Rate and duration of a stage, over about the last second or ten passes."""
+    """Rate and duration of a stage, exponential means over about ten passes."""
 
     def __init__(self) -> None:
         self.count = 0
         self.milliseconds = self.latency_ms = self.per_second = 0.0
         self._last: float | None = None
 
-    def passed(self, seconds: float, latency_s: float) -> None:
-        """Count a pass that took so long and ended so long after the frame had arrived."""
+    def record(self, seconds: float, latency_s: float) -> None:
+        """Record a pass: its duration and the time from the frame's arrival to its end."""
         now = time.monotonic()
-        share = 1.0 if self.count == 0 else 0.1
-        self.milliseconds += share * (1000 * seconds - self.milliseconds)
-        self.latency_ms += share * (1000 * latency_s - self.latency_ms)
+        weight = 1.0 if self.count == 0 else 0.1
+        self.milliseconds += weight * (1000 * seconds - self.milliseconds)
+        self.latency_ms += weight * (1000 * latency_s - self.latency_ms)
         if self._last is not None and now > self._last:
             rate = 1.0 / (now - self._last)
-            # The mean of intervals, not of rates: two frames in a burst are not a thousand a second.
+            # Mean of intervals, not of rates: two frames in a burst would count as a thousand a second.
             self.per_second = rate if self.count == 1 else 1.0 / (0.9 / max(self.per_second, 1e-6) + 0.1 / rate)
         self._last = now
         self.count += 1
 
     def summary(self) -> dict[str, float]:
-        """Give the figures, units in the names."""
+        """Return the figures, units in the names."""
         return {
             "frames": self.count,
             "per_second": round(self.per_second, 2),

@@ -1,4 +1,4 @@
-"""Two captures of a ray-traced real 50 mm lens and the camera files made for them, for the demo and the tests."""
+"""Two captures of a ray-traced real 50 mm lens, and their camera files, for the demo and the tests."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ _HERE = Path(__file__).parent
 
 
 def sample_image(name: str) -> Path:
-    """Path of a bundled capture: 16-bit PNG, linear counts, black 16, white 1016."""
+    """Return the path of a bundled capture: 16-bit PNG, linear counts, black 16, white 1016."""
     return _HERE / f"{name}.png"
 
 
 def sample_camera(name: str) -> Path:
-    """Path of the camera file of a bundled capture."""
+    """Return the path of the camera file of a bundled capture."""
     return _HERE / f"{name.removeprefix('still_life_')}.asdf"
