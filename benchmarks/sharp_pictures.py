@@ -28,6 +28,7 @@ from chromaperture.effects.restore import UNFITTED_ERROR, fitted_settings
 from chromaperture.effects.transfer_functions import Blur, LensTransfer, ThinLensBlur, kernel_otf
 from chromaperture.optics.aperture import centroids
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
+from chromaperture.optics.lens_otf import ChannelRays
 
 FULL_WELL, READ_NOISE = 5000.0, 4.0  # electrons
 ROUNDS = {"layered Wiener": 0, "all in focus": 3}

@@ -18,6 +18,7 @@ from chromaperture.calibration.curves import weaknesses
 from chromaperture.calibration.fit_curve import fit_depth_model
 from chromaperture.camera_file import Calibration
 from chromaperture.color.unmixing import ideal_unmixing, pure_channels
+from chromaperture.config import PaperConfig, RealTimeConfig
 from chromaperture.disparity.views import view_spaces
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, made_of
