@@ -66,7 +66,7 @@ def found_radii(image, design, blur, true_px):
     colours = np.array([design.filter_named(name).transmission for name in design.views])
     common = {"aperture": design, "unmixing": unmixing_rows(mixing_matrix(colours), len(design.views))}
     accurate = estimate_disparity(image, **common, config=config, blur=blur, fields=[flat])
-    quick = estimate_disparity(image, **common, config=MatcherConfig.preset("real-time"))
+    quick = estimate_disparity(image, **common, config=preset("real-time"))
     return {
         "window": parabola_winner(volume, config.layers_px).disparity_px / blur.reach,
         "accurate": accurate.value_px / blur.reach,

@@ -16,7 +16,6 @@ import numpy as np
 import scipy.fft
 
 from chromaperture.color.unmixing import view_directions
-from chromaperture.config import MatcherConfig
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.optics.aperture import Aperture, design_named
 
@@ -57,7 +56,7 @@ def main() -> None:
     figure, axis = plt.subplots(figsize=(8, 3.5), layout="constrained")
     report = {}
     for quality in args.quality:
-        config = MatcherConfig.preset(quality)
+        config = preset(quality)
         bias = np.zeros((TEXTURES, len(disparities)))
         for seed in range(TEXTURES):
             rng = np.random.default_rng(seed)

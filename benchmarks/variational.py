@@ -10,7 +10,8 @@ import time
 import cv2
 import numba
 import numpy as np
-from chromaperture.disparity.variational import smooth_disparity
+
+from chromaperture.disparity.variation import smooth_disparity
 
 SHAPE = (1280, 1920)
 ITERATIONS = 100

@@ -1,12 +1,13 @@
-"""Where between two layers a wall lies: known offsets are asked back, and the whole optimiser must not lock."""
+"""Where between two layers a surface lies: known offsets are found, and the whole surface has no bias to layers."""
 
 import numpy as np
-from chromaperture.disparity.between_layers import between_layers
-from chromaperture.disparity.optimise import optimise_volume
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.config import OptimiserConfig
+from chromaperture.disparity.accurate import optimised_surface
+from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.stages.between_layers import between_layers
+from chromaperture.stage_config import SurfaceConfig
 
 LAYERS_PX = np.arange(9) * 0.1 - 0.4
 
@@ -23,7 +24,7 @@ def test_even_evidence_is_placed_exactly(disparity_px, sigma_px):
     start = np.full((12, 15), LAYERS_PX[np.abs(LAYERS_PX - disparity_px).argmin()])
     volume = wall(disparity_px, np.random.default_rng(0), (12, 15), scatter_px=0.0)
     found = between_layers(start, volume, LAYERS_PX, sigma_px=sigma_px)
-    # A parabola is what the shares are: left is float32, 1e-7 of a share against a bend of a hundredth of it.
+    # The unexplained fraction is a parabola exactly: left is float32, 1e-7 of it against a bend of a hundredth of it.
     np.testing.assert_allclose(found, disparity_px, atol=2e-6)
 
 
@@ -35,17 +36,19 @@ def test_no_evidence_moves_a_pixel_by_more_than_half_a_layer(seed):
     volume = rng.gamma(0.3, 3.0, (8, 9, len(LAYERS_PX))).astype(np.float32)
     found = between_layers(start, volume, LAYERS_PX, sigma_px=2.0)
     assert np.isfinite(found).all()
-    assert np.abs(found - start).max() <= 0.2 + 1e-6  # to its layer, that from the border, and from the layer
-    silent = between_layers(start, np.zeros_like(volume), LAYERS_PX, sigma_px=2.0)
-    assert np.abs(silent - (np.clip(np.rint((start + 0.4) / 0.1), 1, 7) * 0.1 - 0.4)).max() < 1e-6
+    assert np.abs(found - start).max() <= 0.2 + 1e-6  # to its layer, from the border to the next, and from there; float32
+    none = between_layers(start, np.zeros_like(volume), LAYERS_PX, sigma_px=2.0)
+    assert np.abs(none - (np.clip(np.rint((start + 0.4) / 0.1), 1, 7) * 0.1 - 0.4)).max() < 1e-6  # float32
 
 
-def test_walls_between_layers_do_not_lock():
-    """Penalties of many nats a layer: a wall that starts from the paths snaps to its layer."""
-    config = OptimiserConfig(slope_penalty=80.0, temperature=0.3, coupling_rounds=8, variation_iterations=20)
+def test_walls_between_layers_are_not_biased_to_the_layers():
+    """Penalties of many nats a layer: a wall that starts from the paths alone stays at its layer."""
+    config = SurfaceConfig(slope_penalty=80.0, temperature=0.3, coupling_rounds=8, variation_iterations=20)
     rng, bias, guide = np.random.default_rng(3), [], np.zeros((40, 60), np.float32)
     for disparity_px in np.arange(-0.15, 0.151, 0.025):
-        found = optimise_volume(wall(disparity_px, rng, guide.shape), guide, LAYERS_PX, config=config)
+        found = optimised_surface(
+            wall(disparity_px, rng, guide.shape), guide, LAYERS_PX, config=config, run=execution_named("numba")
+        )
         bias.append(np.nanmedian(found.disparity_px) - disparity_px)
     # A scatter of .03 px leaves .0006 px of a wall of 2400 px; from the paths alone it was off by .0127 px.
     assert np.abs(bias).max() < 0.004

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chromaperture.camera import CodedApertureCamera, channel_shifts, default_config
+from chromaperture.camera import CodedApertureCamera, channel_shifts
 from chromaperture.camera_file import Calibration, Film
+from chromaperture.camera_matching import default_config
 from chromaperture.capture.checks import check_capture
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
@@ -40,16 +41,16 @@ def test_colours_come_together_at_every_quality(rng, quality):
     before = np.corrcoef(image[inner][..., 0].ravel(), image[inner][..., 2].ravel())[0, 1]
     after = np.corrcoef(red.ravel(), blue.ravel())[0, 1]
     assert before < 0.5  # 5.2 px apart, of a texture of 1.5 px; the leaks have it in common
-    # What leaks through the other half stays where it is, a tenth of the light; the rest must coincide.
+    # What leaks through the other half, a tenth of the light, is not moved; the rest must coincide.
     assert after > 0.93
     assert red.mean() == pytest.approx(blue.mean(), rel=0.01)  # a grey plane is grey
     assert not frame.valid.any()  # no calibration, no millimetres
     assert np.isfinite(frame.disparity_px[inner]).mean() > 0.99
 
 
-def test_a_calibrated_camera_knows_how_far_leaks_draw_the_channels_together():
+def test_channels_brought_closer_by_leaks_are_moved_by_their_own_curve():
     camera = leaking_camera(48, 64)
-    np.testing.assert_allclose(channel_shifts(camera, "paper")[[0, 2], 0], [1, -1], atol=1e-3)  # nothing is known
+    np.testing.assert_allclose(channel_shifts(camera, "paper")[[0, 2], 0], [1, -1], atol=1e-3)  # uncalibrated; float film
     curves = {q: DepthField.constant(DepthModel(4.0, b, 50.0)) for q, b in (("real-time", 7300.0), ("paper", 8700.0))}
     known = replace(camera, depth=curves)
     np.testing.assert_allclose(channel_shifts(known, "real-time")[[0, 2], 0], [1, -1], atol=1e-3)

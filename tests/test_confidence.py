@@ -1,3 +1,5 @@
+"""The error bar of quality "paper" against known errors, and the confidence made of it."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -5,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chromaperture.config import MatcherConfig
-from chromaperture.disparity.error_bar import confidence, disparity_sigma, effective_samples
+from chromaperture.config import PaperConfig
+from chromaperture.disparity.error_bar import confidence, effective_samples, peak_sigma
 from chromaperture.disparity.winner import Winner
+from chromaperture.stage_config import BilateralConfig, CorrelationConfig
 from planes import LAYOUT, NARROW, capture, measured, texture
 
 
@@ -23,12 +26,14 @@ def test_effective_samples_is_what_averaging_white_noise_leaves(decay):
 def test_the_error_bar_is_as_long_as_the_error(rng, design, debiasing):
     """Texture to noise between 4 and 10, no aggregation, which the error bar does not count."""
     noise, truth = 0.015, -1.3
-    config = replace(NARROW, bilateral_sigma_px=0.0, noise_debiasing=debiasing)
+    config = replace(
+        NARROW, bilateral=BilateralConfig(sigma_px=0.0), correlation=CorrelationConfig(noise_debiasing=debiasing)
+    )
     scene = capture(texture(rng, 160, 200), design, truth)
     found, sigma = measured((scene + rng.normal(0, noise, scene.shape)).astype(np.float32), design, config, noise)
     score = (found - truth) / sigma
     # The formula is first order and the window's samples are few (N = 200 with correlated neighbours); the frame
-    # itself holds about 60 independent windows, which know a deviation to 10 %.
+    # itself holds about 60 independent windows, which determine a standard deviation to 10 %.
     assert 0.7 < np.nanstd(score) < 1.4
 
 
@@ -45,7 +50,7 @@ def test_less_light_gives_a_longer_error_bar(rng):
 def test_what_is_unknown_has_no_error_bar_and_no_confidence(view_count):
     peak, curvature = np.full((1, 2), 0.9, np.float32), np.ones((1, 2), np.float32)
     winner = Winner(np.array([[0.5, np.nan]], np.float32), peak, curvature)
-    sigma = disparity_sigma(winner, MatcherConfig(), view_count)
+    sigma = peak_sigma(winner, PaperConfig(), view_count, np.ones((1, 2), np.float32))
     assert np.isfinite(sigma[0, 0])
     assert np.isnan(sigma[0, 1])
     trust = confidence(sigma, winner.peak)
@@ -57,6 +62,6 @@ def test_a_flat_or_negative_peak_gives_a_long_but_finite_error_bar():
     peak = np.array([[-0.5, 0.0, 1.0, 1.2]], np.float32)
     winner = Winner(np.zeros((1, 4), np.float32), peak, np.zeros((1, 4), np.float32))
     for view_count in (2, 3):
-        sigma = disparity_sigma(winner, MatcherConfig(), view_count, np.full((1, 4), 1e-4, np.float32))
+        sigma = peak_sigma(winner, PaperConfig(), view_count, np.full((1, 4), 1e-4, np.float32))
         assert np.isfinite(sigma).all()
         assert (sigma > 1).all()

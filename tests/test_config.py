@@ -32,13 +32,13 @@ def test_an_end_that_is_a_whole_number_of_steps_away_is_a_layer(step):
 
 @given(low=st.floats(-30, 0), high=st.floats(1.1, 30), quality=st.sampled_from(["paper", "real-time", "accurate"]))
 def test_another_range_is_widened_to_whole_layers_which_include_focus(low, high, quality):
-    config = MatcherConfig.preset(quality).with_range(low, high)
+    config = preset(quality).with_range(low, high)
     assert config.min_disparity_px <= low
     assert config.max_disparity_px >= high
     assert config.max_disparity_px - high <= config.step_px
     assert low - config.min_disparity_px <= config.step_px
     assert np.abs(config.layers_px).min() < 1e-9
-    assert dataclasses.replace(config, min_disparity_px=-8, max_disparity_px=7.5) == MatcherConfig.preset(quality)
+    assert dataclasses.replace(config, min_disparity_px=-8, max_disparity_px=7.5) == preset(quality)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_presets():
     assert not paper.texture_weighting
     assert accurate.step_px < fast.step_px
     with pytest.raises(InputError, match="choose"):
-        MatcherConfig.preset("best")
+        preset("best")
 
 
 def test_settings_cannot_be_changed_behind_the_back():

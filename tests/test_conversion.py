@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from chromaperture.optics.thin_lens import disparity_to_object
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -117,7 +116,7 @@ def test_any_lens_is_exactly_linear_in_inverse_depth_from_its_entrance_pupil():
 @pytest.mark.parametrize("disparity_px", [-15.0, -3.2, -0.01, 0.0, 0.01, 2.0, 7.1, 13.0])
 def test_eqs_7_to_9_and_the_linear_form_are_one_curve(disparity_px):
     z = 1 / disparity_to_inverse_depth(disparity_px, MODEL)
-    thin = disparity_to_object(disparity_px, 1935.0, FOCAL_MM, baseline=11.79, pixel_pitch=PITCH_MM)
+    thin = 11.79 * FOCAL_MM * 1935.0 / (11.79 * FOCAL_MM - 2 * PITCH_MM * disparity_px * (1935.0 - FOCAL_MM))  # Eq. (7)
     # 1e-9: near infinity b f - swing and A - d have lost two digits each
     assert z == pytest.approx(thin, rel=1e-9)  # Eq. (7) from the pupil is Eq. (8)
     assert z + 50.0 == pytest.approx(paper_depth(disparity_px, PAPER), rel=1e-9)

@@ -1,4 +1,4 @@
-"""A textured plane, displaced by Fourier shifts as the aperture would displace it, comes back."""
+"""Quality "paper" as a whole: textured planes, displaced by Fourier shifts, and captures that are refused."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from planes import LAYOUT, NARROW, capture, measured, texture
 
 @pytest.mark.parametrize("disparity_px", [-2.8, -0.2, 0.0, 1.25, 3.4])
 @pytest.mark.parametrize("design", sorted(LAYOUT))
-def test_a_textured_plane_comes_back(rng, design, disparity_px):
+def test_a_textured_plane_is_found(rng, design, disparity_px):
     found, _ = measured(capture(texture(rng), design, disparity_px), design)
     # Left are the parabola over layers 0.5 px apart and cubic interpolation: 0.02 px is promised at this step.
     assert abs(np.median(found) - disparity_px) < 0.01
@@ -23,7 +23,7 @@ def test_a_textured_plane_comes_back(rng, design, disparity_px):
 
 
 def test_yellow_is_on_the_right_so_far_objects_move_right_in_red():
-    """Drawn by hand: three px to the right in red, three to the left in blue, which ideal halves see alone."""
+    """By hand: three px to the right in red, three to the left in blue, which each see one ideal half alone."""
     rng = np.random.default_rng(5)
     sheet = texture(rng, 80, 120)
     center = sheet[:, 10:110]
@@ -46,7 +46,7 @@ def test_at_and_beyond_the_ends_of_the_range_is_unknown(rng, design, disparity_p
     assert (np.isnan(sigma) == np.isnan(found)).all()
 
 
-def test_both_sides_of_a_depth_edge_come_back(rng):
+def test_both_sides_of_a_depth_edge_are_found(rng):
     """Left half near, right half far; a periodic texture each, cut out of its own plane."""
     left, right = (capture(texture(rng), "cy_halves", d) for d in (-2.2, 2.7))
     image = np.concatenate([left[:, :48], right[:, 48:]], axis=1)
@@ -65,11 +65,11 @@ def test_a_saturated_or_missing_patch_is_bridged_and_leaves_the_rest_alone(rng):
     assert np.isfinite(found).mean() > 0.98
 
 
-def test_noise_hidden_in_the_matrix_does_not_pull_towards_zero(rng):
-    """Unmixing correlates the noise of the views; at low contrast it would vote for d = 0."""
+def test_noise_correlated_by_unmixing_does_not_bias_towards_zero(rng):
+    """Unmixing correlates the noise of the views, which is worst at disparity 0 and at low contrast."""
     scene, noise = capture(texture(rng, 120, 160), "cy_halves", 0.5), 0.05
     image = (scene + rng.normal(0, noise, scene.shape)).astype(np.float32)
-    found, _ = measured(image, "cy_halves", replace(NARROW, views="unmixed"), noise)
+    found, _ = measured(image, "cy_halves", replace(NARROW, space="unmixed"), noise)
     assert abs(np.nanmedian(found) - 0.5) < 0.05
 
 
@@ -87,7 +87,7 @@ def test_noise_hidden_in_the_matrix_does_not_pull_towards_zero(rng):
 )
 def test_what_cannot_be_matched_is_refused_with_what_to_do(image, message):
     with pytest.raises(InputError, match=message):
-        estimate_disparity(image, aperture="cy_halves", config=NARROW, backend="reference")
+        estimate_disparity(image, aperture="cy_halves", config=NARROW, execution="numpy")
 
 
 def test_a_wrong_number_of_unmixing_rows_is_refused():
@@ -97,9 +97,9 @@ def test_a_wrong_number_of_unmixing_rows_is_refused():
 
 @pytest.mark.parametrize("design", sorted(LAYOUT))
 def test_sharp_texture_in_focus_is_not_taken_for_noise(rng, design):
-    """Without a noise model the image itself has to tell, and a sharp one has grain-like texture."""
+    """Without a noise model the noise is estimated from the image, and sharp texture resembles grain."""
     image = capture(texture(rng, blur_px=0.6), design, 0.02)
-    found = estimate_disparity(image, aperture=design, config=NARROW, backend="reference").value_px
+    found = estimate_disparity(image, aperture=design, config=NARROW, execution="numpy").value_px
     inner = found[16:-16, 16:-16]
     assert np.median(inner) == pytest.approx(0.02, abs=0.02)
     assert np.isfinite(inner).all()

@@ -22,7 +22,7 @@ from chromaperture.calibration.curves import Evidence
 from chromaperture.calibration.fit_curve import DepthFit
 from chromaperture.calibration.read_boards import BoardMeasurement
 from chromaperture.calibration.session import Session
-from chromaperture.camera_file import Calibration, Film, Lens, Sensor
+from chromaperture.camera_file import Calibration, CameraSensor, Film, Lens
 from chromaperture.cli.main import app, main
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
@@ -78,7 +78,7 @@ def result(tmp_path_factory):
     colors = {"cyan": np.array([0.05, 0.6, 0.7]), "yellow": np.array([0.9, 0.8, 0.05])}
     calibration = Calibration(
         design="cy_halves",
-        sensor=Sensor(WIDTH, HEIGHT, 0.3),
+        sensor=CameraSensor(WIDTH, HEIGHT, 0.3),
         lens=Lens(48.0, matrix, f_number=2.0),
         film=Film(colors, np.ones(3), np.array([0.5, 0.7, 0.4])),
         depth={"paper": field, "real-time": field, "accurate": field},
@@ -97,7 +97,7 @@ def result(tmp_path_factory):
     return CalibrationResult(
         calibration=calibration, fits=dict.fromkeys(both, fit), boards=boards, notes=["a <note> & more"],
         session=session, grid_x_px=x, grid_y_px=y, residual_px=dict.fromkeys(both, residual_px),
-        spread_px=dict.fromkeys(both, np.full(5, NOISE_PX)), intrinsics=Intrinsics(matrix, np.zeros(5), 0.1), tilts={},
+        pixel_sigma_px=dict.fromkeys(both, np.full(5, NOISE_PX)), intrinsics=Intrinsics(matrix, np.zeros(5), 0.1), tilts={},
         ruler=ruler, ruler_residual_mm=ruler.residual_mm, outliers={}, evidence=evidence,
     )  # fmt: skip
 
@@ -184,7 +184,7 @@ def test_intervals_of_depth():
 
 def test_the_verdict_changes_with_the_evidence(result):
     assert any("good to 2% from" in s.text and s.tone == "good" for s in sentences(result))
-    noisy = replace(result, spread_px={"real-time": np.full(5, 2.0)})
+    noisy = replace(result, pixel_sigma_px={"real-time": np.full(5, 2.0)})
     assert any("nowhere good to 2%" in s.text and s.tone == "weak" for s in sentences(noisy))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from chromaperture.disparity import simd as v
+from chromaperture.disparity.cpu import simd as v
 
 A = np.array([3.0, -1.5, 0.25, 7.0, -8.0, 0.5, 2.0, -0.125], np.float32)
 B = np.array([-2.0, 4.0, 0.5, 7.5, -9.0, 0.25, -3.0, 1.0], np.float32)
@@ -50,6 +50,17 @@ def test_roots():
     np.testing.assert_array_equal(applied(v.root, np.abs(A)), np.sqrt(np.abs(A)))
     # An estimate and one Newton step where the processor has one: a few 1e-7.
     np.testing.assert_allclose(applied(v.inverse_root, np.abs(A)), 1 / np.sqrt(np.abs(A)), rtol=1e-6)
+
+
+def test_lanes_are_joined():
+    np.testing.assert_array_equal(applied(v.least_lane, A), np.full(8, A.min()))
+    np.testing.assert_array_equal(applied(v.sum_lanes, A), np.full(8, A.sum()))  # exact in any order
+
+
+def test_logarithm():
+    values = np.array([1e-5, 0.003, 0.2, 0.999, 1.0, 1.5, 2.0, 60.0], np.float32)
+    # The polynomial is good to 2e-5.
+    np.testing.assert_allclose(applied(v.logarithm, values), np.log(values), atol=3e-5)
 
 
 def test_largest_lane_of_four_vectors():
@@ -104,8 +115,8 @@ def test_single_elements():
 
 def _elements(array, out):
     v.prefetch(array, 0)
-    v.store(out, 0, v.spread_at(array, 3))
-    v.store(out, 8, v.spread(np.float32(2.5)))
+    v.store(out, 0, v.broadcast_at(array, 3))
+    v.store(out, 8, v.broadcast(np.float32(2.5)))
     four = v.four_and_squares(array, 5, 4, 3, 2)
     v.store(out, 16, four)
     v.store(out, 24, v.swapped(four))

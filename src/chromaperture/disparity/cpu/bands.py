@@ -179,6 +179,9 @@ def _filter_back(scores, links, scales, even_link, volume, at, stride):
     end = len(scales) - 1
     border_gain, gain = v.broadcast(ONE / (ONE - even_link)), v.broadcast(ONE - even_link)
     here = v.load(scores, end * v.LANES)
+    if end == 0:  # a picture one px wide: both recursions start and end here
+        v.store_shorts(volume, at, v.mul(v.add(here, here), v.broadcast_at(scales, 0)))
+        return
     # The weighted score is what the forward result has more than its link to the one before.
     before = v.load(scores, (end - 1) * v.LANES)
     state = v.mul(border_gain, v.fnma(v.broadcast_at(links, end), before, here))

@@ -1,21 +1,22 @@
-"""PSF-aware matching: a plane blurred by known PSFs comes back at its depth."""
+"""Cross-filtered evidence: a plane blurred by known PSFs is found at its depth."""
 
 import cv2
 import numpy as np
 import pytest
 import scipy.fft
-from chromaperture.disparity.phase import phase_likelihood
-from chromaperture.disparity.phase_kernels import cross_filter
-from chromaperture.disparity.semiglobal import LayerField
-from chromaperture.disparity.tiles import Nodes, signal_share
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.config import MatcherConfig, PhaseConfig
+from chromaperture.config import AccurateConfig, PaperConfig
+from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.labels import IDENTITY
+from chromaperture.disparity.stages.tiles import Nodes, signal_share
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
+from chromaperture.stage_config import CrossFilterConfig, LayersConfig
 
 W, H = 160, 120
 LENS = BlurModel(6.0, 12000.0, axial_red_px=-0.2, axial_blue_px=0.3, spherical_px=-0.8, lateral_red_px=0.0)
@@ -39,6 +40,11 @@ def photograph(blur, layer_px, rng, noise=0.002, finest_px=0.0):
     return (image + rng.normal(0, noise, image.shape)).astype(np.float32)
 
 
+def likelihood(image, blur, layers_px, *, config=None, noise_variance=None):
+    evidence = BlurEvidence(config or CrossFilterConfig(), blur, IDENTITY, execution_named("numba"))
+    return evidence.likelihood(image, layers_px, noise_variance=noise_variance)
+
+
 def best_layer(volume, layers):
     sums = volume.mean(axis=(0, 1))
     i = int(np.clip(sums.argmax(), 1, len(layers) - 2))
@@ -52,59 +58,59 @@ def test_a_plane_is_found_at_its_depth(design, edge_px, rng):
     blur = blur_for(design)
     true = edge_px * blur.reach
     layers = true + np.linspace(-1.0, 1.0, 9) * blur.reach  # a quarter of a px of blur apart
-    volume = phase_likelihood(photograph(blur, true, rng), blur, layers, config=PhaseConfig())
-    # The model is exact but for noise; the parabola through three layers locks by a tenth of a step at most.
+    volume = likelihood(photograph(blur, true, rng), blur, layers)
+    # The model is exact but for noise; the parabola through three layers is biased to them by a tenth of a step at most.
     assert best_layer(volume, layers) == pytest.approx(true, abs=0.03 * blur.reach)
 
 
-def test_shifted_views_would_have_been_off():
-    """The reason for it all: the disparity of best overlap of mirrored halves is not that of their centroids."""
+def test_shifted_views_would_be_biased():
+    """The reason for this evidence: the disparity of best overlap of mirrored halves is not that of their centroids."""
     blur = blur_for("cy_halves", BlurModel(6.0, 12000.0))
     rng = np.random.default_rng(1)
     true = 5.0 * blur.reach
     image = photograph(blur, true, rng, noise=0.0)
-    config = MatcherConfig(min_disparity_px=0.0, max_disparity_px=4.0)
+    config = PaperConfig(layers=LayersConfig(min_px=0.0, max_px=4.0))
     shifted = np.nanmedian(estimate_disparity(image, aperture="cy_halves", config=config).value_px)
     layers = true + np.linspace(-0.5, 0.5, 9)
-    aware = best_layer(phase_likelihood(image, blur, layers, config=PhaseConfig()), layers)
+    aware = best_layer(likelihood(image, blur, layers), layers)
     assert abs(aware - true) < abs(shifted - true) / 3
 
 
 @pytest.mark.parametrize("edge_px", [-1.5, 0.9])
-def test_noise_does_not_pull_towards_more_blur(edge_px):
+def test_noise_does_not_bias_towards_more_blur(edge_px):
     """Near focus an open design's parallax is small, and more blur hides more noise."""
     blur = blur_for("cy_open")
     true, noise = edge_px * blur.reach, 0.03
     layers = true + np.arange(-12, 13) * 0.3 * blur.reach
-    config = MatcherConfig.psf_aware(blur.reach).phase
+    config = AccurateConfig.for_blur(blur.reach).evidence
     found = {True: [], False: []}
     for seed in range(4):
         rng = np.random.default_rng(seed)
         image = photograph(blur, true, rng, noise=noise, finest_px=1.5)
         for known in found:
             variance = np.full_like(image, noise**2) if known else None
-            volume = phase_likelihood(image, blur, layers, noise_variance=variance, config=config)
+            volume = likelihood(image, blur, layers, noise_variance=variance, config=config)
             found[known].append((best_layer(volume, layers) - true) / blur.reach)
     with_noise, without = abs(np.mean(found[True])), abs(np.mean(found[False]))
-    # In px of blur; each picture's noise is worth 0.02. Unknown, noise pulls by 0.1 and 0.6.
+    # In px of blur; each picture's noise is worth 0.02. Unknown, noise biases by 0.1 and 0.6.
     assert with_noise < 0.05
     assert with_noise < without / 5
 
 
-def test_the_share_of_signal_is_wieners():
+def test_the_signal_fraction_is_that_of_wieners_filter():
     """A texture of known spectrum S in white noise N: S / (S + N)."""
     rng, size, sigma = np.random.default_rng(5), 128, 0.3
     w2 = (2 * np.pi * scipy.fft.fftfreq(size))[:, None] ** 2 + (2 * np.pi * scipy.fft.rfftfreq(size)) ** 2
     colour = np.exp(-w2 / 2)
     texture = scipy.fft.irfft2(scipy.fft.rfft2(rng.standard_normal((3, size, size))) * colour)
     noisy = texture + sigma * rng.standard_normal((3, size, size))
-    share = signal_share(scipy.fft.rfft2(noisy), np.full(3, sigma**2 * size**2))
+    fraction = signal_share(scipy.fft.rfft2(noisy), np.full(3, sigma**2 * size**2))
     expected = colour**2 / (colour**2 + sigma**2)
-    assert share.min() >= 0
-    assert share.max() <= 1
+    assert fraction.min() >= 0
+    assert fraction.max() <= 1
     # The lag window leaves some thirty independent frequencies in each estimate: a fifth, on what is 1 - N / (S + N).
-    assert np.abs(share - expected).mean() < 0.08
-    assert np.abs(share - expected)[:, w2 < 0.5].max() < 0.05
+    assert np.abs(fraction - expected).mean() < 0.08
+    assert np.abs(fraction - expected)[:, w2 < 0.5].max() < 0.05
     np.testing.assert_array_equal(signal_share(scipy.fft.rfft2(noisy), np.zeros(3)), 1)
     np.testing.assert_array_equal(signal_share(np.zeros((1, 8, 5), complex), np.ones(1)), 0)
 
@@ -121,15 +127,7 @@ def test_the_tiles_of_nodes_add_up_to_the_picture(height, width, margin):
         back = scipy.fft.irfft2(tile.channels, s=(nodes.size, nodes.size))
         canvas[:, *nodes.on_canvas(place)] += back[:, inner, inner] * weight
     smooth = cv2.GaussianBlur(image, (0, 0), 30.0)  # shading, which tiles do without
-    np.testing.assert_allclose(np.moveaxis(nodes.in_frame(canvas), 0, -1), image - smooth, atol=2e-5)
-
-
-def test_filtering_is_the_formulas(rng):
-    a, b, h_a, h_b = (rng.normal(size=(4, 9, 5)) + 1j * rng.normal(size=(4, 9, 5))).astype(np.complex64)
-    out = np.empty((2, 9, 5), np.complex64)
-    cross_filter(a, b, h_a, h_b, np.float32(0.04), out)
-    q = np.sqrt((np.abs(h_a) ** 2 + np.abs(h_b) ** 2) / 2 + 0.04)
-    np.testing.assert_allclose(out, [a * h_b / q, b * h_a / q], rtol=2e-6)
+    np.testing.assert_allclose(np.moveaxis(nodes.in_frame(canvas), 0, -1), image - smooth, atol=2e-5)  # float32 FFTs
 
 
 @pytest.mark.parametrize("design", ["cy_halves", "cy_open"])
@@ -153,25 +151,24 @@ def test_a_plane_is_flat_through_a_lens_of_curved_focus(design, rng):
             weight *= np.clip(1 - np.abs(x - node_x) / (columns[1] - columns[0]), 0, 1)
             image += weight[..., None] * sharp[:, :height, :width].transpose(1, 2, 0)
     layers = true + np.linspace(-1.2, 1.2, 9) * blur.reach
-    config = MatcherConfig.psf_aware(blur.reach).phase
-    volume = phase_likelihood((0.5 + image).astype(np.float32), blur, layers, config=config)
+    config = AccurateConfig.for_blur(blur.reach).evidence
+    volume = likelihood((0.5 + image).astype(np.float32), blur, layers, config=config)
     found = [best_layer(volume[:, i : i + 20], layers) for i in range(0, width, 20)]
     # In px of blur; 0.02 is what is found. Filters that do not mix leave up to 0.25 at the tiles' seams.
     assert np.abs(np.array(found) - true).max() < 0.03 * blur.reach
 
 
-def test_the_whole_way_with_a_saturated_patch_and_a_dead_pixel(rng):
+def test_a_whole_measurement_with_a_saturated_patch_and_a_dead_pixel(rng):
     blur = blur_for("cy_halves")
     true = -1.2
     image = photograph(blur, true, rng)
     image[50:60, 70:90] = 1.0
     image[20, 30] = np.nan
     noise = np.full_like(image, 0.002**2)
-    noise[18:23, 28:33] = np.nan  # what a noise model makes of it
-    config = MatcherConfig.psf_aware(blur.reach).with_range(-2.0, 0.5)
-    flat = LayerField(np.zeros((H, W), np.float32), np.ones((H, W), np.float32))
+    noise[18:23, 28:33] = np.nan  # as a noise model returns it
+    config = AccurateConfig.for_blur(blur.reach).with_range(-2.0, 0.5)
     found = estimate_disparity(
-        image, aperture="cy_halves", config=config, fields=[flat], blur=blur, noise_variance=noise
+        image, aperture="cy_halves", config=config, label_maps=[IDENTITY], blur=blur, noise_variance=noise
     )
     assert np.nanmedian(found.value_px) == pytest.approx(true, abs=0.02)
     assert np.nanmean(np.abs(found.value_px - true) < 0.1) > 0.9
@@ -180,15 +177,13 @@ def test_the_whole_way_with_a_saturated_patch_and_a_dead_pixel(rng):
 
 def test_a_camera_of_another_size_is_refused():
     with pytest.raises(InputError, match="160 x 120"):
-        phase_likelihood(
-            np.zeros((100, 100, 3), np.float32), blur_for("cy_halves"), np.arange(3.0), config=PhaseConfig()
-        )
+        likelihood(np.zeros((100, 100, 3), np.float32), blur_for("cy_halves"), np.arange(3.0))
 
 
-def test_without_a_blur_it_says_so(rng):
+def test_a_missing_blur_is_named(rng):
     image = rng.random((H, W, 3), dtype=np.float32)
     with pytest.raises(InputError, match="blur"):
-        estimate_disparity(image, aperture="cy_halves", config=MatcherConfig.psf_aware(0.4))
+        estimate_disparity(image, aperture="cy_halves", config=AccurateConfig.for_blur(0.4))
 
 
 @settings(max_examples=8, deadline=None)
@@ -201,9 +196,7 @@ def test_any_small_picture_gives_finite_evidence(width, height, kind):
         image[:] = 0
     elif kind == "one channel":
         image[..., 1:] = 0
-    volume = phase_likelihood(
-        image, blur_for("cy_halves", width=width, height=height), np.linspace(-1, 1, 3), config=PhaseConfig()
-    )
+    volume = likelihood(image, blur_for("cy_halves", width=width, height=height), np.linspace(-1, 1, 3))
     assert volume.shape == (height, width, 3)
     assert np.isfinite(volume).all()
     assert (volume >= 0).all()

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chromaperture.disparity.semiglobal import LayerField
+from test_kernels import DESIGNS, capture, inputs_of
 
 import planes
-from chromaperture.config import CoarseConfig, MatcherConfig
+from chromaperture.config import CoarseConfig
 from chromaperture.disparity import coarse, coarse_kernels
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.errors import InputError
-from test_kernels import DESIGNS, capture, inputs_of
 
-REAL_TIME = MatcherConfig.preset("real-time")
+REAL_TIME = preset("real-time")
 SMALL = REAL_TIME.with_range(-4.0, 4.0)
 # Likelihoods are kept to 1/5000 nat and messages to 1/700: they move the layer only where two cost the same, and the
 # place between the layers by their ratio to a bend of some hundredths of a nat in weak texture.
@@ -90,7 +90,7 @@ def test_saturated_pixels_get_their_neighbours_depth():
 
 
 def test_inputs_of_another_quality_are_refused():
-    paper = MatcherConfig.preset("paper")
+    paper = preset("paper")
     with pytest.raises(InputError, match="prepare the views"):
         coarse_kernels.match(inputs_of(capture("cy_halves"), "cy_halves", paper), SMALL)
 

@@ -1,0 +1,133 @@
+"""Semi-global matching of a volume: exact on a chain, and surfaces too weak for single pixels are found."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from chromaperture.disparity import cpu, stages
+from chromaperture.disparity.cpu.paths import line_starts
+from chromaperture.disparity.labels import IDENTITY
+from chromaperture.disparity.stages.paths import LINES
+from chromaperture.errors import InputError
+from chromaperture.stage_config import SurfaceConfig
+
+LAYERS_PX = np.arange(-2.0, 3.01, 0.5)
+
+
+def slanted_wall(rng, shape=(48, 64)):
+    """A slanted wall with a square before it, and a likelihood too weak to decide a single pixel."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    near = (abs(y - shape[0] / 2) < 12) & (abs(x - shape[1] / 2) < 16)
+    truth = np.where(near, -1.3, 0.5 + 1.5 * x / shape[1])
+    guide = np.where(near, 4.0, 0.0)
+    likelihood = -((LAYERS_PX - truth[..., None]) ** 2) * 0.5 + rng.normal(0, 1.0, (*shape, len(LAYERS_PX)))
+    return truth, guide, likelihood.astype(np.float32)
+
+
+@pytest.mark.parametrize("run", [stages, cpu])
+def test_two_opposed_paths_find_the_best_layers_of_a_row(run):
+    """On a single row the two opposed paths are exact dynamic programming: against every choice of layers."""
+    rng = np.random.default_rng(2)
+    length, layers, step = 6, 4, 0.5
+    likelihood = rng.uniform(0, 2, (1, length, layers))
+    guide = rng.uniform(0, 1, (1, length))
+    config = SurfaceConfig(paths=4, slope_penalty=1.5, jump_penalty=1.2)
+    best = {}
+    for chosen in product(range(layers), repeat=length):
+        cost = -sum(likelihood[0, i, k] for i, k in enumerate(chosen))
+        for i in range(1, length):
+            change = min(abs(chosen[i] - chosen[i - 1]) * step * 1.5, 1.2)
+            cost += change * (
+                config.edge_floor
+                + (1 - config.edge_floor) * np.exp(-abs(guide[0, i] - guide[0, i - 1]) / config.edge_range)
+            )
+        for i, k in enumerate(chosen):
+            best[i, k] = min(best.get((i, k), np.inf), cost)
+    least = np.array([[best[i, k] for k in range(layers)] for i in range(length)])
+    total = run.aggregate_paths(likelihood, guide, step * np.arange(layers), config=config)[0]
+    np.testing.assert_allclose(
+        total - total.min(axis=1, keepdims=True), least - least.min(axis=1, keepdims=True), atol=1e-5  # float32
+    )
+
+
+def test_lines_of_a_family_visit_every_pixel_once():
+    for height, width in ((5, 8), (8, 5), (1, 4), (4, 1)):
+        for dx, dy in LINES:
+            seen = np.zeros((height, width), int)
+            for x, y, count in line_starts(height, width, dx, dy):
+                for i in range(count):
+                    seen[y + i * dy, x + i * dx] += 1
+            assert (seen == 1).all()
+
+
+def test_a_surface_too_weak_for_single_pixels_is_found():
+    truth, guide, likelihood = slanted_wall(np.random.default_rng(5))
+    config = SurfaceConfig(slope_penalty=6, jump_penalty=6)
+    alone = LAYERS_PX[likelihood.argmax(axis=2)]
+    paths = LAYERS_PX[cpu.aggregate_paths(likelihood, guide, LAYERS_PX, config=config).argmin(axis=2)]
+    smooth = cpu.coupled_variation(paths, likelihood, guide, LAYERS_PX, config=config)
+    wrong = [np.mean(abs(d - truth) > 0.4) for d in (alone, paths, smooth)]
+    assert wrong[0] > 0.4
+    assert wrong[1] < 0.35 * wrong[0]
+    assert wrong[2] < 0.01
+    # Between the layers only the variation places the surface: errors well below half a step of 0.5 px.
+    assert np.abs(smooth - truth).mean() < 0.12
+    assert np.abs(paths - truth).mean() > np.abs(smooth - truth).mean()
+
+
+def test_penalties_do_not_depend_on_the_layer_step():
+    """The same likelihood on layers twice as fine: the surface stays, because penalties count in px."""
+    y, x = np.mgrid[:24, :32]
+    truth = 0.02 * x + 0.01 * y
+    nothing = np.zeros(truth.shape)
+    found = []
+    for step in (0.5, 0.25):
+        layers = np.arange(-1.0, 2.01, step)
+        likelihood = -2.0 * (layers - truth[..., None]) ** 2
+        config = SurfaceConfig(slope_penalty=4, jump_penalty=4)
+        found.append(cpu.coupled_variation(nothing, likelihood, nothing, layers, config=config))
+    # The Huber corner and theta count in layers, so the two differ by less than the finer step only.
+    assert np.abs(found[0] - found[1]).mean() < 0.05
+    assert np.abs(found[1] - truth).mean() < 0.1
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"paths": 6},
+        {"slope_penalty": 0.0},
+        {"edge_range": -1.0},
+        {"edge_floor": 1.5},
+        {"coupling_rounds": -1},
+        {"variation_iterations": 0},
+    ],
+)
+def test_impossible_settings_are_refused(settings):
+    with pytest.raises(InputError):
+        SurfaceConfig(**settings)
+
+
+def test_layers_between_layers_are_those_of_a_smooth_correlation():
+    """Correlations up to 0.99, where the likelihood has a cusp: its own interpolation would be off by half a nat."""
+    fine, peak = np.arange(0, 8.01, 0.5), np.linspace(3.0, 5.0, 21)[None, :, None]
+    correlation = 0.99 * np.exp(-((fine - peak) ** 2) / (2 * 5.0**2))
+    likelihood = (-0.5 * np.log1p(-(correlation**2))).astype(np.float32)
+    found = stages.read_at_labels(likelihood[..., ::2], fine[::2], fine, IDENTITY)
+    # The cubic leaves the fourth derivative of the unexplained fraction: 9/384 h^4 of about 12 / 25^2 of it, against 0.02 at the peak.
+    np.testing.assert_allclose(found[..., 2:-2], likelihood[..., 2:-2], atol=0.06)
+    np.testing.assert_allclose(found[..., ::2], likelihood[..., ::2], atol=1e-6)  # float32
+
+
+def test_the_product_of_two_correlations_needs_both_factors():
+    """Evidence of two bands, s^1 s^0.5 with s a parabola in the layer: with 1.5 factors the cubic is exact."""
+    layers, peak = np.arange(0, 8.01, 1.0), np.linspace(3.0, 4.0, 11)[None, :, None]
+
+    def likelihood(at):
+        return (-0.5 * 1.5 * np.log(0.002 + 0.01 * (at - peak) ** 2)).astype(np.float32)
+
+    labels = np.arange(1.0, 7.01, 0.25)
+    both = stages.read_at_labels(likelihood(layers), layers, labels, IDENTITY, factors=1.5)
+    np.testing.assert_allclose(both, likelihood(labels), atol=2e-4)  # float32 fractions down to 0.002
+    single = stages.read_at_labels(likelihood(layers), layers, labels, IDENTITY)
+    assert np.abs(single - likelihood(labels)).max() > 0.1
