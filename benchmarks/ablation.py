@@ -23,15 +23,14 @@ from matcher import peers
 from timing import fastest_ms
 
 from chromaperture.calibration import calibrate_session as calibrate
-from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera import CodedApertureCamera, default_config
 from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
 from chromaperture.config import CoarseConfig, MatcherConfig
 from chromaperture.depth.field import DepthField
 from chromaperture.disparity import optimise
 from chromaperture.products.measure_file import read_capture
 
-REAL_TIME = preset("real-time")
+REAL_TIME = MatcherConfig.preset("real-time")
 VARIANTS: dict[str, MatcherConfig] = {
     "everything": REAL_TIME,
     "no field over the frame": REAL_TIME,
@@ -52,7 +51,7 @@ ACCURATE = ("everything", "shifted views", "walls not placed between layers", "w
 def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertureCamera:
     """A calibrated camera with one ingredient of quality accurate changed or taken away."""
     if name == "shifted views":
-        plain = calibrate.calibrate_session(session, __C__).calibration
+        plain = calibrate.calibrate_session(session, lens_blur=False).calibration
         return CodedApertureCamera(plain, default_config(plain, "accurate"))
     calibration = Calibration.load(camera_file)
     if name == "one curve for the frame":

@@ -13,17 +13,17 @@ import json
 from dataclasses import replace
 
 import numpy as np
-from chromaperture.disparity.phase import phase_likelihood
-from chromaperture.disparity.semiglobal import LayerField
 
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
 from chromaperture.config import MatcherConfig, PhaseConfig
 from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.disparity.phase import phase_likelihood
+from chromaperture.disparity.semiglobal import LayerField
 from chromaperture.disparity.winner import parabola_winner
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
-from chromaperture.optics.layer_renderer import render_layers
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
+from chromaperture.optics.layer_renderer import render_layers
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.pinhole import pupil_camera
@@ -66,7 +66,7 @@ def found_radii(image, design, blur, true_px):
     colours = np.array([design.filter_named(name).transmission for name in design.views])
     common = {"aperture": design, "unmixing": unmixing_rows(mixing_matrix(colours), len(design.views))}
     accurate = estimate_disparity(image, **common, config=config, blur=blur, fields=[flat])
-    quick = estimate_disparity(image, **common, config=preset("real-time"))
+    quick = estimate_disparity(image, **common, config=MatcherConfig.preset("real-time"))
     return {
         "window": parabola_winner(volume, config.layers_px).disparity_px / blur.reach,
         "accurate": accurate.value_px / blur.reach,

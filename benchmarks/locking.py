@@ -16,6 +16,7 @@ import numpy as np
 import scipy.fft
 
 from chromaperture.color.unmixing import view_directions
+from chromaperture.config import MatcherConfig
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.optics.aperture import Aperture, design_named
 
@@ -56,7 +57,7 @@ def main() -> None:
     figure, axis = plt.subplots(figsize=(8, 3.5), layout="constrained")
     report = {}
     for quality in args.quality:
-        config = preset(quality)
+        config = MatcherConfig.preset(quality)
         bias = np.zeros((TEXTURES, len(disparities)))
         for seed in range(TEXTURES):
             rng = np.random.default_rng(seed)

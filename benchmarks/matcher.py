@@ -13,13 +13,14 @@ import numpy as np
 from timing import fastest_ms
 
 from chromaperture.color.unmixing import view_directions
+from chromaperture.config import MatcherConfig
 from chromaperture.disparity import coarse_kernels
 from chromaperture.disparity.views import prepare_views, view_pairs
 from chromaperture.optics.aperture import design_named
 
 HEIGHT, WIDTH = 720, 1280
 NOISE = 0.004
-CONFIG = preset("real-time")
+CONFIG = MatcherConfig.preset("real-time")
 DESIGNS = {"hd32_two_filters": "cy_halves", "hd32_three_filters": "cmy_squares", "hd32_three_circles": "cmy_circles"}
 
 

@@ -11,7 +11,7 @@ import cv2
 import numba
 import numpy as np
 
-from chromaperture.disparity.variation import smooth_disparity
+from chromaperture.disparity.variational import smooth_disparity
 
 SHAPE = (1280, 1920)
 ITERATIONS = 100

@@ -14,13 +14,7 @@ from chromaperture.disparity.stages.correlation import three_view_score
 from chromaperture.disparity.views import ViewSpace
 from chromaperture.disparity.winner import Surface
 from chromaperture.errors import InputError
-from chromaperture.stage_config import (
-    CorrelationConfig,
-    CorrelationEvidenceConfig,
-    LayersConfig,
-    SurfaceConfig,
-    ViewsConfig,
-)
+from chromaperture.stage_config import CorrelationConfig, CorrelationEvidenceConfig, LayersConfig, SurfaceConfig, ViewsConfig
 
 LAYERS_PX = np.arange(-3.0, 3.01, 0.5)
 

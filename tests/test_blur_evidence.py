@@ -12,7 +12,7 @@ from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.stages.tiles import Nodes, signal_share
+from chromaperture.disparity.stages.tiles import Nodes, signal_fraction
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
@@ -104,15 +104,15 @@ def test_the_signal_fraction_is_that_of_wieners_filter():
     colour = np.exp(-w2 / 2)
     texture = scipy.fft.irfft2(scipy.fft.rfft2(rng.standard_normal((3, size, size))) * colour)
     noisy = texture + sigma * rng.standard_normal((3, size, size))
-    fraction = signal_share(scipy.fft.rfft2(noisy), np.full(3, sigma**2 * size**2))
+    fraction = signal_fraction(scipy.fft.rfft2(noisy), np.full(3, sigma**2 * size**2))
     expected = colour**2 / (colour**2 + sigma**2)
     assert fraction.min() >= 0
     assert fraction.max() <= 1
     # The lag window leaves some thirty independent frequencies in each estimate: a fifth, on what is 1 - N / (S + N).
     assert np.abs(fraction - expected).mean() < 0.08
     assert np.abs(fraction - expected)[:, w2 < 0.5].max() < 0.05
-    np.testing.assert_array_equal(signal_share(scipy.fft.rfft2(noisy), np.zeros(3)), 1)
-    np.testing.assert_array_equal(signal_share(np.zeros((1, 8, 5), complex), np.ones(1)), 0)
+    np.testing.assert_array_equal(signal_fraction(scipy.fft.rfft2(noisy), np.zeros(3)), 1)
+    np.testing.assert_array_equal(signal_fraction(np.zeros((1, 8, 5), complex), np.ones(1)), 0)
 
 
 @settings(max_examples=30, deadline=None)
