@@ -22,24 +22,33 @@ from bench50 import score
 from matcher import peers
 from timing import fastest_ms
 
+from chromaperture import camera_matching
 from chromaperture.calibration import calibrate_session as calibrate
-from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
-from chromaperture.config import CoarseConfig, MatcherConfig
+from chromaperture.camera_matching import default_config
+from chromaperture.config import AccurateConfig, MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.depth.field import DepthField
-from chromaperture.disparity import optimise
+from chromaperture.disparity import accurate
+from chromaperture.disparity.labels import IDENTITY
+from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.products.measure_file import read_capture
+from chromaperture.stage_config import BilateralConfig, CorrelationConfig, CrossFilterConfig, FourPathsConfig
 
-REAL_TIME = MatcherConfig.preset("real-time")
+REAL_TIME = RealTimeConfig()
 VARIANTS: dict[str, MatcherConfig] = {
     "everything": REAL_TIME,
     "no field over the frame": REAL_TIME,
-    "unmixed views": dataclasses.replace(REAL_TIME, views="unmixed"),
-    "no average between layers": dataclasses.replace(REAL_TIME, bilateral_sigma_px=0.0),
-    "penalties not led by the guide": dataclasses.replace(REAL_TIME, coarse=CoarseConfig(edge_floor=1.0)),
-    "penalties a tenth": dataclasses.replace(REAL_TIME, coarse=CoarseConfig(slope_penalty=1.0, jump_penalty=2.0)),
-    "window of .70": dataclasses.replace(REAL_TIME, window_decay=0.7),
-    "full resolution, best layer of a bilateral filter": MatcherConfig(),
+    "unmixed views": dataclasses.replace(REAL_TIME, space="unmixed"),
+    "no average between layers": dataclasses.replace(REAL_TIME, smoothing_sigma_px=0.0),
+    "penalties not led by the guide": dataclasses.replace(REAL_TIME, paths=FourPathsConfig(edge_floor=1.0)),
+    "penalties a tenth": dataclasses.replace(REAL_TIME, paths=FourPathsConfig(slope_penalty=1.0, jump_penalty=2.0)),
+    "window of .70": dataclasses.replace(REAL_TIME, correlation=CorrelationConfig(window_decay=0.7)),
+    "full resolution, best layer of a bilateral filter": PaperConfig(
+        space="pure",
+        correlation=CorrelationConfig(noise_debiasing=True),
+        bilateral=BilateralConfig(texture_weighting=True),
+    ),
 }
 
 
@@ -58,21 +67,21 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
         constant = DepthField.constant(calibration.on_axis("accurate"))
         calibration = dataclasses.replace(calibration, depth={**calibration.depth, "accurate": constant})
     config = default_config(calibration, "accurate")
-    phase, optimiser = config.matcher.phase, config.matcher.optimiser
-    assert phase is not None
-    assert optimiser is not None
+    assert isinstance(config.matcher, AccurateConfig)
+    evidence, surface = config.matcher.evidence, config.matcher.surface
+    assert isinstance(evidence, CrossFilterConfig)
     octaves = {"bands_px": ((0.6, 1.4), (1.4, 3.2), (3.2, 7.0)), "band_weights": (1.0, 0.5, 0.25)}
     changes = {
-        "widest pair of channels only": {"phase": dataclasses.replace(phase, fallback_weight=0.0)},
-        "one octave": {"phase": dataclasses.replace(phase, bands_px=((0.6, 1.4),), band_weights=(1.0,))},
-        "three octaves": {"phase": dataclasses.replace(phase, **octaves)},
-        "window of 8 px": {"phase": dataclasses.replace(phase, window_sigma_px=8.0)},
-        "no total variation": {"optimiser": dataclasses.replace(optimiser, coupling_rounds=0)},
-        "four paths": {"optimiser": dataclasses.replace(optimiser, paths=4)},
+        "widest pair of channels only": {"evidence": dataclasses.replace(evidence, fallback_weight=0.0)},
+        "one octave": {"evidence": dataclasses.replace(evidence, bands_px=((0.6, 1.4),), band_weights=(1.0,))},
+        "three octaves": {"evidence": dataclasses.replace(evidence, **octaves)},
+        "window of 8 px": {"evidence": dataclasses.replace(evidence, window_sigma_px=8.0)},
+        "no total variation": {"surface": dataclasses.replace(surface, coupling_rounds=0)},
+        "four paths": {"surface": dataclasses.replace(surface, paths=4)},
         "penalties a tenth": {
-            "optimiser": dataclasses.replace(optimiser, slope_penalty=optimiser.slope_penalty / 10, jump_penalty=2.5)
+            "surface": dataclasses.replace(surface, slope_penalty=surface.slope_penalty / 10, jump_penalty=2.5)
         },
-        "penalties not led by the guide": {"optimiser": dataclasses.replace(optimiser, edge_floor=1.0)},
+        "penalties not led by the guide": {"surface": dataclasses.replace(surface, edge_floor=1.0)},
     }
     matcher = dataclasses.replace(config.matcher, **changes.get(name, {}))
     return CodedApertureCamera(calibration, dataclasses.replace(config, matcher=matcher))
@@ -80,25 +89,26 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
 
 def measure_accurate(name: str, args: argparse.Namespace) -> dict:
     camera = accurate_camera(name, args.camera, args.data / args.design)
-    pooled = optimise.between_layers
+    between_layers = accurate.between_layers
     if name == "walls not placed between layers":
-        optimise.between_layers = lambda disparity_px, *volume, sigma_px: disparity_px  # type: ignore
+        accurate.between_layers = lambda disparity_px, *volume, sigma_px: disparity_px  # type: ignore
     try:
         return figures_of(camera, args.data, args.design, args.scenes, rounds=1)
     finally:
-        optimise.between_layers = pooled  # type: ignore
+        accurate.between_layers = between_layers  # type: ignore
 
 
 def measure(name: str, data: Path, design: str, scenes: list[str]) -> dict:
-    preset, matcher = MatcherConfig.preset, VARIANTS[name]
-    MatcherConfig.preset = lambda quality: matcher if quality == "real-time" else preset(quality)  # type: ignore
+    preset, matcher = camera_matching.preset, VARIANTS[name]
+    camera_matching.preset = lambda quality: matcher if quality == "real-time" else preset(quality)  # type: ignore
     try:
         camera_file = calibrate.calibrate_session(data / design).calibration
         camera = CodedApertureCamera(camera_file, default_config(camera_file))
     finally:
-        MatcherConfig.preset = preset  # type: ignore
+        camera_matching.preset = preset  # type: ignore
     if name == "no field over the frame":
-        camera.fields = None
+        assert isinstance(camera.method, RealTimeMethod)
+        camera.method = dataclasses.replace(camera.method, label_map=IDENTITY)
     return figures_of(camera, data, design, scenes, rounds=5)
 
 

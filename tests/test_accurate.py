@@ -14,7 +14,13 @@ from chromaperture.disparity.stages.correlation import three_view_score
 from chromaperture.disparity.views import ViewSpace
 from chromaperture.disparity.winner import Surface
 from chromaperture.errors import InputError
-from chromaperture.stage_config import CorrelationConfig, CorrelationEvidenceConfig, LayersConfig, SurfaceConfig, ViewsConfig
+from chromaperture.stage_config import (
+    CorrelationConfig,
+    CorrelationEvidenceConfig,
+    LayersConfig,
+    SurfaceConfig,
+    ViewsConfig,
+)
 
 LAYERS_PX = np.arange(-3.0, 3.01, 0.5)
 
@@ -119,7 +125,7 @@ def test_surface_sigma_adds_the_floor_and_is_capped():
     np.testing.assert_allclose(sigma[0], [0.2, 0.3], rtol=1e-6)  # float32
     assert np.isnan(sigma[1, 0])
     assert 2 < sigma[1, 1] < 99
-    np.testing.assert_allclose(surface_sigma(surface, floor_px=0.4)[0], [np.hypot(0.2, 0.4), 0.5], rtol=1e-6)  # float32
+    np.testing.assert_allclose(surface_sigma(surface, floor_px=0.4)[0], [np.hypot(0.2, 0.4), 0.5], rtol=1e-6)
 
 
 def test_mismatched_shapes_are_named():

@@ -21,7 +21,6 @@ from chromaperture.disparity.stages.variation import (
 )
 from chromaperture.disparity.variation import CHECK_EVERY, make_problem, smooth_disparity
 from chromaperture.errors import InputError
-from chromaperture.threads import limited_threads
 
 
 def spoilt_map(rng, shape=(96, 96)):
