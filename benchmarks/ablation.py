@@ -12,9 +12,11 @@ on an equally large picture.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import json
 from pathlib import Path
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -22,8 +24,8 @@ from bench50 import score
 from matcher import peers
 from timing import fastest_ms
 
-from chromaperture import camera_matching
-from chromaperture.calibration import calibrate_session as calibrate
+from chromaperture.calibration import read_boards
+from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
@@ -60,7 +62,7 @@ ACCURATE = ("everything", "shifted views", "walls not placed between layers", "w
 def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertureCamera:
     """A calibrated camera with one ingredient of quality accurate changed or taken away."""
     if name == "shifted views":
-        plain = calibrate.calibrate_session(session, lens_blur=False).calibration
+        plain = calibrate_session(session, lens_blur=False).calibration
         return CodedApertureCamera(plain, default_config(plain, "accurate"))
     calibration = Calibration.load(camera_file)
     if name == "one curve for the frame":
@@ -89,23 +91,19 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
 
 def measure_accurate(name: str, args: argparse.Namespace) -> dict:
     camera = accurate_camera(name, args.camera, args.data / args.design)
-    between_layers = accurate.between_layers
-    if name == "walls not placed between layers":
-        accurate.between_layers = lambda disparity_px, *volume, sigma_px: disparity_px  # type: ignore
-    try:
+    unplaced = name == "walls not placed between layers"
+    start_of_paths = mock.patch.object(accurate, "between_layers", lambda disparity_px, *volume, sigma_px: disparity_px)
+    with start_of_paths if unplaced else contextlib.nullcontext():
         return figures_of(camera, args.data, args.design, args.scenes, rounds=1)
-    finally:
-        accurate.between_layers = between_layers  # type: ignore
 
 
 def measure(name: str, data: Path, design: str, scenes: list[str]) -> dict:
-    preset, matcher = camera_matching.preset, VARIANTS[name]
-    camera_matching.preset = lambda quality: matcher if quality == "real-time" else preset(quality)  # type: ignore
-    try:
-        camera_file = calibrate.calibrate_session(data / design).calibration
-        camera = CodedApertureCamera(camera_file, default_config(camera_file))
-    finally:
-        camera_matching.preset = preset  # type: ignore
+    matcher = VARIANTS[name]
+    with mock.patch.object(read_boards, "RealTimeConfig", return_value=matcher):
+        camera_file = calibrate_session(data / design).calibration
+    config = default_config(camera_file)
+    matcher = matcher.with_range(*camera_file.disparity_range_px("real-time"))
+    camera = CodedApertureCamera(camera_file, dataclasses.replace(config, matcher=matcher))
     if name == "no field over the frame":
         assert isinstance(camera.method, RealTimeMethod)
         camera.method = dataclasses.replace(camera.method, label_map=IDENTITY)

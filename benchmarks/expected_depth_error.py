@@ -30,6 +30,7 @@ from chromaperture.optics.pinhole import pupil_camera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.sensor import SensorModel, develop, expose
 from chromaperture.optics.textures import noise
+from chromaperture.robust import MAD_TO_SIGMA
 from chromaperture.stage_config import CrossFilterConfig
 
 SIZE, BORDER, PITCH_MM = 256, 40, 0.0309722
@@ -106,8 +107,9 @@ def main():
         row = {"distance_mm": distance, "blur_radius_px": round(true, 2), "bound_px": round(per_px, 4)}
         for name, parts in errors.items():
             middles = [float(np.nanmedian(part)) for part in parts]
-            spread = np.mean([1.4826 * np.nanmedian(np.abs(p - m)) for p, m in zip(parts, middles, strict=True)])
-            row |= {f"{name}_bias_px": round(float(np.mean(middles)), 4), f"{name}_ratio": round(spread / per_px, 2)}
+            pairs = zip(parts, middles, strict=True)
+            scatter = float(np.mean([MAD_TO_SIGMA * np.nanmedian(np.abs(p - m)) for p, m in pairs]))
+            row |= {f"{name}_bias_px": round(float(np.mean(middles)), 4), f"{name}_ratio": round(scatter / per_px, 2)}
         report.append(row)
         if not args.json:
             print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)

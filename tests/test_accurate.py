@@ -45,7 +45,7 @@ def test_likelihood_is_that_of_gaussian_views():
         alone = x**2 + y**2
         gain = (alone - together).mean() / 2
         assert log_likelihood(np.array(rho), view_count=2) == pytest.approx(gain, abs=0.01)  # sampling error
-    # Three views of which only two are related know no more than those two: det R = 1 - rho^2 for both.
+    # Three views of which only two are related are the evidence of those two: det R = 1 - rho^2 for both.
     pair = log_likelihood(np.array(0.5), view_count=2)
     score = three_view_score(np.array(0.5), np.array(0.0), np.array(0.0))
     assert log_likelihood(score, view_count=3) == pytest.approx(pair, rel=1e-6)
@@ -113,9 +113,9 @@ def test_a_rival_far_away_widens_the_posterior(run):
     alone = np.minimum(8 * (layers - 1) ** 2, 20.0)
     rival = np.minimum(alone, 8 * (layers + 1.5) ** 2 + 1)
     cost = np.stack([alone, rival])[None].astype(np.float32)
-    sure, unsure = run.posterior_sigma(np.ones((1, 2)), cost, layers, temperature=2.0)[0]
-    assert sure < 0.4
-    assert unsure > 1.0
+    without, with_rival = run.posterior_sigma(np.ones((1, 2)), cost, layers, temperature=2.0)[0]
+    assert without < 0.4
+    assert with_rival > 1.0
 
 
 def test_surface_sigma_adds_the_floor_and_is_capped():

@@ -27,7 +27,7 @@ def test_a_plane_is_found_between_the_layers(design, disparity):
 
 
 def test_a_plane_of_even_disparity_is_found_through_any_labels():
-    """Labels come back as the disparities of the map."""
+    """Labels are converted back to disparities."""
     picture = planes.texture(np.random.default_rng(6), blur_px=2.0)
     image = planes.capture(picture, "cy_halves", 1.2)
     labels = LabelMap(np.full(picture.shape, 0.4, np.float32), np.full(picture.shape, 0.8, np.float32))
