@@ -12,9 +12,11 @@ on an equally large picture.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import json
 from pathlib import Path
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -22,24 +24,33 @@ from bench50 import score
 from matcher import peers
 from timing import fastest_ms
 
-from chromaperture.calibration import calibrate_session as calibrate
-from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.calibration import read_boards
+from chromaperture.calibration.calibrate_session import calibrate_session
+from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
-from chromaperture.config import CoarseConfig, MatcherConfig
+from chromaperture.camera_matching import default_config
+from chromaperture.config import AccurateConfig, MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.depth.field import DepthField
-from chromaperture.disparity import optimise
+from chromaperture.disparity import accurate
+from chromaperture.disparity.labels import IDENTITY
+from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.products.measure_file import read_capture
+from chromaperture.stage_config import BilateralConfig, CorrelationConfig, CrossFilterConfig, FourPathsConfig
 
-REAL_TIME = MatcherConfig.preset("real-time")
+REAL_TIME = RealTimeConfig()
 VARIANTS: dict[str, MatcherConfig] = {
     "everything": REAL_TIME,
     "no field over the frame": REAL_TIME,
-    "unmixed views": dataclasses.replace(REAL_TIME, views="unmixed"),
-    "no average between layers": dataclasses.replace(REAL_TIME, bilateral_sigma_px=0.0),
-    "penalties not led by the guide": dataclasses.replace(REAL_TIME, coarse=CoarseConfig(edge_floor=1.0)),
-    "penalties a tenth": dataclasses.replace(REAL_TIME, coarse=CoarseConfig(slope_penalty=1.0, jump_penalty=2.0)),
-    "window of .70": dataclasses.replace(REAL_TIME, window_decay=0.7),
-    "full resolution, best layer of a bilateral filter": MatcherConfig(),
+    "unmixed views": dataclasses.replace(REAL_TIME, space="unmixed"),
+    "no average between layers": dataclasses.replace(REAL_TIME, smoothing_sigma_px=0.0),
+    "penalties not led by the guide": dataclasses.replace(REAL_TIME, paths=FourPathsConfig(edge_floor=1.0)),
+    "penalties a tenth": dataclasses.replace(REAL_TIME, paths=FourPathsConfig(slope_penalty=1.0, jump_penalty=2.0)),
+    "window of .70": dataclasses.replace(REAL_TIME, correlation=CorrelationConfig(window_decay=0.7)),
+    "full resolution, best layer of a bilateral filter": PaperConfig(
+        space="pure",
+        correlation=CorrelationConfig(noise_debiasing=True),
+        bilateral=BilateralConfig(texture_weighting=True),
+    ),
 }
 
 
@@ -51,28 +62,28 @@ ACCURATE = ("everything", "shifted views", "walls not placed between layers", "w
 def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertureCamera:
     """A calibrated camera with one ingredient of quality accurate changed or taken away."""
     if name == "shifted views":
-        plain = calibrate.calibrate_session(session, lens_blur=False).calibration
+        plain = calibrate_session(session, lens_blur=False).calibration
         return CodedApertureCamera(plain, default_config(plain, "accurate"))
     calibration = Calibration.load(camera_file)
     if name == "one curve for the frame":
         constant = DepthField.constant(calibration.on_axis("accurate"))
         calibration = dataclasses.replace(calibration, depth={**calibration.depth, "accurate": constant})
     config = default_config(calibration, "accurate")
-    phase, optimiser = config.matcher.phase, config.matcher.optimiser
-    assert phase is not None
-    assert optimiser is not None
+    assert isinstance(config.matcher, AccurateConfig)
+    evidence, surface = config.matcher.evidence, config.matcher.surface
+    assert isinstance(evidence, CrossFilterConfig)
     octaves = {"bands_px": ((0.6, 1.4), (1.4, 3.2), (3.2, 7.0)), "band_weights": (1.0, 0.5, 0.25)}
     changes = {
-        "widest pair of channels only": {"phase": dataclasses.replace(phase, fallback_weight=0.0)},
-        "one octave": {"phase": dataclasses.replace(phase, bands_px=((0.6, 1.4),), band_weights=(1.0,))},
-        "three octaves": {"phase": dataclasses.replace(phase, **octaves)},
-        "window of 8 px": {"phase": dataclasses.replace(phase, window_sigma_px=8.0)},
-        "no total variation": {"optimiser": dataclasses.replace(optimiser, coupling_rounds=0)},
-        "four paths": {"optimiser": dataclasses.replace(optimiser, paths=4)},
+        "widest pair of channels only": {"evidence": dataclasses.replace(evidence, fallback_weight=0.0)},
+        "one octave": {"evidence": dataclasses.replace(evidence, bands_px=((0.6, 1.4),), band_weights=(1.0,))},
+        "three octaves": {"evidence": dataclasses.replace(evidence, **octaves)},
+        "window of 8 px": {"evidence": dataclasses.replace(evidence, window_sigma_px=8.0)},
+        "no total variation": {"surface": dataclasses.replace(surface, coupling_rounds=0)},
+        "four paths": {"surface": dataclasses.replace(surface, paths=4)},
         "penalties a tenth": {
-            "optimiser": dataclasses.replace(optimiser, slope_penalty=optimiser.slope_penalty / 10, jump_penalty=2.5)
+            "surface": dataclasses.replace(surface, slope_penalty=surface.slope_penalty / 10, jump_penalty=2.5)
         },
-        "penalties not led by the guide": {"optimiser": dataclasses.replace(optimiser, edge_floor=1.0)},
+        "penalties not led by the guide": {"surface": dataclasses.replace(surface, edge_floor=1.0)},
     }
     matcher = dataclasses.replace(config.matcher, **changes.get(name, {}))
     return CodedApertureCamera(calibration, dataclasses.replace(config, matcher=matcher))
@@ -80,25 +91,22 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
 
 def measure_accurate(name: str, args: argparse.Namespace) -> dict:
     camera = accurate_camera(name, args.camera, args.data / args.design)
-    pooled = optimise.between_layers
-    if name == "walls not placed between layers":
-        optimise.between_layers = lambda disparity_px, *volume, sigma_px: disparity_px  # type: ignore
-    try:
+    unplaced = name == "walls not placed between layers"
+    start_of_paths = mock.patch.object(accurate, "between_layers", lambda disparity_px, *volume, sigma_px: disparity_px)
+    with start_of_paths if unplaced else contextlib.nullcontext():
         return figures_of(camera, args.data, args.design, args.scenes, rounds=1)
-    finally:
-        optimise.between_layers = pooled  # type: ignore
 
 
 def measure(name: str, data: Path, design: str, scenes: list[str]) -> dict:
-    preset, matcher = MatcherConfig.preset, VARIANTS[name]
-    MatcherConfig.preset = lambda quality: matcher if quality == "real-time" else preset(quality)  # type: ignore
-    try:
-        camera_file = calibrate.calibrate_session(data / design).calibration
-        camera = CodedApertureCamera(camera_file, default_config(camera_file))
-    finally:
-        MatcherConfig.preset = preset  # type: ignore
+    matcher = VARIANTS[name]
+    with mock.patch.object(read_boards, "RealTimeConfig", return_value=matcher):
+        camera_file = calibrate_session(data / design).calibration
+    config = default_config(camera_file)
+    matcher = matcher.with_range(*camera_file.disparity_range_px("real-time"))
+    camera = CodedApertureCamera(camera_file, dataclasses.replace(config, matcher=matcher))
     if name == "no field over the frame":
-        camera.fields = None
+        assert isinstance(camera.method, RealTimeMethod)
+        camera.method = dataclasses.replace(camera.method, label_map=IDENTITY)
     return figures_of(camera, data, design, scenes, rounds=5)
 
 

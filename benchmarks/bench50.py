@@ -15,8 +15,9 @@ import cv2
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import default_config
 from chromaperture.products.measure_file import read_capture
 
 

@@ -5,31 +5,33 @@
 Planes of 1/f texture are drawn by the layered renderer with shot and read noise; the bound is that of
 ``chromaperture apertures`` for as many independent pixels as the accurate matcher's window has, 4 pi sigma^2. "window"
 is that matcher's own best layer at every pixel, without any neighbours' help: the figure to compare with the bound. The
-whole matchers listen to more than a window and may fall below it.
+whole matchers aggregate more than a window and may fall below it.
 """
 
 import argparse
 import json
-from dataclasses import replace
 
 import numpy as np
 
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
-from chromaperture.config import MatcherConfig, PhaseConfig
+from chromaperture.config import AccurateConfig, RealTimeConfig
+from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.phase import phase_likelihood
-from chromaperture.disparity.semiglobal import LayerField
+from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.labels import IDENTITY
 from chromaperture.disparity.winner import parabola_winner
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
-from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.layer_renderer import render_layers
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.pinhole import pupil_camera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.sensor import SensorModel, develop, expose
 from chromaperture.optics.textures import noise
+from chromaperture.robust import MAD_TO_SIGMA
+from chromaperture.stage_config import CrossFilterConfig
 
 SIZE, BORDER, PITCH_MM = 256, 40, 0.0309722
 LAYERS = 8  # to each side of the plane
@@ -58,17 +60,18 @@ def photograph(design, camera, distance_mm, sensor, seed):
 
 def found_radii(image, design, blur, true_px):
     """Blur radius at every pixel by each matcher; dict of (H, W)."""
-    config = MatcherConfig.psf_aware(blur.reach)
-    middle = config.step_px * np.round(true_px * blur.reach / config.step_px)
-    config = config.with_range(middle - LAYERS * config.step_px, middle + LAYERS * config.step_px)
-    volume = phase_likelihood(image, blur, config.layers_px, config=replace(PhaseConfig(), fallback_weight=0.0))
-    flat = LayerField(np.zeros((SIZE, SIZE), np.float32), np.ones((SIZE, SIZE), np.float32))
+    config = AccurateConfig.for_blur(blur.reach)
+    step_px = config.layers.step_px
+    middle = step_px * np.round(true_px * blur.reach / step_px)
+    config = config.with_range(middle - LAYERS * step_px, middle + LAYERS * step_px)
+    layers_px = config.layers.values_px
+    widest_pair = BlurEvidence(CrossFilterConfig(fallback_weight=0.0), blur, IDENTITY, execution_named("numba"))
     colours = np.array([design.filter_named(name).transmission for name in design.views])
     common = {"aperture": design, "unmixing": unmixing_rows(mixing_matrix(colours), len(design.views))}
-    accurate = estimate_disparity(image, **common, config=config, blur=blur, fields=[flat])
-    quick = estimate_disparity(image, **common, config=MatcherConfig.preset("real-time"))
+    accurate = estimate_disparity(image, **common, config=config, blur=blur, label_maps=[IDENTITY])
+    quick = estimate_disparity(image, **common, config=RealTimeConfig())
     return {
-        "window": parabola_winner(volume, config.layers_px).disparity_px / blur.reach,
+        "window": parabola_winner(widest_pair.likelihood(image, layers_px), layers_px).disparity_px / blur.reach,
         "accurate": accurate.value_px / blur.reach,
         "real-time": quick.value_px / reach_of(design),
     }
@@ -90,7 +93,7 @@ def main():
     lens = focused_at(load_lens("double_gauss_50"), 2000.0)
     camera = pupil_camera(lens, width_px=SIZE, height_px=SIZE, pixel_pitch_mm=PITCH_MM)
     blur, sensor = thin_lens(camera, design), SensorModel()
-    texture = Texture(patch_px=SIZE, window_px2=4 * np.pi * PhaseConfig().window_sigma_px ** 2)
+    texture = Texture(patch_px=SIZE, window_px2=4 * np.pi * CrossFilterConfig().window_sigma_px ** 2)
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
     report = []
     for distance in args.distances:
@@ -104,8 +107,9 @@ def main():
         row = {"distance_mm": distance, "blur_radius_px": round(true, 2), "bound_px": round(per_px, 4)}
         for name, parts in errors.items():
             middles = [float(np.nanmedian(part)) for part in parts]
-            spread = np.mean([1.4826 * np.nanmedian(np.abs(p - m)) for p, m in zip(parts, middles, strict=True)])
-            row |= {f"{name}_bias_px": round(float(np.mean(middles)), 4), f"{name}_ratio": round(spread / per_px, 2)}
+            pairs = zip(parts, middles, strict=True)
+            scatter = float(np.mean([MAD_TO_SIGMA * np.nanmedian(np.abs(p - m)) for p, m in pairs]))
+            row |= {f"{name}_bias_px": round(float(np.mean(middles)), 4), f"{name}_ratio": round(scatter / per_px, 2)}
         report.append(row)
         if not args.json:
             print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)

@@ -11,41 +11,30 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import numba
 import numpy as np
-from matcher import CONFIG, NOISE, scene
+from matcher import CONFIG, matching, scene
 from timing import fastest_ms
 
 from chromaperture.color.unmixing import view_directions
-from chromaperture.disparity import coarse_kernels
-from chromaperture.disparity.views import prepare_views
 from chromaperture.optics.aperture import design_named
+from chromaperture.threads import thread_count
 
 SIZES = ((240, 320), (360, 640), (480, 960), (720, 1280))
 LAYERS = (16, 24, 32, 48, 64)
 
 
-def matching(height: int, width: int, layers: int):
+def part_matching(height: int, width: int, layers: int):
     """One match of a cut from the benchmark's scene, as a function without arguments."""
-    directions = view_directions(design_named("cy_halves"))
-    views, guide, _ = scene(directions)
+    aperture = design_named("cy_halves")
+    views, guide, _ = scene(view_directions(aperture))
     views, guide = [view[:height, :width].copy() for view in views], guide[:height, :width].copy()
-    config = CONFIG.with_range(-layers / 4, layers / 4 - 0.5)
-    even = np.broadcast_to(np.float32(NOISE**2), (height, width, 2))
-    noise = {"noise_variance": even, "noise_covariance": even[..., :1]}
-    mask = np.ones((height, width), bool)
-
-    def match() -> None:
-        inputs = prepare_views(views, guide, mask, directions=directions, config=config, **noise)
-        coarse_kernels.match(inputs, config)
-
-    return match
+    return matching(aperture, views, guide, CONFIG.with_range(-layers / 4, layers / 4 - 0.5))
 
 
 def benchmark() -> dict:
-    threads = min(2, numba.config.NUMBA_NUM_THREADS)
-    pixels = fastest_ms({f"{h}x{w}": matching(h, w, 32) for h, w in SIZES}, threads=threads)
-    layers = fastest_ms({str(n): matching(720, 1280, n) for n in LAYERS}, threads=threads)
+    threads = min(2, thread_count())
+    pixels = fastest_ms({f"{h}x{w}": part_matching(h, w, 32) for h, w in SIZES}, threads=threads)
+    layers = fastest_ms({str(n): part_matching(720, 1280, n) for n in LAYERS}, threads=threads)
     return {
         "growth": {
             "pixels_ms": {**rounded(pixels), **line([h * w / 1e6 for h, w in SIZES], pixels)},

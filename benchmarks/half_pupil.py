@@ -5,7 +5,7 @@
 FOLDER holds NNN_left.png, NNN_right.png, NNN_gt_defocus.png (0 = unknown, the middle two thirds of the frame) and
 calibration/white_sheet_*.png. Red is the left half, blue the right one, green their mean: optics and noise are real,
 the colours put together, at half the resolution. Spearman's correlation needs no calibration; its sign is the camera's.
-Coverage is the share of the pixels with truth that the matcher is asked about, its own error bar telling which.
+Coverage is the fraction of the pixels with truth that is scored: those of the shortest error bars.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.stats import spearmanr
 
-from chromaperture.camera import CodedApertureCamera, default_config
+from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import default_config
 from chromaperture.config import Quality
 
 BLACK = 1024.0
@@ -48,7 +49,7 @@ def capture(folder: Path, scene: str) -> np.ndarray:
 
 
 def score(disparity: np.ndarray, sigma: np.ndarray, defocus: np.ndarray) -> dict[str, float]:
-    """Spearman's correlation over the most trusted share of the pixels with truth; unknown pixels are trusted last."""
+    """Spearman's correlation over the most trusted fraction of the pixels with truth; unknown ones are trusted last."""
     known = defocus > 0
     value, doubt, truth = disparity[known], sigma[known], defocus[known].astype(float)
     doubt = np.where(np.isfinite(value) & np.isfinite(doubt), doubt, np.inf)

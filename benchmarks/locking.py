@@ -1,8 +1,8 @@
 """Bias of the disparity of flat surfaces as they move past the layers: python benchmarks/locking.py [--out FILE.png].
 
 Textures with the spectrum of natural pictures, 1/f, are displaced exactly, by the Fourier shift theorem, in steps of
-0.05 px, with noise. The median of each picture's disparity is compared with the truth. "accurate" is the optimiser on
-displaced views; the matching with a lens's own blur is scored on boards by calibration.py.
+0.05 px, with noise. The median of each picture's disparity is compared with the truth. "accurate" is that of
+shifted views; the matching with a lens's own blur is scored on boards by calibration.py.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import scipy.fft
 
 from chromaperture.color.unmixing import view_directions
-from chromaperture.config import MatcherConfig
+from chromaperture.config import preset
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.optics.aperture import Aperture, design_named
 
@@ -57,7 +57,7 @@ def main() -> None:
     figure, axis = plt.subplots(figsize=(8, 3.5), layout="constrained")
     report = {}
     for quality in args.quality:
-        config = MatcherConfig.preset(quality)
+        config = preset(quality)
         bias = np.zeros((TEXTURES, len(disparities)))
         for seed in range(TEXTURES):
             rng = np.random.default_rng(seed)

@@ -1,26 +1,31 @@
 """The matcher against OpenCV's stereo matchers: HD, 32 layers of half a pixel, from float planes to disparity.
 
 The scene is a textured wavy surface with steps, seen through the sub-apertures by exact shifts of a smooth texture;
-its truth is known, so that the share of right pixels stands beside the speed. The stereo pair of the peers is made of
+its truth is known, so that the fraction of right pixels is beside the speed. The stereo pair of the peers is made of
 the first and the last view, 32 whole-pixel disparities of twice the range.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
-import numba
 import numpy as np
 from timing import fastest_ms
 
 from chromaperture.color.unmixing import view_directions
-from chromaperture.config import MatcherConfig
-from chromaperture.disparity import coarse_kernels
-from chromaperture.disparity.views import prepare_views, view_pairs
-from chromaperture.optics.aperture import design_named
+from chromaperture.config import RealTimeConfig
+from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.labels import IDENTITY
+from chromaperture.disparity.real_time import RealTimeMethod
+from chromaperture.disparity.result import Disparity
+from chromaperture.disparity.views import halved, view_spaces
+from chromaperture.optics.aperture import Aperture, design_named
+from chromaperture.threads import thread_count
 
 HEIGHT, WIDTH = 720, 1280
 NOISE = 0.004
-CONFIG = MatcherConfig.preset("real-time")
+CONFIG = RealTimeConfig()
 DESIGNS = {"hd32_two_filters": "cy_halves", "hd32_three_filters": "cmy_squares", "hd32_three_circles": "cmy_circles"}
 
 
@@ -46,24 +51,25 @@ def scene(
     return planes[:-1], planes[-1], truth
 
 
+def matching(
+    aperture: Aperture, views: list[np.ndarray], guide: np.ndarray, config: RealTimeConfig = CONFIG
+) -> Callable[[], Disparity]:
+    """From float planes (H, W) to disparity by the real-time method, as a function without arguments."""
+    space = view_spaces(aperture, None, config.space)[0]
+    method = RealTimeMethod(config, space, IDENTITY, execution_named("numba"))
+    mask = np.ones(guide.shape, bool)
+    return lambda: method.match_views(
+        *halved(views, guide, mask, directions=space.directions, config=config.views)
+    )
+
+
 def benchmark() -> dict:
     results: dict = {}
     for case, design in DESIGNS.items():
         aperture = design_named(design)
-        directions = view_directions(aperture)
-        views, guide, truth = scene(directions)
-        mask = np.ones((HEIGHT, WIDTH), bool)
-        count, pairs = len(views), view_pairs(len(views))
-        noise = {
-            "noise_variance": np.broadcast_to(np.float32(NOISE**2), (HEIGHT, WIDTH, count)),
-            "noise_covariance": np.broadcast_to(np.float32(0), (HEIGHT, WIDTH, len(pairs))),
-        }
-
-        def match(views=views, guide=guide, directions=directions, mask=mask, noise=noise):
-            inputs = prepare_views(views, guide, mask, directions=directions, config=CONFIG, **noise)
-            return coarse_kernels.match(inputs, CONFIG)
-
-        found = match().disparity_px
+        views, guide, truth = scene(view_directions(aperture))
+        match = matching(aperture, views, guide)
+        found = match().value_px
         results[case] = {
             "accuracy": {
                 "median_error_px": round(float(np.nanmedian(np.abs(found - truth))), 4),
@@ -71,7 +77,7 @@ def benchmark() -> dict:
             }
         }
         for threads in (1, 2):
-            if threads > numba.config.NUMBA_NUM_THREADS:
+            if threads > thread_count():
                 continue
             best = fastest_ms({"match": match, **peers(views)}, threads=threads)
             own = best.pop("match")

@@ -9,20 +9,18 @@ import time
 from collections.abc import Callable
 
 import cv2
-import numba
 import numpy as np
-from matcher import CONFIG, NOISE, scene
+from matcher import matching, scene
 from timing import fastest_ms
 
 from chromaperture.color.alignment import align_channels, channel_directions
 from chromaperture.color.lens_shift import LensShift
 from chromaperture.color.unmixing import view_directions
-from chromaperture.disparity import coarse_kernels
-from chromaperture.disparity.views import prepare_views, view_pairs
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.optics.aperture import design_named
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
+from chromaperture.threads import thread_count
 
 CASES = {
     "hd_restoration_two_filters": ("cy_halves", (720, 1280)),
@@ -47,22 +45,14 @@ def benchmark() -> dict:
     results: dict = {}
     for case, (design, (height, width)) in CASES.items():
         aperture = design_named(design)
-        directions = view_directions(aperture)
-        views, guide, truth = scene(directions, shape=(height, width))
-        count = len(views)
+        views, guide, truth = scene(view_directions(aperture), shape=(height, width))
         image = np.ascontiguousarray(np.dstack([views[0], guide, views[-1]]), np.float32)
         shifts = channel_directions(aperture, {})
         # With steps, so that there are strips to fill, and a blur as wide as the photographs of the demo have.
         radius = (2.4 * truth).astype(np.float32)
         color = cv2.cvtColor(guide, cv2.COLOR_GRAY2RGB)
 
-        def match(views=views, guide=guide, directions=directions, count=count, height=height, width=width) -> object:
-            inputs = prepare_views(
-                views, guide, np.ones((height, width), bool), directions=directions, config=CONFIG,
-                noise_variance=np.broadcast_to(np.float32(NOISE**2), (height, width, count)),
-                noise_covariance=np.broadcast_to(np.float32(0), (height, width, len(view_pairs(count)))),
-            )  # fmt: skip
-            return coarse_kernels.match(inputs, CONFIG)
+        match = matching(aperture, views, guide)
 
         def align(image=image, truth=truth, shifts=shifts) -> object:
             return align_channels(image, truth, shifts)
@@ -82,7 +72,7 @@ def benchmark() -> dict:
 
         results[case] = {}
         for threads in (1, 2):
-            if threads > numba.config.NUMBA_NUM_THREADS:
+            if threads > thread_count():
                 continue
             work = {"matcher": match, "align": align, "align_by_lens": align_by_lens, "refocus": focus,
                     "plain_blur": plain_blur}  # fmt: skip

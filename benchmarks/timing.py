@@ -13,7 +13,7 @@ from chromaperture.threads import limited_threads
 
 def fastest_ms(contestants: Mapping[str, Callable[[], object]], *, threads: int, rounds: int = 8) -> dict[str, float]:
     """Fastest run of every contestant, ms, with the same number of threads; one unmeasured round first."""
-    numba.set_num_threads(threads)
+    numba.set_num_threads(threads)  # of Numba's own parallel loops
     cv2.setNumThreads(threads)
     best = dict.fromkeys(contestants, float("inf"))
     with limited_threads(threads):

@@ -8,10 +8,10 @@ from __future__ import annotations
 import time
 
 import cv2
-import numba
 import numpy as np
 
-from chromaperture.disparity.variational import smooth_disparity
+from chromaperture.disparity.total_variation import smooth_disparity
+from chromaperture.threads import limited_threads, thread_count
 
 SHAPE = (1280, 1920)
 ITERATIONS = 100
@@ -29,25 +29,23 @@ def benchmark(*, repeats: int = 3, threads: tuple[int, ...] = (1, 2)) -> dict[st
     disparity = noisy_disparity(np.random.default_rng(0))
     picture = cv2.normalize(disparity, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
     out: dict[str, dict] = {}
-    most = numba.get_num_threads()
     for count in threads:
-        if count > most:
+        if count > thread_count():
             continue
-        numba.set_num_threads(count)
         cv2.setNumThreads(count)
-        smooth_disparity(disparity, iterations=ITERATIONS)  # compiles
         ours, theirs = [], []
-        for _ in range(repeats):
-            result = np.empty_like(picture)
-            theirs.append(_seconds(lambda o=result: cv2.denoise_TVL1([picture], o, 1.0, ITERATIONS)))
-            for _ in range(3):  # a tenth as long: as many chances to find the machine quiet
-                ours.append(_seconds(lambda: smooth_disparity(disparity, iterations=ITERATIONS)))
+        with limited_threads(count):
+            smooth_disparity(disparity, iterations=ITERATIONS)  # compiles
+            for _ in range(repeats):
+                result = np.empty_like(picture)
+                theirs.append(_seconds(lambda o=result: cv2.denoise_TVL1([picture], o, 1.0, ITERATIONS)))
+                for _ in range(3):  # a tenth as long: as many chances to find the machine quiet
+                    ours.append(_seconds(lambda: smooth_disparity(disparity, iterations=ITERATIONS)))
         out[f"threads_{count}"] = {
             "seconds": min(ours),
             "cv2_tvl1_seconds": min(theirs),
             "ratio_to_cv2_tvl1": min(ours) / min(theirs),
         }
-    numba.set_num_threads(most)
     return {"tv_1280x1920_100": out}
 
 

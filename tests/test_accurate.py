@@ -14,7 +14,13 @@ from chromaperture.disparity.stages.correlation import three_view_score
 from chromaperture.disparity.views import ViewSpace
 from chromaperture.disparity.winner import Surface
 from chromaperture.errors import InputError
-from chromaperture.stage_config import CorrelationConfig, CorrelationEvidenceConfig, LayersConfig, SurfaceConfig, ViewsConfig
+from chromaperture.stage_config import (
+    CorrelationConfig,
+    CorrelationEvidenceConfig,
+    LayersConfig,
+    SurfaceConfig,
+    ViewsConfig,
+)
 
 LAYERS_PX = np.arange(-3.0, 3.01, 0.5)
 
@@ -39,7 +45,7 @@ def test_likelihood_is_that_of_gaussian_views():
         alone = x**2 + y**2
         gain = (alone - together).mean() / 2
         assert log_likelihood(np.array(rho), view_count=2) == pytest.approx(gain, abs=0.01)  # sampling error
-    # Three views of which only two are related know no more than those two: det R = 1 - rho^2 for both.
+    # Three views of which only two are related are the evidence of those two: det R = 1 - rho^2 for both.
     pair = log_likelihood(np.array(0.5), view_count=2)
     score = three_view_score(np.array(0.5), np.array(0.0), np.array(0.0))
     assert log_likelihood(score, view_count=3) == pytest.approx(pair, rel=1e-6)
@@ -107,9 +113,9 @@ def test_a_rival_far_away_widens_the_posterior(run):
     alone = np.minimum(8 * (layers - 1) ** 2, 20.0)
     rival = np.minimum(alone, 8 * (layers + 1.5) ** 2 + 1)
     cost = np.stack([alone, rival])[None].astype(np.float32)
-    sure, unsure = run.posterior_sigma(np.ones((1, 2)), cost, layers, temperature=2.0)[0]
-    assert sure < 0.4
-    assert unsure > 1.0
+    without, with_rival = run.posterior_sigma(np.ones((1, 2)), cost, layers, temperature=2.0)[0]
+    assert without < 0.4
+    assert with_rival > 1.0
 
 
 def test_surface_sigma_adds_the_floor_and_is_capped():
@@ -119,7 +125,7 @@ def test_surface_sigma_adds_the_floor_and_is_capped():
     np.testing.assert_allclose(sigma[0], [0.2, 0.3], rtol=1e-6)  # float32
     assert np.isnan(sigma[1, 0])
     assert 2 < sigma[1, 1] < 99
-    np.testing.assert_allclose(surface_sigma(surface, floor_px=0.4)[0], [np.hypot(0.2, 0.4), 0.5], rtol=1e-6)  # float32
+    np.testing.assert_allclose(surface_sigma(surface, floor_px=0.4)[0], [np.hypot(0.2, 0.4), 0.5], rtol=1e-6)
 
 
 def test_mismatched_shapes_are_named():
@@ -194,8 +200,8 @@ def test_halved_label_maps_have_half_the_disparity_at_half_the_label():
     labels = label_map(a, b, reference=(4.0, 8000.0))
     expected = labels.disparity(1.2)[::2, ::2] / 2
     np.testing.assert_allclose(labels.halved().disparity(0.6), expected, atol=1e-6)  # float32 of order 1
-    assert IDENTITY.halved().is_uniform
-    assert not labels.halved().is_uniform
+    assert IDENTITY.halved().is_identity
+    assert not labels.halved().is_identity
 
 
 class GivenCorrelations:

@@ -36,9 +36,9 @@ def test_no_evidence_moves_a_pixel_by_more_than_half_a_layer(seed):
     volume = rng.gamma(0.3, 3.0, (8, 9, len(LAYERS_PX))).astype(np.float32)
     found = between_layers(start, volume, LAYERS_PX, sigma_px=2.0)
     assert np.isfinite(found).all()
-    assert np.abs(found - start).max() <= 0.2 + 1e-6  # to its layer, from the border to the next, and from there; float32
+    assert np.abs(found - start).max() <= 0.2 + 1e-6  # to its layer, away from the border, from there; float32
     none = between_layers(start, np.zeros_like(volume), LAYERS_PX, sigma_px=2.0)
-    assert np.abs(none - (np.clip(np.rint((start + 0.4) / 0.1), 1, 7) * 0.1 - 0.4)).max() < 1e-6  # float32
+    assert np.abs(none - (np.clip(np.rint((start + 0.4) / 0.1), 1, 7) * 0.1 - 0.4)).max() < 1e-6
 
 
 def test_walls_between_layers_are_not_biased_to_the_layers():

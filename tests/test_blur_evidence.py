@@ -59,7 +59,7 @@ def test_a_plane_is_found_at_its_depth(design, edge_px, rng):
     true = edge_px * blur.reach
     layers = true + np.linspace(-1.0, 1.0, 9) * blur.reach  # a quarter of a px of blur apart
     volume = likelihood(photograph(blur, true, rng), blur, layers)
-    # The model is exact but for noise; the parabola through three layers is biased to them by a tenth of a step at most.
+    # The model is exact but for noise; the parabola is biased to the layers by a tenth of a step at most.
     assert best_layer(volume, layers) == pytest.approx(true, abs=0.03 * blur.reach)
 
 

@@ -12,7 +12,7 @@ from chromaperture.calibration.calibrate_blur import calibrate_blur
 from chromaperture.calibration.curves import Evidence
 from chromaperture.calibration.fit_blur import fit_blur, measured_layers
 from chromaperture.camera_file import Calibration
-from chromaperture.config import MatcherConfig
+from chromaperture.config import AccurateConfig
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
@@ -69,7 +69,7 @@ def test_layers_of_the_boards_are_their_distances(fitted):
 def test_a_board_far_from_where_it_is_expected_is_found(fitted):
     """Nine layers off: the first search, six to either side, leaves the board unknown."""
     image, inverse_mm = list(boards())[2]
-    nine_layers = 9 * MatcherConfig.psf_aware(fitted.blur.reach).step_px / fitted.blur.reference[1]
+    nine_layers = 9 * AccurateConfig.for_blur(fitted.blur.reach).layers.step_px / fitted.blur.reference[1]
     how = {"aperture": DESIGNS["cy_halves"], "cell_px": 40}
     *_, expected = measured_layers(image, inverse_mm, fitted.blur, **how)
     *_, found = measured_layers(image, inverse_mm + nine_layers, fitted.blur, **how)

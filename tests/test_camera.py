@@ -50,7 +50,7 @@ def test_colours_come_together_at_every_quality(rng, quality):
 
 def test_channels_brought_closer_by_leaks_are_moved_by_their_own_curve():
     camera = leaking_camera(48, 64)
-    np.testing.assert_allclose(channel_shifts(camera, "paper")[[0, 2], 0], [1, -1], atol=1e-3)  # uncalibrated; float film
+    np.testing.assert_allclose(channel_shifts(camera, "paper")[[0, 2], 0], [1, -1], atol=1e-3)  # uncalibrated
     curves = {q: DepthField.constant(DepthModel(4.0, b, 50.0)) for q, b in (("real-time", 7300.0), ("paper", 8700.0))}
     known = replace(camera, depth=curves)
     np.testing.assert_allclose(channel_shifts(known, "real-time")[[0, 2], 0], [1, -1], atol=1e-3)

@@ -61,7 +61,7 @@ def test_the_maps_of_the_demo_hang_together(demo, sample):
     summary = json.loads((folder / f"{sample}.json").read_text())
     assert summary["fill_rate"] == pytest.approx(known.mean(), abs=1e-6)
     assert summary["depth_percentiles_mm"]["50"] == pytest.approx(np.median(depth[known]), rel=1e-5)
-    assert summary["config"]["matcher"]["step_px"] > 0
+    assert summary["config"]["matcher"]["layers"]["step_px"] > 0
     assert summary["camera"]["design"] in sample
     header = (folder / f"{sample}.ply").read_bytes()[:400].decode("ascii", "replace")
     assert f"element vertex {known.sum()}" in header

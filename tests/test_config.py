@@ -1,3 +1,5 @@
+"""The settings of the methods: layers, ranges, what is refused, and the qualities' defaults."""
+
 from __future__ import annotations
 
 import dataclasses
@@ -7,77 +9,135 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from chromaperture.config import Config, MatcherConfig
+from chromaperture.config import QUALITIES, AccurateConfig, Config, PaperConfig, RealTimeConfig, preset
 from chromaperture.errors import InputError
+from chromaperture.stage_config import (
+    BilateralConfig,
+    CorrelationConfig,
+    CorrelationEvidenceConfig,
+    CrossFilterConfig,
+    FourPathsConfig,
+    LayersConfig,
+    SurfaceConfig,
+    ViewsConfig,
+)
+
+NAN, INF = float("nan"), float("inf")
 
 
 @example(low=0.45, width=0.5, step=0.25)  # 0.95 - 0.45 is a rounding less than two steps
 @given(low=st.floats(-50, 50), width=st.floats(0.5, 60), step=st.sampled_from([0.1, 0.25, 0.3, 0.5, 1.0]))
 def test_layers_fill_the_range_evenly(low, width, step):
     assume(width >= 2 * step)
-    layers = MatcherConfig(min_disparity_px=low, max_disparity_px=low + width, step_px=step).layers_px
+    layers = LayersConfig(low, low + width, step).values_px
     assert layers[0] == low
     # no layer beyond the end, none missing before it; 1e-5: the end is reached within a rounding of the division
     assert low + width - step < layers[-1] + 1e-5
     assert layers[-1] <= low + width + 1e-5
-    np.testing.assert_allclose(np.diff(layers), step, rtol=1e-9)
+    np.testing.assert_allclose(np.diff(layers), step, rtol=1e-9)  # float64 differences of numbers up to 110
     assert len(layers) >= 3
 
 
 @pytest.mark.parametrize("step", [0.1, 0.25, 0.3, 0.5])
 def test_an_end_that_is_a_whole_number_of_steps_away_is_a_layer(step):
-    config = MatcherConfig(min_disparity_px=-3.0, max_disparity_px=-3.0 + 20 * step, step_px=step)
-    assert len(config.layers_px) == 21
+    assert len(LayersConfig(-3.0, -3.0 + 20 * step, step).values_px) == 21
 
 
-@given(low=st.floats(-30, 0), high=st.floats(1.1, 30), quality=st.sampled_from(["paper", "real-time", "accurate"]))
+@given(low=st.floats(-30, 0), high=st.floats(1.1, 30), quality=st.sampled_from(QUALITIES))
 def test_another_range_is_widened_to_whole_layers_which_include_focus(low, high, quality):
     config = preset(quality).with_range(low, high)
-    assert config.min_disparity_px <= low
-    assert config.max_disparity_px >= high
-    assert config.max_disparity_px - high <= config.step_px
-    assert low - config.min_disparity_px <= config.step_px
-    assert np.abs(config.layers_px).min() < 1e-9
-    assert dataclasses.replace(config, min_disparity_px=-8, max_disparity_px=7.5) == preset(quality)
+    layers = config.layers
+    assert layers.min_px <= low
+    assert layers.max_px >= high
+    assert layers.max_px - high <= layers.step_px
+    assert low - layers.min_px <= layers.step_px
+    assert np.abs(layers.values_px).min() < 1e-9  # rounding of float64
+    back = dataclasses.replace(layers, min_px=-8, max_px=7.5)
+    assert dataclasses.replace(config, layers=back) == preset(quality)
 
 
 @pytest.mark.parametrize(
-    "settings",
+    ("stage", "settings"),
     [
-        {"step_px": 0.0},
-        {"step_px": -0.5},
-        {"step_px": float("nan")},
-        {"min_disparity_px": float("-inf")},
-        {"max_disparity_px": float("nan")},
-        {"min_disparity_px": 3.0, "max_disparity_px": 2.0},
-        {"min_disparity_px": 0.0, "max_disparity_px": 0.9, "step_px": 0.5},
-        {"window_decay": 1.0},
-        {"window_decay": 0.0},
-        {"window_decay": float("nan")},
-        {"bilateral_sigma_px": -1.0},
-        {"bilateral_sigma_px": float("nan")},
-        {"bilateral_range": 0.0},
-        {"bilateral_range": float("nan")},
-        {"presmooth_sigma_px": -0.1},
-        {"presmooth_sigma_px": float("inf")},
+        (LayersConfig, {"step_px": 0.0}),
+        (LayersConfig, {"step_px": -0.5}),
+        (LayersConfig, {"step_px": NAN}),
+        (LayersConfig, {"min_px": -INF}),
+        (LayersConfig, {"max_px": NAN}),
+        (LayersConfig, {"min_px": 3.0, "max_px": 2.0}),
+        (LayersConfig, {"min_px": 0.0, "max_px": 0.9, "step_px": 0.5}),
+        (LayersConfig, {"step_px": 1e-9}),
+        (LayersConfig, {"min_px": -1e308, "max_px": 1e308}),
+        (ViewsConfig, {"presmooth_sigma_px": -0.1}),
+        (ViewsConfig, {"presmooth_sigma_px": INF}),
+        (ViewsConfig, {"guide_range": 0.0}),
+        (ViewsConfig, {"guide_range": NAN}),
+        (CorrelationConfig, {"window_decay": 1.0}),
+        (CorrelationConfig, {"window_decay": 0.0}),
+        (CorrelationConfig, {"window_decay": NAN}),
+        (BilateralConfig, {"sigma_px": -1.0}),
+        (BilateralConfig, {"sigma_px": NAN}),
+        (FourPathsConfig, {"slope_penalty": 0.0}),
+        (FourPathsConfig, {"edge_floor": 2.0}),
+        (FourPathsConfig, {"jump_penalty": 100.0}),
+        (FourPathsConfig, {"jump_penalty": 9.0}),
+        (FourPathsConfig, {"temperature": NAN}),
+        (SurfaceConfig, {"paths": 6}),
+        (SurfaceConfig, {"slope_penalty": 0.0}),
+        (SurfaceConfig, {"edge_range": -1.0}),
+        (SurfaceConfig, {"edge_floor": 1.5}),
+        (SurfaceConfig, {"temperature": NAN}),
+        (SurfaceConfig, {"coupling_layers2": (1.0,)}),
+        (SurfaceConfig, {"coupling_rounds": -1}),
+        (SurfaceConfig, {"variation_iterations": 0}),
+        (CrossFilterConfig, {"band_weights": (1.0,)}),
+        (CrossFilterConfig, {"bands_px": ((1.4, 0.6), (1.4, 3.2))}),
+        (CrossFilterConfig, {"bands_px": (), "band_weights": ()}),
+        (CrossFilterConfig, {"damping": 0.0}),
+        (CrossFilterConfig, {"noise_margin": NAN}),
+        (CrossFilterConfig, {"band_weights": (1.0, NAN)}),
+        (CrossFilterConfig, {"fallback_weight": -1.0}),
+        (CorrelationEvidenceConfig, {"space": "sensor"}),
+        (CorrelationEvidenceConfig, {"correlation": CorrelationConfig(noise_debiasing=True)}),
+        (PaperConfig, {"sigma_scale": 0.0}),
+        (PaperConfig, {"space": "both"}),
+        (RealTimeConfig, {"space": "both"}),
+        (RealTimeConfig, {"floor_px": NAN}),
+        (RealTimeConfig, {"smoothing_sigma_px": -1.0}),
+        (RealTimeConfig, {"correlation": CorrelationConfig(noise_debiasing=True)}),
     ],
     ids=str,
 )
-def test_settings_that_make_no_sense_are_refused(settings):
+def test_settings_that_make_no_sense_are_refused(stage, settings):
     with pytest.raises(InputError):
-        MatcherConfig(**settings)
+        stage(**settings)
 
 
 def test_presets():
-    paper, fast, accurate = map(MatcherConfig.preset, ("paper", "real-time", "accurate"))
+    paper, fast, accurate = map(preset, QUALITIES)
+    assert (type(paper), type(fast), type(accurate)) == (PaperConfig, RealTimeConfig, AccurateConfig)
     assert fast == Config().matcher
-    assert not paper.noise_debiasing
-    assert not paper.texture_weighting
-    assert accurate.step_px < fast.step_px
+    assert not paper.correlation.noise_debiasing
+    assert not paper.bilateral.texture_weighting
+    assert accurate.layers.step_px < fast.layers.step_px
     with pytest.raises(InputError, match="choose"):
         preset("best")
 
 
-def test_settings_cannot_be_changed_behind_the_back():
+def test_a_known_blur_counts_layers_and_slopes_in_blur():
+    near, far = AccurateConfig.for_blur(0.2), AccurateConfig.for_blur(0.4)
+    assert near.uses_blur
+    assert not AccurateConfig().uses_blur
+    assert near.label_curves == ("accurate",)
+    assert AccurateConfig().label_curves == ("accurate", "real-time")
+    assert far.layers.step_px == pytest.approx(2 * near.layers.step_px)
+    assert near.surface.slope_penalty == pytest.approx(2 * far.surface.slope_penalty)
+    # Damping falls and the noise margin rises with the square of how close together the views lie.
+    assert near.evidence.damping == pytest.approx(0.375 * 0.2**2)
+    assert near.evidence.noise_margin == pytest.approx(0.16 / 0.2**2)
+    assert far.evidence == CrossFilterConfig()
+
+
+def test_settings_cannot_be_changed_after_they_are_made():
     with pytest.raises(dataclasses.FrozenInstanceError):
-        Config().matcher.step_px = 1.0
+        Config().matcher.layers = LayersConfig()

@@ -9,7 +9,6 @@ from chromaperture.disparity import cpu, stages
 from chromaperture.disparity.cpu.paths import line_starts
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.disparity.stages.paths import LINES
-from chromaperture.errors import InputError
 from chromaperture.stage_config import SurfaceConfig
 
 LAYERS_PX = np.arange(-2.0, 3.01, 0.5)
@@ -92,29 +91,14 @@ def test_penalties_do_not_depend_on_the_layer_step():
     assert np.abs(found[1] - truth).mean() < 0.1
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"paths": 6},
-        {"slope_penalty": 0.0},
-        {"edge_range": -1.0},
-        {"edge_floor": 1.5},
-        {"coupling_rounds": -1},
-        {"variation_iterations": 0},
-    ],
-)
-def test_impossible_settings_are_refused(settings):
-    with pytest.raises(InputError):
-        SurfaceConfig(**settings)
-
-
 def test_layers_between_layers_are_those_of_a_smooth_correlation():
     """Correlations up to 0.99, where the likelihood has a cusp: its own interpolation would be off by half a nat."""
     fine, peak = np.arange(0, 8.01, 0.5), np.linspace(3.0, 5.0, 21)[None, :, None]
     correlation = 0.99 * np.exp(-((fine - peak) ** 2) / (2 * 5.0**2))
     likelihood = (-0.5 * np.log1p(-(correlation**2))).astype(np.float32)
     found = stages.read_at_labels(likelihood[..., ::2], fine[::2], fine, IDENTITY)
-    # The cubic leaves the fourth derivative of the unexplained fraction: 9/384 h^4 of about 12 / 25^2 of it, against 0.02 at the peak.
+    # The cubic leaves the fourth derivative of the unexplained fraction: 9/384 h^4 of about 12 / 25^2 of it, against
+    # 0.02 at the peak.
     np.testing.assert_allclose(found[..., 2:-2], likelihood[..., 2:-2], atol=0.06)
     np.testing.assert_allclose(found[..., ::2], likelihood[..., ::2], atol=1e-6)  # float32
 

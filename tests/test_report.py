@@ -26,7 +26,7 @@ from chromaperture.camera_file import Calibration, CameraSensor, Film, Lens
 from chromaperture.cli.main import app, main
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
-from chromaperture.evaluation import blur_evidence, figures
+from chromaperture.evaluation import figures
 from chromaperture.evaluation.figures import layer_errors, plane_residual
 from chromaperture.evaluation.report import report_html
 from chromaperture.evaluation.verdict import board_depth, board_errors, depth_accuracy, intervals, sentences, weaknesses
@@ -97,7 +97,8 @@ def result(tmp_path_factory):
     return CalibrationResult(
         calibration=calibration, fits=dict.fromkeys(both, fit), boards=boards, notes=["a <note> & more"],
         session=session, grid_x_px=x, grid_y_px=y, residual_px=dict.fromkeys(both, residual_px),
-        pixel_sigma_px=dict.fromkeys(both, np.full(5, NOISE_PX)), intrinsics=Intrinsics(matrix, np.zeros(5), 0.1), tilts={},
+        pixel_sigma_px=dict.fromkeys(both, np.full(5, NOISE_PX)),
+        intrinsics=Intrinsics(matrix, np.zeros(5), 0.1), tilts={},
         ruler=ruler, ruler_residual_mm=ruler.residual_mm, outliers={}, evidence=evidence,
     )  # fmt: skip
 
@@ -161,7 +162,7 @@ def test_errors_of_the_layers_are_those_put_in(result):
     camera = replace(camera, depth={**camera.depth, "accurate": DepthField.constant(first)})
     exact = replace(result.evidence.distances, from_pupil_mm=RULERS - DELTA)
     known = replace(result, calibration=camera, layers=layers, evidence=replace(result.evidence, distances=exact))
-    mm, by_blur, by_curve = blur_evidence.layer_errors(known)
+    mm, by_blur, by_curve = blur_figures.layer_errors(known)
     np.testing.assert_allclose(mm, RULERS)
     np.testing.assert_allclose(by_blur, 1.0, atol=1e-4)  # float32 depth
     np.testing.assert_allclose(by_curve[0], 0.0, atol=1e-4)

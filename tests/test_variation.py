@@ -19,7 +19,7 @@ from chromaperture.disparity.stages.variation import (
     iterate,
     step_sizes,
 )
-from chromaperture.disparity.variation import CHECK_EVERY, make_problem, smooth_disparity
+from chromaperture.disparity.total_variation import CHECK_EVERY, make_problem, smooth_disparity
 from chromaperture.errors import InputError
 
 

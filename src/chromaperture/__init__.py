@@ -9,14 +9,7 @@
 from chromaperture.camera import CodedApertureCamera, DepthFrame, load_camera
 from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import read_image
-from chromaperture.config import (
-    AccurateConfig,
-    Config,
-    DepthConfig,
-    MatcherConfig,
-    PaperConfig,
-    RealTimeConfig,
-)
+from chromaperture.config import AccurateConfig, Config, DepthConfig, MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.result import Disparity

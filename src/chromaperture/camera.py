@@ -112,9 +112,7 @@ class CodedApertureCamera:
             filled = fill_unknown(disparity.value_px)
             aligned = align_channels(image, filled, self.shifts, displacement_px=self.displacement(filled))
             color = white_balance(aligned, self.calibration.film.aperture)
-        return DepthFrame(
-            depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color
-        )
+        return DepthFrame(depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color)
 
     @cached_property
     def lens_shift(self) -> LensShift | None:
@@ -153,19 +151,12 @@ class CodedApertureCamera:
         return None if radius is None or self.lens_shift is None else self.lens_shift(radius)
 
 
-def millimetres(
-    disparity: Disparity, model: DepthModel | None, config: DepthConfig
-) -> tuple[np.ndarray, np.ndarray]:
+def millimetres(disparity: Disparity, model: DepthModel | None, config: DepthConfig) -> tuple[np.ndarray, np.ndarray]:
     """Depth and its standard deviation in mm; all NaN for a camera that was never calibrated; two (H, W) float32."""
     if model is None:
         unknown = np.full(disparity.value_px.shape, np.nan, np.float32)
         return unknown, unknown.copy()
-    return disparity_to_depth(
-        disparity.value_px,
-        model,
-        sigma_px=disparity.sigma_px,
-        max_depth_mm=config.max_depth_mm,
-    )
+    return disparity_to_depth(disparity.value_px, model, sigma_px=disparity.sigma_px, max_depth_mm=config.max_depth_mm)
 
 
 def channel_shifts(calibration: Calibration, quality: Quality) -> np.ndarray:

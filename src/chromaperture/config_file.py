@@ -38,7 +38,7 @@ def with_file(config: Config, path: str | Path) -> Config:
     path = Path(path)
     try:
         tree = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError) as error:  # ValueError: also of bytes that are no text
         raise InputError(f"cannot read settings {path}: {error}") from None
     for section in tree:
         if section not in _SECTIONS:
@@ -76,7 +76,10 @@ def _checked(value: Any, current: Any, file: str, name: str) -> Any:
     fits = {bool: isinstance(value, bool), str: isinstance(value, str), int: whole, float: number}
     if not fits.get(type(current), False):
         raise InputError(f"{file}: {name} must be like {current!r}, is {value!r}")
-    return float(value) if isinstance(current, float) else value
+    try:
+        return float(value) if isinstance(current, float) else value
+    except OverflowError:
+        raise InputError(f"{file}: {name} must be like {current!r}, is too large") from None
 
 
 def _nearest(key: str, known: list[str] | tuple[str, ...]) -> str:

@@ -14,6 +14,9 @@ import numpy as np
 
 from chromaperture.errors import InputError
 
+MOST_LAYERS = 10_000  # of a range; more come of a wrong unit, and a megapixel of 16-bit scores takes 20 GB
+_ROUNDING = 1e-6  # of the quotient of a range and its step
+
 
 def require(valid: bool, rule: str) -> None:
     """Raise InputError with a rule that is broken."""
@@ -51,16 +54,22 @@ class LayersConfig:
     def __post_init__(self) -> None:
         finite = all_finite(self.min_px, self.max_px, self.step_px)
         require(finite and self.step_px > 0, "the range of the layers must be finite and step_px positive, in px")
+        spacings = (self.max_px - self.min_px) / self.step_px + _ROUNDING
         require(
-            len(self.values_px) >= 3,
+            spacings >= 2,
             f"the disparity range {self.min_px:g}..{self.max_px:g} px holds fewer than three layers of "
             f"{self.step_px:g} px: widen it",
+        )
+        require(
+            spacings < MOST_LAYERS,
+            f"the disparity range {self.min_px:g}..{self.max_px:g} px holds more than {MOST_LAYERS} layers of "
+            f"{self.step_px:g} px: narrow it",
         )
 
     @property
     def values_px(self) -> np.ndarray:
         """(D,) float64, px: the disparity of every layer."""
-        count = math.floor((self.max_px - self.min_px) / self.step_px + 1e-6) + 1  # 1e-6: rounding of the quotient
+        count = math.floor((self.max_px - self.min_px) / self.step_px + _ROUNDING) + 1
         return self.min_px + self.step_px * np.arange(count)
 
     def over(self, min_px: float, max_px: float) -> LayersConfig:
@@ -154,8 +163,8 @@ class FourPathsConfig:
     temperature: float = 3.2
 
     def __post_init__(self) -> None:
-        positive = min(self.slope_penalty, self.jump_penalty, self.edge_range, self.temperature) > 0
-        require(positive, "penalties, edge_range and temperature must be positive")
+        numbers = (self.slope_penalty, self.jump_penalty, self.edge_range, self.temperature)
+        require(all_finite(*numbers) and min(numbers) > 0, "penalties, edge_range and temperature must be positive")
         require(0 <= self.edge_floor <= 1, "edge_floor must lie in [0, 1]")
         exact = self.slope_penalty <= self.jump_penalty <= 2 * self.slope_penalty
         require(exact, "jump_penalty must lie between slope_penalty and twice slope_penalty")
@@ -217,10 +226,11 @@ class CrossFilterConfig:
         one_each = bool(self.bands_px) and len(self.bands_px) == len(self.band_weights)
         require(one_each, "bands_px and band_weights must be of one length, at least 1")
         ordered = all(len(band) == 2 and 0 < band[0] < band[1] for band in self.bands_px)
+        ordered = ordered and all_finite(*self.band_weights, *(sigma for band in self.bands_px for sigma in band))
         require(ordered and min(self.band_weights) >= 0, "every band needs 0 < fine < coarse, weights must be >= 0")
-        positive = min(self.window_sigma_px, self.damping, self.noise_margin, self.fallback_nats) > 0
+        numbers = (self.window_sigma_px, self.damping, self.noise_margin, self.fallback_nats)
         require(
-            positive and self.fallback_weight >= 0,
+            all_finite(*numbers, self.fallback_weight) and min(numbers) > 0 and self.fallback_weight >= 0,
             "window_sigma_px, damping, noise_margin and fallback_nats must be positive, fallback_weight >= 0",
         )
 
@@ -282,8 +292,10 @@ class SurfaceConfig:
 
     def __post_init__(self) -> None:
         require(self.paths in (4, 8), f"paths must be 4 or 8, got {self.paths}")
+        require(len(self.coupling_layers2) == 2, "coupling_layers2 must hold the first and the last coupling")
         lengths = (self.edge_range, self.interpolation_sigma_px, self.temperature)
-        positive = min(self.slope_penalty, self.jump_penalty, *lengths, *self.coupling_layers2) > 0
+        numbers = (self.slope_penalty, self.jump_penalty, *lengths, *self.coupling_layers2)
+        positive = all_finite(*numbers) and min(numbers) > 0
         require(positive, "penalties, edge_range, interpolation_sigma_px, temperature and couplings must be positive")
         require(0 <= self.edge_floor <= 1, "edge_floor must lie in [0, 1]")
         require(self.huber_layers >= 0 and self.coupling_rounds >= 0, "huber_layers and coupling_rounds must be >= 0")

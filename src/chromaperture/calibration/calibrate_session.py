@@ -224,9 +224,7 @@ class _Steps:
         )
 
 
-def leave_one_out(
-    result: CalibrationResult, board: int, qualities: Sequence[Quality] = QUALITIES
-) -> Calibration:
+def leave_one_out(result: CalibrationResult, board: int, qualities: Sequence[Quality] = QUALITIES) -> Calibration:
     """Return the camera as calibrated without one board, which it can then measure independently.
 
     Only the depth curves of ``qualities`` are fitted again: film, pinhole and lens blur hardly depend on one board.

@@ -135,12 +135,7 @@ def best_format(available: list[str]) -> str:
 
 
 def unpack(
-    data: bytes,
-    width: int,
-    height: int,
-    pixel_format: str,
-    black_level: float = 0.0,
-    white_level: float | None = None,
+    data: bytes, width: int, height: int, pixel_format: str, black_level: float = 0.0, white_level: float | None = None
 ) -> tuple[np.ndarray, Encoding]:
     """Convert a camera's bytes to counts.
 

@@ -31,11 +31,7 @@ _PLAYED = {"replay", "simulate"}
 
 
 def open_source(
-    spec: str,
-    *,
-    listener: Listener | None = None,
-    camera_levels: tuple[float, float] | None = None,
-    **settings: Any,
+    spec: str, *, listener: Listener | None = None, camera_levels: tuple[float, float] | None = None, **settings: Any
 ) -> Source:
     """Make a source from a text; entering it opens it.
 

@@ -104,11 +104,7 @@ def disparity_to_inverse_depth(disparity_px: Map, model: DepthModel) -> np.ndarr
 
 
 def disparity_to_depth(
-    disparity_px: Map,
-    model: DepthModel,
-    sigma_px: Map | None = None,
-    *,
-    max_depth_mm: float = DepthConfig.max_depth_mm,
+    disparity_px: Map, model: DepthModel, sigma_px: Map | None = None, *, max_depth_mm: float = DepthConfig.max_depth_mm
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute depth and its standard deviation.
 
@@ -186,8 +182,8 @@ def depth_sigma(z_mm: Map, model: DepthModel, sigma_px: Map) -> np.ndarray:
             curve = model.nonlinearity.errors(linear, model.curve_covariance)
             own, with_a, with_b, with_delta = np.moveaxis(curve, -1, 0)
             # At a fixed reading, a change T_k dc_k of the curve lowers the linear disparity by T_k dc_k / slope.
-            calibrated = calibrated + by_reading**2 * own + by_reading * 2 * (
-                by_d * with_a - by_b * with_b - with_delta
+            calibrated = (
+                calibrated + by_reading**2 * own + by_reading * 2 * (by_d * with_a - by_b * with_b - with_delta)
             )
     # Rounding, and averaging the nonlinearity's covariance over the frame, can make the variance slightly negative.
     return np.sqrt(np.square(by_reading * np.asarray(sigma_px, float)) + np.maximum(calibrated, 0.0))

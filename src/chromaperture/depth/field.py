@@ -99,9 +99,7 @@ class DepthField:
         """Return the curve in the middle of the frame, as numbers."""
         middle = self.at(np.array((width_px - 1) / 2), np.array((height_px - 1) / 2), width_px, height_px)
         return replace(
-            middle,
-            infinity_disparity_px=float(middle.infinity_disparity_px),
-            scale_px_mm=float(middle.scale_px_mm),
+            middle, infinity_disparity_px=float(middle.infinity_disparity_px), scale_px_mm=float(middle.scale_px_mm)
         )
 
     def at(self, x_px: np.ndarray, y_px: np.ndarray, width_px: int, height_px: int) -> DepthModel:

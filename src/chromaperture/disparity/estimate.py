@@ -112,9 +112,7 @@ def method_for(
             if blur is None or not label_maps:
                 raise InputError("matching with the blur needs a calibrated camera whose file has one")
             evidence: Evidence = BlurEvidence(cross_filter, blur, label_maps[0], run)
-            return AccurateMethod(
-                config, view_spaces(aperture, unmixing, "unmixed")[0], evidence, label_maps[0], run
-            )
+            return AccurateMethod(config, view_spaces(aperture, unmixing, "unmixed")[0], evidence, label_maps[0], run)
         case AccurateConfig(evidence=CorrelationEvidenceConfig() as correlation):
             maps = tuple(label_maps) or (IDENTITY,)
             spaces = tuple(view_spaces(aperture, unmixing, correlation.space))[: len(maps)]

@@ -240,9 +240,7 @@ def smoothed_views(
         )
     guide = smooth(guide, _GUIDE_SIGMA_PX)
     guide *= _guide_scale(guide, config)
-    return Views(
-        np.moveaxis(planes, 0, -1), np.asarray(directions, float), guide, mask.astype(np.float32), noise
-    )
+    return Views(np.moveaxis(planes, 0, -1), np.asarray(directions, float), guide, mask.astype(np.float32), noise)
 
 
 def halved(

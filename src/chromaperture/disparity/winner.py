@@ -78,6 +78,4 @@ def parabola_winner(score: np.ndarray, layers_px: np.ndarray, *, lower_is_better
     offset = np.where(bend > 1e-12, np.clip(slope / (2 * safe), -0.5, 0.5), 0.0)
     peak = center + np.where(bend > 1e-12, slope**2 / (8 * safe), 0.0)
     disparity = np.where(best == inner, layers_px[0] + step * (inner + offset), np.nan)
-    return Winner(
-        disparity.astype(np.float32), peak.astype(np.float32), (bend / step**2).astype(np.float32)
-    )
+    return Winner(disparity.astype(np.float32), peak.astype(np.float32), (bend / step**2).astype(np.float32))

@@ -254,9 +254,7 @@ def _compare(image: np.ndarray, calibration: Calibration, board: Board, corners:
 
 def _board_distance(found: _BoardReading, calibration: Calibration) -> Check:
     axis = calibration.on_axis(_QUALITY)
-    infinity, scale, delta = (
-        float(v) for v in (axis.infinity_disparity_px, axis.scale_px_mm, axis.sensor_to_pupil_mm)
-    )
+    infinity, scale, delta = (float(v) for v in (axis.infinity_disparity_px, axis.scale_px_mm, axis.sensor_to_pupil_mm))
     shift = found.measured_px - found.expected_px
     inverse = 1 / (found.pose_mm - delta) - shift / scale  # by the calibrated curve
     depth_mm = 1 / inverse + delta if inverse > 0 else np.inf

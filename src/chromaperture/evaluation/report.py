@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.figure import Figure
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
-from chromaperture.evaluation import blur_evidence, evidence, figures, tables
+from chromaperture.evaluation import evidence, figures, tables
 from chromaperture.evaluation.tables import Table
 from chromaperture.evaluation.verdict import sentences
 from chromaperture.storage import staged
@@ -95,10 +95,10 @@ def _sections(result: CalibrationResult) -> list[Section]:
         _drawn("Film", result, evidence.draw_film,
                "In a good pair, the transmission of each film is near zero where it should block.",
                tables.unmixing(result)),
-        _drawn("The lens's blur", result, blur_evidence.draw_blur,
+        _drawn("The lens's blur", result, blur_figures.draw_blur,
                "How a point is blurred over the frame, near and far: the two halves of the pupil in their colours, cut "
-               "by the lens's rims towards the corners.", lines=blur_evidence.blur_lines(result)),
-        _drawn("Depth by blur", result, blur_evidence.draw_layers_of_blur,
+               "by the lens's rims towards the corners.", lines=blur_figures.blur_lines(result)),
+        _drawn("Depth by blur", result, blur_figures.draw_layers_of_blur,
                "What quality accurate measures on every board: half and nine tenths of the cells over the frame."),
         _drawn("White sheets", result, evidence.draw_transparency,
                "The open pupil shows the vignetting; the aperture's maps should be even, a ramp from side to side "
@@ -131,5 +131,3 @@ def encoded(figure: Figure) -> str:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return base64.b64encode(buffer.getvalue()).decode("ascii")
-
-

@@ -66,9 +66,7 @@ def boards(result: CalibrationResult) -> Table:
 def unmixing(result: CalibrationResult) -> Table:
     """List the colours of the film and the rows of M^-1."""
     calibration = result.calibration
-    rows = [
-        (f"{name} film, colour", *(f"{v:.3f}" for v in color)) for name, color in calibration.film.filters.items()
-    ]
+    rows = [(f"{name} film, colour", *(f"{v:.3f}" for v in color)) for name, color in calibration.film.filters.items()]
     rows += [
         (f"M⁻¹, {name}", *(f"{v:+.3f}" for v in row))
         for name, row in zip(calibration.aperture.views, calibration.unmixing, strict=False)

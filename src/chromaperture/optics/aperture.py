@@ -258,10 +258,7 @@ def _three_squares(filters: Sequence[Filter]) -> tuple[SubAperture, ...]:
 
 def open_band(half_width: float, *, name: str = "cy_open") -> Aperture:
     """Build design VII: cyan and yellow caps left and right of an open band |x| < half_width, in pupil radii."""
-    caps = (
-        SubAperture(HalfPlane(_LEFT, half_width), CYAN),
-        SubAperture(HalfPlane(_RIGHT, half_width), YELLOW),
-    )
+    caps = (SubAperture(HalfPlane(_LEFT, half_width), CYAN), SubAperture(HalfPlane(_RIGHT, half_width), YELLOW))
     return Aperture(name, "VII: cyan and yellow, open band", caps, CLEAR, ("cyan", "yellow"))
 
 

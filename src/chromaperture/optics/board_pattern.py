@@ -91,10 +91,7 @@ def board_page(*, columns: int = 9, rows: int = 6, square_mm: float = 22.0, pape
         )
     width, height = PAPERS[paper.lower()]
     # A white rim of half a square around the board: the corner detector needs it.
-    room = min(
-        (width - 2 * _EDGE_MM) / (columns + 2),
-        (height - 2 * _EDGE_MM - _FOOT_MM) / (rows + 2),
-    )
+    room = min((width - 2 * _EDGE_MM) / (columns + 2), (height - 2 * _EDGE_MM - _FOOT_MM) / (rows + 2))
     if not 2 <= square_mm <= room:
         raise InputError(
             f"squares of {square_mm:g} mm do not fit {columns} x {rows} corners on {paper}: give 2 to "

@@ -155,16 +155,7 @@ def lens_from_dict(data: Mapping[str, Any], *, name: str) -> Prescription:
         Unknown keys, no surface, no stop or several, a stop without diameter, values that are not physical.
     """
     rows = data.get("surface", ())
-    known = {
-        "radius_mm",
-        "thickness_mm",
-        "index_d",
-        "abbe",
-        "clear_diameter_mm",
-        "conic",
-        "coefficients",
-        "stop",
-    }
+    known = {"radius_mm", "thickness_mm", "index_d", "abbe", "clear_diameter_mm", "conic", "coefficients", "stop"}
     surfaces = []
     for number, row in enumerate(rows, start=1):
         if set(row) - known:

@@ -212,12 +212,7 @@ def _exit_points(cells: int) -> np.ndarray:
 
 
 def lens_bundle(
-    lens: Prescription,
-    image_mm: np.ndarray,
-    *,
-    wavelength_um: float,
-    data: Paraxial | None = None,
-    cells: int = 20,
+    lens: Prescription, image_mm: np.ndarray, *, wavelength_um: float, data: Paraxial | None = None, cells: int = 20
 ) -> tuple[np.ndarray, np.ndarray]:
     """Trace the rays of image points through a lens to the scene.
 
@@ -245,12 +240,7 @@ def lens_bundle(
 
 
 def lens_light(
-    lens: Prescription,
-    aperture: Aperture,
-    image_mm: np.ndarray,
-    *,
-    data: Paraxial | None = None,
-    cells: int = 20,
+    lens: Prescription, aperture: Aperture, image_mm: np.ndarray, *, data: Paraxial | None = None, cells: int = 20
 ) -> np.ndarray:
     """Compute the light of each ray of `lens_bundle` in R, G, B, proportional to the irradiance on the sensor.
 

@@ -44,11 +44,7 @@ class _Rays(NamedTuple):
 
 
 def render(
-    table: RayTable,
-    planes: Sequence[Plane],
-    *,
-    background: tuple[float, float, float] = (0, 0, 0),
-    seed: int = 0,
+    table: RayTable, planes: Sequence[Plane], *, background: tuple[float, float, float] = (0, 0, 0), seed: int = 0
 ) -> np.ndarray:
     """Photograph a scene of planes.
 

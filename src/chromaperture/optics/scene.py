@@ -39,11 +39,7 @@ class Plane:
 
 
 def plane(
-    texture: np.ndarray,
-    *,
-    center_mm: Sequence[float],
-    width_mm: float,
-    tilt_deg: Sequence[float] = (0.0, 0.0, 0.0),
+    texture: np.ndarray, *, center_mm: Sequence[float], width_mm: float, tilt_deg: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> Plane:
     """Place a picture in the scene.
 

@@ -39,12 +39,7 @@ class TracedRays:
 
 
 def trace(
-    lens: Prescription,
-    origin: np.ndarray,
-    direction: np.ndarray,
-    *,
-    wavelength_um: float,
-    from_sensor: bool = False,
+    lens: Prescription, origin: np.ndarray, direction: np.ndarray, *, wavelength_um: float, from_sensor: bool = False
 ) -> TracedRays:
     """Trace rays through a lens.
 

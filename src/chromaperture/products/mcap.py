@@ -23,14 +23,18 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-_IMAGE = """std_msgs/Header header
+_IMAGE = (
+    """std_msgs/Header header
 uint32 height
 uint32 width
 string encoding
 uint8 is_bigendian
 uint32 step
-uint8[] data""" + _HEADER
-_CAMERA_INFO = """std_msgs/Header header
+uint8[] data"""
+    + _HEADER
+)
+_CAMERA_INFO = (
+    """std_msgs/Header header
 uint32 height
 uint32 width
 string distortion_model
@@ -40,7 +44,9 @@ float64[9] r
 float64[12] p
 uint32 binning_x
 uint32 binning_y
-sensor_msgs/RegionOfInterest roi""" + _HEADER + """
+sensor_msgs/RegionOfInterest roi"""
+    + _HEADER
+    + """
 ================================================================================
 MSG: sensor_msgs/RegionOfInterest
 uint32 x_offset
@@ -49,6 +55,7 @@ uint32 height
 uint32 width
 bool do_rectify
 """
+)
 
 
 def write_mcap(path: str | Path, frames: Iterable[View], *, camera_matrix: np.ndarray) -> int:

@@ -109,9 +109,7 @@ def score_band(pictures, plan, band, scratch, volume, maps):
             if pair_count == 1:
                 score_two(pictures, layers, numbers, row, lane0, pad_x, padded, at, places, scratch, maps)
             else:
-                score_three(
-                    pictures, layers, numbers, row, lane0, pad_x, padded, at, ring_size, places, scratch, maps
-                )
+                score_three(pictures, layers, numbers, row, lane0, pad_x, padded, at, ring_size, places, scratch, maps)
             _filter_back(
                 scratch.scores, maps.links[row], maps.scale[row], numbers.even_link,
                 volume, (row * slabs + slab) * BLOCK * v.LANES, height * slabs * BLOCK * v.LANES,

@@ -8,10 +8,7 @@ from chromaperture.compilation import compiled
 
 
 def cross_filter(
-    spectra: tuple[np.ndarray, np.ndarray],
-    transfers: tuple[np.ndarray, np.ndarray],
-    damping: float,
-    out: np.ndarray,
+    spectra: tuple[np.ndarray, np.ndarray], transfers: tuple[np.ndarray, np.ndarray], damping: float, out: np.ndarray
 ) -> None:
     """Write the spectra of P and Q, as `stages.cross_filter`."""
     _cross_filter(*spectra, *transfers, np.float32(damping), out)

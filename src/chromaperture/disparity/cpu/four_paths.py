@@ -21,12 +21,7 @@ from chromaperture.threads import in_parallel
 
 
 def four_path_winner(
-    views: Views,
-    layers_px: np.ndarray,
-    label_map: LabelMap,
-    *,
-    correlation: CorrelationConfig,
-    paths: FourPathsConfig,
+    views: Views, layers_px: np.ndarray, label_map: LabelMap, *, correlation: CorrelationConfig, paths: FourPathsConfig
 ) -> PathWinner:
     """Find the best layer of every pixel along four paths, as `stages.four_path_winner`."""
     height, width = views.mask.shape

@@ -27,9 +27,12 @@ _FLOATS = ir.VectorType(_FLOAT, LANES)
 _INTS = ir.VectorType(_I32, LANES)
 _SHORTS = ir.VectorType(ir.IntType(16), LANES)
 # Least squares on Chebyshev nodes of ln(1.5 + t), |t| <= 1/2, highest power first; good to 2e-5.
-_LOGARITHM = np.polynomial.chebyshev.Chebyshev.interpolate(
-    lambda t: np.log(1.5 + t), 6, domain=[-0.5, 0.5]
-).convert(kind=np.polynomial.Polynomial).coef[::-1].tolist()
+_LOGARITHM = (
+    np.polynomial.chebyshev.Chebyshev.interpolate(lambda t: np.log(1.5 + t), 6, domain=[-0.5, 0.5])
+    .convert(kind=np.polynomial.Polynomial)
+    .coef[::-1]
+    .tolist()
+)
 _ROUNDER = 1.5 * 2**23  # added to a small float it leaves the rounded integer in the low bits
 
 
@@ -121,9 +124,7 @@ def _eighths_larger(builder, a, b):
 
 
 def _root_function(builder):
-    return cgutils.get_or_insert_function(
-        builder.module, ir.FunctionType(_FLOATS, [_FLOATS]), f"llvm.sqrt.v{LANES}f32"
-    )
+    return cgutils.get_or_insert_function(builder.module, ir.FunctionType(_FLOATS, [_FLOATS]), f"llvm.sqrt.v{LANES}f32")
 
 
 def _inverse_root(builder, a):
@@ -345,9 +346,7 @@ def prefetch(typing, array, index):
     """Prefetch the cache line of ``array[index]``; a hint, never an error."""
 
     def lowered(context, builder, signature, arguments):
-        pointer = builder.bitcast(
-            _pointer(context, builder, signature.args[0], *arguments), ir.IntType(8).as_pointer()
-        )
+        pointer = builder.bitcast(_pointer(context, builder, signature.args[0], *arguments), ir.IntType(8).as_pointer())
         kind = ir.FunctionType(ir.VoidType(), [ir.IntType(8).as_pointer()] + [_I32] * 3)
         function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
         builder.call(function, [pointer, *(ir.Constant(_I32, v) for v in (0, 3, 1))])

@@ -24,12 +24,7 @@ EXTRAPOLATED, U, DUAL_X, DUAL_Y = range(4)
 
 
 def coupled_variation(
-    disparity_px: np.ndarray,
-    likelihood: np.ndarray,
-    guide: np.ndarray,
-    layers_px: np.ndarray,
-    *,
-    config: SurfaceConfig,
+    disparity_px: np.ndarray, likelihood: np.ndarray, guide: np.ndarray, layers_px: np.ndarray, *, config: SurfaceConfig
 ) -> np.ndarray:
     """Refine a disparity map, as `stages.coupled_variation`; (H, W) float32, px."""
     likelihood = np.ascontiguousarray(likelihood, np.float32)

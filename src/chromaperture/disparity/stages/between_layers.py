@@ -39,9 +39,7 @@ def between_layers(
     """
     step = float(layers_px[1] - layers_px[0])
     nearest = np.clip(np.rint((disparity_px - layers_px[0]) / step).astype(np.intp), 1, len(layers_px) - 2)
-    before, here, after = (
-        np.take_along_axis(likelihood, (nearest + k)[..., None], axis=2)[..., 0] for k in (-1, 0, 1)
-    )
+    before, here, after = (np.take_along_axis(likelihood, (nearest + k)[..., None], axis=2)[..., 0] for k in (-1, 0, 1))
     left, right = np.exp(2 * (here - before)), np.exp(2 * (here - after))  # as multiples of the layer's own
     slope, bend = (right - left) / 2, np.maximum((left + right) / 2 - 1, 0)
     offset = np.zeros(slope.shape, np.float32)

@@ -33,9 +33,7 @@ def bilateral_winner(
     return parabola_winner(score, layers_px)
 
 
-def recursive_bilateral(
-    score: np.ndarray, guide: np.ndarray, weights: np.ndarray, sigma_px: float
-) -> np.ndarray:
+def recursive_bilateral(score: np.ndarray, guide: np.ndarray, weights: np.ndarray, sigma_px: float) -> np.ndarray:
     """Smooth each layer along paths on which the guide is even (Yang, ECCV 2012).
 
     The weight of a neighbour falls by ``exp(-sqrt(2) / sigma_px)`` a px and by ``exp(-|difference of the guide|)``.

@@ -6,10 +6,7 @@ import numpy as np
 
 
 def cross_filter(
-    spectra: tuple[np.ndarray, np.ndarray],
-    transfers: tuple[np.ndarray, np.ndarray],
-    damping: float,
-    out: np.ndarray,
+    spectra: tuple[np.ndarray, np.ndarray], transfers: tuple[np.ndarray, np.ndarray], damping: float, out: np.ndarray
 ) -> None:
     """Write the spectra of P and Q, see ``blur_evidence.py``.
 

@@ -19,12 +19,7 @@ POSTERIOR_POWER = 8  # (1 - x / 8)^8 replaces exp(-x): within 0.04 of it, and 0 
 
 
 def four_path_winner(
-    views: Views,
-    layers_px: np.ndarray,
-    label_map: LabelMap,
-    *,
-    correlation: CorrelationConfig,
-    paths: FourPathsConfig,
+    views: Views, layers_px: np.ndarray, label_map: LabelMap, *, correlation: CorrelationConfig, paths: FourPathsConfig
 ) -> PathWinner:
     """Correlate the views and find the best layer of every pixel along four paths.
 
@@ -86,9 +81,7 @@ def scores_at_labels(score: np.ndarray, layers_px: np.ndarray, label_map: LabelM
     return np.where((t >= 0) & (t <= 1), value, 0).astype(np.float32)
 
 
-def _posterior_sigma(
-    cost: np.ndarray, layer: np.ndarray, layers_px: np.ndarray, paths: FourPathsConfig
-) -> np.ndarray:
+def _posterior_sigma(cost: np.ndarray, layer: np.ndarray, layers_px: np.ndarray, paths: FourPathsConfig) -> np.ndarray:
     """Root mean square distance of the layers from the best, weighted by how little more they cost; (H, W) px."""
     excess = (cost - cost.min(axis=2, keepdims=True)) / (POSTERIOR_POWER * paths.temperature)
     weight = np.maximum(1 - excess, 0) ** POSTERIOR_POWER

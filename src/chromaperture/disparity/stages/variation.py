@@ -188,12 +188,7 @@ def gap_per_px(problem: Problem, state: State) -> float:
 
 
 def coupled_variation(
-    disparity_px: np.ndarray,
-    likelihood: np.ndarray,
-    guide: np.ndarray,
-    layers_px: np.ndarray,
-    *,
-    config: SurfaceConfig,
+    disparity_px: np.ndarray, likelihood: np.ndarray, guide: np.ndarray, layers_px: np.ndarray, *, config: SurfaceConfig
 ) -> np.ndarray:
     """Refine a disparity map by total variation coupled to the volume of log-likelihoods.
 

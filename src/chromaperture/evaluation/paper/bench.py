@@ -110,8 +110,13 @@ def _content(
     accurate = f"with the lens's blur for {', '.join(blurred)} and without for the others" if blurred else "without it"
     return Content(
         f"From {len(designs)} sessions in --data.",
-        [Chart("scenes", _figure(names, designs, pictures, truth),
-               f"Depth of {_SHOWN}; blue is near, yellow far, white unknown.")],
+        [
+            Chart(
+                "scenes",
+                _figure(names, designs, pictures, truth),
+                f"Depth of {_SHOWN}; blue is near, yellow far, white unknown.",
+            )
+        ],
         listed,
         lines=[
             "Every method has the same calibration: curve and fields of d = A - B / z, fitted to its own readings of "

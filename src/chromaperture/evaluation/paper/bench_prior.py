@@ -125,16 +125,11 @@ def fitted(
 
 def _read_as(board: BoardMeasurement, middle_px: float, grid_px: np.ndarray) -> BoardMeasurement:
     return replace(
-        board,
-        disparity_px={"real-time": middle_px},
-        sigma_px={"real-time": _SIGMA_PX},
-        grid_px={"real-time": grid_px},
+        board, disparity_px={"real-time": middle_px}, sigma_px={"real-time": _SIGMA_PX}, grid_px={"real-time": grid_px}
     )
 
 
-def _scenes(
-    session: Session, name: str, read: Read, model: DepthModel, scenes: Sequence[str]
-) -> Iterator[Measurement]:
+def _scenes(session: Session, name: str, read: Read, model: DepthModel, scenes: Sequence[str]) -> Iterator[Measurement]:
     for scene in scenes:
         image = session.read(session.folder / "scene" / f"{scene}.png")
         start = time.perf_counter()

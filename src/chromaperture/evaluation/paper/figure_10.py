@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb
-from chromaperture.disparity.variation import smooth_disparity
+from chromaperture.disparity.total_variation import smooth_disparity
 from chromaperture.evaluation.figures import new_figure
 from chromaperture.evaluation.paper import methods, world
 from chromaperture.evaluation.paper.context import Context

@@ -85,11 +85,7 @@ def read_boards(
         planes = world.board(camera, float(ruler + rng.uniform(-_RULER_MM, _RULER_MM)), seed=i)
         image = world.pinhole_capture(design, planes, camera, cells=cells, seed=i).image
         found = estimate_disparity(
-            image,
-            aperture=DESIGNS[design],
-            unmixing=rows,
-            config=config,
-            noise_variance=methods.noise_variance(image),
+            image, aperture=DESIGNS[design], unmixing=rows, config=config, noise_variance=methods.noise_variance(image)
         ).value_px[30:-30, 30:-30]
         known = found[np.isfinite(found)]
         medians.append(float(np.median(known)) if known.size > found.size / 2 else np.nan)

@@ -20,7 +20,7 @@ from chromaperture.disparity.views import view_spaces
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.prior.annulus import annulus_radius
 from chromaperture.evaluation.prior.colour_lines import colour_lines
-from chromaperture.evaluation.prior.correlation import cross_correlation, phase_correlation
+from chromaperture.evaluation.prior.cross_correlation import cross_correlation, phase_correlation
 from chromaperture.evaluation.prior.stereo import stereo_sgbm
 from chromaperture.optics.aperture import DESIGNS, centroids
 from chromaperture.optics.depth_error_bound import expected_accuracy

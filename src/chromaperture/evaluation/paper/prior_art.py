@@ -80,9 +80,7 @@ def _by_method(
     """Measure captures by a method; return its rows of the table and the depths, mm."""
     setting, curve = methods.setting_of(design, camera), methods.calibrate(name, design, camera, cells)
     start = time.perf_counter()
-    depths = [
-        methods.depth_of(curve.radius_of(methods.METHODS[name](shot.image, setting)), camera) for shot in shots
-    ]
+    depths = [methods.depth_of(curve.radius_of(methods.METHODS[name](shot.image, setting)), camera) for shot in shots]
     seconds = (time.perf_counter() - start) / len(shots)
     light = float(channel_transmission(world.real_film(design)).mean())
     rows = [_row(name, full_name(design), light, depths, shots, seconds)]

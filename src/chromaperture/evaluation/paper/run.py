@@ -136,7 +136,8 @@ def _write(folder: Path, exhibit: Exhibit, content: Content, stamp: dict[str, An
             "pictures": [{"file": f"{c.stem}.png", "caption": c.caption} for c in content.charts],
             "tables": [
                 {"file": f"{t.stem}.csv", "caption": t.caption, "head": t.head, "rows": t.rows}
-                for t in content.tables if t.on_page
+                for t in content.tables
+                if t.on_page
             ],
             "compared": [asdict(c) for c in content.comparisons],
             "lines": list(content.lines),

@@ -13,7 +13,7 @@ import numpy as np
 
 from chromaperture.config import Quality, preset
 from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.variation import smooth_disparity
+from chromaperture.disparity.total_variation import smooth_disparity
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Comparison, Content, CsvTable
 from chromaperture.evaluation.prior.annulus import annulus_radius

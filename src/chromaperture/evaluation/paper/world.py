@@ -82,9 +82,7 @@ def traced_table(camera: PupilCamera, aperture: Aperture, cells: int) -> RayTabl
     return lens_rays(lens(), aperture, **size, pixel_pitch_mm=camera.pixel_pitch_mm, cells=cells)
 
 
-def photograph(
-    table: RayTable, planes: Sequence[Plane], camera: PupilCamera, *, seed: int, exposure: float
-) -> Capture:
+def photograph(table: RayTable, planes: Sequence[Plane], camera: PupilCamera, *, seed: int, exposure: float) -> Capture:
     """Photograph planes; ``exposure`` is the image level of a reflectance of 1 through an open pupil."""
     sensor = SensorModel()
     image = develop(expose(render(table, planes, seed=seed), sensor, seed=seed, exposure=exposure), sensor)

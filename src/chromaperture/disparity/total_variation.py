@@ -88,13 +88,7 @@ def smooth_disparity(
     if not (fidelity > 0 and huber_px >= 0 and iterations >= 1 and primal_step > 0):
         raise InputError("fidelity and primal_step must be positive, huber_px >= 0 and iterations >= 1")
     problem = make_problem(
-        disparity_px,
-        weights,
-        edges,
-        bounds_px=bounds_px,
-        fidelity=fidelity,
-        huber=huber_px,
-        data_term=data_term,
+        disparity_px, weights, edges, bounds_px=bounds_px, fidelity=fidelity, huber=huber_px, data_term=data_term
     )
     run = execution_named(execution)
     # The quadratic term is strongly convex only where every pixel has a weight.
