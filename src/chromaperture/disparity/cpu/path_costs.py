@@ -88,7 +88,7 @@ def along_rows(volume, sums, mask, links, labels, settings, two_views, top, bott
         rows = min(GROUP, bottom - row)
         for j in range(rows):
             y = row + j
-            if len(labels.scale) > 1:
+            if labels.scale.size > 1:
                 _read_at_labels(lines, labels.offset_px[y], labels.scale[y], y, height, settings, scores, at_labels)
             _likelihoods(lines, mask[y], y, height, two_views)
         _start(lines, rows)
