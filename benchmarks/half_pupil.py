@@ -49,11 +49,7 @@ def capture(folder: Path, scene: str) -> np.ndarray:
 
 
 def score(disparity: np.ndarray, sigma: np.ndarray, defocus: np.ndarray) -> dict[str, float]:
-<<<<<<< HEAD
-    """Spearman's correlation over the most trusted fraction of the pixels with truth; unknown ones are trusted last."""
-=======
     """Spearman's correlation over the most trusted of the pixels with truth; the unknown are trusted last."""
->>>>>>> h-dtest
     known = defocus > 0
     value, doubt, truth = disparity[known], sigma[known], defocus[known].astype(float)
     doubt = np.where(np.isfinite(value) & np.isfinite(doubt), doubt, np.inf)

@@ -26,7 +26,7 @@ from chromaperture.camera_file import Calibration, CameraSensor, Film, Lens
 from chromaperture.cli.main import app, main
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
-from chromaperture.evaluation import figures
+from chromaperture.evaluation import blur_figures, figures
 from chromaperture.evaluation.figures import layer_errors, plane_residual
 from chromaperture.evaluation.report import report_html
 from chromaperture.evaluation.verdict import board_depth, board_errors, depth_accuracy, intervals, sentences, weaknesses

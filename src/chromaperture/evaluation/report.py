@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.figure import Figure
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
-from chromaperture.evaluation import evidence, figures, tables
+from chromaperture.evaluation import blur_figures, evidence, figures, tables
 from chromaperture.evaluation.tables import Table
 from chromaperture.evaluation.verdict import sentences
 from chromaperture.storage import staged
