@@ -11,7 +11,8 @@ from colour_data import PARALLAX, SCENES, Bench, markdown, print_row, save
 from no_parallax import sharp_scene, without_parallax
 from picture_quality import SURE_PX, compare, matched_exposure, misalignment, phase_misalignment
 
-from chromaperture.camera import CodedApertureCamera, channel_shifts
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_alignment import channel_shifts
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.capture.files import read_image
@@ -32,8 +33,8 @@ def bench_rows(bench: Bench, out: Path | None) -> list[dict]:
     @cache
     def sharp(scene: str) -> np.ndarray:
         eye = bench.camera(PARALLAX[0])
-        radius = eye.blur_radius_px(bench.true_disparity(scene, eye))
-        return sharp_scene(bench.bare(scene), radius, eye.lens_shift)
+        radius = eye.alignment.blur_radius_px(bench.true_disparity(scene, eye))
+        return sharp_scene(bench.bare(scene), radius, eye.alignment.lens_shift)
 
     for design in PARALLAX:
         camera = bench.camera(design)
@@ -47,7 +48,7 @@ def bench_rows(bench: Bench, out: Path | None) -> list[dict]:
                 "true depth": restore(image, true, camera, sharpness="aligned").color,
                 "all in focus": restore(image, camera=camera, **known).color,
             }
-            nothing = without_parallax(sharp(scene), camera.blur_radius_px(true), image, camera)
+            nothing = without_parallax(sharp(scene), camera.alignment.blur_radius_px(true), image, camera)
             # Windows with enough texture: those that register in the open capture, whose channels are aligned.
             sure = misalignment(bare)[:, 0] < SURE_PX
             phase = phase_misalignment(bare)

@@ -19,6 +19,7 @@ from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.labels import IDENTITY
+from chromaperture.disparity.result import ESTIMATED_NOISE
 from chromaperture.disparity.winner import parabola_winner
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
@@ -65,7 +66,9 @@ def found_radii(image, design, blur, true_px):
     middle = step_px * np.round(true_px * blur.reach / step_px)
     config = config.with_range(middle - LAYERS * step_px, middle + LAYERS * step_px)
     layers_px = config.layers.values_px
-    widest_pair = BlurEvidence(CrossFilterConfig(fallback_weight=0.0), blur, IDENTITY, execution_named("numba"))
+    widest_pair = BlurEvidence(
+        CrossFilterConfig(fallback_weight=0.0), blur, IDENTITY, ESTIMATED_NOISE, execution_named("numba")
+    )
     colours = np.array([design.filter_named(name).transmission for name in design.views])
     common = {"aperture": design, "unmixing": unmixing_rows(mixing_matrix(colours), len(design.views))}
     accurate = estimate_disparity(image, **common, config=config, blur=blur, label_maps=[IDENTITY])

@@ -65,7 +65,7 @@ def without_parallax(
     sharp: np.ndarray, radius_px: np.ndarray, image: np.ndarray, camera: CodedApertureCamera
 ) -> np.ndarray:
     """Blur the sharp scene as the camera does, channels in place, with the noise of one of its captures."""
-    blur = InPlace(LensTransfer(camera.lens_shift))
+    blur = InPlace(LensTransfer(camera.alignment.lens_shift))
 
     def tile(piece: tuple[slice, slice], center: tuple[float, float]) -> np.ndarray:
         pad, size = padded_size(radius_px[piece].shape, radius_px[piece])

@@ -10,6 +10,7 @@ from chromaperture.disparity.correlation_evidence import CorrelationEvidence, lo
 from chromaperture.disparity.error_bar import surface_sigma
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.labels import IDENTITY, LabelMap, label_map
+from chromaperture.disparity.result import ESTIMATED_NOISE
 from chromaperture.disparity.stages.correlation import three_view_score
 from chromaperture.disparity.views import ViewSpace
 from chromaperture.disparity.winner import Surface
@@ -159,8 +160,8 @@ def halves(scale=1.0):
 
 def measured(image, spaces, label_maps=(IDENTITY,)):
     run = execution_named("numba")
-    evidence = CorrelationEvidence(CONFIG.evidence, CONFIG.views, spaces, label_maps, run)
-    return AccurateMethod(CONFIG, spaces[0], evidence, label_maps[0], run).match(image, None).value_px
+    evidence = CorrelationEvidence(CONFIG.evidence, CONFIG.views, spaces, label_maps, ESTIMATED_NOISE, run)
+    return AccurateMethod(CONFIG, spaces[0], evidence, label_maps[0], run).match(image).value_px
 
 
 def test_two_view_spaces_of_different_scale_are_matched_as_one():
@@ -210,7 +211,7 @@ class GivenCorrelations:
     def __init__(self, volume, labels):
         self.volume, self.labels = volume, labels
 
-    def at(self, image, layers_px, labels_px, noise):
+    def at(self, image, layers_px, labels_px):
         likelihood = log_likelihood(self.volume, view_count=2)
         return cpu.read_at_labels(likelihood, layers_px, labels_px, self.labels)
 
@@ -226,7 +227,7 @@ def test_a_flat_wall_seen_by_a_curved_lens_is_found_flat():
     errors = []
     for labels in (IDENTITY, label_map(a, b, reference=(4.0, 8000.0))):
         evidence = GivenCorrelations(volume, labels)
-        found = AccurateMethod(CONFIG, halves(), evidence, labels, execution_named("numba")).match(image, None)
+        found = AccurateMethod(CONFIG, halves(), evidence, labels, execution_named("numba")).match(image)
         errors.append(np.abs(found.value_px - truth).mean())
     assert errors[1] < 0.05  # a tenth of a layer
     assert errors[0] > 2 * errors[1]

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from chromaperture.camera import CodedApertureCamera, channel_shifts
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_alignment import channel_shifts
 from chromaperture.camera_file import Calibration
 from chromaperture.effects.restore import restore
 from chromaperture.effects.same_photograph import channel_agreement, check_same_photograph

@@ -12,6 +12,7 @@ from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.labels import IDENTITY
+from chromaperture.disparity.result import ESTIMATED_NOISE, NoiseModel
 from chromaperture.disparity.stages.tiles import Nodes, signal_fraction
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
@@ -41,8 +42,9 @@ def photograph(blur, layer_px, rng, noise=0.002, finest_px=0.0):
 
 
 def likelihood(image, blur, layers_px, *, config=None, noise_variance=None):
-    evidence = BlurEvidence(config or CrossFilterConfig(), blur, IDENTITY, execution_named("numba"))
-    return evidence.likelihood(image, layers_px, noise_variance=noise_variance)
+    noise = ESTIMATED_NOISE if noise_variance is None else NoiseModel(lambda _: noise_variance, is_known=True)
+    evidence = BlurEvidence(config or CrossFilterConfig(), blur, IDENTITY, noise, execution_named("numba"))
+    return evidence.likelihood(image, layers_px)
 
 
 def best_layer(volume, layers):

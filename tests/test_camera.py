@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chromaperture.camera import CodedApertureCamera, channel_shifts
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_alignment import channel_shifts
 from chromaperture.camera_file import Calibration, Film
 from chromaperture.camera_matching import default_config
 from chromaperture.capture.checks import check_capture

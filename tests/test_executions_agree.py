@@ -354,7 +354,7 @@ def assert_path_winners_agree(views, layers_px, label_map, config):
 def assert_real_time_agrees(image, design, config=REAL_TIME, label_map=IDENTITY):
     views, _ = halved_views(image, space_of(design), config=config.views)
     assert_path_winners_agree(views, config.layers.values_px / 2, label_map.halved(), config)
-    fast, slow = (RealTimeMethod(config, space_of(design), label_map, run).match(image, None) for run in (FAST, SLOW))
+    fast, slow = (RealTimeMethod(config, space_of(design), label_map, run).match(image) for run in (FAST, SLOW))
     assert fast.value_px.shape == slow.value_px.shape == image.shape[:2]
     apart = np.abs(fast.value_px - slow.value_px)
     same = (apart < DISPARITY_TOLERANCE_PX) | (np.isnan(fast.value_px) & np.isnan(slow.value_px))
@@ -399,7 +399,7 @@ def test_hostile_pictures_have_the_same_path_winners(image, design, labelled):
     shape = views.mask.shape
     labels = LabelMap(np.full(shape, 0.1, np.float32), np.full(shape, 0.9, np.float32)) if labelled else IDENTITY
     assert_path_winners_agree(views, np.arange(-2.0, 2.1, 0.5), labels, REAL_TIME)
-    found = RealTimeMethod(REAL_TIME, space_of(design), labels, FAST).match(image, None)
+    found = RealTimeMethod(REAL_TIME, space_of(design), labels, FAST).match(image)
     known = np.isfinite(found.value_px)
     assert found.value_px.shape == shape
     assert (found.sigma_px[known] >= REAL_TIME.floor_px * 0.999).all()  # float32

@@ -149,10 +149,10 @@ def test_the_focus_surface_is_where_the_radius_vanishes():
     accurate = CodedApertureCamera(calibrated(THIN), default_config(calibrated(THIN), "accurate"))
     d = np.full((H, W), -1.0, np.float32)
     # One curve for all qualities here: the matchers must agree on the radius.
-    np.testing.assert_allclose(real_time.blur_radius_px(d), accurate.blur_radius_px(d), atol=1e-5)
+    np.testing.assert_allclose(real_time.alignment.blur_radius_px(d), accurate.alignment.blur_radius_px(d), atol=1e-5)
 
 
 def test_without_a_fitted_blur_nothing_is_known_of_the_lens():
     camera = CodedApertureCamera(Calibration.uncalibrated("cy_halves", width_px=W, height_px=H))
-    assert camera.lens_shift is None
-    assert camera.blur_radius_px(np.zeros((H, W))) is None
+    assert camera.alignment.lens_shift is None
+    assert camera.alignment.blur_radius_px(np.zeros((H, W))) is None

@@ -18,7 +18,9 @@ MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
 # The camera, its calibration, and what is written from its measurements.
-CAMERA = {"camera", "camera_matching", "config_file", "camera_file", "storage", "calibration", "products"}
+CAMERA = {
+    "camera", "camera_matching", "camera_alignment", "config_file", "camera_file", "storage", "calibration", "products",
+}  # fmt: skip
 LEAVES = {"effects", "reconstruction", "evaluation", "viewer"}
 BELOW_LEAVES = {"optics"} | STAGES | CAMERA
 # What a part of the package may import, besides itself and COMMON.
@@ -39,7 +41,8 @@ ALLOWED: dict[str, set[str]] = {
     "camera_file": {"optics", "color", "depth", "storage"},
     "config_file": set(),
     "camera_matching": {"camera_file", "color", "disparity"},
-    "camera": {"optics", "camera_file", "camera_matching"} | STAGES,
+    "camera_alignment": {"camera_file", "color", "depth"},
+    "camera": {"optics", "camera_file", "camera_matching", "camera_alignment"} | STAGES,
     "calibration": {"optics", "camera", "camera_matching", "camera_file"} | STAGES,
     "products": {"optics", "camera", "camera_file", "storage"} | STAGES,
     **{leaf: BELOW_LEAVES for leaf in LEAVES},

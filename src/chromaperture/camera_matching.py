@@ -10,7 +10,7 @@ from chromaperture.camera_file import Calibration
 from chromaperture.color.noise import photon_noise_variance
 from chromaperture.config import AccurateConfig, Config, MatcherConfig, Quality, preset
 from chromaperture.disparity.labels import LabelMap, label_map
-from chromaperture.disparity.result import NoiseModel
+from chromaperture.disparity.result import ESTIMATED_NOISE, NoiseModel
 
 
 def default_config(calibration: Calibration, quality: Quality = "real-time") -> Config:
@@ -42,19 +42,20 @@ def label_maps(calibration: Calibration, config: MatcherConfig) -> list[LabelMap
     ]
 
 
-def noise_model(calibration: Calibration) -> NoiseModel | None:
-    """Return the noise of the sensor from its electrons; None where they are not known."""
+def noise_model(calibration: Calibration) -> NoiseModel:
+    """Return the noise of the sensor from its electrons; estimated in every image where they are not known."""
     sensor = calibration.sensor
     if sensor.full_well_electrons is None or sensor.read_noise_electrons is None:
-        return None
-    return partial(
+        return ESTIMATED_NOISE
+    variance = partial(
         photon_noise_variance,
         full_well_electrons=sensor.full_well_electrons,
         read_noise_electrons=sensor.read_noise_electrons,
     )
+    return NoiseModel(variance, is_known=True)
 
 
 def sensor_noise(image: np.ndarray, calibration: Calibration) -> np.ndarray | None:
     """Return the noise variance of every channel of an image, (H, W, 3); None where it is not known."""
     noise = noise_model(calibration)
-    return None if noise is None else noise(image)
+    return noise.variance(image) if noise.is_known else None

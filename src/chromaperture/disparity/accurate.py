@@ -12,7 +12,7 @@ from chromaperture.config import AccurateConfig
 from chromaperture.disparity.error_bar import confidence, surface_sigma
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
-from chromaperture.disparity.result import Disparity, NoiseModel
+from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.stages.between_layers import between_layers
 from chromaperture.disparity.views import ViewSpace, filtered_views
 from chromaperture.disparity.winner import Surface, parabola_winner
@@ -25,9 +25,7 @@ EDGE_REACH_PX = 8  # two sigmas of the correlation window
 class Evidence(Protocol):
     """Log-likelihood of every label at every pixel."""
 
-    def at(
-        self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray, noise: NoiseModel | None
-    ) -> np.ndarray:
+    def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
         """Return nats a pixel, (H, W, N) float32, for labels between ``layers_px``, the layers to evaluate."""
 
 
@@ -53,12 +51,12 @@ class AccurateMethod:
     label_map: LabelMap
     run: Execution
 
-    def match(self, image: np.ndarray, noise: NoiseModel | None) -> Disparity:
+    def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3)."""
         views = filtered_views(image, self.space, config=self.config.views)
         layers_px = self.config.layers.values_px
         labels_px = with_halves(layers_px)
-        likelihood = self.evidence.at(image, layers_px, labels_px, noise)
+        likelihood = self.evidence.at(image, layers_px, labels_px)
         likelihood *= views.mask[..., None]
         surface = optimised_surface(likelihood, views.guide, labels_px, config=self.config.surface, run=self.run)
 

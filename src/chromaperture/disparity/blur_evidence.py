@@ -48,34 +48,30 @@ class BlurEvidence:
     blur : LensBlur
     label_map : LabelMap
         What equal depth means at every pixel, in the layers of the blur: the camera's quality "accurate".
+    noise : NoiseModel
     run : Execution
     """
 
     config: CrossFilterConfig
     blur: LensBlur
     label_map: LabelMap
+    noise: NoiseModel
     run: Execution
 
-    def at(
-        self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray, noise: NoiseModel | None
-    ) -> np.ndarray:
+    def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
         """Return nats a pixel; labels between layers are interpolated, which is cheaper than more layers; (H, W, N)."""
-        likelihood = self.likelihood(image, layers_px, noise_variance=None if noise is None else noise(image))
+        likelihood = self.likelihood(image, layers_px)
         factors = sum(self.config.band_weights)
         return self.run.read_at_labels(likelihood, layers_px, labels_px, self.label_map, factors=factors)
 
-    def likelihood(
-        self, image: np.ndarray, layers_px: np.ndarray, *, noise_variance: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Compute the log-likelihood of every layer.
+    def likelihood(self, image: np.ndarray, layers_px: np.ndarray) -> np.ndarray:
+        """Compute the log-likelihood of every layer; where the noise is not known nothing is left out for it.
 
         Parameters
         ----------
         image : (H, W, 3) float32, linear RGB
         layers_px : (D,) float, px
             Half disparities in the middle of the frame, see ``LensBlur.reference``: each means a distance.
-        noise_variance : (H, W, 3) float, optional
-            Of the image, (white level)^2. Where it is not known, nothing is left out for noise.
 
         Returns
         -------
@@ -87,6 +83,7 @@ class BlurEvidence:
             The image is not of the blur's size.
         """
         blur, config = self.blur, self.config
+        noise_variance = self.noise.variance(image) if self.noise.is_known else None
         image = np.where(np.isfinite(image), image, np.float32(0))
         height, width = image.shape[:2]
         if (width, height) != (blur.width_px, blur.height_px):

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import NoiseModel
@@ -27,6 +26,7 @@ class CorrelationEvidence:
     spaces : tuple of ViewSpace
     label_maps : tuple of LabelMap
         One for each space; they bring the disparities of the spaces to one scale.
+    noise : NoiseModel
     run : Execution
     """
 
@@ -34,13 +34,12 @@ class CorrelationEvidence:
     views: ViewsConfig
     spaces: tuple[ViewSpace, ...]
     label_maps: tuple[LabelMap, ...]
+    noise: NoiseModel
     run: Execution
 
-    def at(
-        self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray, noise: NoiseModel | None
-    ) -> np.ndarray:
+    def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
         """Return nats a pixel; (H, W, N) float32."""
-        variance = estimate_noise_variance(image) if noise is None else noise(image)
+        variance = self.noise.variance(image)
         likelihood = np.zeros((*image.shape[:2], len(labels_px)), np.float32)
         for space, label_map in zip(self.spaces, self.label_maps, strict=True):
             views = filtered_views(image, space, config=self.views, noise_variance=variance)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.labels import IDENTITY, LabelMap
 from chromaperture.disparity.paper import PaperMethod
 from chromaperture.disparity.real_time import RealTimeMethod
-from chromaperture.disparity.result import Disparity, Method
+from chromaperture.disparity.result import ESTIMATED_NOISE, Disparity, Method, NoiseModel
 from chromaperture.disparity.views import view_spaces
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
@@ -61,13 +60,10 @@ def estimate_disparity(
         unmixing=unmixing,
         label_maps=label_maps,
         blur=blur,
+        noise=ESTIMATED_NOISE if noise_variance is None else NoiseModel(lambda _: noise_variance, is_known=True),
         execution=execution,
     )
-    return method.match(image, None if noise_variance is None else partial(_given, noise_variance))
-
-
-def _given(noise_variance: np.ndarray, image: np.ndarray) -> np.ndarray:
-    return noise_variance
+    return method.match(image)
 
 
 def method_for(
@@ -77,6 +73,7 @@ def method_for(
     unmixing: np.ndarray | None = None,
     label_maps: Sequence[LabelMap] = (),
     blur: LensBlur | None = None,
+    noise: NoiseModel = ESTIMATED_NOISE,
     execution: ExecutionName = "numba",
 ) -> Method:
     """Compose the method of a configuration for one camera.
@@ -93,6 +90,8 @@ def method_for(
         for surfaces of even disparity, and ``accurate`` matches its first view space only.
     blur : LensBlur, optional
         The camera's blur, which ``accurate`` with a `CrossFilterConfig` needs.
+    noise : NoiseModel
+        Of the camera's images.
     execution : {"numba", "numpy"}
 
     Raises
@@ -104,18 +103,18 @@ def method_for(
     run = execution_named(execution)
     match config:
         case PaperConfig():
-            return PaperMethod(config, view_spaces(aperture, unmixing, config.space)[0], run)
+            return PaperMethod(config, view_spaces(aperture, unmixing, config.space)[0], noise, run)
         case RealTimeConfig():
             label_map = label_maps[0] if label_maps else IDENTITY
             return RealTimeMethod(config, view_spaces(aperture, unmixing, config.space)[0], label_map, run)
         case AccurateConfig(evidence=CrossFilterConfig() as cross_filter):
             if blur is None or not label_maps:
                 raise InputError("matching with the blur needs a calibrated camera whose file has one")
-            evidence: Evidence = BlurEvidence(cross_filter, blur, label_maps[0], run)
+            evidence: Evidence = BlurEvidence(cross_filter, blur, label_maps[0], noise, run)
             return AccurateMethod(config, view_spaces(aperture, unmixing, "unmixed")[0], evidence, label_maps[0], run)
         case AccurateConfig(evidence=CorrelationEvidenceConfig() as correlation):
             maps = tuple(label_maps) or (IDENTITY,)
             spaces = tuple(view_spaces(aperture, unmixing, correlation.space))[: len(maps)]
-            evidence = CorrelationEvidence(correlation, config.views, spaces, maps[: len(spaces)], run)
+            evidence = CorrelationEvidence(correlation, config.views, spaces, maps[: len(spaces)], noise, run)
             return AccurateMethod(config, spaces[0], evidence, maps[0], run)
     raise InputError(f"unknown configuration {type(config).__name__}")

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.config import PaperConfig
 from chromaperture.disparity.error_bar import confidence, peak_sigma
 from chromaperture.disparity.execution import Execution
@@ -23,23 +22,25 @@ class PaperMethod:
     config : PaperConfig
     space : ViewSpace
         The aperture's colour space, Eq. (1).
+    noise : NoiseModel
     run : Execution
     """
 
     config: PaperConfig
     space: ViewSpace
+    noise: NoiseModel
     run: Execution
 
-    def match(self, image: np.ndarray, noise: NoiseModel | None) -> Disparity:
-        """Return the disparity of an image (H, W, 3); its noise is estimated where no model is given."""
-        config, correlation = self.config, self.config.correlation
-        if noise is None:  # a blind estimate takes fine texture for noise: good enough for weights, not to subtract
-            noise, correlation = estimate_noise_variance, replace(correlation, noise_debiasing=False)
-        views = filtered_views(image, self.space, config=config.views, noise_variance=noise(image))
-        layers_px = config.layers.values_px
+    def match(self, image: np.ndarray) -> Disparity:
+        """Return the disparity of an image (H, W, 3)."""
+        config = self.config
+        debiased = config.correlation.noise_debiasing and self.noise.is_known
+        correlation = replace(config.correlation, noise_debiasing=debiased)
+        variance, layers_px = self.noise.variance(image), config.layers.values_px
+        views = filtered_views(image, self.space, config=config.views, noise_variance=variance)
         winner = self.run.bilateral_winner(views, layers_px, correlation=correlation, bilateral=config.bilateral)
         texture = np.ones(winner.peak.shape, np.float32)
-        if correlation.noise_debiasing:  # the peak then lacks the noise that lowers a correlation
+        if debiased:  # the peak then lacks the noise that lowers a correlation
             texture = self.run.texture_weights(views, config=correlation).astype(np.float32)
         sigma = peak_sigma(winner, config, len(self.space.rows), texture)
         return Disparity(winner.disparity_px, sigma, confidence(sigma, winner.peak))

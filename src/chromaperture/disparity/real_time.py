@@ -10,7 +10,7 @@ from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.error_bar import confidence, surface_sigma
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
-from chromaperture.disparity.result import Disparity, NoiseModel
+from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.views import Views, ViewSpace, halved_views
 from chromaperture.disparity.winner import PathWinner, Surface
 
@@ -36,8 +36,8 @@ class RealTimeMethod:
     label_map: LabelMap
     run: Execution
 
-    def match(self, image: np.ndarray, noise: NoiseModel | None) -> Disparity:
-        """Return the disparity of an image (H, W, 3); correlations of halved pictures need no ``noise``."""
+    def match(self, image: np.ndarray) -> Disparity:
+        """Return the disparity of an image (H, W, 3)."""
         return self.match_views(*halved_views(image, self.space, config=self.config.views))
 
     def match_views(self, views: Views, guide: np.ndarray) -> Disparity:

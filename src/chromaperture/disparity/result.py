@@ -1,15 +1,33 @@
-"""What every method takes and returns."""
+"""The types that all methods share."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-# From an image (H, W, 3) to the noise variance of its channels, (H, W, 3), (white level)^2.
-NoiseModel = Callable[[np.ndarray], np.ndarray]
+from chromaperture.color.noise import estimate_noise_variance
+
+
+class NoiseModel(NamedTuple):
+    """Noise of a sensor's images.
+
+    Attributes
+    ----------
+    variance : callable
+        From an image (H, W, 3) to the noise variance of its channels, (H, W, 3), (white level)^2.
+    is_known : bool
+        From the sensor's electrons; else estimated in the image, whose fine texture then counts as noise: good enough
+        for weights, but not to subtract from scores.
+    """
+
+    variance: Callable[[np.ndarray], np.ndarray]
+    is_known: bool
+
+
+ESTIMATED_NOISE = NoiseModel(estimate_noise_variance, is_known=False)
 
 
 @dataclass(frozen=True)
@@ -38,5 +56,5 @@ class Disparity:
 class Method(Protocol):
     """One way to estimate disparity, for one camera."""
 
-    def match(self, image: np.ndarray, noise: NoiseModel | None) -> Disparity:
-        """Return the disparity of an image (H, W, 3) float32, linear; ``noise`` is None where it is not known."""
+    def match(self, image: np.ndarray) -> Disparity:
+        """Return the disparity of an image (H, W, 3) float32, linear."""

@@ -9,7 +9,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera, channel_shifts
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_alignment import channel_shifts
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import sensor_noise
 from chromaperture.color.alignment import align_channels, linear_displacement
@@ -96,7 +97,7 @@ def restore(
         return SharpPicture(aligned, radius)
     variance = sensor_noise(image, camera.calibration)
     noise = (estimate_noise_variance(image) if variance is None else variance).mean(axis=(0, 1)) * gains**2
-    fitted = camera.lens_shift if blur is None else None
+    fitted = camera.alignment.lens_shift if blur is None else None
     rounds = SharpenConfig.reweightings if sharpness == "full" else 0
     if fitted is None:
         settings = SharpenConfig(model_error=UNFITTED_ERROR, reweightings=rounds)
@@ -130,7 +131,7 @@ def _aligned(
     """
     cal, quality = camera.calibration, camera.config.quality
     shifts, scale = channel_shifts(cal, quality), np.float32(radius_per_disparity(cal, quality))
-    lens, radius = camera.lens_shift, camera.blur_radius_px(disparity_px)
+    lens, radius = camera.alignment.lens_shift, camera.alignment.blur_radius_px(disparity_px)
     if lens is None or radius is None:
         radius = np.asarray(disparity_px, np.float32) * scale
     else:
@@ -187,6 +188,6 @@ def focus_radius(camera: CodedApertureCamera, focus_mm: float) -> float:
     model = cal.on_axis(quality)
     if not focus_mm > float(model.sensor_to_pupil_mm):
         raise InputError(f"--focus {focus_mm:g} mm lies inside the lens; give the distance from the sensor in mm")
-    if camera.lens_shift is None:
+    if camera.alignment.lens_shift is None:
         return float(depth_to_disparity(focus_mm, model)) * radius_per_disparity(cal, quality)
-    return float(camera.lens_shift.layer_radius_px(depth_to_disparity(focus_mm, cal.on_axis("accurate"))))
+    return float(camera.alignment.lens_shift.layer_radius_px(depth_to_disparity(focus_mm, cal.on_axis("accurate"))))

@@ -8,7 +8,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 import scipy.fft
 
-from chromaperture.camera import channel_shifts
+from chromaperture.camera_alignment import channel_shifts
 from chromaperture.camera_file import Calibration
 from chromaperture.color.lens_shift import LensShift
 from chromaperture.config import Quality
