@@ -43,7 +43,7 @@ def limited_threads(count: int) -> Iterator[None]:
 
 
 def in_parallel(work: Callable[[int, int, int], None], count: int, *, threads: int | None = None) -> None:
-    """Run ``work(thread, first, last)`` over ``count`` pieces, in contiguous shares.
+    """Run ``work(thread, first, last)`` over ``count`` pieces, in contiguous portions.
 
     Parameters
     ----------
@@ -54,11 +54,11 @@ def in_parallel(work: Callable[[int, int, int], None], count: int, *, threads: i
         At most this many; `thread_count` when absent.
     """
     threads = min(thread_count() if threads is None else threads, count)
-    shares = [(i, count * i // threads, count * (i + 1) // threads) for i in range(threads)]
-    others = [_pool().submit(work, *share) for share in shares[1:]]
+    portions = [(i, count * i // threads, count * (i + 1) // threads) for i in range(threads)]
+    others = [_pool().submit(work, *portion) for portion in portions[1:]]
     try:
-        if shares:
-            work(*shares[0])
+        if portions:
+            work(*portions[0])
     finally:
         wait(others)  # even after an error no thread writes to the arrays any more
     for other in others:

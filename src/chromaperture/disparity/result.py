@@ -1,4 +1,4 @@
-"""The types that all methods share."""
+"""The types of all methods: noise in, disparity out."""
 
 from __future__ import annotations
 

@@ -38,8 +38,8 @@ def iterate_variation(
     height, total = len(problem.target), len(steps.primal)
     count = max(1, min(bands or thread_count(), height // 4))
     sweep = max(1, min(sweep, height // count, total))
-    share = -(-height // count)
-    kept = [_Band(state, i * share, min(height, (i + 1) * share), sweep) for i in range(count) if i * share < height]
+    rows = -(-height // count)
+    kept = [_Band(state, i * rows, min(height, (i + 1) * rows), sweep) for i in range(count) if i * rows < height]
     lo, hi, huber = (np.float32(value) for value in (*problem.bounds, problem.huber))
     sizes, edges = np.stack(steps).astype(np.float32), _edges(problem)
     for done in range(0, total, sweep):
