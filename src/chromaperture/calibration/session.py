@@ -26,21 +26,7 @@ _SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": 
 
 @dataclass(frozen=True)
 class Session:
-    """The checked contents of a session folder.
-
-    Attributes
-    ----------
-    folder : Path
-    design : str
-    sensor : CameraSensor
-    nominal_focal_length_mm, nominal_f_number, focused_at_about_mm : float
-    inner_corners : (columns, rows)
-    square_mm, ruler_error_mm : float
-    boards : dict of Path to float
-        Photograph of the board square to the axis, and its distance from the sensor plane by ruler, mm.
-    tilts : tuple of Path
-        Tilted boards, for the intrinsics.
-    """
+    """The checked contents of a session folder."""
 
     folder: Path
     design: str
@@ -48,11 +34,12 @@ class Session:
     nominal_focal_length_mm: float
     nominal_f_number: float
     focused_at_about_mm: float
-    inner_corners: tuple[int, int]
+    inner_corners: tuple[int, int]  # (columns, rows)
     square_mm: float
     ruler_error_mm: float
+    # Photograph of the board square to the axis, and its distance from the sensor plane by ruler, mm.
     boards: dict[Path, float]
-    tilts: tuple[Path, ...]
+    tilts: tuple[Path, ...]  # tilted boards, for the intrinsics
 
     def read(self, path: Path) -> np.ndarray:
         """Read one photograph of the session as linear light; (H, W, 3) float32."""

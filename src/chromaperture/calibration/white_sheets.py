@@ -21,21 +21,11 @@ _DARKEST = 1e-3  # of the white level: least colour of white light through the a
 
 @dataclass(frozen=True)
 class WhiteSheets:
-    """Film and noise.
-
-    Attributes
-    ----------
-    film : Film
-    sensor : CameraSensor
-        The session's, with its noise where that could be found.
-    files : tuple of Path
-        Sheets that were read.
-    notes : tuple of str
-    """
+    """Film and noise."""
 
     film: Film
-    sensor: CameraSensor
-    files: tuple[Path, ...]
+    sensor: CameraSensor  # the session's, with its noise where that could be found
+    files: tuple[Path, ...]  # sheets that were read
     notes: tuple[str, ...]
 
 

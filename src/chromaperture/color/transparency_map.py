@@ -20,23 +20,13 @@ _CLIPPED = 0.001  # fraction of saturated samples that is accepted, for hot pixe
 
 @dataclass(frozen=True)
 class LightEfficiency:
-    """Light efficiency of an aperture as in Table 1 and Figure 11.
+    """Light efficiency of an aperture as in Table 1 and Figure 11."""
 
-    Attributes
-    ----------
-    minimum, maximum, mean : (3,) float64
-        Transparency over the frame in R, G, B.
-    efficiency : float
-        Integral light efficiency: the mean over the channels.
-    luminance : float
-        The same, weighted by luminance (ITU-R BT.709).
-    """
-
-    minimum: np.ndarray
+    minimum: np.ndarray  # minimum, maximum and mean: (3,) float64, transparency over the frame in R, G, B
     maximum: np.ndarray
     mean: np.ndarray
-    efficiency: float
-    luminance: float
+    efficiency: float  # integral light efficiency: the mean over the channels
+    luminance: float  # the same, weighted by luminance (ITU-R BT.709)
 
 
 def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:

@@ -22,23 +22,14 @@ _NODES = 33  # a side, for the covariance over the frame: bilinear between them 
 
 @dataclass(frozen=True)
 class LocalField:
-    """Corrections to the smooth fields A and B, on a grid over the frame.
+    """Corrections to the smooth fields A and B, on a grid over the frame."""
 
-    Attributes
-    ----------
-    start_px, step_px : float, px
-        Position of the first column and row of the grid, and its pitch.
-    infinity_disparity_px, scale_px_mm : (h, w) float32, px and px mm
-        Added to A and B; bilinear between the grid's points, constant beyond them.
-    covariance : (2, 2) float64
-        Of the two corrections, the median over the grid.
-    """
-
-    start_px: float
-    step_px: float
+    start_px: float  # position of the first column and row of the grid
+    step_px: float  # its pitch
+    # (h, w) float32 each, added to A and B: bilinear between the grid's points, constant beyond them
     infinity_disparity_px: np.ndarray
     scale_px_mm: np.ndarray
-    covariance: np.ndarray
+    covariance: np.ndarray  # (2, 2) float64; of the two corrections, the median over the grid
 
     def at(self, x_px: np.ndarray, y_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return both corrections at pixels; two float64 of their shape."""

@@ -28,23 +28,13 @@ _POINT_PER_MM = 72 / 25.4
 
 @dataclass(frozen=True)
 class BoardPage:
-    """A page with a chessboard; lengths in mm from the page's top-left corner.
-
-    Attributes
-    ----------
-    paper : str
-    size_mm : (width, height)
-    inner_corners : (columns, rows)
-    square_mm : float
-    origin_mm : (x, y)
-        Top-left corner of the first square.
-    """
+    """A page with a chessboard; lengths in mm from the page's top-left corner."""
 
     paper: str
-    size_mm: tuple[float, float]
-    inner_corners: tuple[int, int]
+    size_mm: tuple[float, float]  # (width, height)
+    inner_corners: tuple[int, int]  # (columns, rows)
     square_mm: float
-    origin_mm: tuple[float, float]
+    origin_mm: tuple[float, float]  # (x, y); top-left corner of the first square
 
     @property
     def caption(self) -> str:

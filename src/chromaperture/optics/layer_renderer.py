@@ -27,18 +27,11 @@ _SHARP_PX = 0.02  # smaller blur is skipped: it moves the centroid of a half pup
 
 @dataclass(frozen=True)
 class LayeredCapture:
-    """Result of the layered renderer.
+    """Result of the layered renderer."""
 
-    Attributes
-    ----------
-    image : (H, W, 3) float32
-        Linear light behind the aperture; reflectance 1 through the open pupil gives 1.
-    layer_count : int
-        Layers that are not empty.
-    """
-
+    # (H, W, 3) float32: linear light behind the aperture; reflectance 1 through the open pupil gives 1
     image: np.ndarray
-    layer_count: int
+    layer_count: int  # layers that are not empty
 
 
 def render_layers(

@@ -39,54 +39,41 @@ _MIN_SEPARATION = 0.05  # pupil radii; below, the aperture has no parallax. Chos
 
 @dataclass(frozen=True)
 class BlurModel:
-    """Aberrations and rims of a lens, in px of displacement on the sensor at the pupil's edge and the frame's side.
+    """Aberrations and rims of a lens, in px of displacement on the sensor at the pupil's edge and the frame's side."""
 
-    Attributes
-    ----------
-    infinity_px, scale_px_mm : float
-        A and B: the pupil's edge is displaced by A - B / z, + beyond the focus surface.
-    axial_red_px, axial_blue_px : float
-        Axial colour, relative to green.
-    curvature_px, curvature4_px : float
-        Field curvature, of second and fourth order in the frame position.
-    spherical_px, spherical5_px : float
-        Spherical aberration, of third and fifth order in the pupil.
-    oblique_px, oblique_tangential_px : float
-        Oblique spherical aberration.
-    astigmatism_px, astigmatism4_px : float
-    coma_px, coma4_px, coma_zonal_px, coma_elliptical_px : float
-    lateral_red_px, lateral_blue_px, lateral3_red_px, lateral3_blue_px : float
-        Lateral colour, relative to green, of first and third order in the frame position.
-    spherical_red_px, spherical_blue_px, curvature_red_px, curvature_blue_px : float
-        Additions to green's spherical aberration and field curvature for red and blue.
-    front_rim_radius, front_rim_shift, rear_rim_radius, rear_rim_shift : float, pupil radii
-        Vignetting: radius of each rim in the pupil, and shift of its centre between the frame's centre and side.
-    """
-
+    # A and B: the pupil's edge is displaced by A - B / z, + beyond the focus surface
     infinity_px: float
     scale_px_mm: float
+    # Axial colour, relative to green
     axial_red_px: float = 0.0
     axial_blue_px: float = 0.0
+    # Field curvature, of second and fourth order in the frame position
     curvature_px: float = 0.0
     curvature4_px: float = 0.0
+    # Spherical aberration, of third and fifth order in the pupil
     spherical_px: float = 0.0
     spherical5_px: float = 0.0
+    # Oblique spherical aberration
     oblique_px: float = 0.0
     oblique_tangential_px: float = 0.0
+    # Astigmatism and coma
     astigmatism_px: float = 0.0
     astigmatism4_px: float = 0.0
     coma_px: float = 0.0
     coma4_px: float = 0.0
     coma_zonal_px: float = 0.0
     coma_elliptical_px: float = 0.0
+    # Lateral colour, relative to green, of first and third order in the frame position
     lateral_red_px: float = 0.0
     lateral_blue_px: float = 0.0
     lateral3_red_px: float = 0.0
     lateral3_blue_px: float = 0.0
+    # Additions to green's spherical aberration and field curvature for red and blue
     spherical_red_px: float = 0.0
     spherical_blue_px: float = 0.0
     curvature_red_px: float = 0.0
     curvature_blue_px: float = 0.0
+    # Vignetting, pupil radii: radius of each rim, and shift of its centre between the frame's centre and side
     front_rim_radius: float = 1.1
     front_rim_shift: float = 0.0
     rear_rim_radius: float = 1.1
@@ -188,14 +175,7 @@ def splat(points_px: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class LensBlur:
-    """Blur of one camera, lens and film together, over the frame.
-
-    Attributes
-    ----------
-    model : BlurModel
-    pupil : PupilSamples
-    width_px, height_px : int
-    """
+    """Blur of one camera, lens and film together, over the frame."""
 
     model: BlurModel
     pupil: PupilSamples

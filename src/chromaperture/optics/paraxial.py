@@ -12,37 +12,19 @@ from chromaperture.optics.prescription import Prescription
 
 @dataclass(frozen=True)
 class Paraxial:
-    """First-order data; positions in mm from the first vertex, + towards the sensor.
+    """First-order data; positions in mm from the first vertex, + towards the sensor."""
 
-    Attributes
-    ----------
-    focal_length_mm : float
-        Effective focal length in air.
-    back_focus_mm : float
-        Last vertex to the image of infinity.
-    front_principal_mm, rear_principal_mm : float
-        Positions of the principal planes H and H'.
-    entrance_pupil_mm, exit_pupil_mm : float
-        Positions of the images of the stop in the scene's space and in the sensor's.
-    entrance_diameter_mm, exit_diameter_mm : float
-    sensor_to_entrance_pupil_mm : float
-        The paper's delta.
-    in_focus_mm : float
-        Distance from the entrance pupil that is in focus on the sensor; inf when focused at infinity.
-    pinhole_distance_mm : float
-        F: distance of a pinhole in the entrance pupil from an image plane of the sensor's scale; fx = F / mu.
-    """
-
-    focal_length_mm: float
-    back_focus_mm: float
-    front_principal_mm: float
-    rear_principal_mm: float
-    entrance_pupil_mm: float
-    exit_pupil_mm: float
+    focal_length_mm: float  # effective focal length in air
+    back_focus_mm: float  # last vertex to the image of infinity
+    front_principal_mm: float  # position of the principal plane H
+    rear_principal_mm: float  # and of H'
+    entrance_pupil_mm: float  # position of the image of the stop in the scene's space
+    exit_pupil_mm: float  # and in the sensor's
     entrance_diameter_mm: float
     exit_diameter_mm: float
-    sensor_to_entrance_pupil_mm: float
-    in_focus_mm: float
+    sensor_to_entrance_pupil_mm: float  # the paper's delta
+    in_focus_mm: float  # distance from the entrance pupil that is in focus on the sensor; inf when focused at infinity
+    # F: distance of a pinhole in the entrance pupil from an image plane of the sensor's scale; fx = F / mu
     pinhole_distance_mm: float
 
 

@@ -24,34 +24,19 @@ _SPLIT = 4  # sub-rays across a cell, for the part of it that stop and rims vign
 
 @dataclass(frozen=True)
 class RayTable:
-    """Rays from a grid of image points through the pupil.
-
-    Attributes
-    ----------
-    width_px, height_px : int
-        Size of the image.
-    x_px, y_px : (Gx,), (Gy,) float64
-        Image points of the table, equally spaced.
-    z_mm : float
-        Plane of ``origin``, the entrance pupil, from the sensor.
-    origin, slope : (G, Gy, Gx, S, 2) float32
-        Where ray s crosses that plane, mm, and its dx/dz, dy/dz towards the scene. G is 3 for a lens with colour errors
-        (one set for each sensor channel), else 1.
-    weight : (3, Gy, Gx, S) float32
-        Light of each ray in R, G, B; the open pupil on the axis sums to 1.
-    chief : (Gy, Gx, 4) float32
-        Origin and slope of the green ray through the stop's centre.
-    """
+    """Rays from a grid of image points through the pupil."""
 
     width_px: int
     height_px: int
-    x_px: np.ndarray
-    y_px: np.ndarray
-    z_mm: float
+    x_px: np.ndarray  # (Gx,) float64; image points of the table, equally spaced
+    y_px: np.ndarray  # (Gy,) float64
+    z_mm: float  # plane of ``origin``, the entrance pupil, from the sensor
+    # (G, Gy, Gx, S, 2) float32 each: where ray s crosses that plane, mm, and its dx/dz, dy/dz towards the
+    # scene. G is 3 for a lens with colour errors (one set for each sensor channel), else 1
     origin: np.ndarray
     slope: np.ndarray
-    weight: np.ndarray
-    chief: np.ndarray
+    weight: np.ndarray  # (3, Gy, Gx, S) float32; light of each ray in R, G, B; the open pupil on the axis sums to 1
+    chief: np.ndarray  # (Gy, Gx, 4) float32; origin and slope of the green ray through the stop's centre
 
 
 def pinhole_rays(camera: PupilCamera, aperture: Aperture, *, cells: int = 20) -> RayTable:
