@@ -9,7 +9,6 @@ from chromaperture.errors import InputError
 from chromaperture.optics import splat_kernels
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, displacement, rims, sample_pupil, splat
-from chromaperture.optics.paraxial import paraxial
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_bundle, pinhole_rays
@@ -114,10 +113,9 @@ def test_rims_cut_more_towards_the_corner():
 def test_the_terms_describe_a_traced_lens():
     """A traced double Gauss is seven times closer to the model's terms than to a defocused thin lens."""
     lens = load_lens("double_gauss_50")
-    data = paraxial(lens)
     half_mm = 11.15
     fields = np.stack(np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-0.667, 0.667, 5)), -1).reshape(-1, 2)
-    origin, slope = lens_bundle(lens, fields * half_mm, wavelength_um=lens.wavelengths_um[1], data=data, cells=14)
+    origin, slope = lens_bundle(lens, fields * half_mm, wavelength_um=lens.wavelengths_um[1], cells=14)
     edge = np.nanmax(np.hypot(*np.moveaxis(origin[len(fields) // 2], -1, 0)))
     pupil = origin / edge  # the entrance pupil is flat and round to a percent: its points stand for the stop's
     inside = np.isfinite(slope).all(-1) & (np.hypot(*np.moveaxis(np.nan_to_num(pupil, nan=9.0), -1, 0)) < 0.8)

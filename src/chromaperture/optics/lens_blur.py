@@ -94,10 +94,10 @@ class Rays(NamedTuple):
     light: np.ndarray
 
 
-def sample_pupil(aperture: Aperture, count: int = _POINTS) -> PupilSamples:
+def sample_pupil(aperture: Aperture) -> PupilSamples:
     """Sample the pupil evenly on a Fermat spiral; a square lattice would alias with the pixels."""
-    i = np.arange(count) + 0.5
-    radius, angle = np.sqrt(i / count), np.pi * (1 + np.sqrt(5)) * i
+    i = np.arange(_POINTS) + 0.5
+    radius, angle = np.sqrt(i / _POINTS), np.pi * (1 + np.sqrt(5)) * i
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
     return PupilSamples(points, aperture.transmission_map(points[:, 0], points[:, 1]).T.copy())
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -40,6 +41,7 @@ def _matrix(lens: Prescription, wavelength_um: float, first: int, last: int) -> 
     return m
 
 
+@lru_cache(maxsize=64)
 def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Paraxial:
     """Compute the first-order data of a lens.
 
