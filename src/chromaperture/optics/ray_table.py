@@ -221,9 +221,7 @@ def lens_bundle(
     return origin.reshape(shape), slope.reshape(shape)
 
 
-def lens_light(
-    lens: Prescription, aperture: Aperture, image_mm: np.ndarray, *, cells: int = 20
-) -> np.ndarray:
+def lens_light(lens: Prescription, aperture: Aperture, image_mm: np.ndarray, *, cells: int = 20) -> np.ndarray:
     """Compute the light of each ray of `lens_bundle` in R, G, B, proportional to the irradiance on the sensor.
 
     Vignetting is that of green rays: between the colours these points of the pupil move by about 1e-3 radii.
