@@ -73,7 +73,7 @@ def test_the_rasteriser_in_numpy_is_the_compiled_one():
     # The compiled one rounds to float32 after each of some 10 points a pixel.
     np.testing.assert_allclose(found, expected, atol=10 * np.finfo(np.float32).eps * expected.max())
     blur = blur_of(BlurModel(10.0, 20000.0))
-    plain, compiled = (blur.transfer(30.0, 40.0, 1e-3, 64, splat=s) for s in (splat, None))
+    plain, compiled = (blur.transfer_of(blur.rays(30.0, 40.0), 1e-3, 64, splat=s) for s in (splat, None))
     np.testing.assert_allclose(plain, compiled, atol=1e-6)  # float32 rounding of sums that are at most 1
 
 
@@ -82,7 +82,7 @@ def test_the_transfer_of_a_disc_is_the_jinc():
 
     radius = 6.0
     blur = blur_of(BlurModel(radius, 20000.0, front_rim_radius=2.0, rear_rim_radius=2.0), sample_pupil(DESIGNS["open"]))
-    found = blur.transfer((W - 1) / 2, (H - 1) / 2, 0.0, 64, (1,))[0]
+    found = blur.transfer((W - 1) / 2, (H - 1) / 2, 0.0, 64)[1]
     w = 2 * np.pi * np.arange(1, 14) / 64  # up to a fifth of the sampling rate
     tent = (np.sin(w / 2) / (w / 2)) ** 2  # of the rasterising
     np.testing.assert_allclose(found[0, 1:14].real, 2 * j1(radius * w) / (radius * w) * tent, atol=6e-3)

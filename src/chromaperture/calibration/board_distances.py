@@ -65,10 +65,6 @@ def fit_distances(
     pose_sigma_mm : (N,) float
     sensor_to_pupil_mm, sensor_to_pupil_sigma_mm : float
         Prior of delta, which alone determines it when fewer than four boards have a pose.
-
-    Returns
-    -------
-    BoardDistances
     """
     ruler, pose = np.asarray(ruler_mm, float), np.asarray(pose_mm, float)
     n = len(ruler)

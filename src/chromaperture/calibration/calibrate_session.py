@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.calibration.assemble_camera import accurate_matches_like, assemble_camera, nominal_fields
+from chromaperture.calibration.assemble_camera import accurate_matches_like, assemble_camera, nominal_depth_model
 from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.calibration.calibrate_blur import BlurredCamera, LayerEvidence, calibrate_blur, fit_layers
 from chromaperture.calibration.calibration_config import DEFAULT, CalibrationConfig
@@ -35,7 +35,7 @@ from chromaperture.calibration.session import Session, read_session
 from chromaperture.calibration.white_sheets import WhiteSheets, measure_white_sheets
 from chromaperture.camera_file import Calibration
 from chromaperture.config import QUALITIES, Quality
-from chromaperture.depth.field import degree_of
+from chromaperture.depth.field import DepthField, degree_of
 
 
 @dataclass(frozen=True)
@@ -88,10 +88,6 @@ def calibrate_session(
     keep_in : str or Path, optional
         Folder for measurements of single photographs, from which an interrupted run resumes.
 
-    Returns
-    -------
-    CalibrationResult
-
     Raises
     ------
     InputError
@@ -103,7 +99,8 @@ def calibrate_session(
     sheets = measure_white_sheets(session)
     pinhole = measure_pinhole(session, lens_from, store=store, progress=progress)
     placed = place_boards(session, pinhole, config)
-    draft = assemble_camera(session, sheets, placed.intrinsics, nominal_fields(session), config)
+    nominal = dict.fromkeys(QUALITIES, DepthField.constant(nominal_depth_model(session)))
+    draft = assemble_camera(session, sheets, placed.intrinsics, nominal, config)
     boards = measure_boards(session, draft, pinhole, placed, store=store, progress=progress)
     everything = Evidence(sheets.sensor, boards, placed.distances, session.ruler_error_mm, np.ones(len(boards), bool))
     selected = without_outliers(everything, "paper")

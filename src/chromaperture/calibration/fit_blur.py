@@ -90,10 +90,6 @@ def fit_blur(
         Tiles of all boards together; see `CalibrationConfig`.
     progress : callable, optional
 
-    Returns
-    -------
-    BlurFit
-
     Raises
     ------
     InputError

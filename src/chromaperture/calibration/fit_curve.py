@@ -51,10 +51,6 @@ def fit_depth_model(
     sensor_to_pupil_mm, sensor_to_pupil_sigma_mm : float
         Prior of delta.
 
-    Returns
-    -------
-    DepthFit
-
     Raises
     ------
     InputError

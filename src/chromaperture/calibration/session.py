@@ -20,8 +20,9 @@ from chromaperture.capture.files import photographs, read_image
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, design_named
 
-_SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": "sheet_r", "green": "sheet_g",
-           "blue": "sheet_b"}  # fmt: skip
+# Name of the white sheet through a whole pupil of one filter; film without a name has none.
+SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": "sheet_r", "green": "sheet_g",
+          "blue": "sheet_b"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Session:
     def sheets(self) -> dict[str, Path]:
         """Photographs of white sheets by name; those in the session's folder replace those beside it."""
         folders = (self.folder.parent / "white", self.folder / "white")
-        names = {"open", *DESIGNS, *_SHEETS.values()}
+        names = {"open", *DESIGNS, *SHEETS.values()}
         return {path.stem: path for folder in folders for path in photographs(folder) if path.stem in names}
 
     def white(self, name: str) -> np.ndarray | None:
@@ -66,10 +67,6 @@ class Session:
         image = self.read(self.sheets[name])
         rows, columns = (slice(n * 2 // 5, n * 3 // 5) for n in image.shape[:2])  # vignetting spares the middle fifth
         return image[rows, columns].reshape(-1, 3).mean(axis=0).astype(float)
-
-    def sheet_name(self, filter_name: str) -> str:
-        """Return the name of the white sheet through a whole pupil of one filter; empty for film without a name."""
-        return _SHEETS.get(filter_name, "")
 
 
 def read_session(folder: str | Path) -> Session:

@@ -10,7 +10,7 @@ from chromaperture.compilation import compiled, inlined
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.threads import in_parallel
 
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # upper triangle of the covariance of A, B, delta
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # upper triangle of the covariance of A, B, delta
 
 
 class CurveTable(NamedTuple):
@@ -60,7 +60,7 @@ def field_maps(
     a, b, delta = (np.ascontiguousarray(np.atleast_2d(np.asarray(part, float))) for part in parts)
     c = np.asarray(covariance)
     c = c if c.dtype == np.float32 else c.astype(float)
-    return FieldMaps(a, b, delta, tuple(np.ascontiguousarray(np.atleast_2d(c[..., i, j])) for i, j in _PAIRS))
+    return FieldMaps(a, b, delta, tuple(np.ascontiguousarray(np.atleast_2d(c[..., i, j])) for i, j in PAIRS))
 
 
 def depth_and_sigma(

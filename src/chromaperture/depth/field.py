@@ -14,6 +14,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.conversion_kernels import PAIRS
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 
@@ -170,13 +171,12 @@ class DepthField:
         """Interpolate the covariance between the nodes of ``basis``; (3, 3), or (height, width, 3, 3) float32."""
         if len(self.covariance) == 3:
             return self.covariance
-        nodes = self._covariance_at(basis).reshape(_NODES, _NODES, 9)
+        nodes = self._covariance_at(basis)
         rows, columns = (np.linspace(0, _NODES - 1, n).astype(np.float32) for n in (height_px, width_px))
         at = (np.broadcast_to(columns, (height_px, width_px)).copy(), np.repeat(rows[:, None], width_px, axis=1))
-        maps = [cv2.remap(np.ascontiguousarray(nodes[..., k]), *at, cv2.INTER_LINEAR) for k in (0, 1, 2, 4, 5, 8)]
         found = np.empty((3, 3, height_px, width_px), np.float32)  # elements are read one by one: keep each contiguous
-        for (i, j), values in zip(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), maps, strict=True):
-            found[i, j] = found[j, i] = values
+        for i, j in PAIRS:
+            found[i, j] = found[j, i] = cv2.remap(np.ascontiguousarray(nodes[..., i, j]), *at, cv2.INTER_LINEAR)
         return np.moveaxis(found, (0, 1), (2, 3))
 
 

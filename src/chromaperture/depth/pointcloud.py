@@ -38,10 +38,6 @@ def depth_to_points(
         OpenCV's k1, k2, p1, p2, k3.
     sensor_to_pupil_mm : float
         delta; Z = depth - delta, from the entrance pupil.
-
-    Returns
-    -------
-    PointCloud
     """
     known = np.isfinite(depth_mm)
     v, u = np.nonzero(known)

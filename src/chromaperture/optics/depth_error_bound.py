@@ -72,10 +72,6 @@ def expected_accuracy(
     exposure : float
         Factor on the light, the same for all designs of a comparison.
 
-    Returns
-    -------
-    ExpectedAccuracy
-
     Raises
     ------
     InputError

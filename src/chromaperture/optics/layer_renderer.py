@@ -52,10 +52,6 @@ def render_layers(
     pitch_px : float
         Difference of blur radius between layers; light in between is divided linearly.
 
-    Returns
-    -------
-    LayeredCapture
-
     Raises
     ------
     InputError

@@ -187,34 +187,9 @@ class LensBlur:
         half = self.width_px / 2
         return np.array([(x_px - (self.width_px - 1) / 2) / half, (y_px - (self.height_px - 1) / 2) / half])
 
-    def transfer(
-        self,
-        x_px: float,
-        y_px: float,
-        inverse_mm: float,
-        size_px: int,
-        channels: tuple[int, ...] = (0, 1, 2),
-        *,
-        splat: Splat | None = None,
-    ) -> np.ndarray:
-        """Compute the optical transfer functions of channels at an image position and distance.
-
-        Parameters
-        ----------
-        x_px, y_px : float
-        inverse_mm : float, 1/mm
-            1 / z, z from the entrance pupil.
-        size_px : int
-            Side of the tile to filter; the PSF wraps around in it.
-        channels : tuple of int
-        splat : callable, optional
-            Rasteriser with the signature of `splat`; the compiled one when absent.
-
-        Returns
-        -------
-        (C, size, size // 2 + 1) complex64, 1 at zero frequency
-        """
-        return self.transfer_of(self.rays(x_px, y_px, channels), inverse_mm, size_px, splat=splat)
+    def transfer(self, x_px: float, y_px: float, inverse_mm: float, size_px: int) -> np.ndarray:
+        """Compute the optical transfer functions of R, G and B at an image position; see `transfer_of`."""
+        return self.transfer_of(self.rays(x_px, y_px), inverse_mm, size_px)
 
     def rays(self, x_px: float, y_px: float, channels: tuple[int, ...] = (0, 1, 2)) -> Rays:
         """Trace the rays of channels at an image position; they hold for every distance."""
@@ -225,7 +200,22 @@ class LensBlur:
         return Rays(np.stack(at_infinity), light / light.sum(axis=1, keepdims=True))
 
     def transfer_of(self, rays: Rays, inverse_mm: float, size_px: int, *, splat: Splat | None = None) -> np.ndarray:
-        """Compute the optical transfer functions of rays at a distance; parameters as in `transfer`."""
+        """Compute the optical transfer functions of rays at a distance.
+
+        Parameters
+        ----------
+        rays : Rays
+        inverse_mm : float, 1/mm
+            1 / z, z from the entrance pupil.
+        size_px : int
+            Side of the tile to filter; the PSF wraps around in it.
+        splat : callable, optional
+            Rasteriser with the signature of `splat`; the compiled one when absent.
+
+        Returns
+        -------
+        (C, size, size // 2 + 1) complex64, 1 at zero frequency
+        """
         if splat is None:
             from chromaperture.optics import splat_kernels  # compiling starts here, not at import
 

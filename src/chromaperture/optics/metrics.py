@@ -40,10 +40,6 @@ def aperture_figures(aperture: Aperture, unmixing: np.ndarray | None = None) -> 
     aperture : Aperture
     unmixing : (K, 3) float, optional
         Rows are combinations of R, G, B; see `film_unmixing`. The identity when absent.
-
-    Returns
-    -------
-    ApertureFigures
     """
     transmission = channel_transmission(aperture)
     rho = centroids(aperture, unmixing)

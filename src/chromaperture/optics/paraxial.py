@@ -51,10 +51,6 @@ def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Parax
     wavelength_um : float, optional
         Green when absent.
 
-    Returns
-    -------
-    Paraxial
-
     Raises
     ------
     InputError
@@ -126,10 +122,6 @@ def focused_at(lens: Prescription, distance_mm: float) -> Prescription:
     distance_mm : float
         From the sensor plane; inf is allowed.
 
-    Returns
-    -------
-    Prescription
-
     Raises
     ------
     InputError
@@ -146,8 +138,7 @@ def focused_at(lens: Prescription, distance_mm: float) -> Prescription:
     if total < 4 * f:
         raise InputError(
             f"cannot focus at {distance_mm:g} mm: an object this near lies too close to the focal length; "
-            "the nearest is "
-            f"{4 * f + between:.0f} mm"
+            f"the nearest is {4 * f + between:.0f} mm"
         )
     image = (total - np.sqrt(total * (total - 4 * f))) / 2  # s + s' = total, 1/s + 1/s' = 1/f
     return replace(lens, sensor_gap_mm=float(data.rear_principal_mm + image - lens.vertices_mm[-1]))

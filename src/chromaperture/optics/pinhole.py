@@ -99,10 +99,6 @@ def pupil_camera(lens: Prescription, *, width_px: int, height_px: int, pixel_pit
     lens : Prescription
     width_px, height_px : int
     pixel_pitch_mm : float
-
-    Returns
-    -------
-    PupilCamera
     """
     data = paraxial(lens)
     return PupilCamera(

@@ -115,10 +115,6 @@ def lens_from_dict(data: Mapping[str, Any], *, name: str) -> Prescription:
         ``clear_diameter_mm``, ``conic``, ``coefficients`` and ``stop = true`` on one of them.
     name : str
 
-    Returns
-    -------
-    Prescription
-
     Raises
     ------
     InputError
@@ -171,8 +167,7 @@ def checked_lens(lens: Prescription) -> Prescription:
         if bad or math.isnan(s.radius_mm + s.thickness_mm + s.index_d + s.conic):
             raise InputError(
                 f"lens {lens.name!r}, surface {number} is not physical: radius must not be 0, thickness "
-                "not negative, "
-                "index at least 1, Abbe number and diameter positive"
+                "not negative, index at least 1, Abbe number and diameter positive"
             )
     if lens.surfaces[-1].index_d != 1:
         raise InputError(f"lens {lens.name!r}: behind the last surface must be air (index_d = 1)")

@@ -97,10 +97,6 @@ def lens_rays(
     nodes : int
         Image points of the table along the longer side; rays between them are interpolated.
 
-    Returns
-    -------
-    RayTable
-
     Raises
     ------
     InputError
@@ -161,8 +157,7 @@ def _open_light(lens: Prescription, cells: int) -> float:
     if not hit.clear[np.hypot(*hit.at_stop.T) < 0.985].all():
         raise InputError(
             f"the stop of lens {lens.name!r} is larger than its glass lets through on the axis: make the "
-            "stop's "
-            "clear_diameter_mm smaller"
+            "stop's clear_diameter_mm smaller"
         )
     return float(light.sum())
 

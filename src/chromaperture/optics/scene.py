@@ -42,10 +42,6 @@ def plane(
     tilt_deg : (3,)
         Turns about x, then y, then z.
 
-    Returns
-    -------
-    Plane
-
     Raises
     ------
     InputError

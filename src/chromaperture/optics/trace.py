@@ -44,10 +44,6 @@ def trace(
     wavelength_um : float
     from_sensor : bool
         Trace from the sensor to the scene.
-
-    Returns
-    -------
-    TracedRays
     """
     order = np.arange(len(lens.surfaces))
     index = lens.indices(wavelength_um)
