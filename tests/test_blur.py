@@ -9,7 +9,6 @@ from chromaperture.errors import InputError
 from chromaperture.optics import splat_kernels
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, displacement, rims, sample_pupil, splat
-from chromaperture.optics.paraxial import paraxial
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_bundle, pinhole_rays
@@ -74,7 +73,7 @@ def test_the_rasteriser_in_numpy_is_the_compiled_one():
     # The compiled one rounds to float32 after each of some 10 points a pixel.
     np.testing.assert_allclose(found, expected, atol=10 * np.finfo(np.float32).eps * expected.max())
     blur = blur_of(BlurModel(10.0, 20000.0))
-    plain, compiled = (blur.transfer(30.0, 40.0, 1e-3, 64, splat=s) for s in (splat, None))
+    plain, compiled = (blur.transfer_of(blur.rays(30.0, 40.0), 1e-3, 64, splat=s) for s in (splat, None))
     np.testing.assert_allclose(plain, compiled, atol=1e-6)  # float32 rounding of sums that are at most 1
 
 
@@ -83,7 +82,7 @@ def test_the_transfer_of_a_disc_is_the_jinc():
 
     radius = 6.0
     blur = blur_of(BlurModel(radius, 20000.0, front_rim_radius=2.0, rear_rim_radius=2.0), sample_pupil(DESIGNS["open"]))
-    found = blur.transfer((W - 1) / 2, (H - 1) / 2, 0.0, 64, (1,))[0]
+    found = blur.transfer((W - 1) / 2, (H - 1) / 2, 0.0, 64)[1]
     w = 2 * np.pi * np.arange(1, 14) / 64  # up to a fifth of the sampling rate
     tent = (np.sin(w / 2) / (w / 2)) ** 2  # of the rasterising
     np.testing.assert_allclose(found[0, 1:14].real, 2 * j1(radius * w) / (radius * w) * tent, atol=6e-3)
@@ -114,10 +113,9 @@ def test_rims_cut_more_towards_the_corner():
 def test_the_terms_describe_a_traced_lens():
     """A traced double Gauss is seven times closer to the model's terms than to a defocused thin lens."""
     lens = load_lens("double_gauss_50")
-    data = paraxial(lens)
     half_mm = 11.15
     fields = np.stack(np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-0.667, 0.667, 5)), -1).reshape(-1, 2)
-    origin, slope = lens_bundle(lens, fields * half_mm, wavelength_um=lens.wavelengths_um[1], data=data, cells=14)
+    origin, slope = lens_bundle(lens, fields * half_mm, wavelength_um=lens.wavelengths_um[1], cells=14)
     edge = np.nanmax(np.hypot(*np.moveaxis(origin[len(fields) // 2], -1, 0)))
     pupil = origin / edge  # the entrance pupil is flat and round to a percent: its points stand for the stop's
     inside = np.isfinite(slope).all(-1) & (np.hypot(*np.moveaxis(np.nan_to_num(pupil, nan=9.0), -1, 0)) < 0.8)

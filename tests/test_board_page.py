@@ -17,25 +17,33 @@ from chromaperture.optics.board_pattern import BoardPage, board_page, speckle, w
 DPI = 150
 
 
+def numbers(text):
+    return [float(v) for v in re.findall(r"-?[0-9.]+", text)]
+
+
 def rasterised(svg_text):
     """Paint the page's rectangles and picture at 150 dpi, exact coverage left out: edges are good to half a pixel."""
     root = ElementTree.fromstring(svg_text)
-    width, height = (float(v) for v in root.attrib["viewBox"].split()[2:])
-    assert root.attrib["width"] == f"{width:g}mm"  # one user unit is one millimetre
-    per_mm = DPI / 25.4
-    page = np.full((round(height * per_mm), round(width * per_mm)), 255, np.uint8)
-    for element in root:
-        tag, a = element.tag.rsplit("}", 1)[-1], element.attrib
-        if tag not in ("rect", "image"):
-            continue
-        x, y, w, h = (float(a[k]) * per_mm for k in ("x", "y", "width", "height"))
-        rows, columns = slice(round(y), round(y + h)), slice(round(x), round(x + w))
-        if tag == "rect":
-            page[rows, columns] = {"white": 255, "black": 0}.get(a["fill"], 187)
+    width, height = numbers(root.attrib["viewBox"])[2:]
+    assert float(root.attrib["width"].removesuffix("pt")) == width  # one user unit is one point
+    per_point = DPI / 72
+    page = np.full((round(height * per_point), round(width * per_point)), 255, np.uint8)
+    groups = (group for group in root.iter() if "clip-path" in group.attrib or group.get("id", "").startswith("patch_"))
+    for shape in (shape for group in groups for shape in group):  # in painting order
+        if shape.tag.endswith("image"):
+            sx, _, _, sy, x, y = numbers(shape.get("transform"))
+            x1, y1 = x + sx * float(shape.get("width")), y + sy * float(shape.get("height"))
         else:
-            data = base64.b64decode(a["href"].split(",")[1])
+            corners = np.array(numbers(shape.get("d"))).reshape(-1, 2)
+            (x, y), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
+        rows, columns = (slice(round(a * per_point), round(b * per_point)) for a, b in ((y, y1), (x, x1)))
+        if shape.tag.endswith("image"):
+            data = base64.b64decode(shape.get("{http://www.w3.org/1999/xlink}href").split(",")[1])
             picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
             page[rows, columns] = cv2.resize(picture, page[rows, columns].shape[::-1])
+        else:
+            fill = re.search(r"fill: #(..)", shape.get("style", ""))
+            page[rows, columns] = int(fill[1], 16) if fill else 0  # black is not written
     return page
 
 

@@ -55,41 +55,21 @@ class CameraSensor:
 
 @dataclass(frozen=True)
 class Lens:
-    """The lens as a pinhole at the centre of the entrance pupil.
+    """The lens as a pinhole at the centre of the entrance pupil."""
 
-    Attributes
-    ----------
-    focal_length_mm : float
-        Effective focal length.
-    camera_matrix : (3, 3) float64, px
-    distortion : (5,) float64
-        OpenCV's k1, k2, p1, p2, k3.
-    f_number : float or None
-    """
-
-    focal_length_mm: float
-    camera_matrix: np.ndarray
-    distortion: np.ndarray = field(default_factory=lambda: np.zeros(5))
+    focal_length_mm: float  # effective focal length
+    camera_matrix: np.ndarray  # (3, 3) float64, px
+    distortion: np.ndarray = field(default_factory=lambda: np.zeros(5))  # (5,) float64, OpenCV's k1, k2, p1, p2, k3
     f_number: float | None = None
 
 
 @dataclass(frozen=True)
 class Film:
-    """Colours of white light on the sensor: R, G, B, 1 = white level.
+    """Colours of white light on the sensor: R, G, B, 1 = white level."""
 
-    Attributes
-    ----------
-    filters : dict of str to (3,) float64
-        Through a whole pupil of each filter.
-    clear : (3,) float64
-        Through the open pupil, at the same exposure.
-    aperture : (3,) float64
-        Through the coded aperture: the camera's white.
-    """
-
-    filters: Mapping[str, np.ndarray]
-    clear: np.ndarray
-    aperture: np.ndarray
+    filters: Mapping[str, np.ndarray]  # (3,) float64; through a whole pupil of each filter
+    clear: np.ndarray  # (3,) float64; through the open pupil, at the same exposure
+    aperture: np.ndarray  # (3,) float64; through the coded aperture: the camera's white
 
     def transmissions(self) -> dict[str, np.ndarray]:
         """Return the transmission of each filter in R, G, B; dict of str to (3,)."""

@@ -13,7 +13,7 @@ from chromaperture.calibration.session import Session
 from chromaperture.calibration.white_sheets import WhiteSheets
 from chromaperture.camera_file import Calibration, Lens
 from chromaperture.color.unmixing import pure_channels, view_reach
-from chromaperture.config import QUALITIES, Quality
+from chromaperture.config import Quality
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.paper_form import PaperParameters, model_to_paper, paper_to_model
@@ -37,11 +37,6 @@ def nominal_depth_model(session: Session) -> DepthModel:
         focal_length_mm=f,
     )
     return paper_to_model(parameters, pixel_pitch_mm=session.sensor.pixel_pitch_mm)
-
-
-def nominal_fields(session: Session) -> dict[Quality, DepthField]:
-    """Return `nominal_depth_model` for all qualities."""
-    return dict.fromkeys(QUALITIES, DepthField.constant(nominal_depth_model(session)))
 
 
 def accurate_matches_like(aperture: Aperture) -> Quality:

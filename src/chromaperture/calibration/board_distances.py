@@ -32,31 +32,16 @@ _NO_WEIGHT = 1e-6  # of a ruler that is off by twice that: a weight of 0 could l
 
 @dataclass(frozen=True)
 class BoardDistances:
-    """Distances of the boards, and pupil and focal length by them.
+    """Distances of the boards, and pupil and focal length by them."""
 
-    Attributes
-    ----------
-    from_pupil_mm : (N,) float64
-        z, from ruler and pose together.
-    sensor_to_pupil_mm, sigma_mm : float
-        delta and its standard deviation.
-    scale : float
-        Factor by which to correct the focal length in px.
-    covariance : (N + 1, N + 1) float64, mm^2
-        Of the z of all boards and, last, of delta.
-    residual_mm : (N,) float64
-        Ruler minus the distance from the sensor by pose; NaN where there is no pose.
-    residual_sigma_mm : (N,) float64
-        Its expected standard deviation.
-    """
-
-    from_pupil_mm: np.ndarray
+    from_pupil_mm: np.ndarray  # z, (N,) float64, from ruler and pose together
+    # sensor_to_pupil_mm, sigma_mm: delta and its standard deviation
     sensor_to_pupil_mm: float
     sigma_mm: float
-    scale: float
-    covariance: np.ndarray
-    residual_mm: np.ndarray
-    residual_sigma_mm: np.ndarray
+    scale: float  # factor by which to correct the focal length in px
+    covariance: np.ndarray  # (N + 1, N + 1) float64, mm^2, of the z of all boards and, last, of delta
+    residual_mm: np.ndarray  # (N,) float64; ruler minus distance from the sensor by pose, NaN without a pose
+    residual_sigma_mm: np.ndarray  # (N,) float64; its expected standard deviation
 
 
 def fit_distances(
@@ -80,10 +65,6 @@ def fit_distances(
     pose_sigma_mm : (N,) float
     sensor_to_pupil_mm, sensor_to_pupil_sigma_mm : float
         Prior of delta, which alone determines it when fewer than four boards have a pose.
-
-    Returns
-    -------
-    BoardDistances
     """
     ruler, pose = np.asarray(ruler_mm, float), np.asarray(pose_mm, float)
     n = len(ruler)

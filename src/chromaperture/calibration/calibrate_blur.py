@@ -34,25 +34,15 @@ _START_RIM = {"front_rim_radius": 1.08, "front_rim_shift": 0.33, "rear_rim_radiu
 
 @dataclass(frozen=True)
 class LayerEvidence:
-    """Disparity of the boards by matching with the fitted blur, in cells over the frame.
+    """Disparity of the boards by matching with the fitted blur, in cells over the frame."""
 
-    Attributes
-    ----------
-    size_px : (width, height)
-    x_px, y_px : (P,) float64
-        Centres of the cells.
-    layer_px : (N, P) float64
-        Disparity of each of N boards; NaN not measured.
-    disagreement, start_disagreement : float
-        Fraction of the power of cross-filtered channels that disagrees, with the fitted blur and before the fit.
-    """
-
-    size_px: tuple[int, int]
+    size_px: tuple[int, int]  # (width, height)
+    # x_px, y_px: (P,) float64; centres of the cells
     x_px: np.ndarray
     y_px: np.ndarray
-    layer_px: np.ndarray
-    disagreement: float
-    start_disagreement: float
+    layer_px: np.ndarray  # (N, P) float64; disparity of each of N boards; NaN not measured
+    disagreement: float  # fraction of the power of cross-filtered channels that disagrees
+    start_disagreement: float  # the same before the fit
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.calibration.assemble_camera import accurate_matches_like, assemble_camera, nominal_fields
+from chromaperture.calibration.assemble_camera import accurate_matches_like, assemble_camera, nominal_depth_model
 from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.calibration.calibrate_blur import BlurredCamera, LayerEvidence, calibrate_blur, fit_layers
 from chromaperture.calibration.calibration_config import DEFAULT, CalibrationConfig
@@ -35,62 +35,30 @@ from chromaperture.calibration.session import Session, read_session
 from chromaperture.calibration.white_sheets import WhiteSheets, measure_white_sheets
 from chromaperture.camera_file import Calibration
 from chromaperture.config import QUALITIES, Quality
-from chromaperture.depth.field import degree_of
+from chromaperture.depth.field import DepthField, degree_of
 
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """A camera and the evidence for it.
-
-    Attributes
-    ----------
-    calibration : Calibration
-    fits : dict of quality to DepthFit
-        The curve on the axis, with its covariance.
-    boards : list of BoardMeasurement
-    notes : sequence of str
-        A sentence for everything that was missing or weak.
-    session : Session
-        As its folder states it; noise that was measured is in ``calibration.sensor``.
-    grid_x_px : (w,) float64, grid_y_px : (h,) float64
-        Image positions of the boards' grids.
-    residual_px : dict of quality to (boards, h, w) float32, px
-        Measured minus fitted disparity on the grid; NaN unknown.
-    pixel_sigma_px : dict of quality to (boards,) float64, px
-        Robust standard deviation of a pixel's disparity about the median residual of its board.
-    intrinsics : Intrinsics or None
-        None where there were too few tilted boards.
-    tilts : dict of str to (N, 2) float32, px
-        Corners of the tilted boards, by file name.
-    ruler : BoardDistances or None
-        Ruler against poses; None where there were too few poses.
-    ruler_residual_mm : (boards,) float64, mm
-        Ruler minus the distance by pose; NaN where there is no pose.
-    outliers : dict of str to str
-        Boards that contradict the others, by file name, with a sentence each.
-    evidence : Evidence
-        The measurements that the curves were fitted to.
-    layers : LayerEvidence or None
-        The measurements that the curve of ``accurate`` was fitted to; None without a lens blur.
-    config : CalibrationConfig
-    """
+    """A camera and the evidence for it."""
 
     calibration: Calibration
-    fits: Mapping[Quality, DepthFit]
+    fits: Mapping[Quality, DepthFit]  # the curve on the axis, with its covariance
     boards: list[BoardMeasurement]
-    notes: Sequence[str]
-    session: Session
-    grid_x_px: np.ndarray
-    grid_y_px: np.ndarray
-    residual_px: Mapping[Quality, np.ndarray]
+    notes: Sequence[str]  # a sentence for everything that was missing or weak
+    session: Session  # as its folder states it; noise that was measured is in ``calibration.sensor``
+    grid_x_px: np.ndarray  # (w,) float64: image positions of the boards' grids
+    grid_y_px: np.ndarray  # (h,) float64
+    residual_px: Mapping[Quality, np.ndarray]  # (boards, h, w) float32: measured minus fitted on the grid; NaN unknown
+    # (boards,) float64: robust standard deviation of a pixel's disparity about the median residual of its board
     pixel_sigma_px: Mapping[Quality, np.ndarray]
-    intrinsics: Intrinsics | None
-    tilts: Mapping[str, np.ndarray]
-    ruler: BoardDistances | None
-    ruler_residual_mm: np.ndarray
-    outliers: Mapping[str, str]
-    evidence: Evidence
-    layers: LayerEvidence | None = None
+    intrinsics: Intrinsics | None  # None where there were too few tilted boards
+    tilts: Mapping[str, np.ndarray]  # (N, 2) float32, px: corners of the tilted boards, by file name
+    ruler: BoardDistances | None  # ruler against poses; None where there were too few poses
+    ruler_residual_mm: np.ndarray  # (boards,) float64, mm; ruler minus the distance by pose; NaN where there is no pose
+    outliers: Mapping[str, str]  # boards that contradict the others, by file name, with a sentence each
+    evidence: Evidence  # the measurements that the curves were fitted to
+    layers: LayerEvidence | None = None  # those for the curve of ``accurate``; None without a lens blur
     config: CalibrationConfig = field(default_factory=CalibrationConfig)
 
 
@@ -120,10 +88,6 @@ def calibrate_session(
     keep_in : str or Path, optional
         Folder for measurements of single photographs, from which an interrupted run resumes.
 
-    Returns
-    -------
-    CalibrationResult
-
     Raises
     ------
     InputError
@@ -135,7 +99,8 @@ def calibrate_session(
     sheets = measure_white_sheets(session)
     pinhole = measure_pinhole(session, lens_from, store=store, progress=progress)
     placed = place_boards(session, pinhole, config)
-    draft = assemble_camera(session, sheets, placed.intrinsics, nominal_fields(session), config)
+    nominal = dict.fromkeys(QUALITIES, DepthField.constant(nominal_depth_model(session)))
+    draft = assemble_camera(session, sheets, placed.intrinsics, nominal, config)
     boards = measure_boards(session, draft, pinhole, placed, store=store, progress=progress)
     everything = Evidence(sheets.sensor, boards, placed.distances, session.ruler_error_mm, np.ones(len(boards), bool))
     selected = without_outliers(everything, "paper")

@@ -34,20 +34,11 @@ _MODELS = ((_CENTERED, 0), (_FREE_CENTER, 2), (_FREE_CENTER & ~cv2.CALIB_FIX_K2,
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pinhole with radial and tangential distortion.
+    """A pinhole with radial and tangential distortion."""
 
-    Attributes
-    ----------
-    camera_matrix : (3, 3) float64, px
-    distortion : (5,) float64
-        OpenCV's k1, k2, p1, p2, k3.
-    rms_px : float
-        Reprojection error over all corners.
-    """
-
-    camera_matrix: np.ndarray
-    distortion: np.ndarray
-    rms_px: float
+    camera_matrix: np.ndarray  # (3, 3) float64, px
+    distortion: np.ndarray  # (5,) float64, OpenCV's k1, k2, p1, p2, k3
+    rms_px: float  # reprojection error over all corners
 
 
 def find_corners(plane: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarray | None:

@@ -36,28 +36,16 @@ _WEAK_FOCUS = 0.01  # relative standard deviation of the in-focus distance that 
 
 @dataclass(frozen=True)
 class Evidence:
-    """The measurements on the boards of a session.
-
-    Attributes
-    ----------
-    sensor : CameraSensor
-    boards : list of BoardMeasurement
-    distances : BoardDistances
-    ruler_error_mm : float
-    used : (N,) bool
-        Boards that the curves are fitted to.
-    outliers : dict of str to str
-        Boards that contradict the others, by file name, with a sentence each.
-    rendered : dict of quality to Nonlinearity
-        Nonlinearity measured on boards rendered with the blur of the lens, where that is known.
-    """
+    """The measurements on the boards of a session."""
 
     sensor: CameraSensor
     boards: list[BoardMeasurement]
     distances: BoardDistances
     ruler_error_mm: float
-    used: np.ndarray
+    used: np.ndarray  # (N,) bool; boards that the curves are fitted to
+    # Boards that contradict the others, by file name, with a sentence each.
     outliers: Mapping[str, str] = field(default_factory=dict)
+    # Measured on boards rendered with the blur of the lens, where that is known.
     rendered: Mapping[Quality, Nonlinearity] = field(default_factory=dict)
 
     @property

@@ -61,20 +61,12 @@ class _Tile:
 
 @dataclass(frozen=True)
 class BlurFit:
-    """A fitted blur.
-
-    Attributes
-    ----------
-    blur : LensBlur
-    disagreement : float
-        Mean fraction of the power of two cross-filtered channels that disagrees, weighted by pair; includes noise.
-    start_disagreement : float
-        The same before the fit.
-    """
+    """A fitted blur."""
 
     blur: LensBlur
+    # Mean fraction of the power of two cross-filtered channels that disagrees, weighted by pair; includes noise
     disagreement: float
-    start_disagreement: float
+    start_disagreement: float  # the same before the fit
 
 
 def fit_blur(
@@ -97,10 +89,6 @@ def fit_blur(
     tile_count : int
         Tiles of all boards together; see `CalibrationConfig`.
     progress : callable, optional
-
-    Returns
-    -------
-    BlurFit
 
     Raises
     ------

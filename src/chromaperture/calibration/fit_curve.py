@@ -17,21 +17,11 @@ _LEAST_RANGE = 0.05  # of 1 / distance, relative to the nearest board: less is o
 
 @dataclass(frozen=True)
 class DepthFit:
-    """A fitted curve and its residuals.
+    """A fitted curve and its residuals."""
 
-    Attributes
-    ----------
-    model : DepthModel
-        A, B, delta and their covariance.
-    residual_mm : (N,) float64, mm
-        Measured minus true distance of every board; NaN not measured.
-    residual_px : (N,) float64, px
-    rms_mm : float
-    """
-
-    model: DepthModel
-    residual_mm: np.ndarray
-    residual_px: np.ndarray
+    model: DepthModel  # A, B, delta and their covariance
+    residual_mm: np.ndarray  # (N,) float64, mm; measured minus true distance of every board; NaN not measured
+    residual_px: np.ndarray  # (N,) float64, px
     rms_mm: float
 
 
@@ -60,10 +50,6 @@ def fit_depth_model(
         Standard deviation of the ruler.
     sensor_to_pupil_mm, sensor_to_pupil_sigma_mm : float
         Prior of delta.
-
-    Returns
-    -------
-    DepthFit
 
     Raises
     ------

@@ -7,6 +7,7 @@ nonlinearity once the linear disparity is roughly known: a few rounds of linear 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -76,11 +77,9 @@ def fit_depth_field(
     used = np.ones(len(disparity), bool) if boards is None else np.asarray(boards, bool)
     known = np.isfinite(disparity) & used[:, None]
     basis = polynomials(x_px, y_px, *size_px, degree)
-    count = basis.shape[-1]
     z = distances.from_pupil_mm
-    inverse = 1 / z
-    seen = known.any(axis=1)
-    if known.sum() < _SAMPLES_A_TERM * count or seen.sum() < 2 or np.ptp(inverse[seen]) == 0:
+    inverse, seen = 1 / z, known.any(axis=1)
+    if known.sum() < _SAMPLES_A_TERM * basis.shape[-1] or seen.sum() < 2 or np.ptp(inverse[seen]) == 0:
         raise InputError(
             f"{known.sum()} measurements do not determine depth fields of degree {degree}: photograph more boards, "
             "with texture in the whole frame"
@@ -89,43 +88,29 @@ def fit_depth_field(
     standard_q = (inverse - mean_q) / std_q  # keeps the equations well conditioned
     # 1 px is z^2 / B mm: weights proportional to z equalise the relative error of depth.
     board_weight = np.where(seen, z / z[seen].mean(), 0.0)
-
-    robust = known.astype(float)
-    problem = _Problem(basis, standard_q, np.zeros((0, *disparity.shape)))
-    solution = np.zeros(2 * count)
-    low, high = 0.0, 1.0
-    for turn in range(_ROUNDS):  # iteratively reweighted least squares with Huber's weights
-        if turn and terms:
-            linear = problem.linear(solution)
-            # The range of the nonlinearity follows A and B, so that their rows are the derivatives of the reading.
-            low, high = float(linear[seen].min()), float(linear[seen].max())
-            powers = chebyshev.chebvander(scaled(linear, low, high), terms + 1)
-            problem = _Problem(basis, standard_q, np.moveaxis(powers[..., 2:], -1, 0))
-        weights = board_weight[:, None] ** 2 * robust
-        normal, right = problem.normal(weights), problem.project(weights * np.where(known, disparity, 0.0)).sum(axis=0)
-        own = np.arange(2 * count, len(normal))
-        normal[own, own] += board_weight.mean() ** 2 / _RIDGE_PX**2
-        solution = np.linalg.lstsq(normal, right, rcond=None)[0]
-        residual = disparity - problem.predict(solution)
-        relative = np.abs(residual) * board_weight[:, None]
-        standard = relative / max(robust_sigma(relative[known]), _SMALLEST_PX)
-        robust = np.where(known & (standard <= _GROSS), huber_weights(standard), 0.0)
-    curve = Nonlinearity(low, high, solution[2 * count :]) if len(problem.powers) else known_curve
-    # d = a - b (q - mean) / std = (a + b mean / std) - (b / std) q
-    slope = solution[count : 2 * count] / std_q
-    field = DepthField(
-        solution[:count] + slope * mean_q, slope, distances.sensor_to_pupil_mm, np.full((3, 3), np.nan), curve
+    fit = _reweighted(
+        _Problem(basis, standard_q, np.zeros((0, *disparity.shape))), disparity, known, board_weight, terms
     )
+    infinity, scale, series = np.split(fit.solution, [basis.shape[-1], 2 * basis.shape[-1]])
+    # d = a - b (q - mean) / std = (a + b mean / std) - (b / std) q
+    slope = scale / std_q
+    curve = Nonlinearity(*fit.range_px, series) if terms else known_curve
+    field = DepthField(infinity + slope * mean_q, slope, distances.sensor_to_pupil_mm, np.full((3, 3), np.nan), curve)
     if not covariance:
-        return field, residual
+        return field, fit.residual
     per_mm = (basis @ slope) / z[:, None] ** 2  # dd / dz: px for 1 mm of distance
-    found = _covariance(problem, weights, normal, residual, per_mm, distances, _tilings(x_px, y_px, size_px[0]))
-    unknowns = len(found)
+    found = _covariance(fit, per_mm, distances, _tilings(x_px, y_px, size_px[0]))
+    return replace(field, covariance=_of_coefficients(found, basis.shape[-1], mean_q, std_q)), fit.residual
+
+
+def _of_coefficients(covariance: np.ndarray, count: int, mean_q: float, std_q: float) -> np.ndarray:
+    """Transform the covariance of the unknowns and delta to A, B (``count`` coefficients each), delta and the rest."""
+    unknowns = len(covariance)
     back = np.eye(unknowns)
     back[:count, count : 2 * count] = np.eye(count) * mean_q / std_q
     back[count : 2 * count, count : 2 * count] = np.eye(count) / std_q
     order = np.r_[0 : 2 * count, unknowns - 1, 2 * count : unknowns - 1]  # delta before the nonlinearity
-    return replace(field, covariance=back @ found[np.ix_(order, order)] @ back.T), residual
+    return np.asarray(back @ covariance[np.ix_(order, order)] @ back.T)
 
 
 @dataclass(frozen=True)
@@ -171,15 +156,43 @@ class _Problem:
         return found
 
 
-def _covariance(
-    problem: _Problem,
-    weights: np.ndarray,
-    normal: np.ndarray,
-    residual: np.ndarray,
-    per_mm: np.ndarray,
-    distances: BoardDistances,
-    tilings: list[np.ndarray],
-) -> np.ndarray:
+class _Fit(NamedTuple):
+    """The last round of `_reweighted`; range of linear disparity that the nonlinearity was fitted in."""
+
+    problem: _Problem
+    solution: np.ndarray
+    weights: np.ndarray  # (N, P)
+    normal: np.ndarray
+    residual: np.ndarray  # (N, P), px
+    range_px: tuple[float, float]
+
+
+def _reweighted(
+    problem: _Problem, disparity: np.ndarray, known: np.ndarray, board_weight: np.ndarray, terms: int
+) -> _Fit:
+    """Fit A, B and ``terms`` Chebyshev terms by iteratively reweighted least squares with Huber's weights."""
+    count, seen, robust = problem.basis.shape[1], known.any(axis=1), known.astype(float)
+    solution, low, high = np.zeros(2 * count), 0.0, 1.0
+    for turn in range(_ROUNDS):
+        if turn and terms:
+            linear = problem.linear(solution)
+            # The range of the nonlinearity follows A and B, so that their rows are the derivatives of the reading.
+            low, high = float(linear[seen].min()), float(linear[seen].max())
+            powers = chebyshev.chebvander(scaled(linear, low, high), terms + 1)
+            problem = replace(problem, powers=np.moveaxis(powers[..., 2:], -1, 0))
+        weights = board_weight[:, None] ** 2 * robust
+        normal, right = problem.normal(weights), problem.project(weights * np.where(known, disparity, 0.0)).sum(axis=0)
+        own = np.arange(2 * count, len(normal))
+        normal[own, own] += board_weight.mean() ** 2 / _RIDGE_PX**2
+        solution = np.linalg.lstsq(normal, right, rcond=None)[0]
+        residual = disparity - problem.predict(solution)
+        relative = np.abs(residual) * board_weight[:, None]
+        standard = relative / max(robust_sigma(relative[known]), _SMALLEST_PX)
+        robust = np.where(known & (standard <= _GROSS), huber_weights(standard), 0.0)
+    return _Fit(problem, solution, weights, normal, residual, (low, high))
+
+
+def _covariance(fit: _Fit, per_mm: np.ndarray, distances: BoardDistances, tilings: list[np.ndarray]) -> np.ndarray:
     """Compute the covariance of all unknowns and of delta from errors of the disparities and of the boards' distances.
 
     Errors of neighbours are correlated by the matcher's window and the texture: they are summed by tile before they are
@@ -187,20 +200,21 @@ def _covariance(
     tilings (Conley, Journal of Econometrics 92, 1999). Two errors are common to all pixels of a board: that of its
     distance, and a bias of the matcher, which is estimated as the scatter of boards beyond their distance errors.
     """
-    used = np.where(weights > 0, residual, np.nan)
+    problem, weights = fit.problem, fit.weights
+    used = np.where(weights > 0, fit.residual, np.nan)
     errors, common = np.zeros(used.shape), np.zeros(len(used))
     seen = np.flatnonzero((weights > 0).any(axis=1))
     for i in seen.tolist():
         common[i] = np.nanmedian(used[i])
         errors[i] = np.nan_to_num(used[i] - common[i])
-    inverse = np.linalg.pinv(normal, hermitian=True)
+    inverse = np.linalg.pinv(fit.normal, hermitian=True)
     # Residuals are smaller than errors by the leverage, which is largest for the nearest and the farthest board (Bell
     # and McCaffrey, Survey Methodology 28, 2002), times the fraction of the tiles that the coefficients can follow.
     total = weights.sum(axis=1)[seen]
     lines = np.stack([np.ones(len(seen)), problem.standard_q[seen]], axis=1)
     followed = min(problem.basis.shape[1] / np.mean([len(np.unique(tiles)) for tiles in tilings]), 1.0)
     errors[seen] /= np.sqrt(np.maximum(1 - followed * _leverage(lines, total), _LEAST_LEFT))[:, None]
-    middle = np.zeros_like(normal)
+    middle = np.zeros_like(fit.normal)
     by_tiles = np.zeros(len(used))
     for tiles in tilings:
         for tile in np.unique(tiles):

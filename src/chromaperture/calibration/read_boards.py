@@ -29,31 +29,15 @@ _SEARCH = (1.5, 1.0)  # the nominal range is searched times the first, px the se
 
 @dataclass(frozen=True)
 class BoardMeasurement:
-    """One board: its distance and the disparity that each quality measured.
+    """One board: its distance and the disparity that each quality measured."""
 
-    Attributes
-    ----------
-    name : str
-        File name of the photograph.
-    ruler_mm : float
-        Distance from the sensor plane by ruler.
-    disparity_px, sigma_px : dict of quality to float, px
-        Median over the middle of the photograph and its standard error; NaN where too little is known.
-    grid_px : dict of quality to (h, w) float32, px
-        Disparity on a grid over the frame, NaN unknown.
-    corners_px : (N, 2) float32 or None
-        Chessboard corners, row by row; None where the board was not found.
-    pose_mm : float, mm
-        Distance from the sensor plane by the board's own corners; NaN where there are none.
-    """
-
-    name: str
-    ruler_mm: float
-    disparity_px: Mapping[Quality, float]
-    sigma_px: Mapping[Quality, float]
-    grid_px: Mapping[Quality, np.ndarray]
-    corners_px: np.ndarray | None = None
-    pose_mm: float = np.nan
+    name: str  # file name of the photograph
+    ruler_mm: float  # distance from the sensor plane by ruler
+    disparity_px: Mapping[Quality, float]  # median over the middle of the photograph; NaN where too little is known
+    sigma_px: Mapping[Quality, float]  # its standard error
+    grid_px: Mapping[Quality, np.ndarray]  # (h, w) float32: disparity on a grid over the frame, NaN unknown
+    corners_px: np.ndarray | None = None  # (N, 2) float32, row by row; None where the board was not found
+    pose_mm: float = np.nan  # distance from the sensor plane by the board's own corners; NaN without
 
 
 def grid(count: int, width_px: int) -> np.ndarray:

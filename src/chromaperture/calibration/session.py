@@ -20,27 +20,14 @@ from chromaperture.capture.files import photographs, read_image
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, design_named
 
-_SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": "sheet_r", "green": "sheet_g",
-           "blue": "sheet_b"}  # fmt: skip
+# Name of the white sheet through a whole pupil of one filter; film without a name has none.
+SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": "sheet_r", "green": "sheet_g",
+          "blue": "sheet_b"}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Session:
-    """The checked contents of a session folder.
-
-    Attributes
-    ----------
-    folder : Path
-    design : str
-    sensor : CameraSensor
-    nominal_focal_length_mm, nominal_f_number, focused_at_about_mm : float
-    inner_corners : (columns, rows)
-    square_mm, ruler_error_mm : float
-    boards : dict of Path to float
-        Photograph of the board square to the axis, and its distance from the sensor plane by ruler, mm.
-    tilts : tuple of Path
-        Tilted boards, for the intrinsics.
-    """
+    """The checked contents of a session folder."""
 
     folder: Path
     design: str
@@ -48,11 +35,12 @@ class Session:
     nominal_focal_length_mm: float
     nominal_f_number: float
     focused_at_about_mm: float
-    inner_corners: tuple[int, int]
+    inner_corners: tuple[int, int]  # (columns, rows)
     square_mm: float
     ruler_error_mm: float
+    # Photograph of the board square to the axis, and its distance from the sensor plane by ruler, mm.
     boards: dict[Path, float]
-    tilts: tuple[Path, ...]
+    tilts: tuple[Path, ...]  # tilted boards, for the intrinsics
 
     def read(self, path: Path) -> np.ndarray:
         """Read one photograph of the session as linear light; (H, W, 3) float32."""
@@ -69,7 +57,7 @@ class Session:
     def sheets(self) -> dict[str, Path]:
         """Photographs of white sheets by name; those in the session's folder replace those beside it."""
         folders = (self.folder.parent / "white", self.folder / "white")
-        names = {"open", *DESIGNS, *_SHEETS.values()}
+        names = {"open", *DESIGNS, *SHEETS.values()}
         return {path.stem: path for folder in folders for path in photographs(folder) if path.stem in names}
 
     def white(self, name: str) -> np.ndarray | None:
@@ -79,10 +67,6 @@ class Session:
         image = self.read(self.sheets[name])
         rows, columns = (slice(n * 2 // 5, n * 3 // 5) for n in image.shape[:2])  # vignetting spares the middle fifth
         return image[rows, columns].reshape(-1, 3).mean(axis=0).astype(float)
-
-    def sheet_name(self, filter_name: str) -> str:
-        """Return the name of the white sheet through a whole pupil of one filter; empty for film without a name."""
-        return _SHEETS.get(filter_name, "")
 
 
 def read_session(folder: str | Path) -> Session:

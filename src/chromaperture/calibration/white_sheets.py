@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.calibration.session import Session
+from chromaperture.calibration.session import SHEETS, Session
 from chromaperture.camera_file import CameraSensor, Film
 from chromaperture.color.film import completed_film
 from chromaperture.color.noise import fit_photon_noise, noise_samples
@@ -21,21 +21,11 @@ _DARKEST = 1e-3  # of the white level: least colour of white light through the a
 
 @dataclass(frozen=True)
 class WhiteSheets:
-    """Film and noise.
-
-    Attributes
-    ----------
-    film : Film
-    sensor : CameraSensor
-        The session's, with its noise where that could be found.
-    files : tuple of Path
-        Sheets that were read.
-    notes : tuple of str
-    """
+    """Film and noise."""
 
     film: Film
-    sensor: CameraSensor
-    files: tuple[Path, ...]
+    sensor: CameraSensor  # the session's, with its noise where that could be found
+    files: tuple[Path, ...]  # sheets that were read
     notes: tuple[str, ...]
 
 
@@ -44,7 +34,7 @@ def measure_white_sheets(session: Session) -> WhiteSheets:
     ideal_unmixing(design_named(session.design))
     sensor, noise_notes = _sensor_with_noise(session)
     film, film_notes = _film(session)
-    stems = {"open", session.design, *map(session.sheet_name, film.filters)}
+    stems = {"open", session.design, *(SHEETS.get(name, "") for name in film.filters)}
     known = session.sensor.full_well_electrons is not None and session.sensor.read_noise_electrons is not None
     files = tuple(path for name, path in session.sheets.items() if name in stems or not known)
     return WhiteSheets(film, sensor, files, (*noise_notes, *film_notes))
@@ -57,7 +47,7 @@ def _film(session: Session) -> tuple[Film, list[str]]:
     if clear is None:
         notes.append("no white sheet through the open pupil: colours are relative to full scale")
         clear = np.ones(3)
-    sheets = {name: session.white(session.sheet_name(name)) for name in aperture.views}
+    sheets = {name: session.white(SHEETS.get(name, "")) for name in aperture.views}
     measured = {name: sheet / clear for name, sheet in sheets.items() if sheet is not None}
     white = session.white(session.design)
     film = completed_film(aperture, measured, light=None if white is None else white / clear)

@@ -16,19 +16,10 @@ _STILL = 1e-3  # displacement per px of disparity that counts as none: the accur
 
 
 def channel_directions(aperture: Aperture, film: dict[str, np.ndarray]) -> np.ndarray:
-    """Compute the displacement of the sensor's R, G, B per px of disparity.
+    """Compute the displacement (x, y) of the sensor's R, G, B in units of the views' displacement; (3, 2) float64.
 
-    Film leaks: red sees a little of the cyan half too, and moves less than the unmixed yellow view.
-
-    Parameters
-    ----------
-    aperture : Aperture
-    film : dict of str to (3,) float
-        Measured transmission of each filter; missing ones keep the design's ideal film.
-
-    Returns
-    -------
-    (3, 2) float64, (x, y), in units of the views' displacement
+    Film leaks: red sees a little of the cyan half too, and moves less than the unmixed yellow view. ``film`` holds the
+    measured R, G, B transmission of each filter; missing ones keep the design's ideal film.
     """
     return np.nan_to_num(centroids(aperture.with_film(film))) / view_reach(aperture)
 

@@ -48,13 +48,7 @@ class LensShift:
         self.radii_px = np.linspace(self.radius_px(1 / near_mm), self.radius_px(1 / far_mm), _RADII)
 
     def radius_px(self, inverse_mm: np.ndarray | float) -> np.ndarray:
-        """Compute the displacement of the pupil's edge on the axis, + beyond focus; a measure of distance.
-
-        Parameters
-        ----------
-        inverse_mm : float, 1/mm
-            1 / z, z from the entrance pupil.
-        """
+        """Compute the displacement of the pupil's edge on the axis, + beyond focus, for 1 / z, z from the pupil."""
         return np.asarray(self.blur.model.infinity_px - self.blur.model.scale_px_mm * np.asarray(inverse_mm))
 
     def inverse_mm(self, radius_px: np.ndarray | float) -> np.ndarray:

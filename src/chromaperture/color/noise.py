@@ -21,19 +21,9 @@ _MOST_ELECTRONS = 1e7  # no pixel holds more: quieter pictures were computed, no
 
 
 def photon_noise_variance(image: np.ndarray, *, full_well_electrons: float, read_noise_electrons: float) -> np.ndarray:
-    """Compute the variance of shot and read noise.
+    """Compute the variance of shot and read noise; (H, W, 3) float32, (white level)^2.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float, linear, 1.0 = white level
-    full_well_electrons : float
-        Electrons at white level.
-    read_noise_electrons : float
-        Standard deviation of the read noise, electrons.
-
-    Returns
-    -------
-    (H, W, 3) float32, (white level)^2
+    The image is linear, 1.0 = white level. The full well is at white level, the read noise a standard deviation.
     """
     # Smoothed first: the variance of a noisy pixel would correlate with its noise. Sigma chosen by hand.
     signal = np.maximum(cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), 2.0), 0)

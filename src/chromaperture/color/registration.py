@@ -37,15 +37,8 @@ _HALF_WEIGHT_PX = 0.5  # displacement of a window of half weight
 _REWEIGHTINGS = 30
 
 
-def residual_displacement(
-    aligned: np.ndarray,
-    disparity_px: np.ndarray,
-    *,
-    surfaces: bool = True,
-    reference: int = 1,
-    valid: np.ndarray | None = None,
-) -> np.ndarray:
-    """Measure the smooth displacement that remains between the channels.
+def residual_displacement(aligned: np.ndarray, disparity_px: np.ndarray, *, surfaces: bool = True) -> np.ndarray:
+    """Measure the smooth displacement of red and blue from green that remains.
 
     Parameters
     ----------
@@ -54,10 +47,6 @@ def residual_displacement(
     disparity_px : (H, W) float32, px, no NaN
     surfaces : bool
         Average over single surfaces too, not only over the whole frame.
-    reference : int
-        Fixed channel.
-    valid : (H, W) bool, optional
-        Only windows wholly inside are registered.
 
     Returns
     -------
@@ -71,13 +60,11 @@ def residual_displacement(
     stride = _STRIDE if surfaces else max(_STRIDE, round((height * width / _ENOUGH) ** 0.5))
     out = np.zeros((3, 2, height, width), np.float32)
     grid_x, grid_y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    for k in {0, 1, 2} - {reference}:
+    for k in (0, 2):
         for turn in range(2 * _ROUNDS if surfaces else _ROUNDS):
             moved = cv2.remap(tone[..., k], grid_x + out[k, 0], grid_y + out[k, 1], cv2.INTER_CUBIC,
                               borderMode=cv2.BORDER_REPLICATE)  # fmt: skip
-            places, found, error = registered_windows(
-                np.asarray(moved), tone[..., reference], valid=valid, stride=stride
-            )
+            places, found, error = registered_windows(np.asarray(moved), tone[..., 1], stride)
             if len(places) < _LEAST_WINDOWS:
                 break
             if turn < _ROUNDS:
@@ -125,16 +112,12 @@ def by_surface(
     return np.stack([map_coordinates(m, where, order=1, mode="nearest", output=np.float32) for m in mean])
 
 
-def registered_windows(
-    moved: np.ndarray, fixed: np.ndarray, *, valid: np.ndarray | None = None, stride: int = _STRIDE
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def registered_windows(moved: np.ndarray, fixed: np.ndarray, stride: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Register two pictures, window by window where they have texture in both directions.
 
     Parameters
     ----------
     moved, fixed : (H, W) float32
-    valid : (H, W) bool, optional
-        Only windows wholly inside are registered.
     stride : int, px
         Between windows.
 
@@ -152,8 +135,6 @@ def registered_windows(
     side = (2 * _HALF + 1, 2 * _HALF + 1)
     xx, xy, yy = (cv2.boxFilter(p, -1, side) for p in (gx * gx, gx * gy, gy * gy))
     least = (xx + yy) / 2 - np.sqrt(((xx - yy) / 2) ** 2 + xy**2)
-    if valid is not None:
-        least = np.where(cv2.erode(valid.astype(np.uint8), np.ones(side, np.uint8)) > 0, least, 0)
     places, found, errors = [], [], []
     rim = _HALF + _SEARCH
     for y in range(rim, height - rim, stride):

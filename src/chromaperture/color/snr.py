@@ -12,18 +12,10 @@ from chromaperture.errors import InputError
 
 @dataclass(frozen=True)
 class Exposure:
-    """Factor on the exposure that compensates a loss of SNR.
+    """Factor on the exposure that compensates a loss of SNR."""
 
-    Attributes
-    ----------
-    shot : float
-        For shot noise, SNR grows with the root of time: 10^(dB / 10).
-    amplitude : float
-        For read noise, SNR grows with time: 10^(dB / 20). The paper's "30 % for 2.3 dB" is this.
-    """
-
-    shot: float
-    amplitude: float
+    shot: float  # for shot noise, SNR grows with the root of time: 10^(dB / 10)
+    amplitude: float  # for read noise, SNR grows with time: 10^(dB / 20); the paper's "30 % for 2.3 dB"
 
 
 def snr_db(first: np.ndarray, second: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

@@ -20,23 +20,13 @@ _CLIPPED = 0.001  # fraction of saturated samples that is accepted, for hot pixe
 
 @dataclass(frozen=True)
 class LightEfficiency:
-    """Light efficiency of an aperture as in Table 1 and Figure 11.
+    """Light efficiency of an aperture as in Table 1 and Figure 11."""
 
-    Attributes
-    ----------
-    minimum, maximum, mean : (3,) float64
-        Transparency over the frame in R, G, B.
-    efficiency : float
-        Integral light efficiency: the mean over the channels.
-    luminance : float
-        The same, weighted by luminance (ITU-R BT.709).
-    """
-
-    minimum: np.ndarray
+    minimum: np.ndarray  # minimum, maximum and mean: (3,) float64, transparency over the frame in R, G, B
     maximum: np.ndarray
     mean: np.ndarray
-    efficiency: float
-    luminance: float
+    efficiency: float  # integral light efficiency: the mean over the channels
+    luminance: float  # the same, weighted by luminance (ITU-R BT.709)
 
 
 def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
@@ -63,10 +53,9 @@ def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
         raise InputError(f"the two white sheets differ in size: {coded.shape} and {bare.shape}")
     blurred = []
     for name, image in (("coded", coded), ("bare", bare)):
-        sheet = np.asarray(image, np.float32)
-        if not np.isfinite(sheet).all() or (sheet >= SATURATION).mean() > _CLIPPED:
+        if _is_saturated(image):
             raise InputError(f"the {name} white sheet is saturated: photograph both again at a shorter exposure")
-        blurred.append(_smooth(sheet))
+        blurred.append(_smooth(np.asarray(image, np.float32)))
     if blurred[1].min() <= 0.01:
         raise InputError("the bare white sheet is dark: photograph both again at a longer exposure")
     transmission = blurred[0] / blurred[1]
@@ -86,10 +75,6 @@ def light_efficiency(transmission: np.ndarray) -> LightEfficiency:
     ----------
     transmission : (H, W, 3) float
         From `transparency`.
-
-    Returns
-    -------
-    LightEfficiency
     """
     flat = np.asarray(transmission, float).reshape(-1, 3)
     mean = flat.mean(axis=0)
@@ -116,10 +101,9 @@ def flat_field(sheet: np.ndarray) -> np.ndarray:
     InputError
         The sheet is saturated, or dark somewhere.
     """
-    sheet = np.asarray(sheet, np.float32)
-    if not np.isfinite(sheet).all() or (sheet >= SATURATION).mean() > _CLIPPED:
+    if _is_saturated(sheet):
         raise InputError("the white sheet is saturated: photograph it again at a shorter exposure")
-    smooth = _smooth(sheet)
+    smooth = _smooth(np.asarray(sheet, np.float32))
     rows, columns = (slice(n * 9 // 20, n * 11 // 20 + 1) for n in sheet.shape[:2])
     middle = smooth[rows, columns].mean(axis=(0, 1))
     if smooth.min() < 0.02 * float(middle.max()) or middle.min() <= 0:
@@ -128,22 +112,17 @@ def flat_field(sheet: np.ndarray) -> np.ndarray:
 
 
 def compensate_vignetting(image: np.ndarray, shading: np.ndarray) -> np.ndarray:
-    """Divide each channel by its own shading.
+    """Divide each channel of an image by its own shading, from `flat_field`; (H, W, 3) float32.
 
     For restored pictures, not before matching: the gains amplify the noise of the corners.
-
-    Parameters
-    ----------
-    image, shading : (H, W, 3) float
-        The second from `flat_field`.
-
-    Returns
-    -------
-    (H, W, 3) float32
     """
     if image.shape != shading.shape:
         raise InputError(f"image {image.shape} and white sheet {shading.shape} differ in size: they are of one camera")
     return np.asarray(image, np.float32) / np.asarray(shading, np.float32)
+
+
+def _is_saturated(sheet: np.ndarray) -> bool:
+    return not np.isfinite(sheet).all() or bool((sheet >= SATURATION).mean() > _CLIPPED)
 
 
 def _smooth(sheet: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from chromaperture.compilation import compiled, inlined
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.threads import in_parallel
 
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # upper triangle of the covariance of A, B, delta
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # upper triangle of the covariance of A, B, delta
 
 
 class CurveTable(NamedTuple):
@@ -60,7 +60,7 @@ def field_maps(
     a, b, delta = (np.ascontiguousarray(np.atleast_2d(np.asarray(part, float))) for part in parts)
     c = np.asarray(covariance)
     c = c if c.dtype == np.float32 else c.astype(float)
-    return FieldMaps(a, b, delta, tuple(np.ascontiguousarray(np.atleast_2d(c[..., i, j])) for i, j in _PAIRS))
+    return FieldMaps(a, b, delta, tuple(np.ascontiguousarray(np.atleast_2d(c[..., i, j])) for i, j in PAIRS))
 
 
 def depth_and_sigma(
@@ -79,24 +79,22 @@ def depth_and_sigma(
     depth_mm, sigma_mm = (np.empty(disparity_px.shape, np.float32) for _ in range(2))
 
     def rows(thread: int, first: int, last: int) -> None:
-        _convert(first, last, disparity_px, sigma_px, *fields, *curve, float(max_depth_mm), depth_mm, sigma_mm)
+        _convert(disparity_px, sigma_px, fields, curve, float(max_depth_mm), depth_mm, sigma_mm, first, last)
 
     in_parallel(rows, len(disparity_px))
     return depth_mm, sigma_mm
 
 
 @compiled(error_model="numpy")
-def _convert(  # type: ignore[no-untyped-def]
-    first_row, last_row, disparity, sigma, infinity, scale, pupil, covariance, low, high, series, first, last, table,
-    errors, max_depth, depth_out, sigma_out,
-):  # fmt: skip
-    width = disparity.shape[1]
-    caa, cab, cad, cbb, cbd, cdd = covariance
+def _convert(disparity, sigma, fields, curve, max_depth, depth_out, sigma_out, first_row, last_row):  # type: ignore[no-untyped-def]
+    width, first, last, table = disparity.shape[1], curve.first_px, curve.last_px, curve.linear_px
+    infinity, scale, pupil = fields.infinity_px, fields.scale_px_mm, fields.pupil_mm
+    caa, cab, cad, cbb, cbd, cdd = fields.covariance
     # A factor 0 makes every pixel read element 0, 0 of a (1, 1) field.
     sa, sb, sp, sc, ss = (
         int(infinity.size > 1), int(scale.size > 1), int(pupil.size > 1), int(caa.size > 1), int(sigma.size > 1)
     )  # fmt: skip
-    curved, uncertain = len(table) > 0, len(errors) > 0
+    curved, uncertain = len(table) > 0, len(curve.errors) > 0
     per_px = (len(table) - 1) / (last - first) if curved else 0.0
     for y in range(first_row, last_row):
         for x in range(width):
@@ -114,7 +112,7 @@ def _convert(  # type: ignore[no-untyped-def]
             depth_out[y, x] = z + delta
             i, j = y * sc, x * sc
             by_d = z * by_b
-            by_reading = by_d / _slope(d, low, high, series) if curved else by_d
+            by_reading = by_d / _slope(d, curve.low_px, curve.high_px, curve.slope) if curved else by_d
             variance = (
                 by_d**2 * caa[i, j]
                 + by_b**2 * cbb[i, j]
@@ -122,7 +120,7 @@ def _convert(  # type: ignore[no-untyped-def]
                 + 2 * (by_b * cbd[i, j] - by_d * cad[i, j] - by_d * by_b * cab[i, j])
             )
             if uncertain:
-                own, with_a, with_b, with_delta = _row(errors, k, part)
+                own, with_a, with_b, with_delta = _row(curve.errors, k, part)
                 variance += by_reading * (by_reading * own + 2 * (by_d * with_a - by_b * with_b - with_delta))
             variance = 0.0 if variance < 0 else variance
             sigma_out[y, x] = np.sqrt((by_reading * float(sigma[y * ss, x * ss])) ** 2 + variance)

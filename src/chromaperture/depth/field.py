@@ -14,6 +14,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.conversion_kernels import PAIRS
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 
@@ -22,23 +23,14 @@ _NODES = 33  # a side, for the covariance over the frame: bilinear between them 
 
 @dataclass(frozen=True)
 class LocalField:
-    """Corrections to the smooth fields A and B, on a grid over the frame.
+    """Corrections to the smooth fields A and B, on a grid over the frame."""
 
-    Attributes
-    ----------
-    start_px, step_px : float, px
-        Position of the first column and row of the grid, and its pitch.
-    infinity_disparity_px, scale_px_mm : (h, w) float32, px and px mm
-        Added to A and B; bilinear between the grid's points, constant beyond them.
-    covariance : (2, 2) float64
-        Of the two corrections, the median over the grid.
-    """
-
-    start_px: float
-    step_px: float
+    start_px: float  # position of the first column and row of the grid
+    step_px: float  # its pitch
+    # (h, w) float32 each, added to A and B: bilinear between the grid's points, constant beyond them
     infinity_disparity_px: np.ndarray
     scale_px_mm: np.ndarray
-    covariance: np.ndarray
+    covariance: np.ndarray  # (2, 2) float64; of the two corrections, the median over the grid
 
     def at(self, x_px: np.ndarray, y_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return both corrections at pixels; two float64 of their shape."""
@@ -179,13 +171,12 @@ class DepthField:
         """Interpolate the covariance between the nodes of ``basis``; (3, 3), or (height, width, 3, 3) float32."""
         if len(self.covariance) == 3:
             return self.covariance
-        nodes = self._covariance_at(basis).reshape(_NODES, _NODES, 9)
+        nodes = self._covariance_at(basis)
         rows, columns = (np.linspace(0, _NODES - 1, n).astype(np.float32) for n in (height_px, width_px))
         at = (np.broadcast_to(columns, (height_px, width_px)).copy(), np.repeat(rows[:, None], width_px, axis=1))
-        maps = [cv2.remap(np.ascontiguousarray(nodes[..., k]), *at, cv2.INTER_LINEAR) for k in (0, 1, 2, 4, 5, 8)]
         found = np.empty((3, 3, height_px, width_px), np.float32)  # elements are read one by one: keep each contiguous
-        for (i, j), values in zip(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), maps, strict=True):
-            found[i, j] = found[j, i] = values
+        for i, j in PAIRS:
+            found[i, j] = found[j, i] = cv2.remap(np.ascontiguousarray(nodes[..., i, j]), *at, cv2.INTER_LINEAR)
         return np.moveaxis(found, (0, 1), (2, 3))
 
 

@@ -24,21 +24,16 @@ _MIN_SLOPE = 0.2  # d measured / d linear: a flatter curve is refused, it would 
 class Nonlinearity:
     """Measured disparity = linear disparity + h(linear disparity).
 
-    Attributes
-    ----------
-    low_px, high_px : float, px
-        Range of linear disparity in which h was fitted; beyond it h is constant.
-    coefficients : (K,) float64, px
-        Of the Chebyshev polynomials T_2, T_3, ... over that range. A and B account for T_0 and T_1.
-
     Raises
     ------
     InputError
         The curve is not monotonic, so that two depths would have the same disparity.
     """
 
+    # low_px to high_px: range of linear disparity in which h was fitted; beyond it h is constant
     low_px: float
     high_px: float
+    # (K,) float64, px, of the Chebyshev polynomials T_2, T_3, ... over that range; A and B account for T_0 and T_1
     coefficients: np.ndarray
 
     def __post_init__(self) -> None:

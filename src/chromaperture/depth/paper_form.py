@@ -24,24 +24,12 @@ from chromaperture.errors import InputError
 
 @dataclass(frozen=True)
 class PaperParameters:
-    """The parameters of Eqs. (8) to (10), of the whole image or of every pixel.
+    """The parameters of Eqs. (8) to (10), each a number for the whole image or (H, W) for every pixel."""
 
-    Attributes
-    ----------
-    in_focus_mm : float or (H, W) array, mm from the sensor
-        z~_of: depth of the focus surface.
-    baseline_mm : float or (H, W) array, mm
-        b: twice the distance of a view's centroid from the centre of the entrance pupil.
-    sensor_to_pupil_mm : float or (H, W) array, mm
-        delta.
-    focal_length_mm : float or (H, W) array, mm
-        f.
-    """
-
-    in_focus_mm: Map
-    baseline_mm: Map
-    sensor_to_pupil_mm: Map
-    focal_length_mm: Map
+    in_focus_mm: Map  # z~_of: depth of the focus surface from the sensor
+    baseline_mm: Map  # b: twice the distance of a view's centroid from the centre of the entrance pupil
+    sensor_to_pupil_mm: Map  # delta
+    focal_length_mm: Map  # f
 
 
 def paper_to_model(parameters: PaperParameters, *, pixel_pitch_mm: float) -> DepthModel:

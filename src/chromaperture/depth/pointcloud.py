@@ -13,16 +13,10 @@ from chromaperture.color.srgb import linear_to_srgb
 
 @dataclass(frozen=True)
 class PointCloud:
-    """Points in the camera frame: origin at the entrance pupil, x right, y down, z forward.
+    """Points in the camera frame: origin at the entrance pupil, x right, y down, z forward."""
 
-    Attributes
-    ----------
-    points_mm : (N, 3) float32
-    colors : (N, 3) uint8, sRGB
-    """
-
-    points_mm: np.ndarray
-    colors: np.ndarray
+    points_mm: np.ndarray  # (N, 3) float32
+    colors: np.ndarray  # (N, 3) uint8, sRGB
 
 
 def depth_to_points(
@@ -44,10 +38,6 @@ def depth_to_points(
         OpenCV's k1, k2, p1, p2, k3.
     sensor_to_pupil_mm : float
         delta; Z = depth - delta, from the entrance pupil.
-
-    Returns
-    -------
-    PointCloud
     """
     known = np.isfinite(depth_mm)
     v, u = np.nonzero(known)

@@ -27,26 +27,7 @@ from chromaperture.optics.filters import (
     Filter,
     film_named,
 )
-from chromaperture.optics.shapes import Disc, HalfPlane, Intersection, Polygon, Shape, Square
-
-__all__ = [
-    "DESIGNS",
-    "Aperture",
-    "Disc",
-    "Filter",
-    "HalfPlane",
-    "Polygon",
-    "Shape",
-    "Square",
-    "SubAperture",
-    "centroids",
-    "channel_transmission",
-    "checked_aperture",
-    "design_named",
-    "made_of",
-    "open_band",
-    "open_disc",
-]
+from chromaperture.optics.shapes import Disc, HalfPlane, Intersection, Shape, Square
 
 _LARGEST_OVERLAP = 1e-3  # of the pupil's area; touching neighbours overlap by less than a row of grid cells
 
@@ -138,12 +119,12 @@ def pupil_grid(samples: int = 1000) -> tuple[np.ndarray, np.ndarray]:
 
 
 @cache
-def _piece_moments(shapes: tuple[Shape, ...], samples: int = 1000) -> np.ndarray:
+def _piece_moments(shapes: tuple[Shape, ...]) -> np.ndarray:
     """Integrate area and first moments of every piece and, last, of the rest of the pupil; (P + 1, 3).
 
     Independent of film: one integration is enough for every film and every combination of channels.
     """
-    x, y = pupil_grid(samples)
+    x, y = pupil_grid()
     piece = np.full(x.shape, len(shapes), np.int8)
     for i, shape in enumerate(shapes):
         piece[shape.contains(x, y)] = i
@@ -256,19 +237,19 @@ def _three_squares(filters: Sequence[Filter]) -> tuple[SubAperture, ...]:
     )
 
 
-def open_band(half_width: float, *, name: str = "cy_open") -> Aperture:
+def open_band(half_width: float) -> Aperture:
     """Build design VII: cyan and yellow caps left and right of an open band |x| < half_width, in pupil radii."""
     caps = (SubAperture(HalfPlane(_LEFT, half_width), CYAN), SubAperture(HalfPlane(_RIGHT, half_width), YELLOW))
-    return Aperture(name, "VII: cyan and yellow, open band", caps, CLEAR, ("cyan", "yellow"))
+    return Aperture("cy_open", "VII: cyan and yellow, open band", caps, CLEAR, ("cyan", "yellow"))
 
 
-def open_disc(radius: float, *, name: str = "cy_open_disc") -> Aperture:
+def open_disc(radius: float) -> Aperture:
     """Build design VII with an open disc of that radius inside cyan and yellow half rings."""
     ring = Disc(inner_radius=radius, radius=2.0)
     halves = tuple(
         SubAperture(Intersection((ring, HalfPlane(side))), colour) for side, colour in ((_LEFT, CYAN), (_RIGHT, YELLOW))
     )
-    return Aperture(name, "VII b: cyan and yellow, open disc", halves, CLEAR, ("cyan", "yellow"))
+    return Aperture("cy_open_disc", "VII b: cyan and yellow, open disc", halves, CLEAR, ("cyan", "yellow"))
 
 
 DESIGNS: dict[str, Aperture] = {

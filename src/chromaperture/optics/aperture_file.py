@@ -49,10 +49,6 @@ def aperture_from_dict(data: Mapping[str, Any], *, name: str) -> Aperture:
         ``views`` and ``[filters.NAME] transmission = [r, g, b]``.
     name : str
 
-    Returns
-    -------
-    Aperture
-
     Raises
     ------
     InputError

@@ -6,15 +6,18 @@ for the wall around the board.
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from chromaperture.errors import InputError
+from chromaperture.optics.printed_page import add_text, new_page, write_pages
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 PAPERS = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "letter": (279.4, 215.9)}  # landscape, mm
 SPECKLE_DPI = 100  # a dot is 0.25 mm, a fifth of the smallest disc
@@ -23,28 +26,17 @@ _FOOT_MM = 12.0  # scale bar and text
 _SCALES_MM = (1.2, 2.5, 5.0, 10.0)  # diameters: half a pixel's footprint at 1 m to that of a blurred one at 4 m
 _GREYS = (40, 90, 150, 215)  # of 255; chosen by hand, not tuned
 _COVERAGE = 0.4  # of the page, by the discs of one size; chosen by hand, not tuned
-_POINT_PER_MM = 72 / 25.4
 
 
 @dataclass(frozen=True)
 class BoardPage:
-    """A page with a chessboard; lengths in mm from the page's top-left corner.
-
-    Attributes
-    ----------
-    paper : str
-    size_mm : (width, height)
-    inner_corners : (columns, rows)
-    square_mm : float
-    origin_mm : (x, y)
-        Top-left corner of the first square.
-    """
+    """A page with a chessboard; lengths in mm from the page's top-left corner."""
 
     paper: str
-    size_mm: tuple[float, float]
-    inner_corners: tuple[int, int]
+    size_mm: tuple[float, float]  # (width, height)
+    inner_corners: tuple[int, int]  # (columns, rows)
     square_mm: float
-    origin_mm: tuple[float, float]
+    origin_mm: tuple[float, float]  # (x, y); top-left corner of the first square
 
     @property
     def caption(self) -> str:
@@ -127,35 +119,29 @@ def speckle(size_mm: tuple[float, float], *, seed: int = 7) -> np.ndarray:
     return picture
 
 
-def board_svg(pages: Iterable[BoardPage | str]) -> list[str]:
-    """Draw pages as SVG in millimetres; a paper's name instead of a board makes a page of speckle alone."""
-    return [_page_svg(page, seed) for seed, page in enumerate(pages)]
+def _drawn(page: BoardPage, seed: int, *, board: bool) -> Figure:
+    """Draw a page of speckle, with the chessboard or without."""
+    from matplotlib.patches import Rectangle
 
-
-def _page_svg(page: BoardPage | str, seed: int) -> str:
-    width, height = PAPERS[page] if isinstance(page, str) else page.size_mm
+    width, height = page.size_mm
+    figure, axes = new_page(page.size_mm)
     texture = speckle((width - 2 * _EDGE_MM, height - 2 * _EDGE_MM), seed=seed)
-    data = base64.b64encode(cv2.imencode(".png", texture)[1].tobytes()).decode()
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{height:g}mm" '
-        f'viewBox="0 0 {width:g} {height:g}" font-family="sans-serif">',
-        f'<image x="{_EDGE_MM:g}" y="{_EDGE_MM:g}" width="{width - 2 * _EDGE_MM:g}" height="{height - 2 * _EDGE_MM:g}" '
-        f'preserveAspectRatio="none" href="data:image/png;base64,{data}"/>',
-    ]
-    if isinstance(page, BoardPage):
-        for x, y, w, h, fill in _rectangles(page):
-            parts.append(f'<rect x="{x:.4f}" y="{y:.4f}" width="{w:.4f}" height="{h:.4f}" fill="{fill}"/>')
-        for x, y, text in _texts(page):
-            parts.append(f'<text x="{x:.2f}" y="{y:.2f}" font-size="3.2">{text}</text>')
-    return "\n".join([*parts, "</svg>"]) + "\n"
+    extent = (_EDGE_MM, width - _EDGE_MM, height - _EDGE_MM, _EDGE_MM)
+    axes.imshow(texture, cmap="gray", vmin=0, vmax=255, extent=extent, aspect="auto", interpolation="none")
+    if board:
+        foot = height - _EDGE_MM - _FOOT_MM
+        for x, y, w, h, fill in _rectangles(page, foot):
+            axes.add_patch(Rectangle((x, y), w, h, facecolor=fill, edgecolor="none", zorder=3))
+        add_text(axes, _EDGE_MM + 104, foot + 4, "100 mm: measure it")
+        add_text(axes, _EDGE_MM + 2, foot + 9, page.caption)
+    return figure
 
 
-def _rectangles(page: BoardPage) -> list[tuple[float, float, float, float, str]]:
+def _rectangles(page: BoardPage, foot: float) -> list[tuple[float, float, float, float, str]]:
     """List white rim, foot, black squares and scale bar: x, y, width, height, fill; in painting order."""
     square, (x0, y0) = page.square_mm, page.origin_mm
     columns, rows = page.inner_corners
-    width, height = page.size_mm
-    foot = height - _EDGE_MM - _FOOT_MM
+    width, _ = page.size_mm
     shapes = [
         (x0 - square / 2, y0 - square / 2, (columns + 2) * square, (rows + 2) * square, "white"),
         (_EDGE_MM, foot, width - 2 * _EDGE_MM, _FOOT_MM + 1, "white"),  # overlaps the speckle's edge
@@ -164,11 +150,6 @@ def _rectangles(page: BoardPage) -> list[tuple[float, float, float, float, str]]
     # 100 mm in blocks of 10, to check the printer's scale with a ruler.
     shapes += [(_EDGE_MM + 2 + 10 * i, foot + 2, 10.0, 2.0, "black" if i % 2 == 0 else "#bbbbbb") for i in range(10)]
     return shapes
-
-
-def _texts(page: BoardPage) -> list[tuple[float, float, str]]:
-    foot = page.size_mm[1] - _EDGE_MM - _FOOT_MM
-    return [(_EDGE_MM + 104, foot + 4, "100 mm: measure it"), (_EDGE_MM + 2, foot + 9, page.caption)]
 
 
 def write_board(path: Path, page: BoardPage, *, wall_pages: int = 0) -> None:
@@ -186,34 +167,10 @@ def write_board(path: Path, page: BoardPage, *, wall_pages: int = 0) -> None:
     InputError
         Another suffix, or an SVG of more than one page.
     """
-    if path.suffix.lower() == ".svg":
-        if wall_pages:
-            raise InputError("an SVG holds one page: write the wall's speckle as .pdf, or leave --wall-pages out")
-        path.write_text(board_svg([page])[0], encoding="utf-8")
-    elif path.suffix.lower() == ".pdf":
-        _write_pdf(path, page, wall_pages)
-    else:
+    suffix = path.suffix.lower()
+    if suffix not in (".svg", ".pdf"):
         raise InputError(f"a board is written as .pdf or .svg, not {path.name!r}")
-
-
-def _write_pdf(path: Path, page: BoardPage, wall_pages: int) -> None:
-    from matplotlib.backends.backend_pdf import PdfPages
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Rectangle
-
-    width, height = page.size_mm
-    with PdfPages(path, metadata={"Title": f"Chessboard, {page.caption}", "CreationDate": None}) as pdf:
-        for seed in range(1 + wall_pages):
-            figure = Figure(figsize=(width / 25.4, height / 25.4))
-            axes = figure.add_axes((0, 0, 1, 1))
-            texture = speckle((width - 2 * _EDGE_MM, height - 2 * _EDGE_MM), seed=seed)
-            extent = (_EDGE_MM, width - _EDGE_MM, height - _EDGE_MM, _EDGE_MM)
-            axes.imshow(texture, cmap="gray", vmin=0, vmax=255, extent=extent, aspect="auto", interpolation="none")
-            if seed == 0:
-                for x, y, w, h, fill in _rectangles(page):
-                    axes.add_patch(Rectangle((x, y), w, h, facecolor=fill, edgecolor="none", zorder=3))
-                for x, y, text in _texts(page):
-                    axes.text(x, y, text, fontsize=3.2 * _POINT_PER_MM, zorder=4)
-            axes.set(xlim=(0, width), ylim=(height, 0))
-            axes.axis("off")
-            pdf.savefig(figure)
+    if suffix == ".svg" and wall_pages:
+        raise InputError("an SVG holds one page: write the wall's speckle as .pdf, or leave --wall-pages out")
+    pages = (_drawn(page, seed, board=seed == 0) for seed in range(1 + wall_pages))
+    write_pages(path, pages, f"Chessboard, {page.caption}")

@@ -27,47 +27,25 @@ _STEP = 1e-2  # px of blur radius, for the central difference
 
 @dataclass(frozen=True)
 class Texture:
-    """Texture of the scene and size of the matching window.
+    """Texture of the scene and size of the matching window."""
 
-    Attributes
-    ----------
-    mean, contrast : float
-        Reflectance and its standard deviation, linear.
-    exponent : float
-        Amplitudes fall as frequency^-exponent, from the lowest frequency of ``patch_px``.
-    patch_px : int
-        Side of the picture that has this contrast.
-    window_px2 : float
-        Independent pixels in the matching window; 320 is that of 0.80^(|x| + |y|), the matcher's default.
-    """
-
-    mean: float = 0.45
-    contrast: float = 0.18
-    exponent: float = 1.0
-    patch_px: int = 512
+    mean: float = 0.45  # reflectance, linear
+    contrast: float = 0.18  # its standard deviation
+    exponent: float = 1.0  # amplitudes fall as frequency^-exponent, from the lowest frequency of ``patch_px``
+    patch_px: int = 512  # side of the picture that has this contrast
+    # Independent pixels in the matching window; 320 is that of 0.80^(|x| + |y|), the matcher's default
     window_px2: float = 320.0
 
 
 @dataclass(frozen=True)
 class ExpectedAccuracy:
-    """Figures of one design at several distances.
+    """Figures of one design at several distances."""
 
-    Attributes
-    ----------
-    depth_mm : (N,) float64
-        From the sensor plane.
-    disparity_px, blur_px : (N,) float64
-        Half disparity of the unmixed views, and signed blur radius.
-    disparity_per_mm : (N,) float64
-        Slope of the disparity, px/mm.
-    sigma_px, sigma_mm : (N,) float64
-        Bound on one standard deviation; inf for designs without disparity.
-    """
-
-    depth_mm: np.ndarray
-    disparity_px: np.ndarray
-    blur_px: np.ndarray
-    disparity_per_mm: np.ndarray
+    depth_mm: np.ndarray  # (N,) float64; from the sensor plane
+    disparity_px: np.ndarray  # (N,) float64; half disparity of the unmixed views
+    blur_px: np.ndarray  # (N,) float64; signed blur radius
+    disparity_per_mm: np.ndarray  # (N,) float64; slope of the disparity, px/mm
+    # (N,) float64 each: bound on one standard deviation; inf for designs without disparity
     sigma_px: np.ndarray
     sigma_mm: np.ndarray
 
@@ -93,10 +71,6 @@ def expected_accuracy(
     texture : Texture, optional
     exposure : float
         Factor on the light, the same for all designs of a comparison.
-
-    Returns
-    -------
-    ExpectedAccuracy
 
     Raises
     ------

@@ -25,7 +25,6 @@ def diffraction_psf(
     *,
     size: int,
     wavelengths_um: tuple[float, float, float] = (0.605, 0.540, 0.465),
-    cells: int | None = None,
 ) -> np.ndarray:
     """Compute point-spread functions integrated over pixels, one wavelength a channel.
 
@@ -41,8 +40,6 @@ def diffraction_psf(
     size : int
         Side of the result in px, odd.
     wavelengths_um : tuple of float
-    cells : int, optional
-        Samples across the pupil; when absent, chosen for defocus and image size.
 
     Returns
     -------
@@ -58,10 +55,9 @@ def diffraction_psf(
     w20 = defocus_um(camera, depth_mm)
     ratio = camera.pupil_radius_mm / camera.image_distance_mm  # R / F
     half_um = 1e3 * camera.pixel_pitch_mm * size / 2
-    if cells is None:
-        # At most a quarter wave between samples at the rim, for defocus and for the farthest image point.
-        steps = (2 * abs(w20) + ratio * half_um * 2**0.5) / min(wavelengths_um)
-        cells = 2 * int(np.ceil(max(32, 4 * steps)))
+    # At most a quarter wave between samples at the rim, for defocus and for the farthest image point.
+    steps = (2 * abs(w20) + ratio * half_um * 2**0.5) / min(wavelengths_um)
+    cells = 2 * int(np.ceil(max(32, 4 * steps)))
     if cells > _MOST_CELLS:
         raise InputError(
             f"the defocus of {w20:.0f} um is hundreds of waves: diffraction is lost in it, use the geometric PSF"

@@ -22,33 +22,21 @@ from chromaperture.optics.aperture import Aperture, channel_transmission
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_otf
 
+_EDGE_PX = 0.7  # neighbours whose blur radii differ by more are two surfaces; chosen by hand
 _SHARP_PX = 0.02  # smaller blur is skipped: it moves the centroid of a half pupil by less than 0.01 px
 
 
 @dataclass(frozen=True)
 class LayeredCapture:
-    """Result of the layered renderer.
+    """Result of the layered renderer."""
 
-    Attributes
-    ----------
-    image : (H, W, 3) float32
-        Linear light behind the aperture; reflectance 1 through the open pupil gives 1.
-    layer_count : int
-        Layers that are not empty.
-    """
-
+    # (H, W, 3) float32: linear light behind the aperture; reflectance 1 through the open pupil gives 1
     image: np.ndarray
-    layer_count: int
+    layer_count: int  # layers that are not empty
 
 
 def render_layers(
-    color: np.ndarray,
-    depth_mm: np.ndarray,
-    *,
-    camera: PupilCamera,
-    aperture: Aperture,
-    pitch_px: float = 0.5,
-    edge_px: float = 0.7,
+    color: np.ndarray, depth_mm: np.ndarray, *, camera: PupilCamera, aperture: Aperture, pitch_px: float = 0.5
 ) -> LayeredCapture:
     """Photograph an RGB-D picture that was taken from the pupil's centre.
 
@@ -63,12 +51,6 @@ def render_layers(
     aperture : Aperture
     pitch_px : float
         Difference of blur radius between layers; light in between is divided linearly.
-    edge_px : float
-        Neighbours whose blur radii differ by more are two surfaces.
-
-    Returns
-    -------
-    LayeredCapture
 
     Raises
     ------
@@ -86,7 +68,7 @@ def render_layers(
     reach = math.ceil(float(np.abs(radius).max())) + 2
     pad, (color, radius) = _mirrored((color, radius), reach)
     size = radius.shape
-    behind_color, behind_radius = behind_edges(color, radius, reach, edge_px)
+    behind_color, behind_radius = behind_edges(color, radius, reach, _EDGE_PX)
 
     hidden = behind_radius != radius
     total = np.zeros((3, *size), np.float32)
@@ -101,7 +83,7 @@ def render_layers(
         if not (front.any() or back.any()):
             continue
         count += 1
-        while waiting and (level - waiting[0][0]) * pitch_px > edge_px:
+        while waiting and (level - waiting[0][0]) * pitch_px > _EDGE_PX:
             before += waiting.pop(0)[1]
         shown = color * front[..., None] + behind_color * back[..., None]
         planes = np.concatenate([shown.transpose(2, 0, 1), (front + back)[None]])
@@ -119,11 +101,7 @@ def render_layers(
 def _mirrored(pictures: Sequence[np.ndarray], reach: int) -> tuple[int, list[np.ndarray]]:
     """Extend pictures by mirrored borders of at least ``reach`` px, because filtering is periodic.
 
-    Returns
-    -------
-    pad : int
-        Of the left and upper border.
-    pictures : list of float32 arrays
+    Returns the width of the left and upper border, px, and the pictures, float32.
     """
     shape = pictures[0].shape[:2]
     # Steps of 16 px keep the size, and so the cached transfer functions, from frame to frame of a video.

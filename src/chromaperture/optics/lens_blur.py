@@ -39,54 +39,41 @@ _MIN_SEPARATION = 0.05  # pupil radii; below, the aperture has no parallax. Chos
 
 @dataclass(frozen=True)
 class BlurModel:
-    """Aberrations and rims of a lens, in px of displacement on the sensor at the pupil's edge and the frame's side.
+    """Aberrations and rims of a lens, in px of displacement on the sensor at the pupil's edge and the frame's side."""
 
-    Attributes
-    ----------
-    infinity_px, scale_px_mm : float
-        A and B: the pupil's edge is displaced by A - B / z, + beyond the focus surface.
-    axial_red_px, axial_blue_px : float
-        Axial colour, relative to green.
-    curvature_px, curvature4_px : float
-        Field curvature, of second and fourth order in the frame position.
-    spherical_px, spherical5_px : float
-        Spherical aberration, of third and fifth order in the pupil.
-    oblique_px, oblique_tangential_px : float
-        Oblique spherical aberration.
-    astigmatism_px, astigmatism4_px : float
-    coma_px, coma4_px, coma_zonal_px, coma_elliptical_px : float
-    lateral_red_px, lateral_blue_px, lateral3_red_px, lateral3_blue_px : float
-        Lateral colour, relative to green, of first and third order in the frame position.
-    spherical_red_px, spherical_blue_px, curvature_red_px, curvature_blue_px : float
-        Additions to green's spherical aberration and field curvature for red and blue.
-    front_rim_radius, front_rim_shift, rear_rim_radius, rear_rim_shift : float, pupil radii
-        Vignetting: radius of each rim in the pupil, and shift of its centre between the frame's centre and side.
-    """
-
+    # A and B: the pupil's edge is displaced by A - B / z, + beyond the focus surface
     infinity_px: float
     scale_px_mm: float
+    # Axial colour, relative to green
     axial_red_px: float = 0.0
     axial_blue_px: float = 0.0
+    # Field curvature, of second and fourth order in the frame position
     curvature_px: float = 0.0
     curvature4_px: float = 0.0
+    # Spherical aberration, of third and fifth order in the pupil
     spherical_px: float = 0.0
     spherical5_px: float = 0.0
+    # Oblique spherical aberration
     oblique_px: float = 0.0
     oblique_tangential_px: float = 0.0
+    # Astigmatism and coma
     astigmatism_px: float = 0.0
     astigmatism4_px: float = 0.0
     coma_px: float = 0.0
     coma4_px: float = 0.0
     coma_zonal_px: float = 0.0
     coma_elliptical_px: float = 0.0
+    # Lateral colour, relative to green, of first and third order in the frame position
     lateral_red_px: float = 0.0
     lateral_blue_px: float = 0.0
     lateral3_red_px: float = 0.0
     lateral3_blue_px: float = 0.0
+    # Additions to green's spherical aberration and field curvature for red and blue
     spherical_red_px: float = 0.0
     spherical_blue_px: float = 0.0
     curvature_red_px: float = 0.0
     curvature_blue_px: float = 0.0
+    # Vignetting, pupil radii: radius of each rim, and shift of its centre between the frame's centre and side
     front_rim_radius: float = 1.1
     front_rim_shift: float = 0.0
     rear_rim_radius: float = 1.1
@@ -107,10 +94,10 @@ class Rays(NamedTuple):
     light: np.ndarray
 
 
-def sample_pupil(aperture: Aperture, count: int = _POINTS) -> PupilSamples:
+def sample_pupil(aperture: Aperture) -> PupilSamples:
     """Sample the pupil evenly on a Fermat spiral; a square lattice would alias with the pixels."""
-    i = np.arange(count) + 0.5
-    radius, angle = np.sqrt(i / count), np.pi * (1 + np.sqrt(5)) * i
+    i = np.arange(_POINTS) + 0.5
+    radius, angle = np.sqrt(i / _POINTS), np.pi * (1 + np.sqrt(5)) * i
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
     return PupilSamples(points, aperture.transmission_map(points[:, 0], points[:, 1]).T.copy())
 
@@ -188,14 +175,7 @@ def splat(points_px: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class LensBlur:
-    """Blur of one camera, lens and film together, over the frame.
-
-    Attributes
-    ----------
-    model : BlurModel
-    pupil : PupilSamples
-    width_px, height_px : int
-    """
+    """Blur of one camera, lens and film together, over the frame."""
 
     model: BlurModel
     pupil: PupilSamples
@@ -207,34 +187,9 @@ class LensBlur:
         half = self.width_px / 2
         return np.array([(x_px - (self.width_px - 1) / 2) / half, (y_px - (self.height_px - 1) / 2) / half])
 
-    def transfer(
-        self,
-        x_px: float,
-        y_px: float,
-        inverse_mm: float,
-        size_px: int,
-        channels: tuple[int, ...] = (0, 1, 2),
-        *,
-        splat: Splat | None = None,
-    ) -> np.ndarray:
-        """Compute the optical transfer functions of channels at an image position and distance.
-
-        Parameters
-        ----------
-        x_px, y_px : float
-        inverse_mm : float, 1/mm
-            1 / z, z from the entrance pupil.
-        size_px : int
-            Side of the tile to filter; the PSF wraps around in it.
-        channels : tuple of int
-        splat : callable, optional
-            Rasteriser with the signature of `splat`; the compiled one when absent.
-
-        Returns
-        -------
-        (C, size, size // 2 + 1) complex64, 1 at zero frequency
-        """
-        return self.transfer_of(self.rays(x_px, y_px, channels), inverse_mm, size_px, splat=splat)
+    def transfer(self, x_px: float, y_px: float, inverse_mm: float, size_px: int) -> np.ndarray:
+        """Compute the optical transfer functions of R, G and B at an image position; see `transfer_of`."""
+        return self.transfer_of(self.rays(x_px, y_px), inverse_mm, size_px)
 
     def rays(self, x_px: float, y_px: float, channels: tuple[int, ...] = (0, 1, 2)) -> Rays:
         """Trace the rays of channels at an image position; they hold for every distance."""
@@ -245,7 +200,22 @@ class LensBlur:
         return Rays(np.stack(at_infinity), light / light.sum(axis=1, keepdims=True))
 
     def transfer_of(self, rays: Rays, inverse_mm: float, size_px: int, *, splat: Splat | None = None) -> np.ndarray:
-        """Compute the optical transfer functions of rays at a distance; parameters as in `transfer`."""
+        """Compute the optical transfer functions of rays at a distance.
+
+        Parameters
+        ----------
+        rays : Rays
+        inverse_mm : float, 1/mm
+            1 / z, z from the entrance pupil.
+        size_px : int
+            Side of the tile to filter; the PSF wraps around in it.
+        splat : callable, optional
+            Rasteriser with the signature of `splat`; the compiled one when absent.
+
+        Returns
+        -------
+        (C, size, size // 2 + 1) complex64, 1 at zero frequency
+        """
         if splat is None:
             from chromaperture.optics import splat_kernels  # compiling starts here, not at import
 

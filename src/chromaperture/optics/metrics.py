@@ -14,28 +14,14 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # ITU-R BT.709
 
 @dataclass(frozen=True)
 class ApertureFigures:
-    """Figures of one design.
+    """Figures of one design."""
 
-    Attributes
-    ----------
-    channel_transmission : (3,) float64
-        Light in R, G, B over that of the open pupil.
-    efficiency_mean, efficiency_luminance : float
-        Mean of the three, plain and weighted by luminance (ITU-R BT.709).
-    centroids : (K, 2) float64
-        Centroids of the K channels, pupil radii; NaN for a channel without light.
-    beta : float
-        r_c / R, mean distance of the outlying centroids from the pupil's centre: Eq. (6).
-    baseline : float
-        Largest distance of two centroids, in pupil radii; 0 without parallax.
-    """
-
-    channel_transmission: np.ndarray
-    efficiency_mean: float
-    efficiency_luminance: float
-    centroids: np.ndarray
-    beta: float
-    baseline: float
+    channel_transmission: np.ndarray  # (3,) float64; light in R, G, B over that of the open pupil
+    efficiency_mean: float  # mean of the three
+    efficiency_luminance: float  # the same, weighted by luminance (ITU-R BT.709)
+    centroids: np.ndarray  # (K, 2) float64; of the K channels, pupil radii; NaN for a channel without light
+    beta: float  # r_c / R, mean distance of the outlying centroids from the pupil's centre: Eq. (6)
+    baseline: float  # largest distance of two centroids, in pupil radii; 0 without parallax
 
 
 def film_unmixing(aperture: Aperture) -> np.ndarray:
@@ -54,10 +40,6 @@ def aperture_figures(aperture: Aperture, unmixing: np.ndarray | None = None) -> 
     aperture : Aperture
     unmixing : (K, 3) float, optional
         Rows are combinations of R, G, B; see `film_unmixing`. The identity when absent.
-
-    Returns
-    -------
-    ApertureFigures
     """
     transmission = channel_transmission(aperture)
     rho = centroids(aperture, unmixing)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,37 +13,19 @@ from chromaperture.optics.prescription import Prescription
 
 @dataclass(frozen=True)
 class Paraxial:
-    """First-order data; positions in mm from the first vertex, + towards the sensor.
+    """First-order data; positions in mm from the first vertex, + towards the sensor."""
 
-    Attributes
-    ----------
-    focal_length_mm : float
-        Effective focal length in air.
-    back_focus_mm : float
-        Last vertex to the image of infinity.
-    front_principal_mm, rear_principal_mm : float
-        Positions of the principal planes H and H'.
-    entrance_pupil_mm, exit_pupil_mm : float
-        Positions of the images of the stop in the scene's space and in the sensor's.
-    entrance_diameter_mm, exit_diameter_mm : float
-    sensor_to_entrance_pupil_mm : float
-        The paper's delta.
-    in_focus_mm : float
-        Distance from the entrance pupil that is in focus on the sensor; inf when focused at infinity.
-    pinhole_distance_mm : float
-        F: distance of a pinhole in the entrance pupil from an image plane of the sensor's scale; fx = F / mu.
-    """
-
-    focal_length_mm: float
-    back_focus_mm: float
-    front_principal_mm: float
-    rear_principal_mm: float
-    entrance_pupil_mm: float
-    exit_pupil_mm: float
+    focal_length_mm: float  # effective focal length in air
+    back_focus_mm: float  # last vertex to the image of infinity
+    front_principal_mm: float  # position of the principal plane H
+    rear_principal_mm: float  # and of H'
+    entrance_pupil_mm: float  # position of the image of the stop in the scene's space
+    exit_pupil_mm: float  # and in the sensor's
     entrance_diameter_mm: float
     exit_diameter_mm: float
-    sensor_to_entrance_pupil_mm: float
-    in_focus_mm: float
+    sensor_to_entrance_pupil_mm: float  # the paper's delta
+    in_focus_mm: float  # distance from the entrance pupil that is in focus on the sensor; inf when focused at infinity
+    # F: distance of a pinhole in the entrance pupil from an image plane of the sensor's scale; fx = F / mu
     pinhole_distance_mm: float
 
 
@@ -58,6 +41,7 @@ def _matrix(lens: Prescription, wavelength_um: float, first: int, last: int) -> 
     return m
 
 
+@lru_cache(maxsize=64)
 def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Paraxial:
     """Compute the first-order data of a lens.
 
@@ -66,10 +50,6 @@ def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Parax
     lens : Prescription
     wavelength_um : float, optional
         Green when absent.
-
-    Returns
-    -------
-    Paraxial
 
     Raises
     ------
@@ -142,10 +122,6 @@ def focused_at(lens: Prescription, distance_mm: float) -> Prescription:
     distance_mm : float
         From the sensor plane; inf is allowed.
 
-    Returns
-    -------
-    Prescription
-
     Raises
     ------
     InputError
@@ -162,8 +138,7 @@ def focused_at(lens: Prescription, distance_mm: float) -> Prescription:
     if total < 4 * f:
         raise InputError(
             f"cannot focus at {distance_mm:g} mm: an object this near lies too close to the focal length; "
-            "the nearest is "
-            f"{4 * f + between:.0f} mm"
+            f"the nearest is {4 * f + between:.0f} mm"
         )
     image = (total - np.sqrt(total * (total - 4 * f))) / 2  # s + s' = total, 1/s + 1/s' = 1/f
     return replace(lens, sensor_gap_mm=float(data.rear_principal_mm + image - lens.vertices_mm[-1]))

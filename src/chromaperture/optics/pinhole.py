@@ -24,30 +24,15 @@ from chromaperture.optics.prescription import Prescription
 
 @dataclass(frozen=True)
 class PupilCamera:
-    """A pinhole camera with a finite pupil.
-
-    Attributes
-    ----------
-    width_px, height_px : int
-    focal_px : float
-        F / mu: fx of a pinhole calibration, px.
-    pupil_radius_mm : float
-        Radius of the entrance pupil.
-    focus_mm : float
-        Distance of the focus plane from the sensor plane; inf is allowed.
-    sensor_to_pupil_mm : float
-        delta, from the sensor plane to the entrance pupil.
-    pixel_pitch_mm : float
-        mu; only diffraction and the printed figures need it.
-    """
+    """A pinhole camera with a finite pupil."""
 
     width_px: int
     height_px: int
-    focal_px: float
-    pupil_radius_mm: float
-    focus_mm: float
-    sensor_to_pupil_mm: float
-    pixel_pitch_mm: float
+    focal_px: float  # F / mu: fx of a pinhole calibration, px
+    pupil_radius_mm: float  # radius of the entrance pupil
+    focus_mm: float  # distance of the focus plane from the sensor plane; inf is allowed
+    sensor_to_pupil_mm: float  # delta, from the sensor plane to the entrance pupil
+    pixel_pitch_mm: float  # mu; only diffraction and the printed figures need it
 
     def __post_init__(self) -> None:
         if min(self.width_px, self.height_px) < 1 or not (self.focal_px > 0 and self.pixel_pitch_mm > 0):
@@ -114,10 +99,6 @@ def pupil_camera(lens: Prescription, *, width_px: int, height_px: int, pixel_pit
     lens : Prescription
     width_px, height_px : int
     pixel_pitch_mm : float
-
-    Returns
-    -------
-    PupilCamera
     """
     data = paraxial(lens)
     return PupilCamera(

@@ -20,34 +20,16 @@ _WAVELENGTHS_UM = (0.605, 0.540, 0.465)  # R, G, B: about the peaks of a Bayer s
 
 @dataclass(frozen=True)
 class Surface:
-    """One surface and the medium behind it; all lengths in mm, light travels towards +z, to the sensor.
+    """One surface and the medium behind it; all lengths in mm, light travels towards +z, to the sensor."""
 
-    Attributes
-    ----------
-    radius_mm : float
-        Radius of curvature, + with the centre towards the sensor, inf for a plane.
-    thickness_mm : float
-        Distance to the next surface.
-    index_d, abbe : float
-        Refractive index at 587.6 nm and Abbe number (inf without dispersion) of the medium behind.
-    semi_diameter_mm : float
-        Half the clear diameter; inf when unlimited.
-    conic : float
-        0 sphere, -1 paraboloid.
-    coefficients : tuple of float
-        Even asphere: factors of r^4, r^6, ... in mm.
-    role : str
-        ``""``, ``"stop"``, or ``"filter"`` for a plane that only holds the colour filters.
-    """
-
-    radius_mm: float = math.inf
-    thickness_mm: float = 0.0
-    index_d: float = 1.0
-    abbe: float = math.inf
-    semi_diameter_mm: float = math.inf
-    conic: float = 0.0
-    coefficients: tuple[float, ...] = ()
-    role: str = ""
+    radius_mm: float = math.inf  # radius of curvature, + with the centre towards the sensor, inf for a plane
+    thickness_mm: float = 0.0  # distance to the next surface
+    index_d: float = 1.0  # refractive index of the medium behind at 587.6 nm
+    abbe: float = math.inf  # its Abbe number, inf without dispersion
+    semi_diameter_mm: float = math.inf  # half the clear diameter; inf when unlimited
+    conic: float = 0.0  # 0 sphere, -1 paraboloid
+    coefficients: tuple[float, ...] = ()  # even asphere: factors of r^4, r^6, ... in mm
+    role: str = ""  # "", "stop", or "filter" for a plane that only holds the colour filters
 
     def index(self, wavelength_um: float) -> float:
         """Compute the refractive index by Cauchy's two terms from ``index_d`` and ``abbe``."""
@@ -59,26 +41,14 @@ class Surface:
 
 @dataclass(frozen=True)
 class Prescription:
-    """A lens in front of a sensor.
+    """A lens in front of a sensor."""
 
-    Attributes
-    ----------
-    name, title, source : str
-        Identifier, title for people, source of the figures.
-    surfaces : tuple of Surface
-        In order from the scene to the sensor.
-    sensor_gap_mm : float
-        Last vertex to sensor: the focus setting.
-    wavelengths_um : tuple of float
-        One wavelength each for R, G, B.
-    """
-
-    name: str
-    title: str
-    source: str
-    surfaces: tuple[Surface, ...]
-    sensor_gap_mm: float
-    wavelengths_um: tuple[float, float, float]
+    name: str  # identifier
+    title: str  # for people
+    source: str  # of the figures
+    surfaces: tuple[Surface, ...]  # in order from the scene to the sensor
+    sensor_gap_mm: float  # last vertex to sensor: the focus setting
+    wavelengths_um: tuple[float, float, float]  # one wavelength each for R, G, B
 
     @property
     def vertices_mm(self) -> np.ndarray:
@@ -145,10 +115,6 @@ def lens_from_dict(data: Mapping[str, Any], *, name: str) -> Prescription:
         ``clear_diameter_mm``, ``conic``, ``coefficients`` and ``stop = true`` on one of them.
     name : str
 
-    Returns
-    -------
-    Prescription
-
     Raises
     ------
     InputError
@@ -201,8 +167,7 @@ def checked_lens(lens: Prescription) -> Prescription:
         if bad or math.isnan(s.radius_mm + s.thickness_mm + s.index_d + s.conic):
             raise InputError(
                 f"lens {lens.name!r}, surface {number} is not physical: radius must not be 0, thickness "
-                "not negative, "
-                "index at least 1, Abbe number and diameter positive"
+                "not negative, index at least 1, Abbe number and diameter positive"
             )
     if lens.surfaces[-1].index_d != 1:
         raise InputError(f"lens {lens.name!r}: behind the last surface must be air (index_d = 1)")

@@ -12,7 +12,7 @@ import numpy as np
 
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, Aperture
-from chromaperture.optics.paraxial import Paraxial, paraxial
+from chromaperture.optics.paraxial import paraxial
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.prescription import Prescription
 from chromaperture.optics.pupil_samples import pupil_samples
@@ -24,34 +24,19 @@ _SPLIT = 4  # sub-rays across a cell, for the part of it that stop and rims vign
 
 @dataclass(frozen=True)
 class RayTable:
-    """Rays from a grid of image points through the pupil.
-
-    Attributes
-    ----------
-    width_px, height_px : int
-        Size of the image.
-    x_px, y_px : (Gx,), (Gy,) float64
-        Image points of the table, equally spaced.
-    z_mm : float
-        Plane of ``origin``, the entrance pupil, from the sensor.
-    origin, slope : (G, Gy, Gx, S, 2) float32
-        Where ray s crosses that plane, mm, and its dx/dz, dy/dz towards the scene. G is 3 for a lens with colour errors
-        (one set for each sensor channel), else 1.
-    weight : (3, Gy, Gx, S) float32
-        Light of each ray in R, G, B; the open pupil on the axis sums to 1.
-    chief : (Gy, Gx, 4) float32
-        Origin and slope of the green ray through the stop's centre.
-    """
+    """Rays from a grid of image points through the pupil."""
 
     width_px: int
     height_px: int
-    x_px: np.ndarray
-    y_px: np.ndarray
-    z_mm: float
+    x_px: np.ndarray  # (Gx,) float64; image points of the table, equally spaced
+    y_px: np.ndarray  # (Gy,) float64
+    z_mm: float  # plane of ``origin``, the entrance pupil, from the sensor
+    # (G, Gy, Gx, S, 2) float32 each: where ray s crosses that plane, mm, and its dx/dz, dy/dz towards the
+    # scene. G is 3 for a lens with colour errors (one set for each sensor channel), else 1
     origin: np.ndarray
     slope: np.ndarray
-    weight: np.ndarray
-    chief: np.ndarray
+    weight: np.ndarray  # (3, Gy, Gx, S) float32; light of each ray in R, G, B; the open pupil on the axis sums to 1
+    chief: np.ndarray  # (Gy, Gx, 4) float32; origin and slope of the green ray through the stop's centre
 
 
 def pinhole_rays(camera: PupilCamera, aperture: Aperture, *, cells: int = 20) -> RayTable:
@@ -112,10 +97,6 @@ def lens_rays(
     nodes : int
         Image points of the table along the longer side; rays between them are interpolated.
 
-    Returns
-    -------
-    RayTable
-
     Raises
     ------
     InputError
@@ -130,11 +111,11 @@ def lens_rays(
         axis=-1,
     ).reshape(-1, 2)
 
-    unit = _open_light(lens, data, cells)
-    light = lens_light(lens, aperture, image_mm, data=data, cells=cells) / unit
-    bundles = [lens_bundle(lens, image_mm, wavelength_um=w, data=data, cells=cells) for w in lens.wavelengths_um]
+    unit = _open_light(lens, cells)
+    light = lens_light(lens, aperture, image_mm, cells=cells) / unit
+    bundles = [lens_bundle(lens, image_mm, wavelength_um=w, cells=cells) for w in lens.wavelengths_um]
     used = light.any(axis=(0, 1))
-    chief = chief_rays(lens, image_mm, data=data)
+    chief = chief_rays(lens, image_mm)
     origin, slope = (
         np.stack([_filled(bundle[i][:, used], chief[:, 2 * i : 2 * i + 2], image_mm) for bundle in bundles])
         for i in range(2)
@@ -165,29 +146,28 @@ def _filled(rays: np.ndarray, chief: np.ndarray, image_mm: np.ndarray) -> np.nda
     return rays + chief[:, None]
 
 
-def _open_light(lens: Prescription, data: Paraxial, cells: int) -> float:
+def _open_light(lens: Prescription, cells: int) -> float:
     """Compute the light of the open pupil on the axis, the unit of all weights; check that the stop limits it."""
-    light = lens_light(lens, DESIGNS["open"], np.zeros((1, 2)), data=data, cells=cells)[1]
+    light = lens_light(lens, DESIGNS["open"], np.zeros((1, 2)), cells=cells)[1]
     if not light.any():
         raise InputError(f"no ray from the sensor's middle passes lens {lens.name!r}: check its stop and diameters")
     rim = np.stack([np.cos(np.linspace(0, 2 * np.pi, 64)), np.sin(np.linspace(0, 2 * np.pi, 64))], -1)
     # Rays just inside the stop must pass all other rims.
-    _, _, hit = _from_sensor(lens, data, np.zeros((len(rim), 2)), 0.97 * rim, lens.wavelengths_um[1])
+    _, _, hit = _from_sensor(lens, np.zeros((len(rim), 2)), 0.97 * rim, lens.wavelengths_um[1])
     if not hit.clear[np.hypot(*hit.at_stop.T) < 0.985].all():
         raise InputError(
             f"the stop of lens {lens.name!r} is larger than its glass lets through on the axis: make the "
-            "stop's "
-            "clear_diameter_mm smaller"
+            "stop's clear_diameter_mm smaller"
         )
     return float(light.sum())
 
 
-def _from_sensor(lens, data, image_mm, pupil, wavelength_um):  # type: ignore[no-untyped-def]
+def _from_sensor(lens, image_mm, pupil, wavelength_um):  # type: ignore[no-untyped-def]
     """Trace one ray for each pair of image point and exit-pupil point, (N, 2) each, to the scene.
 
     Returns origins and slopes at the entrance pupil, (N, 2) each, and the traced rays.
     """
-    first = lens.first_vertex_to_sensor_mm
+    data, first = paraxial(lens), lens.first_vertex_to_sensor_mm
     # Upright picture: the image point (x, y) lies at (-x, -y) on the sensor.
     start = np.column_stack([-image_mm, np.full(len(image_mm), first)])
     target = np.column_stack([pupil * data.exit_diameter_mm / 2, np.full(len(pupil), data.exit_pupil_mm)])
@@ -212,7 +192,7 @@ def _exit_points(cells: int) -> np.ndarray:
 
 
 def lens_bundle(
-    lens: Prescription, image_mm: np.ndarray, *, wavelength_um: float, data: Paraxial | None = None, cells: int = 20
+    lens: Prescription, image_mm: np.ndarray, *, wavelength_um: float, cells: int = 20
 ) -> tuple[np.ndarray, np.ndarray]:
     """Trace the rays of image points through a lens to the scene.
 
@@ -222,8 +202,6 @@ def lens_bundle(
     image_mm : (P, 2) float
         Image points from the image's centre, upright picture, mm on the sensor.
     wavelength_um : float
-    data : Paraxial, optional
-        Of the lens; computed when absent.
     cells : int
         Samples across the exit pupil.
 
@@ -232,16 +210,13 @@ def lens_bundle(
     origin, slope : (P, S, 2) float64
         Camera frame, origin in the plane of the entrance pupil, mm. NaN where no ray passes the glass.
     """
-    data = data or paraxial(lens)
     points = _exit_points(cells)
-    origin, slope, _ = _from_sensor(lens, data, *_all_pairs(image_mm, points), wavelength_um)
+    origin, slope, _ = _from_sensor(lens, *_all_pairs(image_mm, points), wavelength_um)
     shape = (len(image_mm), len(points), 2)
     return origin.reshape(shape), slope.reshape(shape)
 
 
-def lens_light(
-    lens: Prescription, aperture: Aperture, image_mm: np.ndarray, *, data: Paraxial | None = None, cells: int = 20
-) -> np.ndarray:
+def lens_light(lens: Prescription, aperture: Aperture, image_mm: np.ndarray, *, cells: int = 20) -> np.ndarray:
     """Compute the light of each ray of `lens_bundle` in R, G, B, proportional to the irradiance on the sensor.
 
     Vignetting is that of green rays: between the colours these points of the pupil move by about 1e-3 radii.
@@ -251,14 +226,13 @@ def lens_light(
     lens : Prescription
     aperture : Aperture
     image_mm : (P, 2) float
-    data : Paraxial, optional
     cells : int
 
     Returns
     -------
     (3, P, S) float64; 0 where stop, rims or film block the ray
     """
-    data = data or paraxial(lens)
+    data = paraxial(lens)
     points = _exit_points(cells)
     offsets = ((np.arange(_SPLIT) + 0.5) / _SPLIT - 0.5) * 2 * _REACH / cells
     distance2 = (lens.first_vertex_to_sensor_mm - data.exit_pupil_mm) ** 2
@@ -266,7 +240,7 @@ def lens_light(
     for dx in offsets:
         for dy in offsets:
             fine = points + np.array([dx, dy])
-            _, _, rays = _from_sensor(lens, data, *_all_pairs(image_mm, fine), lens.wavelengths_um[1])
+            _, _, rays = _from_sensor(lens, *_all_pairs(image_mm, fine), lens.wavelengths_um[1])
             # Without the pupil's rim: the stop cuts the light, and film off its plane may be wider.
             passed = aperture.film_map(*np.nan_to_num(rays.at_filter, nan=2.0).T)
             # Irradiance of a uniform scene: equal areas of the exit pupil's plane are weighted by cos^4 of their slope.
@@ -275,7 +249,7 @@ def lens_light(
     return light.T.reshape(3, len(image_mm), len(points)) / _SPLIT**2
 
 
-def chief_rays(lens: Prescription, image_mm: np.ndarray, *, data: Paraxial | None = None) -> np.ndarray:
+def chief_rays(lens: Prescription, image_mm: np.ndarray) -> np.ndarray:
     """Trace green rays through the stop's centre.
 
     Parameters
@@ -283,7 +257,6 @@ def chief_rays(lens: Prescription, image_mm: np.ndarray, *, data: Paraxial | Non
     lens : Prescription
     image_mm : (P, 2) float
         Image points from the image's centre, upright picture.
-    data : Paraxial, optional
 
     Returns
     -------
@@ -294,14 +267,13 @@ def chief_rays(lens: Prescription, image_mm: np.ndarray, *, data: Paraxial | Non
     InputError
         The stop's centre cannot be reached from an image point.
     """
-    data = data or paraxial(lens)
     aim = np.zeros((len(image_mm), 2))
     step = 1e-3
     for _ in range(20):  # Newton with a finite-difference Jacobian on where the ray crosses the stop
         trial = aim[:, None] + step * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
         hits, ends = [], []
         for i in range(3):
-            origin, slope, rays = _from_sensor(lens, data, image_mm, trial[:, i], lens.wavelengths_um[1])
+            origin, slope, rays = _from_sensor(lens, image_mm, trial[:, i], lens.wavelengths_um[1])
             hits.append(rays.at_stop)
             ends.append(np.hstack([origin, slope]))
         jacobian = np.stack([(hits[1] - hits[0]) / step, (hits[2] - hits[0]) / step], axis=-1)

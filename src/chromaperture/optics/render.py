@@ -43,18 +43,14 @@ class _Rays(NamedTuple):
     pixel_slope: np.float32  # change of a ray's slope per px
 
 
-def render(
-    table: RayTable, planes: Sequence[Plane], *, background: tuple[float, float, float] = (0, 0, 0), seed: int = 0
-) -> np.ndarray:
-    """Photograph a scene of planes.
+def render(table: RayTable, planes: Sequence[Plane], *, seed: int = 0) -> np.ndarray:
+    """Photograph a scene of planes; rays that meet none are dark.
 
     Parameters
     ----------
     table : RayTable
         From `pinhole_rays` or `lens_rays`.
     planes : sequence of Plane
-    background : (3,) float
-        Light of rays that meet no plane.
     seed : int
         Of the stratified positions inside the pixels.
 
@@ -70,8 +66,8 @@ def render(
     world = _packed(planes, table.z_mm)
     rays = _Rays(_grid(table), np.float32(table.z_mm), table.origin, table.slope, table.weight, _pixel_slope(table))
     out = np.zeros((table.height_px, table.width_px, 3), np.float32)
-    jitter, around = _jitter(table.origin.shape[3], seed), np.asarray(background, np.float32)
-    in_parallel(lambda _, first, last: _render(out, rays, around, world, jitter, seed, first, last), len(out))
+    jitter = _jitter(table.origin.shape[3], seed)
+    in_parallel(lambda _, first, last: _render(out, rays, world, jitter, seed, first, last), len(out))
     return out
 
 
@@ -98,14 +94,12 @@ def _pixel_slope(table: RayTable) -> np.float32:
 
 def render_depth(table: RayTable, planes: Sequence[Plane]) -> np.ndarray:
     """Compute the depth at each pixel's chief ray; (H, W) float32, mm from the sensor, NaN where it meets nothing."""
-    _, depth = _render_sharp(table, planes)
-    return depth
+    return _render_sharp(table, planes)[1]
 
 
 def render_sharp(table: RayTable, planes: Sequence[Plane]) -> np.ndarray:
     """Render with chief rays only, neither blurred nor filtered; (H, W, 3) float32."""
-    color, _ = _render_sharp(table, planes)
-    return color
+    return _render_sharp(table, planes)[0]
 
 
 def _render_sharp(table: RayTable, planes: Sequence[Plane]) -> tuple[np.ndarray, np.ndarray]:
@@ -206,7 +200,7 @@ def _random(state):  # type: ignore[no-untyped-def]
 
 
 @compiled(fastmath=True)
-def _render(out, rays, background, world, jitter, seed, first_row, last_row):  # type: ignore[no-untyped-def]
+def _render(out, rays, world, jitter, seed, first_row, last_row):  # type: ignore[no-untyped-def]
     width = out.shape[1]
     sets, _, columns, count = rays.origin.shape[:4]
     colours = 3 if sets == 1 else 1
@@ -235,11 +229,12 @@ def _render(out, rays, background, world, jitter, seed, first_row, last_row):  #
                         (ONE - b) * left[2] + b * right[2] + dx * rays.pixel_slope,
                         (ONE - b) * left[3] + b * right[3] + dy * rays.pixel_slope, world,
                     )  # fmt: skip
+                    if p < 0:
+                        continue
                     for c in range(colours):
                         if c:
                             w = (ONE - b) * left[4 + c] + b * right[4 + c]
-                        seen = background[g + c] if p < 0 else _texel(world, p, u, v, g + c)
-                        out[y, x, g + c] += w * seen
+                        out[y, x, g + c] += w * _texel(world, p, u, v, g + c)
 
 
 @compiled()

@@ -18,23 +18,12 @@ from chromaperture.optics import textures
 
 @dataclass(frozen=True)
 class Plane:
-    """A textured rectangle.
+    """A textured rectangle."""
 
-    Attributes
-    ----------
-    texture : (h, w, 4) float32
-        Linear R, G, B reflectance and coverage (opaque where >= 0.5).
-    center_mm : (3,) float64
-        Camera frame: x right, y down, z forward from the sensor plane.
-    right, down : (3,) float64
-        Unit vectors along the texture's rows and columns.
-    texel_mm : float
-    """
-
-    texture: np.ndarray
-    center_mm: np.ndarray
-    right: np.ndarray
-    down: np.ndarray
+    texture: np.ndarray  # (h, w, 4) float32; linear R, G, B reflectance and coverage (opaque where >= 0.5)
+    center_mm: np.ndarray  # (3,) float64; camera frame: x right, y down, z forward from the sensor plane
+    right: np.ndarray  # (3,) float64; unit vector along the texture's rows
+    down: np.ndarray  # and along its columns
     texel_mm: float
 
 
@@ -52,10 +41,6 @@ def plane(
     width_mm : float
     tilt_deg : (3,)
         Turns about x, then y, then z.
-
-    Returns
-    -------
-    Plane
 
     Raises
     ------

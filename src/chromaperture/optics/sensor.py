@@ -14,25 +14,13 @@ Pattern = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
 
 @dataclass(frozen=True)
 class SensorModel:
-    """A linear sensor.
+    """A linear sensor."""
 
-    Attributes
-    ----------
-    full_well_electrons : float
-        Electrons at white level.
-    read_noise_electrons : float
-        Standard deviation.
-    black_level, white_level : int
-        Counts at no light and at 1.0.
-    bits : int
-        Counts are clipped at 2^bits - 1.
-    """
-
-    full_well_electrons: float = 5000.0
-    read_noise_electrons: float = 4.0
-    black_level: int = 16
-    white_level: int = 1016
-    bits: int = 10
+    full_well_electrons: float = 5000.0  # electrons at white level
+    read_noise_electrons: float = 4.0  # standard deviation
+    black_level: int = 16  # counts at no light
+    white_level: int = 1016  # counts at 1.0
+    bits: int = 10  # counts are clipped at 2^bits - 1
 
     def __post_init__(self) -> None:
         if not (self.full_well_electrons > 0 and self.read_noise_electrons >= 0):

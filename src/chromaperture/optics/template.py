@@ -10,6 +10,7 @@ import numpy as np
 
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
+from chromaperture.optics.printed_page import add_text, new_page, points, write_pages
 from chromaperture.optics.shapes import Disc, HalfPlane, Intersection, Polygon, Shape, Square
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PAGE_MM = (210.0, 297.0)  # A4
-_MM_PER_INCH = 25.4
 _COLOURS = {"red": "#e03030", "green": "#20a040", "blue": "#3050e0", "cyan": "#30c0d8", "magenta": "#d840b0",
             "yellow": "#f2dc30", "clear": "#ffffff", "opaque": "#404040"}  # fmt: skip
 _OUTLINE_STEPS = 720  # chords of a circle: off by 1e-5 of its radius
@@ -105,22 +105,17 @@ def template_figure(aperture: Aperture, *, pupil_diameter_mm: float) -> Figure:
     InputError
         A diameter that does not fit the page.
     """
-    from matplotlib.figure import Figure
-
     if not 0.5 <= pupil_diameter_mm <= 80:
         raise InputError(f"a pupil of {pupil_diameter_mm:g} mm does not fit the page: give 0.5 to 80 mm")
-    figure = Figure(figsize=(_PAGE_MM[0] / _MM_PER_INCH, _PAGE_MM[1] / _MM_PER_INCH))
-    axes = figure.add_axes((0, 0, 1, 1))
-    axes.set(xlim=(0, _PAGE_MM[0]), ylim=(_PAGE_MM[1], 0))
-    axes.axis("off")
-    _text(axes, 10, 14, f"{aperture.title}, pupil {pupil_diameter_mm:g} mm", size_mm=6)
-    _text(axes, 10, 20, "Print at 100 %. The arrow points up in the scene.")
-    _text(axes, 10, 25, "The side you read faces the sensor: as seen from behind the camera.")
+    figure, axes = new_page(_PAGE_MM)
+    add_text(axes, 10, 14, f"{aperture.title}, pupil {pupil_diameter_mm:g} mm", size_mm=6)
+    add_text(axes, 10, 20, "Print at 100 %. The arrow points up in the scene.")
+    add_text(axes, 10, 25, "The side you read faces the sensor: as seen from behind the camera.")
     _line(axes, (10, 32), (60, 32))
     for x in range(10, 61, 10):
         half = 2 if x in (10, 60) else 1
         _line(axes, (x, 32 - half), (x, 32 + half))
-    _text(axes, 62, 33, "50 mm: measure before you cut", size_mm=3.5)
+    add_text(axes, 62, 33, "50 mm: measure before you cut", size_mm=3.5)
 
     pieces = [(part.filter.name, outline(part.shape)) for part in aperture.parts]
     pitch = pupil_diameter_mm + 18  # room for marks and label
@@ -143,36 +138,24 @@ def _draw_pieces(
         closed = [Outline(np.vstack([loop, loop[:1]]) * radius + center, closed=True) for loop in loops]
         face = _COLOURS.get(film, "#c0c0c0")
         patch = PathPatch(
-            Outline.make_compound_path(*closed), facecolor=face, edgecolor="black", lw=_points(0.1), gid=f"{name}-{i}"
+            Outline.make_compound_path(*closed), facecolor=face, edgecolor="black", lw=points(0.1), gid=f"{name}-{i}"
         )
         axes.add_patch(patch)
-    axes.add_patch(Circle(center, radius, fill=False, lw=_points(0.1), gid=f"{name}-pupil"))
+    axes.add_patch(Circle(center, radius, fill=False, lw=points(0.1), gid=f"{name}-pupil"))
     for sx, sy in ((1, 0), (-1, 0), (0, 1)):
         _line(axes, *((cx + sx * (radius + r), cy + sy * (radius + r)) for r in (1, 4)))
     top = cy - radius - 5
     _line(axes, (cx, top + 4), (cx, top))
     _line(axes, (cx - 1.2, top + 1.6), (cx, top), (cx + 1.2, top + 1.6))
-    _text(axes, cx, cy + radius + 7.5, label, ha="center")
+    add_text(axes, cx, cy + radius + 7.5, label, ha="center")
 
 
-def _points(mm: float) -> float:
-    """Convert mm to points of 1/72 inch."""
-    return 72 * mm / _MM_PER_INCH
-
-
-def _text(axes: Axes, x: float, y: float, text: str, *, size_mm: float = 3.2, ha: str = "left") -> None:
-    axes.text(x, y, text, fontsize=_points(size_mm), ha=ha)
-
-
-def _line(axes: Axes, *points: tuple[float, float]) -> None:
-    axes.plot(*np.array(points).T, color="black", lw=_points(0.2), solid_capstyle="butt")
+def _line(axes: Axes, *ends: tuple[float, float]) -> None:
+    axes.plot(*np.array(ends).T, color="black", lw=points(0.2), solid_capstyle="butt")
 
 
 def write_template(path: Path, aperture: Aperture, *, pupil_diameter_mm: float) -> None:
     """Write the template as ``.svg`` or ``.pdf``, at its true size; raises InputError for other names."""
-    kind = path.suffix.lower().lstrip(".")
-    if kind not in ("svg", "pdf"):
+    if path.suffix.lower() not in (".svg", ".pdf"):
         raise InputError(f"a template is written as .svg or .pdf, not {path.name!r}")
-    undated: dict[str, None] = {"Date" if kind == "svg" else "CreationDate": None}
-    figure = template_figure(aperture, pupil_diameter_mm=pupil_diameter_mm)
-    figure.savefig(path, format=kind, metadata=undated)
+    write_pages(path, [template_figure(aperture, pupil_diameter_mm=pupil_diameter_mm)], aperture.title)

@@ -36,28 +36,22 @@ def noise(
     return np.clip(picture - picture.mean() + mean, 0.02, 0.98).astype(np.float32)
 
 
-def chessboard(
-    inner_corners: tuple[int, int], square_mm: float, texel_mm: float, *, margin_mm: float | None = None
-) -> np.ndarray:
-    """Draw a chessboard with a white margin, its top-left square black.
+def chessboard(inner_corners: tuple[int, int], square_mm: float, texel_mm: float) -> np.ndarray:
+    """Draw a chessboard with a white margin of one square, its top-left square black.
 
     Parameters
     ----------
     inner_corners : (int, int)
         Along x and y.
     square_mm, texel_mm : float
-    margin_mm : float, optional
-        One square when absent.
 
     Returns
     -------
     (h, w) float32, reflectance 0.04 and 0.92
     """
     nx, ny = inner_corners[0] + 1, inner_corners[1] + 1
-    margin = square_mm if margin_mm is None else margin_mm
-    width, height = (round((n * square_mm + 2 * margin) / texel_mm) for n in (nx, ny))
-    x = ((np.arange(width) + 0.5) * texel_mm - margin) / square_mm
-    y = ((np.arange(height) + 0.5) * texel_mm - margin) / square_mm
+    width, height = (round((n * square_mm + 2 * square_mm) / texel_mm) for n in (nx, ny))
+    x, y = (((np.arange(n) + 0.5) * texel_mm - square_mm) / square_mm for n in (width, height))
     inside = ((x >= 0) & (x < nx))[None] & ((y >= 0) & (y < ny))[:, None]
     black = (np.floor(x)[None] + np.floor(y)[:, None]) % 2 == 0
     return np.where(inside & black, 0.04, 0.92).astype(np.float32)

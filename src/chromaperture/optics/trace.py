@@ -18,24 +18,16 @@ _CONVERGED_MM = 1e-11  # a thousand roundings of a coordinate of some 10 mm
 
 @dataclass(frozen=True)
 class TracedRays:
-    """Rays behind the last surface they meet.
+    """Rays behind the last surface they meet."""
 
-    Attributes
-    ----------
-    position, direction : (N, 3) float64, mm
-        On the last surface traced, and the unit direction behind it; lens frame (z towards the sensor, 0 at the first
-        vertex). NaN where a ray missed a surface or was totally reflected.
-    at_stop, at_filter : (N, 2) float64
-        Where the ray crosses the stop and the filter plane, in units of the stop's radius.
-    clear : (N,) bool
-        The ray passes inside every clear aperture, the stop's included.
-    """
-
+    # (N, 3) float64 each, mm: on the last surface traced, and the unit direction behind it; lens frame
+    # (z towards the sensor, 0 at the first vertex). NaN where a ray missed a surface or was totally reflected
     position: np.ndarray
     direction: np.ndarray
+    # (N, 2) float64 each: where the ray crosses the stop and the filter plane, in units of the stop's radius
     at_stop: np.ndarray
     at_filter: np.ndarray
-    clear: np.ndarray
+    clear: np.ndarray  # (N,) bool; the ray passes inside every clear aperture, the stop's included
 
 
 def trace(
@@ -52,10 +44,6 @@ def trace(
     wavelength_um : float
     from_sensor : bool
         Trace from the sensor to the scene.
-
-    Returns
-    -------
-    TracedRays
     """
     order = np.arange(len(lens.surfaces))
     index = lens.indices(wavelength_um)
