@@ -137,13 +137,8 @@ def track(view: PreparedView, keyframe: Keyframe, guess: np.ndarray, *, config: 
     if view.known < MIN_KNOWN:
         return Track(guess, 0.0, 0.0, NO_DEPTH)
     outlier_mm = config.outlier_mm * max(1.0, view.median_mm / 2000)
-    found = align(
-        keyframe.points,
-        view.levels,
-        np.linalg.inv(guess) @ keyframe.pose,
-        depth_weight=config.depth_weight,
-        outlier_mm=outlier_mm,
-    )
+    start = np.linalg.inv(guess) @ keyframe.pose
+    found = align(keyframe.points, view.levels, start, depth_weight=config.depth_weight, outlier_mm=outlier_mm)
     if not found.solved or not np.isfinite(found.motion).all():
         return Track(guess, 0.0, 0.0, "surface and texture do not determine the pose")
     pose = keyframe.pose @ np.linalg.inv(found.motion)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.fft
@@ -30,6 +32,7 @@ from chromaperture.optics.psf import geometric_otf
 from chromaperture.optics.sensor import SensorModel
 from chromaperture.robust import robust_sigma
 
+T = TypeVar("T")
 RANGE_MM = np.array([1000.0, 4500.0])  # working range; the scenes are at 1.15 to 3.3 m
 BOARDS_MM = (1150.0, 1350.0, 1600.0, 2050.0, 2400.0, 2900.0, 3500.0)
 HALVES_BETA = 0.42  # half disparity of two halves over the blur radius: centroid of a half disc, 4 / (3 pi)
@@ -272,3 +275,10 @@ def scores(depth_mm: np.ndarray, truth_mm: np.ndarray) -> dict[str, float]:
         "bias": bias,
         "scatter": robust_sigma(measured - bias),
     }
+
+
+def timed(run: Callable[..., T], *arguments: Any) -> tuple[T, float]:
+    """Return a result and the seconds that it took."""
+    start = time.perf_counter()
+    result = run(*arguments)
+    return result, time.perf_counter() - start

@@ -83,9 +83,7 @@ def run_alone(trial: Trial) -> dict[str, float]:
 
 
 def one_thread() -> None:
-    """Limit OpenCV, and the kernels in the calling thread, to one thread."""
+    """Limit OpenCV to one thread."""
     import cv2
-    import numba
 
     cv2.setNumThreads(1)
-    numba.set_num_threads(1)
