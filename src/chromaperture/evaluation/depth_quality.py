@@ -17,27 +17,13 @@ _LEAST_PIXELS = 12  # for a fit of three parameters; chosen by hand
 
 @dataclass(frozen=True)
 class PlaneQuality:
-    """Quality of the measured depth of a piece of a flat wall.
+    """Quality of the measured depth of a piece of a flat wall."""
 
-    Attributes
-    ----------
-    fill : float
-        Fraction of the pixels with a depth.
-    accuracy : float
-        Z accuracy: median of (measured - true) / true; signed.
-    plane_rms : float
-        Root mean square distance from the best plane, relative to the distance; without outliers.
-    subpixel_rms_px : float
-        The same in px of half disparity, which does not grow with distance.
-    outliers : float
-        Fraction of the pixels with a depth that lie more than four robust standard deviations off the plane.
-    """
-
-    fill: float
-    accuracy: float
-    plane_rms: float
-    subpixel_rms_px: float
-    outliers: float
+    fill: float  # fraction of the pixels with a depth
+    accuracy: float  # Z accuracy: median of (measured - true) / true; signed
+    plane_rms: float  # root mean square distance from the best plane, relative to the distance; without outliers
+    subpixel_rms_px: float  # the same in px of half disparity, which does not grow with distance
+    outliers: float  # fraction of the pixels with a depth more than four robust standard deviations off the plane
 
 
 def plane_quality(

@@ -51,24 +51,13 @@ class Placed:
 
 @dataclass
 class Submap:
-    """A model with a world frame of its own, that of its first view.
+    """A model with a world frame of its own, that of its first view."""
 
-    Attributes
-    ----------
-    volume : Volume or None
-        While it grows; None afterwards.
-    mesh : Mesh or None
-        Once it no longer grows.
-    keyframes : list of Keyframe
-    root, to_root : int, (4, 4) float64
-        The submap that it was joined to, itself at first, and its pose in that one's frame.
-    """
-
-    volume: Volume | None
-    mesh: Mesh | None = None
+    volume: Volume | None  # while it grows
+    mesh: Mesh | None = None  # once it no longer grows
     keyframes: list[Keyframe] = field(default_factory=list)
-    root: int = 0
-    to_root: np.ndarray = field(default_factory=lambda: np.eye(4))
+    root: int = 0  # the submap that it was joined to, itself at first
+    to_root: np.ndarray = field(default_factory=lambda: np.eye(4))  # its pose in that one's frame, (4, 4) float64
 
     def surface(self) -> Mesh:
         """Return the mesh in the submap's own frame."""

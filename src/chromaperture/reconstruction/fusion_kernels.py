@@ -10,32 +10,22 @@ from chromaperture.compilation import compiled
 
 
 class Voxels(NamedTuple):
-    """Blocks of voxels, axes z, y, x.
+    """Blocks of voxels, axes z, y, x."""
 
-    Attributes
-    ----------
-    tsdf, weight : (capacity, r, r, r) float32
-        Signed distance in units of the truncation, and its weight.
-    color : (capacity, r, r, r, 3) float32, 0..255
-    """
-
-    tsdf: np.ndarray
-    weight: np.ndarray
-    color: np.ndarray
+    tsdf: np.ndarray  # (capacity, r, r, r) float32, signed distance in units of the truncation
+    weight: np.ndarray  # (capacity, r, r, r) float32
+    color: np.ndarray  # (capacity, r, r, r, 3) float32, 0..255
 
 
 class Pixels(NamedTuple):
-    """Pixels of a view: (H, W) float32 distance (mm, NaN unknown), weight, and how far behind the surface it is used.
+    """Pixels of a view, and where they were seen."""
 
-    ``color`` is (H, W, 3) uint8; ``matrix`` and ``world_to_camera`` are (3, 3) and (4, 4) float64.
-    """
-
-    z_mm: np.ndarray
-    gain: np.ndarray
-    reach_mm: np.ndarray
-    color: np.ndarray
-    matrix: np.ndarray
-    world_to_camera: np.ndarray
+    z_mm: np.ndarray  # (H, W) float32, NaN unknown
+    gain: np.ndarray  # (H, W) float32, weight
+    reach_mm: np.ndarray  # (H, W) float32, how far behind the surface the pixel is used
+    color: np.ndarray  # (H, W, 3) uint8
+    matrix: np.ndarray  # (3, 3) float64
+    world_to_camera: np.ndarray  # (4, 4) float64, mm
 
 
 @compiled()

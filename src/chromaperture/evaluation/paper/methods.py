@@ -42,23 +42,12 @@ _STEP_PX = 0.25  # between the prior methods' layers, half disparity; chosen by 
 
 @dataclass(frozen=True)
 class Setting:
-    """Properties of a camera that a method may use.
-
-    Attributes
-    ----------
-    design : str
-    rows : (K, 3) float64
-        Unmixing of its film.
-    span_px : (float, float)
-        Half disparities of the working range.
-    blur_px : float
-        Largest blur radius in it.
-    """
+    """Properties of a camera that a method may use."""
 
     design: str
-    rows: np.ndarray
-    span_px: tuple[float, float]
-    blur_px: float
+    rows: np.ndarray  # (K, 3) float64, unmixing of its film
+    span_px: tuple[float, float]  # half disparities of the working range
+    blur_px: float  # largest blur radius in it
 
     @property
     def layers_px(self) -> np.ndarray:
@@ -182,18 +171,10 @@ def applies(method: str, design: str) -> bool:
 
 @dataclass(frozen=True)
 class Curve:
-    """A method's reading on flat boards over their blur radius: linear between the boards and beyond them.
+    """A method's reading on flat boards over their blur radius: linear between the boards and beyond them."""
 
-    Attributes
-    ----------
-    radius_px : (N,) float64
-        Rising.
-    reading : (N,) float64
-        Rising; empty where fewer than two boards were read.
-    """
-
-    radius_px: np.ndarray
-    reading: np.ndarray
+    radius_px: np.ndarray  # (N,) float64, rising
+    reading: np.ndarray  # (N,) float64, rising; empty where fewer than two boards were read
 
     def radius_of(self, value: np.ndarray) -> np.ndarray:
         """Convert a reading to a blur radius; (H, W) float64, px."""

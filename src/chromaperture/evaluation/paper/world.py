@@ -33,20 +33,11 @@ _HUES = np.array([(1, 1, 1), (1, 0.35, 0.3), (0.4, 0.9, 0.35), (0.35, 0.45, 1), 
 
 @dataclass(frozen=True)
 class Capture:
-    """One photograph of a scene whose depth is known.
+    """One photograph of a scene whose depth is known."""
 
-    Attributes
-    ----------
-    image : (H, W, 3) float32, linear
-    depth_mm : (H, W) float64
-        From the sensor plane, for the ray through the pupil's centre.
-    radius_px : (H, W) float64
-        Signed blur radius at that depth.
-    """
-
-    image: np.ndarray
-    depth_mm: np.ndarray
-    radius_px: np.ndarray
+    image: np.ndarray  # (H, W, 3) float32, linear
+    depth_mm: np.ndarray  # (H, W) float64, from the sensor plane, for the ray through the pupil's centre
+    radius_px: np.ndarray  # (H, W) float64, signed blur radius at that depth
 
 
 def lens() -> Prescription:
