@@ -48,15 +48,9 @@ class Blur(Protocol):
 
 @dataclass(frozen=True)
 class ThinLensBlur:
-    """Scaled shadow of the aperture, the same over the whole frame.
+    """Scaled shadow of the aperture, the same over the whole frame."""
 
-    Attributes
-    ----------
-    aperture : Aperture
-        With the camera's measured film.
-    """
-
-    aperture: Aperture
+    aperture: Aperture  # with the camera's measured film
 
     def __call__(self, radius_px: float, shape: Size, *, frame_position: Position | None = None) -> np.ndarray:
         """See `Blur`."""
@@ -64,13 +58,7 @@ class ThinLensBlur:
 
 
 class LensTransfer:
-    """Blur of a calibrated lens, which changes over the frame.
-
-    Parameters
-    ----------
-    shift : LensShift
-        Of the camera; relates blur radius and distance.
-    """
+    """Blur of a calibrated lens, which changes over the frame; ``shift`` relates blur radius and distance."""
 
     def __init__(self, shift: LensShift) -> None:
         self.shift = shift

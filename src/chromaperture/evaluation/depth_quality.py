@@ -85,12 +85,12 @@ def by_cell(
     truth_mm: float,
     *,
     sensor_to_pupil_mm: float,
-    scale_px_mm: np.ndarray | float,
-    rows: int = 3,
-    columns: int = 3,
+    scale_px_mm: np.ndarray,
+    rows: int,
+    columns: int,
 ) -> list[PlaneQuality]:
     """Apply `plane_quality` to every cell of the frame, each with its own plane; row by row."""
-    scale = np.broadcast_to(np.asarray(scale_px_mm, float), depth_mm.shape)
+    scale = np.broadcast_to(scale_px_mm, depth_mm.shape)
     return [
         plane_quality(depth_mm[cell], truth_mm, sensor_to_pupil_mm=sensor_to_pupil_mm, scale_px_mm=scale[cell])
         for cell in cells(depth_mm.shape[0], depth_mm.shape[1], rows, columns)

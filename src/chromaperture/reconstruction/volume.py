@@ -51,13 +51,10 @@ def joined(parts: list[tuple[Mesh, np.ndarray]]) -> Mesh:
     """Join meshes, each moved by its (4, 4) pose; coincident surfaces stay double."""
     if len(parts) == 1 and np.array_equal(parts[0][1], np.eye(4)):
         return parts[0][0]
-    vertices, triangles, colors, first = [], [], [], 0
-    for mesh, pose in parts:
-        vertices.append((mesh.vertices_mm @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32))
-        triangles.append(mesh.triangles + np.int32(first))
-        colors.append(mesh.colors)
-        first += len(mesh.vertices_mm)
-    return Mesh(np.concatenate(vertices), np.concatenate(triangles), np.concatenate(colors))
+    first = np.cumsum([0, *(len(mesh.vertices_mm) for mesh, _ in parts)], dtype=np.int32)
+    vertices = [(mesh.vertices_mm @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32) for mesh, pose in parts]
+    triangles = [mesh.triangles + number for (mesh, _), number in zip(parts, first, strict=False)]
+    return Mesh(np.concatenate(vertices), np.concatenate(triangles), np.concatenate([mesh.colors for mesh, _ in parts]))
 
 
 class Volume:

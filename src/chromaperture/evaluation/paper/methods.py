@@ -124,14 +124,6 @@ def _by_channels(match: Callable[..., np.ndarray], **options: bool) -> Method:
     return lambda image, setting: match(image, setting.directions, setting.layers_px, **options)
 
 
-def _ncc_views(image: np.ndarray, setting: Setting) -> np.ndarray:
-    return cross_correlation(image @ setting.rows.T, view_directions(DESIGNS[setting.design]), setting.layers_px)
-
-
-def _sgbm(image: np.ndarray, setting: Setting) -> np.ndarray:
-    return stereo_sgbm(image[..., [0, 2]], setting.directions[[0, 2]], setting.layers_px)
-
-
 def _annulus(image: np.ndarray, setting: Setting) -> np.ndarray:
     radii = np.arange(0, setting.blur_px + 1.0, 0.5)
     height, width = (scipy.fft.next_fast_len(n + 32, real=True) for n in image.shape[:2])
@@ -145,11 +137,15 @@ METHODS: dict[str, Method] = {
     "ours, real-time": _ours("real-time"),
     "ours, accurate": _ours("accurate"),
     "normalised cross-correlation, RGB": _by_channels(cross_correlation),
-    "normalised cross-correlation, unmixed": _ncc_views,
+    "normalised cross-correlation, unmixed": lambda image, setting: cross_correlation(
+        image @ setting.rows.T, view_directions(DESIGNS[setting.design]), setting.layers_px
+    ),
     "phase correlation": _by_channels(phase_correlation),
     "colour lines, box window": _by_channels(colour_lines, optimised=False),
     "colour lines, optimised": _by_channels(colour_lines),
-    "OpenCV StereoSGBM": _sgbm,
+    "OpenCV StereoSGBM": lambda image, setting: stereo_sgbm(
+        image[..., [0, 2]], setting.directions[[0, 2]], setting.layers_px
+    ),
     "annulus": _annulus,
 }
 
