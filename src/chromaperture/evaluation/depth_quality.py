@@ -81,13 +81,7 @@ def cells(height: int, width: int, rows: int, columns: int) -> list[tuple[slice,
 
 
 def by_cell(
-    depth_mm: np.ndarray,
-    truth_mm: float,
-    *,
-    sensor_to_pupil_mm: float,
-    scale_px_mm: np.ndarray,
-    rows: int,
-    columns: int,
+    depth_mm: np.ndarray, truth_mm: float, sensor_to_pupil_mm: float, scale_px_mm: np.ndarray, rows: int, columns: int
 ) -> list[PlaneQuality]:
     """Apply `plane_quality` to every cell of the frame, each with its own plane; row by row."""
     scale = np.broadcast_to(scale_px_mm, depth_mm.shape)
