@@ -52,8 +52,8 @@ def measured(result: CalibrationResult, scenes: Sequence[str], *, keep_in: Path)
             continue
         for scene in scenes:
             image = session.read(session.folder / "scene" / f"{scene}.png")
-            found, seconds = methods.timed(read, image)
-            yield name, scene, disparity_to_depth(found, model)[0].astype(float), seconds
+            depth, seconds = methods.timed(lambda image, model: disparity_to_depth(read(image), model)[0], image, model)
+            yield name, scene, depth.astype(float), seconds
 
 
 def measured_by_annulus(

@@ -97,8 +97,8 @@ def _measured(
     for k, pose in enumerate(poses):
         context.progress("frames of figure-15", k, len(poses))
         shot = context.session_capture(seen_from(planes, pose), seed=150 + k)
-        frame, seconds = methods.timed(camera.measure, shot.image)
-        views.append(to_view(frame, k / 15, k))
+        view, seconds = methods.timed(lambda image, k: to_view(camera.measure(image), k / 15, k), shot.image, k)
+        views.append(view)
         took.append(1000 * seconds)
     return views, float(np.median(took))
 

@@ -78,8 +78,10 @@ def _by_method(
 ) -> tuple[list[Row], list[np.ndarray]]:
     """Measure captures by a method; return its rows of the table and the depths, mm."""
     setting, curve = methods.setting_of(design, camera), methods.calibrate(name, design, camera, cells)
-    found, seconds = methods.timed(lambda: [methods.METHODS[name](shot.image, setting) for shot in shots])
-    depths, seconds = [methods.depth_of(curve.radius_of(value), camera) for value in found], seconds / len(shots)
+    depths, seconds = methods.timed(
+        lambda: [methods.depth_of(curve.radius_of(methods.METHODS[name](s.image, setting)), camera) for s in shots]
+    )
+    seconds /= len(shots)
     light = float(channel_transmission(world.real_film(design)).mean())
     rows = [_row(name, full_name(design), light, depths, shots, seconds)]
     if name == "annulus":  # with the side of the focus from the truth: the cost of the ambiguity
