@@ -23,7 +23,7 @@ from chromaperture.evaluation.paper import figure_6, figure_8, methods, registry
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable, Exhibit
 from chromaperture.evaluation.paper.html_page import page_html
-from chromaperture.evaluation.prior import annulus, colour_lines, correlation, shifts, stereo
+from chromaperture.evaluation.prior import annulus, colour_lines, cross_correlation, shifts, stereo
 from chromaperture.optics.aperture import DESIGNS, centroids
 from chromaperture.optics.metrics import film_unmixing
 from chromaperture.optics.psf import geometric_otf
@@ -168,8 +168,8 @@ TRIANGLE = np.array([(0.0, -1.0), (-0.866, 0.5), (0.866, 0.5)])
 @pytest.mark.parametrize(
     "method",
     [
-        correlation.cross_correlation,
-        correlation.phase_correlation,
+        cross_correlation.cross_correlation,
+        cross_correlation.phase_correlation,
         lambda *a: colour_lines.colour_lines(*a, optimised=False),
         colour_lines.colour_lines,
     ],
@@ -180,7 +180,7 @@ def test_prior_methods_find_a_shift_and_its_sign(rng, method, directions, dispar
     assert np.isfinite(found).mean() > 0.98  # noise sends single pixels to an end of the range
     # A tenth of a px: layers of a quarter px, a parabola between them, noise of a twentieth of the texture. Blocks cut
     # at one position overlap less the more the picture moved, which biases the phase towards 0: 6 % of 2.6 px.
-    most = 0.16 if method is correlation.phase_correlation else 0.1
+    most = 0.16 if method is cross_correlation.phase_correlation else 0.1
     assert abs(np.nanmedian(found) - disparity) < most
     assert np.nanmedian(np.abs(found - disparity)) < most + 0.05
 

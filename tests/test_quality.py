@@ -77,7 +77,7 @@ def test_zones_tile_the_frame_and_tell_where_it_is_bad(rng):
     depth = wall(rng, noise_px=0.02)
     rows, columns = cells(*SHAPE, 3, 3)[ZONES.index("bottom left")]
     depth[rows, columns] *= 1.05
-    found = by_cell(depth, TRUTH, sensor_to_pupil_mm=DELTA, scale_px_mm=np.full(SHAPE, B))
+    found = by_cell(depth, TRUTH, sensor_to_pupil_mm=DELTA, scale_px_mm=np.full(SHAPE, B), rows=3, columns=3)
     accuracy = np.array([quality.accuracy for quality in found])
     assert ZONES[int(np.abs(accuracy).argmax())] == "bottom left"
     assert accuracy[ZONES.index("bottom left")] == pytest.approx(0.05, abs=1e-3)

@@ -124,18 +124,16 @@ def _print_table(rows: list[dict[str, Any]], camera: PupilCamera) -> None:
 
 def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> None:
     """Draw the masks in their colours and the depth error over distance."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     import numpy as np
-    from matplotlib import pyplot
+    from matplotlib.patches import Circle
 
+    from chromaperture.evaluation.figures import new_figure
     from chromaperture.optics.aperture import pupil_grid
     from chromaperture.optics.depth_error_bound import expected_accuracy
     from chromaperture.optics.metrics import aperture_figures
 
     columns = max(len(chosen), 4)
-    drawing = pyplot.figure(figsize=(1.7 * columns, 6.2), layout="constrained")
+    drawing = new_figure(1.7 * columns, 6.2)
     grid = drawing.add_gridspec(2, columns, height_ratios=(1, 2.2))
     below = drawing.add_subplot(grid[1, :])
     x, y = pupil_grid(200)
@@ -145,7 +143,7 @@ def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> Non
         axes = drawing.add_subplot(grid[0, i])
         picture = np.where((np.hypot(x, y) < 1)[..., None], aperture.transmission_map(x, y), 1.0)
         axes.imshow(picture)
-        axes.add_patch(pyplot.Circle((99.5, 99.5), 99.5, fill=False, color="0.4", linewidth=0.8))
+        axes.add_patch(Circle((99.5, 99.5), 99.5, fill=False, color="0.4", linewidth=0.8))
         axes.axis("off")
         percent = 100 * aperture_figures(aperture).efficiency_mean
         axes.set_title(f"{aperture.title.replace(': ', chr(10))}\n{percent:.1f} %", fontsize=8)
@@ -156,5 +154,4 @@ def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> Non
     below.grid(alpha=0.3)
     if below.lines:
         below.legend(fontsize=8)
-    drawing.savefig(path, dpi=110)
-    pyplot.close(drawing)
+    drawing.savefig(path)

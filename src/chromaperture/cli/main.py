@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 import warnings
 from typing import Annotated
@@ -9,25 +10,8 @@ from typing import Annotated
 import typer
 
 from chromaperture import __version__
-from chromaperture.cli import (
-    apertures,
-    board,
-    calibrate,
-    check,
-    demo,
-    depth,
-    evaluate,
-    export,
-    info,
-    live,
-    reconstruct,
-    record,
-    refocus,
-    simulate,
-    sources,
-    transparency,
-)
 from chromaperture.cli.console import say_error, show_warning
+from chromaperture.cli.simulate import simulate_rgbd
 from chromaperture.errors import CaptureWarning, ChromapertureError
 
 app = typer.Typer(
@@ -37,13 +21,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-_MODULES = (
-    demo, depth, calibrate, info, check, board, apertures, refocus, transparency, simulate, sources, record, export,
-    evaluate, reconstruct, live,
+_COMMANDS = (
+    "demo", "depth", "calibrate", "info", "check", "board", "apertures", "refocus", "transparency", "simulate",
+    "sources", "record", "export", "evaluate", "reconstruct", "live",
 )  # fmt: skip
-for module in _MODULES:  # each has a function of its own name
-    app.command()(getattr(module, module.__name__.rpartition(".")[2]))
-app.command("simulate-rgbd")(simulate.simulate_rgbd)
+for name in _COMMANDS:  # each is a function in a module of its own name
+    app.command()(getattr(importlib.import_module(f"chromaperture.cli.{name}"), name))
+app.command("simulate-rgbd")(simulate_rgbd)
 
 
 def _print_version(requested: bool) -> None:

@@ -93,7 +93,7 @@ def refocus(
         picture = _restored(image, eye, request, lambda: update(f"{photo.name}: restoration", 1, 3))
         update(f"{photo.name}: focus", 2, 3)
         lens = Focus(0.0 if sweep else chosen_radius(eye, picture, distance_mm, pixel), pupil, bokeh)
-        (_write_sweep if sweep else _write_picture)(picture, lens, request)
+        _write(picture, lens, request)
     if json:
         print_json(_summary(photo, picture, lens, request))
     elif not quiet:
@@ -135,21 +135,17 @@ def _restored(
     return replace(picture, color=picture.color * gain)
 
 
-def _write_picture(picture: SharpPicture, lens: Focus, request: _Request) -> None:
+def _write(picture: SharpPicture, lens: Focus, request: _Request) -> None:
     from chromaperture.effects.background import apply_background
+    from chromaperture.effects.focus_sweep import sweep, write_sweep
     from chromaperture.storage import staged, write_color_png
 
     with staged(request.target.parent) as stage:
-        shown = apply_background(picture.color, picture.radius_px, lens, request.background)
-        write_color_png(stage.path(request.target.name), shown)
-
-
-def _write_sweep(picture: SharpPicture, lens: Focus, request: _Request) -> None:
-    from chromaperture.effects.focus_sweep import sweep, write_sweep
-    from chromaperture.storage import staged
-
-    with staged(request.target.parent) as stage:
-        write_sweep(stage.path(request.target.name), sweep(picture.color, picture.radius_px, lens))
+        path = stage.path(request.target.name)
+        if request.sweep:
+            write_sweep(path, sweep(picture.color, picture.radius_px, lens))
+        else:
+            write_color_png(path, apply_background(picture.color, picture.radius_px, lens, request.background))
 
 
 def _summary(photo: Path, picture: SharpPicture, lens: Focus, request: _Request) -> dict[str, Any]:

@@ -90,25 +90,24 @@ def figures(coded: np.ndarray, bare: np.ndarray, transmission: np.ndarray) -> di
 def draw(path: Path, maps: dict[str, np.ndarray]) -> None:
     """Draw the transparency maps as in Table 1 and the efficiencies as in Figure 11, sorted by light."""
     import numpy as np
-    from matplotlib.figure import Figure
+
+    from chromaperture.evaluation.figures import CHANNEL_COLORS, new_figure, show_image
 
     names = sorted(maps, key=lambda name: float(maps[name].mean()))
-    sheet = Figure(figsize=(2.4 * max(len(names), 3), 8.4), dpi=110, layout="constrained")
+    sheet = new_figure(2.4 * max(len(names), 3), 8.4)
     grid = sheet.add_gridspec(4, len(names), height_ratios=(1, 1, 1, 2))
     for column, name in enumerate(names):
         for k, channel in enumerate("RGB"):
             axes = sheet.add_subplot(grid[k, column])
             values = maps[name][..., k]
-            shown = axes.imshow(values, cmap="viridis")
-            sheet.colorbar(shown, ax=axes, fraction=0.05, pad=0.02)
-            axes.set_axis_off()
             title = f"{name}\n" if k == 0 else ""
-            axes.set_title(f"{title}{channel}: {values.min():.2f} to {values.max():.2f}", fontsize=9)
+            title += f"{channel}: {values.min():.2f} to {values.max():.2f}"
+            show_image(axes, values, title, bar="", cmap="viridis")
     bars = sheet.add_subplot(grid[3, :])
     position = np.arange(len(names))
-    for k, color in enumerate(("#d1495b", "#4f9d69", "#3d6fb4")):
+    for k, (channel, color) in enumerate(CHANNEL_COLORS.items()):
         means = [100 * float(maps[name][..., k].mean()) for name in names]
-        bars.bar(position + 0.26 * (k - 1), means, 0.25, color=color, label="RGB"[k])
+        bars.bar(position + 0.26 * (k - 1), means, 0.25, color=color, label=channel)
     for x, name in zip(position, names, strict=True):
         bars.annotate(f"{100 * float(maps[name].mean()):.1f} %", (x, 101), ha="center", fontsize=9)
     bars.set_xticks(position, names)

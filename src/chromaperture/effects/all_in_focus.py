@@ -27,7 +27,7 @@ _PRIOR_EXPONENT = 0.8  # of the gradients' size: 2 is Gaussian, below 1 favours 
 _COLOUR_SIGMA_PX = 4.0  # standard deviation of the window over which a colour line is estimated
 _ITERATIONS = 10  # conjugate gradients in each round
 _RADIUS_ERROR_PX, _RADIUS_ERROR = 0.5, 0.08  # error of the blur radius, px and relative, at which a pixel weighs half
-_CONTRAST_PX = 9  # side of the window of the local contrast
+_CONTRAST_PX, _JUMP_PX = 9, 5  # sides of the windows of the local contrast, and of the jumps of the blur radius
 _COLOUR_FLOOR = 0.05  # variance across the colour line, of the mean variance: bounds the inverse
 _GRADIENT_FLOOR = 0.02  # squared gradient, of its mean, below which the prior is quadratic: bounds its curvature
 
@@ -95,7 +95,7 @@ def all_in_focus(
         raise InputError(f"image {image.shape[:2]} and depth {radius_px.shape} differ in size: of two photographs")
     if not np.isfinite(radius_px).all():
         raise InputError("the blur radius must be known everywhere; fill the holes of the disparity first")
-    misfit = np.float32(config.model_error**2) * local_variance(aligned)
+    misfit = np.float32(config.model_error**2) * local_variance(aligned, _CONTRAST_PX)
     noise = np.asarray(noise_variance, float) + misfit.mean(axis=(0, 1))
     start = sharpen_layers(
         image, radius_px, blur, noise_variance=noise, colour=colour_covariance(aligned),
@@ -145,17 +145,16 @@ def _solved(
     return x
 
 
-def local_variance(picture: np.ndarray) -> np.ndarray:
-    """Return the variance of each channel around every pixel; (H, W, 3) float32."""
-    mean = cv2.boxFilter(picture, -1, (_CONTRAST_PX, _CONTRAST_PX))
-    return np.maximum(cv2.boxFilter(picture * picture, -1, (_CONTRAST_PX, _CONTRAST_PX)) - mean * mean, 0)
+def local_variance(values: np.ndarray, side_px: int) -> np.ndarray:
+    """Return the variance of each channel in a window around every pixel; (H, W, 3) or (H, W) float32."""
+    mean = cv2.boxFilter(values, -1, (side_px, side_px))
+    return np.maximum(cv2.boxFilter(values * values, -1, (side_px, side_px)) - mean * mean, 0)
 
 
 def certainty(radius_px: np.ndarray, sigma_px: np.ndarray | None) -> np.ndarray:
     """Return the weight of a blur radius: low where it is noisy or jumps; (H, W) float32 in [0, 1]."""
     radius = np.asarray(radius_px, np.float32)
-    mean = cv2.boxFilter(radius, -1, (5, 5))
-    variance = np.maximum(cv2.boxFilter(radius * radius, -1, (5, 5)) - mean * mean, 0)
+    variance = local_variance(radius, _JUMP_PX)
     if sigma_px is not None:
         variance = variance + np.square(np.asarray(sigma_px, np.float32))
     # A large blur tolerates more: the error relative to it counts.
@@ -174,7 +173,7 @@ def colour_lines(guide: np.ndarray, *, sigma_px: float) -> tuple[np.ndarray, flo
     -------
     (3, 3, H, W) float32, of unit mean variance; float, (white level)^2
     """
-    steps = [_smooth(d, 0.7) for d in (_right(guide), _down(guide))]
+    steps = [[cv2.GaussianBlur(p, (0, 0), 0.7) for p in d] for d in _differences(guide)]
     covariance = np.empty((3, 3, *guide.shape[1:]), np.float64)
     for i in range(3):
         for j in range(i, 3):
@@ -190,7 +189,7 @@ def colour_lines(guide: np.ndarray, *, sigma_px: float) -> tuple[np.ndarray, flo
 
 def smoothness(v: np.ndarray, metric: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return the gradient of half the prior, sum_i D_i^T w C^-1 D_i v; (3, H, W) float32."""
-    a, b = (weight * np.einsum("ijhw,jhw->ihw", metric, d) for d in (_right(v), _down(v)))
+    a, b = (weight * np.einsum("ijhw,jhw->ihw", metric, d) for d in _differences(v))
     out = -a - b
     out[..., 1:] += a[..., :-1]
     out[:, 1:] += b[:, :-1]
@@ -199,25 +198,17 @@ def smoothness(v: np.ndarray, metric: np.ndarray, weight: np.ndarray) -> np.ndar
 
 def _weights(x: np.ndarray, metric: np.ndarray, scale: float) -> np.ndarray:
     """Return the curvature of |D x|^p at the present differences; (H, W) float32."""
-    squares = sum(np.einsum("ihw,ijhw,jhw->hw", d, metric, d) for d in (_right(x), _down(x))) / np.float32(3 * scale)
+    squares = sum(np.einsum("ihw,ijhw,jhw->hw", d, metric, d) for d in _differences(x)) / np.float32(3 * scale)
     power = (_PRIOR_EXPONENT - 2) / 2
     return np.asarray(1 / scale * (squares + _GRADIENT_FLOOR) ** power, np.float32)
 
 
-def _right(v: np.ndarray) -> np.ndarray:
-    out = np.zeros_like(v)
-    out[..., :-1] = v[..., 1:] - v[..., :-1]
-    return out
-
-
-def _down(v: np.ndarray) -> np.ndarray:
-    out = np.zeros_like(v)
-    out[:, :-1] = v[:, 1:] - v[:, :-1]
-    return out
-
-
-def _smooth(planes: np.ndarray, sigma: float) -> np.ndarray:
-    return np.stack([cv2.GaussianBlur(p, (0, 0), sigma) for p in planes])
+def _differences(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the differences to the right and downwards, 0 at the last column and row."""
+    right, down = np.zeros_like(v), np.zeros_like(v)
+    right[..., :-1] = v[..., 1:] - v[..., :-1]
+    down[:, :-1] = v[:, 1:] - v[:, :-1]
+    return right, down
 
 
 def _planes(picture: np.ndarray) -> np.ndarray:

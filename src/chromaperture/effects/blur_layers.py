@@ -11,14 +11,14 @@ import numpy as np
 _STEP_PX, _GROWTH = 0.5, 0.10
 
 
-def layer_radii(radius_px: np.ndarray, *, step_px: float = _STEP_PX, growth: float = _GROWTH) -> np.ndarray:
+def layer_radii(radius_px: np.ndarray, *, growth: float = _GROWTH) -> np.ndarray:
     """Choose blur radii that cover the range of a picture, fine near focus and coarser beyond.
 
     Parameters
     ----------
     radius_px : (H, W) float32, px, no NaN
-    step_px, growth : float
-        Distance of two layers: the larger of the step and this fraction of the radius.
+    growth : float
+        Distance of two layers, of their radius; at least half a px.
 
     Returns
     -------
@@ -29,7 +29,7 @@ def layer_radii(radius_px: np.ndarray, *, step_px: float = _STEP_PX, growth: flo
     for reach in (max(-low, 0.0), max(high, 0.0)):
         nodes = [0.0]
         while nodes[-1] < reach:
-            nodes.append(nodes[-1] + max(step_px, growth * nodes[-1]))
+            nodes.append(nodes[-1] + max(_STEP_PX, growth * nodes[-1]))
         sides.append(np.array(nodes))
     radii = np.concatenate([-sides[0][:0:-1], sides[1]])
     used = np.flatnonzero((radii >= low) & (radii <= high))

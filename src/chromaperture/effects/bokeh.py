@@ -14,7 +14,6 @@ from chromaperture.errors import InputError
 
 _GRID = 256  # cells along a side of a mask; one or more a px of the largest blur of `refocus`, radius 120 px
 _BLACK = 0.02  # linear light of the brightest pixel below which a picture counts as black; chosen by hand
-NAMED = ("disc", "hex")
 
 
 def bokeh_mask(name: str) -> np.ndarray:

@@ -85,11 +85,10 @@ def _domain_transform(planes: np.ndarray, guide: np.ndarray) -> np.ndarray:
     for i in range(_ROUNDS):
         reach = _REACH_PX * np.sqrt(3) * 2.0 ** (_ROUNDS - 1 - i) / np.sqrt(4.0**_ROUNDS - 1)
         decay = np.float32(np.exp(-np.sqrt(2) / reach))
-        over_rows(_average_rows, len(planes), planes, decay ** (1 + across * np.float32(_REACH_PX)))
-        planes = np.ascontiguousarray(planes.transpose(1, 0, 2))
-        along = np.ascontiguousarray((decay ** (1 + down * np.float32(_REACH_PX))).T)
-        over_rows(_average_rows, len(planes), planes, along)
-        planes = np.ascontiguousarray(planes.transpose(1, 0, 2))
+        for step in (across, down.T):  # rows, then columns
+            along = np.ascontiguousarray(decay ** (1 + step * np.float32(_REACH_PX)))
+            over_rows(_average_rows, len(planes), planes, along)
+            planes = np.ascontiguousarray(planes.transpose(1, 0, 2))
     return planes
 
 

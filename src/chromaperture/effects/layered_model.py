@@ -9,15 +9,27 @@ the coverage from 1 measures how unreliable the model is.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import scipy.fft
 
 from chromaperture.effects.blur_layers import layer_radii, layer_weights
 from chromaperture.effects.transfer_functions import Blur
 
-SHARP_PX = 0.25  # blur radius below which a layer counts as in focus; half the distance of two layers
+_SHARP_PX = 0.25  # blur radius below which a layer counts as in focus; half the distance of two layers
 _COVERAGE_ERROR = 0.12  # departure of the coverage from 1 at which data weigh 1/e; chosen by hand, not tuned
 _MIN_COVERAGE = 0.05  # bounds the division; chosen by hand, not tuned
+
+
+def blurred_layers(
+    radius_px: np.ndarray, blur: Blur, shape: tuple[int, int]
+) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
+    """Yield radius, weights and transfer functions, for pictures of a shape, of the layers that have pixels."""
+    radii = layer_radii(radius_px)
+    for radius, weight in zip(radii, layer_weights(radius_px, radii), strict=True):
+        if weight.any():
+            yield float(radius), weight, blur(float(radius) if abs(radius) > _SHARP_PX else 0.0, shape)
 
 
 class LayeredModel:
@@ -33,13 +45,9 @@ class LayeredModel:
     def __init__(self, radius_px: np.ndarray, blur: Blur) -> None:
         self.shape = (int(radius_px.shape[0]), int(radius_px.shape[1]))
         self._layers: list[tuple[tuple[slice, slice], np.ndarray, np.ndarray]] = []
-        radii = layer_radii(radius_px)
-        for radius, weight in zip(radii, layer_weights(radius_px, radii), strict=True):
-            if not weight.any():
-                continue
+        for _, weight, otf in blurred_layers(radius_px, blur, self.shape):
             rows, columns = np.flatnonzero(weight.any(axis=1)), np.flatnonzero(weight.any(axis=0))
             box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-            otf = blur(float(radius) if abs(radius) > SHARP_PX else 0.0, self.shape)
             self._layers.append((box, np.ascontiguousarray(weight[box]), otf))
         # Filters of unlike shape blur edges unlike: the coverage differs from channel to channel.
         self._coverage = np.maximum(self._blurred(np.ones((3, *self.shape), np.float32)), np.float32(_MIN_COVERAGE))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -41,18 +41,13 @@ def _tiles(shape: tuple[int, int], tile_px: int, overlap_px: int) -> Iterator[tu
         edges = np.linspace(0, size, max(1, round(size / tile_px)) + 1).astype(int)
         spans = ((max(int(a) - overlap_px, 0), min(int(b) + overlap_px, size)) for a, b in pairwise(edges))
         axes.append([slice(*span) for span in spans])
-    for rows in axes[0]:
-        for columns in axes[1]:
-            yield rows, columns
+    return product(axes[0], axes[1])
 
 
 def _ramp(piece: slice, size: int, overlap_px: int) -> np.ndarray:
     """Return the weight along one side of a tile: it rises over the overlap, except at the border of the frame."""
-    length = piece.stop - piece.start
-    x = np.arange(length) + 0.5
-    rise = np.ones(length)
-    if piece.start > 0:
-        rise = np.minimum(rise, x / (2 * overlap_px))
+    x = np.arange(piece.start, piece.stop) + 0.5
+    rise = (x - piece.start) / (2 * overlap_px) if piece.start > 0 else np.ones(len(x))
     if piece.stop < size:
-        rise = np.minimum(rise, (length - x) / (2 * overlap_px))
+        rise = np.minimum(rise, (piece.stop - x) / (2 * overlap_px))
     return np.clip(rise, 1e-3, 1).astype(np.float32)  # never 0: the weights' sum divides

@@ -99,12 +99,10 @@ def restore(
     noise = (estimate_noise_variance(image) if variance is None else variance).mean(axis=(0, 1)) * gains**2
     fitted = camera.alignment.lens_shift if blur is None else None
     rounds = SharpenConfig.reweightings if sharpness == "full" else 0
-    if fitted is None:
-        settings = SharpenConfig(model_error=UNFITTED_ERROR, reweightings=rounds)
-    else:
+    settings = SharpenConfig(model_error=UNFITTED_ERROR, reweightings=rounds)
+    if fitted is not None:
         settings = fitted_settings(fitted.blur.reach, reweightings=rounds)
-    film = camera.calibration.film.transmissions()
-    thin = ThinLensBlur(camera.calibration.aperture.with_film(film))
+    thin = ThinLensBlur(camera.calibration.aperture.with_film(camera.calibration.film.transmissions()))
     transfer = blur or (thin if fitted is None else LensTransfer(fitted))
     saturated = np.asarray(image.max(axis=2) >= SATURATION)
 
@@ -151,16 +149,10 @@ def _aligned(
     return np.maximum(aligned, 0), radius, scatter * scale
 
 
-def fitted_settings(reach: float, *, reweightings: int = SharpenConfig.reweightings) -> SharpenConfig:
-    """Return the settings for a fitted blur.
+def fitted_settings(reach: float, *, reweightings: int) -> SharpenConfig:
+    """Return the settings for a fitted blur, by its reach: half disparity over the radius of the blur.
 
     The blur radius follows from the disparity: the closer the views of a design, the less exactly.
-
-    Parameters
-    ----------
-    reach : float
-        Half disparity over the radius of the blur.
-    reweightings : int
     """
     error = _LAYER_ERROR_PX / reach
     return SharpenConfig(

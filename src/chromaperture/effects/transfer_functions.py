@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -17,7 +18,7 @@ from chromaperture.optics.aperture import Aperture, centroids
 from chromaperture.optics.lens_otf import lens_kernels
 from chromaperture.optics.psf import geometric_otf
 
-_CACHE_SIZE = 64  # transfer functions: each layer of a tile is used several times; cleared when full
+_CACHE_SIZE = 64  # transfer functions: each layer of a tile is used several times
 
 Size: TypeAlias = tuple[int, int]
 Position: TypeAlias = tuple[float, float]
@@ -47,15 +48,9 @@ class Blur(Protocol):
 
 @dataclass(frozen=True)
 class ThinLensBlur:
-    """Scaled shadow of the aperture, the same over the whole frame.
+    """Scaled shadow of the aperture, the same over the whole frame."""
 
-    Attributes
-    ----------
-    aperture : Aperture
-        With the camera's measured film.
-    """
-
-    aperture: Aperture
+    aperture: Aperture  # with the camera's measured film
 
     def __call__(self, radius_px: float, shape: Size, *, frame_position: Position | None = None) -> np.ndarray:
         """See `Blur`."""
@@ -63,28 +58,20 @@ class ThinLensBlur:
 
 
 class LensTransfer:
-    """Blur of a calibrated lens, which changes over the frame.
-
-    Parameters
-    ----------
-    shift : LensShift
-        Of the camera; relates blur radius and distance.
-    """
+    """Blur of a calibrated lens, which changes over the frame; ``shift`` relates blur radius and distance."""
 
     def __init__(self, shift: LensShift) -> None:
         self.shift = shift
-        self._cache: dict[tuple, np.ndarray] = {}
+        self._kept = lru_cache(_CACHE_SIZE)(self._computed)
 
     def __call__(self, radius_px: float, shape: Size, *, frame_position: Position | None = None) -> np.ndarray:
         """See `Blur`."""
-        key = (radius_px, shape, frame_position)
-        if key not in self._cache:
-            if len(self._cache) >= _CACHE_SIZE:
-                self._cache.clear()
-            blur, (x, y) = self.shift.blur, frame_position or (0.0, 0.0)
-            pixel = ((x + 1) * blur.width_px / 2 - 0.5, (y + 1) * blur.height_px / 2 - 0.5)
-            self._cache[key] = kernel_otf(lens_kernels(blur, pixel, float(self.shift.inverse_mm(radius_px))), shape)
-        return self._cache[key]
+        return self._kept(radius_px, shape, frame_position or (0.0, 0.0))
+
+    def _computed(self, radius_px: float, shape: Size, frame_position: Position) -> np.ndarray:
+        blur, (x, y) = self.shift.blur, frame_position
+        pixel = ((x + 1) * blur.width_px / 2 - 0.5, (y + 1) * blur.height_px / 2 - 0.5)
+        return kernel_otf(lens_kernels(blur, pixel, float(self.shift.inverse_mm(radius_px))), shape)
 
 
 def kernel_otf(kernels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -101,7 +88,6 @@ def kernel_otf(kernels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 def radius_per_disparity(calibration: Calibration, quality: Quality) -> float:
     """Return the displacement of the pupil's rim per px of the disparity measured at a quality."""
     shifts = channel_shifts(calibration, quality)
-    pupil = centroids(calibration.aperture.with_film(calibration.film.transmissions()))
-    pupil = np.nan_to_num(pupil)
+    pupil = np.nan_to_num(centroids(calibration.aperture.with_film(calibration.film.transmissions())))
     # Least squares over the channels: shift = radius * centroid.
     return float((shifts * pupil).sum() / (pupil**2).sum())

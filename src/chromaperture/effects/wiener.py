@@ -17,8 +17,7 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from chromaperture.effects.blur_layers import layer_radii, layer_weights
-from chromaperture.effects.layered_model import SHARP_PX
+from chromaperture.effects.layered_model import blurred_layers
 from chromaperture.effects.transfer_functions import Blur
 
 # Chosen by hand; not tuned.
@@ -134,16 +133,12 @@ def sharpen_layers(
     signal = natural_spectrum(size) * float(image.var(axis=(0, 1)).mean()) + 1e-12
     error = kernel_error**2 * np.diag(colour)[:, None, None] * signal
     out = np.zeros_like(image)
-    radii = layer_radii(radius_px)
     crop = np.s_[pad : pad + image.shape[0], pad : pad + image.shape[1]]
     with scipy.fft.set_workers(-1):
-        for layer_px, weight in zip(radii, layer_weights(radius_px, radii), strict=True):
-            if not weight.any():
-                continue
+        for layer_px, weight, otf in blurred_layers(radius_px, blur, size):
             tolerance = np.float32(_SAME_PX + _SAME_RADIUS * abs(layer_px))
             surface = extrapolated(padded, np.abs(radius - np.float32(layer_px)) < tolerance)
             spectra = scipy.fft.rfft2(surface.transpose(2, 0, 1))
-            otf = blur(float(layer_px) if abs(layer_px) > SHARP_PX else 0.0, size)
             # No blur, no error of the blur.
             noise = error * np.maximum(1 - np.abs(otf) ** 2, 0) + np.asarray(noise_variance)[:, None, None]
             sharp = joint_filter(spectra, otf, noise_variance=noise, signal=signal, colour=colour)

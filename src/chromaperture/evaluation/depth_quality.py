@@ -17,27 +17,13 @@ _LEAST_PIXELS = 12  # for a fit of three parameters; chosen by hand
 
 @dataclass(frozen=True)
 class PlaneQuality:
-    """Quality of the measured depth of a piece of a flat wall.
+    """Quality of the measured depth of a piece of a flat wall."""
 
-    Attributes
-    ----------
-    fill : float
-        Fraction of the pixels with a depth.
-    accuracy : float
-        Z accuracy: median of (measured - true) / true; signed.
-    plane_rms : float
-        Root mean square distance from the best plane, relative to the distance; without outliers.
-    subpixel_rms_px : float
-        The same in px of half disparity, which does not grow with distance.
-    outliers : float
-        Fraction of the pixels with a depth that lie more than four robust standard deviations off the plane.
-    """
-
-    fill: float
-    accuracy: float
-    plane_rms: float
-    subpixel_rms_px: float
-    outliers: float
+    fill: float  # fraction of the pixels with a depth
+    accuracy: float  # Z accuracy: median of (measured - true) / true; signed
+    plane_rms: float  # root mean square distance from the best plane, relative to the distance; without outliers
+    subpixel_rms_px: float  # the same in px of half disparity, which does not grow with distance
+    outliers: float  # fraction of the pixels with a depth more than four robust standard deviations off the plane
 
 
 def plane_quality(
@@ -95,16 +81,10 @@ def cells(height: int, width: int, rows: int, columns: int) -> list[tuple[slice,
 
 
 def by_cell(
-    depth_mm: np.ndarray,
-    truth_mm: float,
-    *,
-    sensor_to_pupil_mm: float,
-    scale_px_mm: np.ndarray | float,
-    rows: int = 3,
-    columns: int = 3,
+    depth_mm: np.ndarray, truth_mm: float, sensor_to_pupil_mm: float, scale_px_mm: np.ndarray, rows: int, columns: int
 ) -> list[PlaneQuality]:
     """Apply `plane_quality` to every cell of the frame, each with its own plane; row by row."""
-    scale = np.broadcast_to(np.asarray(scale_px_mm, float), depth_mm.shape)
+    scale = np.broadcast_to(scale_px_mm, depth_mm.shape)
     return [
         plane_quality(depth_mm[cell], truth_mm, sensor_to_pupil_mm=sensor_to_pupil_mm, scale_px_mm=scale[cell])
         for cell in cells(depth_mm.shape[0], depth_mm.shape[1], rows, columns)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.figure import Figure
@@ -17,23 +17,7 @@ from chromaperture.evaluation.tables import Table
 from chromaperture.evaluation.verdict import sentences
 from chromaperture.storage import staged
 
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure as base64 PNG, and its caption."""
-
-    data: str
-    caption: str
-
-
-@dataclass(frozen=True)
-class Section:
-    """A section of the page."""
-
-    title: str
-    pictures: tuple[Picture, ...] = ()
-    tables: tuple[Table, ...] = ()
-    lines: tuple[str, ...] = ()
+Draw = Callable[[CalibrationResult], Figure | None]
 
 
 def page_template(name: str) -> Template:
@@ -54,15 +38,15 @@ def report_html(result: CalibrationResult, *, title: str) -> str:
     )
 
 
-def write_report(path: str | Path, result: CalibrationResult, *, title: str | None = None) -> None:
+def write_report(path: str | Path, result: CalibrationResult) -> None:
     """Write the report atomically."""
     path = Path(path)
-    text = report_html(result, title=title or f"Calibration of {result.session.folder.name}")
+    text = report_html(result, title=f"Calibration of {result.session.folder.name}")
     with staged(path.parent) as stage:
         stage.path(path.name).write_text(text, encoding="utf-8")
 
 
-def _sections(result: CalibrationResult) -> list[Section]:
+def _sections(result: CalibrationResult) -> list[dict[str, Any]]:
     index, before, after = figures.flat_board(result)
     ratio = f"{after / before:.2f}" if before > 0 else "-"
     flat = (
@@ -106,24 +90,25 @@ def _sections(result: CalibrationResult) -> list[Section]:
         _drawn("Parameters", result, evidence.draw_correlation,
                "Near ±1, a combination of the two parameters is known better than each of them.",
                tables.parameters(result)),
-        Section("Notes", lines=tuple(result.notes) or ("Nothing was missing.",)),
-        Section("Where this comes from", tables=(tables.provenance(result),)),
+        _section("Notes", lines=result.notes or ("Nothing was missing.",)),
+        _section("Where this comes from", tables=(tables.provenance(result),)),
     ]  # fmt: skip
 
 
+def _section(
+    title: str, *, pictures: Sequence[dict[str, str]] = (), tables: Sequence[Table] = (), lines: Sequence[str] = ()
+) -> dict[str, Any]:
+    return {"title": title, "pictures": pictures, "tables": tables, "lines": lines}
+
+
 def _drawn(
-    title: str,
-    result: CalibrationResult,
-    draw: Callable[[CalibrationResult], Figure | None],
-    caption: str,
-    *shown: Table,
-    lines: tuple[str, ...] = (),
-) -> Section:
+    title: str, result: CalibrationResult, draw: Draw, caption: str, *shown: Table, lines: Sequence[str] = ()
+) -> dict[str, Any]:
     """Make the section of a figure; without a figure it has a line instead."""
     figure = draw(result)
     if figure is None:
-        return Section(title, tables=shown, lines=lines or ("The session holds nothing to show here.",))
-    return Section(title, (Picture(encoded(figure), caption),), shown, lines)
+        return _section(title, tables=shown, lines=lines or ("The session holds nothing to show here.",))
+    return _section(title, pictures=[{"data": encoded(figure), "caption": caption}], tables=shown, lines=lines)
 
 
 def encoded(figure: Figure) -> str:

@@ -82,10 +82,8 @@ def parameters(result: CalibrationResult) -> Table:
         sigma = np.sqrt(np.diag(np.asarray(fit.model.covariance)))
         values = (fit.model.infinity_disparity_px, fit.model.scale_px_mm, fit.model.sensor_to_pupil_mm)
         names = ("disparity of infinity A, px", "scale B, px mm", "sensor to pupil δ, mm")
-        rows += [
-            (f"{name} ({quality})", f"{float(np.asarray(v)):.4g}", f"{s:.2g}", "fitted on the axis")
-            for name, v, s in zip(names, values, sigma, strict=True)
-        ]
+        for name, value, s in zip(names, values, sigma, strict=True):
+            rows.append((f"{name} ({quality})", f"{float(np.asarray(value)):.4g}", f"{s:.2g}", "fitted on the axis"))
     lens = calibration.lens
     rows += [
         ("focal length, mm", f"{lens.focal_length_mm:.3f}", "", "derived: 1/f = 1/z_if + 1/z_of"),

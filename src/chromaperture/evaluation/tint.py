@@ -22,18 +22,10 @@ _LINEAR_FROM = 1.5  # robust standard deviations at which the loss turns linear,
 
 @dataclass(frozen=True)
 class Tint:
-    """Change of the colour ratios over the frame.
+    """Change of the colour ratios over the frame."""
 
-    Attributes
-    ----------
-    ramp : float
-        Largest relative change of a channel ratio from the middle of the frame to its edge.
-    scatter : float
-        Robust relative standard deviation of the cells about the ramp: large in coloured scenes.
-    """
-
-    ramp: float
-    scatter: float
+    ramp: float  # largest relative change of a channel ratio from the middle of the frame to its edge
+    scatter: float  # robust relative standard deviation of the cells about the ramp: large in coloured scenes
 
 
 def measure_tint(image: np.ndarray) -> Tint | None:

@@ -18,27 +18,13 @@ _LARGE_CORNER_RMS_PX = 0.5  # residual of the lens model above which flatness an
 
 @dataclass(frozen=True)
 class DepthAccuracy:
-    """Accuracy over the working range, on the axis.
+    """Accuracy over the working range, on the axis; (N,) float64 each, mm."""
 
-    Attributes
-    ----------
-    depth_mm : (N,) float64
-        From the sensor plane, evenly spaced.
-    pixel_sigma_mm : (N,) float64
-        Standard deviation of one pixel on the boards, calibration included.
-    curve_sigma_mm : (N,) float64
-        That of the calibration alone, which averaging over pixels does not reduce.
-    bias_mm : (N,) float64
-        Error of the boards' medians over the frame, interpolated between the boards; NaN beyond them.
-    step_mm : (N,) float64
-        Depth per px of disparity.
-    """
-
-    depth_mm: np.ndarray
-    pixel_sigma_mm: np.ndarray
-    curve_sigma_mm: np.ndarray
-    bias_mm: np.ndarray
-    step_mm: np.ndarray
+    depth_mm: np.ndarray  # from the sensor plane, evenly spaced
+    pixel_sigma_mm: np.ndarray  # standard deviation of one pixel on the boards, calibration included
+    curve_sigma_mm: np.ndarray  # that of the calibration alone, which averaging over pixels does not reduce
+    bias_mm: np.ndarray  # error of the boards' medians over the frame, interpolated between them; NaN beyond them
+    step_mm: np.ndarray  # depth per px of disparity
 
     @property
     def total_mm(self) -> np.ndarray:
@@ -102,17 +88,13 @@ def board_depth(result: CalibrationResult, index: int, *, corrected: bool = True
     disparity = np.asarray(board.grid_px[QUALITY], float)
     if corrected:
         # A px of residual is 1 / B(i, j) of inverse depth; added to the curve of the axis.
-        ratio = float(np.asarray(axis.scale_px_mm)) / _scale_on_grid(result)
+        shape = (calibration.sensor.height_px, calibration.sensor.width_px)
+        scale = np.broadcast_to(np.asarray(calibration.depth_model(QUALITY).scale_px_mm), shape)
+        on_grid = scale[np.ix_(result.grid_y_px.astype(int), result.grid_x_px.astype(int))]
+        ratio = float(np.asarray(axis.scale_px_mm)) / on_grid
         residual = np.asarray(result.residual_px[QUALITY][index], float)
         disparity = float(depth_to_disparity(board.ruler_mm, axis)) + residual * ratio
     return disparity_to_depth(disparity, axis)[0].astype(float)
-
-
-def _scale_on_grid(result: CalibrationResult) -> np.ndarray:
-    sensor = result.calibration.sensor
-    shape = (sensor.height_px, sensor.width_px)
-    scale = np.broadcast_to(np.asarray(result.calibration.depth_model(QUALITY).scale_px_mm), shape)
-    return scale[np.ix_(result.grid_y_px.astype(int), result.grid_x_px.astype(int))]
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, DepthFrame
 from chromaperture.capture.files import decode, linearise
-from chromaperture.depth.pointcloud import depth_to_points, write_ply
+from chromaperture.depth.pointcloud import PointCloud, depth_to_points, write_ply
 from chromaperture.errors import CaptureWarning
 from chromaperture.products.preview import write_preview
 from chromaperture.storage import staged, write_color_png, write_depth_png, write_float_tiff, write_json
@@ -136,15 +136,14 @@ def write_maps(target: Callable[[str], Path], stem: str, camera: CodedApertureCa
     write_float_tiff(target(f"{stem}.depth.tiff"), frame.depth_mm)
     write_float_tiff(target(f"{stem}.sigma.tiff"), frame.sigma_mm)
     write_depth_png(target(f"{stem}.depth.png"), frame.depth_mm)
-    lens = camera.calibration.lens
-    cloud = depth_to_points(
-        frame.depth_mm,
-        frame.color,
-        camera_matrix=lens.camera_matrix,
-        distortion=lens.distortion,
-        sensor_to_pupil_mm=camera.calibration.depth[camera.config.quality].sensor_to_pupil_mm,
-    )
-    write_ply(target(f"{stem}.ply"), cloud)
+    write_ply(target(f"{stem}.ply"), points(camera, frame.depth_mm, frame.color))
+
+
+def points(camera: CodedApertureCamera, depth_mm: np.ndarray, color: np.ndarray) -> PointCloud:
+    """Return the points of a depth map of this camera, see `depth_to_points`."""
+    lens, delta = camera.calibration.lens, camera.calibration.depth[camera.config.quality].sensor_to_pupil_mm
+    matrix, distortion = lens.camera_matrix, lens.distortion
+    return depth_to_points(depth_mm, color, camera_matrix=matrix, distortion=distortion, sensor_to_pupil_mm=delta)
 
 
 def summarise(frame: DepthFrame, camera: CodedApertureCamera, seconds: dict[str, float]) -> dict[str, Any]:

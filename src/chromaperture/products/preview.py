@@ -15,67 +15,46 @@ from chromaperture.color.srgb import linear_to_srgb
 _DARK, _LIGHT, _UNKNOWN = "#14161a", "#e8e6e3", "#3a3d44"
 
 
-def preview_figure(image: np.ndarray, frame: DepthFrame, *, title: str) -> Figure:
-    """Draw the preview.
+def write_preview(path: Path, image: np.ndarray, frame: DepthFrame, *, title: str) -> None:
+    """Draw the preview of a capture (H, W, 3), linear RGB, channels not aligned, as PNG.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float, linear RGB
-        The capture, channels not aligned.
-    frame : DepthFrame
-    title : str
-
-    Returns
-    -------
-    Figure
-        With disparity instead of depth where the camera is not calibrated.
+    It shows disparity instead of depth where the camera is not calibrated.
     """
     height, width = image.shape[:2]
     figure = Figure(figsize=(12.8, 0.4 + 12.8 * height / width * 0.93), dpi=110, facecolor=_DARK, layout="constrained")
     figure.suptitle(title, color=_LIGHT, fontsize=13)
     capture, depth, restored, sigma = figure.subplots(2, 2).ravel()
-    exposure = 1 / max(float(np.nanpercentile(image, 99.5)), 1e-6)
-    _picture(capture, linear_to_srgb(image * exposure), "capture through the colour-coded aperture")
-    exposure = 1 / max(float(np.nanpercentile(frame.color, 99.5)), 1e-6)
-    _picture(restored, linear_to_srgb(frame.color * exposure), "restored colour, channels aligned")
+    _picture(capture, image, "capture through the colour-coded aperture")
+    _picture(restored, frame.color, "restored colour, channels aligned")
     if frame.valid.any():
-        _map(figure, depth, frame.depth_mm, "depth from the sensor plane", "mm", "turbo_r", (2, 98))
-        _map(figure, sigma, frame.sigma_mm, "error bar (one standard deviation)", "mm", "magma", (0, 90), low=0.0)
+        title, unit, colors, percentiles = "depth from the sensor plane", "mm", "turbo_r", (2, 98)
+        values, error = frame.depth_mm, frame.sigma_mm
     else:
-        _map(figure, depth, frame.disparity_px, "disparity (0 in focus, + beyond); depth needs a calibration", "px",
-             "turbo", (1, 99))  # fmt: skip
-        _map(figure, sigma, frame.disparity_sigma_px, "error bar (one standard deviation)", "px", "magma", (0, 90),
-             low=0.0)  # fmt: skip
-    return figure
-
-
-def write_preview(path: Path, image: np.ndarray, frame: DepthFrame, *, title: str) -> None:
-    """Write the preview as PNG."""
-    preview_figure(image, frame, title=title).savefig(path, format="png", facecolor=_DARK)
+        title, unit = "disparity (0 in focus, + beyond); depth needs a calibration", "px"
+        colors, percentiles = "turbo", (1, 99)
+        values, error = frame.disparity_px, frame.disparity_sigma_px
+    _map(depth, values, title, unit, colors, percentiles)
+    _map(sigma, error, "error bar (one standard deviation)", unit, "magma", (0, 90), low=0.0)
+    figure.savefig(path, format="png", facecolor=_DARK)
 
 
 def _picture(axes: Axes, picture: np.ndarray, title: str) -> None:
-    axes.imshow(picture, interpolation="antialiased")
+    exposure = 1 / max(float(np.nanpercentile(picture, 99.5)), 1e-6)
+    axes.imshow(linear_to_srgb(picture * exposure), interpolation="antialiased")
     _label(axes, title)
 
 
 def _map(
-    figure: Figure,
-    axes: Axes,
-    values: np.ndarray,
-    title: str,
-    unit: str,
-    colors: str,
-    percentiles: tuple[float, float],
+    axes: Axes, values: np.ndarray, title: str, unit: str, colors: str, percentiles: tuple[float, float],
     low: float | None = None,
-) -> None:
+) -> None:  # fmt: skip
     known = values[np.isfinite(values)]
     ends = np.percentile(known, percentiles) if known.size else np.array([0.0, 1.0])
     bottom = float(ends[0]) if low is None else low
     top = max(float(ends[1]), bottom + 1e-6)
     shades = mpl.colormaps[colors].with_extremes(bad=_UNKNOWN)
     shown = axes.imshow(np.ma.masked_invalid(values), cmap=shades, vmin=bottom, vmax=top, interpolation="nearest")
-    bar = figure.colorbar(shown, ax=axes, fraction=0.035, pad=0.015, extend="both" if low is None else "max")
+    bar = axes.figure.colorbar(shown, ax=axes, fraction=0.035, pad=0.015, extend="both" if low is None else "max")
     bar.set_label(unit, color=_LIGHT)
     bar.ax.tick_params(colors=_LIGHT, labelsize=9)
     bar.outline.set_visible(False)

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from chromaperture.compilation import compiled
+from chromaperture.compilation import compiled, inlined
 from chromaperture.robust import HUBER, robust_sigma
 
 _UNKNOWNS = 8  # three of translation, three of rotation, gain, offset
@@ -30,8 +31,7 @@ _MIN_CORRELATION = 0.7  # of the coarsest pictures; below, rotations of the gues
 _TURN_PX, _TURNS = 1.5, 4  # step of these rotations, px of the coarsest picture, and their number to each side
 
 
-@dataclass(frozen=True)
-class Level:
+class Level(NamedTuple):
     """One scale of a picture: (H, W) float32 grey and gradients, distance and its sigma (mm, NaN), camera matrix."""
 
     grey: np.ndarray
@@ -126,7 +126,7 @@ def _align_level(
     """Align at one scale; updates ``brightness`` in place."""
     grey_sigma, distance_mm = _START_SIGMA, float(np.median(cloud[:, 2]))
     for round_ in range(_ROUNDS):
-        sums, residual, matched, close = _linearised(
+        sums, residual, matched, close = normal_equations(
             cloud, level, motion, brightness, grey_sigma, depth_weight, outlier_mm
         )
         visible = np.isfinite(residual)
@@ -166,30 +166,12 @@ def _best_rotation(cloud: np.ndarray, level: Level, motion: np.ndarray, outlier_
 
 def _visible_correlation(cloud: np.ndarray, level: Level, motion: np.ndarray, outlier_mm: float) -> float:
     """Return the correlation of the points' grey with the picture's, reduced where few points are visible."""
-    _, residual, matched, _ = _linearised(cloud, level, motion, np.array([1.0, 0.0]), _START_SIGMA, 0.0, outlier_mm)
+    even = np.array([1.0, 0.0])
+    _, residual, matched, _ = normal_equations(cloud, level, motion, even, _START_SIGMA, 0.0, outlier_mm)
     visible = np.isfinite(residual)
     if visible.sum() < _MIN_POINTS:
         return 0.0
     return _correlation(cloud[visible, 3], matched[visible]) * float(visible.mean()) ** 0.5
-
-
-def _linearised(
-    cloud: np.ndarray,
-    level: Level,
-    motion: np.ndarray,
-    brightness: np.ndarray,
-    grey_sigma: float,
-    depth_weight: float,
-    outlier_mm: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the sums, residuals, matched grey and agreement of distances of `normal_equations`."""
-    residual, matched = np.empty(len(cloud), np.float32), np.empty(len(cloud), np.float32)
-    close = np.empty(len(cloud), np.uint8)
-    sums = normal_equations(
-        cloud, level.grey, level.grad_x, level.grad_y, level.z_mm, level.sigma_mm, level.matrix, motion,
-        brightness, grey_sigma, depth_weight, outlier_mm, residual, matched, close,
-    )  # fmt: skip
-    return sums, residual, matched, close
 
 
 def _step(sums: np.ndarray) -> np.ndarray | None:
@@ -218,22 +200,43 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(a @ b) / power if power > len(a) else 0.0  # contrast below one grey level is noise
 
 
-@compiled()
-def normal_equations(  # type: ignore[no-untyped-def]
-    points, grey, grad_x, grad_y, z_mm, sigma_mm, matrix, motion, brightness, grey_sigma, depth_weight, outlier_mm,
-    residual, matched, close,
-):  # fmt: skip
-    """Return the sums of J^T W J (upper triangle) and J^T W r over the points; (44,) float64.
+@inlined()
+def _interpolated(picture, row, column, s, t):  # type: ignore[no-untyped-def]
+    """Interpolate linearly between four pixels, ``s`` to the right and ``t`` below a pixel."""
+    above = (1 - s) * (1 - t) * picture[row, column] + s * (1 - t) * picture[row, column + 1]
+    return above + (1 - s) * t * picture[row + 1, column] + s * t * picture[row + 1, column + 1]
 
-    Fills ``residual`` (grey levels, NaN where a point is not visible), ``matched`` (grey of the picture there) and
-    ``close`` (whether its distance agrees or differs, 0 where it is unknown).
+
+@inlined()
+def _add(total, j, weight, residual, unknowns):  # type: ignore[no-untyped-def]
+    """Add a residual, whose Jacobian is 0 beyond the first unknowns, to the sums of `normal_equations`."""
+    k = 0
+    for a in range(unknowns):
+        wa = weight * j[a]
+        for b in range(a, _UNKNOWNS):
+            if b < unknowns:
+                total[k] += wa * j[b]
+            k += 1
+        total[36 + a] += wa * residual
+
+
+@compiled()
+def normal_equations(points, level, motion, brightness, grey_sigma, depth_weight, outlier_mm):  # type: ignore[no-untyped-def]
+    """Linearise the residuals of the points about a motion.
+
+    Returns the sums of J^T W J (upper triangle) and J^T W r, (44,) float64; and for every point the residual (grey
+    levels, NaN where it is not visible), the grey of the picture there, and whether its distance agrees or differs (0
+    where it is unknown).
     """
-    rows, columns = grey.shape
-    total, j = np.zeros(44), np.zeros(8)
-    fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    residual, matched = np.empty(len(points), np.float32), np.empty(len(points), np.float32)
+    close = np.zeros(len(points), np.uint8)
+    rows, columns = level.grey.shape
+    total, j = np.zeros(44), np.zeros(_UNKNOWNS)
+    m = level.matrix
+    fx, fy, cx, cy = m[0, 0], m[1, 1], m[0, 2], m[1, 2]
     gain, offset = brightness[0], brightness[1]
     for n in range(len(points)):
-        residual[n], close[n] = np.nan, 0
+        residual[n] = np.nan
         px, py, pz = points[n, 0], points[n, 1], points[n, 2]
         x = motion[0, 0] * px + motion[0, 1] * py + motion[0, 2] * pz + motion[0, 3]
         y = motion[1, 0] * px + motion[1, 1] * py + motion[1, 2] * pz + motion[1, 3]
@@ -246,24 +249,13 @@ def normal_equations(  # type: ignore[no-untyped-def]
         column, row = int(u), int(v)
         s, t = u - column, v - row
         near_column, near_row = int(u + 0.5), int(v + 0.5)
-        measured = z_mm[near_row, near_column]
-        apart = measured - z
+        apart = level.z_mm[near_row, near_column] - z
         if apart < -outlier_mm:  # another surface hides it now
             close[n] = _DIFFERS
             continue
-        w00, w01, w10, w11 = (1 - s) * (1 - t), s * (1 - t), (1 - s) * t, s * t
-        value = (
-            w00 * grey[row, column] + w01 * grey[row, column + 1]
-            + w10 * grey[row + 1, column] + w11 * grey[row + 1, column + 1]
-        )  # fmt: skip
-        gx = (
-            w00 * grad_x[row, column] + w01 * grad_x[row, column + 1]
-            + w10 * grad_x[row + 1, column] + w11 * grad_x[row + 1, column + 1]
-        )  # fmt: skip
-        gy = (
-            w00 * grad_y[row, column] + w01 * grad_y[row, column + 1]
-            + w10 * grad_y[row + 1, column] + w11 * grad_y[row + 1, column + 1]
-        )  # fmt: skip
+        value = _interpolated(level.grey, row, column, s, t)
+        gx = _interpolated(level.grad_x, row, column, s, t)
+        gy = _interpolated(level.grad_y, row, column, s, t)
         r = value - gain * points[n, 3] - offset
         residual[n], matched[n] = r, value
         # Mean of both gradients: second-order convergence where they are similar (Malis 2004).
@@ -275,22 +267,16 @@ def normal_equations(  # type: ignore[no-untyped-def]
         ratio = abs(r) / grey_sigma
         # An occluder of unknown distance is a one-sided outlier: its weight must fall to 0 (docs/reconstruction.md).
         weight = (1.0 - (ratio / _TUKEY) ** 2) ** 2 / (grey_sigma * grey_sigma) if ratio < _TUKEY else 0.0
-        k = 0
-        for a in range(8):
-            wa = weight * j[a]
-            for b in range(a, 8):
-                total[k] += wa * j[b]
-                k += 1
-            total[36 + a] += wa * r
+        _add(total, j, weight, r, _UNKNOWNS)
         if not abs(apart) <= outlier_mm:  # unknown, or another surface
             close[n] = _DIFFERS if apart > outlier_mm else 0
             continue
         close[n] = _AGREES
-        sigma = sigma_mm[near_row, near_column]
+        sigma = level.sigma_mm[near_row, near_column]
         if not (1 <= near_column < columns - 1 and 1 <= near_row < rows - 1 and sigma > 0):
             continue
-        dx = 0.5 * (z_mm[near_row, near_column + 1] - z_mm[near_row, near_column - 1])
-        dy = 0.5 * (z_mm[near_row + 1, near_column] - z_mm[near_row - 1, near_column])
+        dx = 0.5 * (level.z_mm[near_row, near_column + 1] - level.z_mm[near_row, near_column - 1])
+        dy = 0.5 * (level.z_mm[near_row + 1, near_column] - level.z_mm[near_row - 1, near_column])
         if not (abs(dx) < _MAX_SLOPE * z and abs(dy) < _MAX_SLOPE * z):
             continue
         dx, dy = dx * fx / z, dy * fy / z
@@ -299,12 +285,5 @@ def normal_equations(  # type: ignore[no-untyped-def]
         j[3], j[4], j[5] = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
         ratio = abs(apart) / sigma
         weight = depth_weight * (1.0 if ratio <= HUBER else HUBER / ratio) / (sigma * sigma)
-        k = 0
-        for a in range(6):
-            wa = weight * j[a]
-            for b in range(a, 8):
-                if b < 6:
-                    total[k] += wa * j[b]
-                k += 1
-            total[36 + a] += wa * apart
-    return total
+        _add(total, j, weight, apart, 6)
+    return total, residual, matched, close

@@ -51,24 +51,13 @@ class Placed:
 
 @dataclass
 class Submap:
-    """A model with a world frame of its own, that of its first view.
+    """A model with a world frame of its own, that of its first view."""
 
-    Attributes
-    ----------
-    volume : Volume or None
-        While it grows; None afterwards.
-    mesh : Mesh or None
-        Once it no longer grows.
-    keyframes : list of Keyframe
-    root, to_root : int, (4, 4) float64
-        The submap that it was joined to, itself at first, and its pose in that one's frame.
-    """
-
-    volume: Volume | None
-    mesh: Mesh | None = None
+    volume: Volume | None  # while it grows
+    mesh: Mesh | None = None  # once it no longer grows
     keyframes: list[Keyframe] = field(default_factory=list)
-    root: int = 0
-    to_root: np.ndarray = field(default_factory=lambda: np.eye(4))
+    root: int = 0  # the submap that it was joined to, itself at first
+    to_root: np.ndarray = field(default_factory=lambda: np.eye(4))  # its pose in that one's frame, (4, 4) float64
 
     def surface(self) -> Mesh:
         """Return the mesh in the submap's own frame."""
@@ -247,25 +236,20 @@ class Reconstruction:
             if self._active is not None:
                 self._active.free_points()
             self._active, self._fused = chosen, 0
-            self._refresh(chosen, submap)
+            assert submap.volume is not None
+            # The model's distances: frames are tracked against it, not against one measurement.
+            matrix = scaled(self.camera_matrix, self.config.tracking_scale)
+            z_mm = submap.volume.ray_cast(matrix, chosen.pose, chosen.grey.shape[1], chosen.grey.shape[0])
+            chosen.set_distances(np.where(z_mm > 0, z_mm, np.float32(np.nan)))
         return chosen
 
     def _nearest(self, pose: np.ndarray, prepared: PreparedView, submap: Submap) -> Keyframe:
         return min(submap.keyframes, key=lambda key: key.distance_to(pose, prepared.median_mm))
 
-    def _refresh(self, keyframe: Keyframe, submap: Submap) -> None:
-        """Set a keyframe's distances from the model: frames are tracked against it, not against one measurement."""
-        assert submap.volume is not None
-        height, width = keyframe.grey.shape
-        matrix = scaled(self.camera_matrix, self.config.tracking_scale)
-        z_mm = submap.volume.ray_cast(matrix, keyframe.pose, width, height)
-        keyframe.set_distances(np.where(z_mm > 0, z_mm, np.float32(np.nan)))
-
     def _join(self, view: View, prepared: PreparedView, submap: Submap) -> None:
         """Track the view in older submaps; two poses in a row that agree join this submap to theirs."""
-        older = [s for s in self.submaps if s.root != submap.root]
         config = replace(self.config, min_correlation=_JOIN_CORRELATION, min_overlap=_JOIN_OVERLAP)
-        for other in older:
+        for other in (s for s in self.submaps if s.root != submap.root):
             for keyframe in similar(prepared, other.keyframes):
                 found = track(prepared, keyframe, keyframe.pose, config=config)
                 keyframe.free_points()

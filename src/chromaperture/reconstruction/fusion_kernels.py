@@ -2,33 +2,40 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from chromaperture.compilation import compiled
 
 
+class Voxels(NamedTuple):
+    """Blocks of voxels, axes z, y, x."""
+
+    tsdf: np.ndarray  # (capacity, r, r, r) float32, signed distance in units of the truncation
+    weight: np.ndarray  # (capacity, r, r, r) float32
+    color: np.ndarray  # (capacity, r, r, r, 3) float32, 0..255
+
+
+class Pixels(NamedTuple):
+    """Pixels of a view, and where they were seen."""
+
+    z_mm: np.ndarray  # (H, W) float32, NaN unknown
+    gain: np.ndarray  # (H, W) float32, weight
+    reach_mm: np.ndarray  # (H, W) float32, how far behind the surface the pixel is used
+    color: np.ndarray  # (H, W, 3) uint8
+    matrix: np.ndarray  # (3, 3) float64
+    world_to_camera: np.ndarray  # (4, 4) float64, mm
+
+
 @compiled()
-def fuse(  # type: ignore[no-untyped-def]
-    tsdf, weight, color, slots, keys, z_mm, gain, reach_mm, picture, matrix, world_to_camera, voxel_mm, truncation_mm,
-    max_weight,
-):  # fmt: skip
-    """Update the running means of the blocks in ``slots``, whose corners are ``keys`` times the block's edge.
+def fuse(voxels, slots, keys, view, voxel_mm, truncation_mm, max_weight):  # type: ignore[no-untyped-def]
+    """Update the running means of the blocks in ``slots`` (N,), whose corners are ``keys`` (N, 3) times their edge.
 
     A slot occurs once, so that threads may call this for parts of the blocks.
-
-    Parameters
-    ----------
-    tsdf, weight : (capacity, r, r, r) float32
-        Axes z, y, x. Signed distance in units of the truncation.
-    color : (capacity, r, r, r, 3) float32, 0..255
-    slots : (N,) int64
-    keys : (N, 3) int32
-    z_mm, gain, reach_mm : (H, W) float32
-        Distance (NaN unknown), weight and how far behind the surface a pixel is used.
-    picture : (H, W, 3) uint8
-    matrix, world_to_camera : (3, 3), (4, 4) float64
-    voxel_mm, truncation_mm, max_weight : float
     """
+    tsdf, weight, color = voxels
+    z_mm, gain, reach_mm, picture, matrix, world_to_camera = view
     rows, columns = z_mm.shape
     edge = tsdf.shape[1]
     turn, shift = world_to_camera[:3, :3], world_to_camera[:3, 3]
@@ -48,8 +55,7 @@ def fuse(  # type: ignore[no-untyped-def]
                     if not (-0.5 <= u < columns - 0.5 and -0.5 <= v < rows - 0.5):
                         continue
                     column, row = int(u + 0.5), int(v + 0.5)
-                    measured = z_mm[row, column]
-                    distance = measured - depth
+                    distance = z_mm[row, column] - depth
                     if not distance >= -reach_mm[row, column]:  # unknown, or hidden behind the surface
                         continue
                     new, old = gain[row, column], weight[slot, k, j, i]
@@ -66,18 +72,11 @@ def fuse(  # type: ignore[no-untyped-def]
 def holds_surface(tsdf, weight, slots, min_weight, reach):  # type: ignore[no-untyped-def]
     """Return which blocks have a voxel of that weight within ``reach`` truncations of a surface; (N,) bool."""
     found = np.zeros(len(slots), np.bool_)
-    edge = tsdf.shape[1]
     for n in range(len(slots)):
-        slot = slots[n]
-        for k in range(edge):
-            for j in range(edge):
-                for i in range(edge):
-                    if weight[slot, k, j, i] >= min_weight and abs(tsdf[slot, k, j, i]) <= reach:
-                        found[n] = True
-                        break
-                if found[n]:
-                    break
-            if found[n]:
+        weights, distances = weight[slots[n]].reshape(-1), tsdf[slots[n]].reshape(-1)
+        for i in range(len(weights)):
+            if weights[i] >= min_weight and abs(distances[i]) <= reach:
+                found[n] = True
                 break
     return found
 
@@ -85,12 +84,9 @@ def holds_surface(tsdf, weight, slots, min_weight, reach):  # type: ignore[no-un
 @compiled()
 def clear_faint(weight, slots, fraction):  # type: ignore[no-untyped-def]
     """Clear the voxels whose weight is below a fraction of the largest in their block."""
-    edge = weight.shape[1]
-    for n in range(len(slots)):
-        slot = slots[n]
-        strongest = weight[slot].max()
-        for k in range(edge):
-            for j in range(edge):
-                for i in range(edge):
-                    if weight[slot, k, j, i] < fraction * strongest:
-                        weight[slot, k, j, i] = 0.0
+    for slot in slots:
+        block = weight[slot].reshape(-1)
+        strongest = block.max()
+        for i in range(len(block)):
+            if block[i] < fraction * strongest:
+                block[i] = 0.0

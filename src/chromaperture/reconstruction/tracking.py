@@ -21,24 +21,12 @@ NO_DEPTH = "hardly any pixel has a depth that can be trusted; light, texture or 
 
 @dataclass(frozen=True)
 class Track:
-    """Estimated pose of a view.
+    """Estimated pose of a view."""
 
-    Attributes
-    ----------
-    pose : (4, 4) float64
-        Camera to world, mm.
-    overlap : float
-        Fraction of the keyframe's points that are visible at their distance.
-    correlation : float
-        Of the view's brightness with the keyframe's, -1..1.
-    lost : str
-        Why the pose is not reliable; empty when it is.
-    """
-
-    pose: np.ndarray
-    overlap: float
-    correlation: float
-    lost: str
+    pose: np.ndarray  # (4, 4) float64, camera to world, mm
+    overlap: float  # fraction of the keyframe's points that are visible at their distance
+    correlation: float  # of the view's brightness with the keyframe's, -1..1
+    lost: str  # why the pose is not reliable; empty when it is
 
     @property
     def score(self) -> float:
@@ -48,23 +36,13 @@ class Track:
 
 @dataclass
 class Keyframe:
-    """A past view that others are aligned with: its reduced picture, and distances from the model once there are any.
+    """A past view that others are aligned with: its reduced picture; distances from the model once there are any."""
 
-    Attributes
-    ----------
-    pose : (4, 4) float64, camera to world, mm
-    thumbnail : (30, 40) float32
-    grey : (H, W) uint8
-    z_mm : (H, W) float32, NaN unknown
-    matrix : (3, 3) float64
-        Of the reduced picture.
-    """
-
-    pose: np.ndarray
-    thumbnail: np.ndarray
-    grey: np.ndarray
-    z_mm: np.ndarray
-    matrix: np.ndarray
+    pose: np.ndarray  # (4, 4) float64, camera to world, mm
+    thumbnail: np.ndarray  # (30, 40) float32
+    grey: np.ndarray  # (H, W) uint8
+    z_mm: np.ndarray  # (H, W) float32, NaN unknown
+    matrix: np.ndarray  # (3, 3) float64, of the reduced picture
     _points: list[np.ndarray] | None = field(default=None, repr=False)
 
     @property
@@ -120,30 +98,15 @@ def prepare(view: View, camera_matrix: np.ndarray, config: ReconstructionConfig)
 
 
 def track(view: PreparedView, keyframe: Keyframe, guess: np.ndarray, *, config: ReconstructionConfig) -> Track:
-    """Estimate the pose of a view from a guess.
+    """Estimate the pose of a view from a guess (4, 4), camera to world, mm.
 
-    Parameters
-    ----------
-    view : PreparedView
-    keyframe : Keyframe
-    guess : (4, 4) float, camera to world, mm
-    config : ReconstructionConfig
-
-    Returns
-    -------
-    Track
-        Never raises because of what is in the picture: see `Track.lost`.
+    Never raises because of what is in the picture: see `Track.lost`.
     """
     if view.known < MIN_KNOWN:
         return Track(guess, 0.0, 0.0, NO_DEPTH)
     outlier_mm = config.outlier_mm * max(1.0, view.median_mm / 2000)
-    found = align(
-        keyframe.points,
-        view.levels,
-        np.linalg.inv(guess) @ keyframe.pose,
-        depth_weight=config.depth_weight,
-        outlier_mm=outlier_mm,
-    )
+    start = np.linalg.inv(guess) @ keyframe.pose
+    found = align(keyframe.points, view.levels, start, depth_weight=config.depth_weight, outlier_mm=outlier_mm)
     if not found.solved or not np.isfinite(found.motion).all():
         return Track(guess, 0.0, 0.0, "surface and texture do not determine the pose")
     pose = keyframe.pose @ np.linalg.inv(found.motion)

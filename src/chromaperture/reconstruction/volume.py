@@ -8,12 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from chromaperture.errors import MissingDependencyError
 from chromaperture.products.rectified import View
-from chromaperture.reconstruction.fusion_kernels import clear_faint, fuse, holds_surface
+from chromaperture.reconstruction.fusion_kernels import Pixels, Voxels, clear_faint, fuse, holds_surface
 from chromaperture.threads import in_parallel
 
 EDGE = 16  # voxels along a block
@@ -35,8 +34,6 @@ def open3d() -> Any:
         import open3d
     except ImportError:
         raise MissingDependencyError("3D models need the extra: pip install 'chromaperture[reconstruct]'") from None
-    # Open3D brings a TBB that Numba finds, rejects as too old, and warns about: try the other layers first.
-    numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]  # type: ignore[attr-defined]
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     return open3d
 
@@ -54,13 +51,10 @@ def joined(parts: list[tuple[Mesh, np.ndarray]]) -> Mesh:
     """Join meshes, each moved by its (4, 4) pose; coincident surfaces stay double."""
     if len(parts) == 1 and np.array_equal(parts[0][1], np.eye(4)):
         return parts[0][0]
-    vertices, triangles, colors, first = [], [], [], 0
-    for mesh, pose in parts:
-        vertices.append((mesh.vertices_mm @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32))
-        triangles.append(mesh.triangles + np.int32(first))
-        colors.append(mesh.colors)
-        first += len(mesh.vertices_mm)
-    return Mesh(np.concatenate(vertices), np.concatenate(triangles), np.concatenate(colors))
+    first = np.cumsum([0, *(len(mesh.vertices_mm) for mesh, _ in parts)], dtype=np.int32)
+    vertices = [(mesh.vertices_mm @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32) for mesh, pose in parts]
+    triangles = [mesh.triangles + number for (mesh, _), number in zip(parts, first, strict=False)]
+    return Mesh(np.concatenate(vertices), np.concatenate(triangles), np.concatenate([mesh.colors for mesh, _ in parts]))
 
 
 class Volume:
@@ -106,7 +100,7 @@ class Volume:
         table = self.grid.hashmap()
         found, _ = table.find(self._core.Tensor(keys, device=self._device))
         slots = found.numpy().astype(np.int64)
-        tsdf, weight, color = self._voxels()
+        voxels = self._voxels()
         self._views += 1
         self._updated[slots] = self._views
         truncation_mm = self.voxel_mm * self.truncation_voxels
@@ -114,17 +108,13 @@ class Volume:
         sigma = np.where(known, view.sigma_mm, 1.0)
         if self._sigma_mm is None:
             self._sigma_mm = float(np.median(view.sigma_mm[known]))
-        gain = ((self._sigma_mm / np.maximum(sigma, 1e-3)) ** 2).clip(_MIN_GAIN, _MAX_GAIN)  # inverse variance
-        reach_mm = np.clip(_SIGMAS * sigma, 3 * self.voxel_mm, truncation_mm)
-        pixels = [np.ascontiguousarray(m, np.float32) for m in (view.z_mm, gain, reach_mm)]
+        weight = ((self._sigma_mm / np.maximum(sigma, 1e-3)) ** 2).clip(_MIN_GAIN, _MAX_GAIN)  # inverse variance
+        behind_mm = np.clip(_SIGMAS * sigma, 3 * self.voxel_mm, truncation_mm)
+        z_mm, gain, reach_mm = (np.ascontiguousarray(m, np.float32) for m in (view.z_mm, weight, behind_mm))
         matrix, to_camera = np.asarray(camera_matrix, float), np.linalg.inv(camera_to_world)
-        in_parallel(
-            lambda _, first, last: fuse(
-                tsdf[..., 0], weight[..., 0], color, slots[first:last], keys[first:last], *pixels,
-                view.color, matrix, to_camera, self.voxel_mm, truncation_mm, _MAX_WEIGHT,
-            ),
-            len(slots),
-        )  # fmt: skip
+        pixels = Pixels(z_mm, gain, reach_mm, view.color, matrix, to_camera)
+        limits = (self.voxel_mm, truncation_mm, _MAX_WEIGHT)
+        in_parallel(lambda _, a, b: fuse(voxels, slots[a:b], keys[a:b], pixels, *limits), len(slots))
         if self._views % PRUNE_EVERY == 0:
             self.prune()
         return len(keys)
@@ -137,23 +127,23 @@ class Volume:
         """
         table = self.grid.hashmap()
         slots = table.active_buf_indices().numpy().astype(np.int64)
-        tsdf, weight, color = self._voxels()
-        clear_faint(weight[..., 0], slots, _FAINT)
+        voxels = self._voxels()
+        clear_faint(voxels.weight, slots, _FAINT)
         slots = slots[self._views - self._updated[slots] >= (MIN_AGE if min_age is None else min_age)]
         reach = _BESIDE_VOXELS / self.truncation_voxels
-        empty = slots[~holds_surface(tsdf[..., 0], weight[..., 0], slots, _MESH_WEIGHT, reach)]
+        empty = slots[~holds_surface(voxels.tsdf, voxels.weight, slots, _MESH_WEIGHT, reach)]
         if len(empty):
             keys = table.key_tensor().numpy()[empty].copy()
             table.erase(self._core.Tensor(keys, device=self._device))
-            for values in (tsdf, weight, color):  # the next block in their place begins empty
+            for values in voxels:  # the next block in their place begins empty
                 values[empty] = 0
             self.blocks -= len(empty)
             self.full = False
         return len(empty)
 
-    def _voxels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _voxels(self) -> Voxels:
         tsdf, weight, color = (self.grid.attribute(name).numpy() for name in ("tsdf", "weight", "color"))
-        return tsdf, weight, color
+        return Voxels(tsdf[..., 0], weight[..., 0], color)
 
     def ray_cast(self, camera_matrix: np.ndarray, camera_to_world: np.ndarray, width: int, height: int) -> np.ndarray:
         """Return the distances of the model in a camera's picture; (height, width) float32 mm, 0 unknown."""
@@ -161,19 +151,12 @@ class Volume:
         if len(keys) == 0:
             return np.zeros((height, width), np.float32)
         cast = self.grid.ray_cast(
-            keys,
-            self._tensor(camera_matrix),
-            self._extrinsic(camera_to_world),
-            -(-width // _RANGE_PX) * _RANGE_PX,
-            -(-height // _RANGE_PX) * _RANGE_PX,
-            ["depth", "index", "mask", "interp_ratio"],
-            depth_scale=1000.0,
-            depth_min=0.05,
-            depth_max=self.max_distance_mm / 1000,
-            weight_threshold=_KNOWN_WEIGHT,
-            trunc_voxel_multiplier=self.truncation_voxels,
-            range_map_down_factor=_RANGE_PX,
-        )
+            keys, *self._camera(camera_matrix, camera_to_world),
+            -(-width // _RANGE_PX) * _RANGE_PX, -(-height // _RANGE_PX) * _RANGE_PX,
+            ["depth", "index", "mask", "interp_ratio"], depth_scale=1000.0, depth_min=0.05,
+            depth_max=self.max_distance_mm / 1000, weight_threshold=_KNOWN_WEIGHT,
+            trunc_voxel_multiplier=self.truncation_voxels, range_map_down_factor=_RANGE_PX,
+        )  # fmt: skip
         z_mm = cast["depth"].numpy()[..., 0]
         z_mm = np.where(z_mm > 0, z_mm + self._remainder_mm(cast), 0).astype(np.float32)
         return z_mm[:height, :width].copy()
@@ -200,14 +183,8 @@ class Volume:
 
     def _blocks_of(self, z_mm: np.ndarray, camera_matrix: np.ndarray, camera_to_world: np.ndarray) -> np.ndarray:
         image = self._o3d.t.geometry.Image(self._core.Tensor(np.nan_to_num(z_mm).astype(np.float32)))
-        keys = self.grid.compute_unique_block_coordinates(
-            image,
-            self._tensor(camera_matrix),
-            self._extrinsic(camera_to_world),
-            1000.0,
-            self.max_distance_mm / 1000,
-            self.truncation_voxels,
-        )
+        camera, farthest_m = self._camera(camera_matrix, camera_to_world), self.max_distance_mm / 1000
+        keys = self.grid.compute_unique_block_coordinates(image, *camera, 1000.0, farthest_m, self.truncation_voxels)
         return keys.numpy().copy()
 
     def _with_room(self, keys: np.ndarray) -> np.ndarray:
@@ -218,19 +195,17 @@ class Volume:
         room = self.capacity - self.blocks
         if len(fresh) > room:
             self.full = True
-            left_out = fresh[room:]
-            keys = np.delete(keys, left_out, axis=0)
-            fresh = fresh[:room]
+            keys = np.delete(keys, fresh[room:], axis=0)
             fresh = np.flatnonzero(~table.find(self._core.Tensor(keys, device=self._device))[1].numpy())
         if len(fresh):
             table.activate(self._core.Tensor(np.ascontiguousarray(keys[fresh]), device=self._device))
             self.blocks += len(fresh)
         return np.ascontiguousarray(keys)
 
-    def _tensor(self, values: np.ndarray) -> Any:
-        return self._core.Tensor(np.ascontiguousarray(values, np.float64), device=self._device)
-
-    def _extrinsic(self, camera_to_world: np.ndarray) -> Any:
+    def _camera(self, matrix: np.ndarray, camera_to_world: np.ndarray) -> tuple[Any, Any]:
+        """Return the camera matrix and the pose, world to camera in metres, as Open3D's tensors."""
         world_to_camera = np.linalg.inv(camera_to_world)
         world_to_camera[:3, 3] /= 1000
-        return self._tensor(world_to_camera)
+        both = (np.ascontiguousarray(m, np.float64) for m in (matrix, world_to_camera))
+        intrinsic, extrinsic = (self._core.Tensor(m, device=self._device) for m in both)
+        return intrinsic, extrinsic

@@ -91,9 +91,8 @@ class LiveLoop:
     def __enter__(self) -> Self:
         stages = {"capture": self._capture, "depth": self._depth} | ({"tracking": self._tracking} if self.track else {})
         for name, work in stages.items():
-            thread = threading.Thread(target=self._guarded, args=(work,), name=name, daemon=True)
-            thread.start()
-            self._threads.append(thread)
+            self._threads.append(threading.Thread(target=self._guarded, args=(work,), name=name, daemon=True))
+            self._threads[-1].start()
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -143,13 +142,9 @@ class LiveLoop:
 
     def figures(self) -> dict[str, Any]:
         """Return rate, duration and latency of each stage, and the number of frames dropped."""
-        replaced = {
-            "capture": getattr(self.source, "dropped", 0),
-            "depth": self._to_depth.replaced,
-            "tracking": self._to_track.replaced,
-            "view": self.to_view.replaced,
-        }
-        return {name: self.meters[name].summary() | {"dropped": replaced[name]} for name in STAGES}
+        slots = (self._to_depth, self._to_track, self.to_view)
+        dropped = (getattr(self.source, "dropped", 0), *(slot.replaced for slot in slots))
+        return {name: self.meters[name].summary() | {"dropped": n} for name, n in zip(STAGES, dropped, strict=True)}
 
     def _guarded(self, work: Callable[[], None]) -> None:
         try:

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.depth.pointcloud import depth_to_points
 from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.products.measure_file import points as camera_points
 from chromaperture.products.measure_file import write_maps
 from chromaperture.reconstruction.clean_views import near_steps
 from chromaperture.reconstruction.model_files import glb, quaternion
 from chromaperture.storage import staged
-from chromaperture.viewer.focus import Refocuser
+from chromaperture.viewer.focus import refocuser
 from chromaperture.viewer.loop import LiveLoop, Measured, within_limits
 from chromaperture.viewer.pictures import confidence_picture, depth_picture
 
@@ -57,7 +57,7 @@ class LivePage:
         self.loop, self.out, self.listener = loop, out, listener
         self.last: Measured | None = None
         self._mesh: object = None
-        self._refocuser, self._refocus_at = Refocuser(loop.camera), 0.0
+        self._refocuser, self._refocus_at = refocuser(loop.camera), 0.0
         try:
             with contextlib.redirect_stdout(sys.stderr):  # its banner is no result
                 self.server = viser().ViserServer(host=host, port=port, verbose=False)
@@ -159,7 +159,7 @@ class LivePage:
         start = time.monotonic()
         if start < self._refocus_at:
             return
-        color = self._refocuser(item.measurement, focus_mm=self.focus.value, strength=self.pupil.value)
+        color = self._refocuser(item.measurement, self.focus.value, self.pupil.value)
         self.color.image = linear_to_srgb_bytes(color)
         now = time.monotonic()
         self._refocus_at = now + _REFOCUS_REST * (now - start)
@@ -175,13 +175,7 @@ class LivePage:
         c = self.loop.config  # pixels between two surfaces are removed, as in the model
         flying = near_steps(measured.depth_mm, jump=c.edge_jump, reach_px=c.edge_px)
         thin[::step, ::step] = np.where(flying, np.float32(np.nan), measured.depth_mm)[::step, ::step]
-        cloud = depth_to_points(
-            thin,
-            measured.color,
-            camera_matrix=lens.camera_matrix,
-            distortion=lens.distortion,
-            sensor_to_pupil_mm=self.loop.camera.calibration.depth[self.loop.camera.config.quality].sensor_to_pupil_mm,
-        )
+        cloud = camera_points(self.loop.camera, thin, measured.color)
         points = (cloud.points_mm @ turn.T + shift) / 1000
         scene.add_point_cloud("/points", points.astype(np.float32), cloud.colors, point_size=0.004)
         x, y, z, w = quaternion(turn)

@@ -10,16 +10,10 @@ T = TypeVar("T")
 
 
 class Slot(Generic[T]):
-    """Queue of one item. A new item replaces the old one, or a patient writer waits until it was taken.
-
-    Attributes
-    ----------
-    replaced : int
-        Items replaced before they were taken.
-    """
+    """Queue of one item. A new item replaces the old one, or a patient writer waits until it was taken."""
 
     def __init__(self) -> None:
-        self.replaced = 0
+        self.replaced = 0  # items replaced before they were taken
         self._item: T | None = None
         self._closed = False
         self._change = threading.Condition()

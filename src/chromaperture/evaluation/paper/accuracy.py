@@ -31,7 +31,11 @@ def make(context: Context) -> Content:
     distances = _QUICK_MM if context.quick else _FULL_MM
     saturations = list(_SATURATIONS)[:1] if context.quick else list(_SATURATIONS)
     cases = list(product(_DESIGNS, _LIGHTS, distances, saturations, range(1 if context.quick else 2)))
-    trials = [_trial(*case, cells=context.cells) for case in cases]
+    trials = [
+        Trial(methods.method_of(design), design, world.exposure_in(design, light), _WIDTH, _HEIGHT, context.cells, seed,
+              saturation=saturation, scene="wall", distance_mm=distance)
+        for design, light, distance, saturation, seed in cases
+    ]  # fmt: skip
     results: Results = dict(zip(cases, context.sweep(trials, "trials of accuracy"), strict=True))
     camera = world.camera_of(480, 320)
     bounds = {
@@ -103,18 +107,3 @@ def _ranking(results: Results, light: str) -> str:
     right = {d: float(np.mean([r["within_2"] for case, r in results.items() if case[:2] == (d, light)]))
              for d in _DESIGNS}  # fmt: skip
     return ", ".join(f"{NUMERALS[d]} ({right[d]:.0%})" for d in sorted(_DESIGNS, key=lambda d: -right[d]))
-
-
-def _trial(design: str, light: str, distance: float, saturation: float, seed: int, *, cells: int) -> Trial:
-    return Trial(
-        method=methods.method_of(design),
-        design=design,
-        exposure=world.exposure_in(design, light),
-        width_px=_WIDTH,
-        height_px=_HEIGHT,
-        cells=cells,
-        seed=seed,
-        saturation=saturation,
-        scene="wall",
-        distance_mm=distance,
-    )

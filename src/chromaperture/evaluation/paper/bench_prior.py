@@ -6,7 +6,6 @@ the code that fits the project's own, so that the results differ by the matching
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -51,7 +50,10 @@ def measured(result: CalibrationResult, scenes: Sequence[str], *, keep_in: Path)
             nothing = np.full((session.sensor.height_px, session.sensor.width_px), np.nan)
             yield from ((name, scene, nothing, float("nan")) for scene in scenes)
             continue
-        yield from _scenes(session, name, read, model, scenes)
+        for scene in scenes:
+            image = session.read(session.folder / "scene" / f"{scene}.png")
+            depth, seconds = methods.timed(lambda image, model: disparity_to_depth(read(image), model)[0], image, model)
+            yield name, scene, depth.astype(float), seconds
 
 
 def measured_by_annulus(
@@ -85,9 +87,8 @@ def measured_by_annulus(
     focus = lens.calibration.in_focus_mm
     model = fitted(evidence, session, "annulus", read, keep_in=keep_in, sided=focus)
     for scene, truth in truths.items():
-        start = time.perf_counter()
-        size = read(session.read(session.folder / "scene" / f"{scene}.png"))
-        seconds = time.perf_counter() - start
+        image = session.read(session.folder / "scene" / f"{scene}.png")
+        size, seconds = methods.timed(read, image)
         sign = np.where(truth < model.in_focus_mm, -1.0, 1.0)
         for name, value in (("annulus", size), ("annulus, told the side", sign * size)):
             yield name, scene, disparity_to_depth(value, model)[0].astype(float), seconds
@@ -127,11 +128,3 @@ def _read_as(board: BoardMeasurement, middle_px: float, grid_px: np.ndarray) -> 
     return replace(
         board, disparity_px={"real-time": middle_px}, sigma_px={"real-time": _SIGMA_PX}, grid_px={"real-time": grid_px}
     )
-
-
-def _scenes(session: Session, name: str, read: Read, model: DepthModel, scenes: Sequence[str]) -> Iterator[Measurement]:
-    for scene in scenes:
-        image = session.read(session.folder / "scene" / f"{scene}.png")
-        start = time.perf_counter()
-        depth, _ = disparity_to_depth(read(image), model)
-        yield name, scene, depth.astype(float), time.perf_counter() - start

@@ -26,31 +26,15 @@ FULL_MM = tuple(float(d) for d in range(1000, 4001, 200))
 
 @dataclass
 class Context:
-    """One run.
+    """One run."""
 
-    Attributes
-    ----------
-    out : Path
-        Folder of the report; ``out/work`` holds intermediate results, so that an interrupted run can continue.
-    data : Path or None
-        Folder of sessions and white sheets.
-    quick : bool
-    workers : int
-        Processes of a sweep; 0 is one a core.
-    cluster : str or None
-        Address of a Dask scheduler for sweeps.
-    cameras : tuple of Path
-        Camera files, used instead of calibrating.
-    progress : callable
-        Called with the current step, how much is done, and of how much.
-    """
-
-    out: Path
-    data: Path | None = None
+    out: Path  # folder of the report; out/work holds intermediate results, so that an interrupted run can continue
+    data: Path | None = None  # folder of sessions and white sheets
     quick: bool = False
-    workers: int = 0
-    cluster: str | None = None
-    cameras: tuple[Path, ...] = ()
+    workers: int = 0  # processes of a sweep; 0 is one a core
+    cluster: str | None = None  # address of a Dask scheduler for sweeps
+    cameras: tuple[Path, ...] = ()  # camera files, used instead of calibrating
+    # Called with the current step, how much is done, and of how much.
     progress: Callable[[str, int, int], None] = lambda what, done, total: None
     _kept: dict[str, Any] = field(default_factory=dict)
 
@@ -109,14 +93,12 @@ class Context:
 
     def calibrated(self) -> tuple[CalibrationResult, str]:
         """Calibrate design V from the data folder's session or a simulated one; return it and its source."""
-        result = self.once("session", self._calibrate)
+        kept = self.work / ("calibrating-data" if self.data else "calibrating")
+        config = CalibrationConfig(lens_blur=False)
+        result = self.once("session", lambda: calibrate_session(self._session_folder(), config, keep_in=kept))
         where = "photographs in --data" if self.data else "a simulated session, traced ray by ray"
         size = f"{result.calibration.sensor.width_px}x{result.calibration.sensor.height_px} px"
         return result, f"From {where}: {len(result.boards)} boards at {size}."
-
-    def _calibrate(self) -> CalibrationResult:
-        kept = self.work / ("calibrating-data" if self.data else "calibrating")
-        return calibrate_session(self._session_folder(), CalibrationConfig(lens_blur=False), keep_in=kept)
 
     def _session_folder(self) -> Path:
         if self.data is not None:

@@ -55,26 +55,11 @@ class Content:
 
 @dataclass(frozen=True)
 class Exhibit:
-    """A figure or table of the paper, or a comparison that belongs to it.
+    """A figure or table of the paper, or a comparison that belongs to it."""
 
-    Attributes
-    ----------
-    name : str
-        On the command line, and of its folder.
-    title : str
-    make : callable
-        Makes it from a `Context`.
-    files : tuple of str
-        Files that it reads below ``--data`` where such a folder is given.
-    only_data : bool
-        Whether it has no simulated input.
-    reads_all : bool
-        Whether it reads more of the data folder than ``files``, and camera files.
-    """
-
-    name: str
+    name: str  # on the command line, and of its folder
     title: str
     make: Callable[[Context], Content]
-    files: tuple[str, ...] = ()
-    only_data: bool = False
-    reads_all: bool = False
+    files: tuple[str, ...] = ()  # that it reads below --data where such a folder is given
+    only_data: bool = False  # whether it has no simulated input
+    reads_all: bool = False  # whether it reads more of the data folder than these files, and camera files

@@ -108,9 +108,9 @@ def _by_phone(context: Context, seed: int) -> Measured:
     return Measured("telephone", shot.image, disparity, gain * shot.radius_px, "half disparity, px", blur_span_px)
 
 
-def aperture_picture(size_px: int = 160) -> np.ndarray:
-    """Draw the transmitted light of the aperture, seen from behind the camera; (size, size, 3), white around."""
-    y, x = np.mgrid[-1.08 : 1.08 : size_px * 1j, -1.08 : 1.08 : size_px * 1j]
+def aperture_picture() -> np.ndarray:
+    """Draw the transmitted light of the aperture, seen from behind the camera; (160, 160, 3), white around."""
+    y, x = np.mgrid[-1.08:1.08:160j, -1.08:1.08:160j]
     light = world.real_film(_DESIGN).transmission_map(x, y)
     return np.where((np.hypot(x, y) <= 1)[..., None], light, 1.0)
 

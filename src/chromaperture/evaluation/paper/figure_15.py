@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import cv2
 import numpy as np
@@ -15,7 +14,7 @@ from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.errors import MissingDependencyError
 from chromaperture.evaluation.figures import new_figure, show_image
-from chromaperture.evaluation.paper import world
+from chromaperture.evaluation.paper import methods, world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content
 from chromaperture.optics.scene import Plane
@@ -98,9 +97,9 @@ def _measured(
     for k, pose in enumerate(poses):
         context.progress("frames of figure-15", k, len(poses))
         shot = context.session_capture(seen_from(planes, pose), seed=150 + k)
-        start = time.perf_counter()
-        views.append(to_view(camera.measure(shot.image), k / 15, k))
-        took.append(1000 * (time.perf_counter() - start))
+        view, seconds = methods.timed(lambda image, k: to_view(camera.measure(image), k / 15, k), shot.image, k)
+        views.append(view)
+        took.append(1000 * seconds)
     return views, float(np.median(took))
 
 
@@ -138,11 +137,7 @@ def in_pupil(pose: np.ndarray, delta_mm: float) -> np.ndarray:
 def tracked_model(views: Sequence[View], matrix: np.ndarray, poses: Sequence[np.ndarray], delta_mm: float) -> Model:
     """Track and fuse; raises MissingDependencyError without Open3D."""
     model = Reconstruction(matrix, _CONFIG)
-    took = []
-    for view in views:
-        start = time.perf_counter()
-        model.add(view)
-        took.append(1000 * (time.perf_counter() - start))
+    took = [1000 * methods.timed(model.add, view)[1] for view in views]
     mesh = model.meshes()[0]
     errors = [
         float(np.linalg.norm(place.pose[:3, 3] - in_pupil(poses[place.index], delta_mm)[:3, 3]))
@@ -196,9 +191,8 @@ def splat(model: Model, matrix: np.ndarray, pose: np.ndarray, shape: tuple[int, 
     ahead = local[:, 2] > 1
     u, v = (local[ahead, :2] / local[ahead, 2:] * [matrix[0, 0], matrix[1, 1]] + matrix[:2, 2]).T
     picture = np.full((height, width, 3), 255, np.uint8)
-    for down in (-1, 0, 1):
-        for across in (-1, 0, 1):
-            x, y = np.rint(u).astype(int) + across, np.rint(v).astype(int) + down
-            inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-            picture[y[inside], x[inside]] = colors[ahead][inside]
+    for down, across in product((-1, 0, 1), repeat=2):
+        x, y = np.rint(u).astype(int) + across, np.rint(v).astype(int) + down
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        picture[y[inside], x[inside]] = colors[ahead][inside]
     return picture

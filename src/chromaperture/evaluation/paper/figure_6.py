@@ -22,6 +22,7 @@ PANELS = (
     ("c", "cy_open", "cyan and yellow, open centre, in CYX", None),
     ("d", "cy_open", "cyan and yellow, open centre, in RGB", _RGB_ROWS),
 )
+_SEED = 6  # of the first board
 _RULER_MM = 3.0  # largest error of the boards' distances, which the paper sets by hand; chosen by hand
 _PUPIL_SIGMA_MM = 10.0  # of the pupil's position in the lens's data; chosen by hand
 _LEAST_SIGMA_PX = 0.01  # of a board's median; keeps weights finite; chosen by hand
@@ -74,14 +75,14 @@ def make(context: Context) -> Content:
 
 
 def read_boards(
-    design: str, unmixing: np.ndarray | None, camera: PupilCamera, rulers_mm: np.ndarray, *, cells: int, seed: int = 6
+    design: str, unmixing: np.ndarray | None, camera: PupilCamera, rulers_mm: np.ndarray, *, cells: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the median and the robust standard deviation of each board's half disparity; two (N,) float64, px."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(_SEED)
     rows = methods.film_rows(design) if unmixing is None else unmixing
     config = preset("paper").with_range(*methods.disparity_range(design, camera))
     medians, sigmas = [], []
-    for i, ruler in enumerate(rulers_mm, seed):
+    for i, ruler in enumerate(rulers_mm, _SEED):
         planes = world.board(camera, float(ruler + rng.uniform(-_RULER_MM, _RULER_MM)), seed=i)
         image = world.pinhole_capture(design, planes, camera, cells=cells, seed=i).image
         found = estimate_disparity(

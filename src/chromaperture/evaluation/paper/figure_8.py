@@ -12,8 +12,10 @@ from chromaperture.depth.conversion import disparity_to_inverse_depth
 from chromaperture.evaluation.figures import draw_flat_board, flat_board, new_figure, plane_residual, show_image
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content
-from chromaperture.optics.scene import Plane
+from chromaperture.optics import textures
+from chromaperture.optics.scene import Plane, plane
 
+_CELLS = 10  # along each side of the grid of `bend`; chosen by hand
 _WHY = "The paper shows pictures only; here as there one curve for all pixels bends what is flat."
 
 
@@ -49,9 +51,6 @@ def make(context: Context) -> Content:
 
 def floor_scene() -> list[Plane]:
     """Build a floor that fills the picture, and a small upright object instead of the paper's rabbit."""
-    from chromaperture.optics import textures
-    from chromaperture.optics.scene import plane
-
     grey = textures.noise((900, 1000), exponent=0.9, seed=80)
     floor = np.repeat(grey[..., None], 3, axis=2) * np.float32(1.1)
     upright = np.repeat(textures.noise((160, 120), exponent=0.8, seed=81)[..., None], 3, axis=2)
@@ -74,14 +73,9 @@ def depth_by(result: CalibrationResult, image: np.ndarray, *, fields: bool) -> n
     return np.asarray(depth + float(np.asarray(axis.sensor_to_pupil_mm)))
 
 
-def bend(depth_mm: np.ndarray, truth_mm: np.ndarray, *, cells: int = 10) -> float:
+def bend(depth_mm: np.ndarray, truth_mm: np.ndarray) -> float:
     """Return the rms over a grid of cells of the median relative error less its best plane: curvature, not tilt."""
     error = depth_mm / truth_mm - 1
-    rows, columns = (np.array_split(np.arange(n), cells) for n in error.shape)
-    medians = np.full((cells, cells), np.nan)
-    for i, r in enumerate(rows):
-        for j, c in enumerate(columns):
-            cell = error[r[0] : r[-1] + 1, c[0] : c[-1] + 1]
-            if np.isfinite(cell).mean() > 0.3:
-                medians[i, j] = np.nanmedian(cell)
-    return plane_residual(medians)[1]
+    parts = [part for rows in np.array_split(error, _CELLS) for part in np.array_split(rows, _CELLS, axis=1)]
+    medians = [np.nanmedian(part) if np.isfinite(part).mean() > 0.3 else np.nan for part in parts]
+    return plane_residual(np.reshape(medians, (_CELLS, _CELLS)))[1]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.fft
@@ -30,6 +32,7 @@ from chromaperture.optics.psf import geometric_otf
 from chromaperture.optics.sensor import SensorModel
 from chromaperture.robust import robust_sigma
 
+T = TypeVar("T")
 RANGE_MM = np.array([1000.0, 4500.0])  # working range; the scenes are at 1.15 to 3.3 m
 BOARDS_MM = (1150.0, 1350.0, 1600.0, 2050.0, 2400.0, 2900.0, 3500.0)
 HALVES_BETA = 0.42  # half disparity of two halves over the blur radius: centroid of a half disc, 4 / (3 pi)
@@ -39,23 +42,12 @@ _STEP_PX = 0.25  # between the prior methods' layers, half disparity; chosen by 
 
 @dataclass(frozen=True)
 class Setting:
-    """Properties of a camera that a method may use.
-
-    Attributes
-    ----------
-    design : str
-    rows : (K, 3) float64
-        Unmixing of its film.
-    span_px : (float, float)
-        Half disparities of the working range.
-    blur_px : float
-        Largest blur radius in it.
-    """
+    """Properties of a camera that a method may use."""
 
     design: str
-    rows: np.ndarray
-    span_px: tuple[float, float]
-    blur_px: float
+    rows: np.ndarray  # (K, 3) float64, unmixing of its film
+    span_px: tuple[float, float]  # half disparities of the working range
+    blur_px: float  # largest blur radius in it
 
     @property
     def layers_px(self) -> np.ndarray:
@@ -132,14 +124,6 @@ def _by_channels(match: Callable[..., np.ndarray], **options: bool) -> Method:
     return lambda image, setting: match(image, setting.directions, setting.layers_px, **options)
 
 
-def _ncc_views(image: np.ndarray, setting: Setting) -> np.ndarray:
-    return cross_correlation(image @ setting.rows.T, view_directions(DESIGNS[setting.design]), setting.layers_px)
-
-
-def _sgbm(image: np.ndarray, setting: Setting) -> np.ndarray:
-    return stereo_sgbm(image[..., [0, 2]], setting.directions[[0, 2]], setting.layers_px)
-
-
 def _annulus(image: np.ndarray, setting: Setting) -> np.ndarray:
     radii = np.arange(0, setting.blur_px + 1.0, 0.5)
     height, width = (scipy.fft.next_fast_len(n + 32, real=True) for n in image.shape[:2])
@@ -153,11 +137,15 @@ METHODS: dict[str, Method] = {
     "ours, real-time": _ours("real-time"),
     "ours, accurate": _ours("accurate"),
     "normalised cross-correlation, RGB": _by_channels(cross_correlation),
-    "normalised cross-correlation, unmixed": _ncc_views,
+    "normalised cross-correlation, unmixed": lambda image, setting: cross_correlation(
+        image @ setting.rows.T, view_directions(DESIGNS[setting.design]), setting.layers_px
+    ),
     "phase correlation": _by_channels(phase_correlation),
     "colour lines, box window": _by_channels(colour_lines, optimised=False),
     "colour lines, optimised": _by_channels(colour_lines),
-    "OpenCV StereoSGBM": _sgbm,
+    "OpenCV StereoSGBM": lambda image, setting: stereo_sgbm(
+        image[..., [0, 2]], setting.directions[[0, 2]], setting.layers_px
+    ),
     "annulus": _annulus,
 }
 
@@ -179,18 +167,10 @@ def applies(method: str, design: str) -> bool:
 
 @dataclass(frozen=True)
 class Curve:
-    """A method's reading on flat boards over their blur radius: linear between the boards and beyond them.
+    """A method's reading on flat boards over their blur radius: linear between the boards and beyond them."""
 
-    Attributes
-    ----------
-    radius_px : (N,) float64
-        Rising.
-    reading : (N,) float64
-        Rising; empty where fewer than two boards were read.
-    """
-
-    radius_px: np.ndarray
-    reading: np.ndarray
+    radius_px: np.ndarray  # (N,) float64, rising
+    reading: np.ndarray  # (N,) float64, rising; empty where fewer than two boards were read
 
     def radius_of(self, value: np.ndarray) -> np.ndarray:
         """Convert a reading to a blur radius; (H, W) float64, px."""
@@ -272,3 +252,10 @@ def scores(depth_mm: np.ndarray, truth_mm: np.ndarray) -> dict[str, float]:
         "bias": bias,
         "scatter": robust_sigma(measured - bias),
     }
+
+
+def timed(run: Callable[..., T], *arguments: Any) -> tuple[T, float]:
+    """Return a result and the seconds that it took."""
+    start = time.perf_counter()
+    result = run(*arguments)
+    return result, time.perf_counter() - start

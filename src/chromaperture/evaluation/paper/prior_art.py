@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -79,9 +78,10 @@ def _by_method(
 ) -> tuple[list[Row], list[np.ndarray]]:
     """Measure captures by a method; return its rows of the table and the depths, mm."""
     setting, curve = methods.setting_of(design, camera), methods.calibrate(name, design, camera, cells)
-    start = time.perf_counter()
-    depths = [methods.depth_of(curve.radius_of(methods.METHODS[name](shot.image, setting)), camera) for shot in shots]
-    seconds = (time.perf_counter() - start) / len(shots)
+    depths, seconds = methods.timed(
+        lambda: [methods.depth_of(curve.radius_of(methods.METHODS[name](s.image, setting)), camera) for s in shots]
+    )
+    seconds /= len(shots)
     light = float(channel_transmission(world.real_film(design)).mean())
     rows = [_row(name, full_name(design), light, depths, shots, seconds)]
     if name == "annulus":  # with the side of the focus from the truth: the cost of the ambiguity

@@ -16,7 +16,7 @@ from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.config import Quality
 from chromaperture.errors import InputError
-from chromaperture.evaluation.depth_quality import ZONES, PlaneQuality, by_cell, plane_quality
+from chromaperture.evaluation.depth_quality import ZONES, PlaneQuality, by_cell
 from chromaperture.evaluation.figures import BLUE, GREY, ORANGE, new_figure, show_image, style_axes
 from chromaperture.evaluation.paper import world
 from chromaperture.evaluation.paper.context import Context
@@ -71,8 +71,7 @@ def measure(wall: Wall, quality: Quality) -> Measured:
     def cut(rows: int, columns: int) -> list[PlaneQuality]:
         return by_cell(depth, wall.truth_mm, sensor_to_pupil_mm=delta, scale_px_mm=scale, rows=rows, columns=columns)
 
-    whole = plane_quality(depth, wall.truth_mm, sensor_to_pupil_mm=delta, scale_px_mm=scale)
-    return Measured(wall.truth_mm, whole, cut(3, 3), cut(*_MAP_CELLS))
+    return Measured(wall.truth_mm, cut(1, 1)[0], cut(3, 3), cut(*_MAP_CELLS))
 
 
 def _walls(context: Context) -> tuple[str, Iterator[Wall]]:

@@ -37,18 +37,9 @@ def evaluate(
     again: bool = False,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> list[Outcome]:
-    """Make exhibits, each into its folder below ``context.out``.
+    """Make exhibits, each into its folder below ``context.out``, finished ones only ``again``.
 
-    A problem with one does not stop the others.
-
-    Parameters
-    ----------
-    exhibits : sequence of Exhibit
-    context : Context
-    again : bool
-        Make finished ones too.
-    progress : callable
-        Called with the current step, how many are done, and of how many.
+    A problem with one does not stop the others. ``progress`` receives the step, how many are done, and of how many.
     """
     context.progress = progress
     outcomes = []

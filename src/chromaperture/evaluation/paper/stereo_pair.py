@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
 import numpy as np
 
-from chromaperture.evaluation.paper import world
+from chromaperture.evaluation.paper import methods, world
 from chromaperture.evaluation.prior.stereo import semi_global_matching
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
@@ -38,9 +37,7 @@ def measured(
         world.photograph(table, _beside(planes, x), stopped, seed=seed + i, exposure=world.WHITE)
         for i, x in enumerate((0.0, BASELINE_MM))
     ]
-    start = time.perf_counter()
-    depth = depth_of_pair(shots[0].image, shots[1].image, camera)
-    return shots[0], depth, time.perf_counter() - start
+    return shots[0], *methods.timed(depth_of_pair, shots[0].image, shots[1].image, camera)
 
 
 def depth_of_pair(left: np.ndarray, right: np.ndarray, camera: PupilCamera) -> np.ndarray:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import platform
-import time
 from collections.abc import Callable, Iterator
 
 import cv2
-import numba
 import numpy as np
 
 from chromaperture.config import Quality, preset
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.total_variation import smooth_disparity
+from chromaperture.evaluation.paper import methods
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Comparison, Content, CsvTable
 from chromaperture.evaluation.prior.annulus import annulus_radius
@@ -45,7 +44,7 @@ def make(context: Context) -> Content:
         with _threads(count):
             for name, run in cases.items():
                 run()
-                seconds[name, count] = min(_seconds(run) for _ in range(repeats))
+                seconds[name, count] = min(methods.timed(run)[1] for _ in range(repeats))
     annulus_s = _ANNULUS_PARTS * _annulus_s()
     rows = [(name, *(f"{1000 * seconds[name, count]:.0f}" for count in threads)) for name in cases]
 
@@ -83,7 +82,7 @@ def _annulus_s() -> float:
     small = cv2.resize(picture(_HD), (240, 160), interpolation=cv2.INTER_AREA)
     radii, padded = np.arange(13) / 2, (200, 288)
     transfer = [geometric_otf(DESIGNS["magenta_annulus"], float(r), padded) for r in radii]
-    return _seconds(lambda: annulus_radius(small, transfer, radii, padded))
+    return methods.timed(annulus_radius, small, transfer, radii, padded)[1]
 
 
 def _match(image: np.ndarray, design: str, quality: Quality) -> object:
@@ -93,18 +92,10 @@ def _match(image: np.ndarray, design: str, quality: Quality) -> object:
 @contextlib.contextmanager
 def _threads(count: int) -> Iterator[None]:
     """Limit OpenCV and the kernels to a number of threads."""
-    before, before_cv = numba.get_num_threads(), cv2.getNumThreads()
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(count)
     try:
         with limited_threads(count):
-            numba.set_num_threads(count)
-            cv2.setNumThreads(count)
             yield
     finally:
-        numba.set_num_threads(before)
-        cv2.setNumThreads(before_cv)
-
-
-def _seconds(run: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    run()
-    return time.perf_counter() - start
+        cv2.setNumThreads(before)

@@ -15,34 +15,18 @@ _ALONE = threading.Lock()
 
 @dataclass(frozen=True)
 class Trial:
-    """One capture and one method.
-
-    Attributes
-    ----------
-    method, design : str
-    exposure : float
-        Image level of a reflectance of 1 through an open pupil, of white level; determines the noise.
-    width_px, height_px, cells : int
-        Picture, and rays across the pupil.
-    seed : int
-    saturation : float
-        Of the scene's colours.
-    scene : str
-        "still life", or "wall": flat, filling the picture.
-    distance_mm : float
-        Of the wall.
-    """
+    """One capture and one method."""
 
     method: str
     design: str
-    exposure: float
+    exposure: float  # image level of a reflectance of 1 through an open pupil, of white level; determines the noise
     width_px: int
     height_px: int
-    cells: int
+    cells: int  # rays across the pupil
     seed: int
-    saturation: float = 0.5
-    scene: str = "still life"
-    distance_mm: float = 0.0
+    saturation: float = 0.5  # of the scene's colours
+    scene: str = "still life"  # or "wall": flat, filling the picture
+    distance_mm: float = 0.0  # of the wall
 
     @property
     def key(self) -> str:
@@ -83,9 +67,7 @@ def run_alone(trial: Trial) -> dict[str, float]:
 
 
 def one_thread() -> None:
-    """Limit OpenCV, and the kernels in the calling thread, to one thread."""
+    """Limit OpenCV to one thread."""
     import cv2
-    import numba
 
     cv2.setNumThreads(1)
-    numba.set_num_threads(1)

@@ -25,6 +25,7 @@ EIGHT = ("rgb_circles", "rgb_squares", "cmy_squares", "cmy_circles", "cy_halves"
 NUMERALS = dict(zip(EIGHT, ("I", "II", "III", "IV", "V", "VI", "VII", "VIII"), strict=True))
 WHITE = 0.9  # of white level: white paper in the brightest channel; leaves room for noise
 DIM = 0.03  # of white level: white paper through the open pupil in dim light, a thirtieth of WHITE
+Triple = tuple[float, float, float]
 LIGHTS = ("equal level", "equal time", "equal time, dim")
 
 _HUES = np.array([(1, 1, 1), (1, 0.35, 0.3), (0.4, 0.9, 0.35), (0.35, 0.45, 1), (1, 0.85, 0.3), (0.9, 0.4, 0.9)])
@@ -32,20 +33,11 @@ _HUES = np.array([(1, 1, 1), (1, 0.35, 0.3), (0.4, 0.9, 0.35), (0.35, 0.45, 1), 
 
 @dataclass(frozen=True)
 class Capture:
-    """One photograph of a scene whose depth is known.
+    """One photograph of a scene whose depth is known."""
 
-    Attributes
-    ----------
-    image : (H, W, 3) float32, linear
-    depth_mm : (H, W) float64
-        From the sensor plane, for the ray through the pupil's centre.
-    radius_px : (H, W) float64
-        Signed blur radius at that depth.
-    """
-
-    image: np.ndarray
-    depth_mm: np.ndarray
-    radius_px: np.ndarray
+    image: np.ndarray  # (H, W, 3) float32, linear
+    depth_mm: np.ndarray  # (H, W) float64, from the sensor plane, for the ray through the pupil's centre
+    radius_px: np.ndarray  # (H, W) float64, signed blur radius at that depth
 
 
 def lens() -> Prescription:
@@ -112,26 +104,24 @@ def still_life(*, seed: int = 0, saturation: float = 0.5) -> list[Plane]:
     """Build a room corner: wall, floor and six boards from 1.15 to 2.9 m; saturation 0 is grey, 1 full colours."""
     rng = np.random.default_rng(seed)
     made = [
-        _speckle((0, 0, 3300.0), 2200.0, 1500.0, (0.55, 0.55, 0.55), 4.0, seed + 100),
-        _speckle((0, 230.0, 2300.0), 2400.0, 2200.0, (0.6, 0.57, 0.5), 4.0, seed + 101, tilt=(-80.0, 0, 0)),
+        _speckle((0, 0, 3300.0), 2200.0, 1500.0, (0.55, 0.55, 0.55), 4.0, seed + 100, (0, 0, 0)),
+        _speckle((0, 230.0, 2300.0), 2400.0, 2200.0, (0.6, 0.57, 0.5), 4.0, seed + 101, (-80.0, 0, 0)),
     ]
     depths = np.array([1150.0, 1450.0, 1750.0, 2050.0, 2450.0, 2900.0])
     positions = (-0.30, 0.32, -0.08, 0.16, -0.36, 0.36)
     for i, (z, position) in enumerate(zip(depths, positions, strict=True)):
-        tint = 0.62 * (1 - saturation + saturation * _HUES[i])
         width = 0.11 * z
         center = (position * 0.42 * z, (0.05 - 0.10 * (i % 2)) * z, z)
+        r, g, b = 0.62 * (1 - saturation + saturation * _HUES[i])
         tilt = (0.0, float(rng.uniform(-25, 25)), float(rng.uniform(-10, 10)))
-        made.append(_speckle(center, width, width * 1.25, tuple(tint), 0.0005 * z, seed + i, tilt=tilt))
+        made.append(_speckle(center, width, width * 1.25, (r, g, b), 0.0005 * z, seed + i, tilt))
     return made
 
 
 def board(camera: PupilCamera, distance_mm: float, *, seed: int, saturation: float = 0.0) -> list[Plane]:
     """Build a wall of speckle that fills the picture, perpendicular to the axis; grey, or in patches of colour."""
     width = 1.3 * distance_mm * camera.width_px / camera.focal_px
-    texel = 0.5 * distance_mm / camera.focal_px
-    height = width * camera.height_px / camera.width_px
-    shape = (max(2, round(height / texel)), max(2, round(width / texel)))
+    shape = _texels(width, width * camera.height_px / camera.width_px, 0.5 * distance_mm / camera.focal_px)
     grey = np.repeat(textures.noise(shape, exponent=0.9, seed=seed)[..., None], 3, axis=2)
     hues = np.random.default_rng(seed).choice(_HUES, (4, 6))
     patches = hues.repeat(-(-shape[0] // 4), axis=0).repeat(-(-shape[1] // 6), axis=1)[: shape[0], : shape[1]]
@@ -139,17 +129,12 @@ def board(camera: PupilCamera, distance_mm: float, *, seed: int, saturation: flo
     return [plane(np.clip(grey * tint, 0.01, 1), center_mm=(0, 0, distance_mm), width_mm=width)]
 
 
-def _speckle(
-    center: tuple[float, float, float],
-    width: float,
-    height: float,
-    tint: tuple[float, ...],
-    texel: float,
-    seed: int,
-    *,
-    tilt: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> Plane:
-    shape = (max(2, round(height / texel)), max(2, round(width / texel)))
-    grey = textures.noise(shape, exponent=0.9, seed=seed)
+def _speckle(center: Triple, width: float, height: float, tint: Triple, texel: float, seed: int, tilt: Triple) -> Plane:
+    grey = textures.noise(_texels(width, height, texel), exponent=0.9, seed=seed)
     picture = np.clip(grey[..., None] * np.asarray(tint, np.float32) / 0.45, 0.01, 1)
     return plane(picture, center_mm=center, width_mm=width, tilt_deg=tilt)
+
+
+def _texels(width: float, height: float, texel: float) -> tuple[int, int]:
+    """Return the shape of a texture of at least 2 x 2 texels."""
+    return max(2, round(height / texel)), max(2, round(width / texel))

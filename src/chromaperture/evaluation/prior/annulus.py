@@ -16,20 +16,10 @@ from chromaperture.evaluation.prior.shifts import WINDOW_PX, best_layer
 _NOISE = 1e-3  # lambda of the corrective kernels, on the power of the gradient; chosen by hand
 
 
-def corrective_kernel_spectrum(target: np.ndarray, own: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return the transfer function that turns one channel's blur into another's, damped at zeros.
+def _corrective(target: np.ndarray, own: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return the transfer function that turns one channel's blur into another's, damped at zeros; (h, w // 2 + 1).
 
-    F[k_R] conj(F[k_i]) / (|F[k_i]|^2 + lambda (|F dx|^2 + |F dy|^2))
-
-    Parameters
-    ----------
-    target, own : (h, w // 2 + 1) complex
-        Transfer functions of the two blurs, for pictures of the shape.
-    shape : (h, w)
-
-    Returns
-    -------
-    (h, w // 2 + 1) complex
+    F[k_R] conj(F[k_i]) / (|F[k_i]|^2 + lambda (|F dx|^2 + |F dy|^2)), from the transfer functions of both blurs
     """
     fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
     gradient = 4 * np.sin(np.pi * fx) ** 2 + 4 * np.sin(np.pi * fy) ** 2
@@ -60,7 +50,7 @@ def annulus_radius(
     spectra = [scipy.fft.rfft2(big[..., c]) for c in range(3)]
     score = np.empty((len(radii_px), height, width))
     for i, otf in enumerate(transfer):
-        corrected = [spectra[0], *(spectra[c] * corrective_kernel_spectrum(otf[0], otf[c], padded) for c in (1, 2))]
+        corrected = [spectra[0], *(spectra[c] * _corrective(otf[0], otf[c], padded) for c in (1, 2))]
         planes = [scipy.fft.irfft2(s, s=padded)[:height, :width] for s in corrected]
         score[i] = -misfit(np.stack(planes, axis=-1))
     found = best_layer(score, radii_px)
