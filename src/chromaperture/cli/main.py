@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import sys
 import warnings
 from typing import Annotated
@@ -27,7 +29,7 @@ from chromaperture.cli import (
     sources,
     transparency,
 )
-from chromaperture.cli.console import say_error, show_warning
+from chromaperture.cli.console import forget_warnings, say_error, show_warning
 from chromaperture.errors import CaptureWarning, ChromapertureError
 
 app = typer.Typer(
@@ -67,7 +69,11 @@ def main() -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("always", CaptureWarning)
             warnings.showwarning = show_warning
-            app()
+            forget_warnings()
+            try:
+                app()
+            finally:
+                sys.stdout.flush()  # here, where a full device is reported
     except ChromapertureError as error:
         say_error(error)
         sys.exit(2)
@@ -75,4 +81,17 @@ def main() -> None:
         say_error("interrupted; nothing half-written was left behind")
         sys.exit(130)
     except BrokenPipeError:
+        _drop_output()
         sys.exit(141)  # the reader of our output has gone, as after "| head"
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        say_error("the disk is full: the output could not be written; free some space and repeat")
+        _drop_output()
+        sys.exit(2)
+
+
+def _drop_output() -> None:
+    """Discard what cannot be printed: Python would report it again at exit."""
+    with contextlib.suppress(OSError):
+        sys.stdout.close()
