@@ -160,6 +160,14 @@ def bad_inputs(folder):
         "levels": (["depth", image, *with_camera, "--black-level", "9000"], "black level"),
         "unknown setting": (["depth", image, *with_camera, "--config", here("config.toml")], "'step'"),
         "folder is a file": (["depth", image, "--camera", camera, "--out", here("file")], "cannot write"),
+        "folder in /proc": (["depth", image, "--camera", camera, "--out", "/proc/foo"], "cannot write to /proc/foo"),
+        "folder is a device": (["depth", image, "--camera", camera, "--out", "/dev/full"], "cannot write to /dev/full"),
+        "file in /proc": (["export", image, "/proc/foo.mcap.d", "--camera", camera], "cannot write to /proc"),
+        "template in /proc": (
+            ["apertures", "cy_halves", "--template", "/proc/f.pdf", "--pupil-mm", "25"], "cannot use /proc/f.pdf"
+        ),
+        "recording in /proc": (["record", image, "--out", "/proc/foo"], "cannot write to /proc/foo"),
+        "no error bar": (["depth", image, *with_camera, "--max-relative-sigma", "0"], "positive"),
         "same names": (["depth", image, image, *with_camera], "same files"),
         "no session": (["calibrate", folder, "--out", here("c.asdf")], "session"),
     }
@@ -187,6 +195,42 @@ def test_unwritable_folder(run, tmp_path):
     result = run("depth", sample_image(SAMPLES[0]), "--camera", sample_camera(SAMPLES[0]), "--out", folder)
     assert result.returncode == 2
     assert "cannot write" in result.stderr
+
+
+def test_a_full_device_as_output_is_one_clear_line():
+    command = [sys.executable, "-m", "chromaperture", "info", str(sample_camera(SAMPLES[0])), "--json"]
+    with open("/dev/full", "wb") as full:
+        result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "disk is full" in result.stderr
+
+
+def test_a_warning_of_every_image_is_printed_once_a_run(run, tmp_path, rng):
+    for name in ("a.jpg", "b.jpg"):
+        Image.fromarray(rng.integers(0, 255, (40, 56, 3)).astype(np.uint8)).save(tmp_path / name, subsampling=2)
+    for _ in range(2):
+        images = (tmp_path / "a.jpg", tmp_path / "b.jpg")
+        result = run("depth", *images, "--design", "cy_halves", "--out", tmp_path / "out", "-q")
+        assert result.returncode == 0, result.stderr
+        assert result.stderr.count("4:2:0") == 1
+    result = run("record", tmp_path / "*.jpg", "--out", tmp_path / "walk", "-q")
+    assert (result.returncode, result.stderr.count("4:2:0")) == (0, 1)
+
+
+def test_depth_without_an_error_bar_is_limited_where_its_user_wants(run, tmp_path):
+    image, camera = sample_image(SAMPLES[0]), sample_camera(SAMPLES[0])
+    filled = []
+    for limit in (0.02, "inf"):
+        out = tmp_path / str(limit)
+        result = run("depth", image, "-c", camera, "-o", out, "-q", "--max-relative-sigma", limit, "--quality", "paper")
+        assert result.returncode == 0, result.stderr
+        depth, sigma = (tifffile.imread(out / f"{image.stem}.{n}.tiff") for n in ("depth", "sigma"))
+        in_mm = cv2.imread(str(out / f"{image.stem}.depth.png"), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_array_equal(in_mm > 0, sigma <= float(limit) * depth)
+        filled.append((np.isfinite(depth).mean(), (in_mm > 0).mean()))
+    assert filled[0][0] == filled[1][0] == filled[1][1]  # the TIFF is whole, and so is the PNG without a limit
+    assert filled[0][1] < 0.5 * filled[1][1]
 
 
 def test_one_bad_image_does_not_stop_the_others(run, tmp_path):

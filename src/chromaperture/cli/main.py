@@ -84,10 +84,13 @@ def main() -> None:
         _drop_output()
         sys.exit(141)  # the reader of our output has gone, as after "| head"
     except OSError as error:
-        if error.errno != errno.ENOSPC:
+        if error.errno == errno.ENOSPC:
+            say_error("the disk is full: the output could not be written; free some space and repeat")
+            _drop_output()
+        elif error.filename is not None:
+            say_error(f"cannot use {error.filename} ({error.strerror}); choose another name")
+        else:
             raise
-        say_error("the disk is full: the output could not be written; free some space and repeat")
-        _drop_output()
         sys.exit(2)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from chromaperture.errors import InputError
 
-# sigma / depth. On 24 frames of a walk past halves of a pupil, real-time, the fraction of the pixels kept and of those
-# within 5 % of the truth: see docs/sources.md.
+# sigma / depth. Filled pixels and those of them within 5 % of the truth, real-time, 24 frames of a ray-traced walk past
+# halves of a pupil: 99 and 60 % without a limit, 66 and 71 % at 0.15, 45 and 81 % at 0.10, 18 and 89 % at 0.05.
 MAX_RELATIVE_SIGMA = 0.10
 
 
