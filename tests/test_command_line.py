@@ -49,7 +49,9 @@ def test_the_maps_of_the_demo_hang_together(demo, sample):
     assert (sigma[known] > 0).all()
     assert (np.isfinite(disparity) >= known).all()
     in_mm = cv2.imread(str(folder / f"{sample}.depth.png"), cv2.IMREAD_UNCHANGED)
-    np.testing.assert_array_equal(in_mm, np.where(known, np.rint(np.nan_to_num(depth)), 0))
+    certain = known & (sigma <= 0.1 * depth)
+    assert 0.3 * known.sum() < certain.sum() < known.sum()  # neither nothing nor all is left of the samples
+    np.testing.assert_array_equal(in_mm, np.where(certain, np.rint(np.nan_to_num(depth)), 0))
     # Light of a point at that depth arrives with that disparity: d = A - B / (depth - delta), forwards.
     model = Calibration.load(sample_camera(sample)).depth_model("accurate")
     expected = model.infinity_disparity_px - model.scale_px_mm / (depth - model.sensor_to_pupil_mm)
@@ -64,7 +66,7 @@ def test_the_maps_of_the_demo_hang_together(demo, sample):
     assert summary["config"]["matcher"]["layers"]["step_px"] > 0
     assert summary["camera"]["design"] in sample
     header = (folder / f"{sample}.ply").read_bytes()[:400].decode("ascii", "replace")
-    assert f"element vertex {known.sum()}" in header
+    assert f"element vertex {certain.sum()}\n" in header
     with Image.open(folder / f"{sample}.preview.png") as preview:
         assert min(preview.size) > 500
         shades = np.unique(np.asarray(preview.convert("RGB").resize((64, 48))).reshape(-1, 3), axis=0)
@@ -144,7 +146,7 @@ def bad_inputs(folder):
         "missing file": (["depth", here("none.png"), *with_camera], "cannot read"),
         "grey image": (["depth", here("grey.png"), *with_camera], "grey"),
         "all black": (["depth", here("black.png"), *with_camera], "black"),
-        "saturated": (["depth", here("white.png"), *with_camera], "grey|saturated"),
+        "saturated": (["depth", here("white.png"), *with_camera], "is saturated"),
         "not a number": (["depth", here("nan.tif"), *with_camera], "finite"),
         "other size": (["depth", here("small.png"), *with_camera], "360x240"),
         "unknown design": (["depth", image, "--design", "cy_thirds", "--out", here("out")], "cy_halves"),
@@ -158,6 +160,14 @@ def bad_inputs(folder):
         "levels": (["depth", image, *with_camera, "--black-level", "9000"], "black level"),
         "unknown setting": (["depth", image, *with_camera, "--config", here("config.toml")], "'step'"),
         "folder is a file": (["depth", image, "--camera", camera, "--out", here("file")], "cannot write"),
+        "folder in /proc": (["depth", image, "--camera", camera, "--out", "/proc/foo"], "cannot write to /proc/foo"),
+        "folder is a device": (["depth", image, "--camera", camera, "--out", "/dev/full"], "cannot write to /dev/full"),
+        "file in /proc": (["export", image, "/proc/foo.mcap.d", "--camera", camera], "cannot write to /proc"),
+        "template in /proc": (
+            ["apertures", "cy_halves", "--template", "/proc/f.pdf", "--pupil-mm", "25"], "cannot use /proc/f.pdf"
+        ),
+        "recording in /proc": (["record", image, "--out", "/proc/foo"], "cannot write to /proc/foo"),
+        "no error bar": (["depth", image, *with_camera, "--max-relative-sigma", "0"], "positive"),
         "same names": (["depth", image, image, *with_camera], "same files"),
         "no session": (["calibrate", folder, "--out", here("c.asdf")], "session"),
     }
@@ -185,6 +195,42 @@ def test_unwritable_folder(run, tmp_path):
     result = run("depth", sample_image(SAMPLES[0]), "--camera", sample_camera(SAMPLES[0]), "--out", folder)
     assert result.returncode == 2
     assert "cannot write" in result.stderr
+
+
+def test_a_full_device_as_output_is_one_clear_line():
+    command = [sys.executable, "-m", "chromaperture", "info", str(sample_camera(SAMPLES[0])), "--json"]
+    with open("/dev/full", "wb") as full:
+        result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "disk is full" in result.stderr
+
+
+def test_a_warning_of_every_image_is_printed_once_a_run(run, tmp_path, rng):
+    for name in ("a.jpg", "b.jpg"):
+        Image.fromarray(rng.integers(0, 255, (40, 56, 3)).astype(np.uint8)).save(tmp_path / name, subsampling=2)
+    for _ in range(2):
+        images = (tmp_path / "a.jpg", tmp_path / "b.jpg")
+        result = run("depth", *images, "--design", "cy_halves", "--out", tmp_path / "out", "-q")
+        assert result.returncode == 0, result.stderr
+        assert result.stderr.count("4:2:0") == 1
+    result = run("record", tmp_path / "*.jpg", "--out", tmp_path / "walk", "-q")
+    assert (result.returncode, result.stderr.count("4:2:0")) == (0, 1)
+
+
+def test_depth_without_an_error_bar_is_limited_where_its_user_wants(run, tmp_path):
+    image, camera = sample_image(SAMPLES[0]), sample_camera(SAMPLES[0])
+    filled = []
+    for limit in (0.02, "inf"):
+        out = tmp_path / str(limit)
+        result = run("depth", image, "-c", camera, "-o", out, "-q", "--max-relative-sigma", limit, "--quality", "paper")
+        assert result.returncode == 0, result.stderr
+        depth, sigma = (tifffile.imread(out / f"{image.stem}.{n}.tiff") for n in ("depth", "sigma"))
+        in_mm = cv2.imread(str(out / f"{image.stem}.depth.png"), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_array_equal(in_mm > 0, sigma <= float(limit) * depth)
+        filled.append((np.isfinite(depth).mean(), (in_mm > 0).mean()))
+    assert filled[0][0] == filled[1][0] == filled[1][1]  # the TIFF is whole, and so is the PNG without a limit
+    assert filled[0][1] < 0.5 * filled[1][1]
 
 
 def test_one_bad_image_does_not_stop_the_others(run, tmp_path):

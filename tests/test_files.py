@@ -36,13 +36,13 @@ def test_sixteen_bit_png_keeps_every_count(tmp_path, counts):
 def test_a_file_decoded_once_gives_depth_size_and_image(tmp_path, counts):
     path = write_png(tmp_path / "a.png", counts)
     decoded = decode(path)
-    assert decoded.bits == 16
+    assert decoded.array.dtype == np.uint16
     np.testing.assert_array_equal(decoded.array, counts)
     assert image_size(path) == (32, 24)
     levels = {"black_level": 16, "white_level": 1016}
     np.testing.assert_array_equal(linearise(decoded, **levels), read_image(path, **levels))
     Image.fromarray((counts // 4).astype(np.uint8)).save(tmp_path / "b.png")
-    assert decode(tmp_path / "b.png").bits == 8
+    assert decode(tmp_path / "b.png").array.dtype == np.uint8
 
 
 @pytest.mark.parametrize("suffix", [".tif", ".ppm"])
@@ -115,6 +115,15 @@ def test_grey_pictures_are_refused(tmp_path, rng):
     for name in ("one.png", "three.png"):
         with pytest.raises(InputError, match="grey"):
             read_image(tmp_path / name)
+
+
+@pytest.mark.parametrize("dark", [0, 5])
+def test_saturated_pictures_are_not_called_grey(tmp_path, dark):
+    picture = np.full((24, 32, 3), 1023, np.uint16)
+    picture.reshape(-1, 3)[:dark] = 16  # of 768 pixels: a black corner is no colour either
+    with pytest.raises(InputError, match="saturated") as error:
+        read_image(write_png(tmp_path / "a.png", picture))
+    assert "grey" not in str(error.value)
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.01, 0.5, 0.98])

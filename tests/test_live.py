@@ -232,8 +232,9 @@ def test_the_page_is_served_and_a_snapshot_written(tmp_path):
 
     eye = load_camera(sample_camera("still_life_cy_halves"))
     with LiveLoop(Still(), eye, track=False) as loop:
-        page = LivePage(loop, host="127.0.0.1", port=8765, out=tmp_path)
+        page = LivePage(loop, host="127.0.0.1", port=8765, out=tmp_path, max_relative_sigma=0.05)
         try:
+            assert page.max_sigma.value == 5  # %
             with pytest.raises(InputError, match="no frame yet"):
                 page.snapshot()
             page.run(until=lambda: page.last is not None)

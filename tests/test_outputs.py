@@ -2,12 +2,14 @@
 
 import errno
 import json
+import os
 
 import cv2
 import numpy as np
 import pytest
 import tifffile
 
+from chromaperture.depth.error_limit import within_error
 from chromaperture.depth.pointcloud import PointCloud, depth_to_points, write_ply
 from chromaperture.errors import InputError
 from chromaperture.storage import staged, to_json, write_color_png, write_depth_png, write_float_tiff
@@ -68,6 +70,29 @@ def test_folder_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(InputError, match="--out"), staged(tmp_path / "file" / "below"):
         pass
+
+
+def test_a_folder_that_cannot_be_made_is_one_clear_line():
+    with pytest.raises(InputError, match="--out"), staged("/proc/foo"):
+        pass
+
+
+def test_a_device_is_not_replaced_by_a_file(tmp_path):
+    os.mkfifo(tmp_path / "full")  # as /dev/full, which only root can make
+    with pytest.raises(InputError, match="device"), staged(tmp_path) as stage:
+        stage.path("full").write_text("x")
+    assert [(p.name, p.is_fifo()) for p in tmp_path.iterdir()] == [("full", True)]
+
+
+@pytest.mark.parametrize("limit", [0.05, 0.1, np.inf])
+def test_depth_without_an_error_bar_is_limited_by_it(limit):
+    depth = np.array([[1000, 1000, 2000, np.nan, 1000]], np.float32)
+    sigma = np.array([[50, 100, 100, np.nan, np.nan]], np.float32)
+    kept = np.isfinite(within_error(depth, sigma, limit))
+    np.testing.assert_array_equal(kept, [[True, limit >= 0.1, True, False, False]])
+    for nonsense in (0, -1, np.nan):
+        with pytest.raises(InputError, match="positive"):
+            within_error(depth, sigma, nonsense)
 
 
 def test_json_has_no_nan():

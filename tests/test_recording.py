@@ -17,7 +17,7 @@ from chromaperture.capture.open import open_source
 from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Encoding, Frame
 from chromaperture.cli.main import main
-from chromaperture.errors import InputError
+from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.products.mcap import write_mcap
 from chromaperture.products.rectified import View
 from chromaperture.products.samples import sample_camera, sample_image
@@ -170,14 +170,85 @@ def test_record_and_replay_from_the_command_line(tmp_path, monkeypatch, capfd):
     assert (code, (tmp_path / "new").exists()) == (2, False)
 
 
+def recorded(folder, counts, header=None, **encoding):
+    """Write a recording of one frame; with a header, as the first format wrote it."""
+    with Recorder(folder) as recorder:
+        recorder.write(Frame(counts, Encoding(**encoding), 0.0, 0))
+    if header:
+        (folder / "recording.json").write_text(json.dumps({"format": header}))
+    return f"replay:{folder}"
+
+
+def encoding_of(spec, **settings):
+    with open_source(spec, **settings) as source:
+        return next(iter(source)).encoding
+
+
+def test_levels_that_nobody_gave_are_recorded_as_null_and_the_cameras_win(tmp_path, monkeypatch, capfd):
+    cv2.imwrite(str(tmp_path / "0.png"), frame(0).counts[..., ::-1])
+    walk = tmp_path / "walk"
+    assert run(monkeypatch, capfd, "record", tmp_path / "0.png", "--out", walk, "-q")[0] == 0
+    entry = json.loads((walk / "index.jsonl").read_text())["encoding"]
+    assert (entry["black_level"], entry["white_level"]) == (None, None)
+    with pytest.warns(CaptureWarning, match="white-level"):
+        assert encoding_of(f"replay:{walk}") == Encoding(0, 65535)
+    assert encoding_of(f"replay:{walk}", camera_levels=(16, 1016)) == Encoding(16, 1016)
+    assert encoding_of(f"replay:{walk}", camera_levels=(16, 1016), white_level=900) == Encoding(16, 900)
+    assert encoding_of(f"replay:{walk}?black_level=8&white_level=700") == Encoding(8, 700)
+
+
+def test_record_with_a_camera_writes_its_levels(tmp_path, monkeypatch, capfd):
+    camera, walk = sample_camera("still_life_cy_halves"), tmp_path / "walk"
+    cv2.imwrite(str(tmp_path / "0.png"), frame(0).counts[..., ::-1])
+    assert run(monkeypatch, capfd, "record", tmp_path / "0.png", "--out", walk, "-q", "--camera", camera)[0] == 0
+    assert encoding_of(f"replay:{walk}") == Encoding(16, 1016)
+    assert encoding_of(f"replay:{walk}", camera_levels=(0, 4095)) == Encoding(16, 1016)  # they were given
+
+
+def test_levels_that_were_given_are_replaced_by_the_readers_only(tmp_path):
+    walk = recorded(tmp_path, frame(0).counts, black_level=64, white_level=1023)
+    assert encoding_of(walk, camera_levels=(16, 1016)) == Encoding(64, 1023)
+    assert encoding_of(walk, white_level=900) == Encoding(64, 900)
+
+
+def test_levels_of_superpixels_are_those_of_the_mosaic(tmp_path):
+    offsets = SHIFTED.channel_offsets_px
+    raw = recorded(tmp_path, frame(0).counts, black_level=100, white_level=2046, channel_offsets_px=offsets,
+                   given=False)  # fmt: skip
+    assert encoding_of(raw) == Encoding(100, 2046, "linear", offsets)  # the file's own are kept
+    assert encoding_of(raw, camera_levels=(16, 1016)) == Encoding(32, 2032, "linear", offsets)
+    assert encoding_of(raw, black_level=60) == Encoding(120, 2046, "linear", offsets)
+
+
+def test_recordings_of_the_first_format_are_read(tmp_path):
+    first = "chromaperture recording 1"
+    guessed = recorded(tmp_path / "a", frame(0).counts, header=first)  # 0 and 65535: nobody gave them
+    given = recorded(tmp_path / "b", frame(0).counts, header=first, black_level=64, white_level=1023)
+    assert encoding_of(guessed, camera_levels=(16, 1016)) == Encoding(16, 1016)
+    assert encoding_of(given, camera_levels=(16, 1016)) == Encoding(64, 1023)
+
+
+def test_a_recorded_sequence_is_exported_as_bright_as_its_pictures(tmp_path, monkeypatch, capfd):
+    image, camera = sample_image("still_life_cy_halves"), sample_camera("still_life_cy_halves")
+    assert run(monkeypatch, capfd, "record", image, "--out", tmp_path / "walk", "-q")[0] == 0
+    for source, out in ((image, "direct"), (f"replay:{tmp_path / 'walk'}", "replayed")):
+        code, _, complaint = run(monkeypatch, capfd, "export", source, tmp_path / out, "--camera", camera, "-q")
+        assert (code, complaint) == (0, "")
+    direct, again = (cv2.imread(str(tmp_path / out / "rgb" / "0.000000.png")) for out in ("direct", "replayed"))
+    np.testing.assert_array_equal(again, direct)
+
+
 # Export: a wall that other readers must find where it is.
 
 
 def walls():
     z = np.full((6, 8), 1234.4, np.float32)
     z[0, 0], z[0, 1], z[0, 2] = np.nan, 70_000, 0
+    sigma = 0.01 * z
+    sigma[0, 3:5] = 0.11 * z[0, 3:5]  # more than the tenth that is exported
+    confidence = np.linspace(0, 1, z.size, dtype=np.float32).reshape(z.shape)
     color = np.random.default_rng(0).integers(0, 256, (6, 8, 3)).astype(np.uint8)
-    return [View(color, z, 0.01 * z, 1.75e9 + i / 8, i) for i in range(2)]
+    return [View(color, z, sigma, 1.75e9 + i / 8, i, confidence) for i in range(2)]
 
 
 MATRIX = np.array([[500.0, 0, 4], [0, 501, 3], [0, 0, 1]])
@@ -191,13 +262,20 @@ def test_tum_folder_as_its_readers_expect(tmp_path):
         assert float(stamp) == float(same) == pytest.approx(expected.time_s, abs=1e-6)  # six decimals are written
         np.testing.assert_array_equal(cv2.imread(str(folder / rgb))[..., ::-1], expected.color)
         metres = cv2.imread(str(folder / depth), cv2.IMREAD_UNCHANGED) / 5000
-        assert metres[0, :3].tolist() == [0, 0, 0]
+        assert metres[0, :5].tolist() == [0, 0, 0, 0, 0]
+        sigma = cv2.imread(str(folder / depth.replace("depth/", "sigma/")), cv2.IMREAD_UNCHANGED) / 5
+        assert (sigma[0, 0], sigma[0, 2]) == (0, 0.2)  # unknown, and none: the least that is not unknown
+        np.testing.assert_allclose(sigma[0, 3:], expected.sigma_mm[0, 3:], atol=0.1)  # half a count; whole, not cut
+        confidence = cv2.imread(str(folder / depth.replace("depth/", "confidence/")), cv2.IMREAD_UNCHANGED) / 255
+        np.testing.assert_allclose(confidence, expected.confidence, atol=0.5 / 255)  # half a count
         assert np.abs(metres[1:] - 1.2344).max() <= 0.0001  # half a count
+    write_tum(tmp_path / "all", walls(), camera_matrix=MATRIX, max_relative_sigma=0.2)
+    assert (cv2.imread(str(tmp_path / "all" / depth), cv2.IMREAD_UNCHANGED)[0, 3:5] > 0).all()
     with pytest.raises(InputError, match="exists"):
         write_tum(folder, walls(), camera_matrix=MATRIX)
     with pytest.raises(InputError, match="no frame"):
         write_tum(tmp_path / "none", [], camera_matrix=MATRIX)
-    assert [p.name for p in tmp_path.iterdir()] == ["tum"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["all", "tum"]
 
 
 def test_export_measures_the_sample_and_takes_the_pupil_as_origin(tmp_path, monkeypatch, capfd):
@@ -227,15 +305,18 @@ def test_mcap_read_back_by_another_library(tmp_path):
     found = {}
     for message in read_ros2_messages(str(path)):
         found.setdefault(message.channel.topic, []).append(message.ros_msg)
-    parts = ("color", "depth")
+    parts = ("color", "depth", "sigma", "confidence")
     assert sorted(found) == sorted(f"/camera/{p}/{n}" for p in parts for n in ("camera_info", "image_rect"))
     for i, expected in enumerate(walls()):
-        color, depth = (found[f"/camera/{p}/image_rect"][i] for p in parts)
+        color, depth, sigma, confidence = (found[f"/camera/{p}/image_rect"][i] for p in parts)
         np.testing.assert_array_equal(np.frombuffer(color.data, np.uint8).reshape(6, 8, 3), expected.color)
         mm = np.frombuffer(depth.data, "<u2").reshape(6, 8)
-        assert mm[0, :3].tolist() == [0, 0, 0]
+        assert mm[0, :5].tolist() == [0, 0, 0, 0, 0]
+        np.testing.assert_array_equal(np.frombuffer(sigma.data, "<f4").reshape(6, 8), expected.sigma_mm / 1000)
+        np.testing.assert_array_equal(np.frombuffer(confidence.data, "<f4").reshape(6, 8), expected.confidence)
         assert (mm[1:] == 1234).all()
         assert (color.encoding, depth.encoding, depth.step) == ("rgb8", "16UC1", 16)
+        assert (sigma.encoding, sigma.step, confidence.encoding) == ("32FC1", 32, "32FC1")
         info = found["/camera/depth/camera_info"][i]
         np.testing.assert_array_equal(np.reshape(info.k, (3, 3)), MATRIX)
         # Float64 of seconds since 1970 resolves 2e-7.

@@ -21,7 +21,7 @@ from chromaperture.capture.open import connected_sources, open_source
 from chromaperture.capture.playback import played
 from chromaperture.capture.source import Encoding, FileSource, Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource, StreamEndedError
-from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.errors import CaptureWarning, InputError, MissingDependencyError
 from chromaperture.optics.sensor import mosaic
 
 # Older PyGObject has an importer of the old kind.
@@ -109,6 +109,34 @@ def test_a_folder_is_read_in_the_order_of_its_numbers(tmp_path):
         np.testing.assert_array_equal(frame.image, expected)
 
 
+@pytest.mark.parametrize("where", ["", "/*.png", "/?.png"])
+def test_settings_follow_the_path_of_pictures(tmp_path, where):
+    for n in range(3):
+        write(tmp_path / f"{n}.png", picture(n))
+    spec = f"{tmp_path}{where}?fps=5&white_level=1000&black_level=8"
+    with open_source(spec) as source:
+        frames = list(source)
+    assert not source.live
+    assert [f.time_s for f in frames] == [0.0, 0.2, 0.4]
+    assert frames[0].encoding == Encoding(8, 1000)
+    with open_source(f"{tmp_path}{where}?fps=5&loop=0", white_level=1000) as source:
+        assert len(list(source)) == 3  # loop=0 is what comes without it
+
+
+def test_pictures_are_played_in_a_loop(tmp_path):
+    for n in range(2):
+        write(tmp_path / f"{n}.png", picture(n))
+    with open_source(f"{tmp_path}?fps=200&loop=1", white_level=1000) as source:
+        assert source.live
+        assert any(frame.index > 3 for frame in source)
+
+
+def test_a_file_whose_name_looks_like_settings_is_read(tmp_path):
+    path = write(tmp_path / "a?fps=5.png", picture())
+    with open_source(str(path), white_level=1000) as source:
+        assert len(list(source)) == 1
+
+
 def test_odd_files_in_a_folder_are_said_and_skipped(tmp_path):
     write(tmp_path / "0.png", picture())
     write(tmp_path / "1.png", picture(size=(20, 20)))
@@ -133,6 +161,10 @@ def test_a_video_gives_its_frames_in_order(tmp_path):
     with open_source(path) as source:
         frames = list(source)
     assert [f.time_s for f in frames] == pytest.approx([0.0, 0.1, 0.2])
+    with open_source(f"{path}?fps=5&white_level=200") as source:
+        slow = list(source)
+    assert [f.time_s for f in slow] == [0.0, 0.2, 0.4]
+    assert slow[0].encoding == Encoding(0, 200)
     for frame, level in zip(frames, levels, strict=True):  # conversion to YUV and back may err by 2 counts
         assert np.abs(frame.counts.astype(int) - (200, 40, level)).max() <= 2
 
@@ -152,6 +184,18 @@ def test_a_video_gives_its_frames_in_order(tmp_path):
         ("simulate:nowhere", "no RGB-D sequence"),
         ("simulate:nowhere.toml", "no scene file"),
         ("simulate:.?speed=-1", "speed"),
+        ("simulate:.?fps=0", "fps must be positive"),
+        ("simulate:.?count=2.5", "whole number"),
+        (".?fps=0", "fps must be positive"),
+        (".?fps=fast", "must be a number"),
+        (".?speed=0", "speed"),
+        (".?loop=maybe", "loop must be 1 or 0"),
+        (".?focus=3", "choose fps, black_level, white_level, speed, loop"),
+        (".?camera_levels=3", "no setting"),
+        ("clip.mkv?fps=-1", "fps must be positive"),
+        ("webcam?width=nan", "whole number"),
+        ("aravis?focus=3", "no setting 'focus'"),
+        ("gphoto2?focus=3", "no setting 'focus'"),
     ],
 )
 def test_a_source_that_is_not_there_says_so(spec, word):
@@ -287,7 +331,15 @@ def test_files_played_in_a_loop_are_read_once_and_keep_their_pace():
                 break
     assert source.made == 3
     assert all(value == 100 + index % 3 for index, value in seen.items())
-    assert time.monotonic() - began >= 4 / 50  # two rounds of two intervals; sleeping is never shorter
+    assert time.monotonic() - began >= 6 / 50  # six intervals; sleeping is never shorter
+
+
+def test_one_picture_in_a_loop_keeps_the_usual_pace(tmp_path):
+    write(tmp_path / "0.png", picture())
+    began = time.monotonic()
+    with open_source(f"{tmp_path / '0.png'}?loop=1", white_level=1000) as source:
+        index = next(frame.index for frame in source if frame.index >= 4)
+    assert index <= 30 * (time.monotonic() - began)  # frames a second; sleeping is never shorter
 
 
 def test_a_scene_moves_past_the_simulated_camera(tmp_path):
@@ -430,12 +482,12 @@ def test_photographs_of_a_tethered_camera(tmp_path):
 def test_the_cameras_levels_serve_where_a_file_can_hold_them(tmp_path):
     write(tmp_path / "deep.png", picture())
     write(tmp_path / "flat.png", (picture() // 4).astype(np.uint8))
-    with open_source(str(tmp_path), camera_levels=(16, 1016)) as source:
+    with open_source(str(tmp_path), camera_levels=(16, 1016)) as source, pytest.warns(CaptureWarning, match="sRGB"):
         deep, flat = (f.encoding for f in source)
     assert deep == Encoding(16, 1016)
     assert flat == Encoding(0, 255, "srgb")
     with open_source(str(tmp_path / "deep.png"), camera_levels=(16, 1016), white_level=900) as source:
-        assert next(iter(source)).encoding == Encoding(0, 900)
+        assert next(iter(source)).encoding == Encoding(16, 900)
 
 
 @pytest.mark.parametrize(

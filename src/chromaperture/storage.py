@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -42,23 +43,44 @@ def staged(folder: str | Path) -> Iterator[Stage]:
         The folder cannot be created or written to, or the disk is full.
     """
     folder = Path(folder)
-    private = None
     try:
         folder.mkdir(parents=True, exist_ok=True)
         private = Path(tempfile.mkdtemp(prefix=".chromaperture-", dir=folder))
+    except OSError as error:  # of any number: /proc reports that there is no such file
+        raise _cannot_write(folder, error) from None
+    try:
         stage = Stage(folder, private)
         yield stage
         for name in stage.names:
+            if _is_device(folder / name):
+                raise InputError(f"{folder / name} is a device, which a file would replace; choose another name")
+        for name in stage.names:
             os.replace(private / name, folder / name)
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            raise InputError(f"the disk is full: nothing was written to {folder}; free some space and repeat") from None
-        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.EISDIR):
-            raise InputError(f"cannot write to {folder} ({error.strerror}); choose another folder with --out") from None
+        if error.errno in _FULL or error.errno in _REFUSED:
+            raise _cannot_write(folder, error) from None
         raise
     finally:
-        if private is not None:
-            shutil.rmtree(private, ignore_errors=True)
+        shutil.rmtree(private, ignore_errors=True)
+
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.EISDIR, errno.ENOTEMPTY)
+
+
+def _cannot_write(folder: Path, error: OSError) -> InputError:
+    if error.errno in _FULL:
+        return InputError(f"the disk is full: nothing was written to {folder}; free some space and repeat")
+    return InputError(f"cannot write to {folder} ({error.strerror or error}); choose another folder with --out")
+
+
+def _is_device(path: Path) -> bool:
+    """Find what is there and is neither a file nor a folder: replacing /dev/full would delete the device."""
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
 def write_float_tiff(path: Path, values: np.ndarray) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -16,13 +16,13 @@ import numpy as np
 import tifffile
 from PIL import Image, JpegImagePlugin, UnidentifiedImageError
 
-from chromaperture.capture.source import Encoding, develop_counts
+from chromaperture.capture.source import Encoding, choose_encoding, develop_counts, format_encoding
 from chromaperture.errors import CaptureWarning, InputError
 
 _RAW_SUFFIXES = {".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2"}
 _PICTURES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
+_MOST_SATURATED = 0.98  # fraction of the pixels at one largest count; as in `check_capture`
 _SUBSAMPLED = {1: "4:2:2", 2: "4:2:0"}  # Pillow's codes of JPEG chroma subsampling
-_TWELVE_BITS = 4096  # a 16-bit file with no count above is likely that of a sensor of 12 bits or fewer
 
 
 @dataclass(frozen=True)
@@ -33,17 +33,11 @@ class Decoded:
     ----------
     array : (H, W, 3) uint8, uint16, float32 or float64
         R, G, B as stored; for RAW files twice the mosaic's counts, see `superpixels`.
-    bits : int
-        Bits per sample, 8, 16, 32 or 64. Camera levels only make sense for files of the camera's depth.
-    name : str
-        Of the file, for messages.
     own : Encoding or None
         Of a RAW file, which states its levels.
     """
 
     array: np.ndarray
-    bits: int
-    name: str = ""
     own: Encoding | None = None
 
 
@@ -78,38 +72,42 @@ def read_image(path: str | Path, *, black_level: float | None = None, white_leve
     return linearise(decode(path), black_level=black_level, white_level=white_level)
 
 
-def linearise(decoded: Decoded, *, black_level: float | None = None, white_level: float | None = None) -> np.ndarray:
-    """Convert the content of a file to linear light; parameters, result and errors as in `read_image`."""
-    return develop_counts(decoded.array, encoding_of(decoded, black_level=black_level, white_level=white_level))
+def linearise(
+    decoded: Decoded,
+    *,
+    black_level: float | None = None,
+    white_level: float | None = None,
+    camera_levels: tuple[float, float] | None = None,
+) -> np.ndarray:
+    """Convert the content of a file to linear light; see `read_image` and, for the levels, `choose_encoding`."""
+    levels = {"black_level": black_level, "white_level": white_level}
+    return develop_counts(decoded.array, encoding_of(decoded, **levels, camera_levels=camera_levels))
 
 
 def read_counts(
-    path: str | Path, *, black_level: float | None = None, white_level: float | None = None
+    path: str | Path,
+    *,
+    black_level: float | None = None,
+    white_level: float | None = None,
+    camera_levels: tuple[float, float] | None = None,
 ) -> tuple[np.ndarray, Encoding]:
-    """Read a photograph as stored, (H, W, 3), and how to convert it to linear light; see `read_image`."""
+    """Read a photograph as stored, (H, W, 3), and how to convert it to linear light; see `choose_encoding`."""
     decoded = decode(path)
-    return decoded.array, encoding_of(decoded, black_level=black_level, white_level=white_level)
+    levels = {"black_level": black_level, "white_level": white_level}
+    return decoded.array, encoding_of(decoded, **levels, camera_levels=camera_levels)
 
 
-def encoding_of(decoded: Decoded, *, black_level: float | None = None, white_level: float | None = None) -> Encoding:
-    """Choose how to convert the content of a file to linear light; see `read_image`."""
-    counts, own = decoded.array, decoded.own
-    if own is not None:
-        black = own.black_level if black_level is None else 2 * float(black_level)
-        return replace(own, black_level=black, white_level=own.white_level if white_level is None else 2 * white_level)
-    if black_level is None and white_level is None and counts.dtype == np.uint8:
-        return Encoding(0.0, 255.0, "srgb")
-    full = 1.0 if counts.dtype.kind == "f" else float(np.iinfo(counts.dtype).max)
-    black = 0.0 if black_level is None else float(black_level)
-    encoding = Encoding(black, full if white_level is None else float(white_level))
-    if white_level is None and counts.dtype == np.uint16 and 0 < counts.max() < _TWELVE_BITS:
-        warnings.warn(
-            f"{decoded.name}: no count above {counts.max()} in a 16-bit file; if the sensor has fewer bits, "
-            "give --white-level",
-            CaptureWarning,
-            stacklevel=3,
-        )
-    return encoding
+def encoding_of(
+    decoded: Decoded,
+    *,
+    black_level: float | None = None,
+    white_level: float | None = None,
+    camera_levels: tuple[float, float] | None = None,
+) -> Encoding:
+    """Choose how to convert the content of a file to linear light; see `choose_encoding`."""
+    own = decoded.own or format_encoding(decoded.array.dtype)
+    levels = {"black_level": black_level, "white_level": white_level}
+    return choose_encoding(own, decoded.array, **levels, camera_levels=camera_levels)
 
 
 def photographs(folder: Path) -> list[Path]:
@@ -136,9 +134,8 @@ def decode(path: str | Path) -> Decoded:
         from chromaperture.capture.raw import read_raw
 
         counts, own = read_raw(path)
-        return Decoded(counts, 16, path.name, own)
-    counts = _colour(_decode(path), path)
-    return Decoded(counts, 8 * counts.dtype.itemsize, path.name)
+        return Decoded(counts, own)
+    return Decoded(_colour(_decode(path), path))
 
 
 def _decode(path: Path) -> np.ndarray:
@@ -161,7 +158,7 @@ def _decode(path: Path) -> np.ndarray:
                 raise InputError(damaged)
             return counts[..., [2, 1, 0]] if counts.ndim == 3 else counts  # OpenCV stores B, G, R; alpha goes
         with Image.open(io.BytesIO(data)) as picture:
-            _warn_of_subsampling(picture, path)
+            _warn_of_subsampling(picture)
             coded = picture.mode in ("P", "RGBA", "CMYK", "YCbCr")
             return np.asarray(picture.convert("RGB") if coded else picture)
     except InputError:
@@ -191,6 +188,9 @@ def _colour(counts: np.ndarray, path: Path) -> np.ndarray:
         raise InputError(f"{path.name} holds an array of shape {counts.shape}; one RGB picture is needed")
     if not grey and np.array_equal(counts[..., 0], counts[..., 1]) and np.array_equal(counts[..., 1], counts[..., 2]):
         grey = bool(counts.any())  # an all-black picture is another error, raised where exposure is checked
+        clipped = float((counts[..., 0] == counts.max()).mean())
+        if grey and clipped > _MOST_SATURATED:
+            raise InputError(f"{path.name} is saturated: {clipped:.0%} of it is one count; lower the exposure")
     if grey:
         raise InputError(f"{path.name} is a grey picture; the depth is in the colours, so give the colour original")
     if counts.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
@@ -198,13 +198,13 @@ def _colour(counts: np.ndarray, path: Path) -> np.ndarray:
     return counts
 
 
-def _warn_of_subsampling(picture: Image.Image, path: Path) -> None:
+def _warn_of_subsampling(picture: Image.Image) -> None:
     if isinstance(picture, JpegImagePlugin.JpegImageFile):
         kind = _SUBSAMPLED.get(JpegImagePlugin.get_sampling(picture))
         if kind:
             warnings.warn(
-                f"{path.name} is a JPEG with {kind} chroma, which halves the resolution of the colours the depth is "
-                "read from; use RAW, PNG or TIFF, or JPEG at best quality (4:4:4)",
+                f"a JPEG with {kind} chroma, which halves the resolution of the colours the depth is read from; "
+                "use RAW, PNG or TIFF, or JPEG at best quality (4:4:4)",  # names no file: Python shows it once
                 CaptureWarning,
                 stacklevel=5,
             )

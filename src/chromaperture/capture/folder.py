@@ -6,11 +6,10 @@ import glob
 import re
 from collections.abc import Iterator
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from chromaperture.capture.files import photographs, read_counts
-from chromaperture.capture.source import Encoding, Event, FileSource, Frame, Listener
+from chromaperture.capture.source import Event, FileSource, Frame, Listener, checked_fps
 from chromaperture.errors import InputError, MissingDependencyError
 
 
@@ -23,10 +22,8 @@ class FolderSource(FileSource):
         A folder, a glob or a file.
     fps : float
         For the times of the frames.
-    black_level, white_level : float, optional
-        See `chromaperture.read_image`.
-    camera_levels : (float, float), optional
-        Black and white level of the camera file, for files that can hold such counts, when no levels are given.
+    black_level, white_level, camera_levels : float or (float, float), optional
+        See `choose_encoding`.
     listener : callable, optional
     """
 
@@ -41,11 +38,9 @@ class FolderSource(FileSource):
         listener: Listener | None = None,
     ) -> None:
         super().__init__(pattern, listener=listener)
-        self.fps, self.levels = fps, {"black_level": black_level, "white_level": white_level}
+        self.fps, self.levels = checked_fps(fps), dict[str, Any](black_level=black_level, white_level=white_level)
+        self.levels["camera_levels"] = camera_levels
         self.paths: list[Path] = []
-        self._by_camera = camera_levels is not None and black_level is None and white_level is None
-        if camera_levels is not None and self._by_camera:
-            self.levels = {"black_level": camera_levels[0], "white_level": camera_levels[1]}
 
     def open(self) -> None:
         """Find the pictures."""
@@ -70,11 +65,9 @@ class FolderSource(FileSource):
                 self.listener(Event("skipped", str(error)))
                 continue
             read += 1
-            if self._by_camera and counts.dtype == np.uint8 and encoding.white_level > 255:
-                encoding = Encoding(0.0, 255.0, "srgb")  # 8 bits cannot hold the camera's counts
             yield Frame(counts, encoding, index / self.fps, index, {"file": path.name})
         if not read:
-            raise InputError(f"none of the {len(self.paths)} files at {self.name} can be read as a colour picture")
+            raise InputError(f"none of the {len(self.paths)} files at {self.name} can be used as a colour picture")
 
 
 def natural(path: Path) -> list[tuple[int, int | str]]:

@@ -34,7 +34,8 @@ class TetheredCamera(FileSource):
         Number of photographs; unlimited when absent.
     shutterspeed, iso, aperture : str, optional
         Settings as the camera spells them.
-    black_level, white_level : float, optional
+    black_level, white_level, camera_levels : float or (float, float), optional
+        See `choose_encoding`.
     retry_s : float
         Pause between attempts to reconnect a lost camera.
     listener : callable, optional
@@ -50,13 +51,15 @@ class TetheredCamera(FileSource):
         aperture: str | None = None,
         black_level: float | None = None,
         white_level: float | None = None,
+        camera_levels: tuple[float, float] | None = None,
         retry_s: float = 1.0,
         listener: Listener | None = None,
     ) -> None:
         super().__init__(f"gphoto2:{port}" if port else "gphoto2", listener=listener)
         self._port, self._count, self._retry_s = port, count, retry_s
         self._settings = {"shutterspeed": shutterspeed, "iso": iso, "f-number": aperture}
-        self._levels = {"black_level": black_level, "white_level": white_level}
+        self._levels: dict[str, Any] = {"black_level": black_level, "white_level": white_level}
+        self._levels["camera_levels"] = camera_levels
         self._camera: Any = None
 
     def open(self) -> None:

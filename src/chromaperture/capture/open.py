@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +28,10 @@ _FILES: dict[str, Callable[..., FileSource]] = {
     "replay": ReplaySource,
     "simulate": SimulatedSource,
 }
-_PLAYED = {"replay", "simulate"}
+_KINDS = _DEVICES | _FILES
+_PLAYABLE = {"replay", "simulate", "folder", "video"}
+_QUERY = re.compile(r"\w+=[^&]*(&\w+=[^&]*)*")  # a lone ? may be the wildcard of a glob
+_SWITCH = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
 
 
 def open_source(
@@ -39,14 +43,14 @@ def open_source(
     ----------
     spec : str
         ``webcam:0``, ``aravis:SERIAL``, ``gphoto2``, ``simulate:FOLDER``, ``replay:FOLDER``, or the path of a folder,
-        a glob, a picture or a video. Settings may follow: ``webcam:0?exposure_us=5000&gain=2``. ``simulate`` and
-        ``replay`` deliver frame by frame, or like a live camera with ``speed=1`` (and ``loop=1``).
+        a glob, a picture or a video. Settings may follow: ``webcam:0?exposure_us=5000&gain=2``, ``folder?fps=5``. All
+        but cameras deliver frame by frame, or like a live camera with ``speed=1`` or ``loop=1``.
     listener : callable, optional
         Called with every `Event`, possibly from another thread; default: Python's logging.
     camera_levels : (float, float), optional
-        Black and white level of the camera file, for pictures without levels of their own.
+        Black and white level of the camera file, for pictures whose levels nobody gave.
     **settings
-        The same settings as arguments.
+        The same settings as arguments; None is not given.
 
     Returns
     -------
@@ -57,57 +61,71 @@ def open_source(
     InputError
         Unknown kind or setting, or a value that is not a number.
     """
-    kind, found, rest = spec.partition(":")
-    if kind == "gphoto2" or (found and kind in _DEVICES | _FILES) or kind in _DEVICES:
-        where, _, query = rest.partition("?")
-        if not found:
-            kind, _, query = spec.partition("?")
+    settings = {name: value for name, value in settings.items() if value is not None}
+    text, _, query = spec.partition("?")
+    kind, found, where = text.partition(":")
+    if kind in _DEVICES or kind == "gphoto2" or (found and kind in _FILES):
         settings = dict(parse_qsl(query, keep_blank_values=True)) | settings
-        return _opened(kind, where, settings, listener)
+        if kind in _DEVICES:
+            return _device(kind, where, settings, listener)
+        if kind != "gphoto2" and not where:
+            raise InputError(f"{kind} needs a folder: {kind}:FOLDER")
+        return _file(kind, where, _FILES[kind], settings, listener, camera_levels)
     if found and "/" not in kind and not Path(spec).exists() and kind.isidentifier() and "*" not in kind:
-        known = ", ".join(sorted(_DEVICES | _FILES))
-        raise InputError(f"unknown kind of source {kind!r}: choose {known}, or give a path")
-    if Path(spec).suffix.lower() in VIDEOS:
-        settings = {name: value for name, value in settings.items() if value is not None}
-        return VideoSource(spec, listener=listener, **_checked("video", VideoSource, settings))
-    chosen = _checked("folder", FolderSource, settings)
-    return FolderSource(spec, listener=listener, camera_levels=camera_levels, **chosen)
+        raise InputError(f"unknown kind of source {kind!r}: choose {', '.join(sorted(_KINDS))}, or give a path")
+    path, mark, query = spec.rpartition("?")
+    if not mark or not _QUERY.fullmatch(query) or Path(spec).exists():
+        path, query = spec, ""
+    settings = dict(parse_qsl(query, keep_blank_values=True)) | settings
+    if Path(path).suffix.lower() in VIDEOS and not Path(path).is_dir():
+        return _file("video", path, VideoSource, settings, listener, camera_levels)
+    return _file("folder", path, FolderSource, settings, listener, camera_levels)
 
 
-def _opened(kind: str, where: str, settings: dict[str, Any], listener: Listener | None) -> Source:
-    if kind in _DEVICES:
-        device = _DEVICES[kind]
-        chosen = _checked(kind, device, settings)
-        place = where or ("0" if kind == "webcam" else "")
-        name = f"{kind}:{place}" if place else kind
-        return LiveSource(name, lambda: device(place, **chosen), listener=listener)
-    if kind != "gphoto2" and not where:
-        raise InputError(f"{kind} needs a folder: {kind}:FOLDER")
-    speed = settings.pop("speed", None) if kind in _PLAYED else None
-    loop = settings.pop("loop", None) if kind in _PLAYED else None
-    source = _FILES[kind](where, listener=listener, **_checked(kind, _FILES[kind], settings))
-    if speed is None and loop is None:
+def _device(kind: str, where: str, settings: dict[str, Any], listener: Listener | None) -> Source:
+    device = _DEVICES[kind]
+    chosen = _checked(kind, device, settings)
+    place = where or ("0" if kind == "webcam" else "")
+    name = f"{kind}:{place}" if place else kind
+    return LiveSource(name, lambda: device(place, **chosen), listener=listener)
+
+
+def _file(
+    kind: str,
+    where: str,
+    maker: Callable[..., FileSource],
+    settings: dict[str, Any],
+    listener: Listener | None,
+    camera_levels: tuple[float, float] | None,
+) -> Source:
+    """Make a source that is read at the reader's pace, or played when the settings name a speed or a loop."""
+    playable = kind in _PLAYABLE
+    speed = settings.pop("speed", None) if playable else None
+    loop = _switch("loop", settings.pop("loop", False)) if playable else False
+    chosen = _checked(kind, maker, settings, *(("speed", "loop") if playable else ()))
+    if "camera_levels" in inspect.signature(maker).parameters:
+        chosen["camera_levels"] = camera_levels
+    source = maker(where, listener=listener, **chosen)
+    if speed is None and not loop:
         return source
-    return played(
-        source,
-        speed=_number("speed", 1.0 if speed is None else speed),
-        loop=str(loop).lower() in ("1", "true", "yes"),
-        listener=listener,
-    )
+    return played(source, speed=1.0 if speed is None else _number("speed", speed), loop=loop, listener=listener)
 
 
-def _checked(kind: str, maker: Callable[..., Any], settings: dict[str, Any]) -> dict[str, Any]:
+def _checked(kind: str, maker: Callable[..., Any], settings: dict[str, Any], *others: str) -> dict[str, Any]:
     """Check the names of settings and convert texts to the types of the source's parameters."""
     known = {n: p for n, p in inspect.signature(maker).parameters.items() if p.kind is p.KEYWORD_ONLY}
-    known.pop("listener", None)
-    known.pop("retry_s", None)
+    for own in ("listener", "retry_s", "camera_levels"):
+        known.pop(own, None)
     chosen = {}
     for name, value in settings.items():
         if name not in known:
-            raise InputError(f"{kind} has no setting {name!r}: choose {', '.join(known) or 'none'}")
+            raise InputError(f"{kind} has no setting {name!r}: choose {', '.join([*known, *others])}")
         if isinstance(value, str) and "str" not in str(known[name].annotation):
-            number = _number(name, value)
-            value = int(number) if str(known[name].annotation).startswith("int") else number
+            value = _number(name, value)
+            if str(known[name].annotation).startswith("int"):
+                if not value.is_integer():
+                    raise InputError(f"{name} must be a whole number, got {value:g}")
+                value = int(value)
         chosen[name] = value
     return chosen
 
@@ -117,6 +135,13 @@ def _number(name: str, value: Any) -> float:
         return float(value)
     except ValueError:
         raise InputError(f"{name} must be a number, got {value!r}") from None
+
+
+def _switch(name: str, value: Any) -> bool:
+    on = _SWITCH.get(str(value).lower())
+    if on is None:
+        raise InputError(f"{name} must be 1 or 0, got {value!r}")
+    return on
 
 
 @dataclass(frozen=True)

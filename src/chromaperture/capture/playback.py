@@ -11,6 +11,7 @@ from chromaperture.capture.threaded_source import LiveSource, StreamEndedError
 from chromaperture.errors import InputError
 
 _KEPT_BYTES = 512 << 20  # frames of a loop that are cached: 290 of VGA in 16 bits
+_INTERVAL_S = 1 / 30  # of a loop of one picture: the frame rate that other sources assume
 _LONGEST_WAIT_S = 5.0  # in a gap of the recording: closing waits for it. Chosen by hand, not tuned
 
 
@@ -34,12 +35,16 @@ class Playback:
         self._keeping = loop  # in the first round, while there is room
         self._began = time.monotonic()
         self._first_s: float | None = None
+        self._last_s, self._interval_s, self._rest_s = 0.0, _INTERVAL_S, 0.0  # the last frame of a round lasts too
 
     def read(self, index: int) -> Frame | None:
         """Wait for the next frame's time."""
         frame = self._next()
         if self._first_s is None:
-            self._first_s, self._began = frame.time_s, time.monotonic()
+            self._first_s, self._began = frame.time_s, time.monotonic() + self._rest_s / self._speed
+        elif frame.time_s > self._last_s:
+            self._interval_s = frame.time_s - self._last_s
+        self._last_s = frame.time_s
         wait = (frame.time_s - self._first_s) / self._speed - (time.monotonic() - self._began)
         if wait > 0:
             time.sleep(min(wait, _LONGEST_WAIT_S))
@@ -54,6 +59,7 @@ class Playback:
             if not self._loop:
                 break
             self._frames, self._keeping, self._first_s = iter(self._kept or self._source.frames()), False, None
+            self._rest_s = self._interval_s
         raise StreamEndedError
 
     def _keep(self, frame: Frame) -> None:

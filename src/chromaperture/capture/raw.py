@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,4 +50,5 @@ def read_raw(path: Path) -> tuple[np.ndarray, Encoding]:
             f"{path.name} has no Bayer mosaic (X-Trans, Foveon or already developed); "
             "develop it to a linear 16-bit TIFF without sharpening"
         )
-    return superpixels(mosaic, pattern, black_level=black, white_level=white)
+    counts, encoding = superpixels(mosaic, pattern, black_level=black, white_level=white)
+    return counts, replace(encoding, given=False)  # the levels of the camera file are more exact

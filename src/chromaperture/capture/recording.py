@@ -2,7 +2,7 @@
 
 A folder with ``recording.json`` (format and source), ``frames/NNNNNNNN.tiff`` (counts as delivered, uncompressed) and
 ``index.jsonl``, one line per frame, appended and synced to the disk after the picture. An incomplete last line, as a
-crash leaves it, is ignored.
+crash leaves it, is ignored. Levels that nobody gave are null; format 1 wrote 0 and 65535 for those of 16-bit files.
 """
 
 from __future__ import annotations
@@ -21,10 +21,19 @@ from typing import Any, Self
 import numpy as np
 import tifffile
 
-from chromaperture.capture.source import Encoding, Event, FileSource, Frame, Listener
+from chromaperture.capture.source import (
+    CENTRED,
+    Encoding,
+    Event,
+    FileSource,
+    Frame,
+    Listener,
+    choose_encoding,
+    format_encoding,
+)
 from chromaperture.errors import InputError
 
-_FORMAT = "chromaperture recording 1"
+_FORMAT, _FIRST_FORMAT = "chromaperture recording 2", "chromaperture recording 1"
 _INDEX, _HEADER = "index.jsonl", "recording.json"
 
 
@@ -77,7 +86,7 @@ class Recorder:
             "index": frame.index,
             "time_s": frame.time_s,
             "crc32": zlib.crc32(frame.counts.tobytes()),
-            "encoding": asdict(frame.encoding),
+            "encoding": _recorded(frame.encoding),
             "metadata": dict(frame.metadata),
         }
         line = (json.dumps(entry, default=str) + "\n").encode()
@@ -107,19 +116,34 @@ class ReplaySource(FileSource):
     Parameters
     ----------
     folder : str
+    black_level, white_level : float, optional
+        Instead of the recorded ones.
+    camera_levels : (float, float), optional
+        Of the camera file, for levels that nobody gave; see `choose_encoding`.
     listener : callable, optional
     """
 
-    def __init__(self, folder: str, *, listener: Listener | None = None) -> None:
+    def __init__(
+        self,
+        folder: str,
+        *,
+        black_level: float | None = None,
+        white_level: float | None = None,
+        camera_levels: tuple[float, float] | None = None,
+        listener: Listener | None = None,
+    ) -> None:
         super().__init__(f"replay:{folder}", listener=listener)
         self.folder = Path(folder)
+        self.levels, self.camera_levels = {"black_level": black_level, "white_level": white_level}, camera_levels
         self.entries: list[dict[str, Any]] = []
+        self._is_first_format = False
 
     def open(self) -> None:
         """Read the index."""
         try:
             header = json.loads((self.folder / _HEADER).read_text(encoding="utf-8"))
-            known = header.get("format") == _FORMAT
+            known = header.get("format") in (_FORMAT, _FIRST_FORMAT)
+            self._is_first_format = header.get("format") == _FIRST_FORMAT
             data = (self.folder / _INDEX).read_bytes()
         except (OSError, ValueError, AttributeError):
             raise InputError(f"no recording at {self.folder}; give a folder that 'chromaperture record' made") from None
@@ -145,9 +169,30 @@ class ReplaySource(FileSource):
             if zlib.crc32(counts.tobytes()) != entry["crc32"]:
                 self.listener(Event("skipped", f"{path} is damaged; its frame is left out"))
                 continue
-            fields = dict(entry["encoding"])
-            fields["channel_offsets_px"] = tuple(tuple(xy) for xy in fields["channel_offsets_px"])
-            yield Frame(counts, Encoding(**fields), entry["time_s"], entry["index"], entry["metadata"])
+            yield Frame(
+                counts, self._encoding(entry["encoding"], counts), entry["time_s"], entry["index"], entry["metadata"]
+            )
+
+    def _encoding(self, recorded: dict[str, Any], counts: np.ndarray) -> Encoding:
+        """Return the recorded encoding, with the levels of the reader or of the camera file in their place."""
+        fields = dict(recorded)
+        fields["channel_offsets_px"] = tuple(tuple(xy) for xy in fields["channel_offsets_px"])
+        if fields["white_level"] is None:
+            own = format_encoding(counts.dtype)
+        else:
+            own = Encoding(**fields)
+            if self._is_first_format and counts.dtype == np.uint16 and own == Encoding():
+                own = format_encoding(counts.dtype)
+        camera_levels = None if own.given else self.camera_levels
+        return choose_encoding(own, counts, **self.levels, camera_levels=camera_levels)
+
+
+def _recorded(encoding: Encoding) -> dict[str, Any]:
+    """Return the fields to record; null for levels that neither a person nor a RAW file gave."""
+    fields = asdict(encoding)
+    if not encoding.given and encoding.channel_offsets_px == CENTRED:
+        fields["black_level"] = fields["white_level"] = None
+    return fields
 
 
 def _tiff(counts: np.ndarray) -> bytes:

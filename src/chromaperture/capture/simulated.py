@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from chromaperture.capture.folder import natural
-from chromaperture.capture.source import Encoding, FileSource, Frame, Listener
+from chromaperture.capture.source import Encoding, FileSource, Frame, Listener, checked_fps
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, made_of
 from chromaperture.optics.aperture_file import load_aperture
@@ -79,7 +79,7 @@ class SimulatedSource(FileSource):
         self.path, self.focal_px, self.design, self.film = Path(path), focal_px, design, film
         self.optics_mm = (pupil_radius_mm, focus_mm, sensor_to_pupil_mm)
         self.depth_unit_mm, self.exposure, self.orbit_mm = depth_unit_mm, exposure, orbit_mm
-        self.size, self.cells, self.count, self.fps, self.seed = (width, height), cells, count, fps, seed
+        self.size, self.cells, self.count, self.fps, self.seed = (width, height), cells, count, checked_fps(fps), seed
         self.sensor = SensorModel()
         self.pairs: list[tuple[Path, Path]] = []
 

@@ -8,6 +8,8 @@
 from __future__ import annotations
 
 import logging
+import math
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -19,10 +21,11 @@ import numpy as np
 
 from chromaperture.capture.checks import DARK
 from chromaperture.color.srgb import srgb_to_linear
-from chromaperture.errors import InputError
+from chromaperture.errors import CaptureWarning, InputError
 
 Offsets = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 CENTRED: Offsets = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+_TWELVE_BITS = 4096  # a 16-bit file with no count above is likely that of a sensor of 12 bits or fewer
 
 
 @dataclass(frozen=True)
@@ -37,12 +40,16 @@ class Encoding:
         sRGB counts are decoded; levels apply before the curve.
     channel_offsets_px : ((dx, dy),) * 3
         Sampling positions of R, G and B from the pixel's centre; not zero for superpixels of a Bayer mosaic.
+    given : bool
+        False: nobody gave the levels. They are those of the number format or of a RAW file, and a camera file's replace
+        them. Not compared: light is the same.
     """
 
     black_level: float = 0.0
     white_level: float = 65535.0
     curve: Literal["linear", "srgb"] = "linear"
     channel_offsets_px: Offsets = CENTRED
+    given: bool = field(default=True, compare=False)
 
     def __post_init__(self) -> None:
         if not (np.isfinite([self.black_level, self.white_level]).all() and self.white_level > self.black_level):
@@ -51,6 +58,77 @@ class Encoding:
             )
         if self.curve not in ("linear", "srgb"):
             raise InputError(f"unknown curve {self.curve!r}: choose linear or srgb")
+
+
+def format_encoding(dtype: np.dtype[Any]) -> Encoding:
+    """Return the encoding of counts whose levels nobody gave: 8 bits sRGB, more linear, full scale white."""
+    if dtype == np.uint8:
+        return Encoding(0.0, 255.0, "srgb", given=False)
+    return Encoding(0.0, 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max), given=False)
+
+
+def choose_encoding(
+    own: Encoding,
+    counts: np.ndarray,
+    *,
+    black_level: float | None = None,
+    white_level: float | None = None,
+    camera_levels: tuple[float, float] | None = None,
+) -> Encoding:
+    """Choose levels: the given ones, else the camera's where the counts can hold them, else the file's own.
+
+    Parameters
+    ----------
+    own : Encoding
+        Of the counts, when no level is given.
+    counts : (H, W, 3) array
+    black_level, white_level : float, optional
+        Of the sensor; superpixels hold twice its counts. Given levels make counts linear.
+    camera_levels : (float, float), optional
+        Of the camera file.
+
+    Warns
+    -----
+    CaptureWarning
+        8 bits cannot hold the camera's levels, or the white level is a guess that looks wrong. The text names no file,
+        so that Python shows it once.
+    """
+    given = (black_level, white_level)
+    if camera_levels is not None and counts.dtype == np.uint8 and camera_levels[1] > 255:
+        if given == (None, None):
+            warnings.warn(
+                f"an 8-bit picture, but the camera was calibrated on linear counts up to {camera_levels[1]:g}: "
+                "decoded as sRGB, which costs accuracy; use the linear original",
+                CaptureWarning,
+                stacklevel=4,
+            )
+        camera_levels = None
+    black, white = (
+        level if level is not None or camera_levels is None else camera_levels[i] for i, level in enumerate(given)
+    )
+    if white is None and not own.given and own.white_level == 65535 and 0 < counts.max() < _TWELVE_BITS:
+        warnings.warn(
+            f"a 16-bit picture without a count above {_TWELVE_BITS - 1}; if the sensor has fewer bits, "
+            "give --white-level",
+            CaptureWarning,
+            stacklevel=4,
+        )
+    if black is None and white is None:
+        return own
+    factor = 1 if own.channel_offsets_px == CENTRED else 2
+    return Encoding(
+        own.black_level if black is None else factor * float(black),
+        own.white_level if white is None else factor * float(white),
+        "linear",
+        own.channel_offsets_px,
+    )
+
+
+def checked_fps(fps: float) -> float:
+    """Return a frame rate that is positive and finite; raises InputError for others."""
+    if not 0 < fps < math.inf:
+        raise InputError(f"fps must be positive, got {fps:g}")
+    return fps
 
 
 @dataclass(frozen=True)

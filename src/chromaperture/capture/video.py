@@ -7,7 +7,7 @@ from pathlib import Path
 
 import cv2
 
-from chromaperture.capture.source import Encoding, Event, FileSource, Frame, Listener
+from chromaperture.capture.source import Encoding, Event, FileSource, Frame, Listener, checked_fps, choose_encoding
 from chromaperture.errors import InputError
 
 VIDEOS = {".avi", ".m4v", ".mjpeg", ".mkv", ".mov", ".mp4", ".mpg", ".ts", ".webm", ".y4m"}
@@ -19,11 +19,25 @@ class VideoSource(FileSource):
     Parameters
     ----------
     path : str
+    fps : float, optional
+        For the times of the frames; default the clip's.
+    black_level, white_level : float, optional
+        Of linear counts; without them, counts are sRGB.
     listener : callable, optional
     """
 
-    def __init__(self, path: str, *, listener: Listener | None = None) -> None:
+    def __init__(
+        self,
+        path: str,
+        *,
+        fps: float | None = None,
+        black_level: float | None = None,
+        white_level: float | None = None,
+        listener: Listener | None = None,
+    ) -> None:
         super().__init__(path, listener=listener)
+        self.fps = None if fps is None else checked_fps(fps)
+        self.levels = (black_level, white_level)
         self._clip: cv2.VideoCapture | None = None
 
     def open(self) -> None:
@@ -47,13 +61,15 @@ class VideoSource(FileSource):
         clip = self._clip
         if clip is None:
             raise InputError(f"{self.name} is not open: use the source in a with statement")
-        promised, fps = int(clip.get(cv2.CAP_PROP_FRAME_COUNT)), clip.get(cv2.CAP_PROP_FPS) or 30.0
-        index = 0
+        promised = int(clip.get(cv2.CAP_PROP_FRAME_COUNT))
+        fps = self.fps or clip.get(cv2.CAP_PROP_FPS) or 30.0
+        (black, white), index = self.levels, 0
         while True:
             ok, bgr = clip.read()
             if not ok:
                 break
-            yield Frame(bgr[..., ::-1].copy(), Encoding(0.0, 255.0, "srgb"), index / fps, index, {})
+            encoding = choose_encoding(Encoding(0.0, 255.0, "srgb"), bgr, black_level=black, white_level=white)
+            yield Frame(bgr[..., ::-1].copy(), encoding, index / fps, index, {})
             index += 1
         if index == 0:
             raise InputError(f"{self.name} holds no frame that can be decoded; record or convert it again")

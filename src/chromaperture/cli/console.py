@@ -20,6 +20,12 @@ from chromaperture.products.measure_file import Report
 
 out = Console()
 err = Console(stderr=True)
+_shown: set[str] = set()  # warnings printed in this run
+
+
+def forget_warnings() -> None:
+    """Begin a run: every warning is printed again."""
+    _shown.clear()
 
 
 def say_error(error: BaseException | str) -> None:
@@ -40,9 +46,11 @@ def show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print the package's own warnings as one line; others as Python does."""
+    """Print the package's own warnings as one line, each once a run; others as Python does."""
     if issubclass(category, CaptureWarning):
-        say_warning(str(message))
+        if str(message) not in _shown:
+            say_warning(str(message))
+        _shown.add(str(message))
     else:
         print(warnings.formatwarning(message, category, filename, lineno, line), file=sys.stderr)
 

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from chromaperture.cli.options import BlackLevel, CameraOrDesign, Design, Json, Quality, Quiet, WhiteLevel
+from chromaperture.cli.options import (
+    BlackLevel,
+    CameraOrDesign,
+    Design,
+    Json,
+    MaxRelativeSigma,
+    Quality,
+    Quiet,
+    WhiteLevel,
+)
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.errors import ChromapertureError, InputError
 
 if TYPE_CHECKING:
@@ -27,6 +37,7 @@ def depth(
     quality: Quality = "real-time",
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
+    max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
     config: Annotated[Path | None, typer.Option(help="TOML file with [matcher] and [depth] settings.")] = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -53,7 +64,11 @@ def depth(
 
             levels = {"black_level": black_level, "white_level": white_level}
             try:
-                reports.append(measure_file(image, camera_of(image), out=out, listener=show, **levels))
+                reports.append(
+                    measure_file(
+                        image, camera_of(image), out=out, listener=show, max_relative_sigma=max_relative_sigma, **levels
+                    )
+                )
             except ChromapertureError as error:
                 say_error(error)
     if json:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from chromaperture.cli.options import BlackLevel, Camera, Quality, Quiet, WhiteLevel
+from chromaperture.cli.options import BlackLevel, Camera, MaxRelativeSigma, Quality, Quiet, WhiteLevel
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 
 if TYPE_CHECKING:
     from chromaperture.products.rectified import View
@@ -21,9 +22,10 @@ def export(
     quality: Quality = "real-time",
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
+    max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
     quiet: Quiet = False,
 ) -> None:
-    """Measure a sequence and write colour and depth, undistorted, for other programs.
+    """Measure a sequence and write colour, depth, its error bar and confidence, undistorted, for other programs.
 
     Example: chromaperture export replay:session/walk walk.mcap --camera camera.asdf
     """
@@ -37,7 +39,7 @@ def export(
     eye = camera_for(out, camera, None, quality=quality, config=None)
     to_view = undistorter(eye)
     announce_compilation(quiet=quiet)
-    stream = open_stream(source, camera=eye, black_level=black_level, white_level=white_level)
+    stream = open_stream(source, calibration=eye.calibration, black_level=black_level, white_level=white_level)
     with stream, progress(quiet=quiet) as update:
 
         def views() -> Iterator[View]:
@@ -46,6 +48,7 @@ def export(
                 update(f"frame {frame.index}", number + 1, 0)
 
         write = write_mcap if out.suffix == ".mcap" else write_tum
-        count = write(out, views(), camera_matrix=eye.calibration.lens.camera_matrix)
+        matrix = eye.calibration.lens.camera_matrix
+        count = write(out, views(), camera_matrix=matrix, max_relative_sigma=max_relative_sigma)
     if not quiet:
         typer.echo(f"Wrote {count} frames to {out}")

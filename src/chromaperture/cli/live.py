@@ -9,7 +9,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.options import BlackLevel, Camera, Json, MemoryMb, Quality, Quiet, Seconds, VoxelMm, WhiteLevel
+from chromaperture.cli.options import (
+    BlackLevel,
+    Camera,
+    Json,
+    MaxRelativeSigma,
+    MemoryMb,
+    Quality,
+    Quiet,
+    Seconds,
+    VoxelMm,
+    WhiteLevel,
+)
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 
 if TYPE_CHECKING:
     from chromaperture.viewer.loop import LiveLoop
@@ -30,6 +42,7 @@ def live(
     memory_mb: MemoryMb = 512,
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
+    max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -50,9 +63,11 @@ def live(
     eye = camera_for(out, camera, None, quality=quality, config=None)
     announce_compilation(quiet=quiet or json)
     began = time.monotonic()
-    with open_stream(source, camera=eye, black_level=black_level, white_level=white_level) as stream:
+    levels = {"black_level": black_level, "white_level": white_level}
+    with open_stream(source, calibration=eye.calibration, **levels) as stream:
         loop = LiveLoop(stream, eye, track=model, config=config, listener=say_warning)
-        shown = LivePage(loop, host=host, port=port, out=out, listener=say_warning) if page else None
+        limits = {"max_relative_sigma": max_relative_sigma}
+        shown = LivePage(loop, host=host, port=port, out=out, listener=say_warning, **limits) if page else None
         if shown is not None and not quiet and not json:
             typer.echo(f"Look at {shown.url}; Ctrl-C ends it")
         _run(loop, shown, began + (math.inf if seconds is None else seconds))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import importlib
 import sys
 import warnings
@@ -10,7 +12,7 @@ from typing import Annotated
 import typer
 
 from chromaperture import __version__
-from chromaperture.cli.console import say_error, show_warning
+from chromaperture.cli.console import forget_warnings, say_error, show_warning
 from chromaperture.cli.simulate import simulate_rgbd
 from chromaperture.errors import CaptureWarning, ChromapertureError
 
@@ -51,7 +53,11 @@ def main() -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("always", CaptureWarning)
             warnings.showwarning = show_warning
-            app()
+            forget_warnings()
+            try:
+                app()
+            finally:
+                sys.stdout.flush()  # here, where a full device is reported
     except ChromapertureError as error:
         say_error(error)
         sys.exit(2)
@@ -59,4 +65,20 @@ def main() -> None:
         say_error("interrupted; nothing half-written was left behind")
         sys.exit(130)
     except BrokenPipeError:
+        _drop_output()
         sys.exit(141)  # the reader of our output has gone, as after "| head"
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            say_error("the disk is full: the output could not be written; free some space and repeat")
+            _drop_output()
+        elif error.filename is not None:
+            say_error(f"cannot use {error.filename} ({error.strerror}); choose another name")
+        else:
+            raise
+        sys.exit(2)
+
+
+def _drop_output() -> None:
+    """Discard what cannot be printed: Python would report it again at exit."""
+    with contextlib.suppress(OSError):
+        sys.stdout.close()

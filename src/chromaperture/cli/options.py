@@ -20,6 +20,10 @@ Design = Annotated[
 Quality = Annotated[str, typer.Option(help="Quality of the depth: paper, real-time or accurate.")]
 BlackLevel = Annotated[float | None, typer.Option(help="Counts of no light; default the camera file's.")]
 WhiteLevel = Annotated[float | None, typer.Option(help="Counts of a full well; default the camera file's.")]
+MaxRelativeSigma = Annotated[
+    float,
+    typer.Option(help="Largest sigma/depth in what carries no error bar (points, PNG, TUM, MCAP); inf keeps all."),
+]
 
 Frames = Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")]
 Seconds = Annotated[float | None, typer.Option(min=0.0, help="Stop after so long.")]

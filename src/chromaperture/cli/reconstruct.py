@@ -52,7 +52,7 @@ def reconstruct(
     quality = quality or ("accurate" if "accurate" in calibration.depth else "real-time")
     eye = camera_for(out, camera, None, quality=quality, config=None)
     announce_compilation(quiet=quiet or json)
-    stream = open_stream(source, camera=eye, black_level=black_level, white_level=white_level)
+    stream = open_stream(source, calibration=eye.calibration, black_level=black_level, white_level=white_level)
     with stream, progress(quiet=quiet or json) as update:
         number = itertools.count(1)
         model = build(

@@ -14,6 +14,10 @@ from chromaperture.cli.options import BlackLevel, Frames, Json, Quiet, Seconds, 
 def record(
     source: Annotated[str, typer.Argument(help="webcam:0, aravis:SERIAL, gphoto2, a folder, 'a glob' or a video.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the recording; must not hold one yet.")],
+    camera: Annotated[
+        Path | None,
+        typer.Option("--camera", "-c", help="Camera file, for the levels to record.", metavar="CAMERA.asdf"),
+    ] = None,
     frames: Frames = None,
     seconds: Seconds = None,
     black_level: BlackLevel = None,
@@ -25,13 +29,15 @@ def record(
 
     Example: chromaperture record "webcam:0?exposure_us=5000" --out session/walk
     """
+    from chromaperture.camera_file import Calibration
     from chromaperture.capture.recording import Recorder
     from chromaperture.cli.console import print_json, progress
     from chromaperture.cli.streams import open_stream
 
+    calibration = None if camera is None else Calibration.load(camera)
     began = time.monotonic()
     with (
-        open_stream(source, black_level=black_level, white_level=white_level) as stream,
+        open_stream(source, calibration=calibration, black_level=black_level, white_level=white_level) as stream,
         Recorder(out, source=source) as recorder,
         progress(quiet=quiet or json) as update,
     ):

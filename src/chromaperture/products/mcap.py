@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
 from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.products.rectified import View
 from chromaperture.storage import staged
@@ -58,14 +59,24 @@ bool do_rectify
 )
 
 
-def write_mcap(path: str | Path, frames: Iterable[View], *, camera_matrix: np.ndarray) -> int:
-    """Write /camera/color/image_rect (rgb8), /camera/depth/image_rect (16UC1, mm) and a camera_info for each.
+def write_mcap(
+    path: str | Path,
+    frames: Iterable[View],
+    *,
+    camera_matrix: np.ndarray,
+    max_relative_sigma: float = MAX_RELATIVE_SIGMA,
+) -> int:
+    """Write image_rect and camera_info of /camera/color (rgb8), depth (16UC1, mm), sigma and confidence (32FC1).
+
+    Sigma is in metres, as floats are by REP 118.
 
     Parameters
     ----------
     path : str or Path
     frames : iterable of View
     camera_matrix : (3, 3) float, px
+    max_relative_sigma : float
+        Largest sigma / depth of the depth, see `within_error`; sigma is whole.
 
     Returns
     -------
@@ -92,10 +103,15 @@ def write_mcap(path: str | Path, frames: Iterable[View], *, camera_matrix: np.nd
             nanoseconds = round(frame.time_s * 1e9)
             sec, nanosec = divmod(nanoseconds, 10**9)
             header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": _FRAME}
-            known = np.isfinite(frame.z_mm) & (frame.z_mm > 0) & (frame.z_mm < 65535)
-            depth = np.where(known, np.rint(np.where(known, frame.z_mm, 0)), 0).astype("<u2")
+            z_mm = within_error(frame.z_mm, frame.sigma_mm, max_relative_sigma)
+            known = np.isfinite(z_mm) & (z_mm > 0) & (z_mm < 65535)
+            depth = np.where(known, np.rint(np.where(known, z_mm, 0)), 0).astype("<u2")
             size = {"header": header, "height": depth.shape[0], "width": depth.shape[1]}
-            for part, encoding, pixels in (("color", "rgb8", frame.color), ("depth", "16UC1", depth)):
+            pictures = [("color", "rgb8", frame.color), ("depth", "16UC1", depth)]
+            pictures.append(("sigma", "32FC1", (frame.sigma_mm / 1000).astype("<f4")))
+            if frame.confidence is not None:
+                pictures.append(("confidence", "32FC1", frame.confidence.astype("<f4")))
+            for part, encoding, pixels in pictures:
                 messages = (
                     ("image_rect", image, size | _image(encoding, pixels)),
                     ("camera_info", info, size | _info(camera_matrix)),

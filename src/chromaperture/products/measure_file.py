@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +14,8 @@ import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, DepthFrame
 from chromaperture.capture.files import decode, linearise
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
 from chromaperture.depth.pointcloud import PointCloud, depth_to_points, write_ply
-from chromaperture.errors import CaptureWarning
 from chromaperture.products.preview import write_preview
 from chromaperture.storage import staged, write_color_png, write_depth_png, write_float_tiff, write_json
 
@@ -54,28 +53,9 @@ def read_capture(
     path: Path, camera: CodedApertureCamera, *, black_level: float | None = None, white_level: float | None = None
 ) -> np.ndarray:
     """Read an image with the given levels, else the camera's where the file can hold its counts; (H, W, 3) linear."""
-    decoded = decode(path)
-    black, white = _levels(path.name, decoded.bits, camera, black_level, white_level)
-    return linearise(decoded, black_level=black, white_level=white)
-
-
-def _levels(
-    name: str, bits: int, camera: CodedApertureCamera, black: float | None, white: float | None
-) -> tuple[float | None, float | None]:
-    """Return the levels to read a file with; None, None for those of the file's own encoding."""
     sensor = camera.calibration.sensor
-    if black is None and white is None:
-        if not camera.calibration.is_calibrated:
-            return None, None
-        if sensor.white_level > 255 and bits == 8:
-            warnings.warn(
-                f"{name} has 8 bits where the camera was calibrated on linear counts up to {sensor.white_level:g}: "
-                "decoded as sRGB, which costs accuracy; use the linear original",
-                CaptureWarning,
-                stacklevel=3,
-            )
-            return None, None
-    return sensor.black_level if black is None else black, sensor.white_level if white is None else white
+    levels = (sensor.black_level, sensor.white_level) if camera.calibration.is_calibrated else None
+    return linearise(decode(path), black_level=black_level, white_level=white_level, camera_levels=levels)
 
 
 def measure_file(
@@ -85,6 +65,7 @@ def measure_file(
     out: str | Path | None = None,
     black_level: float | None = None,
     white_level: float | None = None,
+    max_relative_sigma: float = MAX_RELATIVE_SIGMA,
     listener: Callable[[str], None] = lambda name: None,
 ) -> Report:
     """Measure one image file and write all results, whole or not at all.
@@ -97,6 +78,8 @@ def measure_file(
         Folder; that of the image when absent.
     black_level, white_level : float, optional
         Instead of the camera's.
+    max_relative_sigma : float
+        Largest sigma / depth of the PNG and of the points, which carry no error bar; see `within_error`.
     listener : callable, optional
         Called with the name of each stage as it begins.
 
@@ -117,26 +100,37 @@ def measure_file(
     frame = camera.measure(image, stage=clock)
     with staged(folder) as stage:
         with clock("write"):
-            write_maps(stage.path, path.stem, camera, frame)
+            write_maps(stage.path, path.stem, camera, frame, max_relative_sigma=max_relative_sigma)
             title = f"{path.name}   {camera.calibration.aperture.title}"
             write_preview(stage.path(f"{path.stem}.preview.png"), image, frame, title=title)
         summary = summarise(frame, camera, clock.seconds)
-        summary["image"] = path.name
+        summary |= {"image": path.name, "max_relative_sigma": max_relative_sigma}
         write_json(stage.path(f"{path.stem}.json"), summary)
         names = list(stage.names)
     return Report(frame, summary, [folder / name for name in names])
 
 
-def write_maps(target: Callable[[str], Path], stem: str, camera: CodedApertureCamera, frame: DepthFrame) -> None:
-    """Write every map of a frame; depth, error bar and points only where the camera is calibrated."""
+def write_maps(
+    target: Callable[[str], Path],
+    stem: str,
+    camera: CodedApertureCamera,
+    frame: DepthFrame,
+    *,
+    max_relative_sigma: float = MAX_RELATIVE_SIGMA,
+) -> None:
+    """Write every map of a frame; depth, error bar and points only where the camera is calibrated.
+
+    ``STEM.depth.tiff`` is whole, beside ``STEM.sigma.tiff``; the PNG and the points are limited by `within_error`.
+    """
     write_float_tiff(target(f"{stem}.disparity.tiff"), frame.disparity_px)
     write_color_png(target(f"{stem}.color.png"), frame.color)
     if not camera.calibration.is_calibrated:
         return
     write_float_tiff(target(f"{stem}.depth.tiff"), frame.depth_mm)
     write_float_tiff(target(f"{stem}.sigma.tiff"), frame.sigma_mm)
-    write_depth_png(target(f"{stem}.depth.png"), frame.depth_mm)
-    write_ply(target(f"{stem}.ply"), points(camera, frame.depth_mm, frame.color))
+    certain_mm = within_error(frame.depth_mm, frame.sigma_mm, max_relative_sigma)
+    write_depth_png(target(f"{stem}.depth.png"), certain_mm)
+    write_ply(target(f"{stem}.ply"), points(camera, certain_mm, frame.color))
 
 
 def points(camera: CodedApertureCamera, depth_mm: np.ndarray, color: np.ndarray) -> PointCloud:

@@ -25,6 +25,7 @@ class View:
         Distance from the pupil along the axis and its standard deviation; NaN unknown.
     time_s : float
     index : int
+    confidence : (H, W) float32 in [0, 1], NaN outside the frame; None where it is not known
     """
 
     color: np.ndarray
@@ -32,6 +33,7 @@ class View:
     sigma_mm: np.ndarray
     time_s: float = 0.0
     index: int = 0
+    confidence: np.ndarray | None = None
 
 
 def undistorter(camera: CodedApertureCamera) -> Callable[[DepthFrame, float, int], View]:
@@ -51,6 +53,7 @@ def undistorter(camera: CodedApertureCamera) -> Callable[[DepthFrame, float, int
     def view(frame: DepthFrame, time_s: float, index: int) -> View:
         color = linear_to_srgb_bytes(frame.color)
         color = cv2.remap(color, *straight, cv2.INTER_LINEAR)
-        return View(color, nearest(frame.depth_mm - np.float32(to_pupil_mm)), nearest(frame.sigma_mm), time_s, index)
+        z_mm, sigma_mm = nearest(frame.depth_mm - np.float32(to_pupil_mm)), nearest(frame.sigma_mm)
+        return View(color, z_mm, sigma_mm, time_s, index, nearest(frame.confidence))
 
     return view

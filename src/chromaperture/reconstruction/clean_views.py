@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from chromaperture.depth.error_limit import within_error
 from chromaperture.products.rectified import View
 from chromaperture.reconstruction.settings import ReconstructionConfig
 
@@ -12,8 +13,9 @@ from chromaperture.reconstruction.settings import ReconstructionConfig
 def cleaned(view: View, config: ReconstructionConfig) -> View:
     """Remove wide error bars, far points and pixels at a step of depth: they become NaN."""
     z = view.z_mm
+    certain = within_error(z, view.sigma_mm, config.max_relative_sigma)
     with np.errstate(invalid="ignore"):
-        kept = (z > 0) & (z <= config.max_distance_mm) & (view.sigma_mm <= config.max_relative_sigma * z)
+        kept = (certain > 0) & (certain <= config.max_distance_mm)
     kept &= ~near_steps(z, jump=config.edge_jump, reach_px=config.edge_px)
     nan = np.float32(np.nan)
     return View(view.color, np.where(kept, z, nan), np.where(kept, view.sigma_mm, nan), view.time_s, view.index)

@@ -20,6 +20,7 @@ import numpy as np
 from chromaperture.camera import CodedApertureCamera, DepthFrame
 from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Frame, Source
+from chromaperture.depth.error_limit import within_error
 from chromaperture.errors import ChromapertureError
 from chromaperture.products.rectified import undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction
@@ -241,8 +242,8 @@ def _trim() -> Callable[[int], int] | None:
 
 def within_limits(measured: Measured, *, max_sigma: float, near_mm: float, far_mm: float) -> Measured:
     """Remove depth with wide error bars, relative to the distance, and depth out of range."""
-    depth_mm, sigma_mm = measured.measurement.depth_mm, measured.measurement.sigma_mm
+    depth_mm = within_error(measured.measurement.depth_mm, measured.measurement.sigma_mm, max_sigma)
     with np.errstate(invalid="ignore"):
-        kept = (sigma_mm <= max_sigma * depth_mm) & (depth_mm >= near_mm) & (depth_mm <= far_mm)
+        kept = (depth_mm >= near_mm) & (depth_mm <= far_mm)
     kept_mm = np.where(kept, depth_mm, np.float32(np.nan))
     return replace(measured, measurement=replace(measured.measurement, depth_mm=kept_mm))

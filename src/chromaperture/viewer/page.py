@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.products.measure_file import points as camera_points
 from chromaperture.products.measure_file import write_maps
@@ -49,13 +50,23 @@ class LivePage:
         Folder of snapshots and recordings.
     listener : callable
         Receives messages for the terminal, one line each.
+    max_relative_sigma : float
+        Where the slider of the error bar begins, which limits cloud and snapshots; see `within_error`.
     """
 
     def __init__(
-        self, loop: LiveLoop, *, host: str, port: int, out: Path, listener: Callable[[str], None] = lambda line: None
+        self,
+        loop: LiveLoop,
+        *,
+        host: str,
+        port: int,
+        out: Path,
+        listener: Callable[[str], None] = lambda line: None,
+        max_relative_sigma: float = MAX_RELATIVE_SIGMA,
     ) -> None:
         self.loop, self.out, self.listener = loop, out, listener
         self.last: Measured | None = None
+        self._percent = 100 * max_relative_sigma
         self._mesh: object = None
         self._refocuser, self._refocus_at = refocuser(loop.camera), 0.0
         try:
@@ -78,7 +89,10 @@ class LivePage:
         self.depth = gui.add_image(black, label="depth, mm from the sensor", format="jpeg")
         self.color = gui.add_image(black, label="restored colour", format="jpeg")
         self.confidence = gui.add_image(black, label="confidence", format="jpeg")
-        self.max_sigma = gui.add_slider("error bar, at most % of distance", min=1, max=50, step=1, initial_value=10)
+        limit = max(50.0, min(self._percent, 1000.0))  # "inf" has no place on a slider
+        self.max_sigma = gui.add_slider(
+            "error bar, at most % of distance", min=0.1, max=limit, step=0.1, initial_value=min(self._percent, limit)
+        )
         self.near = gui.add_slider("nearest, mm", min=100, max=5000, step=50, initial_value=round(near / 50) * 50)
         self.far = gui.add_slider("farthest, mm", min=500, max=10000, step=50, initial_value=round(far / 50) * 50)
         self.refocus = gui.add_checkbox("focus elsewhere", initial_value=False)
@@ -121,7 +135,8 @@ class LivePage:
             raise InputError("there is no frame yet")
         stem = time.strftime("snapshot-%Y%m%d-%H%M%S") + f"-{last.frame.index}"
         with staged(self.out) as stage:
-            write_maps(stage.path, stem, self.loop.camera, last.measurement)
+            limit = self.max_sigma.value / 100
+            write_maps(stage.path, stem, self.loop.camera, last.measurement, max_relative_sigma=limit)
             names = list(stage.names)
         self.listener(f"wrote {stem}.* to {self.out}")
         return [self.out / name for name in names]

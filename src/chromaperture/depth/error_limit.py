@@ -1,0 +1,38 @@
+"""Removal of uncertain depth, for products that carry no error bar."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from chromaperture.errors import InputError
+
+# sigma / depth. Filled pixels and those of them within 5 % of the truth, real-time, 24 frames of a ray-traced walk past
+# halves of a pupil: 99 and 60 % without a limit, 66 and 71 % at 0.15, 45 and 81 % at 0.10, 18 and 89 % at 0.05.
+MAX_RELATIVE_SIGMA = 0.10
+
+
+def within_error(
+    depth_mm: np.ndarray, sigma_mm: np.ndarray, max_relative_sigma: float = MAX_RELATIVE_SIGMA
+) -> np.ndarray:
+    """Remove depth whose standard deviation is too large a fraction of it.
+
+    Parameters
+    ----------
+    depth_mm, sigma_mm : (H, W) float, mm, NaN unknown
+    max_relative_sigma : float
+        Largest sigma / depth; inf keeps every pixel with an error bar.
+
+    Returns
+    -------
+    (H, W) float32, mm; NaN where removed
+
+    Raises
+    ------
+    InputError
+        The limit is not positive.
+    """
+    if not max_relative_sigma > 0:
+        raise InputError(f"the largest relative sigma must be positive, got {max_relative_sigma:g}")
+    with np.errstate(invalid="ignore"):  # NaN compares false; inf * 0 too
+        kept = sigma_mm <= max_relative_sigma * depth_mm
+    return np.where(kept, depth_mm, np.float32(np.nan)).astype(np.float32, copy=False)
