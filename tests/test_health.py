@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from chromaperture.camera_file import Calibration, Film, Lens
+from chromaperture.camera_file import Board, Calibration, Film, Lens
 from chromaperture.camera_file import CameraSensor as SensorData
 from chromaperture.capture.exif import Exif, read_exif
 from chromaperture.cli.main import main
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.errors import InputError
-from chromaperture.evaluation.health import Board, check_camera, is_healthy
+from chromaperture.evaluation.health import check_camera, is_healthy
 from chromaperture.evaluation.tint import measure_tint
 from chromaperture.optics.aperture import DESIGNS, centroids
 from chromaperture.optics.paraxial import focused_at

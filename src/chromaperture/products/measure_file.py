@@ -86,6 +86,7 @@ def measure_file(
     black_level: float | None = None,
     white_level: float | None = None,
     listener: Callable[[str], None] = lambda name: None,
+    inspect: Callable[[np.ndarray], None] = lambda image: None,
 ) -> Report:
     """Measure one image file and write all results, whole or not at all.
 
@@ -99,6 +100,8 @@ def measure_file(
         Instead of the camera's.
     listener : callable, optional
         Called with the name of each stage as it begins.
+    inspect : callable, optional
+        Called with the linear image before it is measured; may raise InputError.
 
     Returns
     -------
@@ -114,6 +117,7 @@ def measure_file(
     clock = StageClock(listener)
     with clock("read"):
         image = read_capture(path, camera, black_level=black_level, white_level=white_level)
+        inspect(image)
     frame = camera.measure(image, stage=clock)
     with staged(folder) as stage:
         with clock("write"):
