@@ -102,7 +102,8 @@ def film_match(image: np.ndarray, calibration: Calibration) -> FilmMatch:
     """Compare a photograph of the calibrated size with the camera's film."""
     aperture = calibration.aperture.with_film(calibration.film.transmissions())
     reach = view_reach(aperture)  # the disparity of the unmixed views is reach times the blur radius
-    near, far = (v / reach for v in calibration.disparity_range_px("paper"))
+    quality: Quality = "paper" if "paper" in calibration.depth else _QUALITY
+    near, far = (v / reach for v in calibration.disparity_range_px(quality))
     return match_film(image, aperture, calibration.film.aperture, (near, far))
 
 

@@ -117,7 +117,7 @@ def measure_file(
     clock = StageClock(listener)
     with clock("read"):
         image = read_capture(path, camera, black_level=black_level, white_level=white_level)
-        inspect(image)
+    inspect(image)
     frame = camera.measure(image, stage=clock)
     with staged(folder) as stage:
         with clock("write"):
