@@ -25,8 +25,7 @@ from chromaperture.optics.shapes import Disc
 
 _WHITE_LEVEL = 0.9  # of white paper in the brightest channel: its noise does not clip
 _CORNERS, _SQUARE_MM = (9, 6), 30.0  # the side where the frame has room for it: that of an A3 page
-_BOARD_SQUARES = (_CORNERS[0] + 3, _CORNERS[1] + 3)  # with the white margin of one square
-_FILL = 0.99  # of the frame that a board may take: it leaves the default lens its 30 mm at 1 m
+_BOARD_SQUARES = (_CORNERS[0] + 3, _CORNERS[1] + 3)  # with the white margin of one square, which allows for the ruler
 _RULER_ERROR = 0.003  # of the nearest distance, at most 3 mm: a short distance is measured with a finer ruler
 _PAPER_MM = 0.1  # thickness of the board
 
@@ -62,7 +61,7 @@ class SessionPlan:
         ruler_error = min(3.0, _RULER_ERROR * nearest) if self.ruler_error_mm is None else self.ruler_error_mm
         square = self.square_mm
         if square is None:
-            room = _largest_square(camera, nearest - ruler_error)
+            room = _largest_square(camera, nearest)
             # Whole millimetres, but tenths where there are few of them.
             square = min(_SQUARE_MM, math.floor(room) if room >= 5 else math.floor(10 * room) / 10)
         if not square > 0:
@@ -166,7 +165,7 @@ def _largest_square(camera: PupilCamera, distance_mm: float) -> float:
     """Return the side, mm, of the squares with which a board square to the axis fills the frame."""
     footprint_mm = (distance_mm - camera.sensor_to_pupil_mm) / camera.focal_px
     sides = zip((camera.width_px, camera.height_px), _BOARD_SQUARES, strict=True)
-    return _FILL * footprint_mm * min(pixels / squares for pixels, squares in sides)
+    return footprint_mm * min(pixels / squares for pixels, squares in sides)
 
 
 def _in_frame(
