@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from chromaperture.camera import load_camera
-from chromaperture.camera_file import FORMAT_VERSION, Calibration, CameraSensor, Film, Lens
+from chromaperture.camera_file import FORMAT_VERSION, Board, Calibration, CameraSensor, Film, Lens
 from chromaperture.capture.files import read_image
 from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.errors import InputError
@@ -60,6 +60,16 @@ def test_everything_comes_back(tmp_path, maps):
         assert np.shape(after.depth_model(quality).scale_px_mm) == (() if maps is None else (6, 9))
     np.testing.assert_array_equal(after.unmixing, before.unmixing)
     np.testing.assert_array_equal(after.lens.distortion, before.lens.distortion)
+
+
+def test_the_board_comes_back_and_old_files_have_none(tmp_path):
+    path = tmp_path / "camera.asdf"
+    make_calibration(board=Board((11, 8), 22.5)).save(path)
+    assert Calibration.load(path).board == Board((11, 8), 22.5)
+    assert Calibration.load(Path(__file__).parent / "data" / "camera_2026_11.asdf").board is None
+    make_calibration(board=Board((11, 8), -1.0)).save(path)
+    with pytest.raises(InputError, match="board"):
+        Calibration.load(path)
 
 
 def test_a_person_can_read_it(tmp_path):

@@ -271,7 +271,10 @@ def test_images_of_one_size_have_one_camera_of_a_design(tmp_path):
 def test_help_tells_how(run):
     result = run("depth", "--help")
     assert result.returncode == 0
-    assert "chromaperture depth photo.png --camera camera.asdf" in re.sub(r"\s+", " ", result.stdout)
+    plain = re.sub(r"[\s│]+", " ", result.stdout)
+    assert "chromaperture depth photo.png --camera camera.asdf" in plain
+    for words in ("[matcher]", "[depth]", "docs/settings.md"):
+        assert words in plain
 
 
 @pytest.fixture(scope="module")

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from chromaperture.camera_file import Calibration, Film, Lens
+from chromaperture.camera_file import Board, Calibration, Film, Lens
 from chromaperture.camera_file import CameraSensor as SensorData
 from chromaperture.capture.exif import Exif, read_exif
 from chromaperture.cli.main import main
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.errors import InputError
-from chromaperture.evaluation.health import Board, check_camera, is_healthy
+from chromaperture.evaluation.health import check_camera, is_healthy, outcome
 from chromaperture.evaluation.tint import measure_tint
-from chromaperture.optics.aperture import DESIGNS, centroids
+from chromaperture.optics.aperture import DESIGNS, centroids, made_of
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.pinhole import PupilCamera, centered_pinhole
 from chromaperture.optics.prescription import load_lens, with_filter_at
@@ -109,6 +109,40 @@ def test_a_turned_filter_is_told_from_a_moved_focus(calibration):
     assert checks["filter orientation"].verdict == "warn"
     assert "180" in checks["filter orientation"].advice
     assert not is_healthy(list(checks.values()))
+
+
+def test_a_wrong_square_is_named(near, calibration):
+    """Corners are believed 25/30 as far; the calibration's square makes them agree with the disparity."""
+    kept = replace(calibration, board=BOARD)
+    seen = by_name(check_camera(near, kept, board=Board((9, 6), 25.0)))["board distance"]
+    assert seen.verdict == "warn"
+    # 0.08 px of the blur's bias in the 2.5 px that a board at this distance has from infinity: 3 %.
+    assert seen.figures["square_if_another_mm"] == pytest.approx(30.0, rel=0.03)
+    assert "--square 30mm" in seen.advice
+    assert "focus" not in seen.advice
+    unknown = by_name(check_camera(near, calibration, board=Board((9, 6), 25.0)))["board distance"]
+    assert "squares have another size" in unknown.advice
+
+
+def test_the_calibrations_board_is_looked_for(near, calibration):
+    checks = check_camera(near, replace(calibration, board=BOARD))
+    assert by_name(checks)["board distance"].verdict == "ok"
+    assert outcome(checks) == 0
+
+
+def test_another_film_is_named_instead_of_the_focus(calibration):
+    table = pinhole_rays(CAMERA, made_of(DESIGNS["cy_open"], "real"), cells=10)
+    picture = np.asarray(render(table, wall(CAMERA, (0, 0, NEAR_MM), (0, 0, 0))), np.float32)
+    checks = by_name(check_camera(0.9 * picture / picture.max(), calibration, board=BOARD))
+    assert checks["film"].verdict == "warn"
+    assert checks["board distance"].advice == "see the film first"
+
+
+def test_without_a_board_nothing_is_certain(near, calibration):
+    blank = check_camera(np.full_like(near, 0.3), calibration, board=BOARD)
+    assert "no board" in by_name(blank)["board distance"].finding
+    assert outcome(blank) == 2
+    assert outcome(check_camera(np.full_like(near, 1.0), calibration, board=BOARD)) == 1  # saturated: it warns
 
 
 def test_near_the_focus_the_orientation_cannot_be_told(calibration):
@@ -213,6 +247,13 @@ def test_the_exit_code_tells(run, tmp_path, near, calibration):
     code, said = run("check", tmp_path / "good.png", *common)
     assert code == 0
     assert "board distance" in said.out
+    code, said = run("check", tmp_path / "good.png", "--camera", tmp_path / "camera.asdf")
+    assert code == 2
+    assert "Cannot tell" in said.out
+    replace(calibration, board=BOARD).save(tmp_path / "with_board.asdf")
+    code, said = run("check", tmp_path / "good.png", "--camera", tmp_path / "with_board.asdf", "--json")
+    assert code == 0
+    assert '"exit_code": 0' in said.out
     jpeg(tmp_path / "bad.jpg", near, subsampling=2)
     code, said = run("check", tmp_path / "bad.jpg", *common, "--json")
     assert code == 1

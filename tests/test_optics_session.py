@@ -20,8 +20,11 @@ from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission, made_of
 from chromaperture.optics.aperture_file import load_aperture
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
-from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.paraxial import focused_at
+from chromaperture.optics.pinhole import PupilCamera, pupil_camera
+from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.sensor import SensorModel
+from chromaperture.optics.simulated_session import SessionPlan
 from chromaperture.optics.template import outline, write_template
 
 CAMERA = PupilCamera(96, 64, 400.0, 12.0, 2000.0, 50.0, 0.12)
@@ -87,6 +90,40 @@ def test_a_session_has_every_file_the_calibration_reads(session):
         assert abs(truth["board_mm"][row["file"]] - float(row["ruler_mm"])) <= 3.0
     for name in ("cy_halves/tilt/00", "cy_halves/scene/wall", "white/open", "white/sheet_c", "white/sheet_y"):
         assert (session / f"{name}.png").is_file()
+
+
+def phone(**changes):
+    facts = {"width_px": 720, "height_px": 480, "pixel_pitch_mm": 0.005}
+    camera = pupil_camera(focused_at(load_lens("phone_4"), 300.0), **facts)
+    return SessionPlan(distances_mm=(150.0, 600.0), **changes), camera
+
+
+def test_boards_and_rulers_are_scaled_to_the_frame():
+    plan, camera = phone()
+    fitted = plan.for_camera(camera)
+    # 480 px at 144 mm before the pupil are 86 mm: nine squares with the margin, in whole millimetres.
+    assert fitted.square_mm == 9.0
+    assert fitted.ruler_error_mm == pytest.approx(0.45)
+    facts = {"width_px": 720, "height_px": 480, "pixel_pitch_mm": 22.3 / 720}
+    photographic = pupil_camera(focused_at(load_lens("double_gauss_50"), 2000.0), **facts)
+    default = SessionPlan().for_camera(photographic)
+    assert (default.square_mm, default.ruler_error_mm) == (30.0, 3.0)
+    assert phone(square_mm=20.0)[0].for_camera(camera).square_mm == 20.0
+    with pytest.raises(InputError, match="at every distance"):
+        phone(square_mm=60.0)[0].for_camera(camera)
+
+
+def test_tilts_that_leave_the_frame_are_not_made(tmp_path):
+    """One board near enough for its squares, and the camera focused so near that a tilted one does not fit."""
+    out = tmp_path / "session"
+    common = ["--thin", "--cells", "8", "--width", "120", "--height", "80", "-q", "--nearest-mm", "2000"]
+    common += ["--farthest-mm", "2000", "--focus-mm", "700", "--tilts", "4"]
+    result = CliRunner().invoke(app(), ["simulate", str(out), *common])
+    assert result.exit_code == 0, result.output
+    assert not (out / "tilt").exists()
+    result = CliRunner().invoke(app(), ["simulate", str(out), *common, "--square-mm", "10"])
+    assert result.exit_code == 0, result.output
+    assert len(list((out / "tilt").iterdir())) == 4
 
 
 def test_white_sheets_show_film_and_exposure(session):

@@ -29,7 +29,15 @@ from chromaperture.depth.field import DepthField
 from chromaperture.evaluation import blur_figures, figures
 from chromaperture.evaluation.figures import layer_errors, plane_residual
 from chromaperture.evaluation.report import report_html
-from chromaperture.evaluation.verdict import board_depth, board_errors, depth_accuracy, intervals, sentences, weaknesses
+from chromaperture.evaluation.verdict import (
+    board_depth,
+    board_errors,
+    depth_accuracy,
+    intervals,
+    sentences,
+    unusable,
+    weaknesses,
+)
 from chromaperture.optics.lens_blur import BlurModel
 
 WIDTH, HEIGHT = 96, 72
@@ -270,6 +278,42 @@ def test_the_command_writes_the_report_beside_the_camera(result, tmp_path, monke
     run("--out", tmp_path / "c" / "camera.asdf", "--report", tmp_path / "d" / "page.html")
     assert (tmp_path / "d" / "page.html").is_file()
     assert not (tmp_path / "c" / "camera.report.html").exists()
+
+
+def printed(result, monkeypatch, capsys, *options):
+    monkeypatch.setattr("chromaperture.calibration.calibrate_session.calibrate_session", lambda *a, **k: result)
+    monkeypatch.setattr(sys, "argv", ["chromaperture", "calibrate", "session", "--no-report", *map(str, options)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    return end.value.code or 0, " ".join(capsys.readouterr().out.split())
+
+
+def test_the_command_prints_the_error_over_the_frame_and_the_verdict(result, tmp_path, monkeypatch, capsys):
+    offset = np.array(result.residual_px["real-time"], copy=True)
+    offset[3] += 0.1  # px over the frame, nothing in the middle
+    shifted = replace(result, residual_px={"real-time": offset, "paper": offset})
+    code, said = printed(shifted, monkeypatch, capsys, "--out", tmp_path / "camera.asdf")
+    assert code == 0
+    assert f"{100 * board_errors(shifted)[3] / RULERS[3]:+.2f}" in said
+    for sentence in sentences(shifted):
+        assert sentence.text in said
+
+
+def test_a_camera_that_cannot_be_used_ends_with_1(result, tmp_path, monkeypatch, capsys):
+    nothing = np.full_like(result.residual_px["real-time"], np.nan)
+    far_off = result.residual_px["real-time"] + np.float32(0.5)
+    unread = replace(result.session, tilts=(tmp_path / "tilt.png",))
+    for broken, words in (
+        (replace(result, residual_px={"real-time": nothing, "paper": nothing}), "unknown at every distance"),
+        (replace(result, residual_px={"real-time": far_off, "paper": far_off}), "half of the boards are off"),
+        (replace(result, session=unread, intrinsics=None), "in any of 1 tilted"),
+    ):
+        code, said = printed(broken, monkeypatch, capsys, "--out", tmp_path / "camera.asdf")
+        assert code == 1
+        assert "cannot be used" in said
+        assert words in said
+        assert "nan" not in said
+    assert unusable(result) == []
 
 
 def tour_commands():

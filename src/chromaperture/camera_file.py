@@ -77,6 +77,14 @@ class Film:
 
 
 @dataclass(frozen=True)
+class Board:
+    """A chessboard: inner corners (columns, rows) and side of a square, mm."""
+
+    inner_corners: tuple[int, int]
+    square_mm: float
+
+
+@dataclass(frozen=True)
 class Calibration:
     """The parameters of a `chromaperture.camera.CodedApertureCamera`.
 
@@ -96,6 +104,8 @@ class Calibration:
         Origin of the file: command, date, versions, options, hashes of the photographs, fit residuals.
     blur : BlurModel or None
         Blur of the lens over the frame, for PSF-aware matching; ``depth["accurate"]`` is then the curve of its layers.
+    board : Board or None
+        The chessboard of the session, for `chromaperture check`; None in files of older versions.
     """
 
     design: str
@@ -107,6 +117,7 @@ class Calibration:
     far_mm: float
     provenance: Mapping[str, Any] = field(default_factory=dict)
     blur: BlurModel | None = None
+    board: Board | None = None
 
     @property
     def aperture(self) -> Aperture:
@@ -224,6 +235,7 @@ class Calibration:
                 "depth": {quality: field_to_tree(field) for quality, field in self.depth.items()},
                 "lens": plain(dataclasses.asdict(self.lens)),
                 "blur": None if self.blur is None else dataclasses.asdict(self.blur),
+                "board": None if self.board is None else plain(dataclasses.asdict(self.board)),
                 "sensor": plain(dataclasses.asdict(self.sensor)),
                 "film": {
                     "unit": "white light as R, G, B, 1 = white level",
@@ -292,6 +304,7 @@ def _from_tree(tree: Mapping[str, Any]) -> Calibration:
         far_mm=float(tree["working_range"]["far_mm"]),
         provenance=dict(tree["provenance"]),
         blur=_blur_from_tree(tree.get("blur")),
+        board=_board_from_tree(tree.get("board")),
     )
     _check(calibration)
     return calibration
@@ -302,6 +315,16 @@ def _blur_from_tree(tree: Mapping[str, Any] | None) -> BlurModel | None:
         return None
     names = [f.name for f in dataclasses.fields(BlurModel)]
     return BlurModel(**dict(zip(names, map(float, finite([tree[n] for n in names], (len(names),))), strict=True)))
+
+
+def _board_from_tree(tree: Mapping[str, Any] | None) -> Board | None:
+    if tree is None:
+        return None
+    columns, rows = (int(n) for n in tree["inner_corners"])
+    square_mm = float(tree["square_mm"])
+    if not (min(columns, rows) > 2 and math.isfinite(square_mm) and square_mm > 0):
+        raise ValueError(f"board has {columns}x{rows} inner corners and squares of {square_mm} mm")
+    return Board((columns, rows), square_mm)
 
 
 def _check(calibration: Calibration) -> None:

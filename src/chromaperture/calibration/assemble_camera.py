@@ -11,7 +11,7 @@ from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.chessboard import Intrinsics
 from chromaperture.calibration.session import Session
 from chromaperture.calibration.white_sheets import WhiteSheets
-from chromaperture.camera_file import Calibration, Lens
+from chromaperture.camera_file import Board, Calibration, Lens
 from chromaperture.color.unmixing import pure_channels, view_reach
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import DepthModel
@@ -85,4 +85,5 @@ def assemble_camera(
         far_mm=max(rulers) * config.range_margin[1],
         provenance=provenance or {},
         blur=blur,
+        board=Board(session.inner_corners, session.square_mm),
     )

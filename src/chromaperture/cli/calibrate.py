@@ -41,13 +41,14 @@ def calibrate(
 
     chromaperture calibrate my_session --out camera.asdf
 
-    A report with pictures is written beside it, camera.report.html. docs/calibration-session.md shows how the folder is
-    laid out.
+    A report with pictures is written beside it, camera.report.html. Exit code 1: the camera cannot be used.
+    docs/calibration-session.md shows how the folder is laid out.
     """
     from chromaperture.calibration.calibrate_session import calibrate_session
     from chromaperture.calibration.calibration_config import CalibrationConfig
     from chromaperture.camera_file import Calibration
-    from chromaperture.cli.console import print_files, print_json, progress
+    from chromaperture.cli.console import print_files, print_json, progress, say_warning
+    from chromaperture.evaluation.verdict import unusable
 
     known = Calibration.load(lens_from) if lens_from else None
     kept = out.parent / f".{out.stem}.calibrating"  # measurements of an interrupted run
@@ -68,30 +69,48 @@ def calibrate(
         write_report(files[-1], result)
     result.calibration.save(out)
     shutil.rmtree(kept, ignore_errors=True)
+    faults = unusable(result)
     if json:
-        print_json(result.calibration.summary())
+        print_json(result.calibration.summary() | {"unusable_because": faults})
     elif not quiet:
-        _print_result(result)
+        _print_result(result, faults)
         print_files(files)
+    if faults:
+        if json or quiet:
+            say_warning(f"this calibration cannot be used: {'; '.join(faults)}")
+        raise typer.Exit(1)
 
 
-def _print_result(result: CalibrationResult) -> None:
+def _print_result(result: CalibrationResult, faults: list[str]) -> None:
+    import numpy as np
+
     from chromaperture.cli.console import out, table
+    from chromaperture.evaluation.verdict import QUALITY, board_errors, sentences
 
-    boards = table("Boards", "photograph", "ruler [mm]", "disparity [px]", "measured - ruler [mm]", "[%]", left=0)
-    for board, residual in zip(result.boards, result.fits["real-time"].residual_mm, strict=True):
+    def number(value: float, form: str) -> str:
+        return format(value, form) if np.isfinite(value) else "-"
+
+    heads = ("photograph", "ruler [mm]", "disparity [px]", "middle [mm]", "frame [mm]", "frame [%]")
+    boards = table("Boards: measured - ruler", *heads, left=0)
+    middle, frame = result.fits[QUALITY].residual_mm, board_errors(result)
+    for i, board in enumerate(result.boards):
         boards.add_row(
             board.name,
             f"{board.ruler_mm:.0f}",
-            f"{board.disparity_px['real-time']:+.3f}",
-            f"{residual:+.1f}",
-            f"{100 * residual / board.ruler_mm:+.2f}",
+            number(board.disparity_px[QUALITY], "+.3f"),
+            number(middle[i], "+.1f"),
+            number(frame[i], "+.1f"),
+            number(100 * frame[i] / board.ruler_mm, "+.2f"),
         )
     out.print(boards)
     cal = result.calibration
     out.print(
         f"focal length {cal.lens.focal_length_mm:.2f} mm, in focus at {cal.in_focus_mm:.0f} mm, "
-        f"baseline {cal.baseline_mm:.2f} mm, rms {result.fits['real-time'].rms_mm:.1f} mm"
+        f"baseline {cal.baseline_mm:.2f} mm, rms {result.fits[QUALITY].rms_mm:.1f} mm in the middle of the frame"
     )
     for note in result.notes:
-        out.print(f"note: {note}")
+        out.print(f"note: {note}", markup=False)
+    for sentence in sentences(result):
+        out.print(sentence.text, style={"good": "green", "weak": "yellow"}.get(sentence.tone, ""), markup=False)
+    if faults:
+        out.print(f"This calibration cannot be used: {'; '.join(faults)}.", style="bold red", markup=False)

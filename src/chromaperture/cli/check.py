@@ -18,37 +18,41 @@ _STYLES = {"ok": "green", "warn": "bold red", "cannot tell": "dim"}
 def check(
     photo: Annotated[Path, typer.Argument(help="Photograph, best of the chessboard.", metavar="PHOTO")],
     camera: Camera,
-    board: Annotated[str, typer.Option(help="Inner corners of the chessboard.")] = "9x6",
+    board: Annotated[
+        str | None, typer.Option(help="Inner corners of the chessboard; default the calibration's.")
+    ] = None,
     square: Annotated[
-        str | None, typer.Option(help="Side of its squares, such as 30mm; without it no board is searched.")
+        str | None, typer.Option(help="Side of its squares, such as 30mm; default the calibration's.")
     ] = None,
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check whether focus, aperture and filter are still as calibrated. Exit code 0: yes; 1: a check warns.
+    """Check whether focus, aperture and filter are still as calibrated.
 
-    chromaperture check board.png --camera camera.asdf --square 30mm
+    Exit code 0: as calibrated; 1: changed; 2: it cannot tell, because no board was found or the input cannot be used.
+
+    chromaperture check board.png --camera camera.asdf
     """
     from dataclasses import asdict
 
     from rich.markup import escape
 
     from chromaperture.camera import load_camera
+    from chromaperture.camera_file import Board
     from chromaperture.capture.exif import read_exif
     from chromaperture.cli.board import millimetres
     from chromaperture.cli.console import out as console
     from chromaperture.cli.console import print_json, table
-    from chromaperture.evaluation.health import Board, Check, check_camera, is_healthy
+    from chromaperture.evaluation.health import Check, check_camera, is_healthy, outcome
     from chromaperture.products.measure_file import read_capture
 
-    corners = re.fullmatch(r"\s*(\d+)\s*[x×]\s*(\d+)\s*", board)
-    if not corners or min(int(corners[1]), int(corners[2])) < 3:
-        raise InputError(f"--board {board!r} is not understood: give the inner corners, such as 9x6")
-    size = (int(corners[1]), int(corners[2]))
-    target = Board(size, millimetres(square)) if square else None
     eye = load_camera(camera)
+    known = eye.calibration.board
+    size = _inner_corners(board) if board else known.inner_corners if known else (9, 6)
+    side_mm = millimetres(square) if square else known.square_mm if known else None
+    target = Board(size, side_mm) if side_mm else None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", CaptureWarning)
         image = read_capture(photo, eye, black_level=black_level, white_level=white_level)
@@ -58,13 +62,28 @@ def check(
         if issubclass(w.category, CaptureWarning)
     ] or [Check("file", "ok", "no loss of colour resolution or levels was found")]
     checks = file_checks + check_camera(image, eye.calibration, board=target, exif=read_exif(photo))
+    code = outcome(checks)
+    verdict = (
+        "As calibrated.",
+        "Changed since the calibration, or not a photograph of this camera: see the tests that warn.",
+        "Cannot tell: focus, iris and filter orientation were not checked, because no board was measured.",
+    )[code]
     if json:
-        print_json({"photo": photo.name, "ok": is_healthy(checks), "checks": [asdict(c) for c in checks]})
+        shown = {"photo": photo.name, "ok": is_healthy(checks), "exit_code": code, "verdict": verdict}
+        print_json(shown | {"checks": [asdict(c) for c in checks]})
     elif not quiet:
         rows = table(f"{photo.name} against {camera.name}", "test", "verdict", "found", "what to do", left=4)
         for c in checks:
-            verdict = f"[{_STYLES[c.verdict]}]{c.verdict}[/]"
-            rows.add_row(c.name, verdict, escape(c.finding), escape(c.advice))
+            rows.add_row(c.name, f"[{_STYLES[c.verdict]}]{c.verdict}[/]", escape(c.finding), escape(c.advice))
         console.print(rows)
-    if not is_healthy(checks):
-        raise typer.Exit(1)
+        console.print(verdict)
+    if code:
+        raise typer.Exit(code)
+
+
+def _inner_corners(text: str) -> tuple[int, int]:
+    """Read a size such as 9x6."""
+    corners = re.fullmatch(r"\s*(\d+)\s*[x×]\s*(\d+)\s*", text)
+    if not corners or min(int(corners[1]), int(corners[2])) < 3:
+        raise InputError(f"--board {text!r} is not understood: give the inner corners, such as 9x6")
+    return int(corners[1]), int(corners[2])

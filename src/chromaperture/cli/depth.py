@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,10 +21,13 @@ from chromaperture.cli.options import (
     WhiteLevel,
 )
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
-from chromaperture.errors import ChromapertureError, InputError
+from chromaperture.errors import CaptureWarning, ChromapertureError, InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from chromaperture.camera import CodedApertureCamera
+    from chromaperture.camera_file import Calibration
 
 
 def depth(
@@ -38,7 +43,14 @@ def depth(
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
-    config: Annotated[Path | None, typer.Option(help="TOML file with [matcher] and [depth] settings.")] = None,
+    config: Annotated[
+        Path | None,
+        # Escaped: rich would take the names of the tables for markup.
+        typer.Option(help="TOML file of settings, tables \\[matcher] and \\[depth]; docs/settings.md lists them."),
+    ] = None,
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Measure even through a film that is not the camera's.")
+    ] = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -62,13 +74,12 @@ def depth(
             def show(stage: str, i: int = i, name: str = image.name) -> None:
                 update(f"{name}: {stage}", i, len(images))
 
-            levels = {"black_level": black_level, "white_level": white_level}
+            levels: dict[str, Any] = {"black_level": black_level, "white_level": white_level}
             try:
-                reports.append(
-                    measure_file(
-                        image, camera_of(image), out=out, listener=show, max_relative_sigma=max_relative_sigma, **levels
-                    )
-                )
+                eye = camera_of(image)
+                check = partial(check_film, eye.calibration, name=image.name, refuse=not anyway)
+                options = {"max_relative_sigma": max_relative_sigma, **levels}
+                reports.append(measure_file(image, eye, out=out, listener=show, inspect=check, **options))
             except ChromapertureError as error:
                 say_error(error)
     if json:
@@ -78,6 +89,36 @@ def depth(
         print_reports(reports, note=note if camera is None else "")
     if len(reports) < len(images):
         raise typer.Exit(2)
+
+
+def check_film(calibration: Calibration, image: np.ndarray, *, name: str, refuse: bool = True) -> None:
+    """Warn of a photograph that is unlikely to be taken through the camera's film; refuse one that cannot be.
+
+    Raises
+    ------
+    InputError
+        The film is certainly another one, and ``refuse``.
+    """
+    from chromaperture.evaluation.health import film_match
+
+    if not calibration.is_calibrated or image.shape[:2] != (calibration.sensor.height_px, calibration.sensor.width_px):
+        return  # without a film to compare with; the size is refused later
+    match = film_match(image, calibration)
+    if not match.doubts:
+        return
+    title = calibration.aperture.title
+    if match.is_wrong and refuse:
+        raise InputError(
+            f"{name} was not taken through this camera's film ({title}): {' and '.join(match.findings)}; give the "
+            "camera file of the film that was in the lens, or --anyway"
+        )
+    sure = "was not" if match.is_wrong else "may not have been"
+    warnings.warn(
+        f"{name} {sure} taken through this camera's film ({title}): {' and '.join(match.findings)}; with another film "
+        "every distance is wrong. Strongly coloured light looks similar",
+        CaptureWarning,
+        stacklevel=2,
+    )
 
 
 def cameras(

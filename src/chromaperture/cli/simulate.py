@@ -31,6 +31,9 @@ def simulate(
     step_mm: Annotated[float, typer.Option(help="Distance from board to board.")] = 100.0,
     tilts: Annotated[int, typer.Option(help="Tilted board views.")] = 12,
     cells: Annotated[int, typer.Option(help="Rays across the pupil, even; noise and time grow with its square.")] = 16,
+    square_mm: Annotated[
+        float | None, typer.Option(help="Side of the board's squares; default 30, less where the frame is too small.")
+    ] = None,
     seed: Seed = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -66,7 +69,7 @@ def simulate(
         camera=camera,
         rays=rays,
         scenes={path.stem: load_scene(path) for path in scene or []},
-        plan=SessionPlan(distances_mm=distances_mm, tilts=tilts, seed=seed),
+        plan=SessionPlan(distances_mm=distances_mm, tilts=tilts, seed=seed, square_mm=square_mm),
         report=(lambda name: None) if quiet else typer.echo,
     )
     if not quiet:

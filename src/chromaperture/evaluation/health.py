@@ -12,10 +12,12 @@ from typing import Literal
 import numpy as np
 
 from chromaperture.calibration.chessboard import Intrinsics, board_points, find_corners
-from chromaperture.camera_file import Calibration
+from chromaperture.camera_file import Board, Calibration
 from chromaperture.camera_matching import sensor_noise
 from chromaperture.capture.exif import Exif
+from chromaperture.color.film_match import FilmMatch, match_film
 from chromaperture.color.image import SATURATION, checked_image
+from chromaperture.color.unmixing import view_reach
 from chromaperture.config import Quality, preset
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.disparity.estimate import estimate_disparity
@@ -24,7 +26,7 @@ from chromaperture.evaluation.tint import measure_tint
 
 Verdict = Literal["ok", "warn", "cannot tell"]
 
-_TINT, _DISTANCE, _ORIENTATION = "tint over the frame", "board distance", "filter orientation"  # names of checks
+_FILM, _TINT, _DISTANCE, _ORIENTATION = "film", "tint over the frame", "board distance", "filter orientation"  # names
 _QUALITY: Quality = "real-time"
 # Tolerances, chosen by hand from the causes named; relative unless in px.
 _FOCAL_TOLERANCE = 0.06  # zooms engrave and EXIF rounds; a lens of another focal length differs by more
@@ -35,6 +37,7 @@ _DISPARITY_TOLERANCE = 0.06  # of the disparity: the effect of a change of the a
 _FAR_FROM_FOCUS_PX = 0.4  # expected disparity below which a turned filter is within the tolerance
 _TURNED_TOLERANCE_PX = 0.35  # from the mirrored disparity: the bias is larger with the wrong layout of the filter
 _DEPTH_TOLERANCE = 0.02
+_SQUARE_TOLERANCE = 0.02  # of the square's side: poses behind blur err by 1 %; the disparity's tolerance is added
 _TINT_TOLERANCE = 0.10  # change of a channel ratio from the middle of the frame to its edge
 _SATURATED = 0.02  # fraction of the pixels above which the exposure is too long
 _DARK = 0.05  # 99th percentile, of the white level, below which noise dominates
@@ -63,14 +66,6 @@ class Check:
     figures: dict[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Board:
-    """The chessboard in a photograph: inner corners (columns, rows) and side of a square, mm."""
-
-    inner_corners: tuple[int, int]
-    square_mm: float
-
-
 def check_camera(
     image: np.ndarray, calibration: Calibration, *, board: Board | None = None, exif: Exif | None = None
 ) -> list[Check]:
@@ -80,7 +75,7 @@ def check_camera(
     ----------
     image : (H, W, 3) float, linear RGB, 1.0 = white level
     board : Board, optional
-        The chessboard to look for.
+        The chessboard to look for; by default that of the calibration.
     exif : Exif, optional
         Settings that the camera wrote into the file.
 
@@ -95,8 +90,28 @@ def check_camera(
     checks = [_resolution(image, calibration), *_settings(exif or Exif(), calibration), _exposure(image)]
     if checks[0].verdict == "warn":
         reason = "the photograph is not of the calibrated size"
-        return checks + [Check(name, "cannot tell", reason) for name in (_TINT, _DISTANCE, _ORIENTATION)]
-    return [*checks, _tint(image), *_against_board(image, calibration, board)]
+        return checks + [Check(name, "cannot tell", reason) for name in (_FILM, _TINT, _DISTANCE, _ORIENTATION)]
+    film = _film(film_match(image, calibration), calibration)
+    seen = _against_board(image, calibration, board or calibration.board)
+    if film.verdict == "warn":  # another film changes the disparity: neither focus nor squares can be judged
+        seen = [replace(c, advice="see the film first") if c.verdict == "warn" else c for c in seen]
+    return [*checks, film, _tint(image), *seen]
+
+
+def film_match(image: np.ndarray, calibration: Calibration) -> FilmMatch:
+    """Compare a photograph of the calibrated size with the camera's film."""
+    aperture = calibration.aperture.with_film(calibration.film.transmissions())
+    reach = view_reach(aperture)  # the disparity of the unmixed views is reach times the blur radius
+    quality: Quality = "paper" if "paper" in calibration.depth else _QUALITY
+    near, far = (v / reach for v in calibration.disparity_range_px(quality))
+    return match_film(image, aperture, calibration.film.aperture, (near, far))
+
+
+def outcome(checks: list[Check]) -> int:
+    """Return 0 for a camera as calibrated, 1 for a changed one, 2 where no board was measured."""
+    if not is_healthy(checks):
+        return 1
+    return 0 if any(c.name == _DISTANCE and c.verdict == "ok" for c in checks) else 2
 
 
 def is_healthy(checks: list[Check]) -> bool:
@@ -115,6 +130,20 @@ def _resolution(image: np.ndarray, calibration: Calibration) -> Check:
         advice = "give the original of the calibrated size, neither cropped nor scaled, or calibrate at this size"
     finding = f"{have[0]}x{have[1]} px, calibrated at {expected[0]}x{expected[1]}"
     return Check("resolution", "warn", finding, advice, figures)
+
+
+def _film(match: FilmMatch, calibration: Calibration) -> Check:
+    figures = {
+        name: float(value)
+        for name, value in (("green_cast", match.cast), ("displacement_explained", match.explained))
+        if value is not None
+    }
+    if match.doubts:
+        advice = f"put the film of {calibration.aperture.title} back, or give its camera file; or the light is coloured"
+        return Check(_FILM, "warn", "; ".join(match.findings), advice, figures)
+    if match.cast is None:
+        return Check(_FILM, "cannot tell", "no edges to compare colours at", "", figures)
+    return Check(_FILM, "ok", f"green of the edges is {np.expm1(match.cast):+.0%} off the camera's white", "", figures)
 
 
 def _settings(exif: Exif, calibration: Calibration) -> list[Check]:
@@ -182,12 +211,13 @@ def _against_board(image: np.ndarray, calibration: Calibration, board: Board | N
     corners = find_corners(image[..., 1], board.inner_corners)
     if corners is None:
         advice = "show the whole board, larger and nearer to focus; check --board (inner corners)"
-        return unknown("no board was found", advice)
+        columns, rows = board.inner_corners
+        return unknown(f"no board of {columns}x{rows} inner corners was found", advice)
     found = _compare(image, calibration, board, corners)
     if found is None:
         advice = "add texture around the board (chromaperture board prints some) or come nearer to focus"
         return unknown("no disparity on the board", advice)
-    return [_board_distance(found, calibration), _orientation(found)]
+    return [_board_distance(found, calibration, board), _orientation(found)]
 
 
 @dataclass(frozen=True)
@@ -252,7 +282,7 @@ def _compare(image: np.ndarray, calibration: Calibration, board: Board, corners:
     return _BoardReading(float(np.median(z)) + delta, middle + difference, middle)
 
 
-def _board_distance(found: _BoardReading, calibration: Calibration) -> Check:
+def _board_distance(found: _BoardReading, calibration: Calibration, board: Board) -> Check:
     axis = calibration.on_axis(_QUALITY)
     infinity, scale, delta = (float(v) for v in (axis.infinity_disparity_px, axis.scale_px_mm, axis.sensor_to_pupil_mm))
     shift = found.measured_px - found.expected_px
@@ -261,7 +291,10 @@ def _board_distance(found: _BoardReading, calibration: Calibration) -> Check:
     # Refocusing moves the sensor, which changes A and hardly B: d = A - B / z.
     focus_mm = scale / (infinity + shift) + delta if infinity + shift > 0 else np.inf
     error_mm = depth_mm - found.pose_mm
+    # The distance of the corners from the pupil is proportional to the square.
+    square_mm = board.square_mm * (depth_mm - delta) / (found.pose_mm - delta)
     figures = {
+        "square_if_another_mm": square_mm,
         "pose_mm": found.pose_mm,
         "depth_mm": depth_mm,
         "error_mm": error_mm,
@@ -288,7 +321,22 @@ def _board_distance(found: _BoardReading, calibration: Calibration) -> Check:
         ratio = found.measured_px / found.expected_px
         figures["scale_if_aperture_changed"] = ratio
         advice += f"; if only the aperture changed, the pupil is {ratio:.2f} times as wide: set the iris as it was"
+    if not found.is_turned and np.isfinite(square_mm):
+        tolerance = _SQUARE_TOLERANCE + _DISPARITY_TOLERANCE_PX * (depth_mm - delta) / scale  # of B / z, hence of z
+        advice = _squares(square_mm, board, calibration.board, tolerance, otherwise=advice)
     return Check(_DISTANCE, "warn", finding, advice, figures)
+
+
+def _squares(square_mm: float, board: Board, calibrated: Board | None, tolerance: float, *, otherwise: str) -> str:
+    """Return the advice about squares of the side at which corners and disparity agree."""
+    if calibrated is not None and calibrated.square_mm != board.square_mm:
+        side = calibrated.square_mm
+        if abs(square_mm / side - 1) <= tolerance:
+            return (
+                f"the squares measure {side:g} mm, as in the calibration, not {board.square_mm:g} mm: give --square "
+                f"{side:g}mm; then corners and disparity agree"
+            )
+    return f"{otherwise}; if the squares have another size, it is {square_mm:.1f} mm: measure one, give --square"
 
 
 def _orientation(found: _BoardReading) -> Check:

@@ -12,6 +12,9 @@ from chromaperture.depth.conversion import depth_sigma, depth_to_disparity, disp
 
 QUALITY: Quality = "real-time"  # of the report: the one that users start with
 _STEPS = 400  # depths over the working range
+# Limits of a camera that measures anything, chosen by hand: a phone's baseline of 0.7 mm measures to 5 %.
+_USELESS_PIXEL = 0.10  # rms error of a pixel at the best depth, relative
+_USELESS_BOARDS = 0.05  # median error of the boards over the frame, relative
 _LARGE_PUPIL_SIGMA_MM = 5.0  # standard deviation of delta above which more boards are advised; chosen by hand
 _LARGE_CORNER_RMS_PX = 0.5  # residual of the lens model above which flatness and focus are questioned; chosen by hand
 
@@ -122,14 +125,35 @@ def sentences(result: CalibrationResult) -> list[Sentence]:
     ))  # fmt: skip
     rulers = np.array([board.ruler_mm for board in result.boards])
     errors = board_errors(result)
-    worst = int(np.nanargmax(np.abs(errors / rulers)))
-    relative = abs(errors[worst]) / rulers[worst]
-    lines.append(Sentence(
-        f"The boards themselves come back to within {relative:.1%} over the whole frame; the worst is "
-        f"{result.boards[worst].name}, off by {errors[worst]:+.0f} mm.",
-        "good" if relative <= 0.01 else "weak",
-    ))  # fmt: skip
+    if np.isfinite(errors).any():
+        worst = int(np.nanargmax(np.abs(errors / rulers)))
+        relative = abs(errors[worst]) / rulers[worst]
+        lines.append(Sentence(
+            f"The boards themselves come back to within {relative:.1%} over the whole frame; the worst is "
+            f"{result.boards[worst].name}, off by {errors[worst]:+.0f} mm.",
+            "good" if relative <= 0.01 else "weak",
+        ))  # fmt: skip
     return lines + weaknesses(result)
+
+
+def unusable(result: CalibrationResult) -> list[str]:
+    """Return the reasons why a camera cannot be used; empty for one that measures."""
+    reasons = []
+    found = depth_accuracy(result)
+    total = found.total_mm / found.depth_mm
+    if not np.isfinite(total).any():
+        reasons.append("the error is unknown at every distance: too few boards were read")
+    elif np.nanmin(total) > _USELESS_PIXEL:
+        reasons.append(f"one pixel is nowhere good to {_USELESS_PIXEL:.0%}; its best is {np.nanmin(total):.0%}")
+    relative = np.abs(board_errors(result)) / np.array([board.ruler_mm for board in result.boards])
+    if np.isfinite(relative).any() and np.nanmedian(relative) > _USELESS_BOARDS:
+        reasons.append(f"half of the boards are off by {np.nanmedian(relative):.0%} or more")
+    if result.session.tilts and not result.tilts and result.intrinsics is None:
+        reasons.append(
+            f"no chessboard was found in any of {len(result.session.tilts)} tilted photographs: it must lie inside the "
+            "frame, in focus"
+        )
+    return reasons
 
 
 def _accurate_range(found: DepthAccuracy, fraction: float) -> Sentence:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
@@ -23,7 +24,9 @@ from chromaperture.optics.sensor import SensorModel, expose
 from chromaperture.optics.shapes import Disc
 
 _WHITE_LEVEL = 0.9  # of white paper in the brightest channel: its noise does not clip
-_CORNERS, _SQUARE_MM = (9, 6), 30.0
+_CORNERS, _SQUARE_MM = (9, 6), 30.0  # the side where the frame has room for it: that of an A3 page
+_BOARD_SQUARES = (_CORNERS[0] + 3, _CORNERS[1] + 3)  # with the white margin of one square, which allows for the ruler
+_RULER_ERROR = 0.003  # of the nearest distance, at most 3 mm: a short distance is measured with a finer ruler
 _PAPER_MM = 0.1  # thickness of the board
 
 
@@ -37,17 +40,35 @@ class SessionPlan:
         Board distances from the sensor plane.
     tilts : int
         Tilted views of the board.
-    ruler_error_mm : float
-        Largest difference between the board's true distance and the recorded one.
+    ruler_error_mm : float or None
+        Largest difference between the board's true distance and the recorded one; None: 3 mm, less below 1 m.
     seed : int
     sensor : SensorModel
+    square_mm : float or None
+        Side of the chessboard's squares; None: 30 mm, or less where the nearest board would leave the frame.
     """
 
     distances_mm: tuple[float, ...] = tuple(float(d) for d in range(1000, 4001, 100))
     tilts: int = 12
-    ruler_error_mm: float = 3.0
+    ruler_error_mm: float | None = None
     seed: int = 0
     sensor: SensorModel = field(default_factory=SensorModel)
+    square_mm: float | None = None
+
+    def for_camera(self, camera: PupilCamera) -> SessionPlan:
+        """Return the plan with the ruler error and the square that the nearest board allows."""
+        nearest = min(self.distances_mm)
+        ruler_error = min(3.0, _RULER_ERROR * nearest) if self.ruler_error_mm is None else self.ruler_error_mm
+        square = self.square_mm
+        if square is None:
+            room = _largest_square(camera, nearest)
+            # Whole millimetres, but tenths where there are few of them.
+            square = min(_SQUARE_MM, math.floor(room) if room >= 5 else math.floor(10 * room) / 10)
+        if not square > 0:
+            raise InputError(f"no chessboard fits the frame at {nearest:g} mm: raise --nearest-mm, or give --square-mm")
+        if not square <= (room := _largest_square(camera, max(self.distances_mm))):
+            raise InputError(f"squares of {square:g} mm leave the frame at every distance; at most {room:.1f} mm fit")
+        return replace(self, ruler_error_mm=ruler_error, square_mm=square)
 
 
 def write_session(
@@ -79,10 +100,12 @@ def write_session(
     Raises
     ------
     InputError
-        No distances, or a board behind the camera.
+        No distances, a board behind the camera, or one that leaves the frame at every distance.
     """
     if not plan.distances_mm:
         raise InputError("a session needs at least one board distance")
+    plan = plan.for_camera(camera)
+    ruler_error_mm, square_mm = cast(float, plan.ruler_error_mm), cast(float, plan.square_mm)
     table, open_table = rays(aperture), rays(DESIGNS["open"])
     sheet = [plane(np.ones((2, 2, 3), np.float32), center_mm=(0, 0, 500.0), width_mm=4000)]
     white, open_white = render(table, sheet), render(open_table, sheet)
@@ -106,14 +129,17 @@ def write_session(
     lines = ["file,ruler_mm"]
     stood = {}
     for distance in plan.distances_mm:
-        true_mm = distance + float(rng.uniform(-plan.ruler_error_mm, plan.ruler_error_mm))
+        true_mm = distance + float(rng.uniform(-ruler_error_mm, ruler_error_mm))
         name = f"board/{distance:04.0f}.png"
-        photograph(folder / name, render(table, wall(camera, (0, 0, true_mm), (0, 0, 0))), for_scene)
+        photograph(folder / name, render(table, wall(camera, (0, 0, true_mm), (0, 0, 0), square_mm)), for_scene)
         lines.append(f"{name},{distance:.0f}")
         stood[name] = true_mm
     for i in range(plan.tilts):
-        tilted = wall(camera, *_tilted_pose(i / max(plan.tilts, 1), camera, rng))
-        photograph(folder / f"tilt/{i:02d}.png", render(table, tilted), for_scene)
+        pose = _in_frame(camera, *_tilted_pose(i / max(plan.tilts, 1), camera, rng), square_mm)
+        if pose is None:
+            report(f"no tilt {i:02d}: the board would leave the frame")
+            continue
+        photograph(folder / f"tilt/{i:02d}.png", render(table, wall(camera, *pose, square_mm)), for_scene)
     for name, planes in scenes.items():
         photograph(folder / f"scene/{name}.png", render(table, planes), for_scene)
         depth = render_depth(table, planes)
@@ -135,7 +161,38 @@ def _tilted_pose(
     return (side * math.cos(1.7 * around), 0.6 * side * math.sin(around), distance), tilt
 
 
-def wall(camera: PupilCamera, center: Sequence[float], tilt_deg: Sequence[float]) -> list[Plane]:
+def _largest_square(camera: PupilCamera, distance_mm: float) -> float:
+    """Return the side, mm, of the squares with which a board square to the axis fills the frame."""
+    footprint_mm = (distance_mm - camera.sensor_to_pupil_mm) / camera.focal_px
+    sides = zip((camera.width_px, camera.height_px), _BOARD_SQUARES, strict=True)
+    return footprint_mm * min(pixels / squares for pixels, squares in sides)
+
+
+def _in_frame(
+    camera: PupilCamera, center: tuple[float, float, float], tilt_deg: tuple[float, float, float], square_mm: float
+) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
+    """Move a tilted board towards the axis until it is inside the frame; None where it never is."""
+    flat = np.ones((2, 2, 3), np.float32)
+    width, height = (n * square_mm for n in _BOARD_SQUARES)
+    for off_axis in (1.0, 0.5, 0.0):
+        x, y, z = off_axis * center[0], off_axis * center[1], center[2]
+        board = plane(flat, center_mm=(x, y, z), width_mm=width, tilt_deg=tilt_deg)
+        corners = np.array([
+            board.center_mm + sx * width / 2 * board.right + sy * height / 2 * board.down
+            for sx in (-1, 1) for sy in (-1, 1)
+        ])  # fmt: skip
+        depth = corners[:, 2:] - camera.sensor_to_pupil_mm
+        if depth.min() <= 0:
+            continue
+        image = np.abs(corners[:, :2] / depth * camera.focal_px)
+        if (image < 0.5 * np.array([camera.width_px, camera.height_px])).all():
+            return (x, y, z), tilt_deg
+    return None
+
+
+def wall(
+    camera: PupilCamera, center: Sequence[float], tilt_deg: Sequence[float], square_mm: float = _SQUARE_MM
+) -> list[Plane]:
     """Build a wall of grey speckle that fills the picture, with a chessboard on its middle."""
     far = center[2] + 400.0  # mm: reach of a tilted wall
     # Half a pixel's footprint, but no finer than print at 100 dpi.
@@ -144,7 +201,7 @@ def wall(camera: PupilCamera, center: Sequence[float], tilt_deg: Sequence[float]
     shape = (round(width * camera.height_px / camera.width_px / texel), round(width / texel))
     grey = textures.noise(shape, exponent=0.8, seed=11, mean=0.42, contrast=0.16)
     board_texel = min(texel, 1.0)
-    board = textures.chessboard(_CORNERS, _SQUARE_MM, board_texel)
+    board = textures.chessboard(_CORNERS, square_mm, board_texel)
     pieces = (grey, width), (board, board.shape[1] * board_texel)
     made = [
         plane(np.repeat(p[..., None], 3, axis=2), center_mm=center, width_mm=w, tilt_deg=tilt_deg) for p, w in pieces
@@ -180,8 +237,8 @@ nominal_f_number = {camera.f_number:.1f}
 focused_at_about_mm = {focused}    # from the sensor plane
 [board]
 inner_corners = [{_CORNERS[0]}, {_CORNERS[1]}]
-square_mm = {_SQUARE_MM:.1f}
-ruler_error_mm = {plan.ruler_error_mm:.1f}
+square_mm = {plan.square_mm:.1f}
+ruler_error_mm = {plan.ruler_error_mm:g}
 [exposure]
 relative_to_open = {relative:.4f}
 """

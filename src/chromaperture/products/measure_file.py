@@ -67,6 +67,7 @@ def measure_file(
     white_level: float | None = None,
     max_relative_sigma: float = MAX_RELATIVE_SIGMA,
     listener: Callable[[str], None] = lambda name: None,
+    inspect: Callable[[np.ndarray], None] = lambda image: None,
 ) -> Report:
     """Measure one image file and write all results, whole or not at all.
 
@@ -82,6 +83,8 @@ def measure_file(
         Largest sigma / depth of the PNG and of the points, which carry no error bar; see `within_error`.
     listener : callable, optional
         Called with the name of each stage as it begins.
+    inspect : callable, optional
+        Called with the linear image before it is measured; may raise InputError.
 
     Returns
     -------
@@ -97,6 +100,7 @@ def measure_file(
     clock = StageClock(listener)
     with clock("read"):
         image = read_capture(path, camera, black_level=black_level, white_level=white_level)
+    inspect(image)
     frame = camera.measure(image, stage=clock)
     with staged(folder) as stage:
         with clock("write"):
