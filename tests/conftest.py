@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from chromaperture.cli.main import main
+from worlds import write_board_session
 
 
 @pytest.fixture
@@ -39,3 +40,11 @@ def run(capfd, monkeypatch):
         return Result(code, *capfd.readouterr())
 
     return run
+
+
+@pytest.fixture(scope="session")
+def session(tmp_path_factory):
+    """A folder of boards and white sheets; a test that changes it works on a copy."""
+    folder = tmp_path_factory.mktemp("world") / "session"
+    write_board_session(folder)
+    return folder

@@ -14,29 +14,26 @@ from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.disparity.stages.tiles import Nodes, signal_fraction
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
+from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.stage_config import CrossFilterConfig, LayersConfig
+from worlds import blurred, lens_blur
 
 W, H = 160, 120
 LENS = BlurModel(6.0, 12000.0, axial_red_px=-0.2, axial_blue_px=0.3, spherical_px=-0.8, lateral_red_px=0.0)
 
 
 def blur_for(design, model=LENS, width=W, height=H):
-    return LensBlur(model, sample_pupil(DESIGNS[design]), width, height)
+    return lens_blur(model, width, height, design)
 
 
 def photograph(blur, layer_px, rng, noise=0.002, finest_px=0.0):
     """A grey plane at one depth; its blur is that of the frame's middle, everywhere."""
-    size = 256
-    texture = rng.normal(0, 0.15, (size, size))
+    texture = rng.normal(0, 0.15, (256, 256))
     if finest_px:
         texture = cv2.GaussianBlur(texture, (0, 0), finest_px, borderType=cv2.BORDER_REFLECT_101)
         texture *= 0.12 / texture.std()
     at_infinity, scale = blur.reference
-    transfer = blur.transfer((blur.width_px - 1) / 2, (blur.height_px - 1) / 2, (at_infinity - layer_px) / scale, size)
-    spectrum = scipy.fft.rfft2(0.5 + texture)
-    image = scipy.fft.irfft2(spectrum * transfer)[:, : blur.height_px, : blur.width_px].transpose(1, 2, 0)
+    image = blurred(0.5 + texture, blur, (at_infinity - layer_px) / scale)
     return (image + rng.normal(0, noise, image.shape)).astype(np.float32)
 
 

@@ -15,7 +15,9 @@ from chromaperture.camera_file import FORMAT_VERSION, Calibration, CameraSensor,
 from chromaperture.capture.files import read_image
 from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.errors import InputError
+from chromaperture.optics.pinhole import centered_pinhole
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
+from worlds import halves_camera
 
 
 def make_calibration(shape=None, **changes):
@@ -25,21 +27,21 @@ def make_calibration(shape=None, **changes):
         bump = np.linspace(0, 1, 6, dtype=np.float32).reshape(2, 3)
         local = LocalField(1.0, 3.0, 0.1 * bump, -40 * bump, np.diag([1e-5, 20.0]))
     depth = DepthField(np.array(infinity), np.array(scale), 49.5, np.diag([1e-4, 900.0, 4.0]), local=local)
-    calibration = Calibration(
-        design="cy_halves",
-        sensor=CameraSensor(9, 6, 0.031, 16.0, 1016.0, 5000.0, 4.0),
-        lens=Lens(50.3, np.array([[1668.0, 0, 4.0], [0, 1668.0, 2.5], [0, 0, 1]]), np.array([-0.1, 0, 0, 0, 0.0]), 2.0),
-        film=Film(
+    made = {
+        "sensor": CameraSensor(9, 6, 0.031, 16.0, 1016.0, 5000.0, 4.0),
+        "lens": Lens(50.3, centered_pinhole(1668.0, (9, 6)), np.array([-0.1, 0, 0, 0, 0.0]), 2.0),
+        "film": Film(
             {"cyan": np.array([0.09, 0.57, 0.59]), "yellow": np.array([0.83, 0.76, 0.09])},
             np.array([0.9, 0.9, 0.9]),
             np.array([0.46, 0.67, 0.34]),
         ),
-        depth={"paper": depth, "real-time": depth},
-        near_mm=900.0,
-        far_mm=5000.0,
-        provenance={"command": "chromaperture calibrate x", "rms_mm": {"paper": 3.0}, "boards": [{"file": "1.png"}]},
-    )
-    return dataclasses.replace(calibration, **changes)
+        "depth": {"paper": depth, "real-time": depth},
+        "far_mm": 5000.0,
+        "provenance": {
+            "command": "chromaperture calibrate x", "rms_mm": {"paper": 3.0}, "boards": [{"file": "1.png"}]
+        },
+    }  # fmt: skip
+    return halves_camera(depth, 9, 6, **(made | changes))
 
 
 @pytest.mark.parametrize("maps", [None, "smooth", "free"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from chromaperture.capture.files import read_image
-from planes import capture, texture
+from worlds import capture, texture
 
 QUICK = ("--design", "cy_halves", "--quality", "real-time", "--sharpness", "fast", "--strength", "1.5")
 LEVELS = ("--black-level", 16, "--white-level", 1016)

@@ -15,7 +15,7 @@ from PIL import Image
 from chromaperture.camera_file import Calibration
 from chromaperture.cli.depth import cameras
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
-from planes import capture, texture
+from worlds import capture, texture
 
 SUFFIXES = (
     "depth.tiff", "sigma.tiff", "disparity.tiff", "depth.png", "color.png", "ply", "preview.png", "json",

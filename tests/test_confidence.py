@@ -11,7 +11,7 @@ from chromaperture.config import PaperConfig
 from chromaperture.disparity.error_bar import confidence, effective_samples, peak_sigma
 from chromaperture.disparity.winner import Winner
 from chromaperture.stage_config import BilateralConfig, CorrelationConfig
-from planes import LAYOUT, NARROW, capture, measured, texture
+from worlds import LAYOUT, NARROW, capture, measured, texture
 
 
 @pytest.mark.parametrize("decay", [0.3, 0.8, 0.9])

@@ -69,9 +69,7 @@ def test_eq_7_is_where_two_rays_through_the_sub_apertures_come_from():
     centroid_mm = 11.79 / 2
     for distance_mm in (700.0, 1500.0, 1999.0, 2001.0, 4000.0, 30000.0):
         axis_point = -distance_mm
-        upper, lower = (
-            trace(0.0, y / distance_mm, axis_point, lens, sensor_mm) for y in (centroid_mm, -centroid_mm)
-        )
+        upper, lower = (trace(0.0, y / distance_mm, axis_point, lens, sensor_mm) for y in (centroid_mm, -centroid_mm))
         # The picture is upside down on the sensor, and the disparity is half of the two spots' distance.
         disparity_px = -(upper - lower) / 2 / PITCH_MM
         thin = paper_to_model(PaperParameters(2000.0, 11.79, 0.0, FOCAL_MM), pixel_pitch_mm=PITCH_MM)
@@ -172,12 +170,7 @@ def test_depth_rises_with_disparity():
 
 
 # Gaps to the disparity of infinity over nine decades: hypothesis alone would rarely look next to the pole.
-@given(
-    gap_exponent=st.floats(-6, 3),
-    a=st.floats(-20, 20),
-    b=st.floats(1e2, 1e6),
-    delta=st.floats(-20, 200),
-)
+@given(gap_exponent=st.floats(-6, 3), a=st.floats(-20, 20), b=st.floats(1e2, 1e6), delta=st.floats(-20, 200))
 def test_disparity_to_depth_and_back(gap_exponent, a, b, delta):
     model = DepthModel(a, b, delta)
     z = b / 10**gap_exponent

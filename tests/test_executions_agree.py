@@ -31,8 +31,7 @@ from chromaperture.disparity.total_variation import make_problem, smooth_dispari
 from chromaperture.disparity.views import Views, filtered_views, halved_views
 from chromaperture.disparity.winner import Surface
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
+from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.stage_config import (
     BilateralConfig,
     CorrelationConfig,
@@ -42,7 +41,7 @@ from chromaperture.stage_config import (
     ViewsConfig,
 )
 from chromaperture.threads import limited_threads
-from planes import NARROW, space_of, wavy_capture
+from worlds import NARROW, lens_blur, space_of, wavy_capture
 
 SLOW, FAST = execution_named("numpy"), execution_named("numba")
 ALL_DESIGNS = ("rgb_circles", "rgb_squares", "cmy_squares", "cmy_circles", "cy_halves", "cy_open")
@@ -141,9 +140,7 @@ def test_an_unknown_execution_is_refused():
 @pytest.mark.parametrize("design", ALL_DESIGNS)
 def test_scores_agree(design):
     views = views_of(wavy_capture(design), design)
-    found, expected = (
-        run.correlate(views, NARROW.layers.values_px, config=NARROW.correlation) for run in (FAST, SLOW)
-    )
+    found, expected = (run.correlate(views, NARROW.layers.values_px, config=NARROW.correlation) for run in (FAST, SLOW))
     assert found.shape == expected.shape
     assert found.dtype == np.float32
     clear = textured(views, NARROW.correlation.window_decay)
@@ -531,9 +528,7 @@ def test_iterations_of_the_variation_and_its_gap_agree(shape, seed, data_term, e
 def test_regularised_maps_agree():
     rng = np.random.default_rng(14)
     disparity_px, weights = rng.normal(0, 1, (31, 33)), rng.random((31, 33)) < 0.5
-    fast, slow = (
-        smooth_disparity(disparity_px, weights, iterations=60, execution=name) for name in ("numba", "numpy")
-    )
+    fast, slow = (smooth_disparity(disparity_px, weights, iterations=60, execution=name) for name in ("numba", "numpy"))
     np.testing.assert_allclose(fast.disparity_px, slow.disparity_px, atol=3e-5)  # 60 float32 iterations
     assert fast.gap_per_px == pytest.approx(slow.gap_per_px, abs=1e-5)  # of the same rounding
 
@@ -591,7 +586,7 @@ NUMPY_METHODS = {
 
 
 def blur_of(shape):
-    return LensBlur(BlurModel(6.0, 12000.0), sample_pupil(DESIGNS["cy_halves"]), shape[1], shape[0])
+    return lens_blur(BlurModel(6.0, 12000.0), shape[1], shape[0])
 
 
 def measured(name, execution):

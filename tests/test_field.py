@@ -151,9 +151,7 @@ def test_many_boards_need_no_rendered_curve(rng):
 def test_few_boards_carry_no_terms(rng):
     x, y, linear = measured_boards(rng, 0.01)
     everything = np.ones(len(RULERS), bool)
-    found = ranked_curves(
-        x, y, bent(linear), exact_distances(), size_px=(WIDTH, HEIGHT), degree=2, boards=everything
-    )
+    found = ranked_curves(x, y, bent(linear), exact_distances(), size_px=(WIDTH, HEIGHT), degree=2, boards=everything)
     assert max(found) <= len(RULERS) // 3
     with pytest.raises(InputError):
         fit(x, y, linear, boards=everything & (RULERS == 1000.0))

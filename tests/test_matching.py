@@ -9,7 +9,7 @@ import pytest
 
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.errors import InputError
-from planes import LAYOUT, NARROW, capture, measured, texture
+from worlds import LAYOUT, NARROW, capture, measured, texture
 
 
 @pytest.mark.parametrize("disparity_px", [-2.8, -0.2, 0.0, 1.25, 3.4])

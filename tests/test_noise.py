@@ -3,12 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chromaperture.color.noise import (
-    estimate_noise_variance,
-    fit_photon_noise,
-    noise_samples,
-    photon_noise_variance,
-)
+from chromaperture.color.noise import estimate_noise_variance, fit_photon_noise, noise_samples, photon_noise_variance
 
 
 def test_photon_noise_is_that_of_counted_electrons(rng):

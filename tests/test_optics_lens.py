@@ -102,9 +102,7 @@ def test_light_runs_back_the_way_it_came(name):
     aim = np.column_stack([rng.uniform(-0.05, 0.05, (200, 2)), np.ones(200)])
     there = trace(lens, start, aim, wavelength_um=0.54)
     back = trace(lens, there.position, -there.direction, wavelength_um=0.54, from_sensor=True)
-    home = (
-        back.position + back.direction * ((start[:, 2] - back.position[:, 2]) / back.direction[:, 2])[:, None]
-    )
+    home = back.position + back.direction * ((start[:, 2] - back.position[:, 2]) / back.direction[:, 2])[:, None]
     assert there.clear.mean() > 0.8
     through = there.clear
     np.testing.assert_allclose(home[through], start[through], atol=1e-8)  # Newton stops at 1e-11 mm a surface
@@ -143,9 +141,7 @@ def test_even_asphere_coefficients_continue_the_conic():
         rays = trace(lens, [[1.0, 5.0, -1.0]], [[0.02, -0.03, 1.0]], wavelength_um=0.54)
         return np.hstack([rays.position, rays.direction])
 
-    np.testing.assert_allclose(
-        through(series), through(sphere), atol=1e-9
-    )  # the next term is 33/2048 r^14/R^13
+    np.testing.assert_allclose(through(series), through(sphere), atol=1e-9)  # the next term is 33/2048 r^14/R^13
 
 
 def blur_at(table, depth_mm, image_distance_mm, j=1, i=1):
@@ -190,14 +186,14 @@ def test_first_order_camera_and_traced_lens_hold_the_same_rays():
     """Paraxial table against traced table of the near-thin lens, middle of the image."""
     lens = thin_lens(radius=2.0)
     camera = pupil_camera(lens, width_px=21, height_px=13, pixel_pitch_mm=0.05)
-    traced = lens_rays(
-        lens, DESIGNS["cy_halves"], width_px=21, height_px=13, pixel_pitch_mm=0.05, cells=12, nodes=5
-    )
+    traced = lens_rays(lens, DESIGNS["cy_halves"], width_px=21, height_px=13, pixel_pitch_mm=0.05, cells=12, nodes=5)
     ideal = pinhole_rays(camera, DESIGNS["cy_halves"], cells=12)
     assert traced.z_mm == pytest.approx(ideal.z_mm)
     np.testing.assert_allclose(traced.chief[[0, -1]][:, [0, -1]], ideal.chief, atol=1e-6)  # float32 tables
     np.testing.assert_allclose(
-        traced.weight.sum(axis=3)[:, 1, 2], ideal.weight.sum(axis=3)[:, 0, 0], atol=2e-3  # cells that the rim cuts
+        traced.weight.sum(axis=3)[:, 1, 2],
+        ideal.weight.sum(axis=3)[:, 0, 0],
+        atol=2e-3,  # cells that the rim cuts
     )
     # All rays of the middle pixel meet in the focus plane on the axis.
     meet = traced.origin[1, 1, 2] + (camera.focus_mm - traced.z_mm) * traced.slope[1, 1, 2]
@@ -293,16 +289,10 @@ def test_lenses_that_cannot_take_pictures():
     diverging = Prescription("d", "", "", hollow, 40.0, WAVES)
     with pytest.raises(InputError, match="does not collect"):
         paraxial(diverging)
-    wide = replace(
-        lens, surfaces=tuple(replace(s, semi_diameter_mm=20.0) if s.role else s for s in lens.surfaces)
-    )
+    wide = replace(lens, surfaces=tuple(replace(s, semi_diameter_mm=20.0) if s.role else s for s in lens.surfaces))
     with pytest.raises(InputError, match="larger than its glass"):
         lens_rays(wide, DESIGNS["open"], width_px=9, height_px=9, pixel_pitch_mm=0.5, cells=8)
-    single = (
-        Surface(50.0, 1e-6, 1.5),
-        Surface(-50.0, 50.0),
-        Surface(role="stop", semi_diameter_mm=4.0),
-    )
+    single = (Surface(50.0, 1e-6, 1.5), Surface(-50.0, 50.0), Surface(role="stop", semi_diameter_mm=4.0))
     with pytest.raises(InputError, match="cannot be reached"):
         paraxial(checked_lens(Prescription("t", "", "", single, 10.0, (0.605, 0.5876, 0.465))))
     with pytest.raises(InputError, match="inside or behind the glass"):

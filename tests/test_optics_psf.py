@@ -21,9 +21,7 @@ def moments(psf, oversampling=1):
     """Centroid (x, y) of each channel, px."""
     x = (np.arange(psf.shape[-1]) - psf.shape[-1] // 2) / oversampling
     total = psf.sum(axis=(1, 2))
-    return (
-        np.stack([(psf.sum(axis=1) * x).sum(axis=1), (psf.sum(axis=2) * x).sum(axis=1)], -1) / total[:, None]
-    )
+    return np.stack([(psf.sum(axis=1) * x).sum(axis=1), (psf.sum(axis=2) * x).sum(axis=1)], -1) / total[:, None]
 
 
 @settings(max_examples=12, deadline=None)

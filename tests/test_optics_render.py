@@ -107,9 +107,7 @@ def test_layers_and_rays_agree_away_from_depth_edges_and_nearly_at_them():
     smooth = [noise((300, 400), exponent=1.8, seed=s) for s in (1, 2)]  # nothing finer than the ray sampling
     planes = [
         plane(grey(smooth[0]), center_mm=(0, 0, FAR), width_mm=1600.0, tilt_deg=(0, 20, 0)),
-        plane(
-            grey(smooth[1]) * [1.0, 0.7, 0.5], center_mm=(-60, 0, NEAR), width_mm=130.0, tilt_deg=(0, 0, 15)
-        ),
+        plane(grey(smooth[1]) * [1.0, 0.7, 0.5], center_mm=(-60, 0, NEAR), width_mm=130.0, tilt_deg=(0, 0, 15)),
     ]
     aperture = made_of(DESIGNS["cy_halves"], "real")
     truth = render(pinhole_rays(camera, aperture, cells=32), planes)
@@ -117,9 +115,7 @@ def test_layers_and_rays_agree_away_from_depth_edges_and_nearly_at_them():
     sharp, depth = render(point_camera, planes), render_depth(point_camera, planes)
     made = render_layers(sharp, depth, camera=camera, aperture=aperture, pitch_px=0.25)
     error = np.abs(made.image - truth)[12:-12, 12:-12]  # beyond the picture's rim the layers can only guess
-    step = np.abs(np.diff(depth, axis=1, prepend=depth[:, :1])) + np.abs(
-        np.diff(depth, axis=0, prepend=depth[:1])
-    )
+    step = np.abs(np.diff(depth, axis=1, prepend=depth[:, :1])) + np.abs(np.diff(depth, axis=0, prepend=depth[:1]))
     rows, columns = np.nonzero(step > 300)
     y, x = np.indices(depth.shape)
     distance = np.hypot(y[..., None] - rows[::4], x[..., None] - columns[::4]).min(axis=-1)[12:-12, 12:-12]

@@ -40,31 +40,9 @@ def session(tmp_path_factory):
     root = tmp_path_factory.mktemp("session")
     scene = root / "wall.toml"
     scene.write_text('[[plane]]\ncenter_mm = [0, 0, 3000]\nwidth_mm = 4000\ntexture = "plain"\n')
-    options = [
-        "--width",
-        "240",
-        "--height",
-        "160",
-        "--step-mm",
-        "2000",
-        "--nearest-mm",
-        "1500",
-        "--tilts",
-        "1",
-    ]
+    options = ["--width", "240", "--height", "160", "--step-mm", "2000", "--nearest-mm", "1500", "--tilts", "1"]
     result = CliRunner().invoke(
-        app(),
-        [
-            "simulate",
-            str(root / "cy_halves"),
-            "--thin",
-            "--cells",
-            "8",
-            "--scene",
-            str(scene),
-            "-q",
-            *options,
-        ],
+        app(), ["simulate", str(root / "cy_halves"), "--thin", "--cells", "8", "--scene", str(scene), "-q", *options]
     )
     assert result.exit_code == 0, result.output
     return root
@@ -96,9 +74,7 @@ def test_white_sheets_show_film_and_exposure(session):
     np.testing.assert_allclose(coded.mean(axis=(0, 1)) / bare.mean(axis=(0, 1)), film, atol=5e-3)
     cyan = linear(session / "white" / "sheet_c.png").mean(axis=(0, 1)) / 0.9
     np.testing.assert_allclose(cyan, (0.10, 0.63, 0.65), atol=5e-3)  # counts are 1e-3 apart, and the pupil has 8 cells
-    relative = tomllib.loads((session / "cy_halves" / "session.toml").read_text())["exposure"][
-        "relative_to_open"
-    ]
+    relative = tomllib.loads((session / "cy_halves" / "session.toml").read_text())["exposure"]["relative_to_open"]
     assert relative == pytest.approx(1 / film.max(), rel=5e-3)  # as above
 
 
@@ -111,11 +87,7 @@ def test_the_boards_corners_lie_where_the_pinhole_puts_them(session):
     assert found
     corners = corners.reshape(-1, 2)
     corners = corners if corners[0, 1] < corners[-1, 1] else corners[::-1]
-    pitch = (
-        30.0
-        * truth["focal_px"]
-        / (truth["board_mm"]["board/1500.png"] - truth["sensor_to_entrance_pupil_mm"])
-    )
+    pitch = 30.0 * truth["focal_px"] / (truth["board_mm"]["board/1500.png"] - truth["sensor_to_entrance_pupil_mm"])
     grid = np.mgrid[:9, :6].T.reshape(-1, 2) - np.array([4.0, 2.5])
     np.testing.assert_allclose(corners, grid * pitch + (119.5, 79.5), atol=0.25)  # corner detection in noise
     assert grey[int(79.5 - 2.9 * pitch), int(119.5 - 4.5 * pitch)] < 60  # the black corner square is top left

@@ -46,7 +46,9 @@ def test_two_opposed_paths_find_the_best_layers_of_a_row(run):
     least = np.array([[best[i, k] for k in range(layers)] for i in range(length)])
     total = run.aggregate_paths(likelihood, guide, step * np.arange(layers), config=config)[0]
     np.testing.assert_allclose(
-        total - total.min(axis=1, keepdims=True), least - least.min(axis=1, keepdims=True), atol=1e-5  # float32
+        total - total.min(axis=1, keepdims=True),
+        least - least.min(axis=1, keepdims=True),
+        atol=1e-5,  # float32
     )
 
 

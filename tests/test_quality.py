@@ -17,7 +17,7 @@ from chromaperture.cli.main import app
 from chromaperture.errors import InputError
 from chromaperture.evaluation.depth_quality import ZONES, by_cell, cells, plane_quality
 from chromaperture.evaluation.paper.run import RESULT
-from test_calibrate import RULERS, session  # noqa: F401
+from worlds import RULERS_MM
 
 DELTA, B, TRUTH = 50.0, 8000.0, 2000.0
 SHAPE = (120, 180)
@@ -89,11 +89,11 @@ def run(folder, out, *more):
     return CliRunner().invoke(app, ["evaluate", "quality", *options])
 
 
-def test_a_session_without_a_camera_file_is_judged_board_by_board_without_that_board(session, tmp_path):  # noqa: F811
+def test_a_session_without_a_camera_file_is_judged_board_by_board_without_that_board(session, tmp_path):
     result = run(session, tmp_path)
     assert result.exit_code == 0, result.output
     rows = list(csv.DictReader((tmp_path / "quality" / "distance.csv").read_text(encoding="utf-8").splitlines()))
-    assert [float(row["distance, mm"]) for row in rows] == sorted(RULERS)
+    assert [float(row["distance, mm"]) for row in rows] == sorted(RULERS_MM)
     assert all(float(row["fill"].rstrip("%")) > 90 for row in rows)
     # The boards are shifted views of one texture: 0.03 px, which at 3 m is 1.1 %, and twice that at the ends, where
     # the curve without the board is extrapolated.
@@ -102,7 +102,7 @@ def test_a_session_without_a_camera_file_is_judged_board_by_board_without_that_b
     assert "fitted without it" in json.loads((tmp_path / "quality" / RESULT).read_text(encoding="utf-8"))["source"]
 
 
-def test_a_camera_file_is_used_as_it_is_and_that_it_knows_the_boards_is_said(session, tmp_path):  # noqa: F811
+def test_a_camera_file_is_used_as_it_is_and_that_it_knows_the_boards_is_said(session, tmp_path):
     camera = tmp_path / "camera.asdf"
     calibration = calibrate_session(session, CalibrationConfig(lens_blur=False)).calibration
     calibration.save(camera)
@@ -111,11 +111,11 @@ def test_a_camera_file_is_used_as_it_is_and_that_it_knows_the_boards_is_said(ses
     result = run(parent, tmp_path / "out", "--camera", str(camera))
     assert result.exit_code == 0, result.output
     source = json.loads((tmp_path / "out" / "quality" / RESULT).read_text(encoding="utf-8"))["source"]
-    assert f"{len(RULERS)} of them have names that it was calibrated on" in source
+    assert f"{len(RULERS_MM)} of them have names that it was calibrated on" in source
     assert Calibration.load(camera).design == "cy_halves"
 
 
-def test_what_does_not_fit_is_told(session, tmp_path):  # noqa: F811
+def test_what_does_not_fit_is_told(session, tmp_path):
     (tmp_path / "empty").mkdir()
     empty = run(tmp_path / "empty", tmp_path / "out")
     assert empty.exit_code == 1

@@ -16,7 +16,6 @@ from chromaperture.capture import recording
 from chromaperture.capture.open import open_source
 from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Encoding, Frame
-from chromaperture.cli.main import main
 from chromaperture.errors import InputError
 from chromaperture.products.mcap import write_mcap
 from chromaperture.products.rectified import View
@@ -144,29 +143,20 @@ def test_a_recording_is_never_written_over(tmp_path):
     assert len(replayed(tmp_path)) == 1
 
 
-def run(monkeypatch, capfd, *arguments):
-    monkeypatch.setattr(sys, "argv", ["chromaperture", *map(str, arguments)])
-    try:
-        main()
-    except SystemExit as end:
-        return end.code or 0, *capfd.readouterr()
-    return 0, *capfd.readouterr()
-
-
-def test_record_and_replay_from_the_command_line(tmp_path, monkeypatch, capfd):
+def test_record_and_replay_from_the_command_line(run, tmp_path):
     for i in range(3):
         cv2.imwrite(str(tmp_path / f"{i}.png"), frame(i).counts[..., ::-1])
     walk = tmp_path / "walk"
-    code, said, _ = run(monkeypatch, capfd, "record", tmp_path / "*.png", "--out", walk, "--json",
+    code, said, _ = run("record", tmp_path / "*.png", "--out", walk, "--json",
                         "--black-level", 64, "--white-level", 1023)  # fmt: skip
     assert code == 0
     assert json.loads(said)["frames"] == 3
     for i, f in enumerate(replayed(walk)):
         np.testing.assert_array_equal(f.counts, frame(i).counts)
         assert f.encoding == Encoding(64, 1023)
-    code, _, complaint = run(monkeypatch, capfd, "record", tmp_path / "*.png", "--out", walk)
+    code, _, complaint = run("record", tmp_path / "*.png", "--out", walk)
     assert (code, complaint.count("\n")) == (2, 1)
-    code, _, complaint = run(monkeypatch, capfd, "record", "webcam:77", "--out", tmp_path / "new")
+    code, _, complaint = run("record", "webcam:77", "--out", tmp_path / "new")
     assert (code, (tmp_path / "new").exists()) == (2, False)
 
 
@@ -200,17 +190,17 @@ def test_tum_folder_as_its_readers_expect(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["tum"]
 
 
-def test_export_measures_the_sample_and_takes_the_pupil_as_origin(tmp_path, monkeypatch, capfd):
+def test_export_measures_the_sample_and_takes_the_pupil_as_origin(run, tmp_path):
     walk = tmp_path / "tum"
-    code, said, complaint = run(monkeypatch, capfd, "export", sample_image("still_life_cy_halves"), walk, "--camera",
+    code, said, complaint = run("export", sample_image("still_life_cy_halves"), walk, "--camera",
                                 sample_camera("still_life_cy_halves"), "-q")  # fmt: skip
     assert (code, said) == (0, ""), complaint
     (picture,) = (walk / "depth").iterdir()
     z_mm = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED) / 5.0
-    code, *_ = run(monkeypatch, capfd, "depth", sample_image("still_life_cy_halves"), "--camera",
+    code, *_ = run("depth", sample_image("still_life_cy_halves"), "--camera",
                    sample_camera("still_life_cy_halves"), "--out", tmp_path / "depth", "-q")  # fmt: skip
     depth_mm = cv2.imread(str(tmp_path / "depth" / "still_life_cy_halves.depth.png"), cv2.IMREAD_UNCHANGED)
-    camera_info = run(monkeypatch, capfd, "info", sample_camera("still_life_cy_halves"), "--json")[1]
+    camera_info = run("info", sample_camera("still_life_cy_halves"), "--json").stdout
     delta = json.loads(camera_info)["sensor_to_pupil_mm"]
     both = (z_mm > 0) & (depth_mm > 0)
     assert both.mean() > 0.2

@@ -5,7 +5,7 @@ import numpy as np
 
 from chromaperture.color.alignment import align_channels
 from chromaperture.color.registration import residual_displacement, standard_error
-from planes import texture
+from worlds import texture
 
 
 def spoiled(rng):

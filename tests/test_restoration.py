@@ -5,43 +5,28 @@ import numpy as np
 import pytest
 
 from chromaperture.color.alignment import align_channels
-from chromaperture.effects.all_in_focus import (
-    SharpenConfig,
-    all_in_focus,
-    colour_lines,
-    smoothness,
-)
+from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus, colour_lines, smoothness
 from chromaperture.effects.blur_layers import layer_radii, layer_weights
 from chromaperture.effects.layered_model import LayeredModel
 from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.transfer_functions import ThinLensBlur, kernel_otf
-from chromaperture.effects.wiener import (
-    colour_covariance,
-    extrapolated,
-    joint_filter,
-    natural_spectrum,
-    sharpen_layers,
-)
+from chromaperture.effects.wiener import colour_covariance, extrapolated, joint_filter, natural_spectrum, sharpen_layers
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission
-from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_psf
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.render import render, render_depth, render_sharp
-from chromaperture.optics.scene import plane
-from chromaperture.optics.textures import noise
+from worlds import card_before_wall, pinhole_camera
 
 TINT = np.array([0.9, 0.7, 0.5], np.float32)
 
 
 def photograph(design, rng, sigma=0.003, *, near_mm=800.0):
     """A card before a wall, ray by ray: white-balanced capture, blur radius, sharp truth."""
-    aperture = DESIGNS[design]
-    camera = PupilCamera(128, 96, focal_px=400.0, pupil_radius_mm=25.0, focus_mm=1000.0, sensor_to_pupil_mm=50.0,
-                         pixel_pitch_mm=0.05)  # fmt: skip
+    aperture, camera = DESIGNS[design], pinhole_camera(128, 96)
     # Texels of 2.5 px on the picture: nothing finer than the pixels can show.
-    wall, card = (noise((60, 90), exponent=0.6, seed=s)[..., None] * c for s, c in ((1, TINT), (2, TINT[::-1])))
-    planes = [plane(wall, center_mm=(0, 0, 1350), width_mm=720), plane(card, center_mm=(0, 0, near_mm), width_mm=90)]
+    planes = card_before_wall([TINT, TINT[::-1]], texels=(60, 90), exponent=0.6,
+                              distances_mm=(1350, near_mm), widths_mm=(720, 90))  # fmt: skip
     table = pinhole_rays(camera, aperture, cells=20)
     image = render(table, planes) / channel_transmission(aperture).astype(np.float32)
     image += (sigma * rng.normal(size=image.shape)).astype(np.float32)
@@ -251,9 +236,7 @@ def test_kernels_that_are_a_little_wrong_raise_no_waves(rng):
     image = (image.transpose(1, 2, 0) + 0.002 * rng.normal(size=scene.shape)).astype(np.float32)
     radius = np.full(size, -8.5, np.float32)
     known = {"noise_variance": np.full(3, 0.002**2), "colour": colour_covariance(scene)}
-    plain, wary = (
-        sharpen_layers(image, radius, ThinLensBlur(aperture), kernel_error=e, **known) for e in (0.0, 0.15)
-    )
+    plain, wary = (sharpen_layers(image, radius, ThinLensBlur(aperture), kernel_error=e, **known) for e in (0.0, 0.15))
     # Beyond the bar's own blur there is nothing but what the filter made.
     away = np.r_[24:50, 110:136]
     assert np.std(plain[away]) > 0.02

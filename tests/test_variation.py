@@ -69,9 +69,7 @@ def test_gradient_has_the_norm_the_steps_rely_on():
 @pytest.mark.parametrize("edged", [False, True])
 def test_gap_closes_and_bounds_the_energy(data_term, edged):
     p = problem(np.random.default_rng(2), data_term=data_term, edged=edged)
-    p64 = Problem(
-        p.target.astype(float), p.weight.astype(float), p.edges, p.bounds, p.huber, p.quadratic
-    )
+    p64 = Problem(p.target.astype(float), p.weight.astype(float), p.edges, p.bounds, p.huber, p.quadratic)
     state = State.start(p64.target)
     gaps = [gap_per_px(p64, state)]
     for _ in range(8):
