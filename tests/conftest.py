@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import importlib.util
 import sys
 from typing import NamedTuple
 
@@ -8,6 +9,14 @@ import pytest
 
 from chromaperture.cli.main import main
 from worlds import write_board_session
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip the tests of an optional extra whose module is not installed."""
+    for item in items:
+        for name, module in (marker.args for marker in item.iter_markers("extra")):
+            if importlib.util.find_spec(module) is None:
+                item.add_marker(pytest.mark.skip(reason=f"the extra '{name}' is not installed: this is NOT tested"))
 
 
 @pytest.fixture

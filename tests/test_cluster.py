@@ -14,16 +14,9 @@ from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.evaluation.paper import cluster, sweep
 from worlds import small_trials, stored
 
-SLOW = "the extra 'cluster' is not installed: sweeps on Dask clusters are NOT tested"
-
 
 @pytest.fixture
-def dask():
-    return pytest.importorskip("distributed", reason=SLOW)
-
-
-@pytest.fixture
-def scheduler(dask, tmp_path):
+def scheduler(tmp_path):
     """A scheduler and two workers of one thread in processes of their own, without a nanny that starts them again."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -48,10 +41,13 @@ def scheduler(dask, tmp_path):
         process.wait()
 
 
-def test_two_dask_workers_one_killed_in_the_middle_give_the_same_files_byte_for_byte(dask, scheduler, tmp_path):
+@pytest.mark.extra("cluster", "distributed")
+def test_two_dask_workers_one_killed_in_the_middle_give_the_same_files_byte_for_byte(scheduler, tmp_path):
+    import distributed
+
     address, workers = scheduler
     alone = sweep.sweep(small_trials(range(4)), workers=1, keep_in=tmp_path / "one")
-    with dask.Client(address, set_as_default=False) as client:
+    with distributed.Client(address, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
     killed = []
 
@@ -71,6 +67,7 @@ def test_two_dask_workers_one_killed_in_the_middle_give_the_same_files_byte_for_
     assert len(stored(tmp_path / "two")) == len(small_trials(range(4)))
 
 
+@pytest.mark.extra("cluster", "distributed")
 def test_a_cluster_without_workers_is_told(scheduler, monkeypatch, tmp_path):
     address, workers = scheduler
     for worker in workers:
@@ -81,7 +78,8 @@ def test_a_cluster_without_workers_is_told(scheduler, monkeypatch, tmp_path):
         sweep.sweep(small_trials(), workers=1, keep_in=tmp_path, cluster=address)
 
 
-def test_no_scheduler_is_told(dask, monkeypatch, tmp_path):
+@pytest.mark.extra("cluster", "distributed")
+def test_no_scheduler_is_told(monkeypatch, tmp_path):
     monkeypatch.setattr(cluster, "CONNECT_S", 1)
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):
         with pytest.raises(InputError, match="no Dask scheduler answers"):

@@ -38,8 +38,8 @@ def erring_distances(rng, z, covariance):
     return BoardDistances(z + error[:-1], DELTA + error[-1], 2.0, 1.0, covariance, *np.full((2, len(z)), np.nan))
 
 
-def measured_boards(rng, noise_px, z=RULERS - DELTA):
-    y, x = (axis.ravel().astype(float) for axis in np.mgrid[0:HEIGHT:2, 0:WIDTH:2])
+def measured_boards(rng, noise_px, z=RULERS - DELTA, step=2):
+    y, x = (axis.ravel().astype(float) for axis in np.mgrid[0:HEIGHT:step, 0:WIDTH:step])
     infinity, scale = curved_lens(x, y)
     return x, y, infinity - scale / z[:, None] + rng.normal(0, noise_px, (len(z), x.size))
 
@@ -103,7 +103,7 @@ def test_the_nonlinearity_is_separated_from_the_lens(rng):
 @pytest.mark.parametrize("true_terms", [0, 3, 6])
 def test_as_many_terms_as_the_matcher_needs(rng, true_terms):
     z = np.linspace(1000, 4000, 31) - DELTA
-    x, y, linear = measured_boards(rng, 0.0, z)
+    x, y, linear = measured_boards(rng, 0.0, z, step=4)
     series = np.zeros(true_terms + 2)
     series[-1:] = 0.03 * bool(true_terms)  # T_(K+1) alone: fewer terms see nothing of it
     low, high = linear.min(), linear.max()
@@ -139,7 +139,7 @@ def test_a_curve_known_beforehand_is_taken_where_it_is_right(rng):
 def test_many_boards_need_no_rendered_curve(rng):
     """A nearly right rendered curve would predict as well as a fitted one; with 31 boards it is not tried."""
     z = np.linspace(1000, 4000, 31) - DELTA
-    x, y, linear = measured_boards(rng, 0.0, z)
+    x, y, linear = measured_boards(rng, 0.0, z, step=4)
     known = Nonlinearity(float(linear.min()), float(linear.max()), np.array([0.02, -0.05]))
     read = known.measured(linear) + rng.normal(0, 0.01, linear.shape)
     where = (x, y, read, exact_distances(z))

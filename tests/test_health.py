@@ -41,7 +41,7 @@ def calibration():
     model = DepthModel(scale / (CAMERA.focus_mm - CAMERA.sensor_to_pupil_mm), scale, CAMERA.sensor_to_pupil_mm)
     camera = halves_camera(model, WIDTH, HEIGHT, focal_px=CAMERA.focal_px, pixel_pitch_mm=CAMERA.pixel_pitch_mm,
                            far_mm=4000.0)  # fmt: skip
-    film = replace(camera.film, white=np.array([0.5, 1.0, 0.5]))
+    film = replace(camera.film, aperture=np.array([0.5, 1.0, 0.5]))
     return replace(camera, lens=replace(camera.lens, f_number=2.1), film=film)
 
 

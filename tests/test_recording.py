@@ -207,9 +207,9 @@ def test_export_measures_the_sample_and_takes_the_pupil_as_origin(run, tmp_path)
     assert np.median(depth_mm[both] - z_mm[both]) == pytest.approx(delta, abs=0.6)  # whole mm and fifths
 
 
+@pytest.mark.extra("ros", "mcap_ros2")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_mcap_read_back_by_another_library(tmp_path):
-    pytest.importorskip("mcap_ros2", reason="extra ros is not installed")
     from mcap_ros2.reader import read_ros2_messages
 
     path = tmp_path / "walk.mcap"

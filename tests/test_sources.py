@@ -323,8 +323,17 @@ def write_dng(path: Path, cells: np.ndarray) -> None:
     tifffile.imwrite(path, cells, photometric=32803, extratags=tags, metadata=None)
 
 
+def require_aravis() -> None:
+    import gi
+
+    try:
+        gi.require_version("Aravis", "0.8")
+    except ValueError:
+        pytest.skip("Debian's gir1.2-aravis-0.8 is not installed")
+
+
+@pytest.mark.extra("raw", "rawpy")
 def test_a_raw_file_gives_its_photosites(tmp_path):
-    pytest.importorskip("rawpy", reason="extra raw is not installed")
     cells = np.random.default_rng(3).integers(200, 4000, (64, 96)).astype(np.uint16)
     write_dng(tmp_path / "photo.dng", cells)
     with open_source(str(tmp_path / "photo.dng")) as source:
@@ -334,12 +343,9 @@ def test_a_raw_file_gives_its_photosites(tmp_path):
     assert frame.encoding == encoding
 
 
+@pytest.mark.extra("cameras", "gi")
 def test_frames_of_an_aravis_camera():
-    gi = pytest.importorskip("gi", reason="PyGObject is not installed")
-    try:
-        gi.require_version("Aravis", "0.8")
-    except ValueError:
-        pytest.skip("Debian's gir1.2-aravis-0.8 is not installed")
+    require_aravis()
     from gi.repository import Aravis
 
     Aravis.enable_interface("Fake")
@@ -364,12 +370,9 @@ time.sleep(600)
 """
 
 
+@pytest.mark.extra("cameras", "gi")
 def test_a_gige_camera_that_loses_power_is_found_again():
-    gi = pytest.importorskip("gi", reason="PyGObject is not installed")
-    try:
-        gi.require_version("Aravis", "0.8")
-    except ValueError:
-        pytest.skip("Debian's gir1.2-aravis-0.8 is not installed")
+    require_aravis()
 
     def switched_on():
         process = subprocess.Popen([sys.executable, "-c", GIGE_CAMERA], stdout=subprocess.PIPE, text=True)
@@ -411,8 +414,10 @@ with open_source(specs[0] + "?count=2") as source:
 """
 
 
+@pytest.mark.extra("cameras", "gphoto2")
 def test_photographs_of_a_tethered_camera(tmp_path):
-    gphoto2 = pytest.importorskip("gphoto2", reason="extra cameras is not installed")
+    import gphoto2
+
     drivers = Path(gphoto2.__file__).parent / "libgphoto2" / "vusb"
     if not drivers.is_dir():
         pytest.skip("this gphoto2 has no virtual USB camera")

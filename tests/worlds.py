@@ -115,7 +115,7 @@ def wavy_capture(
 # ---- cameras of cyan and yellow halves
 
 
-def halves_camera(depth, width_px, height_px, *, focal_px=1000.0, pixel_pitch_mm=0.05, **changes):
+def halves_camera(depth, width_px, height_px, /, *, focal_px=1000.0, pixel_pitch_mm=0.05, **changes):
     """A calibration of ideal film with one depth curve, a DepthModel or a DepthField, for all qualities."""
     field = depth if isinstance(depth, DepthField) else DepthField.constant(depth)
     camera = Calibration(
