@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
+from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.cli.main import main
 from worlds import write_board_session
 
@@ -57,3 +59,9 @@ def session(tmp_path_factory):
     folder = tmp_path_factory.mktemp("world") / "session"
     write_board_session(folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def calibrated_session(session) -> CalibrationResult:
+    """The session's calibration without the blur: its boards are shifted views, which nothing blurred."""
+    return calibrate_session(session, CalibrationConfig(lens_blur=False))

@@ -89,10 +89,14 @@ def draft():
     return halves_camera(DepthModel(4.4 * beta, 7300.0 * beta, 50.0), W, H)
 
 
-def test_a_camera_gets_its_blur_and_keeps_it_in_its_file(tmp_path):
-    blurred = calibrate_blur(draft(), session(5), evidence(5))
-    camera, layers = blurred.camera, blurred.layers
-    assert not blurred.notes
+@pytest.fixture(scope="module")
+def calibrated():
+    return calibrate_blur(draft(), session(5), evidence(5))
+
+
+def test_a_camera_gets_its_blur_and_keeps_it_in_its_file(calibrated, tmp_path):
+    camera, layers = calibrated.camera, calibrated.layers
+    assert not calibrated.notes
     assert layers.disagreement < layers.start_disagreement / 4
     curve = camera.on_axis("accurate")
     at_infinity, scale = camera.field_blur().reference
@@ -105,8 +109,9 @@ def test_a_camera_gets_its_blur_and_keeps_it_in_its_file(tmp_path):
     assert replace(again, blur=None).field_blur() is None
 
 
-def test_a_lens_that_is_known_is_where_the_fit_starts():
-    unknown, known = (calibrate_blur(draft(), session(5), evidence(5), lens=lens).layers for lens in (None, TRUE))
+def test_a_lens_that_is_known_is_where_the_fit_starts(calibrated):
+    unknown = calibrated.layers
+    known = calibrate_blur(draft(), session(5), evidence(5), lens=TRUE).layers
     assert known.start_disagreement < 1.05 * known.disagreement  # what is left is noise
     assert unknown.start_disagreement > 3 * known.start_disagreement
 

@@ -29,8 +29,8 @@ calibrated = partial(calibrate_session, config=SHARP)  # these boards are shifte
 IN_FOCUS_MM = SCALE_PX_MM / INFINITY_PX + PUPIL_MM
 
 
-def test_the_curve_comes_back(session):
-    result = calibrated(session)
+def test_the_curve_comes_back(calibrated_session):
+    result = calibrated_session
     for quality, fit in result.fits.items():
         # Pixels of one board share their texture: the middle's median is good to about 0.02 px, 3 mm at 1.5 m.
         assert np.abs(fit.residual_px).max() < 0.03, quality
@@ -94,8 +94,8 @@ def test_a_board_off_its_ruler_is_named_and_left_out(session, tmp_path):
     assert result.calibration.in_focus_mm == pytest.approx(IN_FOCUS_MM, abs=20)  # four boards are left
 
 
-def test_boards_on_one_side_of_the_focus_leave_it_weak(session):
-    whole = calibrated(session)
+def test_boards_on_one_side_of_the_focus_leave_it_weak(calibrated_session):
+    whole = calibrated_session
     assert weaknesses(whole.evidence, whole.fits) == tuple(n for n in whole.notes if "in-focus" in n)
     far = replace(whole.evidence, used=np.array([r > 1970 for r in RULERS_MM]))
     near = replace(whole.evidence, used=np.array([r < 1900 for r in RULERS_MM]))
@@ -103,7 +103,7 @@ def test_boards_on_one_side_of_the_focus_leave_it_weak(session):
     assert any("nearer than the focus" in text for text in weaknesses(near, whole.fits))
 
 
-def test_an_interrupted_run_goes_on_where_it_stopped(session, tmp_path):
+def test_an_interrupted_run_goes_on_where_it_stopped(session, calibrated_session, tmp_path):
     seen = []
 
     def interrupt(what, done, total):
@@ -119,8 +119,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(session, tmp_path):
     after = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "kept").iterdir()}
     assert len(after) == 2 * len(RULERS_MM)
     assert all(after[name] == stamp for name, stamp in kept.items())
-    fresh = calibrated(session)
-    assert again.calibration.in_focus_mm == pytest.approx(fresh.calibration.in_focus_mm, rel=1e-9)
+    assert again.calibration.in_focus_mm == pytest.approx(calibrated_session.calibration.in_focus_mm, rel=1e-9)
 
 
 def test_what_was_kept_and_is_damaged_is_measured_again(session, tmp_path):
@@ -130,10 +129,10 @@ def test_what_was_kept_and_is_damaged_is_measured_again(session, tmp_path):
     assert calibrated(session, keep_in=tmp_path).calibration.in_focus_mm == pytest.approx(IN_FOCUS_MM, abs=12)
 
 
-def test_curves_free_at_every_place_stay_near_the_smooth_ones(session):
+def test_curves_free_at_every_place_stay_near_the_smooth_ones(session, calibrated_session):
     """This world's fields are flat: what is free must find nothing, within what its ridge and boards leave of noise."""
-    options = (SHARP, replace(SHARP, per_pixel=True))
-    smooth, free = (calibrated(session, config=option).calibration.depth for option in options)
+    smooth = calibrated_session.calibration.depth
+    free = calibrated(session, config=replace(SHARP, per_pixel=True)).calibration.depth
     for quality in ("paper", "real-time"):
         assert smooth[quality].local is None
         local = free[quality].local
@@ -156,7 +155,7 @@ def test_the_sensors_noise_is_read_from_the_sheets(session, tmp_path, rng):
     assert any("full well" in note for note in result.notes)
 
 
-def test_the_camera_file_records_what_made_it(session, tmp_path):
+def test_the_camera_file_records_what_made_it(session, calibrated_session, tmp_path):
     folder = copy_with(session, tmp_path)
     made = calibrated(folder, command="chromaperture calibrate 'my session' --no-blur").calibration.provenance
     assert made["command"] == "chromaperture calibrate 'my session' --no-blur"
@@ -170,7 +169,7 @@ def test_the_camera_file_records_what_made_it(session, tmp_path):
 
     with (folder / "session.toml").open("a") as text:
         text.write("# a word more\n")
-    other = calibrated(folder, lens_from=calibrated(session).calibration).calibration.provenance
+    other = calibrated(folder, lens_from=calibrated_session.calibration).calibration.provenance
     assert "command" not in other  # called from Python: there was none
     assert other["lens_from"]["design"] == "cy_halves"
     assert [name for name in made["files"] if other["files"][name] != made["files"][name]] == ["session.toml"]
@@ -202,8 +201,8 @@ def test_a_lens_of_another_resolution_is_refused(session):
         calibrated(session, lens_from=other)
 
 
-def test_a_camera_without_one_board_still_knows_the_others(session):
-    result = calibrated(session)
+def test_a_camera_without_one_board_still_knows_the_others(calibrated_session):
+    result = calibrated_session
     less = leave_one_out(result, 2)
     assert less.in_focus_mm == pytest.approx(IN_FOCUS_MM, abs=20)
     assert less.in_focus_mm != result.calibration.in_focus_mm

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.errors import InputError
 from chromaperture.evaluation.paper import bench_prior, figure_15, methods, stereo_pair, trial, world
@@ -83,8 +81,8 @@ def test_a_stereo_pair_gives_the_depth_of_its_shift(rng, distance_mm):
 # The bench
 
 
-def test_a_prior_method_is_calibrated_on_the_boards_it_reads(session, tmp_path):
-    result = calibrate_session(session, CalibrationConfig(lens_blur=False))
+def test_a_prior_method_is_calibrated_on_the_boards_it_reads(calibrated_session, tmp_path):
+    result = calibrated_session
     setting = methods.Setting("cy_halves", result.calibration.unmixing, (-4.5, 3.0), 8.0)
     calls = []
 
@@ -101,8 +99,8 @@ def test_a_prior_method_is_calibrated_on_the_boards_it_reads(session, tmp_path):
         assert np.median(depth_to_disparity(z, model)) == pytest.approx(expected, abs=0.13)
 
 
-def test_a_method_that_reads_nothing_of_the_boards_cannot_be_calibrated(session, tmp_path):
-    result = calibrate_session(session, CalibrationConfig(lens_blur=False))
+def test_a_method_that_reads_nothing_of_the_boards_cannot_be_calibrated(calibrated_session, tmp_path):
+    result = calibrated_session
 
     def read(image):
         return np.zeros(image.shape[:2])

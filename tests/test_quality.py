@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.camera_file import Calibration
 from chromaperture.cli.main import app
 from chromaperture.errors import InputError
@@ -102,10 +100,9 @@ def test_a_session_without_a_camera_file_is_judged_board_by_board_without_that_b
     assert "fitted without it" in json.loads((tmp_path / "quality" / RESULT).read_text(encoding="utf-8"))["source"]
 
 
-def test_a_camera_file_is_used_as_it_is_and_that_it_knows_the_boards_is_said(session, tmp_path):
+def test_a_camera_file_is_used_as_it_is_and_that_it_knows_the_boards_is_said(session, calibrated_session, tmp_path):
     camera = tmp_path / "camera.asdf"
-    calibration = calibrate_session(session, CalibrationConfig(lens_blur=False)).calibration
-    calibration.save(camera)
+    calibrated_session.calibration.save(camera)
     parent = tmp_path / "data"
     shutil.copytree(session, parent / "cy_halves")  # a folder of sessions serves as well
     result = run(parent, tmp_path / "out", "--camera", str(camera))
