@@ -43,7 +43,7 @@ def test_the_lens_comes_back(fitted):
         found = fitted.blur.transfer(*place, 1 / z, 64)
         error = np.abs(found - expected).max()
         start = np.abs(lens_blur(BlurModel(4.4, 7300.0), W, H).transfer(*place, 1 / z, 64) - expected).max()
-        assert error < 0.06, z
+        assert error < 0.06, z  # of 1; 0.005 at most is found
         assert error < start / 3, z
 
 
@@ -102,6 +102,7 @@ def test_a_camera_gets_its_blur_and_keeps_it_in_its_file(calibrated, tmp_path):
     at_infinity, scale = camera.field_blur().reference
     for z in DISTANCES_MM:
         layer = at_infinity - scale / z
+        # 0.01 is found, as for the layers above.
         assert curve.infinity_disparity_px - curve.scale_px_mm / z == pytest.approx(layer, abs=0.03)
     camera.save(tmp_path / "camera.asdf")
     again = Calibration.load(tmp_path / "camera.asdf")

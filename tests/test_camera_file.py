@@ -74,12 +74,13 @@ def test_a_person_can_read_it(tmp_path):
 def test_derived_figures_agree_with_the_lens_equation():
     calibration = make_calibration()
     image_distance = 1668.0 * 0.031
-    assert calibration.in_focus_mm == pytest.approx(8700 / 4.5 + 49.5, rel=1e-12)
+    assert calibration.in_focus_mm == pytest.approx(8700 / 4.5 + 49.5, rel=1e-12)  # rounding
     # Similar triangles: seen from the focus surface, the views' disparity at infinity is the pupil's own baseline.
     pupil_to_focus = 8700 / 4.5
+    # Rounding.
     assert calibration.baseline_mm == pytest.approx(2 * 0.031 * 4.5 * pupil_to_focus / image_distance, rel=1e-12)
     near, far = calibration.disparity_range_px()
-    assert near < 0 < far < 4.5
+    assert near < 0 < far < 4.5  # 4.5 px is the disparity of infinity
 
 
 @pytest.mark.parametrize("name", SAMPLES)

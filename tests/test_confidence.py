@@ -18,7 +18,7 @@ from worlds import LAYOUT, NARROW, capture, measured, texture
 def test_effective_samples_is_what_averaging_white_noise_leaves(decay):
     weights = decay ** np.abs(np.arange(-400, 401.0))
     along_one_axis = weights.sum() ** 2 / (weights**2).sum()
-    assert effective_samples(decay) == pytest.approx(along_one_axis**2, rel=1e-9)
+    assert effective_samples(decay) == pytest.approx(along_one_axis**2, rel=1e-9)  # rounding
 
 
 @pytest.mark.parametrize("debiasing", [True, False])

@@ -36,6 +36,7 @@ NEAR_MM = 1300.0
 def calibration():
     """The camera as it was, from its geometry alone: the centroid of a half disc lies 4 / (3 pi) off the middle."""
     reach = 4 / (3 * np.pi)
+    # The grid of the pupil is good to 1e-3.
     assert np.abs(centroids(DESIGN)[:, 0]).max() == pytest.approx(reach, abs=0.01)
     scale = reach * CAMERA.focal_px * CAMERA.pupil_radius_mm
     model = DepthModel(scale / (CAMERA.focus_mm - CAMERA.sensor_to_pupil_mm), scale, CAMERA.sensor_to_pupil_mm)
@@ -82,7 +83,7 @@ def test_a_refocused_camera_warns_and_says_where_the_focus_is(calibration, focus
     assert seen.verdict == "warn"
     # 0.08 px, the blur's bias of disparity, move a focus at 2.8 m by 0.08 z^2 / B = 170 mm, one at 1.6 m by 53 mm.
     tolerance = 0.08 * focus_mm**2 / float(calibration.on_axis("real-time").scale_px_mm)
-    assert seen.figures["in_focus_if_refocused_mm"] == pytest.approx(focus_mm, abs=tolerance)
+    assert seen.figures["in_focus_if_refocused_mm"] == pytest.approx(focus_mm, abs=tolerance)  # derived above
     assert "calibrate again" in seen.advice
 
 

@@ -203,7 +203,7 @@ def test_export_measures_the_sample_and_takes_the_pupil_as_origin(run, tmp_path)
     camera_info = run("info", sample_camera("still_life_cy_halves"), "--json").stdout
     delta = json.loads(camera_info)["sensor_to_pupil_mm"]
     both = (z_mm > 0) & (depth_mm > 0)
-    assert both.mean() > 0.2
+    assert both.mean() > 0.2  # 0.96 is found
     assert np.median(depth_mm[both] - z_mm[both]) == pytest.approx(delta, abs=0.6)  # whole mm and fifths
 
 

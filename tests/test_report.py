@@ -108,6 +108,7 @@ def test_the_field_makes_a_flat_board_flat_again(result):
     assert before == pytest.approx(A * BULGE * np.sqrt(4 / 45) * step, rel=0.4)
     depth = board_depth(result, index)
     assert np.isnan(depth[0, 0])
+    # Four standard deviations of a mean.
     assert np.nanmedian(depth) == pytest.approx(RULERS[index], abs=4 * NOISE_PX * step / np.sqrt(depth.size))
 
 
