@@ -1,12 +1,24 @@
 from __future__ import annotations
 
+import importlib.util
 import sys
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
+from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.cli.main import main
+from worlds import write_board_session
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip the tests of an optional extra whose module is not installed."""
+    for item in items:
+        for name, module in (marker.args for marker in item.iter_markers("extra")):
+            if importlib.util.find_spec(module) is None:
+                item.add_marker(pytest.mark.skip(reason=f"the extra '{name}' is not installed: this is NOT tested"))
 
 
 @pytest.fixture
@@ -39,3 +51,17 @@ def run(capfd, monkeypatch):
         return Result(code, *capfd.readouterr())
 
     return run
+
+
+@pytest.fixture(scope="session")
+def session(tmp_path_factory):
+    """A folder of boards and white sheets; a test that changes it works on a copy."""
+    folder = tmp_path_factory.mktemp("world") / "session"
+    write_board_session(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def calibrated_session(session) -> CalibrationResult:
+    """The session's calibration without the blur: its boards are shifted views, which nothing blurred."""
+    return calibrate_session(session, CalibrationConfig(lens_blur=False))

@@ -16,12 +16,9 @@ from chromaperture.color.unmixing import ideal_unmixing
 from chromaperture.color.visibility import visible_from
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission
-from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.render import render, render_depth
-from chromaperture.optics.scene import plane
-from chromaperture.optics.textures import noise
-from planes import MARGIN_PX, capture, texture
+from worlds import MARGIN_PX, capture, card_before_wall, pinhole_camera, texture
 
 
 @pytest.mark.parametrize("design", ["cy_halves", "rgb_squares"])
@@ -68,18 +65,12 @@ def test_white_paper_comes_out_white():
     np.testing.assert_allclose(white_balance(np.tile(white, (2, 2, 1)), white), 0.67, rtol=1e-6)  # float32
 
 
-def world(rng, design):
-    """A near card before a wall, rendered ray by ray; gives image, true half disparity, sharp colour, directions."""
-    aperture = DESIGNS[design]
-    camera = PupilCamera(120, 80, focal_px=400.0, pupil_radius_mm=25.0, focus_mm=1000.0, sensor_to_pupil_mm=50.0,
-                         pixel_pitch_mm=0.05)  # fmt: skip
+def photographed(design):
+    """A near card before a wall, rendered ray by ray; returns image, true half disparity, sharp colour, directions."""
+    aperture, camera = DESIGNS[design], pinhole_camera(120, 80)
     # Three shades of one colour each: colour lines hold, and grey levels vary.
-    wall, card = (noise((200, 300), exponent=1.5, seed=s, contrast=0.12)[..., None] * np.array(c, np.float32)
-                  for s, c in ((1, (0.9, 0.6, 0.4)), (2, (0.4, 0.6, 0.9))))  # fmt: skip
-    planes = [
-        plane(wall, center_mm=(0, 0, 1250), width_mm=700),
-        plane(card, center_mm=(0, 0, 850), width_mm=110),
-    ]
+    planes = card_before_wall([(0.9, 0.6, 0.4), (0.4, 0.6, 0.9)], texels=(200, 300), exponent=1.5, contrast=0.12,
+                              distances_mm=(1250, 850), widths_mm=(700, 110))  # fmt: skip
     table = pinhole_rays(camera, aperture, cells=16)
     reach = np.linalg.norm(centroids(aperture, ideal_unmixing(aperture)), axis=1).mean()
     d = camera.disparity_px(render_depth(table, planes), reach).astype(np.float32)
@@ -89,8 +80,8 @@ def world(rng, design):
 
 
 @pytest.mark.parametrize("design", ["cy_halves", "rgb_squares", "cmy_circles"])
-def test_strips_hidden_from_a_channel_get_their_own_surface_s_colour(rng, design):
-    image, d, natural, u = world(rng, design)
+def test_strips_hidden_from_a_channel_get_their_own_surface_s_colour(design):
+    image, d, natural, u = photographed(design)
     visible = np.stack([visible_from(d, v) for v in u], -1)
     inner = np.zeros(d.shape, bool)
     inner[10:-10, 14:-14] = True

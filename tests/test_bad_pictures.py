@@ -9,7 +9,7 @@ from chromaperture.camera_file import Calibration
 from chromaperture.effects.restore import restore
 from chromaperture.effects.same_photograph import channel_agreement, check_same_photograph
 from chromaperture.errors import InputError
-from planes import texture
+from worlds import texture
 
 H, W = 96, 128
 

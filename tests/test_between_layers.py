@@ -38,7 +38,7 @@ def test_no_evidence_moves_a_pixel_by_more_than_half_a_layer(seed):
     assert np.isfinite(found).all()
     assert np.abs(found - start).max() <= 0.2 + 1e-6  # to its layer, away from the border, from there; float32
     none = between_layers(start, np.zeros_like(volume), LAYERS_PX, sigma_px=2.0)
-    assert np.abs(none - (np.clip(np.rint((start + 0.4) / 0.1), 1, 7) * 0.1 - 0.4)).max() < 1e-6
+    assert np.abs(none - (np.clip(np.rint((start + 0.4) / 0.1), 1, 7) * 0.1 - 0.4)).max() < 1e-6  # rounding
 
 
 def test_walls_between_layers_are_not_biased_to_the_layers():

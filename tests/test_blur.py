@@ -106,8 +106,8 @@ def test_displacement_turns_with_the_field():
 def test_rims_cut_more_towards_the_corner():
     model = BlurModel(10.0, 20000.0, front_rim_shift=0.35, rear_rim_shift=0.35)
     light = [rims(model, HALVES.points, np.array([f, 0.0])).mean() for f in (0.0, 0.5, 1.0)]
-    assert light[0] > 0.99
-    assert light[0] > light[1] > light[2] > 0.4
+    assert light[0] > 0.99  # nothing is cut on the axis
+    assert light[0] > light[1] > light[2] > 0.4  # 0.94 and 0.72 are found
 
 
 def test_the_terms_describe_a_traced_lens():
@@ -154,4 +154,5 @@ def test_vignetting_shortens_the_baseline():
     model = BlurModel(10.0, 20000.0)
     cut = replace(model, front_rim_shift=0.4, rear_rim_shift=0.4)
     corner = (W - 1.0, (H - 1) / 2)
+    # 0.76 of the baseline is found.
     assert blur_of(cut).half_disparity(*corner)[1] < 0.9 * blur_of(model).half_disparity(*corner)[1]

@@ -95,7 +95,7 @@ def test_every_scale_of_the_speckle_has_contrast():
 
 
 def test_the_speckle_of_two_pages_differs():
-    assert (speckle((50.0, 40.0), seed=1) != speckle((50.0, 40.0), seed=2)).mean() > 0.5
+    assert (speckle((50.0, 40.0), seed=1) != speckle((50.0, 40.0), seed=2)).mean() > 0.5  # 0.93 is found
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from chromaperture.capture.checks import check_capture
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.errors import CaptureWarning, InputError
-from planes import moved, texture
+from worlds import capture, texture
 
 CYAN, YELLOW = np.array([0.10, 0.63, 0.65]), np.array([0.92, 0.85, 0.10])
 
@@ -24,16 +24,10 @@ def leaking_camera(height, width):
     return replace(camera, film=film)
 
 
-def leaking_capture(picture, disparity_px):
-    """Both halves of the pupil add their view in their film's colour."""
-    left, right = (moved(picture, side * disparity_px, 0.0) for side in (-1, 1))
-    return (0.5 * (left[..., None] * CYAN + right[..., None] * YELLOW)).astype(np.float32)
-
-
 @pytest.mark.parametrize("quality", ["paper", "real-time", "accurate"])
 def test_colours_come_together_at_every_quality(rng, quality):
     picture = texture(rng, 120, 160)
-    image = leaking_capture(picture, 2.6)
+    image = capture(picture, "cy_halves", 2.6, {"cyan": CYAN, "yellow": YELLOW})
     calibration = leaking_camera(*picture.shape)
     camera = CodedApertureCamera(calibration, default_config(calibration, quality))
     frame = camera.measure(image)
@@ -54,7 +48,7 @@ def test_channels_brought_closer_by_leaks_are_moved_by_their_own_curve():
     np.testing.assert_allclose(channel_shifts(camera, "paper")[[0, 2], 0], [1, -1], atol=1e-3)  # uncalibrated
     curves = {q: DepthField.constant(DepthModel(4.0, b, 50.0)) for q, b in (("real-time", 7300.0), ("paper", 8700.0))}
     known = replace(camera, depth=curves)
-    np.testing.assert_allclose(channel_shifts(known, "real-time")[[0, 2], 0], [1, -1], atol=1e-3)
+    np.testing.assert_allclose(channel_shifts(known, "real-time")[[0, 2], 0], [1, -1], atol=1e-3)  # rounding
     # At the same depth the unmixed views are 8700 / 7300 times as far apart as the channels.
     np.testing.assert_allclose(channel_shifts(known, "paper")[[0, 2], 0], [73 / 87, -73 / 87], atol=1e-3)
 

@@ -15,7 +15,9 @@ from chromaperture.camera_file import FORMAT_VERSION, Board, Calibration, Camera
 from chromaperture.capture.files import read_image
 from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.errors import InputError
+from chromaperture.optics.pinhole import centered_pinhole
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
+from worlds import halves_camera
 
 
 def make_calibration(shape=None, **changes):
@@ -25,21 +27,21 @@ def make_calibration(shape=None, **changes):
         bump = np.linspace(0, 1, 6, dtype=np.float32).reshape(2, 3)
         local = LocalField(1.0, 3.0, 0.1 * bump, -40 * bump, np.diag([1e-5, 20.0]))
     depth = DepthField(np.array(infinity), np.array(scale), 49.5, np.diag([1e-4, 900.0, 4.0]), local=local)
-    calibration = Calibration(
-        design="cy_halves",
-        sensor=CameraSensor(9, 6, 0.031, 16.0, 1016.0, 5000.0, 4.0),
-        lens=Lens(50.3, np.array([[1668.0, 0, 4.0], [0, 1668.0, 2.5], [0, 0, 1]]), np.array([-0.1, 0, 0, 0, 0.0]), 2.0),
-        film=Film(
+    made = {
+        "sensor": CameraSensor(9, 6, 0.031, 16.0, 1016.0, 5000.0, 4.0),
+        "lens": Lens(50.3, centered_pinhole(1668.0, (9, 6)), np.array([-0.1, 0, 0, 0, 0.0]), 2.0),
+        "film": Film(
             {"cyan": np.array([0.09, 0.57, 0.59]), "yellow": np.array([0.83, 0.76, 0.09])},
             np.array([0.9, 0.9, 0.9]),
             np.array([0.46, 0.67, 0.34]),
         ),
-        depth={"paper": depth, "real-time": depth},
-        near_mm=900.0,
-        far_mm=5000.0,
-        provenance={"command": "chromaperture calibrate x", "rms_mm": {"paper": 3.0}, "boards": [{"file": "1.png"}]},
-    )
-    return dataclasses.replace(calibration, **changes)
+        "depth": {"paper": depth, "real-time": depth},
+        "far_mm": 5000.0,
+        "provenance": {
+            "command": "chromaperture calibrate x", "rms_mm": {"paper": 3.0}, "boards": [{"file": "1.png"}]
+        },
+    }  # fmt: skip
+    return halves_camera(depth, 9, 6, **(made | changes))
 
 
 @pytest.mark.parametrize("maps", [None, "smooth", "free"])
@@ -82,12 +84,13 @@ def test_a_person_can_read_it(tmp_path):
 def test_derived_figures_agree_with_the_lens_equation():
     calibration = make_calibration()
     image_distance = 1668.0 * 0.031
-    assert calibration.in_focus_mm == pytest.approx(8700 / 4.5 + 49.5, rel=1e-12)
+    assert calibration.in_focus_mm == pytest.approx(8700 / 4.5 + 49.5, rel=1e-12)  # rounding
     # Similar triangles: seen from the focus surface, the views' disparity at infinity is the pupil's own baseline.
     pupil_to_focus = 8700 / 4.5
+    # Rounding.
     assert calibration.baseline_mm == pytest.approx(2 * 0.031 * 4.5 * pupil_to_focus / image_distance, rel=1e-12)
     near, far = calibration.disparity_range_px()
-    assert near < 0 < far < 4.5
+    assert near < 0 < far < 4.5  # 4.5 px is the disparity of infinity
 
 
 @pytest.mark.parametrize("name", SAMPLES)

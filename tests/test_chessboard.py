@@ -4,12 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.calibration.chessboard import (
-    Intrinsics,
-    board_distance,
-    board_points,
-    find_corners,
-)
+from chromaperture.calibration.chessboard import Intrinsics, board_distance, board_points, find_corners
 from chromaperture.optics.pinhole import centered_pinhole
 
 INNER, SQUARE_MM = (9, 6), 30.0

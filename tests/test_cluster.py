@@ -12,18 +12,11 @@ import pytest
 
 from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.evaluation.paper import cluster, sweep
-from test_evaluate import stored, trials
-
-SLOW = "the extra 'cluster' is not installed: sweeps on Dask clusters are NOT tested"
+from worlds import small_trials, stored
 
 
 @pytest.fixture
-def dask():
-    return pytest.importorskip("distributed", reason=SLOW)
-
-
-@pytest.fixture
-def scheduler(dask, tmp_path):
+def scheduler(tmp_path):
     """A scheduler and two workers of one thread in processes of their own, without a nanny that starts them again."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -48,10 +41,13 @@ def scheduler(dask, tmp_path):
         process.wait()
 
 
-def test_two_dask_workers_one_killed_in_the_middle_give_the_same_files_byte_for_byte(dask, scheduler, tmp_path):
+@pytest.mark.extra("cluster", "distributed")
+def test_two_dask_workers_one_killed_in_the_middle_give_the_same_files_byte_for_byte(scheduler, tmp_path):
+    import distributed
+
     address, workers = scheduler
-    alone = sweep.sweep(trials(range(4)), workers=1, keep_in=tmp_path / "one")
-    with dask.Client(address, set_as_default=False) as client:
+    alone = sweep.sweep(small_trials(range(4)), workers=1, keep_in=tmp_path / "one")
+    with distributed.Client(address, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
     killed = []
 
@@ -60,15 +56,18 @@ def test_two_dask_workers_one_killed_in_the_middle_give_the_same_files_byte_for_
             killed.append(workers[0].pid)
             os.kill(workers[0].pid, signal.SIGKILL)
 
-    shared = sweep.sweep(trials(range(4)), workers=1, keep_in=tmp_path / "two", cluster=address, progress=kill_one)
+    shared = sweep.sweep(
+        small_trials(range(4)), workers=1, keep_in=tmp_path / "two", cluster=address, progress=kill_one
+    )
     assert killed
     assert workers[0].wait(timeout=10) == -signal.SIGKILL
     assert workers[1].poll() is None
     assert shared == alone
     assert stored(tmp_path / "one") == stored(tmp_path / "two")
-    assert len(stored(tmp_path / "two")) == len(trials(range(4)))
+    assert len(stored(tmp_path / "two")) == len(small_trials(range(4)))
 
 
+@pytest.mark.extra("cluster", "distributed")
 def test_a_cluster_without_workers_is_told(scheduler, monkeypatch, tmp_path):
     address, workers = scheduler
     for worker in workers:
@@ -76,17 +75,18 @@ def test_a_cluster_without_workers_is_told(scheduler, monkeypatch, tmp_path):
         worker.wait()
     monkeypatch.setattr(cluster, "WORKERS_S", 1)
     with pytest.raises(InputError, match="has no workers"):
-        sweep.sweep(trials(), workers=1, keep_in=tmp_path, cluster=address)
+        sweep.sweep(small_trials(), workers=1, keep_in=tmp_path, cluster=address)
 
 
-def test_no_scheduler_is_told(dask, monkeypatch, tmp_path):
+@pytest.mark.extra("cluster", "distributed")
+def test_no_scheduler_is_told(monkeypatch, tmp_path):
     monkeypatch.setattr(cluster, "CONNECT_S", 1)
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):
         with pytest.raises(InputError, match="no Dask scheduler answers"):
-            sweep.sweep(trials(), workers=1, keep_in=tmp_path, cluster=address)
+            sweep.sweep(small_trials(), workers=1, keep_in=tmp_path, cluster=address)
 
 
 def test_without_the_extra_its_name_is_told(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingDependencyError, match=r"chromaperture\[cluster\]"):
-        sweep.sweep(trials(), workers=1, keep_in=tmp_path, cluster="tcp://127.0.0.1:9")
+        sweep.sweep(small_trials(), workers=1, keep_in=tmp_path, cluster="tcp://127.0.0.1:9")

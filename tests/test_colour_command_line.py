@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from chromaperture.capture.files import read_image
-from planes import capture, texture
+from worlds import capture, texture
 
 QUICK = ("--design", "cy_halves", "--quality", "real-time", "--sharpness", "fast", "--strength", "1.5")
 LEVELS = ("--black-level", 16, "--white-level", 1016)
@@ -49,7 +49,7 @@ def test_clipped_highlights_stay_bright_and_colourless(run, tmp_path, photograph
     result = run("refocus", write(tmp_path / "photo.png", photograph), *QUICK[:-1], "0", "--out", tmp_path / "o.png")
     assert result.returncode == 0, result.stderr
     light = read_image(tmp_path / "o.png")[41:45, 61:65].mean(axis=(0, 1))
-    assert light.min() > 0.5
+    assert light.min() > 0.5  # 0.88 is found; it was clipped at 1
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_light_on_one_sheet_only_is_told_from_the_aperture_s_own(run, sheets, tm
             ["bare.png", "coded.png"])  # fmt: skip
     result = run("transparency", coded, "--bare", bare, *LEVELS, "--exposure", 2.0, "--json")
     (row,) = json.loads(result.stdout)
-    assert row["efficiency"] == pytest.approx(0.9, abs=5e-3)
+    assert row["efficiency"] == pytest.approx(0.9, abs=5e-3)  # means over 19 200 px of 1 % noise
 
 
 @pytest.mark.parametrize(

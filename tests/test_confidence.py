@@ -11,14 +11,14 @@ from chromaperture.config import PaperConfig
 from chromaperture.disparity.error_bar import confidence, effective_samples, peak_sigma
 from chromaperture.disparity.winner import Winner
 from chromaperture.stage_config import BilateralConfig, CorrelationConfig
-from planes import LAYOUT, NARROW, capture, measured, texture
+from worlds import LAYOUT, NARROW, capture, measured, texture
 
 
 @pytest.mark.parametrize("decay", [0.3, 0.8, 0.9])
 def test_effective_samples_is_what_averaging_white_noise_leaves(decay):
     weights = decay ** np.abs(np.arange(-400, 401.0))
     along_one_axis = weights.sum() ** 2 / (weights**2).sum()
-    assert effective_samples(decay) == pytest.approx(along_one_axis**2, rel=1e-9)
+    assert effective_samples(decay) == pytest.approx(along_one_axis**2, rel=1e-9)  # rounding
 
 
 @pytest.mark.parametrize("debiasing", [True, False])

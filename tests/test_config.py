@@ -130,8 +130,8 @@ def test_a_known_blur_counts_layers_and_slopes_in_blur():
     assert not AccurateConfig().uses_blur
     assert near.label_curves == ("accurate",)
     assert AccurateConfig().label_curves == ("accurate", "real-time")
-    assert far.layers.step_px == pytest.approx(2 * near.layers.step_px)
-    assert near.surface.slope_penalty == pytest.approx(2 * far.surface.slope_penalty)
+    assert far.layers.step_px == pytest.approx(2 * near.layers.step_px)  # rounding
+    assert near.surface.slope_penalty == pytest.approx(2 * far.surface.slope_penalty)  # rounding
     # Damping falls and the noise margin rises with the square of how close together the views lie.
     assert near.evidence.damping == pytest.approx(0.375 * 0.2**2)
     assert near.evidence.noise_margin == pytest.approx(0.16 / 0.2**2)

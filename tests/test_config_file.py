@@ -105,9 +105,7 @@ def test_every_value_can_be_set_and_nothing_else_changes(folder, name, path):
 @pytest.mark.parametrize("name", CONFIGS)
 def test_a_file_of_all_present_values_changes_nothing(folder, name):
     config = CONFIGS[name]
-    text = "".join(
-        f"{'.'.join(path)} = {toml(value)}\n" for path, value in values_of(config) if path[0] != "quality"
-    )
+    text = "".join(f"{'.'.join(path)} = {toml(value)}\n" for path, value in values_of(config) if path[0] != "quality")
     assert read(config, text, folder) == config
     assert read(config, "", folder) == config
 

@@ -69,9 +69,7 @@ def test_eq_7_is_where_two_rays_through_the_sub_apertures_come_from():
     centroid_mm = 11.79 / 2
     for distance_mm in (700.0, 1500.0, 1999.0, 2001.0, 4000.0, 30000.0):
         axis_point = -distance_mm
-        upper, lower = (
-            trace(0.0, y / distance_mm, axis_point, lens, sensor_mm) for y in (centroid_mm, -centroid_mm)
-        )
+        upper, lower = (trace(0.0, y / distance_mm, axis_point, lens, sensor_mm) for y in (centroid_mm, -centroid_mm))
         # The picture is upside down on the sensor, and the disparity is half of the two spots' distance.
         disparity_px = -(upper - lower) / 2 / PITCH_MM
         thin = paper_to_model(PaperParameters(2000.0, 11.79, 0.0, FOCAL_MM), pixel_pitch_mm=PITCH_MM)
@@ -142,7 +140,7 @@ def test_depth_grows_without_bound_towards_the_disparity_of_infinity_and_is_unkn
     at_infinity = float(MODEL.infinity_disparity_px)
     # an object 10 times farther is 10 times closer to the disparity of infinity
     near, far = (1 / disparity_to_inverse_depth(at_infinity - gap, MODEL) for gap in (1e-3, 1e-4))
-    assert far == pytest.approx(10 * near, rel=1e-9)
+    assert far == pytest.approx(10 * near, rel=1e-9)  # rounding of 1e-16 over the gap of 1e-4
     assert depth_to_disparity(np.inf, MODEL) == at_infinity
     disparity = np.array([[at_infinity, np.nextafter(at_infinity, 99), at_infinity + 3.0, np.nan]])
     depth_mm, sigma_mm = disparity_to_depth(disparity, MODEL, np.full((1, 4), 0.1))
@@ -172,19 +170,14 @@ def test_depth_rises_with_disparity():
 
 
 # Gaps to the disparity of infinity over nine decades: hypothesis alone would rarely look next to the pole.
-@given(
-    gap_exponent=st.floats(-6, 3),
-    a=st.floats(-20, 20),
-    b=st.floats(1e2, 1e6),
-    delta=st.floats(-20, 200),
-)
+@given(gap_exponent=st.floats(-6, 3), a=st.floats(-20, 20), b=st.floats(1e2, 1e6), delta=st.floats(-20, 200))
 def test_disparity_to_depth_and_back(gap_exponent, a, b, delta):
     model = DepthModel(a, b, delta)
     z = b / 10**gap_exponent
     disparity = depth_to_disparity(z + delta, model)
     # z + delta is rounded at 1e-16 of itself, d at 1e-16 of |A| + gap: the pole magnifies the latter
     tolerance = 1e-14 * (1 + (abs(a) + 10**gap_exponent) / 10**gap_exponent + (z + abs(delta)) / z)
-    assert 1 / disparity_to_inverse_depth(disparity, model) == pytest.approx(z, rel=tolerance)
+    assert 1 / disparity_to_inverse_depth(disparity, model) == pytest.approx(z, rel=tolerance)  # derived above
 
 
 @given(in_focus=st.floats(200, 1e5), baseline=st.floats(0.05, 60), delta=st.floats(-20, 100))
@@ -205,11 +198,11 @@ def test_a_lens_focused_at_infinity_sees_everything_in_front_of_focus():
     # A point at distance z blurs over b f / z between the centroids when the sensor is in the focal plane.
     far_image = [trace(0.0, y / 3000.0, -3000.0, [Element(0.0, FOCAL_MM)], FOCAL_MM) for y in (-5.895, 5.895)]
     half_px = (far_image[0] - far_image[1]) / 2 / PITCH_MM
-    assert depth_to_disparity(3050.0, model) == pytest.approx(half_px, rel=1e-9)
+    assert depth_to_disparity(3050.0, model) == pytest.approx(half_px, rel=1e-9)  # rounding
     assert half_px < 0
     back = model_to_paper(model, image_distance_mm=FOCAL_MM, pixel_pitch_mm=PITCH_MM)
     assert back.in_focus_mm == np.inf
-    assert back.focal_length_mm == pytest.approx(FOCAL_MM, rel=1e-12)
+    assert back.focal_length_mm == pytest.approx(FOCAL_MM, rel=1e-12)  # rounding
 
 
 @pytest.mark.parametrize("disparity_px", [-12.0, 0.0, 6.0])
@@ -232,7 +225,7 @@ def test_sigma_matches_random_draws_of_disparity_and_model(rng, disparity_px):
 def test_the_offset_of_the_pupil_alone_moves_every_depth_by_as_much():
     model = DepthModel(MODEL.infinity_disparity_px, MODEL.scale_px_mm, 50.0, np.diag([0, 0, 4.0]))
     _, sigma_mm = disparity_to_depth(np.array([-5.0, 0.0, 5.0]), model, 0.0)
-    np.testing.assert_allclose(sigma_mm, 2.0, rtol=1e-6)
+    np.testing.assert_allclose(sigma_mm, 2.0, rtol=1e-6)  # float32
 
 
 def test_per_pixel_covariance_is_each_pixels_own(rng):

@@ -33,11 +33,7 @@ def test_every_function_named_in_the_docs_exists(page):
 
 def test_the_search_for_missing_names_finds_them():
     text = "`depth/conversion.py` `disparity_to_depth`, `no_such`,\n`nor_this` | `depth/nowhere.py` `f` |"
-    assert missing_names(text) == [
-        "depth/nowhere.py",
-        "depth/conversion.py no_such",
-        "depth/conversion.py nor_this",
-    ]
+    assert missing_names(text) == ["depth/nowhere.py", "depth/conversion.py no_such", "depth/conversion.py nor_this"]
 
 
 def test_every_equation_of_the_paper_has_a_row():

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from chromaperture.cli.main import app
 from chromaperture.errors import InputError
 from chromaperture.evaluation.figures import new_figure
-from chromaperture.evaluation.paper import figure_6, figure_8, methods, registry, run, sweep, trial, world
+from chromaperture.evaluation.paper import figure_6, figure_8, methods, registry, run, sweep, world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable, Exhibit
 from chromaperture.evaluation.paper.html_page import page_html
@@ -27,7 +27,7 @@ from chromaperture.evaluation.prior import annulus, colour_lines, cross_correlat
 from chromaperture.optics.aperture import DESIGNS, centroids
 from chromaperture.optics.metrics import film_unmixing
 from chromaperture.optics.psf import geometric_otf
-from planes import moved, texture
+from worlds import moved, small_trials, stored, texture
 
 LAYERS = np.arange(-4, 4.01, 0.25)
 INNER = np.s_[24:-24, 24:-24]
@@ -267,7 +267,7 @@ def test_scores_count_all_pixels_with_truth():
     found = np.array([1010.0, 1040.0, np.nan, 2000.0, 1000.0])
     result = methods.scores(found, truth)
     assert (result["fill"], result["within_2"], result["within_5"], result["within_10"]) == (0.75, 0.25, 0.5, 0.5)
-    assert result["median_error"] == pytest.approx(0.04)
+    assert result["median_error"] == pytest.approx(0.04)  # rounding
 
 
 def test_designs_are_exposed_to_one_level():
@@ -309,18 +309,8 @@ def test_the_bend_of_a_floor_is_told_from_its_tilt_and_noise(rng):
 # The sweep
 
 
-def trials(seeds=(0, 1)):
-    size = {"width_px": 96, "height_px": 64, "cells": 6, "exposure": 0.9}
-    names = ("normalised cross-correlation, unmixed", "phase correlation")
-    return [trial.Trial(method=name, design="cy_halves", seed=seed, **size) for name in names for seed in seeds]
-
-
-def stored(folder):
-    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.json"))}
-
-
 def test_two_workers_one_killed_give_what_one_gives_byte_for_byte(tmp_path):
-    alone = sweep.sweep(trials(), workers=1, keep_in=tmp_path / "one")
+    alone = sweep.sweep(small_trials(), workers=1, keep_in=tmp_path / "one")
 
     def kill_one():
         while len(children()) < 2:
@@ -340,18 +330,18 @@ def test_two_workers_one_killed_give_what_one_gives_byte_for_byte(tmp_path):
         pytest.skip("needs /proc to find a worker to kill")
     killer = threading.Thread(target=kill_one, daemon=True)
     killer.start()
-    shared = sweep.sweep(trials(), workers=2, keep_in=tmp_path / "two")
+    shared = sweep.sweep(small_trials(), workers=2, keep_in=tmp_path / "two")
     killer.join(timeout=10)
     assert not killer.is_alive()
     assert shared == alone
     assert stored(tmp_path / "one") == stored(tmp_path / "two")
-    assert len(stored(tmp_path / "one")) == len(trials())
+    assert len(stored(tmp_path / "one")) == len(small_trials())
 
 
 def test_a_sweep_goes_on_from_what_is_kept(tmp_path, monkeypatch):
-    for one in trials():
+    for one in small_trials():
         sweep.keep(tmp_path, one, {"fill": 0.5, "median_error": float("nan")})
     monkeypatch.setattr(sweep, "ProcessPoolExecutor", None)  # nothing is left to compute
-    results = sweep.sweep(trials(), workers=2, keep_in=tmp_path)
-    assert [r["fill"] for r in results] == [0.5] * len(trials())
+    results = sweep.sweep(small_trials(), workers=2, keep_in=tmp_path)
+    assert [r["fill"] for r in results] == [0.5] * len(small_trials())
     assert np.isnan(results[0]["median_error"])

@@ -5,16 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.errors import InputError
 from chromaperture.evaluation.paper import bench_prior, figure_15, methods, stereo_pair, trial, world
-from planes import moved, texture
-from test_calibrate import DELTA as PUPIL_MM
-from test_calibrate import RULERS, session  # noqa: F401
-from test_calibrate import A as INFINITY_PX
-from test_calibrate import B as SCALE_PX_MM
+from worlds import INFINITY_PX, PUPIL_MM, RULERS_MM, SCALE_PX_MM, moved, texture
 
 # Figure 15
 
@@ -87,8 +81,8 @@ def test_a_stereo_pair_gives_the_depth_of_its_shift(rng, distance_mm):
 # The bench
 
 
-def test_a_prior_method_is_calibrated_on_the_boards_it_reads(session, tmp_path):  # noqa: F811
-    result = calibrate_session(session, CalibrationConfig(lens_blur=False))
+def test_a_prior_method_is_calibrated_on_the_boards_it_reads(calibrated_session, tmp_path):
+    result = calibrated_session
     setting = methods.Setting("cy_halves", result.calibration.unmixing, (-4.5, 3.0), 8.0)
     calls = []
 
@@ -98,15 +92,15 @@ def test_a_prior_method_is_calibrated_on_the_boards_it_reads(session, tmp_path):
 
     for _ in range(2):  # what was read is kept
         model = bench_prior.fitted(result.evidence, result.session, "ncc", read, keep_in=tmp_path)
-    assert len(calls) == len(RULERS)
+    assert len(calls) == len(RULERS_MM)
     for z in (1250.0, 2000.0, 2800.0):
         expected = INFINITY_PX - SCALE_PX_MM / (z - PUPIL_MM)
         # As the project's own curve, plus a tenth of a px for layers of a quarter and the parabola between them.
         assert np.median(depth_to_disparity(z, model)) == pytest.approx(expected, abs=0.13)
 
 
-def test_a_method_that_reads_nothing_of_the_boards_cannot_be_calibrated(session, tmp_path):  # noqa: F811
-    result = calibrate_session(session, CalibrationConfig(lens_blur=False))
+def test_a_method_that_reads_nothing_of_the_boards_cannot_be_calibrated(calibrated_session, tmp_path):
+    result = calibrated_session
 
     def read(image):
         return np.zeros(image.shape[:2])

@@ -63,7 +63,7 @@ def test_eight_bit_photographs_are_decoded_from_srgb(tmp_path):
     picture[..., 0], picture[..., 1] = 128, 255
     Image.fromarray(picture).save(tmp_path / "a.png")
     image = read_image(tmp_path / "a.png")
-    np.testing.assert_allclose(image[0, 0], [0.2158605, 1.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(image[0, 0], [0.2158605, 1.0, 0.0], atol=1e-6)  # float32
     # Levels say that the file holds linear counts after all.
     np.testing.assert_allclose(read_image(tmp_path / "a.png", white_level=255)[0, 0, 0], 128 / 255, rtol=1e-6)
 

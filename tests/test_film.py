@@ -39,8 +39,8 @@ def test_usual_film_of_another_density_comes_back_without_any_sheet(design: str,
 def test_without_white_through_the_aperture_film_is_usual() -> None:
     aperture, usual = design_named("cy_halves"), film_named("real")
     found = completed_film(aperture, {"cyan": np.array([0.2, 0.6, 0.6])}, light=None)
-    assert found["cyan"] == pytest.approx([0.2, 0.6, 0.6])
-    assert found["yellow"] == pytest.approx(usual["yellow"].transmission)
+    assert found["cyan"] == pytest.approx([0.2, 0.6, 0.6])  # copied
+    assert found["yellow"] == pytest.approx(usual["yellow"].transmission)  # copied
 
 
 def test_light_of_another_exposure_does_not_make_film_glow() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import cv2
@@ -10,23 +9,21 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from chromaperture.camera_file import Board, Calibration, Film, Lens
-from chromaperture.camera_file import CameraSensor as SensorData
+from chromaperture.camera_file import Board, Calibration
 from chromaperture.capture.exif import Exif, read_exif
-from chromaperture.cli.main import main
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.depth.field import DepthField
 from chromaperture.errors import InputError
 from chromaperture.evaluation.health import check_camera, is_healthy, outcome
 from chromaperture.evaluation.tint import measure_tint
 from chromaperture.optics.aperture import DESIGNS, centroids, made_of
 from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import PupilCamera, centered_pinhole
+from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.prescription import load_lens, with_filter_at
 from chromaperture.optics.ray_table import lens_rays, pinhole_rays
 from chromaperture.optics.render import render
 from chromaperture.optics.scene import plane
 from chromaperture.optics.simulated_session import wall
+from worlds import halves_camera
 
 WIDTH, HEIGHT = 300, 200
 CAMERA = PupilCamera(WIDTH, HEIGHT, 700.0, 12.5, 2000.0, 52.0, 0.0743)
@@ -39,20 +36,14 @@ NEAR_MM = 1300.0
 def calibration():
     """The camera as it was, from its geometry alone: the centroid of a half disc lies 4 / (3 pi) off the middle."""
     reach = 4 / (3 * np.pi)
+    # The grid of the pupil is good to 1e-3.
     assert np.abs(centroids(DESIGN)[:, 0]).max() == pytest.approx(reach, abs=0.01)
     scale = reach * CAMERA.focal_px * CAMERA.pupil_radius_mm
     model = DepthModel(scale / (CAMERA.focus_mm - CAMERA.sensor_to_pupil_mm), scale, CAMERA.sensor_to_pupil_mm)
-    colors = {n: np.array(DESIGN.filter_named(n).transmission) for n in DESIGN.views}
-    field = DepthField.constant(model)
-    return Calibration(
-        design="cy_halves",
-        sensor=SensorData(WIDTH, HEIGHT, CAMERA.pixel_pitch_mm),
-        lens=Lens(50.0, centered_pinhole(CAMERA.focal_px, (WIDTH, HEIGHT)), f_number=2.1),
-        film=Film(colors, np.ones(3), np.array([0.5, 1.0, 0.5])),
-        depth={"paper": field, "real-time": field, "accurate": field},
-        near_mm=900.0,
-        far_mm=4000.0,
-    )
+    camera = halves_camera(model, WIDTH, HEIGHT, focal_px=CAMERA.focal_px, pixel_pitch_mm=CAMERA.pixel_pitch_mm,
+                           far_mm=4000.0)  # fmt: skip
+    film = replace(camera.film, aperture=np.array([0.5, 1.0, 0.5]))
+    return replace(camera, lens=replace(camera.lens, f_number=2.1), film=film)
 
 
 def photographed(camera, distance_mm=NEAR_MM, *, turned=False):
@@ -92,7 +83,7 @@ def test_a_refocused_camera_warns_and_says_where_the_focus_is(calibration, focus
     assert seen.verdict == "warn"
     # 0.08 px, the blur's bias of disparity, move a focus at 2.8 m by 0.08 z^2 / B = 170 mm, one at 1.6 m by 53 mm.
     tolerance = 0.08 * focus_mm**2 / float(calibration.on_axis("real-time").scale_px_mm)
-    assert seen.figures["in_focus_if_refocused_mm"] == pytest.approx(focus_mm, abs=tolerance)
+    assert seen.figures["in_focus_if_refocused_mm"] == pytest.approx(focus_mm, abs=tolerance)  # derived above
     assert "calibrate again" in seen.advice
 
 
@@ -225,41 +216,27 @@ def test_exif_is_read(tmp_path, near):
     assert read_exif(tmp_path / "c.jpg") == Exif()
 
 
-@pytest.fixture
-def run(capsys, monkeypatch):
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["chromaperture", *map(str, arguments)])
-        code = 0
-        try:
-            main()
-        except SystemExit as end:
-            code = end.code or 0
-        return code, capsys.readouterr()
-
-    return run
-
-
 def test_the_exit_code_tells(run, tmp_path, near, calibration):
     calibration.save(tmp_path / "camera.asdf")
     counts = np.clip(near * 65535, 0, 65535).astype(np.uint16)
     cv2.imwrite(str(tmp_path / "good.png"), counts[..., ::-1])
     common = ("--camera", tmp_path / "camera.asdf", "--square", "3cm")
-    code, said = run("check", tmp_path / "good.png", *common)
-    assert code == 0
-    assert "board distance" in said.out
-    code, said = run("check", tmp_path / "good.png", "--camera", tmp_path / "camera.asdf")
-    assert code == 2
-    assert "Cannot tell" in said.out
+    result = run("check", tmp_path / "good.png", *common)
+    assert result.returncode == 0
+    assert "board distance" in result.stdout
+    result = run("check", tmp_path / "good.png", "--camera", tmp_path / "camera.asdf")
+    assert result.returncode == 2
+    assert "Cannot tell" in result.stdout
     replace(calibration, board=BOARD).save(tmp_path / "with_board.asdf")
-    code, said = run("check", tmp_path / "good.png", "--camera", tmp_path / "with_board.asdf", "--json")
-    assert code == 0
-    assert '"exit_code": 0' in said.out
+    result = run("check", tmp_path / "good.png", "--camera", tmp_path / "with_board.asdf", "--json")
+    assert result.returncode == 0
+    assert '"exit_code": 0' in result.stdout
     jpeg(tmp_path / "bad.jpg", near, subsampling=2)
-    code, said = run("check", tmp_path / "bad.jpg", *common, "--json")
-    assert code == 1
-    assert '"ok": false' in said.out
-    assert "4:2:0" in said.out
+    result = run("check", tmp_path / "bad.jpg", *common, "--json")
+    assert result.returncode == 1
+    assert '"ok": false' in result.stdout
+    assert "4:2:0" in result.stdout
     for wrong in (("--board", "nine"), ("--square", "big"), ("--camera", tmp_path / "none.asdf")):
-        code, said = run("check", tmp_path / "good.png", *common, *wrong)
-        assert code == 2
-        assert said.err.count("\n") == 1
+        result = run("check", tmp_path / "good.png", *common, *wrong)
+        assert result.returncode == 2
+        assert result.stderr.count("\n") == 1

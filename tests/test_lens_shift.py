@@ -12,13 +12,12 @@ from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.depth.field import DepthField
 from chromaperture.effects.restore import focus_radius, restore
 from chromaperture.effects.transfer_functions import LensTransfer, ThinLensBlur
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
+from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.optics.lens_otf import ChannelRays, traced
-from planes import texture
+from worlds import halves_camera, lens_blur, texture
 
 W, H = 192, 128
 THIN = BlurModel(10.0, 20000.0)  # in focus at 2 m from the pupil
@@ -29,8 +28,7 @@ REAL = replace(
 
 
 def lens_shift(model, design="cy_halves"):
-    blur = LensBlur(model, sample_pupil(DESIGNS[design]), W, H)
-    return LensShift(blur, near_mm=1000.0, far_mm=6000.0)
+    return LensShift(lens_blur(model, W, H, design), near_mm=1000.0, far_mm=6000.0)
 
 
 @pytest.mark.parametrize("radius", [-6.0, 0.0, 4.0])
@@ -79,8 +77,7 @@ def test_no_other_displacement_leaves_less_of_a_fringe(rng):
 
     green = seen(1, found[1])
     best = min(
-        (float(np.square(seen(0, found[0] + step) - green).sum()), step)
-        for step in product((-0.4, 0.0, 0.4), repeat=2)
+        (float(np.square(seen(0, found[0] + step) - green).sum()), step) for step in product((-0.4, 0.0, 0.4), repeat=2)
     )
     assert best[1] == (0.0, 0.0)
 
@@ -97,11 +94,8 @@ def test_between_the_computed_places_it_is_interpolated():
 
 def calibrated(model):
     """A camera whose blur is known, with the depth curve of its layers."""
-    plain = Calibration.uncalibrated("cy_halves", width_px=W, height_px=H)
-    blur = replace(plain, blur=model).field_blur()
-    curve = DepthField.constant(DepthModel(*blur.reference, 50.0))
-    return replace(plain, blur=model, near_mm=1050.0, far_mm=6050.0,
-                   depth={"paper": curve, "real-time": curve, "accurate": curve})  # fmt: skip
+    curve = DepthModel(*lens_blur(model, W, H).reference, 50.0)
+    return halves_camera(curve, W, H, blur=model, near_mm=1050.0, far_mm=6050.0)
 
 
 def captured(blur, wall, inverse_mm):

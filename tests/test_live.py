@@ -98,6 +98,7 @@ def test_a_slow_stage_costs_frames_and_not_latency():
         eye.gate.release()
         assert loop.to_view.take().frame.index >= captured - 1
         assert loop.figures()["depth"]["dropped"] > 40
+        eye.gate.release(1000)  # else leaving waits for the frame that is being measured
     assert source.left.is_set()
 
 
@@ -226,8 +227,8 @@ class Still(Running):
             yield Frame(counts, Encoding(0.0, 1.0), frame.time_s, frame.index)
 
 
+@pytest.mark.extra("viewer", "viser")
 def test_the_page_is_served_and_a_snapshot_written(tmp_path):
-    pytest.importorskip("viser", reason="the extra 'viewer' is not installed: the page is NOT tested")
     from chromaperture.viewer.page import LivePage
 
     eye = load_camera(sample_camera("still_life_cy_halves"))
@@ -252,9 +253,9 @@ def test_the_page_is_served_and_a_snapshot_written(tmp_path):
             page.close()
 
 
+@pytest.mark.extra("viewer", "viser")
 def test_what_was_drawn_is_freed_when_it_is_replaced(tmp_path):
     """Not later, by the collector of cycles: it looks at old objects so rarely that they fill the memory until then."""
-    pytest.importorskip("viser", reason="the extra 'viewer' is not installed: the page is NOT tested")
     from chromaperture.reconstruction.fusion import Placed
     from chromaperture.reconstruction.volume import Mesh
     from chromaperture.viewer.page import LivePage
@@ -303,9 +304,10 @@ def test_the_path_is_as_long_as_the_session_and_its_memory_is_not():
     assert len(places) >= 25
 
 
+@pytest.mark.extra("viewer", "viser")
 def test_viewers_come_and_go_and_one_that_dies_stops_nothing(tmp_path):
-    viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed: the page is NOT tested")
     import msgspec
+    import viser
     from websockets.sync.client import connect
 
     from chromaperture.viewer.page import LivePage

@@ -23,7 +23,7 @@ def test_a_steady_camera_is_predicted_whenever_the_next_frame_comes():
     np.testing.assert_allclose(motion.predict(5.0), place(0.0), atol=1e-9)  # rounding; at rest at first
     for seen, then in ((0.1, 0.2), (0.3, 0.35), (0.4, 0.7)):
         motion.update(place(seen), seen)
-        np.testing.assert_allclose(motion.predict(then), place(then), atol=1e-9)
+        np.testing.assert_allclose(motion.predict(then), place(then), atol=1e-9)  # rounding
     np.testing.assert_array_equal(motion.predict(9.0), motion.predict(90.0))  # nobody goes on for ever
     still = ConstantVelocity(place(0.0), 0.0)
     still.update(place(0.1), 0.0)

@@ -3,12 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chromaperture.color.noise import (
-    estimate_noise_variance,
-    fit_photon_noise,
-    noise_samples,
-    photon_noise_variance,
-)
+from chromaperture.color.noise import estimate_noise_variance, fit_photon_noise, noise_samples, photon_noise_variance
 
 
 def test_photon_noise_is_that_of_counted_electrons(rng):
@@ -27,7 +22,7 @@ def test_photon_noise_does_not_follow_the_noise_of_the_single_pixel(rng):
     image = np.full((64, 64, 3), 0.2, np.float32)
     image[32, 32] = 0.9  # a hot pixel is no 4.5 times brighter scene
     variance = photon_noise_variance(image, full_well_electrons=8000, read_noise_electrons=0)
-    assert variance[32, 32, 0] < 1.2 * variance[0, 0, 0]
+    assert variance[32, 32, 0] < 1.2 * variance[0, 0, 0]  # 1.14 is found; of its own brightness it would be 4.5
 
 
 def test_negative_values_after_the_black_level_do_not_give_negative_variance():

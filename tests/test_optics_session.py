@@ -43,31 +43,9 @@ def session(tmp_path_factory):
     root = tmp_path_factory.mktemp("session")
     scene = root / "wall.toml"
     scene.write_text('[[plane]]\ncenter_mm = [0, 0, 3000]\nwidth_mm = 4000\ntexture = "plain"\n')
-    options = [
-        "--width",
-        "240",
-        "--height",
-        "160",
-        "--step-mm",
-        "2000",
-        "--nearest-mm",
-        "1500",
-        "--tilts",
-        "1",
-    ]
+    options = ["--width", "240", "--height", "160", "--step-mm", "2000", "--nearest-mm", "1500", "--tilts", "1"]
     result = CliRunner().invoke(
-        app(),
-        [
-            "simulate",
-            str(root / "cy_halves"),
-            "--thin",
-            "--cells",
-            "8",
-            "--scene",
-            str(scene),
-            "-q",
-            *options,
-        ],
+        app(), ["simulate", str(root / "cy_halves"), "--thin", "--cells", "8", "--scene", str(scene), "-q", *options]
     )
     assert result.exit_code == 0, result.output
     return root
@@ -87,7 +65,7 @@ def test_a_session_has_every_file_the_calibration_reads(session):
     truth = json.loads((session / "truth" / "camera.json").read_text())
     for row in rows:
         assert linear(session / "cy_halves" / row["file"]).shape == (160, 240, 3)
-        assert abs(truth["board_mm"][row["file"]] - float(row["ruler_mm"])) <= 3.0
+        assert abs(truth["board_mm"][row["file"]] - float(row["ruler_mm"])) <= 3.0  # ruler_error_mm
     for name in ("cy_halves/tilt/00", "cy_halves/scene/wall", "white/open", "white/sheet_c", "white/sheet_y"):
         assert (session / f"{name}.png").is_file()
 
@@ -130,12 +108,11 @@ def test_white_sheets_show_film_and_exposure(session):
     bare, coded = linear(session / "white" / "open.png"), linear(session / "white" / "cy_halves.png")
     assert bare.mean() == pytest.approx(0.9, abs=2e-3)  # noise of 38400 pixels is far below
     film = channel_transmission(made_of(DESIGNS["cy_halves"], "real"))
+    # 1e-4 is found, noise of 38400 px.
     np.testing.assert_allclose(coded.mean(axis=(0, 1)) / bare.mean(axis=(0, 1)), film, atol=5e-3)
     cyan = linear(session / "white" / "sheet_c.png").mean(axis=(0, 1)) / 0.9
     np.testing.assert_allclose(cyan, (0.10, 0.63, 0.65), atol=5e-3)  # counts are 1e-3 apart, and the pupil has 8 cells
-    relative = tomllib.loads((session / "cy_halves" / "session.toml").read_text())["exposure"][
-        "relative_to_open"
-    ]
+    relative = tomllib.loads((session / "cy_halves" / "session.toml").read_text())["exposure"]["relative_to_open"]
     assert relative == pytest.approx(1 / film.max(), rel=5e-3)  # as above
 
 
@@ -148,11 +125,7 @@ def test_the_boards_corners_lie_where_the_pinhole_puts_them(session):
     assert found
     corners = corners.reshape(-1, 2)
     corners = corners if corners[0, 1] < corners[-1, 1] else corners[::-1]
-    pitch = (
-        30.0
-        * truth["focal_px"]
-        / (truth["board_mm"]["board/1500.png"] - truth["sensor_to_entrance_pupil_mm"])
-    )
+    pitch = 30.0 * truth["focal_px"] / (truth["board_mm"]["board/1500.png"] - truth["sensor_to_entrance_pupil_mm"])
     grid = np.mgrid[:9, :6].T.reshape(-1, 2) - np.array([4.0, 2.5])
     np.testing.assert_allclose(corners, grid * pitch + (119.5, 79.5), atol=0.25)  # corner detection in noise
     assert grey[int(79.5 - 2.9 * pitch), int(119.5 - 4.5 * pitch)] < 60  # the black corner square is top left
@@ -281,7 +254,7 @@ def test_the_pdf_has_the_page_and_the_scale_of_the_svg(tmp_path):
     content = (tmp_path / "cut.pdf").read_bytes().decode("latin-1")
     # Six decimals of a point are written.
     page = numbers(re.search(r"/MediaBox \[([^\]]+)\]", content)[1])
-    np.testing.assert_allclose(page * 25.4 / 72, [0, 0, 210, 297], atol=1e-5)
+    np.testing.assert_allclose(page * 25.4 / 72, [0, 0, 210, 297], atol=1e-5)  # as written
     bar = numbers(re.search(r"\n([\d. ]+ m\n[\d. ]+) l\n\nS", content)[1]) * 25.4 / 72  # the first line drawn
     np.testing.assert_allclose(bar, [10, 297 - 32, 60, 297 - 32], atol=1e-5)
 

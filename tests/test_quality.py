@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.camera_file import Calibration
 from chromaperture.cli.main import app
 from chromaperture.errors import InputError
 from chromaperture.evaluation.depth_quality import ZONES, by_cell, cells, plane_quality
 from chromaperture.evaluation.paper.run import RESULT
-from test_calibrate import RULERS, session  # noqa: F401
+from worlds import RULERS_MM
 
 DELTA, B, TRUTH = 50.0, 8000.0, 2000.0
 SHAPE = (120, 180)
@@ -47,8 +45,8 @@ def test_noise_of_the_disparity_comes_back_in_px_and_in_depth(rng):
 
 def test_an_error_of_all_pixels_is_accuracy_and_not_noise(rng):
     found = judged(wall(rng, error=0.03, noise_px=0.01))
-    assert found.accuracy == pytest.approx(0.03, abs=2e-4)
-    assert found.subpixel_rms_px == pytest.approx(0.01, rel=0.02)
+    assert found.accuracy == pytest.approx(0.03, abs=2e-4)  # one px is worth 475 mm: 0.01 px of 21600 samples are 2e-5
+    assert found.subpixel_rms_px == pytest.approx(0.01, rel=0.02)  # as above: 0.5 %
 
 
 def test_holes_and_wild_pixels_are_counted_by_themselves(rng):
@@ -57,9 +55,9 @@ def test_holes_and_wild_pixels_are_counted_by_themselves(rng):
     wild = rng.random(SHAPE) < 0.05
     depth[wild] *= 1.4
     found = judged(depth)
-    assert found.fill == pytest.approx(0.75)
-    assert found.outliers == pytest.approx(wild[30:].mean(), abs=0.002)
-    assert found.subpixel_rms_px == pytest.approx(0.05, rel=0.03)
+    assert found.fill == pytest.approx(0.75)  # 30 of 120 rows
+    assert found.outliers == pytest.approx(wild[30:].mean(), abs=0.002)  # the noise alone makes no outlier
+    assert found.subpixel_rms_px == pytest.approx(0.05, rel=0.03)  # as above, of 16200 samples
     assert abs(found.accuracy) < 0.002  # the median moves by a sixteenth of a standard deviation
 
 
@@ -80,8 +78,8 @@ def test_zones_tile_the_frame_and_tell_where_it_is_bad(rng):
     found = by_cell(depth, TRUTH, sensor_to_pupil_mm=DELTA, scale_px_mm=np.full(SHAPE, B), rows=3, columns=3)
     accuracy = np.array([quality.accuracy for quality in found])
     assert ZONES[int(np.abs(accuracy).argmax())] == "bottom left"
-    assert accuracy[ZONES.index("bottom left")] == pytest.approx(0.05, abs=1e-3)
-    assert np.abs(np.delete(accuracy, ZONES.index("bottom left"))).max() < 1e-3
+    assert accuracy[ZONES.index("bottom left")] == pytest.approx(0.05, abs=1e-3)  # 0.02 px of 2400 samples: 1e-4
+    assert np.abs(np.delete(accuracy, ZONES.index("bottom left"))).max() < 1e-3  # as above; 3e-4 is found
 
 
 def run(folder, out, *more):
@@ -89,11 +87,11 @@ def run(folder, out, *more):
     return CliRunner().invoke(app, ["evaluate", "quality", *options])
 
 
-def test_a_session_without_a_camera_file_is_judged_board_by_board_without_that_board(session, tmp_path):  # noqa: F811
+def test_a_session_without_a_camera_file_is_judged_board_by_board_without_that_board(session, tmp_path):
     result = run(session, tmp_path)
     assert result.exit_code == 0, result.output
     rows = list(csv.DictReader((tmp_path / "quality" / "distance.csv").read_text(encoding="utf-8").splitlines()))
-    assert [float(row["distance, mm"]) for row in rows] == sorted(RULERS)
+    assert [float(row["distance, mm"]) for row in rows] == sorted(RULERS_MM)
     assert all(float(row["fill"].rstrip("%")) > 90 for row in rows)
     # The boards are shifted views of one texture: 0.03 px, which at 3 m is 1.1 %, and twice that at the ends, where
     # the curve without the board is extrapolated.
@@ -102,20 +100,19 @@ def test_a_session_without_a_camera_file_is_judged_board_by_board_without_that_b
     assert "fitted without it" in json.loads((tmp_path / "quality" / RESULT).read_text(encoding="utf-8"))["source"]
 
 
-def test_a_camera_file_is_used_as_it_is_and_that_it_knows_the_boards_is_said(session, tmp_path):  # noqa: F811
+def test_a_camera_file_is_used_as_it_is_and_that_it_knows_the_boards_is_said(session, calibrated_session, tmp_path):
     camera = tmp_path / "camera.asdf"
-    calibration = calibrate_session(session, CalibrationConfig(lens_blur=False)).calibration
-    calibration.save(camera)
+    calibrated_session.calibration.save(camera)
     parent = tmp_path / "data"
     shutil.copytree(session, parent / "cy_halves")  # a folder of sessions serves as well
     result = run(parent, tmp_path / "out", "--camera", str(camera))
     assert result.exit_code == 0, result.output
     source = json.loads((tmp_path / "out" / "quality" / RESULT).read_text(encoding="utf-8"))["source"]
-    assert f"{len(RULERS)} of them have names that it was calibrated on" in source
+    assert f"{len(RULERS_MM)} of them have names that it was calibrated on" in source
     assert Calibration.load(camera).design == "cy_halves"
 
 
-def test_what_does_not_fit_is_told(session, tmp_path):  # noqa: F811
+def test_what_does_not_fit_is_told(session, tmp_path):
     (tmp_path / "empty").mkdir()
     empty = run(tmp_path / "empty", tmp_path / "out")
     assert empty.exit_code == 1

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import planes
 from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.real_time import place_by_correlation
 from chromaperture.disparity.winner import PathWinner
+from worlds import MARGIN_PX, capture, texture
 
 SMALL = RealTimeConfig().with_range(-4.0, 4.0)
 
@@ -18,18 +18,18 @@ SMALL = RealTimeConfig().with_range(-4.0, 4.0)
 @pytest.mark.parametrize("design", ["cy_halves", "cmy_circles"])
 @pytest.mark.parametrize("disparity", [-2.3, -0.6, 0.25, 1.7])
 def test_a_plane_is_found_between_the_layers(design, disparity):
-    image = planes.capture(planes.texture(np.random.default_rng(4), blur_px=2.0), design, disparity)
+    image = capture(texture(np.random.default_rng(4), blur_px=2.0), design, disparity)
     variance = np.full(image.shape, 1e-8, np.float32)
     found = estimate_disparity(image, aperture=design, config=SMALL, noise_variance=variance).value_px
-    inner = found[planes.MARGIN_PX : -planes.MARGIN_PX, planes.MARGIN_PX : -planes.MARGIN_PX]
+    inner = found[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX]
     # Cubic interpolation of the halved views errs by up to 0.02 px between their pixels.
     assert abs(np.median(inner) - disparity) < 0.025
 
 
 def test_a_plane_of_even_disparity_is_found_through_any_labels():
     """Labels are converted back to disparities."""
-    picture = planes.texture(np.random.default_rng(6), blur_px=2.0)
-    image = planes.capture(picture, "cy_halves", 1.2)
+    picture = texture(np.random.default_rng(6), blur_px=2.0)
+    image = capture(picture, "cy_halves", 1.2)
     labels = LabelMap(np.full(picture.shape, 0.4, np.float32), np.full(picture.shape, 0.8, np.float32))
     without, through = (
         estimate_disparity(image, aperture="cy_halves", config=SMALL, label_maps=maps).value_px
@@ -54,7 +54,7 @@ def test_the_place_between_layers_is_the_vertex_of_the_correlation(view_count, p
 
 
 def test_saturated_pixels_take_the_disparity_of_their_neighbours():
-    image = planes.capture(planes.texture(np.random.default_rng(5), blur_px=2.0), "cy_halves", 1.0)
+    image = capture(texture(np.random.default_rng(5), blur_px=2.0), "cy_halves", 1.0)
     image[30:40, 40:50] = 1.0
     found = estimate_disparity(image, aperture="cy_halves", config=SMALL)
     assert abs(np.nanmedian(found.value_px[32:38, 42:48]) - 1.0) < 0.1  # a fifth of a layer

@@ -26,11 +26,6 @@ SIZE = (180, 240)
 WALLS = ((np.array([0.0, 0, 1]), 2200.0), (np.array([0.0, 1, 0]), 600.0), (np.array([0.8, 0, 0.6]), 1700.0))
 
 
-@pytest.fixture(scope="module")
-def o3d():
-    return pytest.importorskip("open3d", reason="the extra 'reconstruct' is not installed: 3D models are NOT tested")
-
-
 def texture(points: np.ndarray) -> np.ndarray:
     """Smooth colours that repeat nowhere in the room; (N, 3) 0..255."""
     rng = np.random.default_rng(5)
@@ -78,7 +73,10 @@ def small_volume(**changes) -> Volume:
     return Volume(**settings | changes)
 
 
-def test_our_fusion_is_open3ds_where_all_pixels_weigh_the_same(o3d):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_our_fusion_is_open3ds_where_all_pixels_weigh_the_same():
+    import open3d as o3d
+
     view = photograph(pose_at(2.0))
     ours = small_volume()
     ours.integrate(View(view.color, view.z_mm, np.full(SIZE, 50.0, np.float32)), MATRIX, pose_at(2.0))
@@ -97,14 +95,15 @@ def test_our_fusion_is_open3ds_where_all_pixels_weigh_the_same(o3d):
         return grid.attribute(name).numpy()[slots.numpy()]
 
     seen = (voxels(ours.grid, "weight") > 0) & (voxels(theirs, "weight") > 0)
-    assert seen.mean() > 0.1
+    assert seen.mean() > 0.1  # else the comparison means little
     gap = np.abs(voxels(ours.grid, "tsdf") - voxels(theirs, "tsdf"))[seen]
     # Which of two pixels a voxel falls on is rounded in other ways: walls are smooth, but for their corners.
     assert np.median(gap) < 5e-3
     assert np.quantile(gap, 0.8) < 0.05
 
 
-def test_surfaces_are_the_inverse_variance_mean_of_what_was_measured(o3d):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_surfaces_are_the_inverse_variance_mean_of_what_was_measured():
     volume = small_volume()
     for z, sigma in ((1000.0, 4.0), (1010.0, 8.0)):
         volume.integrate(plane(z, sigma), MATRIX, np.eye(4))
@@ -114,7 +113,8 @@ def test_surfaces_are_the_inverse_variance_mean_of_what_was_measured(o3d):
     assert np.median(heights) == pytest.approx(mean, abs=0.05)
 
 
-def test_what_was_seen_once_and_never_shown_is_forgotten(o3d):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_what_was_seen_once_and_never_shown_is_forgotten():
     wall, ghost = plane(1000.0, 4.0), plane(1600.0, 16.0)  # a sixteenth of the weight
     volume, alone = small_volume(), small_volume()
     for _ in range(3):
@@ -137,7 +137,8 @@ def test_what_was_seen_once_and_never_shown_is_forgotten(o3d):
     np.testing.assert_array_equal(*behind)
 
 
-def test_what_few_say_against_many_is_no_surface(o3d):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_what_few_say_against_many_is_no_surface():
     volume = small_volume()
     for k in range(30):
         view = plane(1000.0, 4.0)
@@ -148,11 +149,12 @@ def test_what_few_say_against_many_is_no_surface(o3d):
     assert behind.any()  # else this test shows nothing
     volume.prune()
     vertices = volume.mesh().vertices_mm
-    assert len(vertices) > 0.5 * len(behind)
+    assert len(vertices) > 0.5 * len(behind)  # the wall in front is kept
     assert not (vertices[:, 2] > 1020).any()
 
 
-def test_a_camera_that_errs_for_hours_does_not_fill_the_volume(o3d, monkeypatch):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_a_camera_that_errs_for_hours_does_not_fill_the_volume(monkeypatch):
     def blocks_over_time() -> list[int]:
         volume, rng, blocks = small_volume(voxel_mm=20.0), np.random.default_rng(0), []
         for _ in range(120):
@@ -176,7 +178,8 @@ def test_a_camera_that_errs_for_hours_does_not_fill_the_volume(o3d, monkeypatch)
     assert kept[-1] - wall.blocks < 0.5 * (control[-1] - wall.blocks)
 
 
-def test_the_camera_is_found_on_its_way_through_a_room(o3d):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_the_camera_is_found_on_its_way_through_a_room():
     model = Reconstruction(MATRIX, ReconstructionConfig(tracking_scale=1, voxel_mm=15.0))
     poses = [pose_at(k) for k in range(5)]
     placed = [model.add(photograph(pose, noise=0.003, seed=k, index=k)) for k, pose in enumerate(poses)]
@@ -185,10 +188,11 @@ def test_the_camera_is_found_on_its_way_through_a_room(o3d):
     vertices = model.meshes()[0].vertices_mm
     world = vertices @ poses[0][:3, :3].T + poses[0][:3, 3]
     off = np.min([np.abs(world @ n - c) for n, c in WALLS], axis=0)
-    assert np.median(off) < 10.0
+    assert np.median(off) < 10.0  # of voxels of 15 mm
 
 
-def test_a_lost_camera_is_said_and_found_again(o3d):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_a_lost_camera_is_said_and_found_again():
     said: list[str] = []
     model = Reconstruction(MATRIX, ReconstructionConfig(tracking_scale=1, voxel_mm=15.0), listener=said.append)
     views = [photograph(pose_at(k), index=k) for k in (0, 1, 2)]
@@ -202,7 +206,8 @@ def test_a_lost_camera_is_said_and_found_again(o3d):
     assert np.linalg.norm((placed[-1].pose - expected)[:3, 3]) < 1.5  # a tenth of a pixel, as above
 
 
-def test_frames_may_be_dropped_and_the_camera_may_leap_to_where_it_was(o3d):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_frames_may_be_dropped_and_the_camera_may_leap_to_where_it_was():
     said: list[str] = []
     config = ReconstructionConfig(tracking_scale=1, voxel_mm=15.0)
     model = Reconstruction(MATRIX, config, listener=said.append)
@@ -256,11 +261,12 @@ def test_a_camera_is_found_where_light_has_changed_and_nothing_is_fused():
     keyframe = prepare(first, MATRIX, config).keyframe(pose_at(0))
     found = track(prepare(dimmed, MATRIX, config), keyframe, pose_at(0), config=config)
     assert not found.lost
-    assert np.linalg.norm((found.pose - pose_at(2.0))[:3, 3]) < 1.5
-    assert found.correlation > 0.99
+    assert np.linalg.norm((found.pose - pose_at(2.0))[:3, 3]) < 1.5  # 0.16 is found; a tenth of a pixel is 1.3 mm
+    assert found.correlation > 0.99  # 0.9996 is found
 
 
-def test_a_place_seen_again_joins_the_submaps(o3d):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_a_place_seen_again_joins_the_submaps():
     said: list[str] = []
     config = ReconstructionConfig(tracking_scale=1, voxel_mm=15.0, submap_after=1)
     model = Reconstruction(MATRIX, config, listener=said.append)
@@ -274,10 +280,11 @@ def test_a_place_seen_again_joins_the_submaps(o3d):
             world = pose_at(0) @ model.in_root(place).pose
             assert np.linalg.norm((world - pose_at(k))[:3, 3]) < 6.0  # tenths of a pixel, over the keyframes between
     world = model.meshes()[0].vertices_mm @ pose_at(0)[:3, :3].T + pose_at(0)[:3, 3]
-    assert np.median(np.min([np.abs(world @ n - c) for n, c in WALLS], axis=0)) < 2.0
+    assert np.median(np.min([np.abs(world @ n - c) for n, c in WALLS], axis=0)) < 2.0  # mm, as single poses above
 
 
-def test_another_place_begins_a_submap(o3d):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_another_place_begins_a_submap():
     said: list[str] = []
     config = ReconstructionConfig(tracking_scale=1, voxel_mm=15.0, submap_after=2)
     model = Reconstruction(MATRIX, config, listener=said.append)
@@ -292,7 +299,8 @@ def test_another_place_begins_a_submap(o3d):
     assert len(model.meshes()) == 2
 
 
-def test_a_wall_without_texture_never_raises(o3d):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_a_wall_without_texture_never_raises():
     said: list[str] = []
     model = Reconstruction(MATRIX, ReconstructionConfig(tracking_scale=1), listener=said.append)
     for _ in range(3):
@@ -301,7 +309,8 @@ def test_a_wall_without_texture_never_raises(o3d):
     assert "lost" in said[0]
 
 
-def test_a_full_volume_is_said_once_and_stays_within_its_memory(o3d):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_a_full_volume_is_said_once_and_stays_within_its_memory():
     said: list[str] = []
     config = ReconstructionConfig(tracking_scale=1, voxel_mm=8.0, memory_mb=16)
     model = Reconstruction(MATRIX, config, listener=said.append)
@@ -339,16 +348,26 @@ def a_mesh() -> Mesh:
     return Mesh(corners, np.array([[0, 1, 2], [1, 3, 2]], np.int32), colors)
 
 
-def test_meshes_are_read_by_another_program(o3d, tmp_path):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_meshes_are_read_by_another_program(tmp_path):
+    import open3d as o3d
+
     mesh = a_mesh()
     write_mesh_ply(tmp_path / "a.ply", mesh)
     read = o3d.t.io.read_triangle_mesh(str(tmp_path / "a.ply"))
     np.testing.assert_array_equal(read.vertex.positions.numpy(), mesh.vertices_mm)
     np.testing.assert_array_equal(np.rint(read.vertex.colors.numpy() * 255), mesh.colors)
     np.testing.assert_array_equal(read.triangle.indices.numpy(), mesh.triangles)
-    trimesh = pytest.importorskip("trimesh", reason="no second reader of GLB: that file is NOT tested")
+
+
+@pytest.mark.extra("viewer", "trimesh")
+def test_glb_files_are_read_by_another_program(tmp_path):
+    import trimesh  # of viser
+
+    mesh = a_mesh()
     (tmp_path / "a.glb").write_bytes(glb(mesh))
     solid = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
+    # Float32, mm from metres.
     np.testing.assert_allclose(solid.vertices * [1000, -1000, -1000], mesh.vertices_mm, atol=1e-3)
     np.testing.assert_array_equal(solid.faces, mesh.triangles)
     assert {"POSITION", "COLOR_0"} <= set(attributes_of(tmp_path / "a.glb"))
@@ -365,10 +384,11 @@ def test_quaternions_turn_as_their_matrix_does():
     x, y, z, w = quaternion(turn)
     axis, point = np.array([x, y, z]), np.array([1.0, 2.0, 3.0])
     turned = point + 2 * w * np.cross(axis, point) + 2 * np.cross(axis, np.cross(axis, point))
-    np.testing.assert_allclose(turned, turn @ point, atol=1e-12)
+    np.testing.assert_allclose(turned, turn @ point, atol=1e-12)  # rounding
 
 
-def test_a_camera_that_does_not_move_is_found_where_it_was(o3d, tmp_path, monkeypatch, capsys):
+@pytest.mark.extra("reconstruct", "open3d")
+def test_a_camera_that_does_not_move_is_found_where_it_was(tmp_path, monkeypatch, capsys):
     folder, out = tmp_path / "still", tmp_path / "model"
     folder.mkdir()
     for name in ("0.png", "1.png"):

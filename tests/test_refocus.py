@@ -11,39 +11,32 @@ from chromaperture.effects.focus_sweep import sweep, write_sweep
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_psf
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.render import render, render_depth, render_sharp
-from chromaperture.optics.scene import plane
-from chromaperture.optics.textures import noise
+from worlds import card_before_wall, pinhole_camera
 
-
-def camera(focus_mm, radius_mm=25.0):
-    return PupilCamera(160, 112, focal_px=400.0, pupil_radius_mm=radius_mm, focus_mm=focus_mm,
-                       sensor_to_pupil_mm=50.0, pixel_pitch_mm=0.05)  # fmt: skip
-
-
-def planes():
-    wall, card = (np.repeat(noise((80, 120), exponent=1.0, seed=s)[..., None], 3, 2) * c
-                  for s, c in ((1, (0.9, 0.8, 0.5)), (2, (0.3, 0.5, 0.9))))  # fmt: skip
-    return [plane(wall, center_mm=(0, 0, 1500), width_mm=900), plane(card, center_mm=(0, 0, 800), width_mm=120)]
+SIZE = (160, 112)
+PLANES = card_before_wall([(0.9, 0.8, 0.5), (0.3, 0.5, 0.9)], texels=(80, 120), exponent=1.0,
+                          distances_mm=(1500, 800), widths_mm=(900, 120))  # fmt: skip
+CAMERA = pinhole_camera(*SIZE)
 
 
 @pytest.fixture(scope="module")
 def world():
     """Everything in focus, and the blur radius of a capture focused at 1 m."""
-    table = pinhole_rays(camera(1000.0), DESIGNS["open"], cells=8)
-    radius = camera(1000.0).blur_radius_px(render_depth(table, planes()))
-    return render_sharp(table, planes()), radius.astype(np.float32)
+    table = pinhole_rays(CAMERA, DESIGNS["open"], cells=8)
+    radius = CAMERA.blur_radius_px(render_depth(table, PLANES))
+    return render_sharp(table, PLANES), radius.astype(np.float32)
 
 
 @pytest.mark.parametrize("focus_mm", [800.0, 1000.0, 1500.0])
 @pytest.mark.parametrize("strength", [1.0, 1.6])
 def test_it_is_what_a_lens_focused_there_sees(world, focus_mm, strength):
     color, radius = world
-    truth = render(pinhole_rays(camera(focus_mm, 25.0 * strength), DESIGNS["open"], cells=24), planes())
-    mine = refocus(color, radius, Focus(float(camera(1000.0).blur_radius_px(focus_mm)), strength))
+    lens = pinhole_camera(*SIZE, focus_mm=focus_mm, radius_mm=25.0 * strength)
+    truth = render(pinhole_rays(lens, DESIGNS["open"], cells=24), PLANES)
+    mine = refocus(color, radius, Focus(float(CAMERA.blur_radius_px(focus_mm)), strength))
     inner = np.s_[16:-16, 16:-16]
     error, before = (np.sqrt(np.mean((p[inner] - truth[inner]) ** 2)) for p in (mine, color))
     # What the near card hides is guessed; rays through the pupil and over the pixel are samples. Contrast is 0.15.
@@ -65,8 +58,9 @@ def test_no_halo(world):
     on_wall = refocus(flat, radius, Focus(float(far), 1.0))
     # A blurred card before a sharp wall: mixtures only, all on the line between the two colours.
     share = (on_wall[..., 2] - 0.2) / 0.7
+    # Float32 of light over coverage, as above.
     np.testing.assert_allclose(on_wall[..., 0], 0.9 - 0.7 * share, atol=0.01)
-    assert ((share > 0.1) & (share < 0.9)).sum() > 200
+    assert ((share > 0.1) & (share < 0.9)).sum() > 200  # 2000 are found: else nothing was blurred
 
 
 def test_a_light_becomes_the_pupil_s_picture_far_and_near():
@@ -164,8 +158,8 @@ def test_a_sweep_is_a_film_from_near_to_far(tmp_path, world, suffix):
         return np.abs(cv2.Laplacian(frame[..., 1].astype(np.float32), -1))[where].mean()
 
     near = cv2.erode((radius < 0).astype(np.uint8), np.ones((9, 9))) > 0
-    assert detail(frames[0], near) > 1.5 * detail(frames[-1], near)
-    assert detail(frames[-1], ~near) > 1.5 * detail(frames[0], ~near)
+    assert detail(frames[0], near) > 1.5 * detail(frames[-1], near)  # 24 times is found
+    assert detail(frames[-1], ~near) > 1.5 * detail(frames[0], ~near)  # 2.5 times is found
     path = tmp_path / f"film{suffix}"
     write_sweep(path, iter(frames))
     film = cv2.VideoCapture(str(path))

@@ -5,7 +5,7 @@ import numpy as np
 
 from chromaperture.color.alignment import align_channels
 from chromaperture.color.registration import residual_displacement, standard_error
-from planes import texture
+from worlds import texture
 
 
 def spoiled(rng):
@@ -34,7 +34,8 @@ def test_lateral_colour_and_moved_centroids_are_found(rng):
     again = align_channels(image, disparity, np.zeros((3, 2)), displacement_px=found)
     inner = np.s_[20:-20, 20:-20]
     before, after = (np.std((p[..., 0] - p[..., 1])[inner]) for p in (image, again))
-    assert after < 0.5 * before
+    assert after < 0.5 * before  # 0.34 is found
+    # 0.003 is found, noise of 0.004 averaged; the contrast is 0.09.
     assert np.abs(again[..., 0] - picture)[inner].mean() < 0.01
 
 

@@ -4,39 +4,28 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from cameras import halves_camera
-from chromaperture.calibration.board_distances import BoardDistances
-from chromaperture.calibration.curves import Evidence
 from chromaperture.calibration.read_boards import read_board
 from chromaperture.calibration.rendered_boards import render_board, rendered_nonlinearity, surrogate
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
+from chromaperture.optics.lens_blur import BlurModel
+from worlds import Boards, blurred, board_evidence, halves_camera, lens_blur
 
 W, H, DELTA = 192, 128, 50.0
 LENS = BlurModel(6.0, 12000.0)  # a thin lens, in focus at 2 m
-PUPIL = sample_pupil(DESIGNS["cy_halves"])
 Z_MM = np.array([1000.0, 1400.0, 2000.0, 3000.0, 4000.0])
 
 
 def blur(model=LENS, width=W, height=H):
-    return LensBlur(model, PUPIL, width, height)
+    return lens_blur(model, width, height)
 
 
 def photograph(inverse_mm, seed):
     """One convolution of a periodic pattern: another way than that of ``render_board``."""
-    transfer = blur().transfer((W - 1) / 2, (H - 1) / 2, inverse_mm, 256)
-    pattern = np.random.default_rng(seed).normal(0.5, 0.15, (256, 256))
-    return scipy.fft.irfft2(scipy.fft.rfft2(pattern) * transfer)[:, :H, :W].transpose(1, 2, 0).astype(np.float32)
+    return blurred(np.random.default_rng(seed).normal(0.5, 0.15, (256, 256)), blur(), inverse_mm)
 
 
-class Session:
-    """The part of a session that rendering uses."""
-
-    boards = dict.fromkeys(range(len(Z_MM)))
-
-    def read(self, i):
-        return photograph(1 / Z_MM[i], i)
+def session():
+    return Boards({z: photograph(1 / z, i) for i, z in enumerate(Z_MM)})
 
 
 def camera(model=LENS):
@@ -45,9 +34,7 @@ def camera(model=LENS):
 
 
 def evidence():
-    none = np.zeros(len(Z_MM))
-    distances = BoardDistances(Z_MM, DELTA, 0.5, 1.0, np.zeros((len(Z_MM) + 1,) * 2), none, none + 1.0)
-    return Evidence(camera().sensor, [], distances, 3.0, np.ones(len(Z_MM), bool))
+    return board_evidence(camera().sensor, Z_MM, pupil_mm=DELTA, variance=0.0)
 
 
 def test_a_surrogate_has_the_spectrum_and_is_another_pattern(rng):
@@ -97,7 +84,7 @@ def test_blur_that_changes_over_the_frame_is_that_of_the_place():
 
 def test_it_predicts_what_the_matcher_measures():
     """Photographs by another way of blurring, at distances of their own, read as straight lines of 1 / z."""
-    curves = rendered_nonlinearity(camera(), Session(), evidence())
+    curves = rendered_nonlinearity(camera(), session(), evidence())
     z = np.linspace(1000, 4000, 13)
     photographs = [[photograph(1 / at, 100 * k + i) for k in range(4)] for i, at in enumerate(z)]
     readings = [[read_board(image, camera()) for image in images] for images in photographs]
@@ -113,4 +100,4 @@ def test_it_predicts_what_the_matcher_measures():
 
 
 def test_without_a_blur_nothing_is_known():
-    assert rendered_nonlinearity(camera(None), Session(), evidence()) == {}
+    assert rendered_nonlinearity(camera(None), session(), evidence()) == {}

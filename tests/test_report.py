@@ -17,12 +17,12 @@ import typer
 from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.calibration.calibrate_blur import LayerEvidence
 from chromaperture.calibration.calibrate_session import CalibrationResult
-from chromaperture.calibration.chessboard import Intrinsics, centered_pinhole
+from chromaperture.calibration.chessboard import Intrinsics
 from chromaperture.calibration.curves import Evidence
 from chromaperture.calibration.fit_curve import DepthFit
 from chromaperture.calibration.read_boards import BoardMeasurement
 from chromaperture.calibration.session import Session
-from chromaperture.camera_file import Calibration, CameraSensor, Film, Lens
+from chromaperture.camera_file import Film
 from chromaperture.cli.main import app, main
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
@@ -39,6 +39,7 @@ from chromaperture.evaluation.verdict import (
     weaknesses,
 )
 from chromaperture.optics.lens_blur import BlurModel
+from worlds import halves_camera
 
 WIDTH, HEIGHT = 96, 72
 A, B, DELTA = 4.3, 8200.0, 52.0
@@ -82,18 +83,12 @@ def result(tmp_path_factory):
     infinity = A * np.array([1 + BULGE / 2, 0, 0, 0, 0, BULGE / 2])
     covariance = np.diag([1e-4, 100.0, 4.0])
     field = DepthField(infinity, np.array([B, 0, 0, 0, 0, 0.0]), DELTA, covariance)
-    matrix = centered_pinhole(160.0, (WIDTH, HEIGHT))
     colors = {"cyan": np.array([0.05, 0.6, 0.7]), "yellow": np.array([0.9, 0.8, 0.05])}
-    calibration = Calibration(
-        design="cy_halves",
-        sensor=CameraSensor(WIDTH, HEIGHT, 0.3),
-        lens=Lens(48.0, matrix, f_number=2.0),
+    calibration = halves_camera(
+        field, WIDTH, HEIGHT, focal_px=160.0, pixel_pitch_mm=0.3, far_mm=4550.0,
         film=Film(colors, np.ones(3), np.array([0.5, 0.7, 0.4])),
-        depth={"paper": field, "real-time": field, "accurate": field},
-        near_mm=900.0,
-        far_mm=4550.0,
         provenance={"command": "chromaperture calibrate <made up>", "date": "2026-01-01"},
-    )
+    )  # fmt: skip
     residual_px = np.stack(residuals)
     fit = DepthFit(DepthModel(A, B, DELTA, covariance), np.zeros(5), np.zeros(5), 0.0)
     session = Session(
@@ -106,7 +101,7 @@ def result(tmp_path_factory):
         calibration=calibration, fits=dict.fromkeys(both, fit), boards=boards, notes=["a <note> & more"],
         session=session, grid_x_px=x, grid_y_px=y, residual_px=dict.fromkeys(both, residual_px),
         pixel_sigma_px=dict.fromkeys(both, np.full(5, NOISE_PX)),
-        intrinsics=Intrinsics(matrix, np.zeros(5), 0.1), tilts={},
+        intrinsics=Intrinsics(calibration.lens.camera_matrix, np.zeros(5), 0.1), tilts={},
         ruler=ruler, ruler_residual_mm=ruler.residual_mm, outliers={}, evidence=evidence,
     )  # fmt: skip
 
@@ -121,6 +116,7 @@ def test_the_field_makes_a_flat_board_flat_again(result):
     assert before == pytest.approx(A * BULGE * np.sqrt(4 / 45) * step, rel=0.4)
     depth = board_depth(result, index)
     assert np.isnan(depth[0, 0])
+    # Four standard deviations of a mean.
     assert np.nanmedian(depth) == pytest.approx(RULERS[index], abs=4 * NOISE_PX * step / np.sqrt(depth.size))
 
 

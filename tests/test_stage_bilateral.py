@@ -62,4 +62,4 @@ def test_bilateral_weighs_pixels_by_their_weight():
     score[4, 5:] = 1.0
     weights = np.ones((9, 9))
     weights[:, 5:] = 1e-9
-    assert recursive_bilateral(score, np.zeros((9, 9)), weights, 14.0)[4, 4, 0] < 1e-8
+    assert recursive_bilateral(score, np.zeros((9, 9)), weights, 14.0)[4, 4, 0] < 1e-8  # ten times the weight

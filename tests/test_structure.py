@@ -7,50 +7,70 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "chromaperture"
-SOURCES = sorted(PACKAGE.rglob("*.py"))
+SOURCES = {
+    path.relative_to(PACKAGE).as_posix(): path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))
+}
 MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
-# The camera, its calibration, and what is written from its measurements.
-CAMERA = {
-    "camera", "camera_matching", "camera_alignment", "config_file", "camera_file", "storage", "calibration", "products",
-}  # fmt: skip
-LEAVES = {"effects", "reconstruction", "evaluation", "viewer"}
-BELOW_LEAVES = {"optics"} | STAGES | CAMERA
-# What a part of the package may import, besides itself and COMMON.
-COMMON = {"errors", "config", "stage_config", "compilation", "threads", "robust"}
+BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "storage", "camera_file", "camera_matching",
+                         "camera_alignment", "camera", "calibration", "products"}  # fmt: skip
+# What a part of the package may import, besides itself; COMMON may be imported by all but itself.
+COMMON = {"errors", "compilation", "threads", "robust"}
 ALLOWED: dict[str, set[str]] = {
-    "errors": set(),
-    "config": set(),
-    "stage_config": set(),
-    "compilation": set(),
-    "threads": set(),
-    "robust": set(),
+    **{part: set() for part in COMMON},
+    "stage_config": {"errors"},
+    "config": {"errors", "stage_config"},
     "optics": set(),  # the forward model shares no code with the estimator that it tests
     "color": {"optics"},
     "capture": {"optics", "color"},
-    "disparity": {"optics", "color"},
-    "depth": {"optics", "color"},  # works on any disparity map, however it was made
+    "disparity": {"optics", "color", "config", "stage_config"},
+    "depth": {"color", "config"},  # works on any disparity map, however it was made
     "storage": {"color"},
-    "camera_file": {"optics", "color", "depth", "storage"},
-    "config_file": set(),
-    "camera_matching": {"camera_file", "color", "disparity"},
-    "camera_alignment": {"camera_file", "color", "depth"},
-    "camera": {"optics", "camera_file", "camera_matching", "camera_alignment"} | STAGES,
-    "calibration": {"optics", "camera", "camera_matching", "camera_file"} | STAGES,
-    "products": {"optics", "camera", "camera_file", "storage"} | STAGES,
-    **{leaf: BELOW_LEAVES for leaf in LEAVES},
+    "camera_file": {"optics", "color", "config", "depth", "storage"},
+    "config_file": {"config"},
+    "camera_matching": {"camera_file", "color", "config", "disparity"},
+    "camera_alignment": {"camera_file", "color", "config", "depth"},
+    "camera": {"camera_file", "camera_matching", "camera_alignment", "config"} | STAGES,
+    "calibration": {"optics", "camera_matching", "camera_file", "config"} | STAGES,
+    "products": {"camera", "storage", "capture", "color", "depth"},
+    "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth"},
+    "reconstruction": {"camera", "products", "storage", "capture", "color", "depth"},
+    # It shows the model, and the picture focused elsewhere.
+    "viewer": {"camera", "products", "storage", "capture", "color", "depth", "effects", "reconstruction"},
     "evaluation": BELOW_LEAVES | {"effects", "reconstruction"},  # the paper's Figures 14 and 15 show them
-    "viewer": BELOW_LEAVES | {"reconstruction", "effects"},  # it shows the model, and the picture focused elsewhere
-    "cli": BELOW_LEAVES | LEAVES | {"__init__"},
+    "cli": BELOW_LEAVES | {"config_file", "effects", "reconstruction", "viewer", "evaluation", "__init__"},
     "__main__": {"cli"},
-    "__init__": BELOW_LEAVES | LEAVES,
+    "__init__": {"camera", "camera_file", "capture", "config", "depth", "disparity", "optics"},
+}
+EXECUTIONS = ("chromaperture.disparity.cpu", "chromaperture.disparity.stages")
+# Who imports modules of an execution from outside the two of them, and why.
+MAY_IMPORT_CPU = {
+    "disparity/execution.py",  # chooses between them
+    "cli/console.py",  # checks whether kernels are compiled already, to announce the wait
+}
+MAY_IMPORT_EXECUTIONS = MAY_IMPORT_CPU | {
+    # What both executions share, defined where the readable one explains it:
+    "disparity/accurate.py",  # the place between two layers
+    "disparity/blur_evidence.py",  # tiles of the frame
+    "disparity/total_variation.py",  # the problem and its state
+    "calibration/fit_blur.py",  # a photograph without its shading
+}
+# Names of each way to compile and to start threads, and the one module that may use them.
+ONE_WAY = {
+    "njit": "compilation.py",
+    "jit": "compilation.py",
+    "prange": "compilation.py",
+    "vectorize": "compilation.py",
+    "ThreadPoolExecutor": "threads.py",
+    "ThreadPool": "threads.py",
 }
 OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "mcap", "mcap_ros2", "imageio"}
 # Import name of a distribution, where the two differ.
@@ -83,9 +103,8 @@ def at_import_time(tree: ast.Module) -> Iterator[ast.AST]:
         waiting += ast.iter_child_nodes(node)
 
 
-def part_of(path: Path, root: Path = PACKAGE) -> str:
-    relative = path.relative_to(root)
-    return relative.parts[0] if len(relative.parts) > 1 else relative.stem
+def part_of(where: str) -> str:
+    return where.split("/")[0].removesuffix(".py")
 
 
 def wrong_imports(part: str, source: str, package: tuple[str, ...]) -> list[str]:
@@ -97,11 +116,13 @@ def wrong_imports(part: str, source: str, package: tuple[str, ...]) -> list[str]
         target = inner.split(".")[0]
         if target not in ALLOWED:
             target = "__init__"  # a public name of the package itself
-        if target != part and target not in ALLOWED[part] | COMMON:
+        everyone_may = set() if part in COMMON else COMMON
+        if target != part and target not in ALLOWED[part] | everyone_may:
             wrong.append(f"{part} imports {name}")
     return wrong
 
 
+@cache
 def base_packages() -> set[str]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     names = [re.split(r"[<>=!~\[; ]", requirement)[0] for requirement in project["dependencies"]]
@@ -113,29 +134,96 @@ def not_in_base_install(source: str, package: tuple[str, ...]) -> set[str]:
     return roots - set(sys.stdlib_module_names) - base_packages() - {"chromaperture"}
 
 
-def package_of(path: Path) -> tuple[str, ...]:
-    return ("chromaperture", *path.relative_to(PACKAGE).parent.parts)
+def package_of(where: str) -> tuple[str, ...]:
+    return ("chromaperture", *where.split("/")[:-1])
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_imports_go_down_the_way_of_the_light(path):
-    part = part_of(path)
-    assert part in ALLOWED, f"{part} is new: give it its place in ALLOWED"
-    assert wrong_imports(part, path.read_text(encoding="utf-8"), package_of(path)) == []
+def module_of(name: str) -> str:
+    """The module or package that holds an imported name."""
+    parts = name.split(".")
+    for length in range(len(parts), 1, -1):
+        place = PACKAGE.joinpath(*parts[1:length])
+        if place.is_dir() or place.with_suffix(".py").is_file():
+            return ".".join(parts[:length])
+    return parts[0]
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_importing_a_module_needs_the_base_install_only(path):
-    assert not_in_base_install(path.read_text(encoding="utf-8"), package_of(path)) == set()
+def executions_imported(source: str, package: tuple[str, ...]) -> set[str]:
+    """Which packages and modules of the two executions a file imports, inside functions too."""
+    modules = {module_of(name) for name in imported(ast.walk(ast.parse(source)), package)}
+    return {module for module in modules if any(f"{module}.".startswith(f"{e}.") for e in EXECUTIONS)}
+
+
+def names_used(source: str) -> set[str]:
+    used = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Name):
+            used.add(node.id)
+        elif isinstance(node, ast.Attribute):
+            used.add(node.attr)
+        elif isinstance(node, ast.alias):
+            used.add(node.name)
+    return used
+
+
+def other_ways(source: str, file_name: str) -> set[str]:
+    return {name for name in names_used(source) & ONE_WAY.keys() if ONE_WAY[name] != file_name}
+
+
+def test_every_part_has_its_place():
+    assert {part_of(where) for where in SOURCES} == set(ALLOWED)
+
+
+def test_imports_go_down_the_way_of_the_light():
+    wrong = {where: wrong_imports(part_of(where), text, package_of(where)) for where, text in SOURCES.items()}
+    assert {where: found for where, found in wrong.items() if found} == {}
+
+
+def test_importing_a_module_needs_the_base_install_only():
+    wrong = {where: not_in_base_install(text, package_of(where)) for where, text in SOURCES.items()}
+    assert {where: found for where, found in wrong.items() if found} == {}
+
+
+def test_the_execution_is_chosen_in_one_place():
+    cpu, _ = EXECUTIONS
+    found = {where: executions_imported(text, package_of(where)) for where, text in SOURCES.items()}
+    importers = {where for where, modules in found.items() if modules}
+    outside = {where for where in importers if not where.startswith(("disparity/cpu/", "disparity/stages/"))}
+    assert outside == MAY_IMPORT_EXECUTIONS
+    assert {where for where, modules in found.items() if modules & set(EXECUTIONS)} == {"disparity/execution.py"}
+    of_cpu = {where for where, modules in found.items() if any(module.startswith(cpu) for module in modules)}
+    assert {where for where in of_cpu if not where.startswith("disparity/cpu/")} == MAY_IMPORT_CPU
+
+
+def test_the_readable_stages_compile_nothing():
+    for where, text in SOURCES.items():
+        if where.startswith("disparity/stages/"):
+            names = imported(ast.walk(ast.parse(text)), package_of(where))
+            assert not [n for n in names if n.startswith(("numba", "llvmlite", "chromaperture.compilation"))], where
+
+
+def test_there_is_one_way_to_compile_and_one_to_start_threads():
+    wrong = {where: other_ways(text, where) for where, text in SOURCES.items()}
+    assert {where: found for where, found in wrong.items() if found} == {}
+
+
+def test_no_file_name_stands_twice():
+    """Except a command's own file in cli/, which has the command's name, and the twins of the two executions."""
+    places: dict[str, list[str]] = {}
+    for where in SOURCES:
+        folder, _, name = where.rpartition("/")
+        if name != "__init__.py" and folder != "cli":
+            places.setdefault(name, []).append(folder)
+    twice = {name: folders for name, folders in places.items() if len(folders) > 1}
+    assert {name: f for name, f in twice.items() if f != ["disparity/cpu", "disparity/stages"]} == {}
 
 
 def test_optional_packages_are_not_in_the_base_install():
     assert base_packages() & OPTIONAL == set()
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_files_stay_readable_in_one_sitting(path):
-    assert len(path.read_text(encoding="utf-8").splitlines()) <= MAX_LINES
+def test_files_stay_readable_in_one_sitting():
+    assert [where for where, text in SOURCES.items() if len(text.splitlines()) > MAX_LINES] == []
 
 
 @pytest.mark.parametrize(
@@ -152,6 +240,8 @@ def test_files_stay_readable_in_one_sitting(path):
         ("depth", "from chromaperture.capture.files import read_image"),
         ("effects", "from chromaperture.viewer import show"),
         ("camera", "from chromaperture.cli.main import main"),
+        ("errors", "from chromaperture.threads import in_parallel"),
+        ("color", "from chromaperture.config import PaperConfig"),
     ],
 )
 def test_a_wrong_import_is_found(part, source):
@@ -171,3 +261,30 @@ def test_a_wrong_import_is_found(part, source):
 )
 def test_a_package_outside_the_base_install_is_found(source, found):
     assert not_in_base_install(source, ("chromaperture", "capture")) == found
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("from chromaperture.disparity import cpu", "chromaperture.disparity.cpu"),
+        ("def f():\n    from chromaperture.disparity.cpu import correlate", "chromaperture.disparity.cpu"),
+        ("import chromaperture.disparity.stages", "chromaperture.disparity.stages"),
+        ("from . import stages", "chromaperture.disparity.stages"),
+        ("from chromaperture.disparity.stages.tiles import Nodes", "chromaperture.disparity.stages.tiles"),
+    ],
+)
+def test_an_imported_execution_is_found(source, found):
+    assert executions_imported(source, ("chromaperture", "disparity")) == {found}
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("import numba\n@numba.njit(cache=True)\ndef f(): pass", {"njit"}),
+        ("from numba import prange as r", {"prange"}),
+        ("from concurrent.futures import ThreadPoolExecutor", {"ThreadPoolExecutor"}),
+        ("import numba\nprint(numba.__version__)", set()),
+    ],
+)
+def test_another_way_to_compile_or_to_start_threads_is_found(source, found):
+    assert other_ways(source, "volume.py") == found

@@ -1,0 +1,240 @@
+"""The worlds of the tests: pictures of known depth, and the calibrations of the cameras that took them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import scipy.fft
+
+from chromaperture.calibration.board_distances import BoardDistances
+from chromaperture.calibration.curves import Evidence
+from chromaperture.camera_file import Calibration, CameraSensor, Film, Lens
+from chromaperture.color.unmixing import ideal_unmixing, view_directions
+from chromaperture.config import PaperConfig
+from chromaperture.depth.field import DepthField
+from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.disparity.views import ViewSpace, view_spaces
+from chromaperture.evaluation.paper.trial import Trial
+from chromaperture.optics.aperture import DESIGNS
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
+from chromaperture.optics.pinhole import PupilCamera, centered_pinhole
+from chromaperture.optics.scene import Plane, plane
+from chromaperture.optics.textures import noise
+from chromaperture.stage_config import BilateralConfig, CorrelationConfig, LayersConfig
+
+# ---- textured planes, displaced view by view as the aperture would displace them
+
+SIN60 = np.sqrt(3) / 2
+# Which way an object beyond focus moves in the view of each film, x right, y down: towards the film.
+LAYOUT = {
+    "cy_halves": {"cyan": (-1, 0), "yellow": (1, 0)},
+    "rgb_squares": {"red": (1, 0), "green": (0, -1), "blue": (-1, 0)},
+    "cmy_circles": {"cyan": (0, -1), "magenta": (-SIN60, 0.5), "yellow": (SIN60, 0.5)},
+}
+MARGIN_PX = 16  # the Fourier shift wraps round, the matcher replicates
+# The paper's method with everything that known noise and pure channels gain; these pictures are ideal.
+NARROW = PaperConfig(
+    layers=LayersConfig(min_px=-4.0, max_px=4.0),
+    space="pure",
+    correlation=CorrelationConfig(noise_debiasing=True),
+    bilateral=BilateralConfig(texture_weighting=True),
+    sigma_scale=1.0,
+)
+
+
+def texture(rng, height=80, width=96, blur_px=1.5):
+    """Periodic Gaussian texture around 0.5, band-limited by a Gaussian; (H, W)."""
+    fy, fx = np.fft.fftfreq(height)[:, None], np.fft.fftfreq(width)
+    spectrum = np.fft.fft2(rng.normal(size=(height, width))) * np.exp(-2 * (np.pi * blur_px) ** 2 * (fx**2 + fy**2))
+    field = np.fft.ifft2(spectrum).real
+    return 0.5 + 0.09 * field / field.std()
+
+
+def moved(picture, dx, dy):
+    """The picture displaced by (dx, dy) px, exactly, for a periodic band-limited one."""
+    fy, fx = np.fft.fftfreq(picture.shape[0])[:, None], np.fft.fftfreq(picture.shape[1])
+    return np.fft.ifft2(np.fft.fft2(picture) * np.exp(-2j * np.pi * (fx * dx + fy * dy))).real
+
+
+def capture(picture, design, disparity_px, film=None):
+    """Photograph of a grey plane: every film, ideal unless given, adds its colour times its displaced view."""
+    film = film or ideal_film(design)
+    image = np.zeros((*picture.shape, 3))
+    for name, (ux, uy) in LAYOUT[design].items():
+        image += moved(picture, disparity_px * ux, disparity_px * uy)[..., None] * film[name]
+    return (0.9 * image / image.max()).astype(np.float32)
+
+
+def ideal_film(design):
+    return {name: np.array(DESIGNS[design].filter_named(name).transmission) for name in LAYOUT[design]}
+
+
+def measured(image, design, config=NARROW, noise=0.0):
+    variance = np.full(image.shape, noise**2, np.float32)
+    found = estimate_disparity(image, aperture=design, config=config, noise_variance=variance, execution="numpy")
+    inner = (slice(MARGIN_PX, -MARGIN_PX), slice(MARGIN_PX, -MARGIN_PX))
+    return found.value_px[inner], found.sigma_px[inner]
+
+
+def space_of(design: str) -> ViewSpace:
+    """The unmixed views of a design in ideal film."""
+    return view_spaces(DESIGNS[design], None, "unmixed")[0]
+
+
+def wavy_capture(
+    design: str, *, shape: tuple[int, int] = (61, 83), seed: int = 7, saturated: bool = True
+) -> np.ndarray:
+    """A noisy capture of a wavy surface with a step, an even area and a saturated one; (H, W, 3) float32."""
+    rng = np.random.default_rng(seed)
+    height, width = shape
+    margin = 16
+    big = (height + 2 * margin, width + 2 * margin)
+    texture = sum(cv2.GaussianBlur(rng.normal(size=big).astype(np.float32), (0, 0), s) * s for s in (1.2, 4.0))
+    texture = 0.5 + 0.12 * texture / texture.std()
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    disparity = 2.5 * np.sin(x / 17) * np.cos(y / 13)
+    disparity[height // 3 : height // 2, width // 4 : width // 2] -= 1.5
+    aperture = DESIGNS[design]
+    x, y = x + margin, y + margin
+    views = [
+        cv2.remap(texture, x - disparity * np.float32(u), y - disparity * np.float32(v), cv2.INTER_CUBIC)
+        for u, v in view_directions(aperture)
+    ]
+    image = np.stack(views, axis=-1) @ np.linalg.pinv(ideal_unmixing(aperture)).T
+    image = image * (0.8 / image.max()) + rng.normal(0, 0.006, image.shape)
+    image[-20:, -25:] = 0.3  # an even area without even noise
+    if saturated:
+        image[5:15, 40:50] = 1.0
+    return image.astype(np.float32)
+
+
+# ---- cameras of cyan and yellow halves
+
+
+def halves_camera(depth, width_px, height_px, /, *, focal_px=1000.0, pixel_pitch_mm=0.05, **changes):
+    """A calibration of ideal film with one depth curve, a DepthModel or a DepthField, for all qualities."""
+    field = depth if isinstance(depth, DepthField) else DepthField.constant(depth)
+    camera = Calibration(
+        design="cy_halves",
+        sensor=CameraSensor(width_px, height_px, pixel_pitch_mm),
+        lens=Lens(50.0, centered_pinhole(focal_px, (width_px, height_px)), f_number=2.0),
+        film=Film(ideal_film("cy_halves"), np.ones(3), np.ones(3)),
+        depth=dict.fromkeys(("paper", "real-time", "accurate"), field),
+        near_mm=900.0,
+        far_mm=4200.0,
+    )
+    return replace(camera, **changes)
+
+
+# ---- boards blurred by a known lens
+
+
+def lens_blur(model: BlurModel, width_px: int, height_px: int, design: str = "cy_halves") -> LensBlur:
+    return LensBlur(model, sample_pupil(DESIGNS[design]), width_px, height_px)
+
+
+def blurred(pattern: np.ndarray, blur: LensBlur, inverse_mm: float) -> np.ndarray:
+    """A periodic grey pattern with the blur of the frame's middle everywhere, by one convolution; (H, W, 3) float32."""
+    transfer = blur.transfer((blur.width_px - 1) / 2, (blur.height_px - 1) / 2, inverse_mm, len(pattern))
+    image = scipy.fft.irfft2(scipy.fft.rfft2(pattern) * transfer)
+    return image[:, : blur.height_px, : blur.width_px].transpose(1, 2, 0).astype(np.float32)
+
+
+class Boards:
+    """The part of a session that the fits to its boards use: photographs by their distance from the sensor, mm."""
+
+    def __init__(self, images: Mapping[float, np.ndarray]) -> None:
+        self.boards = dict(enumerate(images))
+        self.images = list(images.values())
+
+    def read(self, i: int) -> np.ndarray:
+        return self.images[i]
+
+
+def board_evidence(sensor: CameraSensor, z_mm: np.ndarray, *, pupil_mm: float = 50.0, variance=0.1) -> Evidence:
+    """Evidence of boards at distances from the pupil that are known to a variance, mm^2; nothing measured on them."""
+    count, none = len(z_mm), np.zeros(len(z_mm))
+    distances = BoardDistances(z_mm, pupil_mm, 0.5, 1.0, variance * np.eye(count + 1), none, none + 1.0)
+    return Evidence(sensor, [], distances, 3.0, np.ones(count, bool))
+
+
+# ---- scenes for rays
+
+
+def pinhole_camera(width_px: int, height_px: int, *, focus_mm: float = 1000.0, radius_mm: float = 25.0) -> PupilCamera:
+    """A camera of a pupil wide enough to blur small frames by several px."""
+    return PupilCamera(width_px, height_px, focal_px=400.0, pupil_radius_mm=radius_mm, focus_mm=focus_mm,
+                       sensor_to_pupil_mm=50.0, pixel_pitch_mm=0.05)  # fmt: skip
+
+
+def card_before_wall(colors, *, texels: tuple[int, int], distances_mm, widths_mm, **spectrum: float) -> list[Plane]:
+    """A textured wall and a card before it; colours, distances and widths are of the wall and of the card.
+
+    Their grey texture is `chromaperture.optics.textures.noise`, to which ``spectrum`` goes.
+    """
+    made = []
+    for seed, (color, z_mm, width_mm) in enumerate(zip(colors, distances_mm, widths_mm, strict=True), start=1):
+        picture = noise(texels, seed=seed, **spectrum)[..., None] * np.asarray(color, np.float32)
+        made.append(plane(picture, center_mm=(0, 0, z_mm), width_mm=width_mm))
+    return made
+
+
+# ---- a session of boards that are shifted views
+
+INFINITY_PX, SCALE_PX_MM, PUPIL_MM = 4.3, 8200.0, 52.0  # d = A - B / z, z from the pupil
+RULERS_MM = (1150, 1400, 1800, 2300, 3000)
+
+SESSION_TOML = """
+design = "cy_halves"
+[sensor]
+width_px = 144
+height_px = 108
+pixel_pitch_mm = 0.031
+black_level = 100
+white_level = 60100
+[lens]
+nominal_focal_length_mm = 50.0
+nominal_f_number = 2.0
+focused_at_about_mm = 1950
+[board]
+inner_corners = [9, 6]
+square_mm = 30.0
+ruler_error_mm = 3.0
+"""
+
+
+def write_board_session(folder: Path) -> None:
+    """Photographs of boards and white sheets by a camera of cyan and yellow halves whose curve is known."""
+    rng = np.random.default_rng(3)
+    (folder / "board").mkdir(parents=True)
+    (folder / "session.toml").write_text(SESSION_TOML)
+    rows = ["file,ruler_mm"]
+    for ruler in RULERS_MM:
+        image = capture(texture(rng, 108, 144), "cy_halves", INFINITY_PX - SCALE_PX_MM / (ruler - PUPIL_MM))
+        image = image + rng.normal(0, 0.003, image.shape)
+        counts = np.clip(image * 60000 + 100, 0, 65535).astype(np.uint16)
+        cv2.imwrite(str(folder / "board" / f"{ruler}.png"), counts[..., ::-1])
+        rows.append(f"board/{ruler}.png,{ruler}")
+    (folder / "distances.csv").write_text("\n".join(rows) + "\n")
+    (folder / "white").mkdir()
+    for name, colour in (("sheet_c", (0, 1, 1)), ("sheet_y", (1, 1, 0))):  # this world's film is ideal
+        sheet = np.broadcast_to(np.array(colour) * 45000 + 100, (108, 144, 3)).astype(np.uint16)
+        cv2.imwrite(str(folder / "white" / f"{name}.png"), sheet[..., ::-1])
+
+
+# ---- trials of the sweeps
+
+
+def small_trials(seeds=(0, 1)) -> list[Trial]:
+    size = {"width_px": 96, "height_px": 64, "cells": 6, "exposure": 0.9}
+    names = ("normalised cross-correlation, unmixed", "phase correlation")
+    return [Trial(method=name, design="cy_halves", seed=seed, **size) for name in names for seed in seeds]
+
+
+def stored(folder: Path) -> dict[str, bytes]:
+    """The files in which a sweep keeps its results, by name."""
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.json"))}
