@@ -247,6 +247,15 @@ def _read_at_labels(lines, offset, scale, y, height, settings, scores, at_labels
 
 
 @inner
+def _arrive(lines, settings, weight, line, parity):
+    """Slots of the pixel here and the one before, the least cost there, and the penalties of the link between them."""
+    here, there = (2 * line + parity) * lines.pitch + v.LANES, (2 * line + 1 - parity) * lines.pitch + v.LANES
+    smallest = v.load(lines.least, line * v.LANES)
+    jump = v.add(smallest, v.broadcast(weight * settings.jump))
+    return here, there, smallest, v.broadcast(weight * settings.slope), jump
+
+
+@inner
 def _incoming(paths, i, slope, jump, smallest):
     """Costs of eight layers that come in from the pixel before: m(d) of the module's docstring."""
     beside = v.smaller(v.load(paths, i - 1), v.load(paths, i + 1))
@@ -257,10 +266,7 @@ def _incoming(paths, i, slope, jump, smallest):
 def _propagate(lines, settings, at, weight, line, parity, add):
     """Store or add the path costs that come in, and leave those of this pixel for the next one."""
     volume, sums, paths, slabs = lines.volume, lines.sums, lines.paths, lines.slabs
-    here, there = (2 * line + parity) * lines.pitch + v.LANES, (2 * line + 1 - parity) * lines.pitch + v.LANES
-    smallest = v.load(lines.least, line * v.LANES)
-    slope = v.broadcast(weight * settings.slope)
-    jump = v.add(smallest, v.broadcast(weight * settings.jump))
+    here, there, smallest, slope, jump = _arrive(lines, settings, weight, line, parity)
     into, nats = v.broadcast(lines.unit), v.broadcast(-ONE / _NATS)
     lowest = v.broadcast(_FAR)
     for s in range(0, slabs * v.LANES, v.LANES):
@@ -280,10 +286,7 @@ def _propagate(lines, settings, at, weight, line, parity, add):
 def _decide(lines, settings, at, weight, line, parity, decision):
     """Propagate the last path costs, leave the sum of all in ``decision.costs`` and return the best layer."""
     volume, sums, paths, slabs = lines.volume, lines.sums, lines.paths, lines.slabs
-    here, there = (2 * line + parity) * lines.pitch + v.LANES, (2 * line + 1 - parity) * lines.pitch + v.LANES
-    smallest = v.load(lines.least, line * v.LANES)
-    slope = v.broadcast(weight * settings.slope)
-    jump = v.add(smallest, v.broadcast(weight * settings.jump))
+    here, there, smallest, slope, jump = _arrive(lines, settings, weight, line, parity)
     nats_sum, nats, raised = v.broadcast(ONE / lines.unit), v.broadcast(-ONE / _NATS), v.broadcast(_RAISED)
     keep = v.load(decision.tags, 0)
     lowest, best = v.broadcast(_FAR), v.broadcast(_FAR)
