@@ -58,7 +58,7 @@ def matching(
     space = view_spaces(aperture, None, config.space)[0]
     method = RealTimeMethod(config, space, IDENTITY, execution_named("numba"))
     mask = np.ones(guide.shape, bool)
-    return lambda: method.match_views(
+    return lambda: method.surface(
         *halved(views, guide, mask, directions=space.directions, config=config.views)
     )
 
@@ -69,7 +69,7 @@ def benchmark() -> dict:
         aperture = design_named(design)
         views, guide, truth = scene(view_directions(aperture))
         match = matching(aperture, views, guide)
-        found = match().value_px
+        found = match().disparity_px
         results[case] = {
             "accuracy": {
                 "median_error_px": round(float(np.nanmedian(np.abs(found - truth))), 4),

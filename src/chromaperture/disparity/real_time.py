@@ -38,10 +38,12 @@ class RealTimeMethod:
 
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3)."""
-        return self.match_views(*halved_views(image, self.space, config=self.config.views))
+        surface = self.surface(*halved_views(image, self.space, config=self.config.views))
+        sigma = surface_sigma(surface, floor_px=self.config.floor_px)
+        return Disparity(surface.disparity_px, sigma, confidence(sigma, surface.peak))
 
-    def match_views(self, views: Views, guide: np.ndarray) -> Disparity:
-        """Return the disparity at the guide's (H, W) for halved views; see `halved_views`."""
+    def surface(self, views: Views, guide: np.ndarray) -> Surface:
+        """Return the surface at the guide's (H, W) for halved views; see `halved_views`."""
         config, run = self.config, self.run
         layers_px, label_map = config.layers.values_px / 2, self.label_map.halved()
         winner = run.four_path_winner(views, layers_px, label_map, correlation=config.correlation, paths=config.paths)
@@ -51,10 +53,7 @@ class RealTimeMethod:
             (weight, place * weight), views.guide, winner.layer, sigma_px=config.smoothing_sigma_px
         )
         surface = halved_surface(winner, sums[1] / sums[0], layers_px, label_map)
-        surface = run.enlarge(Surface(2 * surface.disparity_px, 2 * surface.sigma_px, surface.peak), guide)
-
-        sigma = surface_sigma(surface, floor_px=config.floor_px)
-        return Disparity(surface.disparity_px, sigma, confidence(sigma, surface.peak))
+        return run.enlarge(Surface(2 * surface.disparity_px, 2 * surface.sigma_px, surface.peak), guide)
 
 
 def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: int) -> tuple[np.ndarray, np.ndarray]:
