@@ -106,7 +106,7 @@ class CorrelationConfig:
     Attributes
     ----------
     window_decay : float
-        ``a`` of the correlation window ``a**(|x| + |y|)``; 0.80 has the variance of the 21 px box of paper section 3.1.
+        ``a`` of the correlation window ``a**(|x| + |y|)``; 0.80 has the variance of a 21 px box.
     noise_debiasing : bool
         Subtract the known noise from the views' variances and covariances; unmixing correlates it between the views,
         which lowers the score at disparity 0.

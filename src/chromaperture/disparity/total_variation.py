@@ -18,7 +18,7 @@ from chromaperture.disparity.stages.variation import OPERATOR_NORM_SQUARED, Prob
 from chromaperture.errors import InputError
 
 DataTerm = Literal["absolute", "quadratic"]
-CHECK_EVERY = 25  # iterations between two looks at the gap, which costs as much as two
+CHECK_EVERY = 25  # iterations between two evaluations of the gap; chosen by hand
 
 
 class Smoothed(NamedTuple):

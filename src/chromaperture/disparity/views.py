@@ -20,7 +20,7 @@ from chromaperture.stage_config import ViewsConfig
 _FILL_SIGMA_PX = 6.0  # of the mean that replaces unusable pixels, px of the halved picture; chosen by hand
 _USABLE = 0.99  # fraction of a halved pixel that must be usable: below, a saturated neighbour's edge is in it
 _GUIDE_SIGMA_PX = 1.0  # noise of the guide would break the links between pixels; chosen by hand
-_PERCENTILE_SAMPLES = 20_000  # of the guide: its percentiles are then known to less than a percent of its contrast
+_PERCENTILE_SAMPLES = 20_000  # of the guide, from which its percentiles are taken; chosen by hand
 _CONSTANT = 1e-6  # RMS of a view, of full scale, below which it has no texture: a thousandth of a 10-bit step
 _LEAST_PRESMOOTH_PX = 0.3  # below, the pixel's own area smooths the noise
 

@@ -39,7 +39,7 @@ from chromaperture.threads import in_parallel, thread_count
 
 # Fraction of a window's weight that a band may miss: products have means far above their variances.
 _NEGLIGIBLE = 1e-6
-_BAND_ROWS = 180  # a band's samples and windows then fit a level-2 cache of 1 MB at 1280 px width
+_BAND_ROWS = 180  # most rows of a band, chosen by hand: fewer repeat more of the halo, more take more memory
 _MOST_SAMPLES_A_PX = 8  # of an up-sampled view; finer layers are sampled one by one
 
 
