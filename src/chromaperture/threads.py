@@ -42,6 +42,22 @@ def limited_threads(count: int) -> Iterator[None]:
         _limit = before
 
 
+@contextlib.contextmanager
+def limited_opencv_threads(count: int) -> Iterator[None]:
+    """Let OpenCV use ``count`` threads inside a ``with`` block, in the whole process.
+
+    Its bundle adjustment adds float sums in the order in which threads finish: only one thread repeats its result.
+    """
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(count)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
 def in_parallel(work: Callable[[int, int, int], None], count: int, *, threads: int | None = None) -> None:
     """Run ``work(thread, first, last)`` over ``count`` pieces, in contiguous portions.
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from chromaperture.errors import InputError
 from chromaperture.optics.pinhole import centered_pinhole
+from chromaperture.threads import limited_opencv_threads
 
 MIN_VIEWS = 4  # two determine the pinhole, more average its errors; chosen by hand
 _PERFECT_PX = 0.01  # reprojection error below which models are equally good: corners are never better
@@ -131,9 +132,10 @@ def fit_intrinsics(
     best, least = None, np.inf
     for flags, numbers in _MODELS:
         guess = centered_pinhole(_START_FOCAL * max(image_size), image_size)
-        rms, matrix, distortion, *_ = cv2.calibrateCamera(
-            [grid] * len(views), views, image_size, guess, np.zeros(5), flags=flags
-        )
+        with limited_opencv_threads(1):
+            rms, matrix, distortion, *_ = cv2.calibrateCamera(
+                [grid] * len(views), views, image_size, guess, np.zeros(5), flags=flags
+            )
         criterion = 2 * samples * np.log(max(rms, _PERFECT_PX)) + numbers * np.log(samples)
         if criterion < least:
             best, least = Intrinsics(matrix, distortion.ravel()[:5].astype(float), float(rms)), criterion

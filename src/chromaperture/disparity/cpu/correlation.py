@@ -8,8 +8,9 @@ caches; so the picture is cut twice.
    them and filters these along x. What it works on stays in the cache; it leaves 16 bits a score.
 2. Strips of columns (`strips.py`), in parallel: the filter along y, the best layer, the parabola.
 
-A thread's first band needs ``halo`` rows above, every band as many below: the reach of a window. A band that follows
-another takes over its windows.
+Bands come in runs, and a run is the work of one thread. The first band of a run needs ``halo`` rows above, every band
+as many below: the reach of a window. A band that follows another takes over its windows. Runs and bands depend on the
+picture's size only, so the result does not depend on the number of threads.
 
 Memory: 2 bytes a score, and for each thread a scratch of 35 MB at 1280 px width for two views along x, up to 400 MB
 for three views that take every layer at a phase of its own. Both are kept for the next call.
@@ -40,6 +41,9 @@ from chromaperture.threads import in_parallel, thread_count
 # Fraction of a window's weight that a band may miss: products have means far above their variances.
 _NEGLIGIBLE = 1e-6
 _BAND_ROWS = 180  # most rows of a band, chosen by hand: fewer repeat more of the halo, more take more memory
+_RUN_HALOS = (
+    6  # most rows of a run, in halos; chosen by hand: short runs repeat more rows, long ones leave threads idle
+)
 _MOST_SAMPLES_A_PX = 8  # of an up-sampled view; finer layers are sampled one by one
 
 
@@ -91,9 +95,10 @@ def filtered_scores(
     noise = _noise_planes(views)
     plan = _plan(views, layers_px, config, np.float32(even_link), texture_weighting)
     least = 2 * plan.pad_y + 8  # rows of the smallest band
-    threads = max(1, min(thread_count(), height // max(least, plan.halo)))
-    rows_of_thread = -(-height // threads)
-    band_rows = -(-rows_of_thread // (-(-rows_of_thread // max(_BAND_ROWS, least))))
+    run_rows = _equal_parts(height, most=max(_BAND_ROWS, _RUN_HALOS * plan.halo, least))
+    band_rows = _equal_parts(run_rows, most=max(_BAND_ROWS, least))
+    runs = -(-height // run_rows)
+    threads = min(thread_count(), runs)
     scratch = _scratch(plan, band_rows, width, threads, even_noise=noise[0].shape[1] == 1, memory=memory)
     wide = -(-width // layout.BLOCK) * layout.BLOCK
     volume = memory.array("volume", (wide * height * len(plan.layers.ceiling),), np.int16)
@@ -108,12 +113,19 @@ def filtered_scores(
 
     def score_bands(thread: int, first: int, last: int) -> None:
         own = layout.Scratch(*(array[thread] for array in scratch))
-        for number in range(first, last):
-            rows = number * band_rows, min((number + 1) * band_rows, height)
-            bands.score_band(pictures, plan, layout.Band(*rows, number == first), own, volume, maps)
+        for run in range(first, last):
+            start, end = run * run_rows, min((run + 1) * run_rows, height)
+            for top in range(start, end, band_rows):
+                band = layout.Band(top, min(top + band_rows, end), top == start)
+                bands.score_band(pictures, plan, band, own, volume, maps)
 
-    in_parallel(score_bands, -(-height // band_rows), threads=threads)
+    in_parallel(score_bands, runs, threads=threads)
     return volume, maps
+
+
+def _equal_parts(rows: int, *, most: int) -> int:
+    """Rows of each part when rows are cut into as few nearly equal parts of at most ``most`` rows as possible."""
+    return -(-rows // -(-rows // most))
 
 
 def _noise_planes(views: Views) -> tuple[np.ndarray, np.ndarray]:

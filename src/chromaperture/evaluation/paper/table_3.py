@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -19,7 +18,7 @@ from chromaperture.evaluation.prior.annulus import annulus_radius
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.psf import geometric_otf
 from chromaperture.optics.textures import noise
-from chromaperture.threads import limited_threads, thread_count
+from chromaperture.threads import limited_opencv_threads, limited_threads, thread_count
 
 _HD, _PAPER = (720, 1280), (1280, 1920)  # rows, columns, of the paper's pictures
 _ANNULUS_PARTS = 64  # the annulus is timed on this part of the paper's picture
@@ -41,7 +40,7 @@ def make(context: Context) -> Content:
     }
     seconds: dict[tuple[str, int], float] = {}
     for count in threads:
-        with _threads(count):
+        with limited_threads(count), limited_opencv_threads(count):
             for name, run in cases.items():
                 run()
                 seconds[name, count] = min(methods.timed(run)[1] for _ in range(repeats))
@@ -87,15 +86,3 @@ def _annulus_s() -> float:
 
 def _match(image: np.ndarray, design: str, quality: Quality) -> object:
     return estimate_disparity(image, aperture=design, config=preset(quality))
-
-
-@contextlib.contextmanager
-def _threads(count: int) -> Iterator[None]:
-    """Limit OpenCV and the kernels to a number of threads."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(count)
-    try:
-        with limited_threads(count):
-            yield
-    finally:
-        cv2.setNumThreads(before)
