@@ -58,6 +58,7 @@ def test_captures_that_cannot_be_measured_say_why():
     for broken, word in (
         (image[:, :40], "40x48"),
         (image[..., 0], "RGB"),
+        (np.ma.masked_array(image, mask=image > 0.5), "masked"),
         ((image * 255).astype(np.uint8), "read_image"),
         (image * 0, "black"),
         (image * 0 + 1, "saturated"),

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chromaperture.config import PaperConfig
-from chromaperture.disparity.error_bar import confidence, effective_samples, peak_sigma
+from chromaperture.config import PaperConfig, preset
+from chromaperture.disparity.error_bar import confidence, effective_samples, peak_sigma, sigma_of_range
+from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.winner import Winner
 from chromaperture.stage_config import BilateralConfig, CorrelationConfig
 from worlds import LAYOUT, NARROW, capture, measured, texture
@@ -65,3 +66,19 @@ def test_a_flat_or_negative_peak_gives_a_long_but_finite_error_bar():
         sigma = peak_sigma(winner, PaperConfig(), view_count, np.full((1, 4), 1e-4, np.float32))
         assert np.isfinite(sigma).all()
         assert (sigma > 1).all()
+
+
+@pytest.mark.parametrize(("quality", "most_known"), [("paper", 0.72), ("real-time", 0.25), ("accurate", 0.01)])
+def test_what_is_known_no_better_than_the_range_is_unknown(rng, quality, most_known):
+    # Pure noise: each channel another one, so no disparity is right. Known fractions found: .70, .18, 0; without the
+    # rule .75, .69, .91. The local peaks of `paper` have no posterior over the range.
+    config = preset(quality).with_range(-4.0, 4.0)
+    noise = rng.uniform(0.1, 0.9, (120, 160, 3)).astype(np.float32)
+    found = estimate_disparity(noise, aperture="cy_halves", config=config)
+    known = np.isfinite(found.value_px)
+    np.testing.assert_array_equal(known, np.isfinite(found.sigma_px))
+    assert known.mean() < most_known
+    floor = getattr(config, "floor_px", 0.0)  # added in quadrature afterwards
+    limit = np.hypot(sigma_of_range(config.layers.values_px), floor) * (1 + 1e-6)  # float32
+    assert (found.sigma_px[known] <= limit).all()
+    assert not found.confidence[~known].any()

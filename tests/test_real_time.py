@@ -53,8 +53,11 @@ def test_the_place_between_layers_is_the_vertex_of_the_correlation(view_count, p
     assert information[0, 0] == pytest.approx(0.2 * 0.8 / left, rel=0.02)
 
 
-def test_saturated_pixels_take_the_disparity_of_their_neighbours():
+def test_saturated_pixels_take_the_disparity_of_their_neighbours_or_are_unknown():
     image = capture(texture(np.random.default_rng(5), blur_px=2.0), "cy_halves", 1.0)
     image[30:40, 40:50] = 1.0
     found = estimate_disparity(image, aperture="cy_halves", config=SMALL)
-    assert abs(np.nanmedian(found.value_px[32:38, 42:48]) - 1.0) < 0.1  # a fifth of a layer
+    patch = found.value_px[30:40, 40:50]
+    known = np.isfinite(patch)
+    assert 0.3 < known.mean() < 0.7  # 0.51; in its middle any disparity explains a saturated patch
+    np.testing.assert_allclose(patch[known], 1.0, atol=0.1)  # a fifth of a layer

@@ -11,6 +11,8 @@ SATURATION = 0.995  # of the white level; a pixel at or above it is clipped. Lea
 
 def checked_image(image: np.ndarray) -> np.ndarray:
     """Validate an image and return it as contiguous float32; raises InputError."""
+    if np.ma.isMaskedArray(image):  # np.asarray would drop the mask
+        raise InputError("masked arrays are not read; set the masked pixels to NaN with image.filled(numpy.nan)")
     image = np.asarray(image)
     if image.ndim != 3 or image.shape[2] != 3:
         raise InputError(f"expected an RGB image of shape (height, width, 3), got {image.shape}")

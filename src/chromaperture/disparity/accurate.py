@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from chromaperture.config import AccurateConfig
-from chromaperture.disparity.error_bar import confidence, surface_sigma
+from chromaperture.disparity.error_bar import confidence, sigma_of_range, surface_sigma
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import Disparity
@@ -89,7 +89,7 @@ def optimised_surface(
     Returns
     -------
     Surface
-        The disparity is NaN within half a layer of an end of the range.
+        The disparity is NaN within half a layer of an end of the range, and where it is known no better than the range.
 
     Raises
     ------
@@ -109,12 +109,13 @@ def optimised_surface(
     start = between_layers(start, likelihood, labels_px, sigma_px=config.interpolation_sigma_px)
     disparity = run.coupled_variation(start, likelihood, guide, labels_px, config=config)
     sigma = run.posterior_sigma(disparity, cost, labels_px, temperature=config.temperature * config.paths)
+    inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
+    known = inside & (sigma < sigma_of_range(labels_px))
     sigma = np.hypot(sigma, local_range(disparity, EDGE_REACH_PX))
 
     layer = np.rint((disparity - labels_px[0]) / step).astype(np.intp)
     explained = -np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0])
-    inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
-    return Surface(np.where(inside, disparity, np.nan).astype(np.float32), sigma, np.sqrt(explained))
+    return Surface(np.where(known, disparity, np.nan).astype(np.float32), sigma, np.sqrt(explained))
 
 
 def local_range(disparity_px: np.ndarray, reach_px: int) -> np.ndarray:

@@ -62,6 +62,14 @@ def _limited(sigma_px: np.ndarray, disparity_px: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(disparity_px), np.minimum(sigma_px, MAX_SIGMA_PX), np.nan).astype(np.float32)
 
 
+def sigma_of_range(layers_px: np.ndarray) -> float:
+    """Return the standard deviation of a uniform distribution over the range of the layers, px.
+
+    A disparity that is known no better than this is unknown: its evidence says no more than the search range does.
+    """
+    return float(layers_px[-1] - layers_px[0]) / math.sqrt(12)
+
+
 def effective_samples(decay: float) -> float:
     """Return the number of independent samples in the exponential window, both axes together."""
     return ((1 + decay) ** 3 / ((1 - decay) * (1 + decay**2))) ** 2

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from chromaperture.config import PaperConfig
-from chromaperture.disparity.error_bar import confidence, peak_sigma
+from chromaperture.disparity.error_bar import confidence, peak_sigma, sigma_of_range
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.result import Disparity, NoiseModel
 from chromaperture.disparity.views import ViewSpace, filtered_views
@@ -43,4 +43,6 @@ class PaperMethod:
         if debiased:  # the peak then lacks the noise that lowers a correlation
             texture = self.run.texture_weights(views, config=correlation).astype(np.float32)
         sigma = peak_sigma(winner, config, len(self.space.rows), texture)
-        return Disparity(winner.disparity_px, sigma, confidence(sigma, winner.peak))
+        known = sigma < sigma_of_range(layers_px)
+        disparity, sigma = (np.where(known, values, np.float32(np.nan)) for values in (winner.disparity_px, sigma))
+        return Disparity(disparity, sigma, confidence(sigma, winner.peak))

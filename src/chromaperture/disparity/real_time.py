@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.config import RealTimeConfig
-from chromaperture.disparity.error_bar import confidence, surface_sigma
+from chromaperture.disparity.error_bar import confidence, sigma_of_range, surface_sigma
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import Disparity
@@ -86,9 +86,12 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
 
 
 def halved_surface(winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap) -> Surface:
-    """Return the surface of the halved picture in its own px; unknown where the best layer is an end of the range."""
+    """Return the surface of the halved picture in its own px.
+
+    It is unknown where the best layer is an end of the range and where it is known no better than the range.
+    """
     first, step = np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0])
-    known = (winner.layer > 0) & (winner.layer < len(layers_px) - 1)
+    known = (winner.layer > 0) & (winner.layer < len(layers_px) - 1) & (winner.sigma_px < sigma_of_range(layers_px))
     label = np.where(known, first + step * place, np.nan).astype(np.float32)
     peak = np.sqrt(np.maximum(1 - np.exp(-2 * winner.at), 0)).astype(np.float32)
     return Surface(label_map.disparity(label), label_map.scale * winner.sigma_px, peak)
