@@ -167,12 +167,9 @@ def announce_duration(camera: CodedApertureCamera, photographs: int, *, quiet: b
     megapixels = sensor.width_px * sensor.height_px / 1e6
     each_s = ACCURATE_S_A_MEGAPIXEL * megapixels
     several = f", {_duration(photographs * each_s)} for {photographs}" if photographs > 1 else ""
-    print(
-        f"Quality accurate: about {_duration(each_s)} a photograph of {megapixels:.2g} megapixels{several}. An estimate: "
-        f"{ACCURATE_S_A_MEGAPIXEL:.0f} s a megapixel, as measured on two cores of an Intel Xeon server.",
-        file=sys.stderr,
-        flush=True,
-    )
+    say = f"Quality accurate: about {_duration(each_s)} a photograph of {megapixels:.2g} megapixels{several}"
+    basis = f"{ACCURATE_S_A_MEGAPIXEL:.0f} s a megapixel, as measured on two cores of an Intel Xeon server"
+    print(f"{say} (an estimate: {basis}).", file=sys.stderr, flush=True)
 
 
 def _duration(seconds: float) -> str:

@@ -72,7 +72,7 @@ def depth_accuracy(result: CalibrationResult, quality: Quality = QUALITY) -> Dep
     z = (depth - field.sensor_to_pupil_mm)[:, None]
     calibrated = depth_sigma(z, model, 0.0)
     read = z**2 / model.scale_px_mm * noise_px[:, None] / _mean_slope(z, model, noise_px[:, None])
-    step = (depth - field.sensor_to_pupil_mm) ** 2 / float(np.asarray(calibration.on_axis(quality).scale_px_mm))
+    step = (depth - field.sensor_to_pupil_mm) ** 2 / float(np.asarray(field.on_axis(width, height).scale_px_mm))
     return DepthAccuracy(depth, _over_frame(np.hypot(calibrated, read)), _over_frame(calibrated), bias, step)
 
 
@@ -139,14 +139,13 @@ def board_depth(result: CalibrationResult, index: int, *, corrected: bool = True
     -------
     (h, w) float64, mm from the sensor plane; NaN unknown
     """
-    board, calibration = result.boards[index], result.calibration
-    axis = calibration.on_axis(QUALITY)
+    board, sensor, field = result.boards[index], result.calibration.sensor, result.calibration.depth[QUALITY]
+    axis = field.on_axis(sensor.width_px, sensor.height_px)
     disparity = np.asarray(board.grid_px[QUALITY], float)
     if corrected:
         # A px of residual is 1 / B(i, j) of inverse depth; added to the curve of the axis.
-        shape = (calibration.sensor.height_px, calibration.sensor.width_px)
-        scale = np.broadcast_to(np.asarray(calibration.depth_model(QUALITY).scale_px_mm), shape)
-        on_grid = scale[np.ix_(result.grid_y_px.astype(int), result.grid_x_px.astype(int))]
+        x, y = np.meshgrid(result.grid_x_px, result.grid_y_px)
+        on_grid = field.at(x, y, sensor.width_px, sensor.height_px).scale_px_mm
         ratio = float(np.asarray(axis.scale_px_mm)) / on_grid
         residual = np.asarray(result.residual_px[QUALITY][index], float)
         disparity = float(depth_to_disparity(board.ruler_mm, axis)) + residual * ratio

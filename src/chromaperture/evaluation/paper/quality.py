@@ -76,7 +76,7 @@ def measure(wall: Wall, quality: Quality) -> Measured:
 
 
 def _walls(context: Context) -> tuple[str, int, Iterator[Wall]]:
-    """Return source, number of walls, and walls: a session's boards, or simulated ones that the camera was not calibrated on."""
+    """Return source, number and walls: a session's boards, or simulated walls that the camera was not calibrated on."""
     if context.data is None:
         result, source = context.calibrated()
         source += " Other walls are photographed by the same simulated lens."
