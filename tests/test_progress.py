@@ -1,4 +1,4 @@
-"""How far a command is: a line now and then where there is no terminal, a bar with the remaining time where there is."""
+"""How far a command is: lines where there is no terminal, a bar with the remaining time where there is one."""
 
 from __future__ import annotations
 
