@@ -12,6 +12,7 @@ from chromaperture.calibration.read_boards import pixel_sigma
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_matching import default_config
 from chromaperture.depth.conversion import depth_to_disparity
+from chromaperture.errors import InputError
 
 # Of all boards together: 80 s at 40 s a megapixel (README), which is less than the calibration itself takes.
 MOST_MEGAPIXELS = 2.0
@@ -45,7 +46,7 @@ def with_accurate_noise(
     Returns
     -------
     CalibrationResult
-        With ``pixel_sigma_px["accurate"]``, NaN for the other boards; or unchanged.
+        With ``pixel_sigma_px["accurate"]``, NaN for the other boards and those that cannot be measured; or unchanged.
     """
     calibration = result.calibration
     width, height = calibration.sensor.width_px, calibration.sensor.height_px
@@ -58,7 +59,10 @@ def with_accurate_noise(
     rows, columns = result.grid_y_px.astype(int), result.grid_x_px.astype(int)
     paths, sigma = list(result.session.boards), np.full(len(result.boards), np.nan)
     for i in reported(boards, "boards at quality accurate", progress):
-        measured = camera.measure(result.session.read(paths[i])).disparity_px[np.ix_(rows, columns)]
+        try:
+            measured = camera.measure(result.session.read(paths[i])).disparity_px[np.ix_(rows, columns)]
+        except InputError:  # as a saturated board; the calibration itself does not depend on it
+            continue
         residual = measured - depth_to_disparity(float(result.evidence.from_sensor_mm[i]), model)
         sigma[i] = pixel_sigma(residual[None])[0]
     return replace(result, pixel_sigma_px={**result.pixel_sigma_px, "accurate": sigma})
