@@ -11,10 +11,13 @@ from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
+from chromaperture.evaluation.accurate_noise import chosen_boards, with_accurate_noise
+from chromaperture.evaluation.verdict import depth_accuracy
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.simulated_session import SessionPlan, write_session
+from chromaperture.robust import robust_sigma
 
 # A thin 50 mm f/2 lens on a frame as small as corners of boards at 3.2 m are found in.
 CAMERA = PupilCamera(192, 128, 450.0, 12.5, 2000.0, 50.0, 0.06)
@@ -38,8 +41,10 @@ def folder(tmp_path_factory):
 def test_the_default_calibration_finds_the_camera_that_took_the_session(folder, tmp_path):
     done = []
     result = calibrate_session(folder, progress=lambda what, number, total: done.append((what, number == total)))
-    steps = ("chessboards", "board disparity", "blur of the lens", "depth of the layers", "rendered boards")
-    assert [what for what, last in done if last] == list(steps)
+    assert [what for what, last in done if last] == [
+        "chessboards", "board disparity", "depth curves", "blur of the lens", "depth of the layers",
+        "rendered boards", "nonlinearity of rendered boards", "depth curves",
+    ]  # fmt: skip
     camera, distances = result.calibration, result.evidence.distances
     # Rulers err by up to 3 mm, 1.7 mm rms, over 2.2 m: their slope, and with it the focal length, by 0.1 %.
     assert camera.lens.camera_matrix[0, 0] == pytest.approx(CAMERA.focal_px, rel=0.004)
@@ -63,6 +68,22 @@ def test_the_default_calibration_finds_the_camera_that_took_the_session(folder, 
         # 0.02 px are 12 mm at 1.25 m, and the ruler of a neighbour errs by 3 mm.
         assert np.nanmedian(depth) == pytest.approx(truth, abs=15), quality
         assert np.isfinite(depth).mean() > 0.9, quality  # a board is texture all over
+
+    # The report's error bar of quality accurate: the scatter of its depth on a board, whole frame.
+    assert with_accurate_noise(result, most_megapixels=0.05) is result  # three boards are 0.074 megapixels
+    boards = []
+    measured = with_accurate_noise(result, progress=lambda what, number, total: boards.append((number, total)))
+    assert boards[-1] == (3, 3)
+    chosen = chosen_boards(result)
+    assert [RULERS[i] for i in chosen] == [1000.0, 2200.0, 3200.0]  # nearest, closest to the focus, farthest
+    assert np.flatnonzero(np.isfinite(measured.pixel_sigma_px["accurate"])).tolist() == chosen
+    eye, found = CodedApertureCamera(camera, default_config(camera, "accurate")), depth_accuracy(measured, "accurate")
+    for i in (chosen[0], chosen[2]):
+        depth = eye.measure(result.session.read(list(result.session.boards)[i])).depth_mm
+        scatter = robust_sigma(depth[np.isfinite(depth)] - np.nanmedian(depth))
+        bar = np.interp(RULERS[i], found.depth_mm, np.sqrt(found.pixel_sigma_mm**2 - found.curve_sigma_mm**2))
+        # The grid has 1 of 36 pixels, neighbours have one error, and tails count more in px than in mm.
+        assert bar == pytest.approx(scatter, rel=0.3), RULERS[i]
 
     camera.save(tmp_path / "camera.asdf")
     again = Calibration.load(tmp_path / "camera.asdf")

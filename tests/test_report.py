@@ -24,9 +24,10 @@ from chromaperture.calibration.read_boards import BoardMeasurement
 from chromaperture.calibration.session import Session
 from chromaperture.camera_file import Film
 from chromaperture.cli.main import app, main
-from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
 from chromaperture.depth.field import DepthField
-from chromaperture.evaluation import blur_figures, figures
+from chromaperture.depth.nonlinearity import Nonlinearity
+from chromaperture.evaluation import blur_figures, figures, tables
 from chromaperture.evaluation.figures import layer_errors, plane_residual
 from chromaperture.evaluation.report import report_html
 from chromaperture.evaluation.verdict import (
@@ -152,6 +153,93 @@ def test_the_accuracy_agrees_with_drawn_cameras(result):
     step = np.interp(2400.0, seen.depth_mm, seen.step_mm)
     near, far = (B / (A - d) + DELTA for d in A - B / (2400.0 - DELTA) + np.array([-0.005, 0.005]))
     assert step == pytest.approx((far - near) / 0.01, rel=1e-3)  # interpolated between depths
+
+
+@pytest.mark.parametrize("vignetted", [True, False])
+def test_the_bar_is_that_of_the_whole_frame_and_has_no_jump_at_the_last_board(result, vignetted):
+    """Depths of pixels drawn over the frame, at and about the last board, where the nonlinearity ends.
+
+    With A and B the same all over the frame, all of its pixels reach the end at the last board.
+    """
+    rng = np.random.default_rng(5)
+    fall = -0.3 * B if vignetted else 0.0  # of B from the middle to the sides, as a double Gauss has it
+    scale = np.array([B + fall / 2, 0, 0, 0, 0, fall / 2])
+    infinity = scale * A / B
+    curve = Nonlinearity(A - B / (RULERS[0] - DELTA), A - B / (RULERS[-1] - DELTA), np.array([-0.016, 0.05, 0.04]))
+    field = DepthField(infinity, scale, DELTA, np.zeros((3, 3)), curve)
+    noise_px = 0.06
+    known = replace(
+        result,
+        calibration=replace(result.calibration, depth={"real-time": field, "paper": field, "accurate": field}),
+        pixel_sigma_px={"real-time": np.full(5, noise_px)},
+    )
+    assert float(curve.slope(curve.high_px - 1e-6)) > 1.3  # so much steeper than beyond, where it is 1
+    seen = depth_accuracy(known)
+    for true in (1400.0, 2500.0, 3350.0, 3500.0, 3650.0):
+        x, y = rng.uniform(-0.5, WIDTH - 0.5, 20000), rng.uniform(-0.5, HEIGHT - 0.5, 20000)
+        model = field.at(x, y, WIDTH, HEIGHT)
+        reading = depth_to_disparity(true, model) + rng.normal(0, noise_px, x.size)
+        drawn = disparity_to_depth(reading, model)[0].astype(float)
+        # 20000 draws know it to 0.5 %; noise of 4 % of the distance is not small enough for a first order.
+        assert np.interp(true, seen.depth_mm, seen.pixel_sigma_mm) == pytest.approx(np.std(drawn), rel=0.06), true
+    before, after = (np.interp(mm, seen.depth_mm, seen.pixel_sigma_mm) for mm in (3480.0, 3520.0))
+    assert after / before < 1.1  # was 1.35, the ratio of the slopes; 1.02 is due to the distance
+
+
+def test_ranges_end_at_the_boards(result):
+    """Not at the next of evenly spaced depths: 1008 mm was printed where the first board stood at 1000."""
+    assert any("good to 2% from 1000 to" in s.text for s in sentences(result))
+
+
+def with_layers(result):
+    """Return the result with quality accurate measured: cells that read every board 0.5 % too far, little noise."""
+    camera = replace(result.calibration, blur=BlurModel(A / 0.4, B / 0.4))
+    at_infinity, scale = camera.field_blur().reference
+    model = DepthModel(at_infinity, scale, DELTA, np.diag([1e-6, 1.0, 1.0]))
+    camera = replace(camera, depth={**camera.depth, "accurate": DepthField.constant(model)})
+    read_mm = 1.005 * RULERS
+    layer = np.repeat(depth_to_disparity(read_mm, model)[:, None], 7, axis=1)
+    layers = LayerEvidence((WIDTH, HEIGHT), np.linspace(10, 86, 7), np.full(7, 30.0), layer, 0.05, 0.2)
+    evidence = replace(result.evidence, distances=replace(result.evidence.distances, from_pupil_mm=RULERS - DELTA))
+    noise = {**result.pixel_sigma_px, "accurate": np.array([0.005, np.nan, 0.005, np.nan, 0.005])}
+    return replace(result, calibration=camera, layers=layers, evidence=evidence, pixel_sigma_px=noise)
+
+
+def test_quality_accurate_is_beside_the_others(result):
+    both = with_layers(result)
+    np.testing.assert_allclose(board_errors(both, "accurate"), 0.005 * RULERS, rtol=1e-3)  # float32 depth
+    found = depth_accuracy(both, "accurate")
+    # Between boards, and at those whose noise was not measured; 0.5 % of bias and 0.005 px.
+    step = (found.depth_mm - DELTA) ** 2 / float(both.calibration.on_axis("accurate").scale_px_mm)
+    inside = (found.depth_mm >= RULERS[0]) & (found.depth_mm <= RULERS[-1])
+    assert np.isfinite(found.total_mm[inside]).all()
+    alone = np.sqrt(found.pixel_sigma_mm**2 - found.curve_sigma_mm**2)
+    np.testing.assert_allclose(alone, 0.005 * step, rtol=1e-6)
+    said = [s.text for s in sentences(both)]
+    assert any(s.startswith("At quality accurate, one pixel of a textured board is good to 1%") for s in said)
+    assert any(s.startswith("At quality real-time, one pixel of a textured board is good to") for s in said)
+    panels = figures.draw_accuracy(both).axes
+    assert [axes.get_title(loc="left") for axes in panels] == ["quality real-time", "quality accurate"]
+    above = figures.draw_true_against_measured(both).axes[0]
+    assert [text.get_text() for text in above.get_legend().get_texts()][1:] == ["real-time", "paper", "accurate"]
+    head, rows = tables.steps(both).head, tables.steps(both).rows
+    assert "one pixel, accurate ±, mm" in head
+    assert {len(row) for row in rows} == {len(head)}
+    page = report_html(both, title="both")
+    assert "measured on 1000.png, 2000.png, 3500.png" in page
+    # Its noise not measured: said, and no headline.
+    large = replace(both, pixel_sigma_px=result.pixel_sigma_px)
+    assert not any("quality accurate" in s.text for s in sentences(large))
+    assert "was not measured: it takes" in report_html(large, title="large")
+
+
+def test_the_box_says_that_its_figures_hold_for_texture(result, tmp_path, monkeypatch, capsys):
+    page = report_html(result, title="box")
+    box = page[page.index('class="verdict"') : page.index("</section>")]
+    _, said = printed(result, monkeypatch, capsys, "--out", tmp_path / "camera.asdf")
+    for text in (box, said):
+        assert "one pixel of a textured board is good to 2%" in text
+        assert "On weak texture and beside edges of objects pixels are worse" in text
 
 
 def test_errors_of_the_layers_are_those_put_in(result):

@@ -104,12 +104,12 @@ def calibrate_session(
     boards = measure_boards(session, draft, pinhole, placed, store=store, progress=progress)
     everything = Evidence(sheets.sensor, boards, placed.distances, session.ruler_error_mm, np.ones(len(boards), bool))
     selected = without_outliers(everything, "paper")
-    shifted = fit_curves(selected, config)
+    shifted = fit_curves(selected, config, progress=progress)
     start = dataclasses.replace(draft, depth=with_accurate(session, shifted))
     blurred = calibrate_blur(start, session, selected, config, lens=lens, store=store, progress=progress)
     rendered = rendered_nonlinearity(blurred.camera, session, selected, config, store=store, progress=progress)
     evidence = dataclasses.replace(selected, rendered=rendered)
-    curves = fit_curves(evidence, config) if rendered else shifted
+    curves = fit_curves(evidence, config, progress=progress) if rendered else shifted
     steps = _Steps(session, config, sheets, pinhole, placed, evidence, curves, blurred)
     depth = {**with_accurate(session, curves), "accurate": blurred.camera.depth["accurate"]}
     made_from = origin(session.folder, steps.files, config, command=command, lens_from=lens_from)

@@ -15,6 +15,7 @@ from chromaperture.calibration.choose_curve import ranked_curves
 from chromaperture.calibration.fit_curve import DepthFit, fit_depth_model
 from chromaperture.calibration.fit_fields import fit_depth_field
 from chromaperture.calibration.fit_local_fields import with_local
+from chromaperture.calibration.progress import Progress, reported, silent
 from chromaperture.calibration.read_boards import MEASURED, BoardMeasurement, grid
 from chromaperture.calibration.session import Session
 from chromaperture.camera_file import CameraSensor
@@ -103,9 +104,11 @@ def without_outliers(evidence: Evidence, quality: Quality) -> Evidence:
     return replace(evidence, used=used, outliers=outliers)
 
 
-def fit_curves(evidence: Evidence, config: CalibrationConfig) -> dict[Quality, FittedCurve]:
+def fit_curves(
+    evidence: Evidence, config: CalibrationConfig, *, progress: Progress = silent
+) -> dict[Quality, FittedCurve]:
     """Fit the depth curves of all qualities that match shifted views; see `fit_curve`."""
-    return {quality: fit_curve(evidence, quality, config) for quality in MEASURED}
+    return {quality: fit_curve(evidence, quality, config) for quality in reported(MEASURED, "depth curves", progress)}
 
 
 def with_accurate(session: Session, curves: Mapping[Quality, FittedCurve]) -> dict[Quality, DepthField]:

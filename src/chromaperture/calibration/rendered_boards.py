@@ -86,7 +86,8 @@ def rendered_nonlinearity(
         residual_mm=np.full(count, np.nan),
         residual_sigma_mm=np.full(count, np.nan),
     )
-    found = {quality: _fit(kept[quality], exact, (blur.width_px, blur.height_px)) for quality in MEASURED}
+    size = (blur.width_px, blur.height_px)
+    found = {q: _fit(kept[q], exact, size) for q in reported(MEASURED, "nonlinearity of rendered boards", progress)}
     return {quality: curve for quality, curve in found.items() if curve is not None}
 
 

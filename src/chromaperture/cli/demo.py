@@ -19,20 +19,21 @@ def demo(
     from rich.markup import escape
 
     from chromaperture.camera import load_camera
-    from chromaperture.cli.console import announce_compilation, print_json, print_reports, progress
+    from chromaperture.cli.console import announce_compilation, announce_duration, print_json, print_reports, progress
     from chromaperture.cli.console import out as console
     from chromaperture.products.measure_file import measure_file
     from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 
-    announce_compilation(quiet=quiet or json)
+    announce_compilation(quiet=quiet)
     reports = []
-    with progress(quiet=quiet or json) as update:
+    with progress(quiet=quiet) as update:
         for i, name in enumerate(SAMPLES):
 
             def show(stage: str, i: int = i, name: str = name) -> None:
                 update(f"{name}: {stage}", i, len(SAMPLES))
 
             camera = load_camera(sample_camera(name), quality="accurate")
+            announce_duration(camera, len(SAMPLES) if i == 0 else 0, quiet=quiet)
             reports.append(measure_file(sample_image(name), camera, out=out, listener=show))
     if json:
         print_json([report.summary for report in reports])

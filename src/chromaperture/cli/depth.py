@@ -60,15 +60,22 @@ def depth(
 
     chromaperture depth photo.jpg --design rgb_squares        (no calibration: disparity in px)
     """
-    from chromaperture.cli.console import announce_compilation, print_json, print_reports, progress, say_error
+    from chromaperture.cli.console import (
+        announce_compilation,
+        announce_duration,
+        print_json,
+        print_reports,
+        progress,
+        say_error,
+    )
     from chromaperture.products.measure_file import measure_file
 
     if len({(out or image.parent, image.stem) for image in images}) < len(images):
         raise InputError("two images would write the same files; measure them into different --out folders")
     camera_of = cameras(images[0], camera, design, quality=quality, config=config)
-    announce_compilation(quiet=quiet or json)
+    announce_compilation(quiet=quiet)
     reports = []
-    with progress(quiet=quiet or json) as update:
+    with progress(quiet=quiet) as update:
         for i, image in enumerate(images):
 
             def show(stage: str, i: int = i, name: str = image.name) -> None:
@@ -77,6 +84,7 @@ def depth(
             levels: dict[str, Any] = {"black_level": black_level, "white_level": white_level}
             try:
                 eye = camera_of(image)
+                announce_duration(eye, len(images) if i == 0 else 0, quiet=quiet)
                 check = partial(check_film, eye.calibration, name=image.name, refuse=not anyway)
                 options = {"max_relative_sigma": max_relative_sigma, **levels}
                 reports.append(measure_file(image, eye, out=out, listener=show, inspect=check, **options))

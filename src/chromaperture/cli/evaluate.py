@@ -58,9 +58,9 @@ def evaluate(
     if cluster:
         dask_distributed()
     exhibits = _chosen(names or [], data)
-    announce_compilation(quiet=quiet or json)
+    announce_compilation(quiet=quiet)
     context = Context(out, data=data, quick=quick, workers=workers, cluster=cluster, cameras=tuple(camera or ()))
-    with progress(quiet=quiet or json) as update:
+    with progress(quiet=quiet) as update:
         outcomes = run(exhibits, context, again=again, progress=update)
     page = write_page(out, outcomes, quick=quick)
     for outcome in outcomes:

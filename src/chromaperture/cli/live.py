@@ -61,7 +61,7 @@ def live(
         viser()  # before the work: the extra may be missing
     config = ReconstructionConfig(voxel_mm=voxel_mm, memory_mb=memory_mb)
     eye = camera_for(out, camera, None, quality=quality, config=None)
-    announce_compilation(quiet=quiet or json)
+    announce_compilation(quiet=quiet)
     began = time.monotonic()
     levels = {"black_level": black_level, "white_level": white_level}
     with open_stream(source, calibration=eye.calibration, **levels) as stream:

@@ -39,7 +39,7 @@ def record(
     with (
         open_stream(source, calibration=calibration, black_level=black_level, white_level=white_level) as stream,
         Recorder(out, source=source) as recorder,
-        progress(quiet=quiet or json) as update,
+        progress(quiet=quiet) as update,
     ):
         try:
             for frame in stream:

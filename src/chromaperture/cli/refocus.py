@@ -72,7 +72,7 @@ def refocus(
 
     chromaperture refocus photo.png --camera camera.asdf --strength 0      (everything in focus)
     """
-    from chromaperture.cli.console import announce_compilation, print_files, print_json, progress
+    from chromaperture.cli.console import announce_compilation, announce_duration, print_files, print_json, progress
     from chromaperture.cli.setup import camera_for
     from chromaperture.effects.refocusing import Focus
     from chromaperture.products.measure_file import read_capture
@@ -86,8 +86,9 @@ def refocus(
         quality = "real-time"  # the accurate one needs a calibration
     eye = camera_for(photo, camera, design, quality=quality, config=None)
     pupil = pupil_strength(eye, f_number, strength)
-    announce_compilation(quiet=quiet or json)
-    with progress(quiet=quiet or json) as update:
+    announce_compilation(quiet=quiet)
+    announce_duration(eye, 1, quiet=quiet)
+    with progress(quiet=quiet) as update:
         update(f"{photo.name}: depth", 0, 3)
         image = read_capture(photo, eye, black_level=black_level, white_level=white_level)
         picture = _restored(image, eye, request, lambda: update(f"{photo.name}: restoration", 1, 3))

@@ -41,6 +41,7 @@ def simulate(
 
     Example: chromaperture simulate session/cy_halves --step-mm 500 --width 360 --height 240
     """
+    from chromaperture.cli.console import progress
     from chromaperture.optics.paraxial import focused_at
     from chromaperture.optics.pinhole import pupil_camera
     from chromaperture.optics.prescription import load_lens, with_filter_at
@@ -63,15 +64,17 @@ def simulate(
 
     count = int((farthest_mm - nearest_mm) / step_mm + 1e-6) + 1
     distances_mm = tuple(nearest_mm + i * step_mm for i in range(count))
-    write_session(
-        out,
-        aperture=design,
-        camera=camera,
-        rays=rays,
-        scenes={path.stem: load_scene(path) for path in scene or []},
-        plan=SessionPlan(distances_mm=distances_mm, tilts=tilts, seed=seed, square_mm=square_mm),
-        report=(lambda name: None) if quiet else typer.echo,
-    )
+    with progress(quiet=quiet) as update:
+        write_session(
+            out,
+            aperture=design,
+            camera=camera,
+            rays=rays,
+            scenes={path.stem: load_scene(path) for path in scene or []},
+            plan=SessionPlan(distances_mm=distances_mm, tilts=tilts, seed=seed, square_mm=square_mm),
+            report=(lambda note: None) if quiet else typer.echo,
+            progress=update,
+        )
     if not quiet:
         typer.echo(f"Wrote {out}, and white/ and truth/ beside it")
 

@@ -12,12 +12,16 @@ from matplotlib.image import AxesImage
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.config import Quality, preset
 from chromaperture.depth.conversion import disparity_to_depth
-from chromaperture.evaluation.verdict import QUALITY, board_depth, board_errors, depth_accuracy
+from chromaperture.evaluation.verdict import QUALITY, board_depth, board_errors, depth_accuracy, qualities
 from chromaperture.robust import robust_sigma
 
-BLUE, ORANGE, GREY, RED = "#2b6ca3", "#c8702a", "#777777", "#b03030"
+BLUE, ORANGE, GREY, RED, GREEN = "#2b6ca3", "#c8702a", "#777777", "#b03030", "#3c8c50"
 CHANNEL_COLORS = {"R": "#c83c3c", "G": "#3c9c50", "B": "#3c5cc8"}
-_QUALITIES: tuple[tuple[Quality, str], ...] = (("real-time", BLUE), ("paper", ORANGE))
+_QUALITIES: tuple[tuple[Quality, str, str], ...] = (
+    ("real-time", BLUE, "o"),
+    ("paper", ORANGE, "s"),
+    ("accurate", GREEN, "^"),
+)
 _OUTLIER_SIGMAS = 4.0  # residuals beyond are matching errors, not errors of the field; chosen by hand
 _ROUNDS = 5  # fits, each without the outliers of the one before; chosen by hand
 _SHOWN_BOARD = 1.25  # in-focus distances: beyond the focus, where depth changes much per px; chosen by hand
@@ -63,8 +67,10 @@ def draw_true_against_measured(result: CalibrationResult) -> Figure:
     for fraction, alpha in ((0.02, 0.10), (0.01, 0.16)):
         band = fraction * line
         below.fill_between(line, -band, band, color=GREY, alpha=alpha, linewidth=0, label=f"±{fraction:.0%}")
-    for (quality, color), marker in zip(_QUALITIES, "os", strict=True):
-        residual = result.fits[quality].residual_mm
+    for quality, color, marker in _QUALITIES:
+        residual = board_errors(result, quality) if quality == "accurate" else result.fits[quality].residual_mm
+        if not np.isfinite(residual).any():
+            continue  # accurate has no curve of its own without the lens's blur
         above.plot(rulers, rulers + residual, marker, color=color, label=quality, markersize=5, alpha=0.8)
         below.plot(rulers, residual, marker, color=color, markersize=5, alpha=0.8)
     style_axes(above, ylabel="measured, mm")
@@ -181,20 +187,27 @@ def draw_layers(result: CalibrationResult) -> Figure:
 
 def draw_accuracy(result: CalibrationResult) -> Figure:
     """Draw the standard deviation of a pixel and of the calibration alone over the working range, % of depth."""
-    found = depth_accuracy(result)
+    shown = qualities(result)
     figure = new_figure()
-    axes = figure.subplots()
-    for values, color, name in (
-        (found.pixel_sigma_mm, BLUE, "one pixel"),
-        (found.curve_sigma_mm, ORANGE, "the calibration alone"),
-        (np.abs(found.bias_mm), GREY, "error of the boards' medians"),
-    ):
-        axes.plot(found.depth_mm, 100 * values / found.depth_mm, color=color, label=name)
-    for percent in (1, 2):
-        axes.axhline(percent, color=GREY, linewidth=0.8, linestyle=":")
-    style_axes(axes, xlabel="distance from the sensor plane, mm", ylabel="standard deviation, % of distance")
-    axes.set_ylim(bottom=0)
-    axes.legend(frameon=False)
+    panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    rulers = ruler_distances(result)
+    for axes, quality in zip(panels, shown, strict=True):
+        found = depth_accuracy(result, quality)
+        for values, color, name in (
+            (found.pixel_sigma_mm, BLUE, "one pixel"),
+            (found.curve_sigma_mm, ORANGE, "the calibration alone"),
+            (np.abs(found.bias_mm), GREY, "error of the boards' medians"),
+        ):
+            if np.isfinite(values).any():
+                axes.plot(found.depth_mm, 100 * values / found.depth_mm, color=color, label=name)
+        for percent in (1, 2):
+            axes.axhline(percent, color=GREY, linewidth=0.8, linestyle=":")
+        for first, last in ((found.depth_mm[0], rulers.min()), (rulers.max(), found.depth_mm[-1])):
+            axes.axvspan(first, max(first, last), color=GREY, alpha=0.15, linewidth=0)
+        style_axes(axes, xlabel="distance from the sensor plane, mm")
+        axes.set_title(f"quality {quality}", fontsize=9, loc="left")
+    panels[0].set(ylabel="standard deviation, % of distance", ylim=(0, None))
+    panels[0].legend(frameon=False, fontsize=8)
     return figure
 
 
@@ -208,7 +221,12 @@ def draw_residuals(result: CalibrationResult) -> Figure:
     measured = np.isfinite(residuals).any(axis=1)
     draw_boxes(left, numbers[measured], residuals[measured])
     errors = 100 * board_errors(result) / ruler_distances(result)
-    right.bar(numbers, errors, color=[RED if board.name in result.outliers else BLUE for board in result.boards])
+    colors = [RED if board.name in result.outliers else BLUE for board in result.boards]
+    right.bar(numbers, errors, color=colors, label=QUALITY)
+    by_blur = 100 * board_errors(result, "accurate") / ruler_distances(result)
+    if np.isfinite(by_blur).any():
+        right.plot(numbers, by_blur, "^", color=GREEN, markersize=4, label="accurate")
+        right.legend(frameon=False, fontsize=8)
     right.axhline(0, color=GREY, linewidth=0.8)
     for axes, label in ((left, "residual, px"), (right, "median error, % of distance")):
         every = -(-len(numbers) // 8)  # more labels overlap

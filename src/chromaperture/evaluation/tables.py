@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
-from chromaperture.evaluation.verdict import QUALITY, board_errors, depth_accuracy
+from chromaperture.evaluation.verdict import QUALITY, board_errors, depth_accuracy, qualities
 
 
 @dataclass(frozen=True)
@@ -30,17 +31,20 @@ def round_distances(near_mm: float, far_mm: float) -> np.ndarray:
 
 def steps(result: CalibrationResult) -> Table:
     """List the depth per px of disparity and the standard deviations at round distances."""
-    found = depth_accuracy(result)
+    found = [depth_accuracy(result, quality) for quality in qualities(result)]
     rows = []
     for distance in round_distances(result.calibration.near_mm, result.calibration.far_mm):
-        step, pixel, curve = (
-            float(np.interp(distance, found.depth_mm, values))
-            for values in (found.step_mm, found.pixel_sigma_mm, found.curve_sigma_mm)
-        )
-        cells = (f"{mm:.0f}" for mm in (distance, step, 0.1 * step, pixel))
-        rows.append((*cells, f"{pixel / distance:.1%}", f"{curve:.1f}"))
-    head = ("distance, mm", "1 px, mm", "0.1 px, mm", "one pixel ±, mm", "of distance", "calibration ±, mm")
-    return Table("Depth per step of disparity, and one standard deviation", head, rows)
+        at = partial(np.interp, distance, found[0].depth_mm)
+        step = float(at(found[0].step_mm))
+        cells = [f"{mm:.0f}" for mm in (distance, step, 0.1 * step)]
+        for accuracy in found:
+            pixel, curve = (float(at(values)) for values in (accuracy.pixel_sigma_mm, accuracy.curve_sigma_mm))
+            cells += [_number(pixel, ".0f"), _number(100 * pixel / distance, ".1f"), f"{curve:.1f}"]
+        rows.append(cells)
+    head = ["distance, mm", "1 px, mm", "0.1 px, mm"]
+    for quality in qualities(result):
+        head += [f"one pixel, {quality} ±, mm", "%", "calibration ±, mm"]
+    return Table("Depth per step of disparity on the axis, and one standard deviation over the frame", head, rows)
 
 
 def boards(result: CalibrationResult) -> Table:

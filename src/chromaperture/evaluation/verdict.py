@@ -8,10 +8,11 @@ import numpy as np
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.config import Quality
-from chromaperture.depth.conversion import depth_sigma, depth_to_disparity, disparity_to_depth
+from chromaperture.depth.conversion import DepthModel, depth_sigma, depth_to_disparity, disparity_to_depth
 
 QUALITY: Quality = "real-time"  # of the report: the one that users start with
 _STEPS = 400  # depths over the working range
+_PLACES = 12  # image positions along the width and the height, for the mean over the frame; chosen by hand
 # Limits of a camera that measures anything, chosen by hand: a phone's baseline of 0.7 mm measures to 5 %.
 _USELESS_PIXEL = 0.10  # rms error of a pixel at the best depth, relative
 _USELESS_BOARDS = 0.05  # median error of the boards over the frame, relative
@@ -21,13 +22,14 @@ _LARGE_CORNER_RMS_PX = 0.5  # residual of the lens model above which flatness an
 
 @dataclass(frozen=True)
 class DepthAccuracy:
-    """Accuracy over the working range, on the axis; (N,) float64 each, mm."""
+    """Accuracy over the working range; (N,) float64 each, mm."""
 
-    depth_mm: np.ndarray  # from the sensor plane, evenly spaced
-    pixel_sigma_mm: np.ndarray  # standard deviation of one pixel on the boards, calibration included
+    depth_mm: np.ndarray  # from the sensor plane, ascending; the boards' distances are among them
+    # Standard deviation of one pixel on the boards, calibration included; root mean square over the frame. NaN unknown
+    pixel_sigma_mm: np.ndarray
     curve_sigma_mm: np.ndarray  # that of the calibration alone, which averaging over pixels does not reduce
     bias_mm: np.ndarray  # error of the boards' medians over the frame, interpolated between them; NaN beyond them
-    step_mm: np.ndarray  # depth per px of disparity
+    step_mm: np.ndarray  # depth per px of disparity, on the axis
 
     @property
     def total_mm(self) -> np.ndarray:
@@ -35,26 +37,61 @@ class DepthAccuracy:
         return np.hypot(self.pixel_sigma_mm, self.bias_mm)
 
 
-def depth_accuracy(result: CalibrationResult) -> DepthAccuracy:
-    """Propagate the pixel noise on the boards and the covariance of the curve to millimetres."""
-    calibration = result.calibration
-    model = calibration.on_axis(QUALITY)
-    depth = np.linspace(calibration.near_mm, calibration.far_mm, _STEPS)
-    rulers = np.array([board.ruler_mm for board in result.boards])
+def qualities(result: CalibrationResult) -> tuple[Quality, ...]:
+    """Return the qualities that the report describes: ``accurate`` where its depth curve was measured on the boards."""
+    return (QUALITY,) if result.layers is None else (QUALITY, "accurate")
 
-    def between_boards(values: np.ndarray, beyond: float | None) -> np.ndarray:
+
+def depth_accuracy(result: CalibrationResult, quality: Quality = QUALITY) -> DepthAccuracy:
+    """Propagate the pixel noise on the boards and the covariance of the curve to millimetres, all over the frame.
+
+    The noise in px is that of the whole frame. The depth per px must be too: towards the corners the baseline shrinks,
+    and a px is more millimetres than on the axis.
+    """
+    calibration = result.calibration
+    width, height = calibration.sensor.width_px, calibration.sensor.height_px
+    field = calibration.depth[quality]
+    rulers = np.array([board.ruler_mm for board in result.boards])
+    inside = rulers[(rulers >= calibration.near_mm) & (rulers <= calibration.far_mm)]
+    depth = np.union1d(np.linspace(calibration.near_mm, calibration.far_mm, _STEPS), inside)
+
+    def between_boards(values: np.ndarray, *, beyond_them: bool) -> np.ndarray:
         known = np.isfinite(values)
         if not known.any():
-            return np.full(_STEPS, np.nan)
+            return np.full(depth.shape, np.nan)
         order = np.argsort(rulers[known])
+        beyond = None if beyond_them else np.nan
         return np.interp(depth, rulers[known][order], values[known][order], left=beyond, right=beyond)
 
+    unknown = np.full(len(rulers), np.nan)
     # Interpolated, because blur increases the noise away from the focus.
-    noise_px = between_boards(np.asarray(result.pixel_sigma_px[QUALITY], float), None)
-    bias = between_boards(board_errors(result), np.nan)
-    z = depth - float(np.asarray(model.sensor_to_pupil_mm))
-    step = z**2 / float(np.asarray(model.scale_px_mm))  # d depth / d disparity of d = A - B / z
-    return DepthAccuracy(depth, depth_sigma(z, model, noise_px), depth_sigma(z, model, 0.0), bias, step)
+    noise_px = between_boards(np.asarray(result.pixel_sigma_px.get(quality, unknown), float), beyond_them=True)
+    bias = between_boards(board_errors(result, quality), beyond_them=False)
+    x, y = np.meshgrid(*((np.arange(_PLACES) + 0.5) / _PLACES * count - 0.5 for count in (width, height)))
+    model = field.at(x.ravel(), y.ravel(), width, height)
+    z = (depth - field.sensor_to_pupil_mm)[:, None]
+    calibrated = depth_sigma(z, model, 0.0)
+    read = z**2 / model.scale_px_mm * noise_px[:, None] / _mean_slope(z, model, noise_px[:, None])
+    step = (depth - field.sensor_to_pupil_mm) ** 2 / float(np.asarray(field.on_axis(width, height).scale_px_mm))
+    return DepthAccuracy(depth, _over_frame(np.hypot(calibrated, read)), _over_frame(calibrated), bias, step)
+
+
+def _over_frame(sigma: np.ndarray) -> np.ndarray:
+    """Return the root mean square over the image positions, (N, P) to (N,)."""
+    return np.asarray(np.sqrt(np.mean(sigma**2, axis=1)))
+
+
+def _mean_slope(z_mm: np.ndarray, model: DepthModel, noise_px: np.ndarray) -> np.ndarray:
+    """Return d measured / d linear disparity, averaged over readings one standard deviation to both sides; (N, P).
+
+    The nonlinearity ends at the last board and its slope with it: readings of one wall lie on both sides of the end.
+    """
+    curve = model.nonlinearity
+    linear = model.infinity_disparity_px - model.scale_px_mm / z_mm
+    if curve is None:
+        return np.ones(np.shape(linear))
+    reach = np.maximum(np.nan_to_num(noise_px), 1e-3)  # px; the derivative where there is no noise
+    return np.asarray((curve.measured(linear + reach) - curve.measured(linear - reach)) / (2 * reach))
 
 
 def intervals(depth_mm: np.ndarray, good: np.ndarray) -> list[tuple[float, float]]:
@@ -63,13 +100,29 @@ def intervals(depth_mm: np.ndarray, good: np.ndarray) -> list[tuple[float, float
     return [(float(depth_mm[a]), float(depth_mm[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def board_errors(result: CalibrationResult) -> np.ndarray:
-    """Return each board's median error over the frame by the fitted fields; (boards,) float64, mm, NaN unknown."""
-    depth = [board_depth(result, i) for i in range(len(result.boards))]
-    return np.array([
-        float(np.nanmedian(d)) - board.ruler_mm if np.isfinite(d).any() else np.nan
-        for d, board in zip(depth, result.boards, strict=True)
-    ])  # fmt: skip
+def board_errors(result: CalibrationResult, quality: Quality = QUALITY) -> np.ndarray:
+    """Return each board's median error over the frame by the fitted fields; (boards,) float64, mm, NaN unknown.
+
+    For ``accurate`` the median is over the cells that its depth curve was fitted to.
+    """
+    if quality == "accurate":
+        return _accurate_errors(result)
+    rulers = np.array([board.ruler_mm for board in result.boards])
+    depth = [board_depth(result, i) for i in range(len(rulers))]
+    return np.array([np.nanmedian(d) if np.isfinite(d).any() else np.nan for d in depth], float) - rulers
+
+
+def _accurate_errors(result: CalibrationResult) -> np.ndarray:
+    """Return `board_errors` by the best layers of the cells, which are those of ``accurate``."""
+    distances, layers = result.evidence.from_sensor_mm, result.layers
+    errors = np.full(len(distances), np.nan)
+    if layers is None:
+        return errors
+    curve = result.calibration.depth["accurate"].at(layers.x_px, layers.y_px, *layers.size_px)
+    for i in np.flatnonzero(np.isfinite(layers.layer_px).any(axis=1)):
+        depth = disparity_to_depth(layers.layer_px[i], curve)[0].astype(float)
+        errors[i] = np.nanmedian(depth) - distances[i] if np.isfinite(depth).any() else np.nan
+    return errors
 
 
 def board_depth(result: CalibrationResult, index: int, *, corrected: bool = True) -> np.ndarray:
@@ -86,14 +139,13 @@ def board_depth(result: CalibrationResult, index: int, *, corrected: bool = True
     -------
     (h, w) float64, mm from the sensor plane; NaN unknown
     """
-    board, calibration = result.boards[index], result.calibration
-    axis = calibration.on_axis(QUALITY)
+    board, sensor, field = result.boards[index], result.calibration.sensor, result.calibration.depth[QUALITY]
+    axis = field.on_axis(sensor.width_px, sensor.height_px)
     disparity = np.asarray(board.grid_px[QUALITY], float)
     if corrected:
         # A px of residual is 1 / B(i, j) of inverse depth; added to the curve of the axis.
-        shape = (calibration.sensor.height_px, calibration.sensor.width_px)
-        scale = np.broadcast_to(np.asarray(calibration.depth_model(QUALITY).scale_px_mm), shape)
-        on_grid = scale[np.ix_(result.grid_y_px.astype(int), result.grid_x_px.astype(int))]
+        x, y = np.meshgrid(result.grid_x_px, result.grid_y_px)
+        on_grid = field.at(x, y, sensor.width_px, sensor.height_px).scale_px_mm
         ratio = float(np.asarray(axis.scale_px_mm)) / on_grid
         residual = np.asarray(result.residual_px[QUALITY][index], float)
         disparity = float(depth_to_disparity(board.ruler_mm, axis)) + residual * ratio
@@ -112,7 +164,15 @@ def sentences(result: CalibrationResult) -> list[Sentence]:
     """Describe accuracy and range of the camera, then its weaknesses and their remedies."""
     calibration = result.calibration
     found = depth_accuracy(result)
-    lines = [_accurate_range(found, fraction) for fraction in (0.01, 0.02)]
+    lines = []
+    for quality in qualities(result):
+        accuracy = depth_accuracy(result, quality)
+        if quality == QUALITY or np.isfinite(accuracy.total_mm).any():  # the noise of accurate may be unmeasured
+            lines += [_accurate_range(accuracy, fraction, quality) for fraction in (0.01, 0.02)]
+    lines.append(Sentence(
+        "That holds for flat surfaces as full of texture as the boards. On weak texture and beside edges of objects "
+        "pixels are worse: there the error bar of each pixel counts, which is written beside its depth."
+    ))  # fmt: skip
     lines.append(Sentence(
         f"It measures from {calibration.near_mm:.0f} to {calibration.far_mm:.0f} mm (boards from "
         f"{min(b.ruler_mm for b in result.boards):.0f} to {max(b.ruler_mm for b in result.boards):.0f} mm) and is in "
@@ -120,7 +180,7 @@ def sentences(result: CalibrationResult) -> list[Sentence]:
     ))  # fmt: skip
     lines.append(Sentence(
         "A tenth of a pixel of disparity is " + ", ".join(
-            f"{0.1 * found.step_mm[i]:.0f} mm at {found.depth_mm[i]:.0f} mm" for i in (0, _STEPS // 2, -1)
+            f"{0.1 * found.step_mm[i]:.0f} mm at {found.depth_mm[i]:.0f} mm" for i in (0, len(found.depth_mm) // 2, -1)
         ) + "."
     ))  # fmt: skip
     rulers = np.array([board.ruler_mm for board in result.boards])
@@ -156,18 +216,26 @@ def unusable(result: CalibrationResult) -> list[str]:
     return reasons
 
 
-def _accurate_range(found: DepthAccuracy, fraction: float) -> Sentence:
+def _accurate_range(found: DepthAccuracy, fraction: float, quality: Quality) -> Sentence:
     """State where one pixel is accurate to a fraction of its depth."""
     total = found.total_mm / found.depth_mm
     ranges = intervals(found.depth_mm, np.isfinite(total) & (total <= fraction))
     if ranges:
         text = " and ".join(f"from {a:.0f} to {b:.0f} mm" for a, b in ranges)
-        return Sentence(f"One pixel is good to {fraction:.0%} {text} (one standard deviation, on the boards).", "good")
+        return Sentence(
+            f"At quality {quality}, one pixel of a textured board is good to {fraction:.0%} {text} (one standard "
+            "deviation, over the whole frame).",
+            "good",
+        )
     if not np.isfinite(total).any():
         return Sentence(f"Whether a pixel is good to {fraction:.0%} is unknown: too few boards were read.", "weak")
     best = int(np.nanargmin(total))
     where = f"{total[best]:.1%}, at {found.depth_mm[best]:.0f} mm"
-    return Sentence(f"One pixel is nowhere good to {fraction:.0%}; its best is {where}.", "weak")
+    return Sentence(
+        f"At quality {quality}, one pixel is nowhere good to {fraction:.0%}, even on a textured board; its best is "
+        f"{where}.",
+        "weak",
+    )
 
 
 def weaknesses(result: CalibrationResult) -> list[Sentence]:

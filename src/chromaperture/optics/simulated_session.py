@@ -79,7 +79,8 @@ def write_session(
     rays: Callable[[Aperture], RayTable],
     scenes: dict[str, Sequence[Plane]],
     plan: SessionPlan,
-    report: Callable[[str], None] = lambda name: None,
+    report: Callable[[str], None] = lambda note: None,
+    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> None:
     """Render and write a session.
 
@@ -95,7 +96,9 @@ def write_session(
     scenes : dict of str to planes
     plan : SessionPlan
     report : callable
-        Called with the name of each file before it is rendered.
+        Called with a sentence for every photograph that is left out.
+    progress : callable
+        Called with the name of the step, the number of photographs written, and the total.
 
     Raises
     ------
@@ -106,6 +109,8 @@ def write_session(
         raise InputError("a session needs at least one board distance")
     plan = plan.for_camera(camera)
     ruler_error_mm, square_mm = cast(float, plan.ruler_error_mm), cast(float, plan.square_mm)
+    done, total = 0, 2 + len(_sheets(aperture)) + len(plan.distances_mm) + plan.tilts + len(scenes)
+    progress("simulated photographs", done, total)
     table, open_table = rays(aperture), rays(DESIGNS["open"])
     sheet = [plane(np.ones((2, 2, 3), np.float32), center_mm=(0, 0, 500.0), width_mm=4000)]
     white, open_white = render(table, sheet), render(open_table, sheet)
@@ -114,9 +119,11 @@ def write_session(
     rng = np.random.default_rng(plan.seed)
 
     def photograph(path: Path, picture: np.ndarray, exposure: float) -> None:
-        report(str(path))
+        nonlocal done
         counts = expose(picture, plan.sensor, seed=int(rng.integers(2**31)), exposure=exposure)
         _write_png(path, counts[..., ::-1])
+        done += 1
+        progress("simulated photographs", done, total)
 
     whites = folder.parent / "white"
     photograph(whites / f"{aperture.name}.png", white, for_white)
@@ -138,6 +145,7 @@ def write_session(
         pose = _in_frame(camera, *_tilted_pose(i / max(plan.tilts, 1), camera, rng), square_mm)
         if pose is None:
             report(f"no tilt {i:02d}: the board would leave the frame")
+            total -= 1
             continue
         photograph(folder / f"tilt/{i:02d}.png", render(table, wall(camera, *pose, square_mm)), for_scene)
     for name, planes in scenes.items():

@@ -68,8 +68,9 @@ def _kept(context: Context, design: str) -> Path:
 def _calibrated(context: Context, data: Path, design: str, lens: Calibration | None) -> CalibrationResult:
     """Calibrate without the lens's blur, which takes long; camera files given with --camera may have it."""
     return calibrate_session(
-        data / design, CalibrationConfig(lens_blur=False), lens_from=lens, keep_in=_kept(context, design)
-    )
+        data / design, CalibrationConfig(lens_blur=False), lens_from=lens, keep_in=_kept(context, design),
+        progress=context.progress,
+    )  # fmt: skip
 
 
 def _measured(

@@ -95,7 +95,9 @@ class Context:
         """Calibrate design V from the data folder's session or a simulated one; return it and its source."""
         kept = self.work / ("calibrating-data" if self.data else "calibrating")
         config = CalibrationConfig(lens_blur=False)
-        result = self.once("session", lambda: calibrate_session(self._session_folder(), config, keep_in=kept))
+        result = self.once(
+            "session", lambda: calibrate_session(self._session_folder(), config, keep_in=kept, progress=self.progress)
+        )
         where = "photographs in --data" if self.data else "a simulated session, traced ray by ray"
         size = f"{result.calibration.sensor.width_px}x{result.calibration.sensor.height_px} px"
         return result, f"From {where}: {len(result.boards)} boards at {size}."
@@ -113,5 +115,6 @@ class Context:
                 rays=lambda aperture: world.traced_table(camera, aperture, self.cells),
                 scenes={},
                 plan=SessionPlan(distances_mm=QUICK_MM if self.quick else FULL_MM, tilts=4 if self.quick else 8),
+                progress=self.progress,
             )
         return folder

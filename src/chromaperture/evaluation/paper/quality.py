@@ -49,12 +49,13 @@ class Measured:
 
 def make(context: Context) -> Content:
     """Measure all walls."""
-    source, walls = _walls(context)
+    source, count, walls = _walls(context)
     qualities: tuple[Quality, ...] = ("real-time",) if context.quick else ("real-time", "accurate")
     measured: dict[Quality, list[Measured]] = {quality: [] for quality in qualities}
     for number, wall in enumerate(walls):
-        context.progress("walls", number, 0)
-        for quality in qualities:
+        for k, quality in enumerate(qualities):
+            what = f"quality {quality} of the wall at {wall.truth_mm:.0f} mm"
+            context.progress(what, len(qualities) * number + k, len(qualities) * count)
             measured[quality].append(measure(wall, quality))
     for found in measured.values():
         found.sort(key=lambda m: m.truth_mm)
@@ -74,12 +75,12 @@ def measure(wall: Wall, quality: Quality) -> Measured:
     return Measured(wall.truth_mm, cut(1, 1)[0], cut(3, 3), cut(*_MAP_CELLS))
 
 
-def _walls(context: Context) -> tuple[str, Iterator[Wall]]:
-    """Return source and walls: a session's boards, or simulated ones that the camera was not calibrated on."""
+def _walls(context: Context) -> tuple[str, int, Iterator[Wall]]:
+    """Return source, number and walls: a session's boards, or simulated walls that the camera was not calibrated on."""
     if context.data is None:
         result, source = context.calibrated()
         source += " Other walls are photographed by the same simulated lens."
-        return source, _simulated(context, result.calibration)
+        return source, len(_simulated_mm(context)), _simulated(context, result.calibration)
     if context.cameras:
         cameras = {c.design: c for c in (Calibration.load(path) for path in context.cameras)}
         session = read_session(session_folder(context.data, tuple(cameras)))
@@ -92,12 +93,13 @@ def _walls(context: Context) -> tuple[str, Iterator[Wall]]:
         source = f"{len(boards)} boards of {session.folder.name}, measured with {calibration.design}'s camera file."
         if seen:
             source += f" {seen} of them have names that it was calibrated on: others are better evidence."
-        return source, (Wall(session.read(path), mm, calibration) for path, mm in boards.items())
+        return source, len(boards), (Wall(session.read(path), mm, calibration) for path, mm in boards.items())
     result, source = context.calibrated()
     boards = chosen_boards(result.session, quick=context.quick)
     number = {path: i for i, path in enumerate(result.session.boards)}
     return (
         f"{source} Each board is measured by a camera whose depth curve was fitted without it.",
+        len(boards),
         (Wall(result.session.read(path), mm, leave_one_out(result, number[path])) for path, mm in boards.items()),
     )
 
@@ -120,10 +122,14 @@ def chosen_boards(session: Session, *, quick: bool) -> dict[Path, float]:
     return {path: session.boards[path] for path in paths}
 
 
+def _simulated_mm(context: Context) -> list[float]:
+    return [float(mm) for mm in np.linspace(1150, 3750, 4 if context.quick else 9)]
+
+
 def _simulated(context: Context, calibration: Calibration) -> Iterator[Wall]:
-    for seed, distance in enumerate(np.linspace(1150, 3750, 4 if context.quick else 9), 500):
-        planes = world.board(context.session_camera, float(distance), seed=seed)
-        yield Wall(context.session_capture(planes, seed=seed).image, float(distance), calibration)
+    for seed, distance in enumerate(_simulated_mm(context), 500):
+        planes = world.board(context.session_camera, distance, seed=seed)
+        yield Wall(context.session_capture(planes, seed=seed).image, distance, calibration)
 
 
 def _content(source: str, measured: dict[Quality, list[Measured]]) -> Content:

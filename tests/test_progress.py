@@ -1,0 +1,181 @@
+"""How far a command is: lines where there is no terminal, a bar with the remaining time where there is one."""
+
+from __future__ import annotations
+
+import functools
+import io
+import json
+import re
+import sys
+import time
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+from chromaperture.camera import load_camera
+from chromaperture.cli import console
+from chromaperture.cli.main import main
+from chromaperture.evaluation.paper import quality
+from chromaperture.evaluation.paper.context import Context
+from chromaperture.products.samples import SAMPLES, sample_camera
+
+PATIENCE_S = 30.0  # for a line that comes after a hundredth of a second on a machine that does nothing else
+
+
+@pytest.fixture
+def soon(monkeypatch):
+    """Commands print their lines after a hundredth of a second."""
+    quick = functools.partial(console.progress, line_every_s=0.01)
+    monkeypatch.setattr(console, "progress", quick)
+    return quick
+
+
+class Watched:
+    """Standard error and output so far."""
+
+    def __init__(self, capture):
+        self.capture, self.out, self.err = capture, "", ""
+
+    def look(self):
+        out, err = self.capture.readouterr()
+        self.out, self.err = self.out + out, self.err + err
+        return self.err
+
+    def until(self, text):
+        end = time.monotonic() + PATIENCE_S
+        while text not in self.look():
+            assert time.monotonic() < end, f"{text!r} did not come: {self.err!r}"
+            time.sleep(0.005)
+
+
+def test_without_a_terminal_a_line_for_every_state_that_lasts(soon, capfd):
+    seen = Watched(capfd)
+    with soon(quiet=False) as update:
+        update("board disparity", 2, 31)
+        seen.until("] board disparity, 3 of 31\n")
+        update("frame 40", 41, 0)  # of a source that ends nobody knows when
+        seen.until("] frame 40, 41 done\n")
+        update("done", 31, 31)
+        seen.until("] done, 31 of 31\n")
+    assert seen.out == ""
+    lines = seen.look().splitlines()
+    assert all(re.fullmatch(r"\[\d+:\d\d\] .+", line) for line in lines)
+    assert len(lines) == len(set(lines)) == 3  # no state twice, however long it lasts
+
+
+def test_lines_are_rate_limited(capfd):
+    """A thousand states within one interval are one line at the most; a command shorter than that has none."""
+    with console.progress(quiet=False, line_every_s=3600.0) as update:
+        for frame in range(1000):
+            update(f"frame {frame}", frame, 0)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_quiet_is_silent(soon, capfd):
+    with soon(quiet=True) as update:
+        update("board disparity", 2, 31)
+        time.sleep(0.05)  # five intervals
+    assert capfd.readouterr() == ("", "")
+
+
+def test_on_a_terminal_the_remaining_time_is_shown(monkeypatch):
+    drawn = io.StringIO()
+    terminal = Console(file=drawn, force_terminal=True, force_interactive=True, width=120, color_system=None)
+    monkeypatch.setattr(console, "err", terminal)
+
+    def shown():
+        return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", drawn.getvalue())
+
+    with console.progress(quiet=False) as update:
+        for done in range(3):
+            update("[1] boards", done, 4)
+        end = time.monotonic() + PATIENCE_S
+        while not re.search(r"\[1\] boards .*2/4 \d:\d\d:\d\d left \d:\d\d:\d\d", shown()):
+            assert time.monotonic() < end, shown()[-300:]
+            time.sleep(0.01)
+        update("tilts", 0, 7)  # another step: what is left of it is not known yet
+        while not re.search(r"tilts .*0/7 \d:\d\d:\d\d left -:--:--", shown()):
+            assert time.monotonic() < end, shown()[-300:]
+            time.sleep(0.01)
+
+
+def test_a_piped_calibration_says_where_it_is_and_keeps_json_apart(
+    soon, calibrated_session, tmp_path, monkeypatch, capfd
+):
+    seen = Watched(capfd)
+
+    def slow(*arguments, progress, **options):
+        progress("board disparity", 4, 31)
+        seen.until("board disparity, 5 of 31")
+        return calibrated_session
+
+    monkeypatch.setattr("chromaperture.calibration.calibrate_session.calibrate_session", slow)
+    command = ["chromaperture", "calibrate", "session", "--out", str(tmp_path / "camera.asdf"), "--no-report", "--json"]
+    monkeypatch.setattr(sys, "argv", command)
+    main_ended(main)
+    seen.look()
+    assert json.loads(seen.out)["design"] == "cy_halves"
+    assert "board disparity" not in seen.out
+
+
+def main_ended(run):
+    try:
+        run()
+    except SystemExit as end:
+        assert not end.code
+
+
+def test_simulate_counts_its_photographs_on_standard_error(soon, tmp_path, monkeypatch, capfd):
+    counted = []
+
+    class Counting:
+        def __enter__(self):
+            return lambda *state: counted.append(state)
+
+        def __exit__(self, *error):
+            return None
+
+    monkeypatch.setattr(console, "progress", lambda quiet: Counting())
+    command = ["simulate", tmp_path / "s", "--thin", "--cells", "4", "--width", "60", "--height", "40"]
+    monkeypatch.setattr(sys, "argv", ["chromaperture", *map(str, command), "--step-mm", "1500", "--tilts", "1"])
+    main_ended(main)
+    written = len(list((tmp_path / "s").rglob("*.png"))) + len(list((tmp_path / "white").glob("*.png")))
+    assert [done for _, done, _ in counted] == list(range(written + 1))
+    assert counted[-1][2] == written
+    assert ".png" not in capfd.readouterr().out
+
+
+def test_evaluate_quality_counts_walls_and_calibrates_aloud(session, tmp_path):
+    said = []
+    context = Context(tmp_path, data=session, quick=True)
+    context.progress = lambda *state: said.append(state)
+    quality.make(context)
+    walls = [state for state in said if "wall at" in state[0]]
+    assert [done for _, done, _ in walls] == list(range(len(walls)))
+    assert {total for *_, total in walls} == {len(walls)}  # so that the remaining time is known
+    assert any(what == "board disparity" for what, *_ in said)
+
+
+def test_quality_accurate_estimates_its_time_for_the_size(capfd):
+    camera = load_camera(sample_camera(SAMPLES[0]), quality="accurate")  # 720x480
+    console.announce_duration(camera, 3, quiet=False)
+    out, said = capfd.readouterr()
+    seconds = console.ACCURATE_S_A_MEGAPIXEL * 0.3456
+    assert out == ""
+    assert f"about {seconds:.0f} s a photograph of 0.35 megapixels, {3 * seconds:.0f} s for 3" in said
+    assert "estimate" in said
+    console.announce_duration(camera, 3, quiet=True)
+    console.announce_duration(load_camera(sample_camera(SAMPLES[0])), 3, quiet=False)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_depth_estimates_before_it_measures(run, tmp_path):
+    """A photograph of the wrong size is refused after the estimate."""
+    cv2.imwrite(str(tmp_path / "small.png"), np.full((40, 60, 3), 9000, np.uint16))
+    result = run("depth", tmp_path / "small.png", "--camera", sample_camera(SAMPLES[0]), "--quality", "accurate")
+    assert result.returncode == 2
+    estimate, error = [line for line in result.stderr.splitlines() if not line.startswith(("warning:", "Compiling"))]
+    assert "an estimate" in estimate
+    assert error.startswith("error:")
