@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from chromaperture.camera import DepthFrame
+from chromaperture.color.color_maps import DISTANCE, ERROR, color_map
 from chromaperture.color.srgb import linear_to_srgb
 
-_DARK, _LIGHT, _UNKNOWN = "#14161a", "#e8e6e3", "#3a3d44"
+_DARK, _LIGHT = "#14161a", "#e8e6e3"
 
 
 def write_preview(path: Path, image: np.ndarray, frame: DepthFrame, *, title: str) -> None:
@@ -27,14 +27,14 @@ def write_preview(path: Path, image: np.ndarray, frame: DepthFrame, *, title: st
     _picture(capture, image, "capture through the colour-coded aperture")
     _picture(restored, frame.color, "restored colour, channels aligned")
     if frame.valid.any():
-        title, unit, colors, percentiles = "depth from the sensor plane", "mm", "turbo_r", (2, 98)
+        title, unit, percentiles = "depth from the sensor plane", "mm", (2, 98)
         values, error = frame.depth_mm, frame.sigma_mm
     else:
         title, unit = "disparity (0 in focus, + beyond); depth needs a calibration", "px"
-        colors, percentiles = "turbo", (1, 99)
+        percentiles = (1, 99)
         values, error = frame.disparity_px, frame.disparity_sigma_px
-    _map(depth, values, title, unit, colors, percentiles)
-    _map(sigma, error, "error bar (one standard deviation)", unit, "magma", (0, 90), low=0.0)
+    _map(depth, values, title, unit, DISTANCE, percentiles)
+    _map(sigma, error, "error bar (one standard deviation)", unit, ERROR, (0, 90), low=0.0)
     figure.savefig(path, format="png", facecolor=_DARK)
 
 
@@ -52,8 +52,9 @@ def _map(
     ends = np.percentile(known, percentiles) if known.size else np.array([0.0, 1.0])
     bottom = float(ends[0]) if low is None else low
     top = max(float(ends[1]), bottom + 1e-6)
-    shades = mpl.colormaps[colors].with_extremes(bad=_UNKNOWN)
-    shown = axes.imshow(np.ma.masked_invalid(values), cmap=shades, vmin=bottom, vmax=top, interpolation="nearest")
+    shown = axes.imshow(
+        np.ma.masked_invalid(values), cmap=color_map(colors), vmin=bottom, vmax=top, interpolation="nearest"
+    )
     bar = axes.figure.colorbar(shown, ax=axes, fraction=0.035, pad=0.015, extend="both" if low is None else "max")
     bar.set_label(unit, color=_LIGHT)
     bar.ax.tick_params(colors=_LIGHT, labelsize=9)
