@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import hmac
+import io
 import ipaddress
 import logging
 import secrets
 import socket
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -123,7 +123,7 @@ def serve(access: Access, port: int, *, listener: Callable[[str], None]) -> Any:
             """Publish nothing: viser would send the page through a server on the internet."""
 
     _require_host(access.host)
-    with contextlib.redirect_stdout(sys.stderr), _checked(access) as is_checked:  # its banner is no result
+    with contextlib.redirect_stdout(io.StringIO()), _checked(access) as is_checked:  # its banner has no token
         server = Server(host=access.host, port=port, verbose=False)
     if not is_checked():
         server.stop()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-_RANGE = 4.0  # distances on the sliders reach from a quarter of the nearest to four times the farthest; chosen by hand
+_RANGE = 2.0  # distances on the sliders reach from half the nearest to twice the farthest; chosen by hand
 _MAX_STEPS = 1000  # of a slider of distances, chosen by hand: finer than its pixels
 
 
@@ -19,7 +19,7 @@ class Limits:
 
     def bounded(self, value: object) -> float:
         """Return a number within the limits: the nearest one, or the initial value for what is no number."""
-        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or value != value:  # NaN
             return self.initial
         return float(min(max(value, self.lowest), self.highest))  # before float(), which refuses huge integers
 

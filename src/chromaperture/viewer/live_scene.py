@@ -18,7 +18,7 @@ _TRACKED, _LOST = (40, 120, 220), (220, 60, 40)  # colours of the camera, blue a
 # First view, chosen by hand: from the upper right, so that relief is seen, and so far away that what the camera sees at
 # the scene's distance fills this part of the page between the panels.
 _YAW_DEG, _PITCH_DEG = 20.0, 12.0
-_FILLED, _VIEW_FOV_DEG, _CANVAS_ASPECT = 0.8, 50.0, 0.75
+_FILLED, _VIEW_FOV_DEG, _CANVAS_ASPECT = 0.6, 50.0, 0.75
 
 
 class LiveScene:

@@ -64,7 +64,7 @@ class LivePage:
         self.url = self.access.url(self.server.get_port())
         self.scene = LiveScene(self.server, loop)
         self.scene.look_at(self.limits.focus.initial)
-        self._looked = False
+        self._looked, self._depth_line = False, ""
         self._build()
 
     def _build(self) -> None:
@@ -113,25 +113,27 @@ class LivePage:
             else:
                 folder = self.out / time.strftime("recording-%Y%m%d-%H%M%S")
                 self._attempt(lambda: self.loop.record(folder))
-            self._show_state()
 
     def _build_sliders(self) -> None:
         gui, at = self.server.gui, self.limits
 
-        def slider(label: str, limits: Limits, step: float) -> Any:
+        def slider(label: str, limits: Limits, step: float, hint: str) -> Any:
             ends = {"min": limits.lowest, "max": limits.highest, "initial_value": limits.initial}
-            return gui.add_slider(label, step=step, **ends)
+            return gui.add_slider(label, step=step, hint=hint, **ends)
 
-        self.max_sigma = slider("error bar up to, %", at.percent, 0.1)
-        self.near, self.far = slider("nearest, mm", at.near, at.step_mm), slider("farthest, mm", at.far, at.step_mm)
+        self.max_sigma = slider("error bar, %", at.percent, 0.1, "Longest error bar shown, % of the distance")
+        self.near = slider("nearest, mm", at.near, at.step_mm, "Nearer pixels are left out")
+        self.far = slider("farthest, mm", at.far, at.step_mm, "Farther pixels are left out")
         self.refocus = gui.add_checkbox("focus elsewhere", initial_value=False)
-        self.focus, self.pupil = slider("focus at, mm", at.focus, at.step_mm), slider("pupil, times own", at.pupil, 0.1)
+        self.focus = slider("focus at, mm", at.focus, at.step_mm, "Where the restored colour is in focus")
+        self.pupil = slider("pupil", at.pupil, 0.1, "Diameter of the new pupil, in units of the camera's")
 
     def _attempt(self, work: Callable[[], Any]) -> None:
         try:
             work()
         except Exception as error:  # a click must not end the loop
             self.loop.say(_line(error))
+        self._show_state()  # frames may have paused
 
     def snapshot(self) -> list[Path]:
         """Write the maps of the frame shown; refused while another is being written, or the disk is nearly full."""
@@ -173,7 +175,8 @@ class LivePage:
 
     def _report(self, error: Exception) -> None:
         line = f"this frame could not be drawn: {_line(error)}"
-        self._attempt(lambda: setattr(self.state, "content", line))
+        with contextlib.suppress(Exception):  # the page itself may be what fails
+            self.state.content = _escaped(line)
         if line not in self._failures:
             self._failures.add(line)
             self.loop.say(line)
@@ -196,6 +199,7 @@ class LivePage:
         self.confidence.image = confidence_picture(measured.confidence[half, half])
         # Not cut at the error bar, which is shown beside it.
         self.values.content = values_html(measured.depth_mm[half, half], measured.sigma_mm[half, half])
+        self._depth_line = depth_line(depth, measured.sigma_mm)
         self._show_state()
         with self.server.atomic():
             self.scene.draw(shown)
@@ -212,17 +216,15 @@ class LivePage:
 
     def _show_state(self) -> None:
         self.record.label = "stop recording" if self.loop.recording else "record"
-        lines = [tracking_line(self.loop.placed)] if self.loop.track else []
-        if self.last is not None:
-            lines.append(_depth_line(self.last))
-        if self.loop.recorded:
-            lines.append(f"{self.loop.recorded} frames recorded")
-        self.state.content = "\n\n".join([*lines, *([_escaped(self.loop.latest)] if self.loop.latest else [])])
-        rows = ["| stage | frames/s | ms | behind, ms | dropped |", "| --- | --- | --- | --- | --- |"]
+        tracking = tracking_line(self.loop.placed) if self.loop.track else ""
+        recorded = f"{self.loop.recorded} frames recorded" if self.loop.recorded else ""
+        lines = (tracking, self._depth_line, recorded, _escaped(self.loop.latest))
+        self.state.content = "\n\n".join(line for line in lines if line)
+        rows = ["| stage | 1/s | ms | behind | lost |", "| --- | ---: | ---: | ---: | ---: |"]
         for name, stage in self.loop.figures().items():
             rate, taken, behind = stage["per_second"], stage["milliseconds"], stage["latency_ms"]
             rows.append(f"| {name} | {rate:.1f} | {taken:.0f} | {behind:.0f} | {stage['dropped']} |")
-        self.figures.content = "\n".join(rows)
+        self.figures.content = "\n".join([*rows, "", "*behind: ms since the frame arrived; lost: frames left out*"])
 
     def close(self) -> None:
         """Stop serving."""
@@ -241,13 +243,13 @@ def tracking_line(placed: Placed | None) -> str:
     return f"tracking: **{placed.overlap:.0%}** of the model seen again, correlation **{placed.correlation:.2f}**"
 
 
-def _depth_line(item: Measured) -> str:
-    depth, sigma = item.measurement.depth_mm, item.measurement.sigma_mm
-    known = np.isfinite(depth)
-    if not known.any():
-        return "depth: **nothing known**"
-    distance, error = median_distance(depth), median_distance(sigma[known])
-    return f"median distance **{distance:.0f} ± {error:.0f} mm**, {known.mean():.0%} of the pixels known"
+def depth_line(depth_mm: np.ndarray, sigma_mm: np.ndarray) -> str:
+    """Say in Markdown how far away and how certain the pixels shown are, whose depth is not NaN."""
+    shown = np.isfinite(depth_mm)
+    if not shown.any():
+        return "no pixel is within these limits"
+    distance, error = float(np.median(depth_mm[shown])), float(np.median(sigma_mm[shown]))
+    return f"median of what is shown **{distance:.0f} ± {error:.0f} mm**; {shown.mean():.0%} of the pixels"
 
 
 def _line(error: BaseException) -> str:
