@@ -15,14 +15,14 @@ from chromaperture.color.srgb import linear_to_srgb
 _DARK, _LIGHT = "#14161a", "#e8e6e3"
 
 
-def write_preview(path: Path, image: np.ndarray, frame: DepthFrame, *, title: str) -> None:
-    """Draw the preview of a capture (H, W, 3), linear RGB, channels not aligned, as PNG.
+def write_preview(path: Path, image: np.ndarray, frame: DepthFrame, *, title: str, caption: str = "") -> None:
+    """Draw the preview of a capture (H, W, 3), linear RGB, channels not aligned, as PNG, a caption below its title.
 
     It shows disparity instead of depth where the camera is not calibrated.
     """
     height, width = image.shape[:2]
     figure = Figure(figsize=(12.8, 0.4 + 12.8 * height / width * 0.93), dpi=110, facecolor=_DARK, layout="constrained")
-    figure.suptitle(title, color=_LIGHT, fontsize=13)
+    figure.suptitle(f"{title}\n{caption}" if caption else title, color=_LIGHT, fontsize=13)
     capture, depth, restored, sigma = figure.subplots(2, 2).ravel()
     _picture(capture, image, "capture through the colour-coded aperture")
     _picture(restored, frame.color, "restored colour, channels aligned")

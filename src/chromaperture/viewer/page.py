@@ -240,7 +240,7 @@ def tracking_line(placed: Placed | None) -> str:
         return f"tracking **{_escaped(placed.note)}**"
     if placed.note:  # the first frame of a submap
         return f"tracking: **{_escaped(placed.note)}**"
-    return f"tracking: **{placed.overlap:.0%}** of the model seen again, correlation **{placed.correlation:.2f}**"
+    return f"tracking: **{placed.overlap:.0%}** of the keyframe seen again, correlation **{placed.correlation:.2f}**"
 
 
 def depth_line(depth_mm: np.ndarray, sigma_mm: np.ndarray) -> str:
