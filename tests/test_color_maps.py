@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
@@ -11,9 +12,11 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from PIL import Image
 
 from chromaperture.color.color_maps import DIFFERENCE, DISTANCE, ERROR, OTHER, UNKNOWN, color_map, draw_levels
 from chromaperture.evaluation.figures import plain_log_scale, show_image
+from chromaperture.products.preview import write_preview
 from chromaperture.viewer.pictures import depth_picture
 
 ROOT = Path(__file__).parents[1]
@@ -77,3 +80,16 @@ def test_logarithmic_axes_are_labelled_with_plain_numbers(values):
     assert len(labels) >= 2
     for label, place in zip(labels, [t for t in axes.get_yticks() if low <= t <= high], strict=True):
         assert float(label) == pytest.approx(place)  # "$\\mathdefault{4 \\times 10^0}$" is no number
+
+
+@pytest.mark.parametrize(("ends", "is_same"), [((1000.0, 4000.0), True), (None, False)])
+def test_previews_of_one_range_give_a_distance_one_colour(tmp_path, ends, is_same):
+    depth = np.linspace(1900, 2600, 60 * 80).reshape(60, 80)
+    depth[10:50, 10:70] = 2000
+    color = np.full((60, 80, 3), 0.5)
+    frame = SimpleNamespace(depth_mm=depth, sigma_mm=depth / 50, valid=np.isfinite(depth), color=color)
+    write_preview(tmp_path / "preview.png", color, frame, title="", caption="a caption", depth_range_mm=ends)
+    picture = np.asarray(Image.open(tmp_path / "preview.png").convert("RGB")).reshape(-1, 3)
+    expected = np.rint(255 * np.array(color_map(DISTANCE)(1 / 3)[:3]))  # 2000 mm between 1000 and 4000
+    # The inner part, half of the map, is a quarter of a quarter of the page at least.
+    assert ((picture == expected).all(axis=1).mean() > 1 / 16) == is_same

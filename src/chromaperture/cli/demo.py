@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,10 +12,11 @@ from chromaperture.cli.options import Json, Quiet
 
 if TYPE_CHECKING:
     from chromaperture.camera import DepthFrame
+    from chromaperture.products.measure_file import Report
 
 _CAPTIONS = {
     "still_life_cy_halves": "much parallax: near things stand before the wall, edges have a long error bar",
-    "still_life_cy_open": "more light, little parallax: compare the far wall at the top right with that of the halves",
+    "still_life_cy_open": "more light, little parallax: the wall at the top right should be as blue as with the halves",
 }
 # Where the sample's far wall, blurred and of two colours, fills the picture: rows and columns, in parts of the sides.
 _WALL = (0.02, 0.30), (0.70, 0.98)
@@ -34,10 +35,12 @@ def demo(
     from chromaperture.cli.console import announce_compilation, print_json, print_reports, progress
     from chromaperture.cli.console import out as console
     from chromaperture.products.measure_file import measure_file
+    from chromaperture.products.preview import middle_range
     from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 
     announce_compilation(quiet=quiet or json)
-    reports = []
+    reports: list[Report] = []
+    depth_range_mm: tuple[float, float] | None = None
     with progress(quiet=quiet or json) as update:
         for i, name in enumerate(SAMPLES):
 
@@ -45,8 +48,9 @@ def demo(
                 update(f"{name}: {stage}", i, len(SAMPLES))
 
             camera = load_camera(sample_camera(name), quality="accurate")
-            image, caption = sample_image(name), _CAPTIONS[name]
-            reports.append(measure_file(image, camera, out=out, listener=show, caption=caption))
+            options: dict[str, Any] = {"caption": _CAPTIONS[name], "depth_range_mm": depth_range_mm}
+            reports.append(measure_file(sample_image(name), camera, out=out, listener=show, **options))
+            depth_range_mm = depth_range_mm or middle_range(reports[0].frame.depth_mm, 2)  # both in the same colours
     if json:
         print_json([report.summary for report in reports])
     elif not quiet:
