@@ -90,6 +90,6 @@ def test_previews_of_one_range_give_a_distance_one_colour(tmp_path, ends, is_sam
     frame = SimpleNamespace(depth_mm=depth, sigma_mm=depth / 50, valid=np.isfinite(depth), color=color)
     write_preview(tmp_path / "preview.png", color, frame, title="", caption="a caption", depth_range_mm=ends)
     picture = np.asarray(Image.open(tmp_path / "preview.png").convert("RGB")).reshape(-1, 3)
-    expected = np.rint(255 * np.array(color_map(DISTANCE)(1 / 3)[:3]))  # 2000 mm between 1000 and 4000
+    expected = 255 * np.array(color_map(DISTANCE)(1 / 3)[:3])  # 2000 mm between 1000 and 4000
     # The inner part, half of the map, is a quarter of a quarter of the page at least.
-    assert ((picture == expected).all(axis=1).mean() > 1 / 16) == is_same
+    assert ((np.abs(picture - expected) < 1).all(axis=1).mean() > 1 / 16) == is_same

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import sys
+import io
 import threading
 import time
 from collections.abc import Callable
@@ -228,7 +228,7 @@ class LivePage:
 
     def close(self) -> None:
         """Stop serving."""
-        with contextlib.redirect_stdout(sys.stderr):
+        with contextlib.redirect_stdout(io.StringIO()):  # viser says that it stopped
             self.server.stop()
 
 
