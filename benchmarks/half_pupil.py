@@ -23,6 +23,7 @@ from scipy.stats import spearmanr
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
+from chromaperture.color.color_maps import DISTANCE, color_map
 from chromaperture.config import Quality
 
 BLACK = 1024.0
@@ -98,7 +99,8 @@ def measure(
     if args.out:
         args.out.mkdir(parents=True, exist_ok=True)
         low, high = np.nanpercentile(frame.disparity_px, (1, 99))
-        plt.imsave(args.out / f"{scene}_{quality}.png", frame.disparity_px, vmin=low, vmax=high, cmap="turbo")
+        name, colors = f"{scene}_{quality}.png", color_map(DISTANCE)
+        plt.imsave(args.out / name, frame.disparity_px, vmin=low, vmax=high, cmap=colors)
     return score(frame.disparity_px[CROP], frame.disparity_sigma_px[CROP], defocus)
 
 

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import gc
+import shutil
 import threading
 import time
-import urllib.request
-import weakref
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
 from chromaperture.camera import load_camera
-from chromaperture.capture.files import read_image
 from chromaperture.capture.recording import Recorder, ReplaySource
 from chromaperture.capture.source import Encoding, Event, FileSource, Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource
+from chromaperture.color.color_maps import UNKNOWN
 from chromaperture.errors import InputError
-from chromaperture.products.samples import sample_camera, sample_image
+from chromaperture.products.samples import sample_camera
 from chromaperture.viewer.loop import LiveLoop
 from chromaperture.viewer.pictures import depth_picture
 from chromaperture.viewer.slots import Slot
@@ -207,88 +205,56 @@ def test_a_camera_that_is_unplugged_comes_back_to_the_loop_and_to_its_recording(
     assert indices == sorted(set(indices))
 
 
+def disk_with(monkeypatch, *free_bytes: int) -> None:
+    """A disk of which so much is free at each look, the last value from then on."""
+    values = list(free_bytes)
+
+    def usage(path):
+        return SimpleNamespace(free=values.pop(0) if len(values) > 1 else values[0])
+
+    monkeypatch.setattr(shutil, "disk_usage", usage)
+
+
+def test_a_recording_leaves_the_reserve_of_the_disk_free(tmp_path, monkeypatch):
+    frame_bytes, reserve = 48 * 72 * 3, 10**6
+    enough = reserve + frame_bytes
+    disk_with(monkeypatch, enough, enough, enough, enough, enough - 1)  # the first look is that of `record`
+    said: list[str] = []
+    eye = Eye()
+    running = Running(shape=(48, 72))
+    with LiveLoop(running, eye, track=False, listener=said.append, reserve_bytes=reserve) as loop:
+        loop.record(tmp_path / "take")
+        until(lambda: not loop.recording)
+        assert len(said) == 1
+        assert said[0].startswith("recording stopped, 3 frames are safe")
+        assert loop.latest == said[0]  # what the page shows
+        eye.gate.release(10**6)
+        measured = loop.meters["depth"].count
+        until(lambda: loop.meters["depth"].count > measured + 3)
+    with ReplaySource(str(tmp_path / "take")) as replay:
+        assert len(list(replay)) == 3
+
+
+def test_no_recording_begins_on_a_disk_that_is_nearly_full(tmp_path, monkeypatch):
+    disk_with(monkeypatch, 999)
+    eye = Eye()
+    eye.gate.release(10**6)
+    with LiveLoop(Running(), eye, track=False, reserve_bytes=1000) as loop:
+        with pytest.raises(InputError, match="--keep-free-gb"):
+            loop.record(tmp_path / "take")
+        assert not loop.recording
+    assert not (tmp_path / "take").exists()
+
+
 def test_depth_is_drawn_with_a_bar_of_the_same_colours():
     height, far, near = 101, 4000.0, 1000.0
     rows = np.linspace(1 / near, 1 / far, height)  # even in 1 / distance, as the bar is
     depth = np.repeat(1 / rows[:, None], 20, axis=1).astype(np.float32)
     depth[:, 0] = np.nan
     picture = depth_picture(depth, near_mm=near, far_mm=far)
-    assert not picture[:, 0].any()
+    unknown = np.rint(255 * np.array(to_rgb(UNKNOWN)))
+    assert (picture[:, 0] == unknown).all()
     np.testing.assert_allclose(picture[:, 10].astype(int), picture[:, 25].astype(int), atol=12)  # a level or two
-
-
-class Still(Running):
-    """The sample's photograph, over and over."""
-
-    def __iter__(self):
-        image = read_image(sample_image("still_life_cy_halves"), black_level=16, white_level=1016)
-        counts = np.clip(image, 0, 1).astype(np.float32)
-        for frame in super().__iter__():
-            yield Frame(counts, Encoding(0.0, 1.0), frame.time_s, frame.index)
-
-
-@pytest.mark.extra("viewer", "viser")
-def test_the_page_is_served_and_a_snapshot_written(tmp_path):
-    from chromaperture.viewer.page import LivePage
-
-    eye = load_camera(sample_camera("still_life_cy_halves"))
-    with LiveLoop(Still(), eye, track=False) as loop:
-        page = LivePage(loop, host="127.0.0.1", port=8765, out=tmp_path, max_relative_sigma=0.05)
-        try:
-            assert page.max_sigma.value == 5  # %
-            with pytest.raises(InputError, match="no frame yet"):
-                page.snapshot()
-            page.run(until=lambda: page.last is not None)
-            page.show(page.last)  # as with somebody looking
-            assert page.depth.image.any()
-            plain, page.refocus.value, page.focus.value = page.color.image.copy(), True, 1200
-            page.show(page.last)
-            detail = [cv2.Laplacian(picture, cv2.CV_64F).std() for picture in (plain, page.color.image)]
-            assert 0.02 * detail[0] < detail[1] < 0.9 * detail[0]  # most of it lies behind, and is blurred now
-            files = page.snapshot()
-            assert all(path.stat().st_size > 0 for path in files)
-            assert urllib.request.urlopen(page.url, timeout=WAIT_S).status == 200
-            assert page.url.startswith("http://127.0.0.1:")
-        finally:
-            page.close()
-
-
-@pytest.mark.extra("viewer", "viser")
-def test_what_was_drawn_is_freed_when_it_is_replaced(tmp_path):
-    """Not later, by the collector of cycles: it looks at old objects so rarely that they fill the memory until then."""
-    from chromaperture.reconstruction.fusion import Placed
-    from chromaperture.reconstruction.volume import Mesh
-    from chromaperture.viewer.page import LivePage
-
-    with LiveLoop(Still(), load_camera(sample_camera("still_life_cy_halves")), track=False) as loop:
-        page = LivePage(loop, host="127.0.0.1", port=8785, out=tmp_path)
-        page.run(until=lambda: page.last is not None)
-        loop.stop()
-    try:
-        drawn: list[weakref.ref[np.ndarray]] = []
-        gc.collect()
-        gc.disable()
-        gc.set_debug(gc.DEBUG_SAVEALL)
-        for count in range(6):
-            pose = np.eye(4)
-            pose[0, 3] = count
-            loop.placed = Placed(count, 0.0, pose)
-            loop.trail.add(pose[:3, 3])
-            vertices = np.random.default_rng(count).normal(size=(3000, 3)).astype(np.float32)
-            triangles = np.arange(3000, dtype=np.int32).reshape(-1, 3)
-            loop.mesh = Mesh(vertices, triangles, np.full((3000, 3), 99, np.uint8))
-            drawn.append(weakref.ref(vertices))
-            del vertices
-            page.show(page.last)
-        assert [kept() is not None for kept in drawn] == [False] * 5 + [True]  # the last is the loop's still
-        gc.collect()
-        held = [held for left in gc.garbage for held in [left, *gc.get_referents(left)]]
-        assert [type(part) for part in held if isinstance(part, np.ndarray | bytes) and len(part) > 300] == []
-    finally:
-        gc.set_debug(0)
-        gc.garbage.clear()
-        gc.enable()
-        page.close()
 
 
 def test_the_path_is_as_long_as_the_session_and_its_memory_is_not():
@@ -302,48 +268,3 @@ def test_the_path_is_as_long_as_the_session_and_its_memory_is_not():
     assert (steps == steps[0]).all()  # evenly thinned
     assert 3000 - places[-1] < steps[0] < 2 * 3000 / 25
     assert len(places) >= 25
-
-
-@pytest.mark.extra("viewer", "viser")
-def test_viewers_come_and_go_and_one_that_dies_stops_nothing(tmp_path):
-    import msgspec
-    import viser
-    from websockets.sync.client import connect
-
-    from chromaperture.viewer.page import LivePage
-
-    camera = {
-        "type": "ViewerCameraMessage",
-        "wxyz": (1, 0, 0, 0),
-        "position": (0, 0, -1),
-        "fov": 1.0,
-        "near": 0.01,
-        "far": 100.0,
-        "image_height": 480,
-        "image_width": 640,
-        "look_at": (0, 0, 1),
-        "up_direction": (0, -1, 0),
-    }
-    with LiveLoop(Still(), load_camera(sample_camera("still_life_cy_halves")), track=False) as loop:
-        page = LivePage(loop, host="127.0.0.1", port=8775, out=tmp_path)
-        drawing = threading.Thread(target=page.run, daemon=True)
-        drawing.start()
-        try:
-            where = page.url.replace("http", "ws")
-            first, second = (connect(where, subprotocols=[f"viser-v{viser.__version__}"]) for _ in range(2))
-            for browser in (first, second):  # one counts from when it has said where it looks from
-                browser.send(msgspec.msgpack.encode(camera))
-            until(lambda: len(page.server.get_clients()) == 2)
-            first.socket.close()  # without a word, as a browser that is killed
-            until(lambda: len(page.server.get_clients()) == 1)
-            shown = loop.meters["view"].count
-            until(lambda: loop.meters["view"].count > shown + 2)
-            for _ in range(3):
-                assert second.recv(timeout=WAIT_S)
-            assert drawing.is_alive()
-            assert loop.failure is None
-            second.close()
-        finally:
-            loop.stop()
-            drawing.join(WAIT_S)
-            page.close()

@@ -127,7 +127,7 @@ def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> Non
     import numpy as np
     from matplotlib.patches import Circle
 
-    from chromaperture.evaluation.figures import new_figure
+    from chromaperture.evaluation.figures import new_figure, plain_log_scale
     from chromaperture.optics.aperture import pupil_grid
     from chromaperture.optics.depth_error_bound import expected_accuracy
     from chromaperture.optics.metrics import aperture_figures
@@ -149,7 +149,8 @@ def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> Non
         axes.set_title(f"{aperture.title.replace(': ', chr(10))}\n{percent:.1f} %", fontsize=8)
         if aperture.views:
             sigma_mm = expected_accuracy(aperture, camera, distances).sigma_mm
-            below.semilogy(distances, sigma_mm, label=aperture.title)
+            below.plot(distances, sigma_mm, label=aperture.title)
+    plain_log_scale(below)
     below.set(xlabel="distance from the sensor, mm", ylabel="bound on the depth error σ, mm")
     below.grid(alpha=0.3)
     if below.lines:

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from chromaperture.cli.options import Json, Quiet
+
+if TYPE_CHECKING:
+    from chromaperture.camera import DepthFrame
+    from chromaperture.products.measure_file import Report
+
+_CAPTIONS = {
+    "still_life_cy_halves": "much parallax: near things stand before the wall, edges have a long error bar",
+    "still_life_cy_open": "more light, little parallax: the wall at the top right should be as blue as with the halves",
+}
+# Where the sample's far wall, blurred and of two colours, fills the picture: rows and columns, in parts of the sides.
+_WALL = (0.02, 0.30), (0.70, 0.98)
+_TOO_SHORT = 2.0  # error bars; errors are as long in one pixel of twenty where the error bar is right
 
 
 def demo(
@@ -22,10 +35,12 @@ def demo(
     from chromaperture.cli.console import announce_compilation, announce_duration, print_json, print_reports, progress
     from chromaperture.cli.console import out as console
     from chromaperture.products.measure_file import measure_file
+    from chromaperture.products.preview import middle_range
     from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 
     announce_compilation(quiet=quiet)
-    reports = []
+    reports: list[Report] = []
+    depth_range_mm: tuple[float, float] | None = None
     with progress(quiet=quiet) as update:
         for i, name in enumerate(SAMPLES):
 
@@ -34,10 +49,54 @@ def demo(
 
             camera = load_camera(sample_camera(name), quality="accurate")
             announce_duration(camera, len(SAMPLES) if i == 0 else 0, quiet=quiet)
-            reports.append(measure_file(sample_image(name), camera, out=out, listener=show))
+            options: dict[str, Any] = {"caption": _CAPTIONS[name], "depth_range_mm": depth_range_mm}
+            reports.append(measure_file(sample_image(name), camera, out=out, listener=show, **options))
+            depth_range_mm = depth_range_mm or middle_range(reports[0].frame.depth_mm, 2)  # both in the same colours
     if json:
         print_json([report.summary for report in reports])
     elif not quiet:
         print_reports(reports)
-        first = next(f for f in reports[0].files if f.name.endswith(".preview.png"))
-        console.print(f"Look at [bold]{escape(str(first))}[/]", soft_wrap=True)
+        for report, line in zip(reports, explain_walls(*(report.frame for report in reports)), strict=True):
+            preview = next(f for f in report.files if f.name.endswith(".preview.png"))
+            console.print(f"Look at [bold]{escape(str(preview))}[/]: {escape(line)}", soft_wrap=True)
+
+
+def explain_walls(halves: DepthFrame, opened: DepthFrame) -> tuple[str, str]:
+    """Say what the two samples, one scene through two apertures, show of its far wall.
+
+    Parameters
+    ----------
+    halves, opened : DepthFrame
+        The scene through cyan and yellow halves, which measure the wall well, and through the open band.
+
+    Returns
+    -------
+    first, second : str
+    """
+    (distance, sigma), (other, other_sigma) = wall_distance(halves), wall_distance(opened)
+    first = f"cyan and yellow halves; the far wall at the top right is {distance:.0f} ± {sigma:.0f} mm away."
+    second = "the same scene through the open band, which lets more light through and has little parallax; the wall "
+    if math.isnan(other) or math.isnan(distance):
+        return first, f"{second}cannot be compared."
+    second += f"reads {other:.0f} ± {other_sigma:.0f} mm"
+    off = other - distance
+    if not abs(off) > _TOO_SHORT * other_sigma:
+        return first, f"{second}, in agreement with the halves."
+    side = "near" if off < 0 else "far"
+    return first, (
+        f"{second}, {abs(off):.0f} mm too {side}: its blur hides the little parallax that is left, and the error bar, "
+        f"{abs(off) / other_sigma:.0f} times shorter than the error, does not show it. Take the halves for such walls."
+    )
+
+
+def wall_distance(frame: DepthFrame) -> tuple[float, float]:
+    """Return the median distance and error bar of the wall at the top right, mm; NaN where nothing is known."""
+    import numpy as np
+
+    shape = frame.depth_mm.shape
+    rows, columns = (slice(int(a * n), int(b * n)) for (a, b), n in zip(_WALL, shape, strict=True))
+    depth, sigma = frame.depth_mm[rows, columns], frame.sigma_mm[rows, columns]
+    known = np.isfinite(depth)
+    if not known.any():
+        return float("nan"), float("nan")
+    return float(np.median(depth[known])), float(np.median(sigma[known]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import socket
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,6 +23,7 @@ from chromaperture.cli.options import (
     WhiteLevel,
 )
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
+from chromaperture.viewer.free_space import RESERVE_BYTES
 
 if TYPE_CHECKING:
     from chromaperture.viewer.loop import LiveLoop
@@ -33,7 +35,13 @@ def live(
     camera: Camera,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of snapshots and recordings.")] = Path("live"),
     quality: Quality = "real-time",
-    host: Annotated[str, typer.Option(help="Address to listen on; 127.0.0.1 is this machine only.")] = "127.0.0.1",
+    host: Annotated[
+        str,
+        typer.Option(
+            help="Address to listen on; 127.0.0.1 is this machine only, 0.0.0.0 all its addresses. Whoever has the "
+            "whole address that is printed controls the page; it travels unencrypted."
+        ),
+    ] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port; the next free one is taken.")] = 8080,
     page: Annotated[bool, typer.Option("--page/--no-page", help="Serve the page; without it, only measure.")] = True,
     model: Annotated[bool, typer.Option("--model/--no-model", help="Track the camera and build a 3D model.")] = True,
@@ -43,6 +51,9 @@ def live(
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
+    keep_free_gb: Annotated[
+        float, typer.Option(min=0, help="GiB of the disk that recordings and snapshots leave free.")
+    ] = RESERVE_BYTES / 2**30,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -54,8 +65,9 @@ def live(
     from chromaperture.cli.setup import camera_for
     from chromaperture.cli.streams import open_stream
     from chromaperture.reconstruction.settings import ReconstructionConfig
+    from chromaperture.viewer.access import is_every_address, viser
     from chromaperture.viewer.loop import LiveLoop
-    from chromaperture.viewer.page import LivePage, viser
+    from chromaperture.viewer.page import LivePage
 
     if page:
         viser()  # before the work: the extra may be missing
@@ -65,11 +77,15 @@ def live(
     began = time.monotonic()
     levels = {"black_level": black_level, "white_level": white_level}
     with open_stream(source, calibration=eye.calibration, **levels) as stream:
-        loop = LiveLoop(stream, eye, track=model, config=config, listener=say_warning)
+        reserve = int(keep_free_gb * 2**30)
+        loop = LiveLoop(stream, eye, track=model, config=config, listener=say_warning, reserve_bytes=reserve)
         limits = {"max_relative_sigma": max_relative_sigma}
-        shown = LivePage(loop, host=host, port=port, out=out, listener=say_warning, **limits) if page else None
-        if shown is not None and not quiet and not json:
-            typer.echo(f"Look at {shown.url}; Ctrl-C ends it")
+        shown = LivePage(loop, host=host, port=port, out=out, **limits) if page else None
+        if shown is not None:  # with --quiet too: without its token nobody can open the page
+            typer.echo(f"Look at {shown.url}; Ctrl-C ends it", err=json or quiet)
+            if is_every_address(host):
+                elsewhere = shown.access.url(shown.server.get_port(), host=socket.gethostname())
+                typer.echo(f"From other machines: {elsewhere}", err=json or quiet)
         _run(loop, shown, began + (math.inf if seconds is None else seconds))
     if loop.failure is not None:
         raise loop.failure

@@ -91,6 +91,7 @@ def draw(path: Path, maps: dict[str, np.ndarray]) -> None:
     """Draw the transparency maps as in Table 1 and the efficiencies as in Figure 11, sorted by light."""
     import numpy as np
 
+    from chromaperture.color.color_maps import OTHER
     from chromaperture.evaluation.figures import CHANNEL_COLORS, new_figure, show_image
 
     names = sorted(maps, key=lambda name: float(maps[name].mean()))
@@ -102,7 +103,7 @@ def draw(path: Path, maps: dict[str, np.ndarray]) -> None:
             values = maps[name][..., k]
             title = f"{name}\n" if k == 0 else ""
             title += f"{channel}: {values.min():.2f} to {values.max():.2f}"
-            show_image(axes, values, title, bar="", cmap="viridis")
+            show_image(axes, values, title, bar="", colors=OTHER)
     bars = sheet.add_subplot(grid[3, :])
     position = np.arange(len(names))
     for k, (channel, color) in enumerate(CHANNEL_COLORS.items()):

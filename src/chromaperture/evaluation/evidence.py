@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
+from chromaperture.color.color_maps import DIFFERENCE, OTHER, color_map
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.evaluation.figures import (
     BLUE,
@@ -81,7 +82,7 @@ def draw_transparency(result: CalibrationResult) -> Figure | None:
         # At least +-15 % of range, so that an even sheet looks even.
         center = _middle(values)
         low, high = min(float(values.min()), 0.85 * center), max(float(values.max()), 1.15 * center)
-        show_image(axes, values, name, size=8, bar="", cmap="viridis", vmin=low, vmax=high)
+        show_image(axes, values, name, size=8, bar="", colors=OTHER, vmin=low, vmax=high)
     return figure
 
 
@@ -131,7 +132,7 @@ def draw_correlation(result: CalibrationResult) -> Figure:
     names = ("A", "B", "δ")
     figure = new_figure(width=4.4, height=2.8)
     axes = figure.subplots()
-    shown = axes.imshow(values, cmap="RdBu_r", vmin=-1, vmax=1)
+    shown = axes.imshow(values, cmap=color_map(DIFFERENCE), vmin=-1, vmax=1)
     for (i, j), value in np.ndenumerate(values):
         color = "white" if abs(value) > 0.6 else "black"
         axes.text(j, i, f"{value:+.2f}", ha="center", va="center", color=color)

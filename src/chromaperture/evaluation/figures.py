@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
+from chromaperture.color.color_maps import DIFFERENCE, DISTANCE, OTHER, color_map
 from chromaperture.config import Quality, preset
 from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.evaluation.verdict import QUALITY, board_depth, board_errors, depth_accuracy, qualities
@@ -39,11 +41,31 @@ def style_axes(axes: Axes, **labels: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
+def plain_log_scale(axes: Axes, *names: Literal["x", "y"]) -> None:
+    """Make axes logarithmic, y by default, with ticks as people write them: 0.5, 1, 2, 5, 10, not 5 x 10^-1."""
+    for name in names or ("y",):
+        getattr(axes, f"set_{name}scale")("log")
+        axis = getattr(axes, f"{name}axis")
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.12g}"))
+        axis.set_minor_locator(NullLocator())
+
+
 def show_image(
-    axes: Axes, image: np.ndarray, title: str = "", *, size: int = 9, bar: str | None = None, **options: Any
+    axes: Axes,
+    image: np.ndarray,
+    title: str = "",
+    *,
+    size: int = 9,
+    bar: str | None = None,
+    colors: str | None = None,
+    **options: Any,
 ) -> AxesImage:
-    """Show an (H, W) map or (H, W, 3) image without ticks; ``bar`` labels a colour bar, ``options`` are of imshow."""
-    shown = axes.imshow(image, **options)
+    """Show an (H, W) map or (H, W, 3) image without ticks.
+
+    ``bar`` labels a colour bar, ``colors`` is one of `color_maps` for a map, ``options`` are of imshow.
+    """
+    shown = axes.imshow(image, cmap=None if colors is None else color_map(colors), **options)
     axes.set_title(title, fontsize=size, loc="left")
     axes.set_axis_off()
     if bar is not None:
@@ -93,13 +115,13 @@ def draw_surfaces(result: CalibrationResult) -> Figure:
     shape = (calibration.sensor.height_px, calibration.sensor.width_px)
     in_focus = calibration.depth_model("paper").in_focus_mm
     figure = new_figure(height=3.0)
-    maps = ((baseline_map(result), "baseline b, mm", "viridis"), (in_focus, "in focus at, mm", "cividis"))
+    maps = ((baseline_map(result), "baseline b, mm", OTHER), (in_focus, "in focus at, mm", DISTANCE))
     for axes, (values, name, colors) in zip(figure.subplots(1, 2), maps, strict=True):
         values = np.broadcast_to(np.asarray(values, float), shape)
         if np.ptp(values) > 1e-9 * abs(float(values.mean())):  # contours of a constant map raise a warning
             lines = axes.contour(values, levels=6, colors="white", linewidths=0.6)
             axes.clabel(lines, fontsize=7, fmt="%.4g")
-        show_image(axes, values, bar=name, cmap=colors)
+        show_image(axes, values, bar=name, colors=colors)
     return figure
 
 
@@ -148,7 +170,7 @@ def draw_flat_board(result: CalibrationResult) -> Figure:
     for axes, corrected, name in zip(panels, (False, True), ("one curve", "field"), strict=True):
         values, rms = plane_residual(board_depth(result, index, corrected=corrected))
         title = f"{name}: {rms:.0f} mm rms from a plane"
-        shown = show_image(axes, values, title, size=10, cmap="RdBu_r", vmin=-limit_mm, vmax=limit_mm)
+        shown = show_image(axes, values, title, size=10, colors=DIFFERENCE, vmin=-limit_mm, vmax=limit_mm)
     figure.colorbar(shown, ax=list(panels), fraction=0.025, label="from the plane, mm", extend="both")
     return figure
 
@@ -179,7 +201,7 @@ def draw_layers(result: CalibrationResult) -> Figure:
     names = ("layers of 1 px", f"layers of {preset('paper').layers.step_px:g} px", "sub-pixel")
     for values, name, color in zip(layer_errors(result), names, (RED, ORANGE, BLUE), strict=True):
         axes.plot(rulers[order], values[order], "o-", color=color, label=name, markersize=4)
-    axes.set_yscale("log")
+    plain_log_scale(axes)
     style_axes(axes, xlabel="true distance by ruler, mm", ylabel="median error of a pixel, mm")
     axes.legend(frameon=False)
     return figure

@@ -68,6 +68,8 @@ def measure_file(
     max_relative_sigma: float = MAX_RELATIVE_SIGMA,
     listener: Callable[[str], None] = lambda name: None,
     inspect: Callable[[np.ndarray], None] = lambda image: None,
+    caption: str = "",
+    depth_range_mm: tuple[float, float] | None = None,
 ) -> Report:
     """Measure one image file and write all results, whole or not at all.
 
@@ -85,6 +87,10 @@ def measure_file(
         Called with the name of each stage as it begins.
     inspect : callable, optional
         Called with the linear image before it is measured; may raise InputError.
+    caption : str
+        Second line over the preview.
+    depth_range_mm : (float, float), optional
+        Ends of the preview's colour bar, to compare it with another's.
 
     Returns
     -------
@@ -106,7 +112,8 @@ def measure_file(
         with clock("write"):
             write_maps(stage.path, path.stem, camera, frame, max_relative_sigma=max_relative_sigma)
             title = f"{path.name}   {camera.calibration.aperture.title}"
-            write_preview(stage.path(f"{path.stem}.preview.png"), image, frame, title=title)
+            preview = stage.path(f"{path.stem}.preview.png")
+            write_preview(preview, image, frame, title=title, caption=caption, depth_range_mm=depth_range_mm)
         summary = summarise(frame, camera, clock.seconds)
         summary |= {"image": path.name, "max_relative_sigma": max_relative_sigma}
         write_json(stage.path(f"{path.stem}.json"), summary)

@@ -21,11 +21,12 @@ from chromaperture.camera import CodedApertureCamera, DepthFrame
 from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Frame, Source
 from chromaperture.depth.error_limit import within_error
-from chromaperture.errors import ChromapertureError
+from chromaperture.errors import ChromapertureError, InputError
 from chromaperture.products.rectified import undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.volume import Mesh, open3d
+from chromaperture.viewer.free_space import RESERVE_BYTES, require_space
 from chromaperture.viewer.slots import Meter, Slot
 from chromaperture.viewer.trail import Trail
 
@@ -57,6 +58,13 @@ class LiveLoop:
         Receives messages for the user, one line each, from any thread.
     mesh_every_s : float
         Interval of meshes of the growing model while a browser is connected.
+    reserve_bytes : int
+        What recordings leave free of the disk.
+
+    Attributes
+    ----------
+    latest : str
+        The last message for the user.
     """
 
     def __init__(
@@ -68,10 +76,12 @@ class LiveLoop:
         config: ReconstructionConfig | None = None,
         listener: Callable[[str], None] = lambda line: None,
         mesh_every_s: float = 5.0,
+        reserve_bytes: int = RESERVE_BYTES,
     ) -> None:
         if track:
             open3d()
-        self.source, self.camera, self.listener = source, camera, listener
+        self.source, self.camera, self.reserve_bytes = source, camera, reserve_bytes
+        self.latest, self._listener = "", listener
         self.meters = {name: Meter() for name in STAGES}
         self.paused, self.over = threading.Event(), threading.Event()
         self.want_mesh = threading.Event()
@@ -85,6 +95,7 @@ class LiveLoop:
         self.to_view = Slot[Measured]()
         self._to_disk: Slot[Frame] | None = None
         self._recorder: threading.Thread | None = None
+        self._starting = threading.Lock()  # two clicks at once start one recording
         self._threads: list[threading.Thread] = []
         self.recorded = 0
         self.failure: BaseException | None = None
@@ -111,27 +122,49 @@ class LiveLoop:
             thread.join(timeout=30)
         self.over.set()
 
+    def say(self, line: str) -> None:
+        """Hand the user a message, and keep it for the page."""
+        self.latest = line
+        self._listener(line)
+
+    @property
+    def recording(self) -> bool:
+        """Whether frames are being recorded."""
+        return self._recorder is not None and self._recorder.is_alive()
+
     def record(self, folder: str | Path) -> None:
-        """Start recording, without slowing the loop; a full disk ends the recording, not the loop."""
-        if self._recorder is not None and self._recorder.is_alive():
-            return
-        slot = self._to_disk = Slot[Frame]()
+        """Start recording, without slowing the loop; a nearly full disk ends the recording, not the loop.
 
-        def write() -> None:
-            try:
-                with Recorder(folder, source=self.source.name) as recorder:
-                    while (frame := slot.take()) is not None:
-                        recorder.write(frame)
-                        self.recorded = recorder.count
-                self.listener(f"recorded {recorder.count} frames to {folder}, {slot.replaced} came too fast")
-            except ChromapertureError as error:
-                self.listener(str(error))
-            finally:
-                slot.close(drop=True)
+        Raises
+        ------
+        InputError
+            Less of the disk is free than recordings leave.
+        """
+        with self._starting:
+            if self.recording:
+                return
+            require_space(folder, 0, self.reserve_bytes)
+            slot = self._to_disk = Slot[Frame]()
+            self.recorded = 0
+            self._recorder = threading.Thread(target=self._write, args=(folder, slot), name="record", daemon=True)
+            self._recorder.start()
 
-        self.recorded = 0
-        self._recorder = threading.Thread(target=write, name="record", daemon=True)
-        self._recorder.start()
+    def _write(self, folder: str | Path, slot: Slot[Frame]) -> None:
+        try:
+            with Recorder(folder, source=self.source.name) as recorder:
+                while (frame := slot.take()) is not None:
+                    try:
+                        require_space(folder, frame.counts.nbytes, self.reserve_bytes)
+                    except InputError as error:
+                        self.say(f"recording stopped, {recorder.count} frames are safe in {folder}: {error}")
+                        return
+                    recorder.write(frame)
+                    self.recorded = recorder.count
+            self.say(f"recorded {recorder.count} frames to {folder}, {slot.replaced} came too fast")
+        except ChromapertureError as error:
+            self.say(str(error))
+        finally:
+            slot.close(drop=True)
 
     def stop_recording(self) -> None:
         """Finish the recording, if there is one."""
@@ -153,7 +186,7 @@ class LiveLoop:
         except BaseException as error:  # no caller catches it: end the loop and report
             if not self._leave.is_set():
                 self.failure = error
-                self.listener(f"{type(error).__name__}: {error}")
+                self.say(f"{type(error).__name__}: {error}")
             for slot in (self._to_depth, self._to_track, self.to_view):
                 slot.close(drop=True)
 
@@ -183,7 +216,7 @@ class LiveLoop:
                 measurement = self.camera.measure(frame.image)
             except ChromapertureError as error:
                 if str(error) != reported:  # once, not for every frame
-                    self.listener(f"frame {frame.index}: {error}")
+                    self.say(f"frame {frame.index}: {error}")
                 reported = str(error)
                 continue
             reported = ""
@@ -198,7 +231,7 @@ class LiveLoop:
             self._finish()
 
     def _tracking(self) -> None:
-        model = Reconstruction(self.camera.calibration.lens.camera_matrix, self.config, listener=self.listener)
+        model = Reconstruction(self.camera.calibration.lens.camera_matrix, self.config, listener=self.say)
         self.model = model
         to_view = undistorter(self.camera)
         meshed, root = time.monotonic(), 0

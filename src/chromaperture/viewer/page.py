@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import sys
+import io
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,29 +14,25 @@ import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
-from chromaperture.errors import InputError, MissingDependencyError
-from chromaperture.products.measure_file import points as camera_points
+from chromaperture.errors import InputError
 from chromaperture.products.measure_file import write_maps
-from chromaperture.reconstruction.clean_views import near_steps
-from chromaperture.reconstruction.model_files import glb, quaternion
+from chromaperture.reconstruction.fusion import Placed
 from chromaperture.storage import staged
+from chromaperture.viewer.access import Access, serve
+from chromaperture.viewer.controls import ControlLimits, Limits
 from chromaperture.viewer.focus import refocuser
+from chromaperture.viewer.free_space import require_space
+from chromaperture.viewer.live_scene import LiveScene, median_distance
 from chromaperture.viewer.loop import LiveLoop, Measured, within_limits
 from chromaperture.viewer.pictures import confidence_picture, depth_picture
+from chromaperture.viewer.probe import probe_html, values_html
 
 # Chosen by hand: the page must leave the processor to depth and tracking.
-_POINTS = 40_000  # of the cloud
 _REFOCUS_REST = 3.0  # pause after a refocused picture, in units of its duration
 _MIN_PERIOD_S = 0.1  # shortest interval of two pages
-
-
-def viser() -> Any:
-    """Import viser; raises MissingDependencyError naming the extra."""
-    try:
-        import viser
-    except ImportError:
-        raise MissingDependencyError("the live page needs the extra: pip install 'chromaperture[viewer]'") from None
-    return viser
+# CSS pixels, chosen by hand: at 1400 x 900 both panels show all they hold, and the scene has half of the width.
+_PICTURES_WIDTH, _CONTROLS_WIDTH = 400, 320
+_SNAPSHOT_BYTES_PX = 48  # at most: three float maps, two PNG without compression, a point of 27 bytes
 
 
 class LivePage:
@@ -45,62 +42,59 @@ class LivePage:
     ----------
     loop : LiveLoop
     host, port
-        127.0.0.1 is this machine only.
+        127.0.0.1 is this machine only. Only the address ``url``, which holds a random token, opens the page.
     out : Path
         Folder of snapshots and recordings.
-    listener : callable
-        Receives messages for the terminal, one line each.
     max_relative_sigma : float
         Where the slider of the error bar begins, which limits cloud and snapshots; see `within_error`.
     """
 
     def __init__(
-        self,
-        loop: LiveLoop,
-        *,
-        host: str,
-        port: int,
-        out: Path,
-        listener: Callable[[str], None] = lambda line: None,
-        max_relative_sigma: float = MAX_RELATIVE_SIGMA,
+        self, loop: LiveLoop, *, host: str, port: int, out: Path, max_relative_sigma: float = MAX_RELATIVE_SIGMA
     ) -> None:
-        self.loop, self.out, self.listener = loop, out, listener
+        self.loop, self.out = loop, out
         self.last: Measured | None = None
-        self._percent = 100 * max_relative_sigma
-        self._mesh: object = None
+        facts = loop.camera.calibration.summary()
+        self.limits = ControlLimits.of_camera(facts["near_mm"], facts["far_mm"], max_relative_sigma)
         self._refocuser, self._refocus_at = refocuser(loop.camera), 0.0
-        try:
-            with contextlib.redirect_stdout(sys.stderr):  # its banner is no result
-                self.server = viser().ViserServer(host=host, port=port, verbose=False)
-        except OSError as error:
-            raise InputError(f"cannot serve on {host}:{port} ({error}); choose another --port") from None
-        self.url = f"http://{host}:{self.server.get_port()}"
+        self._failures: set[str] = set()
+        self._writing = threading.Lock()
+        self.access = Access(host)
+        self.server = serve(self.access, port, listener=loop.say)
+        self.url = self.access.url(self.server.get_port())
+        self.scene = LiveScene(self.server, loop)
+        self.scene.look_at(self.limits.focus.initial)
+        self._looked, self._depth_line = False, ""
         self._build()
 
     def _build(self) -> None:
-        gui, cal = self.server.gui, self.loop.camera.calibration
-        facts = cal.summary()
-        near, far = float(facts["near_mm"]), float(facts["far_mm"])
-        self.server.scene.set_up_direction("-y")
-        self.server.initial_camera.position = (0.6, -0.6, -0.9)
-        self.server.initial_camera.look_at = (0.0, 0.0, 2.0)
-        black = np.zeros((cal.sensor.height_px, cal.sensor.width_px, 3), np.uint8)
-        self.status = gui.add_markdown("waiting for the first frame")
-        self.depth = gui.add_image(black, label="depth, mm from the sensor", format="jpeg")
+        gui = self.server.gui
+        gui.configure_theme(dark_mode=True, show_share_button=False, show_logo=False)
+        gui.set_panel_label("chromaperture")
+        pictures = gui.add_panel()
+        with pictures.add_tab("Pictures"):
+            self._build_pictures()
+        pictures.dock_left()
+        pictures.set_width(_PICTURES_WIDTH)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(_CONTROLS_WIDTH)
+        self.state = gui.add_markdown("waiting for the first frame")
+        self._build_buttons()
+        self._build_sliders()
+        self.figures = gui.add_markdown("")
+
+    def _build_pictures(self) -> None:
+        gui, sensor = self.server.gui, self.loop.camera.calibration.sensor
+        black = np.zeros((sensor.height_px // 2, sensor.width_px // 2, 3), np.uint8)
+        self.depth = gui.add_image(black, label="distance from the sensor, mm", format="jpeg")
         self.color = gui.add_image(black, label="restored colour", format="jpeg")
-        self.confidence = gui.add_image(black, label="confidence", format="jpeg")
-        limit = max(50.0, min(self._percent, 1000.0))  # "inf" has no place on a slider
-        self.max_sigma = gui.add_slider(
-            "error bar, at most % of distance", min=0.1, max=limit, step=0.1, initial_value=min(self._percent, limit)
-        )
-        self.near = gui.add_slider("nearest, mm", min=100, max=5000, step=50, initial_value=round(near / 50) * 50)
-        self.far = gui.add_slider("farthest, mm", min=500, max=10000, step=50, initial_value=round(far / 50) * 50)
-        self.refocus = gui.add_checkbox("focus elsewhere", initial_value=False)
-        middle = round((near * far) ** 0.5 / 50) * 50
-        self.focus = gui.add_slider("focus at, mm", min=100, max=10000, step=50, initial_value=middle)
-        self.pupil = gui.add_slider("new pupil, times the camera's", min=0.5, max=4, step=0.1, initial_value=2.0)
-        pause, shot = gui.add_button("pause"), gui.add_button("snapshot")
-        record = gui.add_button("record")
+        self.confidence = gui.add_image(black, label="confidence, white is 1", format="jpeg")
+        self.values = gui.add_html("")
+        gui.add_html(probe_html())
+
+    def _build_buttons(self) -> None:
+        gui = self.server.gui
+        self.record, pause, shot = gui.add_button("record"), gui.add_button("pause"), gui.add_button("snapshot")
 
         @pause.on_click
         def _(event: Any) -> None:
@@ -112,119 +106,156 @@ class LivePage:
         def _(event: Any) -> None:
             self._attempt(self.snapshot)
 
-        @record.on_click
+        @self.record.on_click
         def _(event: Any) -> None:
-            if record.label == "record":
+            if self.loop.recording:
+                self._attempt(self.loop.stop_recording)
+            else:
                 folder = self.out / time.strftime("recording-%Y%m%d-%H%M%S")
                 self._attempt(lambda: self.loop.record(folder))
-                record.label = "stop recording"
-            else:
-                self.loop.stop_recording()
-                record.label = "record"
+
+    def _build_sliders(self) -> None:
+        gui, at = self.server.gui, self.limits
+
+        def slider(label: str, limits: Limits, step: float, hint: str) -> Any:
+            ends = {"min": limits.lowest, "max": limits.highest, "initial_value": limits.initial}
+            return gui.add_slider(label, step=step, hint=hint, **ends)
+
+        self.max_sigma = slider("error bar, %", at.percent, 0.1, "Longest error bar shown, % of the distance")
+        self.near = slider("nearest, mm", at.near, at.step_mm, "Nearer pixels are left out")
+        self.far = slider("farthest, mm", at.far, at.step_mm, "Farther pixels are left out")
+        self.refocus = gui.add_checkbox("focus elsewhere", initial_value=False)
+        self.focus = slider("focus at, mm", at.focus, at.step_mm, "Where the restored colour is in focus")
+        self.pupil = slider("pupil", at.pupil, 0.1, "Diameter of the new pupil, in units of the camera's")
 
     def _attempt(self, work: Callable[[], Any]) -> None:
         try:
             work()
         except Exception as error:  # a click must not end the loop
-            self.listener(str(error))
+            self.loop.say(_line(error))
+        self._show_state()  # frames may have paused
 
     def snapshot(self) -> list[Path]:
-        """Write the maps of the frame shown."""
+        """Write the maps of the frame shown; refused while another is being written, or the disk is nearly full."""
         last = self.last
         if last is None:
             raise InputError("there is no frame yet")
-        stem = time.strftime("snapshot-%Y%m%d-%H%M%S") + f"-{last.frame.index}"
-        with staged(self.out) as stage:
-            limit = self.max_sigma.value / 100
-            write_maps(stage.path, stem, self.loop.camera, last.measurement, max_relative_sigma=limit)
-            names = list(stage.names)
-        self.listener(f"wrote {stem}.* to {self.out}")
+        if not self._writing.acquire(blocking=False):
+            raise InputError("a snapshot is being written already")
+        try:
+            require_space(self.out, _SNAPSHOT_BYTES_PX * last.measurement.depth_mm.size, self.loop.reserve_bytes)
+            stem = time.strftime("snapshot-%Y%m%d-%H%M%S") + f"-{last.frame.index}"
+            with staged(self.out) as stage:
+                limit = self.limits.percent.bounded(self.max_sigma.value) / 100
+                write_maps(stage.path, stem, self.loop.camera, last.measurement, max_relative_sigma=limit)
+                names = list(stage.names)
+        finally:
+            self._writing.release()
+        self.loop.say(f"wrote {stem}.* to {self.out}")
         return [self.out / name for name in names]
 
     def run(self, *, until: Callable[[], bool] = lambda: False) -> None:
-        """Show frames until the loop ends or ``until`` returns true; nothing is drawn while no browser is connected."""
+        """Show frames until the loop ends or ``until`` returns true; nothing is drawn while no browser is connected.
+
+        What cannot be drawn is left out and said, on the page too; each different message once.
+        """
         meter = self.loop.meters["view"]
         while not until() and (item := self.loop.to_view.take()) is not None:
             start = time.monotonic()
             self.last = item
             if self.server.get_clients():
-                self.show(item)
+                try:
+                    self.show(item)
+                except Exception as error:  # nothing that a browser sends or a frame holds may end the loop
+                    self._report(error)
                 self.loop.want_mesh.set()
             now = time.monotonic()
             meter.record(now - start, now - item.arrived)
             time.sleep(max(0.0, _MIN_PERIOD_S - (now - start)))
 
+    def _report(self, error: Exception) -> None:
+        line = f"this frame could not be drawn: {_line(error)}"
+        with contextlib.suppress(Exception):  # the page itself may be what fails
+            self.state.content = _escaped(line)
+        if line not in self._failures:
+            self._failures.add(line)
+            self.loop.say(line)
+
     def show(self, item: Measured) -> None:
         """Show one frame and the state of the model."""
-        near, far = self.near.value, max(self.far.value, self.near.value + 50)
-        shown = within_limits(item, max_sigma=self.max_sigma.value / 100, near_mm=near, far_mm=far)
-        half = slice(None, None, 2)  # half size is enough for the panel
-        self.depth.image = depth_picture(shown.measurement.depth_mm[half, half], near_mm=near, far_mm=far)
+        near, far = self.limits.distances(self.near.value, self.far.value)
+        percent = self.limits.percent.bounded(self.max_sigma.value)
+        shown = within_limits(item, max_sigma=percent / 100, near_mm=near, far_mm=far)
+        depth, measured = shown.measurement.depth_mm, item.measurement
+        if not self._looked and np.isfinite(depth).any():
+            self._looked = True
+            self.scene.look_at(median_distance(depth))
+        half = slice(None, None, 2)
+        self.depth.image = depth_picture(depth[half, half], near_mm=near, far_mm=far)
         if self.refocus.value:
             self._show_refocused(item)
         else:
-            self.color.image = linear_to_srgb_bytes(item.measurement.color[half, half])
-        self.confidence.image = confidence_picture(item.measurement.confidence[half, half])
-        self.status.content = self._status()
+            self.color.image = linear_to_srgb_bytes(measured.color[half, half])
+        self.confidence.image = confidence_picture(measured.confidence[half, half])
+        # Not cut at the error bar, which is shown beside it.
+        self.values.content = values_html(measured.depth_mm[half, half], measured.sigma_mm[half, half])
+        self._depth_line = depth_line(depth, measured.sigma_mm)
+        self._show_state()
         with self.server.atomic():
-            self._scene(shown)
+            self.scene.draw(shown)
         self.server.flush()
 
     def _show_refocused(self, item: Measured) -> None:
         start = time.monotonic()
         if start < self._refocus_at:
             return
-        color = self._refocuser(item.measurement, self.focus.value, self.pupil.value)
-        self.color.image = linear_to_srgb_bytes(color)
+        focus, pupil = self.limits.focus.bounded(self.focus.value), self.limits.pupil.bounded(self.pupil.value)
+        self.color.image = linear_to_srgb_bytes(self._refocuser(item.measurement, focus, pupil))
         now = time.monotonic()
         self._refocus_at = now + _REFOCUS_REST * (now - start)
 
-    def _scene(self, item: Measured) -> None:
-        scene, placed = self.server.scene, self.loop.placed
-        pose = placed.pose if placed is not None and placed.pose is not None else None
-        turn = np.eye(3) if pose is None else pose[:3, :3]
-        shift = np.zeros(3) if pose is None else pose[:3, 3]
-        lens, measured = self.loop.camera.calibration.lens, item.measurement
-        step = max(1, round((measured.depth_mm.size / _POINTS) ** 0.5))
-        thin = np.full_like(measured.depth_mm, np.nan)
-        c = self.loop.config  # pixels between two surfaces are removed, as in the model
-        flying = near_steps(measured.depth_mm, jump=c.edge_jump, reach_px=c.edge_px)
-        thin[::step, ::step] = np.where(flying, np.float32(np.nan), measured.depth_mm)[::step, ::step]
-        cloud = camera_points(self.loop.camera, thin, measured.color)
-        points = (cloud.points_mm @ turn.T + shift) / 1000
-        scene.add_point_cloud("/points", points.astype(np.float32), cloud.colors, point_size=0.004)
-        x, y, z, w = quaternion(turn)
-        height, width = measured.depth_mm.shape
-        scene.add_camera_frustum(
-            "/camera",
-            fov=float(2 * np.arctan(height / 2 / lens.camera_matrix[1, 1])),
-            aspect=width / height,
-            scale=0.1,
-            wxyz=(w, x, y, z),
-            position=shift / 1000,
-            color=(220, 60, 40) if placed is not None and placed.pose is None else (40, 120, 220),
-        )
-        path = np.array([*self.loop.trail.points_mm, shift]) / 1000
-        if len(path) > 2:
-            pairs = np.stack([path[:-1], path[1:]], axis=1)
-            scene.add_line_segments("/path", pairs, (40, 120, 220), thickness=2, thickness_units="screen")
-        mesh = self.loop.mesh
-        if mesh is not None and mesh is not self._mesh and len(mesh.triangles):
-            self._mesh = mesh
-            # Not through trimesh: its objects are reference cycles that hold many megabytes until the collector runs.
-            scene.add_glb("/model", glb(mesh), wxyz=(0, 1, 0, 0))  # the file's y points up and its z backward
-
-    def _status(self) -> str:
-        rows = ["| stage | frames/s | ms | behind, ms | dropped |", "| --- | --- | --- | --- | --- |"]
+    def _show_state(self) -> None:
+        self.record.label = "stop recording" if self.loop.recording else "record"
+        tracking = tracking_line(self.loop.placed) if self.loop.track else ""
+        recorded = f"{self.loop.recorded} frames recorded" if self.loop.recorded else ""
+        lines = (tracking, self._depth_line, recorded, _escaped(self.loop.latest))
+        self.state.content = "\n\n".join(line for line in lines if line)
+        rows = ["| stage | 1/s | ms | behind | lost |", "| --- | ---: | ---: | ---: | ---: |"]
         for name, stage in self.loop.figures().items():
             rate, taken, behind = stage["per_second"], stage["milliseconds"], stage["latency_ms"]
             rows.append(f"| {name} | {rate:.1f} | {taken:.0f} | {behind:.0f} | {stage['dropped']} |")
-        placed = self.loop.placed
-        words = "" if placed is None else (placed.note or "tracking")
-        recorded = f", {self.loop.recorded} frames recorded" if self.loop.recorded else ""
-        return "\n".join([*rows, "", f"{words}{recorded}"])
+        self.figures.content = "\n".join([*rows, "", "*behind: ms since the frame arrived; lost: frames left out*"])
 
     def close(self) -> None:
         """Stop serving."""
-        with contextlib.redirect_stdout(sys.stderr):
+        with contextlib.redirect_stdout(io.StringIO()):  # viser says that it stopped
             self.server.stop()
+
+
+def tracking_line(placed: Placed | None) -> str:
+    """Say in Markdown how well the last frame fits the model."""
+    if placed is None:
+        return "tracking: **not yet**"
+    if placed.pose is None:
+        return f"tracking **{_escaped(placed.note)}**"
+    if placed.note:  # the first frame of a submap
+        return f"tracking: **{_escaped(placed.note)}**"
+    return f"tracking: **{placed.overlap:.0%}** of the keyframe seen again, correlation **{placed.correlation:.2f}**"
+
+
+def depth_line(depth_mm: np.ndarray, sigma_mm: np.ndarray) -> str:
+    """Say in Markdown how far away and how certain the pixels shown are, whose depth is not NaN."""
+    shown = np.isfinite(depth_mm)
+    if not shown.any():
+        return "no pixel is within these limits"
+    distance, error = float(np.median(depth_mm[shown])), float(np.median(sigma_mm[shown]))
+    return f"median of what is shown **{distance:.0f} ± {error:.0f} mm**; {shown.mean():.0%} of the pixels"
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _escaped(text: str) -> str:
+    """Escape what Markdown and HTML would not show as it is."""
+    return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|~!" else c for c in text)

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 from matplotlib.figure import Figure
 
-from chromaperture.evaluation.figures import new_figure, style_axes
+from chromaperture.evaluation.figures import new_figure, plain_log_scale, style_axes
 from chromaperture.evaluation.paper import methods, world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable
@@ -95,7 +95,7 @@ def _figure(results: Results, bounds: dict[tuple[str, str], np.ndarray], distanc
             axes.plot(distances, scatter, "o-", color=color, markersize=4, label=NUMERALS[design])
             if np.isfinite(bounds[design, light]).all():
                 axes.plot(distances, 100 * bounds[design, light], "--", color=color, alpha=0.6, linewidth=1)
-        axes.set_yscale("log")
+        plain_log_scale(axes)
         axes.set_title(light, fontsize=9, loc="left")
         style_axes(axes, xlabel="distance, mm", ylabel="scatter of a pixel's depth, %")
     panels[0].legend(frameon=False, fontsize=8, ncols=2)

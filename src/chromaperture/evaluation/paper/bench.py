@@ -15,6 +15,7 @@ from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
+from chromaperture.color.color_maps import DISTANCE, color_map
 from chromaperture.config import Quality
 from chromaperture.errors import InputError
 from chromaperture.evaluation.figures import new_figure
@@ -113,7 +114,7 @@ def _content(
             Chart(
                 "scenes",
                 _figure(names, designs, pictures, truth),
-                f"Depth of {_SHOWN}; blue is near, yellow far, white unknown.",
+                f"Depth of {_SHOWN}; red is near, blue far, grey unknown.",
             )
         ],
         listed,
@@ -138,7 +139,7 @@ def _figure(
             axes.set_xticks([])
             axes.set_yticks([])
             if (name, design) in pictures:
-                axes.imshow(pictures[name, design][::2, ::2], cmap="viridis", vmin=low, vmax=high)
+                axes.imshow(pictures[name, design][::2, ::2], cmap=color_map(DISTANCE), vmin=low, vmax=high)
             else:
                 axes.set_frame_on(False)
         line[0].set_ylabel(name.replace(", ", ",\n").replace(" cross-", "\ncross-"), fontsize=7)

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 from matplotlib.figure import Figure
 
-from chromaperture.evaluation.figures import BLUE, GREY, RED, new_figure, style_axes
+from chromaperture.evaluation.figures import BLUE, GREY, RED, new_figure, plain_log_scale, style_axes
 from chromaperture.evaluation.paper import methods, world
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable
@@ -78,7 +78,7 @@ def _figure(found: Figures, light_of: dict[str, float]) -> Figure:
     axes.annotate("VIII: no depth", (100, 0.5), xycoords=("data", "axes fraction"), rotation=90, fontsize=8,
                   ha="right", va="center", color=GREY)  # fmt: skip
     axes.margins(y=0.12)
-    axes.set_yscale("log")
+    plain_log_scale(axes)
     style_axes(axes, xlabel="light efficiency, %", ylabel="median error of the depth, %")
     axes.legend(frameon=False, fontsize=8, ncols=2, loc="lower left")
     return figure

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from chromaperture.color.color_maps import DISTANCE, color_map
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.disparity.total_variation import smooth_disparity
 from chromaperture.evaluation.figures import new_figure
@@ -31,7 +32,7 @@ def make(context: Context) -> Content:
         shot = world.pinhole_capture(design, planes, camera, cells=context.cells, seed=_SEED)
         line[0].imshow(linear_to_srgb(np.clip(shot.image / 0.9, 0, 1)))
         line[0].set_ylabel(NUMERALS[design], rotation=0, labelpad=14, va="center", fontsize=11)
-        line[3].imshow(shot.radius_px, cmap="viridis", vmin=low, vmax=high)
+        line[3].imshow(shot.radius_px, cmap=color_map(DISTANCE), vmin=low, vmax=high)
         relative_exposure = world.level_exposure(design) / world.level_exposure("open")
         light = float(channel_transmission(world.real_film(design)).mean())
         first = (full_name(design), f"{light:.0%}", f"{relative_exposure:.2f}")
@@ -42,7 +43,7 @@ def make(context: Context) -> Content:
             continue
         both = _raw_and_regularised(design, shot.image, camera, context.cells, (low - 1, high + 1))
         for axes, radius in zip(line[1:3], both, strict=True):
-            axes.imshow(radius, cmap="viridis", vmin=low, vmax=high)
+            axes.imshow(radius, cmap=color_map(DISTANCE), vmin=low, vmax=high)
         found = [methods.scores(methods.depth_of(np.asarray(r, float), camera), shot.depth_mm) for r in both]
         good[design] = found[1]["within_5"]
         within = (f"{s[key]:.1%}" for s in found for key in ("within_2", "within_5"))

@@ -6,6 +6,7 @@ import numpy as np
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_matching import default_config
+from chromaperture.color.color_maps import DISTANCE
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.effects.restore import restore
@@ -29,7 +30,7 @@ def make(context: Context) -> Content:
         pictures[title] = refocus(sharp.color, sharp.radius_px, Focus(at, strength=1.5))
     figure = new_figure(height=4.6)
     first, disparity, *rest = figure.subplots(2, 2).ravel()
-    show_image(disparity, frame.disparity_px, "(b) disparity, px", bar="", cmap="viridis")
+    show_image(disparity, frame.disparity_px, "(b) disparity, px", bar="", colors=DISTANCE)
     white = float(np.percentile(sharp.color, 99.5))
     for axes, (title, picture) in zip((first, *rest), pictures.items(), strict=True):
         show_image(axes, linear_to_srgb(np.clip(picture / white, 0, 1)), title)

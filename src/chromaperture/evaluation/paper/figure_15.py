@@ -12,6 +12,7 @@ import numpy as np
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
+from chromaperture.color.color_maps import DISTANCE
 from chromaperture.errors import MissingDependencyError
 from chromaperture.evaluation.figures import new_figure, show_image
 from chromaperture.evaluation.paper import methods, world
@@ -63,7 +64,7 @@ def make(context: Context) -> Content:
     figure = new_figure(height=4.8)
     panels = figure.subplots(2, 2).ravel()
     show_image(panels[0], views[0].color, "(c) test scene, first frame")
-    show_image(panels[1], views[0].z_mm, "its depth", bar="mm", cmap="viridis")
+    show_image(panels[1], views[0].z_mm, "its depth", bar="mm", colors=DISTANCE)
     titles = ("(d) model, from the left", "(f) model, from the right")
     for axes, title, (yaw, pitch) in zip(panels[2:], titles, _VIEWPOINTS_DEG, strict=True):
         pose = turned(yaw, pitch, PIVOT_MM - pupil)

@@ -7,6 +7,7 @@ import numpy as np
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_matching import default_config
+from chromaperture.color.color_maps import DIFFERENCE, DISTANCE
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.depth.conversion import disparity_to_inverse_depth
 from chromaperture.evaluation.figures import draw_flat_board, flat_board, new_figure, plane_residual, show_image
@@ -35,10 +36,10 @@ def make(context: Context) -> Content:
     panels = figure.subplots(2, 2)
     show_image(panels[0, 0], linear_to_srgb(np.clip(shot.image / 0.9, 0, 1)), "(a) capture")
     low, high = np.nanpercentile(shot.depth_mm, (1, 99))
-    show_image(panels[0, 1], maps[1], "depth by the fields", bar="mm", cmap="viridis", vmin=low, vmax=high)
+    show_image(panels[0, 1], maps[1], "depth by the fields", bar="mm", colors=DISTANCE, vmin=low, vmax=high)
     for axes, depth, name, value in zip(panels[1], maps, ("(b) one curve", "(c) fields"), bends, strict=True):
         title = f"{name}: error, bend {value:.1%} of the depth"
-        shown = show_image(axes, 100 * (depth / shot.depth_mm - 1), title, cmap="RdBu_r", vmin=-15, vmax=15)
+        shown = show_image(axes, 100 * (depth / shot.depth_mm - 1), title, colors=DIFFERENCE, vmin=-15, vmax=15)
     figure.colorbar(shown, ax=list(panels[1]), fraction=0.02, label="error, %", extend="both")
     return Content(
         source=f"{source} The floor is photographed by the same simulated lens.",

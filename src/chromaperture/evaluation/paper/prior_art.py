@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from chromaperture.color.color_maps import DISTANCE
 from chromaperture.evaluation.figures import new_figure, show_image
 from chromaperture.evaluation.paper import methods, stereo_pair, world
 from chromaperture.evaluation.paper.context import Context
@@ -44,7 +45,7 @@ def make(context: Context) -> Content:
     for axes in panels:
         axes.set_axis_off()
     for axes, (name, depth) in zip(panels, pictures.items(), strict=False):
-        show_image(axes, depth, name, size=7, cmap="viridis", vmin=1100, vmax=3400)
+        show_image(axes, depth, name, size=7, colors=DISTANCE, vmin=1100, vmax=3400)
     head = ("method", "design", "light", "grey: within 2 %", "within 5 %", "coloured: within 2 %", "within 5 %", "fill",
             "time, ms")  # fmt: skip
     return Content(

@@ -14,6 +14,7 @@ from chromaperture.calibration.session import Session, read_session
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
+from chromaperture.color.color_maps import DIFFERENCE, ERROR, OTHER
 from chromaperture.config import Quality
 from chromaperture.errors import InputError
 from chromaperture.evaluation.depth_quality import ZONES, PlaneQuality, by_cell
@@ -186,9 +187,9 @@ def _frame_figure(found: list[Measured]) -> Figure:
     fill, accuracy, rms = (100 * cells[:, k].reshape(_MAP_CELLS) for k in range(3))
     most = max(float(np.nanmax(np.abs(accuracy))), 0.5)  # no narrower scale, so that an accurate camera looks even
     fill_axes, accuracy_axes, rms_axes = figure.subplots(1, 3)
-    show_image(fill_axes, fill, "fill, %", bar="", cmap="viridis", vmin=min(80.0, float(fill.min())), vmax=100)
-    show_image(accuracy_axes, accuracy, "Z accuracy, %", bar="", cmap="RdBu_r", vmin=-most, vmax=most)
-    show_image(rms_axes, rms, "plane-fit RMS, %", bar="", cmap="magma_r", vmin=0)
+    show_image(fill_axes, fill, "fill, %", bar="", colors=OTHER, vmin=min(80.0, float(fill.min())), vmax=100)
+    show_image(accuracy_axes, accuracy, "Z accuracy, %", bar="", colors=DIFFERENCE, vmin=-most, vmax=most)
+    show_image(rms_axes, rms, "plane-fit RMS, %", bar="", colors=ERROR, vmin=0)
     return figure
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from chromaperture.color.color_maps import OTHER
 from chromaperture.color.transparency_map import light_efficiency
 from chromaperture.evaluation.figures import new_figure, show_image
 from chromaperture.evaluation.paper.context import Context
@@ -35,7 +36,7 @@ def make(context: Context) -> Content:
         limits = list(zip("RGB", light.minimum, light.maximum, strict=True))
         for k, (channel, low, high) in enumerate(limits):
             title = f"{NUMERALS[name]} {channel}: {low:.2f} to {high:.2f}"
-            show_image(panels[k, column], transparency[..., k], title, bar="", cmap="viridis")
+            show_image(panels[k, column], transparency[..., k], title, bar="", colors=OTHER)
         rows.append((full_name(name), *(f"{a:.3f} to {b:.3f}" for _, a, b in limits), f"{light.efficiency:.1%}"))
         ranges, efficiency = PAPER[name]
         theirs = ", ".join(f"{c} {a:.2f} to {b:.2f}" for c, (a, b) in zip("RGB", ranges, strict=True))
