@@ -165,7 +165,8 @@ def bad_inputs(folder):
         "folder is a device": (["depth", image, "--camera", camera, "--out", "/dev/full"], "cannot write to /dev/full"),
         "file in /proc": (["export", image, "/proc/foo.mcap.d", "--camera", camera], "cannot write to /proc"),
         "template in /proc": (
-            ["apertures", "cy_halves", "--template", "/proc/f.pdf", "--pupil-mm", "25"], "cannot use /proc/f.pdf"
+            ["apertures", "cy_halves", "--template", "/proc/f.pdf", "--pupil-mm", "25"],
+            "cannot use /proc/f.pdf",
         ),
         "recording in /proc": (["record", image, "--out", "/proc/foo"], "cannot write to /proc/foo"),
         "no error bar": (["depth", image, *with_camera, "--max-relative-sigma", "0"], "positive"),
@@ -312,12 +313,12 @@ def test_refocus_writes_a_picture_and_a_film(run, small_camera, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--focus", "1500kg"), "1500mm"),
-        (("--focus", "-3"), "1500mm"),
+        (("--focus-mm", "0"), "--focus-mm"),
+        (("--focus-mm", "-3"), "--focus-mm"),
         (("--point", "5"), "X,Y"),
         (("--point", "9999,1"), "outside"),
-        (("--focus", "1m", "--sweep"), "one of --focus"),
-        (("--focus", "1m"), "calibrat"),
+        (("--focus-mm", "1000", "--sweep"), "one of --focus-mm"),
+        (("--focus-mm", "1000"), "calibrat"),
         (("--f-number", "2"), "--strength"),
         (("--f-number", "2", "--strength", "1"), "one of"),
         (("--strength", "-1"), "--strength"),

@@ -109,7 +109,7 @@ def test_a_wrong_square_is_named(near, calibration):
     assert seen.verdict == "warn"
     # 0.08 px of the blur's bias in the 2.5 px that a board at this distance has from infinity: 3 %.
     assert seen.figures["square_if_another_mm"] == pytest.approx(30.0, rel=0.03)
-    assert "--square 30mm" in seen.advice
+    assert "--square-mm 30" in seen.advice
     assert "focus" not in seen.advice
     unknown = by_name(check_camera(near, calibration, board=Board((9, 6), 25.0)))["board distance"]
     assert "squares have another size" in unknown.advice
@@ -220,7 +220,7 @@ def test_the_exit_code_tells(run, tmp_path, near, calibration):
     calibration.save(tmp_path / "camera.asdf")
     counts = np.clip(near * 65535, 0, 65535).astype(np.uint16)
     cv2.imwrite(str(tmp_path / "good.png"), counts[..., ::-1])
-    common = ("--camera", tmp_path / "camera.asdf", "--square", "3cm")
+    common = ("--camera", tmp_path / "camera.asdf", "--square-mm", "30")
     result = run("check", tmp_path / "good.png", *common)
     assert result.returncode == 0
     assert "board distance" in result.stdout
@@ -236,7 +236,7 @@ def test_the_exit_code_tells(run, tmp_path, near, calibration):
     assert result.returncode == 1
     assert '"ok": false' in result.stdout
     assert "4:2:0" in result.stdout
-    for wrong in (("--board", "nine"), ("--square", "big"), ("--camera", tmp_path / "none.asdf")):
+    for wrong in (("--board", "nine"), ("--square-mm", "0"), ("--camera", tmp_path / "none.asdf")):
         result = run("check", tmp_path / "good.png", *common, *wrong)
         assert result.returncode == 2
         assert result.stderr.count("\n") == 1

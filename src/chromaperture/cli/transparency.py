@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.options import Json, Quiet
+from chromaperture.cli.options import BlackLevel, Json, Quiet, WhiteLevel
 from chromaperture.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,9 +19,9 @@ def transparency(
         list[Path],
         typer.Argument(help="White sheet through each coded aperture, one file a design.", metavar="SHEET..."),
     ],
-    bare: Annotated[Path, typer.Option(help="The same sheet without the aperture, at the same exposure.")],
-    black_level: Annotated[float, typer.Option(help="Counts of no light.")] = 0.0,
-    white_level: Annotated[float | None, typer.Option(help="Counts of a full well; default the file's.")] = None,
+    bare: Annotated[Path, typer.Option(help="The same sheet through the open pupil, at the same exposure.")],
+    black_level: BlackLevel = None,
+    white_level: WhiteLevel = None,
     exposure: Annotated[
         float, typer.Option(help="Exposure of the SHEETs over that of the bare one, where they differ.")
     ] = 1.0,
