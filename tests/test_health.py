@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import cv2
@@ -113,6 +114,23 @@ def test_a_wrong_square_is_named(near, calibration):
     assert "focus" not in seen.advice
     unknown = by_name(check_camera(near, calibration, board=Board((9, 6), 25.0)))["board distance"]
     assert "squares have another size" in unknown.advice
+
+
+def test_a_distance_that_is_too_far_to_be_measured_is_not_a_number(near, calibration):
+    """By this curve the disparity of the near board is 0.02 px from that of infinity: 370 m."""
+    true = calibration.on_axis("real-time")
+    scale, delta = float(true.scale_px_mm), float(true.sensor_to_pupil_mm)
+    infinity = float(true.infinity_disparity_px) - scale / (NEAR_MM - delta) + 0.02
+    other = halves_camera(
+        DepthModel(infinity, scale, delta), WIDTH, HEIGHT, focal_px=CAMERA.focal_px,
+        pixel_pitch_mm=CAMERA.pixel_pitch_mm, far_mm=4000.0,
+    )  # fmt: skip
+    seen = by_name(check_camera(near, replace(other, film=calibration.film), board=BOARD))["board distance"]
+    assert seen.verdict == "warn"
+    # The tolerance is 6 % of the 6 px that were expected: B / 0.36 px is 21 m, which the noise moves by some percent.
+    assert re.search(r" beyond 2\d000 mm by its disparity;", seen.finding)
+    assert np.isinf(seen.figures["depth_mm"])
+    assert "squares have another size" not in seen.advice
 
 
 def test_the_calibrations_board_is_looked_for(near, calibration):

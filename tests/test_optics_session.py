@@ -201,8 +201,9 @@ def test_the_table_says_what_the_functions_say():
     assert halves["efficiency_mean"] == pytest.approx(0.542, abs=1e-3)  # three figures in docs/optics.md
     # The grid over the pupil is good to 4e-4, of 21 mm.
     assert halves["baseline_mm"] == pytest.approx(8 / (3 * math.pi) * 12.4186, abs=0.02)
-    assert halves["disparity_px"][0] > 1 > 0 == bare["disparity_px"][0]
-    assert bare["depth_sigma_mm"] == [None]
+    assert halves["disparity_px"][0] > 1
+    for name in ("baseline_mm", "disparity_px", "disparity_px_per_mm", "depth_sigma_mm"):
+        assert bare[name] is None  # without film there is nothing to measure
     assert "cy_halves" in CliRunner().invoke(app(), ["apertures", "cy_halves"], env={"COLUMNS": "200"}).output
 
 

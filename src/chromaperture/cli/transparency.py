@@ -122,19 +122,19 @@ def _print(rows: list[dict[str, Any]]) -> None:
     from chromaperture.cli.console import out, table
 
     title = "Transparency, Eq. (11), and loss of signal-to-noise ratio"
-    sheets = table(title, "sheet", "R", "G", "B", "mean", "loss, dB", "exposure")
+    sheets = table(title, "sheet", "R, %", "G, %", "B, %", "mean", "loss, dB", "exposure")
     for row in rows:
-        ranges = (f"{a:.2f}-{b:.2f}" for a, b in zip(row["minimum_rgb"], row["maximum_rgb"], strict=True))
+        ranges = (f"{100 * a:.0f}-{100 * b:.0f}" for a, b in zip(row["minimum_rgb"], row["maximum_rgb"], strict=True))
         sheets.add_row(
             escape(row["name"]),
             *ranges,
-            f"{100 * row['efficiency']:.1f}%",
+            f"{100 * row['efficiency']:.1f}",
             f"{row['snr_loss_central_db']:.1f} / {row['snr_loss_border_db']:.1f}",
-            f"x{row['exposure_shot_noise']:.2f} (x{row['exposure_amplitude']:.2f})",
+            f"{row['exposure_shot_noise']:.2f} ({row['exposure_amplitude']:.2f})",
         )
     out.print(sheets)
     out.print(
         "Loss: in the centre / at the border, against the bare centre. "
-        "Exposure: what restores the centre's SNR where photons make the noise; in brackets where the sensor's own "
+        "Exposure: the factor that restores the centre's SNR where photons make the noise; in brackets where the sensor's own "
         "noise does, the reading behind the paper's 30 % for 2.3 dB."
     )
