@@ -132,6 +132,6 @@ def _print(rows: list[dict[str, Any]]) -> None:
     out.print(light)
     out.print(noise)
     out.print(
-        "Loss against the bare centre. Exposure: the factor that restores the centre's SNR where photons make the noise, "
-        "and where the sensor's own noise does, the reading behind the paper's 30 % for 2.3 dB."
+        "Loss against the bare centre. Exposure: the factor that restores the centre's SNR where photons make the "
+        "noise, and where the sensor's own noise does, the reading behind the paper's 30 % for 2.3 dB."
     )
