@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from chromaperture.calibration.chessboard import find_corners
-from chromaperture.cli.board import millimetres
 from chromaperture.errors import InputError
 from chromaperture.optics.board_pattern import BoardPage, board_page, speckle, write_board
 
@@ -120,11 +119,12 @@ def test_the_suffix_decides_the_format(tmp_path):
         write_board(tmp_path / "board.svg", page, wall_pages=2)
 
 
-@pytest.mark.parametrize(("text", "value"), [("30mm", 30), ("3cm", 30), ("22.5", 22.5), (" 3 cm ", 30)])
-def test_lengths_are_read_with_their_unit(text, value):
-    assert millimetres(text) == value
-
-
-def test_a_length_without_sense_is_refused():
-    with pytest.raises(InputError, match="30mm"):
-        millimetres("thirty")
+def test_the_command_prints_squares_that_fit_the_paper(run, tmp_path):
+    result = run("board", "--out", tmp_path / "board.pdf")
+    assert (result.returncode, "9 x 6 inner corners, 30 mm squares" in result.stdout) == (0, True), result.stderr
+    assert "22 mm squares" in run("board", "--out", tmp_path / "a4.pdf", "--paper", "a4").stdout
+    result = run("board", "--out", tmp_path / "b.svg", "--board", "8x5", "--square-mm", 25, "--paper", "letter")
+    assert "8 x 5 inner corners, 25 mm squares" in result.stdout
+    result = run("board", "--out", tmp_path / "c.svg", "--board", "nine")
+    assert (result.returncode, "such as 9x6" in result.stderr) == (2, True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a4.pdf", "b.svg", "board.pdf"]

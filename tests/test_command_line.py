@@ -5,15 +5,20 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 import tifffile
+import typer
 from PIL import Image
 
 from chromaperture.camera_file import Calibration
+from chromaperture.cli import console
 from chromaperture.cli.depth import cameras
+from chromaperture.cli.main import app
+from chromaperture.evaluation.paper.registry import EXHIBITS
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 from worlds import capture, texture
 
@@ -135,6 +140,7 @@ def bad_inputs(folder):
     cv2.imwrite(str(folder / "white.png"), np.full_like(counts, 1023))
     cv2.imwrite(str(folder / "grey.png"), counts[..., 1])
     cv2.imwrite(str(folder / "small.png"), counts[::2, ::2])
+    cv2.imwrite(str(folder / "portrait.png"), counts.transpose(1, 0, 2))
     nan = (counts[..., ::-1].astype(np.float32) - 16) / 1000
     nan[:] = np.nan
     tifffile.imwrite(folder / "nan.tif", nan, photometric="rgb")
@@ -151,6 +157,10 @@ def bad_inputs(folder):
         "saturated": (["depth", here("white.png"), *with_camera], "is saturated"),
         "not a number": (["depth", here("nan.tif"), *with_camera], "finite"),
         "other size": (["depth", here("small.png"), *with_camera], "360x240"),
+        "rotated": (
+            ["depth", here("portrait.png"), *with_camera],
+            "480x720 px .* 720x480; it looks rotated: turn it back",
+        ),
         "unknown design": (["depth", image, "--design", "cy_thirds", "--out", here("out")], "cy_halves"),
         "design without parallax": (["depth", image, "--design", "open", "--out", here("out")], "shifts no channel"),
         "neither camera nor design": (["depth", image, "--out", here("out")], "--camera"),
@@ -162,13 +172,6 @@ def bad_inputs(folder):
         "levels": (["depth", image, *with_camera, "--black-level", "9000"], "black level"),
         "unknown setting": (["depth", image, *with_camera, "--config", here("config.toml")], "'step'"),
         "folder is a file": (["depth", image, "--camera", camera, "--out", here("file")], "cannot write"),
-        "folder in /proc": (["depth", image, "--camera", camera, "--out", "/proc/foo"], "cannot write to /proc/foo"),
-        "folder is a device": (["depth", image, "--camera", camera, "--out", "/dev/full"], "cannot write to /dev/full"),
-        "file in /proc": (["export", image, "/proc/foo.mcap.d", "--camera", camera], "cannot write to /proc"),
-        "template in /proc": (
-            ["apertures", "cy_halves", "--template", "/proc/f.pdf", "--pupil-mm", "25"], "cannot use /proc/f.pdf"
-        ),
-        "recording in /proc": (["record", image, "--out", "/proc/foo"], "cannot write to /proc/foo"),
         "no error bar": (["depth", image, *with_camera, "--max-relative-sigma", "0"], "positive"),
         "same names": (["depth", image, image, *with_camera], "same files"),
         "no session": (["calibrate", folder, "--out", here("c.asdf")], "session"),
@@ -188,6 +191,50 @@ def test_bad_input_is_one_clear_line_exit_code_2_and_nothing_written(run, tmp_pa
     assert not wrong, "\n".join(f"{name}: {got}" for name, got in wrong.items())
     assert sorted(p.name for p in tmp_path.iterdir() if p.name != "out") == before
     assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
+
+
+# A command of each that writes; OUT is what cannot be written. `demo` writes as `depth` does.
+WRITERS = {
+    "depth": "depth PHOTO --camera CAMERA --quality paper --out OUT",
+    "calibrate": "calibrate SESSION --no-blur --out OUT.asdf",
+    "its report": "calibrate SESSION --no-blur --out c.asdf --report OUT.html",
+    "board": "board --out OUT.pdf",
+    "figure": "apertures cy_halves --at-mm 2000 --figure OUT.png",
+    "template": "apertures cy_halves --at-mm 2000 --template OUT.svg",
+    "refocus": "refocus SMALL --design cy_halves --quality paper --sharpness aligned --out OUT.png",
+    "sweep": "refocus SMALL --design cy_halves --quality paper --sharpness aligned --sweep --out OUT.gif",
+    "transparency": "transparency SMALL --bare SMALL --figure OUT.png",
+    "simulate": "simulate OUT --width 60 --height 40 --cells 4 --step-mm 3000 --tilts 0 -q",
+    "simulate-rgbd": "simulate-rgbd COLOR DEPTH OUT.png --focal-px 60",
+    "session": "session new OUT",
+    "record": "record SMALL --out OUT",
+    "TUM folder": "export PHOTO OUT --camera CAMERA --quality paper",
+    "evaluate": "evaluate figure-4a --quick --out OUT",
+}
+
+
+@pytest.mark.parametrize("command", WRITERS.values(), ids=WRITERS)
+@pytest.mark.parametrize("out", ["/proc/foo", "/dev/full"])
+def test_an_output_that_cannot_be_written_is_one_line(run, tmp_path, monkeypatch, session, small_camera, command, out):
+    cv2.imwrite(str(tmp_path / "depth.png"), np.full((108, 144), 1500, np.uint16))
+    monkeypatch.chdir(tmp_path)
+    names = {"PHOTO": sample_image(SAMPLES[0]), "CAMERA": sample_camera(SAMPLES[0]), "SESSION": session,
+             "SMALL": small_camera / "photo.png", "COLOR": session / "board" / "1150.png",
+             "DEPTH": tmp_path / "depth.png"}  # fmt: skip
+    suffix = re.search(r"OUT(\.\w+)?", command)[1]
+    if out == "/dev/full" and suffix:
+        out, command = f"{tmp_path}/device{suffix}", command.replace(f"OUT{suffix}", "OUT")
+        os.symlink("/dev/full", out)  # a device with a name that the command takes
+    words = [str(names.get(word, word)).replace("OUT", out) for word in command.split()]
+    before = sorted(os.listdir("/dev")), sorted(os.listdir(tmp_path))
+    result = run(*words)
+    lines = [line for line in result.stderr.splitlines() if not line.startswith("warning:")]
+    assert (result.returncode, len(lines)) == (2, 1), result.stderr
+    assert lines[0].startswith("error: ")
+    assert re.search("/proc|/dev/full|device", lines[0])
+    # What a repetition begins with, and the report, which is written before the camera file.
+    left = [n for n in sorted(os.listdir(tmp_path)) if not n.endswith((".calibrating", ".report.html"))]
+    assert (sorted(os.listdir("/dev")), left) == before
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere; run the tests as a user to see this one")
@@ -279,6 +326,89 @@ def test_help_tells_how(run):
         assert words in plain
 
 
+def test_help_of_evaluate_lists_the_exhibits(run):
+    text = run("evaluate", "--help").stdout
+    for name, exhibit in EXHIBITS.items():
+        assert f"{name:<11}  {exhibit.title}" in text
+
+
+def test_help_of_simulate_is_in_panels(run):
+    text = run("simulate", "--help").stdout
+    panels = re.findall(r"╭─ ([^─]+?) ─+╮", text)
+    assert panels == ["Arguments", "Options", "Camera", "Boards", "Scenes, rays and noise"]
+    assert len(re.findall(r"│ +--", text.split("╭─ Options")[1].split("╭─ Camera")[0])) == 2  # --quiet and --help
+
+
+def every_option():
+    """Names and help of the options of each command."""
+
+    def below(command, name):
+        for child_name, child in getattr(command, "commands", {}).items():
+            yield from below(child, child_name)
+        yield name, {option: p.help for p in command.params for option in p.opts if option.startswith("--")}
+
+    return dict(below(typer.main.get_command(app), "chromaperture"))
+
+
+def test_one_thing_has_one_name_in_every_command():
+    options = every_option()
+    assert len(options) > 15
+    names = {option for command in options.values() for option in command}
+    # The second of each pair means the same as the first.
+    for one, another in (
+        ("--design", "--aperture"), ("--focus-mm", "--focus"), ("--board", "--columns"), ("--square-mm", "--square"),
+    ):  # fmt: skip
+        assert one in names
+        assert another not in names
+    for option in ("--black-level", "--white-level", "--quality", "--quiet", "--json"):
+        said = {command[option] for name, command in options.items() if option in command and name != "reconstruct"}
+        assert len(said) == 1, option
+
+
+def test_the_shell_completes_commands(run, monkeypatch):
+    assert "--install-completion" in run("--help").stdout
+    monkeypatch.setenv("_CHROMAPERTURE_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "chromaperture ref")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    assert run().stdout.split() == ["refocus"]
+
+
+def test_tables_fit_80_columns(run, monkeypatch, small_camera):
+    monkeypatch.setattr(console.out, "width", 80)
+    sheet = small_camera / "photo.png"
+    for name in ("magenta_annulus", "cy_open_disc"):
+        (small_camera / f"{name}.png").write_bytes(sheet.read_bytes())
+    for command, words in (
+        (["apertures"], ("magenta_annulus", "cy_open_disc", "baseline, mm")),
+        (["info", sample_camera(SAMPLES[0])], ("infinity_disparity_px", "rms_on_axis_mm")),
+        (["transparency", *small_camera.glob("*_*.png"), "--bare", sheet], ("magenta_annulus", "cy_open_disc")),
+    ):
+        result = run(*command)
+        assert result.returncode == 0, result.stderr
+        for word in words:
+            assert word in result.stdout
+        assert max(map(len, result.stdout.splitlines())) <= 80
+
+
+def test_info_prints_words_and_no_python(run, tmp_path):
+    camera = Calibration.load(sample_camera(SAMPLES[0]))
+    made = {"options": {"blur": True, "degrees": (4, 2)}, "notes": ["a note", "another"], "lens_from": None}
+    replace(camera, provenance={**camera.provenance, **made}).save(tmp_path / "camera.asdf")
+    text = run("info", tmp_path / "camera.asdf").stdout
+    for word in ("blur: yes", "degrees: 4, 2", "a note ", "another ", "real-time: 2.89"):
+        assert word in text
+    assert not re.search(r"[\[\]{}()']|None|True", text.split("title")[1])
+
+
+def test_figures_that_nobody_measured_are_null(run, small_camera, tmp_path):
+    common = ("--design", "cy_halves", "--quality", "paper", "--out", tmp_path, "--json")
+    result = run("depth", small_camera / "photo.png", *common)
+    assert result.returncode == 0, result.stderr
+    camera = json.loads(result.stdout)[0]["camera"]
+    known = {name for name, value in camera.items() if value is not None}
+    assert known == {"design", "title", "width_px", "height_px", "provenance"}
+
+
 @pytest.fixture(scope="module")
 def small_camera(tmp_path_factory):
     """A photograph of a plane with its camera file, made for the sample lens."""
@@ -313,12 +443,12 @@ def test_refocus_writes_a_picture_and_a_film(run, small_camera, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--focus", "1500kg"), "1500mm"),
-        (("--focus", "-3"), "1500mm"),
+        (("--focus-mm", "0"), "--focus-mm"),
+        (("--focus-mm", "-3"), "--focus-mm"),
         (("--point", "5"), "X,Y"),
         (("--point", "9999,1"), "outside"),
-        (("--focus", "1m", "--sweep"), "one of --focus"),
-        (("--focus", "1m"), "calibrat"),
+        (("--focus-mm", "1000", "--sweep"), "one of --focus-mm"),
+        (("--focus-mm", "1000"), "calibrat"),
         (("--f-number", "2"), "--strength"),
         (("--f-number", "2", "--strength", "1"), "one of"),
         (("--strength", "-1"), "--strength"),

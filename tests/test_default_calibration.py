@@ -61,7 +61,7 @@ def test_the_default_calibration_finds_the_camera_that_took_the_session(folder, 
 
     left_out = RULERS.index(1250.0)
     photograph = result.session.read(list(result.session.boards)[left_out])
-    truth = json.loads((folder.parent / "truth" / "camera.json").read_text())["board_mm"]["board/1250.png"]
+    truth = json.loads((folder / "truth" / "camera.json").read_text())["board_mm"]["board/1250.png"]
     for quality in ("paper", "real-time", "accurate"):
         without = leave_one_out(result, left_out, [quality])
         depth = CodedApertureCamera(without, default_config(without, quality)).measure(photograph).depth_mm
@@ -94,5 +94,5 @@ def test_the_default_calibration_finds_the_camera_that_took_the_session(folder, 
     white = {"open", "cy_halves", "sheet_c", "sheet_y"}
     assert set(again.provenance["files"]) == {
         "session.toml", "distances.csv", *(f"board/{ruler:.0f}.png" for ruler in RULERS),
-        *(f"tilt/{i:02}.png" for i in range(4)), *(f"../white/{name}.png" for name in white),
+        *(f"tilt/{i:02}.png" for i in range(4)), *(f"white/{name}.png" for name in white),
     }  # fmt: skip

@@ -109,10 +109,27 @@ def test_a_wrong_square_is_named(near, calibration):
     assert seen.verdict == "warn"
     # 0.08 px of the blur's bias in the 2.5 px that a board at this distance has from infinity: 3 %.
     assert seen.figures["square_if_another_mm"] == pytest.approx(30.0, rel=0.03)
-    assert "--square 30mm" in seen.advice
+    assert "--square-mm 30" in seen.advice
     assert "focus" not in seen.advice
     unknown = by_name(check_camera(near, calibration, board=Board((9, 6), 25.0)))["board distance"]
     assert "squares have another size" in unknown.advice
+
+
+def test_a_distance_that_is_too_far_to_be_measured_is_not_a_number(near, calibration):
+    """By this curve the disparity of the near board is 0.02 px from that of infinity: 370 m."""
+    true = calibration.on_axis("real-time")
+    scale, delta = float(true.scale_px_mm), float(true.sensor_to_pupil_mm)
+    infinity = float(true.infinity_disparity_px) - scale / (NEAR_MM - delta) + 0.02
+    other = halves_camera(
+        DepthModel(infinity, scale, delta), WIDTH, HEIGHT, focal_px=CAMERA.focal_px,
+        pixel_pitch_mm=CAMERA.pixel_pitch_mm, far_mm=4000.0,
+    )  # fmt: skip
+    seen = by_name(check_camera(near, replace(other, film=calibration.film), board=BOARD))["board distance"]
+    assert seen.verdict == "warn"
+    # The tolerance is 6 % of the 4.0 px that were expected, and B 3710 px mm: 15.4 m. Two digits are said.
+    assert " beyond 15000 mm by its disparity;" in seen.finding
+    assert np.isinf(seen.figures["depth_mm"])
+    assert "squares have another size" not in seen.advice
 
 
 def test_the_calibrations_board_is_looked_for(near, calibration):
@@ -220,7 +237,7 @@ def test_the_exit_code_tells(run, tmp_path, near, calibration):
     calibration.save(tmp_path / "camera.asdf")
     counts = np.clip(near * 65535, 0, 65535).astype(np.uint16)
     cv2.imwrite(str(tmp_path / "good.png"), counts[..., ::-1])
-    common = ("--camera", tmp_path / "camera.asdf", "--square", "3cm")
+    common = ("--camera", tmp_path / "camera.asdf", "--square-mm", "30")
     result = run("check", tmp_path / "good.png", *common)
     assert result.returncode == 0
     assert "board distance" in result.stdout
@@ -236,7 +253,7 @@ def test_the_exit_code_tells(run, tmp_path, near, calibration):
     assert result.returncode == 1
     assert '"ok": false' in result.stdout
     assert "4:2:0" in result.stdout
-    for wrong in (("--board", "nine"), ("--square", "big"), ("--camera", tmp_path / "none.asdf")):
+    for wrong in (("--board", "nine"), ("--square-mm", "0"), ("--camera", tmp_path / "none.asdf")):
         result = run("check", tmp_path / "good.png", *common, *wrong)
         assert result.returncode == 2
         assert result.stderr.count("\n") == 1

@@ -184,7 +184,7 @@ class Calibration:
     def summary(self) -> dict[str, Any]:
         """Return the figures that ``chromaperture info`` prints, units in the names; None where uncalibrated."""
         on_axis = self.depth["real-time"].on_axis(self.sensor.width_px, self.sensor.height_px) if self.depth else None
-        return {
+        figures = {
             "design": self.design,
             "title": self.aperture.title,
             "width_px": self.sensor.width_px,
@@ -203,6 +203,8 @@ class Calibration:
             "white_level": self.sensor.white_level,
             "provenance": dict(self.provenance),
         }
+        known = {"design", "title", "width_px", "height_px", "provenance"}  # the others are placeholders
+        return figures if on_axis else {name: v if name in known else None for name, v in figures.items()}
 
     @classmethod
     def uncalibrated(cls, design: str, *, width_px: int, height_px: int) -> Calibration:

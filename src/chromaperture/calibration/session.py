@@ -16,7 +16,7 @@ import numpy as np
 
 from chromaperture.calibration.board_distances import check_units
 from chromaperture.camera_file import CameraSensor
-from chromaperture.capture.files import photographs, read_image
+from chromaperture.capture.files import decode, linearise, photographs
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, design_named
 
@@ -44,7 +44,9 @@ class Session:
 
     def read(self, path: Path) -> np.ndarray:
         """Read one photograph of the session as linear light; (H, W, 3) float32."""
-        image = read_image(path, black_level=self.sensor.black_level, white_level=self.sensor.white_level)
+        # As `depth` reads: 8 bits, which cannot hold the levels of a sensor, are decoded from the sRGB curve.
+        levels = (self.sensor.black_level, self.sensor.white_level)
+        image = linearise(decode(path), camera_levels=levels)
         expected = (self.sensor.height_px, self.sensor.width_px)
         if image.shape[:2] != expected:
             raise InputError(

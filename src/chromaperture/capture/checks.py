@@ -37,9 +37,15 @@ def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarra
     """
     image = checked_image(image)
     if image.shape[:2] != (height_px, width_px):
+        rotated = image.shape[:2] == (width_px, height_px)
+        advice = (
+            "it looks rotated: turn it back, the filters in the lens did not turn with it"
+            if rotated
+            else "give an original of that size, or calibrate at this one"
+        )
         raise InputError(
             f"the image is {image.shape[1]}x{image.shape[0]} px but the camera was calibrated at "
-            f"{width_px}x{height_px}; give an original of that size, or calibrate at this one"
+            f"{width_px}x{height_px}; {advice}"
         )
     sparse = max(1, round(math.sqrt(width_px * height_px / _SAMPLES)))
     lit = _finite(image[::sparse, ::sparse])

@@ -41,20 +41,26 @@ def apertures(
     from chromaperture.optics.pinhole import pupil_camera
     from chromaperture.optics.prescription import load_lens
     from chromaperture.optics.template import write_template
+    from chromaperture.storage import staged
 
     names = design or list(DESIGNS)
+    if template and len(names) != 1:
+        raise InputError("--template needs exactly one design")
+    if figure and figure.suffix.lower() not in (".png", ".svg"):
+        raise InputError(f"--figure {figure.name} must end in .png or .svg")
     chosen = [made_of(load_aperture(n), film) if n in DESIGNS else load_aperture(n) for n in names]
     optics = focused_at(load_lens(lens), focus_mm)
     pitch = sensor_width_mm / width
     camera = pupil_camera(optics, width_px=width, height_px=round(width * 2 / 3), pixel_pitch_mm=pitch)
     rows = design_table(chosen, camera, at_mm or [1000.0, 1500.0, 2000.0, 3000.0, 4000.0])
     if template:
-        if len(chosen) != 1:
-            raise InputError("--template needs exactly one design")
         stop = next(s for s in optics.surfaces if s.role == "stop")
-        write_template(template, chosen[0], pupil_diameter_mm=pupil_mm or 2 * stop.semi_diameter_mm)
+        with staged(template.parent) as stage:
+            page = stage.path(template.name)
+            write_template(page, chosen[0], pupil_diameter_mm=pupil_mm or 2 * stop.semi_diameter_mm)
     if figure:
-        draw_designs(figure, chosen, camera)
+        with staged(figure.parent) as stage:
+            draw_designs(stage.path(figure.name), chosen, camera)
     if json:
         print_json(rows)
     elif not quiet:
@@ -65,7 +71,10 @@ def apertures(
 
 
 def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list[float]) -> list[dict[str, Any]]:
-    """Return the figures of designs in one lens, at equal exposure of the open aperture; lists run over distances."""
+    """Return the figures of designs in one lens, at equal exposure of the open aperture; lists run over distances.
+
+    A design without views has no baseline, disparity and depth error: None.
+    """
     import numpy as np
 
     from chromaperture.optics.depth_error_bound import expected_accuracy
@@ -82,12 +91,13 @@ def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list
             "transmission_rgb": light.channel_transmission.round(4).tolist(),
             "efficiency_mean": round(light.efficiency_mean, 4),
             "efficiency_luminance": round(light.efficiency_luminance, 4),
-            "baseline_mm": round(views.baseline * camera.pupil_radius_mm if aperture.views else 0.0, 3),
+            "baseline_mm": round(views.baseline * camera.pupil_radius_mm, 3) if aperture.views else None,
             "distances_mm": [float(z) for z in distances_mm],
-            "disparity_px": curve.disparity_px.round(3).tolist(),
-            "disparity_px_per_mm": curve.disparity_per_mm.round(6).tolist(),
+            "disparity_px": curve.disparity_px.round(3).tolist() if aperture.views else None,
+            "disparity_px_per_mm": curve.disparity_per_mm.round(6).tolist() if aperture.views else None,
             "blur_radius_px": curve.blur_px.round(3).tolist(),
-            "depth_sigma_mm": [round(float(s), 3) if math.isfinite(s) else None for s in curve.sigma_mm],
+            "depth_sigma_mm": [round(float(s), 3) if math.isfinite(s) else None for s in curve.sigma_mm]
+            if aperture.views else None,
         })  # fmt: skip
     return rows
 
@@ -100,17 +110,18 @@ def _print_table(rows: list[dict[str, Any]], camera: PupilCamera) -> None:
         f"image distance {camera.image_distance_mm:.1f} mm, pupil {2 * camera.pupil_radius_mm:.1f} mm, "
         f"focus {camera.focus_mm:.0f} mm"
     )
-    light = table(f"Light and baseline: {lens}", "design", "R", "G", "B", "mean", "luminance", "baseline")
+    heads = ("design", "R", "G", "B", "mean", "luminance", "baseline, mm")
+    light = table(f"Light, %, and baseline: {lens}", *heads)
     for row in rows:
         passed = [*row["transmission_rgb"], row["efficiency_mean"], row["efficiency_luminance"]]
-        baseline = f"{row['baseline_mm']:.2f} mm" if row["baseline_mm"] else "-"
-        light.add_row(row["name"], *(f"{100 * x:.1f} %" for x in passed), baseline)
+        baseline = f"{row['baseline_mm']:.2f}" if row["baseline_mm"] else "-"
+        light.add_row(row["name"], *(f"{100 * x:.1f}" for x in passed), baseline)
     console.print(light)
-    columns = [f"{z:.0f} mm" for z in rows[0]["distances_mm"]]
+    columns = [f"{z:.0f}" for z in rows[0]["distances_mm"]]
     for title, key, style in (
-        ("Least depth error, mm", "depth_sigma_mm", ".1f"),
-        ("Disparity, px", "disparity_px", "+.2f"),
-        ("Disparity per mm, px", "disparity_px_per_mm", ".5f"),
+        ("Least depth error, mm, at a distance in mm", "depth_sigma_mm", ".1f"),
+        ("Disparity, px, at a distance in mm", "disparity_px", "+.2f"),
+        ("Disparity, px per mm, at a distance in mm", "disparity_px_per_mm", ".5f"),
     ):
         figures = table(title, "design", *columns)
         for row in rows:
@@ -118,7 +129,7 @@ def _print_table(rows: list[dict[str, Any]], camera: PupilCamera) -> None:
                 figures.add_row(row["name"], *("-" if v is None else format(v, style) for v in row[key]))
         if figures.row_count:
             console.print(figures)
-    blur = ", ".join(f"{r:+.1f} px at {z}" for r, z in zip(rows[0]["blur_radius_px"], columns, strict=True))
+    blur = ", ".join(f"{r:+.1f} px at {z} mm" for r, z in zip(rows[0]["blur_radius_px"], columns, strict=True))
     console.print(f"Blur radius of the whole pupil (- nearer than the focus): {blur}")
 
 

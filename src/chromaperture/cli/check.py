@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from chromaperture.cli.options import BlackLevel, Camera, Json, Quiet, WhiteLevel
+from chromaperture.cli.options import BlackLevel, Camera, Json, Quiet, WhiteLevel, inner_corners
 from chromaperture.errors import CaptureWarning, InputError
 
 _STYLES = {"ok": "green", "warn": "bold red", "cannot tell": "dim"}
@@ -19,11 +18,9 @@ def check(
     photo: Annotated[Path, typer.Argument(help="Photograph, best of the chessboard.", metavar="PHOTO")],
     camera: Camera,
     board: Annotated[
-        str | None, typer.Option(help="Inner corners of the chessboard; default the calibration's.")
+        str | None, typer.Option(help="Inner corners of the chessboard, such as 9x6; default the calibration's.")
     ] = None,
-    square: Annotated[
-        str | None, typer.Option(help="Side of its squares, such as 30mm; default the calibration's.")
-    ] = None,
+    square_mm: Annotated[float | None, typer.Option(help="Side of its squares, mm; default the calibration's.")] = None,
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     json: Json = False,
@@ -42,7 +39,6 @@ def check(
     from chromaperture.camera import load_camera
     from chromaperture.camera_file import Board
     from chromaperture.capture.exif import read_exif
-    from chromaperture.cli.board import millimetres
     from chromaperture.cli.console import out as console
     from chromaperture.cli.console import print_json, table
     from chromaperture.evaluation.health import Check, check_camera, is_healthy, outcome
@@ -50,9 +46,11 @@ def check(
 
     eye = load_camera(camera)
     known = eye.calibration.board
-    size = _inner_corners(board) if board else known.inner_corners if known else (9, 6)
-    side_mm = millimetres(square) if square else known.square_mm if known else None
-    target = Board(size, side_mm) if side_mm else None
+    size = inner_corners(board) if board else known.inner_corners if known else (9, 6)
+    side_mm = square_mm if square_mm is not None else known.square_mm if known else None
+    if side_mm is not None and not side_mm > 0:
+        raise InputError(f"--square-mm must be positive, got {side_mm:g}")
+    target = None if side_mm is None else Board(size, side_mm)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", CaptureWarning)
         image = read_capture(photo, eye, black_level=black_level, white_level=white_level)
@@ -79,11 +77,3 @@ def check(
         console.print(verdict)
     if code:
         raise typer.Exit(code)
-
-
-def _inner_corners(text: str) -> tuple[int, int]:
-    """Read a size such as 9x6."""
-    corners = re.fullmatch(r"\s*(\d+)\s*[x×]\s*(\d+)\s*", text)
-    if not corners or min(int(corners[1]), int(corners[2])) < 3:
-        raise InputError(f"--board {text!r} is not understood: give the inner corners, such as 9x6")
-    return int(corners[1]), int(corners[2])

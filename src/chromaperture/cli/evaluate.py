@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,6 +10,7 @@ import typer
 
 from chromaperture.cli.options import Json, Quiet
 from chromaperture.errors import InputError
+from chromaperture.evaluation.paper.registry import EXHIBITS
 
 if TYPE_CHECKING:
     from chromaperture.evaluation.paper.exhibit import Exhibit
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 
 def evaluate(
     names: Annotated[
-        list[str] | None, typer.Argument(help="Figures and tables, such as figure-10 table-1; all when absent.")
+        list[str] | None, typer.Argument(help="Names of the list above, such as figure-10 table-1; all when absent.")
     ] = None,
     data: Annotated[
         Path | None, typer.Option(help="Folder of real sessions and white sheets; simulated when absent.")
@@ -40,7 +42,7 @@ def evaluate(
     chromaperture evaluate all --out evaluation
 
     Every figure has its own folder with pictures and CSV files; report.html contains all of them. An interrupted run
-    continues where it stopped.
+    continues where it stopped. The names are those of this list, or "all":
     """
     from chromaperture.cli.console import announce_compilation, print_json, progress, say_warning
     from chromaperture.evaluation.paper.cluster import dask_distributed
@@ -72,6 +74,12 @@ def evaluate(
         _print_outcomes(outcomes, page)
     if any(outcome.problem for outcome in outcomes):
         raise typer.Exit(1)
+
+
+# Below the first sentences of the help; the mark keeps one line an exhibit.
+evaluate.__doc__ = f"{inspect.cleandoc(evaluate.__doc__ or '')}\n\n\b\n" + "\n".join(
+    f"{name:<11}  {exhibit.title}" for name, exhibit in EXHIBITS.items()
+)
 
 
 def _chosen(names: list[str], data: Path | None) -> list[Exhibit]:

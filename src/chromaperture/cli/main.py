@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from chromaperture import __version__
+from chromaperture.cli import new_session
 from chromaperture.cli.console import forget_warnings, say_error, show_warning
 from chromaperture.cli.simulate import simulate_rgbd
 from chromaperture.errors import CaptureWarning, ChromapertureError
@@ -19,7 +20,6 @@ from chromaperture.errors import CaptureWarning, ChromapertureError
 app = typer.Typer(
     help=__doc__,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -30,6 +30,7 @@ _COMMANDS = (
 for name in _COMMANDS:  # each is a function in a module of its own name
     app.command()(getattr(importlib.import_module(f"chromaperture.cli.{name}"), name))
 app.command("simulate-rgbd")(simulate_rgbd)
+app.add_typer(new_session.app, name="session")
 
 
 def _print_version(requested: bool) -> None:
@@ -55,7 +56,7 @@ def main() -> None:
             warnings.showwarning = show_warning
             forget_warnings()
             try:
-                app()
+                app(prog_name="chromaperture")
             finally:
                 sys.stdout.flush()  # here, where a full device is reported
     except ChromapertureError as error:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from chromaperture.errors import InputError
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
@@ -18,8 +21,10 @@ Design = Annotated[
     str | None, typer.Option(help="Without a camera file: name of the aperture design; disparity without depth in mm.")
 ]
 Quality = Annotated[str, typer.Option(help="paper, real-time, or accurate, which takes about 40 s a megapixel.")]
-BlackLevel = Annotated[float | None, typer.Option(help="Counts of no light; default the camera file's.")]
-WhiteLevel = Annotated[float | None, typer.Option(help="Counts of a full well; default the camera file's.")]
+# One sentence for all commands: without a camera file, as in `transparency`, the format's levels are what is left.
+_LEVEL_DEFAULT = "default the camera file's, else the file format's"
+BlackLevel = Annotated[float | None, typer.Option(help=f"Counts of no light; {_LEVEL_DEFAULT}.")]
+WhiteLevel = Annotated[float | None, typer.Option(help=f"Counts of a full well; {_LEVEL_DEFAULT}.")]
 MaxRelativeSigma = Annotated[
     float,
     typer.Option(help="Largest sigma/depth in what carries no error bar (points, PNG, TUM, MCAP); inf keeps all."),
@@ -30,10 +35,32 @@ Seconds = Annotated[float | None, typer.Option(min=0.0, help="Stop after so long
 VoxelMm = Annotated[float | None, typer.Option(help="Edge of a voxel; default 1/200 of the distance.")]
 MemoryMb = Annotated[int, typer.Option(help="Memory of the volume; bounds what can be reconstructed.")]
 
-Aperture = Annotated[str, typer.Option(help="Design, or a .toml or .svg file of your own.")]
-Film = Annotated[str, typer.Option(help="ideal, real or leaky; own files keep their film.")]
-Lens = Annotated[str, typer.Option(help="Lens that comes with the package, or a .toml file.")]
-FocusMm = Annotated[float, typer.Option(help="Focus distance from the sensor, mm; inf allowed.")]
-Width = Annotated[int, typer.Option(help="Image width, px.")]
-SensorWidthMm = Annotated[float, typer.Option(help="Width of the sensor, mm.")]
-Seed = Annotated[int, typer.Option(help="Seed of the noise, and of the ruler errors of a session.")]
+# Of simulated and planned cameras and sessions.
+CAMERA_PANEL, BOARDS_PANEL, RAYS_PANEL = "Camera", "Boards", "Scenes, rays and noise"
+SimulatedDesign = Annotated[
+    str, typer.Option(help="Design, or a .toml or .svg file of your own.", rich_help_panel=CAMERA_PANEL)
+]
+Film = Annotated[
+    str, typer.Option(help="ideal, real or leaky; own files keep their film.", rich_help_panel=CAMERA_PANEL)
+]
+Lens = Annotated[
+    str, typer.Option(help="Lens that comes with the package, or a .toml file.", rich_help_panel=CAMERA_PANEL)
+]
+FocusMm = Annotated[
+    float, typer.Option(help="Focus distance from the sensor, mm; inf allowed.", rich_help_panel=CAMERA_PANEL)
+]
+Width = Annotated[int, typer.Option(help="Image width, px.", rich_help_panel=CAMERA_PANEL)]
+SensorWidthMm = Annotated[float, typer.Option(help="Width of the sensor, mm.", rich_help_panel=CAMERA_PANEL)]
+Seed = Annotated[
+    int, typer.Option(help="Seed of the noise, and of the ruler errors of a session.", rich_help_panel=RAYS_PANEL)
+]
+NearestMm = Annotated[float, typer.Option(help="First board distance, mm.", rich_help_panel=BOARDS_PANEL)]
+FarthestMm = Annotated[float, typer.Option(help="Last board distance, mm.", rich_help_panel=BOARDS_PANEL)]
+
+
+def inner_corners(text: str) -> tuple[int, int]:
+    """Read the size of a chessboard, columns and rows of inner corners, such as 9x6; raises InputError."""
+    corners = re.fullmatch(r"\s*(\d+)\s*[x×]\s*(\d+)\s*", text)
+    if not corners or min(int(corners[1]), int(corners[2])) < 3:
+        raise InputError(f"--board {text!r} is not understood: give the inner corners, such as 9x6")
+    return int(corners[1]), int(corners[2])

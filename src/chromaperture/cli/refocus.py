@@ -43,9 +43,7 @@ def refocus(
     photo: Annotated[Path, typer.Argument(help="Photograph through the colour-coded aperture.", metavar="PHOTO")],
     camera: CameraOrDesign = None,
     design: Design = None,
-    focus: Annotated[
-        str | None, _focus(help="Distance from the sensor to focus on, as 1500mm or 1.5m.", metavar="DISTANCE")
-    ] = None,
+    focus_mm: Annotated[float | None, _focus(help="Distance from the sensor to focus on, mm.")] = None,
     point: Annotated[str | None, _focus(help="Pixel to focus on, from the top-left corner.", metavar="X,Y")] = None,
     sweep: Annotated[bool, _focus("--sweep", help="Focus from near to far, as GIF or MP4.")] = False,
     f_number: Annotated[float | None, _lens(help="f-number of the new lens; default the camera's.")] = None,
@@ -66,7 +64,7 @@ def refocus(
 ) -> None:
     """Restore the colour picture and focus it elsewhere, with another f-number or pupil.
 
-    chromaperture refocus photo.png --camera camera.asdf --focus 1500mm --f-number 1.4
+    chromaperture refocus photo.png --camera camera.asdf --focus-mm 1500 --f-number 1.4
 
     chromaperture refocus photo.png --camera camera.asdf --point 320,240 --bokeh hex
 
@@ -77,10 +75,9 @@ def refocus(
     from chromaperture.effects.refocusing import Focus
     from chromaperture.products.measure_file import read_capture
 
-    distance_mm = None if focus is None else parse_distance(focus)
     pixel = None if point is None else parse_point(point)
     target = out or photo.with_name(f"{photo.stem}.{'sweep.gif' if sweep else 'refocus.png'}")
-    request = _Request(distance_mm, pixel, sweep, f_number, strength, bokeh, background, sharpness, target)
+    request = _Request(focus_mm, pixel, sweep, f_number, strength, bokeh, background, sharpness, target)
     _check(request)  # before the minute of work
     if quality == "accurate" and camera is None:
         quality = "real-time"  # the accurate one needs a calibration
@@ -93,7 +90,7 @@ def refocus(
         image = read_capture(photo, eye, black_level=black_level, white_level=white_level)
         picture = _restored(image, eye, request, lambda: update(f"{photo.name}: restoration", 1, 3))
         update(f"{photo.name}: focus", 2, 3)
-        lens = Focus(0.0 if sweep else chosen_radius(eye, picture, distance_mm, pixel), pupil, bokeh)
+        lens = Focus(0.0 if sweep else chosen_radius(eye, picture, focus_mm, pixel), pupil, bokeh)
         _write(picture, lens, request)
     if json:
         print_json(_summary(photo, picture, lens, request))
@@ -109,7 +106,9 @@ def _check(request: _Request) -> None:
     from chromaperture.effects.restore import SHARPNESS
 
     if [request.distance_mm is not None, request.pixel is not None, request.sweep].count(True) > 1:
-        raise InputError("choose one of --focus, --point and --sweep")
+        raise InputError("choose one of --focus-mm, --point and --sweep")
+    if request.distance_mm is not None and not (math.isfinite(request.distance_mm) and request.distance_mm > 0):
+        raise InputError(f"--focus-mm must be a positive number of mm, got {request.distance_mm:g}")
     if request.f_number is not None and request.strength is not None:
         raise InputError("choose one of --f-number and --strength")
     for name, known in (("background", BACKGROUND_EFFECTS), ("sharpness", SHARPNESS)):
@@ -160,20 +159,6 @@ def _summary(photo: Path, picture: SharpPicture, lens: Focus, request: _Request)
         "background": request.background,
         "sharpness": request.sharpness,
     }
-
-
-def parse_distance(text: str) -> float:
-    """Read a distance such as 1500mm, 150cm, 1.5m or 1500, which is mm; raises InputError."""
-    units = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-    number = text.strip().lower()
-    unit = next((u for u in units if number.endswith(u)), "")  # "mm" is tried before "m"
-    try:
-        value = float(number.removesuffix(unit)) * units.get(unit, 1.0)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise InputError(f"--focus needs a distance such as 1500mm or 1.5m, got {text!r}")
-    return value
 
 
 def parse_point(text: str) -> tuple[int, int]:

@@ -2,38 +2,59 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.options import Aperture, Film, FocusMm, Lens, Quiet, Seed, SensorWidthMm, Width
+from chromaperture.cli.options import (
+    BOARDS_PANEL,
+    CAMERA_PANEL,
+    RAYS_PANEL,
+    FarthestMm,
+    Film,
+    FocusMm,
+    Lens,
+    NearestMm,
+    Quiet,
+    Seed,
+    SensorWidthMm,
+    SimulatedDesign,
+    Width,
+)
 from chromaperture.errors import InputError
 
 if TYPE_CHECKING:
     from chromaperture.optics import aperture as optics_aperture
 
+_camera, _boards, _rays = (partial(typer.Option, rich_help_panel=p) for p in (CAMERA_PANEL, BOARDS_PANEL, RAYS_PANEL))
+
 
 def simulate(
-    out: Annotated[Path, typer.Argument(help="Folder of the session; white/ and truth/ are written beside it.")],
-    aperture: Aperture = "cy_halves",
+    out: Annotated[Path, typer.Argument(help="Folder of the session; everything is written into it.")],
+    design: SimulatedDesign = "cy_halves",
     film: Film = "real",
     lens: Lens = "double_gauss_50",
     focus_mm: FocusMm = 2000.0,
-    filter_offset_mm: Annotated[float, typer.Option(help="Film off the stop, mm, + towards the sensor.")] = 0.0,
-    thin: Annotated[bool, typer.Option(help="Use the lens's first order only: no aberrations, no vignetting.")] = False,
-    scene: Annotated[list[Path] | None, typer.Option(help="Scene file of textured planes; repeatable.")] = None,
+    filter_offset_mm: Annotated[float, _camera(help="Film off the stop, mm, + towards the sensor.")] = 0.0,
+    thin: Annotated[
+        bool, _camera("--thin", help="First order of the lens only: no aberrations, no vignetting.")
+    ] = False,
     width: Width = 720,
-    height: Annotated[int, typer.Option(help="Image height, px.")] = 480,
+    height: Annotated[int, _camera(help="Image height, px.")] = 480,
     sensor_width_mm: SensorWidthMm = 22.3,
-    nearest_mm: Annotated[float, typer.Option(help="First board distance.")] = 1000.0,
-    farthest_mm: Annotated[float, typer.Option(help="Last board distance.")] = 4000.0,
-    step_mm: Annotated[float, typer.Option(help="Distance from board to board.")] = 100.0,
-    tilts: Annotated[int, typer.Option(help="Tilted board views.")] = 12,
-    cells: Annotated[int, typer.Option(help="Rays across the pupil, even; noise and time grow with its square.")] = 16,
+    nearest_mm: NearestMm = 1000.0,
+    farthest_mm: FarthestMm = 4000.0,
+    step_mm: Annotated[float, _boards(help="Distance from board to board, mm.")] = 100.0,
+    tilts: Annotated[int, _boards(help="Tilted board views.")] = 12,
     square_mm: Annotated[
-        float | None, typer.Option(help="Side of the board's squares; default 30, less where the frame is too small.")
+        float | None, _boards(help="Side of the squares, mm; default 30, less where the frame is too small.")
     ] = None,
+    scene: Annotated[
+        list[Path] | None, _rays(help="Scene file of textured planes, photographed too; repeatable.")
+    ] = None,
+    cells: Annotated[int, _rays(help="Rays across the pupil, even; noise and time grow with its square.")] = 16,
     seed: Seed = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -53,7 +74,7 @@ def simulate(
         raise InputError(f"--cells must be even and at least 4, got {cells}")
     if step_mm <= 0 or farthest_mm < nearest_mm:
         raise InputError("--step-mm must be positive and --farthest-mm at least --nearest-mm")
-    design = _design(aperture, film)
+    aperture = _design(design, film)
     optics = focused_at(load_lens(lens), focus_mm)
     size: dict[str, Any] = {"width_px": width, "height_px": height, "pixel_pitch_mm": sensor_width_mm / width}
     camera = pupil_camera(optics, **size)
@@ -67,7 +88,7 @@ def simulate(
     with progress(quiet=quiet) as update:
         write_session(
             out,
-            aperture=design,
+            aperture=aperture,
             camera=camera,
             rays=rays,
             scenes={path.stem: load_scene(path) for path in scene or []},
@@ -76,7 +97,7 @@ def simulate(
             progress=update,
         )
     if not quiet:
-        typer.echo(f"Wrote {out}, and white/ and truth/ beside it")
+        typer.echo(f"Wrote {out}; calibrate it with: chromaperture calibrate {out} --out camera.asdf")
 
 
 def simulate_rgbd(
@@ -84,7 +105,7 @@ def simulate_rgbd(
     depth: Annotated[Path, typer.Argument(help="16-bit depth of the same size; 0 and 65535 unknown.")],
     out: Annotated[Path, typer.Argument(help="Coded capture to write, 16-bit PNG of linear counts.")],
     focal_px: Annotated[float, typer.Option(help="fx of the RGB-D camera.")],
-    aperture: Aperture = "cy_halves",
+    design: SimulatedDesign = "cy_halves",
     film: Film = "real",
     pupil_radius_mm: Annotated[float, typer.Option(help="Radius of the entrance pupil, mm.")] = 12.5,
     focus_mm: FocusMm = 2000.0,
@@ -105,17 +126,19 @@ def simulate_rgbd(
     from chromaperture.optics.pinhole import PupilCamera
     from chromaperture.optics.rgbd import read_rgbd
     from chromaperture.optics.sensor import SensorModel, expose
+    from chromaperture.storage import staged
 
-    design = _design(aperture, film)
+    if out.suffix.lower() != ".png":
+        raise InputError(f"a coded capture is written as .png, not {out.name!r}")
+    aperture = _design(design, film)
     picture, depth_mm = read_rgbd(color, depth, depth_unit_mm=depth_unit_mm, sensor_to_pupil_mm=sensor_to_pupil_mm)
     height, width = depth_mm.shape
     # The pixel pitch, 0.02 mm, only serves to check that the focus lies beyond the image distance.
     camera = PupilCamera(width, height, focal_px, pupil_radius_mm, focus_mm, sensor_to_pupil_mm, 0.02)
-    rendered = render_layers(picture, depth_mm, camera=camera, aperture=design, pitch_px=pitch_px)
+    rendered = render_layers(picture, depth_mm, camera=camera, aperture=aperture, pitch_px=pitch_px)
     counts = expose(rendered.image, SensorModel(), seed=seed, exposure=exposure)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(out), counts[..., ::-1]):
-        raise InputError(f"could not write {out}: use the name of a .png file")
+    with staged(out.parent) as stage:
+        stage.path(out.name).write_bytes(cv2.imencode(".png", counts[..., ::-1])[1].tobytes())
     if not quiet:
         typer.echo(f"Wrote {out} ({rendered.layer_count} layers)")
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.options import Json, Quiet
+from chromaperture.cli.options import BlackLevel, Json, Quiet, WhiteLevel
 from chromaperture.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,9 +19,9 @@ def transparency(
         list[Path],
         typer.Argument(help="White sheet through each coded aperture, one file a design.", metavar="SHEET..."),
     ],
-    bare: Annotated[Path, typer.Option(help="The same sheet without the aperture, at the same exposure.")],
-    black_level: Annotated[float, typer.Option(help="Counts of no light.")] = 0.0,
-    white_level: Annotated[float | None, typer.Option(help="Counts of a full well; default the file's.")] = None,
+    bare: Annotated[Path, typer.Option(help="The same sheet through the open pupil, at the same exposure.")],
+    black_level: BlackLevel = None,
+    white_level: WhiteLevel = None,
     exposure: Annotated[
         float, typer.Option(help="Exposure of the SHEETs over that of the bare one, where they differ.")
     ] = 1.0,
@@ -122,20 +122,17 @@ def _print(rows: list[dict[str, Any]]) -> None:
 
     from chromaperture.cli.console import out, table
 
-    title = "Transparency, Eq. (11), and loss of signal-to-noise ratio"
-    sheets = table(title, "sheet", "R", "G", "B", "mean", "loss, dB", "exposure")
+    light = table("Transparency, Eq. (11), %", "sheet", "R", "G", "B", "mean")
+    noise = table("Loss of SNR, dB, and exposure", "sheet", "centre", "border", "exposure, photons", "sensor noise")
     for row in rows:
-        ranges = (f"{a:.2f}-{b:.2f}" for a, b in zip(row["minimum_rgb"], row["maximum_rgb"], strict=True))
-        sheets.add_row(
-            escape(row["name"]),
-            *ranges,
-            f"{100 * row['efficiency']:.1f}%",
-            f"{row['snr_loss_central_db']:.1f} / {row['snr_loss_border_db']:.1f}",
-            f"x{row['exposure_shot_noise']:.2f} (x{row['exposure_amplitude']:.2f})",
-        )
-    out.print(sheets)
+        ranges = (f"{100 * a:.0f}-{100 * b:.0f}" for a, b in zip(row["minimum_rgb"], row["maximum_rgb"], strict=True))
+        light.add_row(escape(row["name"]), *ranges, f"{100 * row['efficiency']:.1f}")
+        losses = (f"{row[f'snr_loss_{place}_db']:.1f}" for place in ("central", "border"))
+        longer = (f"x {row[f'exposure_{source}']:.2f}" for source in ("shot_noise", "amplitude"))
+        noise.add_row(escape(row["name"]), *losses, *longer)
+    out.print(light)
+    out.print(noise)
     out.print(
-        "Loss: in the centre / at the border, against the bare centre. "
-        "Exposure: what restores the centre's SNR where photons make the noise; in brackets where the sensor's own "
-        "noise does, the reading behind the paper's 30 % for 2.3 dB."
+        "Loss against the bare centre. Exposure: the factor that restores the centre's SNR where photons make the "
+        "noise, and where the sensor's own noise does, the reading behind the paper's 30 % for 2.3 dB."
     )

@@ -125,7 +125,7 @@ def _resolution(image: np.ndarray, calibration: Calibration) -> Check:
     if have == expected:
         return Check("resolution", "ok", f"{have[0]}x{have[1]} px, as calibrated", "", figures)
     if have == expected[::-1]:
-        advice = "the picture was turned: give the file as the sensor read it, without rotation"
+        advice = "it looks rotated: give the file as the sensor read it, not turned upright"
     else:
         advice = "give the original of the calibrated size, neither cropped nor scaled, or calibrate at this size"
     finding = f"{have[0]}x{have[1]} px, calibrated at {expected[0]}x{expected[1]}"
@@ -207,7 +207,7 @@ def _against_board(image: np.ndarray, calibration: Calibration, board: Board | N
         return [Check(name, "cannot tell", reason, advice) for name in (_DISTANCE, _ORIENTATION)]
 
     if board is None:
-        return unknown("no board was asked for", "photograph the chessboard and give --board and --square")
+        return unknown("no board was asked for", "photograph the chessboard and give --board and --square-mm")
     corners = find_corners(image[..., 1], board.inner_corners)
     if corners is None:
         advice = "show the whole board, larger and nearer to focus; check --board (inner corners)"
@@ -287,7 +287,10 @@ def _board_distance(found: _BoardReading, calibration: Calibration, board: Board
     infinity, scale, delta = (float(v) for v in (axis.infinity_disparity_px, axis.scale_px_mm, axis.sensor_to_pupil_mm))
     shift = found.measured_px - found.expected_px
     inverse = 1 / (found.pose_mm - delta) - shift / scale  # by the calibrated curve
+    # Farther away the disparity cannot be told from that of infinity.
+    last_mm = scale / found.tolerance_px + delta
     depth_mm = 1 / inverse + delta if inverse > 0 else np.inf
+    depth_mm = depth_mm if depth_mm <= last_mm else np.inf
     # Refocusing moves the sensor, which changes A and hardly B: d = A - B / z.
     focus_mm = scale / (infinity + shift) + delta if infinity + shift > 0 else np.inf
     error_mm = depth_mm - found.pose_mm
@@ -304,16 +307,17 @@ def _board_distance(found: _BoardReading, calibration: Calibration, board: Board
         "in_focus_if_refocused_mm": focus_mm,
         "in_focus_calibrated_mm": calibration.in_focus_mm,
     }
+    error = f" ({error_mm:+.0f} mm)" if np.isfinite(error_mm) else ""
     finding = (
-        f"board at {found.pose_mm:.0f} mm by its corners, {depth_mm:.0f} mm by its disparity ({error_mm:+.0f} mm); "
+        f"board at {found.pose_mm:.0f} mm by its corners, {_or_beyond(depth_mm, last_mm)} by its disparity{error}; "
         f"disparity {found.measured_px:+.2f} px, expected {found.expected_px:+.2f}"
     )
     accurate = abs(error_mm) <= _DEPTH_TOLERANCE * found.pose_mm and abs(shift) <= 2 * _DISPARITY_TOLERANCE_PX
     if abs(shift) <= found.tolerance_px or accurate:
         return Check(_DISTANCE, "ok", finding, "", figures)
     advice = (
-        f"if only the focus moved, it is now at {focus_mm:.0f} mm instead of {calibration.in_focus_mm:.0f}: set it "
-        "back, or calibrate again"
+        f"if only the focus moved, it is now at {_or_beyond(focus_mm, last_mm)} instead of "
+        f"{calibration.in_focus_mm:.0f}: set it back, or calibrate again"
     )
     if found.is_turned:
         advice = "see the filter's orientation first"
@@ -327,16 +331,21 @@ def _board_distance(found: _BoardReading, calibration: Calibration, board: Board
     return Check(_DISTANCE, "warn", finding, advice, figures)
 
 
+def _or_beyond(distance_mm: float, last_mm: float) -> str:
+    """Format a distance; one that is too far to be measured as "beyond" the last that is, to two digits."""
+    return f"{distance_mm:.0f} mm" if distance_mm <= last_mm else f"beyond {float(f'{last_mm:.2g}'):.0f} mm"
+
+
 def _squares(square_mm: float, board: Board, calibrated: Board | None, tolerance: float, *, otherwise: str) -> str:
     """Return the advice about squares of the side at which corners and disparity agree."""
     if calibrated is not None and calibrated.square_mm != board.square_mm:
         side = calibrated.square_mm
         if abs(square_mm / side - 1) <= tolerance:
             return (
-                f"the squares measure {side:g} mm, as in the calibration, not {board.square_mm:g} mm: give --square "
-                f"{side:g}mm; then corners and disparity agree"
+                f"the squares measure {side:g} mm, as in the calibration, not {board.square_mm:g} mm: give "
+                f"--square-mm {side:g}; then corners and disparity agree"
             )
-    return f"{otherwise}; if the squares have another size, it is {square_mm:.1f} mm: measure one, give --square"
+    return f"{otherwise}; if the squares have another size, it is {square_mm:.1f} mm: measure one, give --square-mm"
 
 
 def _orientation(found: _BoardReading) -> Check:

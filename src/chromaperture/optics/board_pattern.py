@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAPERS = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "letter": (279.4, 215.9)}  # landscape, mm
+# Side of the squares, mm, where none is given: 9 x 6 inner corners fit with their rim; chosen by hand
+_SQUARE_MM = {"a4": 22.0, "a3": 30.0, "letter": 22.0}
 SPECKLE_DPI = 100  # a dot is 0.25 mm, a fifth of the smallest disc
 _EDGE_MM = 6.0  # unprintable margin of most printers
 _FOOT_MM = 12.0  # scale bar and text
@@ -59,14 +61,15 @@ class BoardPage:
         ]
 
 
-def board_page(*, columns: int = 9, rows: int = 6, square_mm: float = 22.0, paper: str = "a4") -> BoardPage:
+def board_page(*, columns: int = 9, rows: int = 6, square_mm: float | None = None, paper: str = "a3") -> BoardPage:
     """Lay out a chessboard on a page.
 
     Parameters
     ----------
     columns, rows : int
         Inner corners, one less than the squares each way.
-    square_mm : float
+    square_mm : float, optional
+        30 on A3, 22 on A4 and Letter when absent.
     paper : {"a4", "a3", "letter"}
 
     Raises
@@ -82,6 +85,7 @@ def board_page(*, columns: int = 9, rows: int = 6, square_mm: float = 22.0, pape
             "number odd and one even, such as 9 x 6"
         )
     width, height = PAPERS[paper.lower()]
+    square_mm = _SQUARE_MM[paper.lower()] if square_mm is None else square_mm
     # A white rim of half a square around the board: the corner detector needs it.
     room = min((width - 2 * _EDGE_MM) / (columns + 2), (height - 2 * _EDGE_MM - _FOOT_MM) / (rows + 2))
     if not 2 <= square_mm <= room:

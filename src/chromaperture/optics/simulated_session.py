@@ -87,7 +87,7 @@ def write_session(
     Parameters
     ----------
     folder : Path
-        The session's folder; ``white`` and ``truth`` are written beside it.
+        The session's folder, which holds everything, ``white`` and ``truth`` too.
     aperture : Aperture
     camera : PupilCamera
         For the facts in ``session.toml`` and the true pupil.
@@ -125,14 +125,14 @@ def write_session(
         done += 1
         progress("simulated photographs", done, total)
 
-    whites = folder.parent / "white"
+    whites = folder / "white"
     photograph(whites / f"{aperture.name}.png", white, for_white)
     photograph(whites / "open.png", open_white, for_white)
     for part_name, sheet_filter in _sheets(aperture).items():
         full = Aperture(part_name, part_name, (SubAperture(Disc(radius=2.0), sheet_filter),), OPAQUE, ())
         photograph(whites / f"{part_name}.png", render(rays(full), sheet), for_white)
 
-    truth = folder.parent / "truth"
+    truth = folder / "truth"
     lines = ["file,ruler_mm"]
     stood = {}
     for distance in plan.distances_mm:

@@ -54,7 +54,7 @@ EXHIBITS: dict[str, Exhibit] = {
         _exhibit("table-3", "Table 3: time for one image"),
         _exhibit("equal-light", "Depth error against light: is the ranking the paper's?"),
         _exhibit("prior-art", "Prior art on the same captures"),
-        _exhibit("accuracy", "Depth error by distance, light and colour, and the Cramer-Rao bound"),
+        _exhibit("accuracy", "Depth error by distance, light, colour, and the Cramer-Rao bound"),
         _exhibit("quality", "Depth quality of a camera: flat walls by distance and by position", reads_all=True),
         _exhibit("bench", "Methods and designs on ray-traced captures", _BENCH, only_data=True, reads_all=True),
     )
