@@ -84,7 +84,7 @@ class Board:
     square_mm: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Calibration:
     """The parameters of a `chromaperture.camera.CodedApertureCamera`.
 
@@ -123,6 +123,16 @@ class Calibration:
     def aperture(self) -> Aperture:
         """The aperture in the pupil."""
         return design_named(self.design)
+
+    @property
+    def title(self) -> str:
+        """Design, size of the picture and working range, in one line."""
+        size = f"{self.design}, {self.sensor.width_px}x{self.sensor.height_px} px"
+        return f"{size}, {self.near_mm:.0f} to {self.far_mm:.0f} mm" if self.is_calibrated else f"{size}, uncalibrated"
+
+    def __repr__(self) -> str:
+        curves = f", curves for {', '.join(self.depth)}" if self.depth else ""
+        return f"Calibration({self.title}{curves})"
 
     @property
     def unmixing(self) -> np.ndarray:
