@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from chromaperture.color.color_maps import color_map
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.preview import ColorScale, depth_scale, error_scale, exposed, fitted_size, reduced
 from chromaperture.frame.summary import one_line
@@ -20,7 +21,6 @@ _LARGEST = (1200, 1200)  # px: finer than a figure on a screen
 def show(frame: DepthFrame) -> Figure:
     """Draw photograph, depth and error bar in one row, see `DepthFrame.show`."""
     from matplotlib import pyplot
-    from matplotlib.colors import ListedColormap
 
     size = fitted_size(frame.color.shape, _LARGEST)
     if size[0] > frame.color.shape[1]:
@@ -36,9 +36,13 @@ def show(frame: DepthFrame) -> Figure:
     photograph.set_title("photograph" if taken else "restored colour")
 
     def draw(axes: Axes, values: np.ndarray, scale: ColorScale, title: str) -> None:
-        shades = ListedColormap(scale.colors / 255).with_extremes(bad="0.25")
         shown = axes.imshow(
-            reduced(values, size), cmap=shades, vmin=scale.low, vmax=scale.high, extent=extent, interpolation="nearest"
+            reduced(values, size),
+            cmap=color_map(scale.colors),
+            vmin=scale.low,
+            vmax=scale.high,
+            extent=extent,
+            interpolation="nearest",
         )
         extend = "both" if scale.open_below else "max"
         figure.colorbar(shown, ax=axes, label=scale.unit, extend=extend, shrink=0.9)

@@ -11,7 +11,7 @@ from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.preview import depth_scale, exposed, fitted_size, reduced
 from chromaperture.frame.summary import one_line
 
-_LARGEST = (360, 360)  # px of each of the two pictures; chosen by hand
+_LARGEST = (280, 280)  # px of each of the two pictures; chosen by hand
 
 
 def html(frame: DepthFrame) -> str:
