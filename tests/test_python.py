@@ -72,9 +72,8 @@ def test_completion_lists_the_product_and_not_its_modules():
 def test_type_checkers_see_the_names_that_exist():
     seen = names_for_type_checkers()
     assert set(seen) == set(cap.__all__)
-    assert {
-        name for name, module in seen.items() if getattr(import_module(module), name) is not getattr(cap, name)
-    } == set()
+    for name, module in seen.items():
+        assert getattr(import_module(module), name) is getattr(cap, name), name
 
 
 def test_importing_the_package_loads_no_library():
@@ -194,9 +193,9 @@ def test_unknown_outputs_are_one_line_before_the_work(run, tmp_path):
     assert not (tmp_path / "a").exists()
 
 
-def test_the_help_names_every_output(run):
-    text = re.sub(r"[\s│]+", "", run("depth", "--help").stdout)
-    assert ",".join(OUTPUTS) in text
+def test_the_help_names_every_output(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "250")  # no line is broken
+    assert ", ".join(OUTPUTS) in run("depth", "--help").stdout
 
 
 def photographs(folder, count=3):
@@ -265,8 +264,9 @@ def test_the_preview_is_bounded_and_unknown_is_grey(frame, tmp_path):
     assert picture.shape[1] == 1408
     assert picture.shape[0] < 1100
     grey = (np.array([int(UNKNOWN[i : i + 2], 16) for i in (1, 3, 5)]) == picture).all(axis=2)
-    pixels = 627 * 418 / 2  # half of one panel of the page
-    assert grey.sum() == pytest.approx(pixels, rel=0.1)  # and the few unknown pixels of the right half
+    unknown = np.isnan(large[0]).mean() + np.isnan(large[1]).mean()
+    assert unknown > 0.5
+    assert grey.sum() == pytest.approx(unknown * 627 * 418, rel=0.03)  # pixels of a panel; sampled by the nearest
 
 
 @pytest.mark.parametrize(("low", "high"), [(1189.0, 3511.0), (0.0, 0.037), (-3.2, 1.9), (999.0, 1001.0)])
@@ -280,7 +280,7 @@ def test_ticks_are_round_and_inside(low, high):
 
 
 def test_refocusing_sharpens_what_it_focuses_on(frame):
-    sharp = cap.all_in_focus(frame, sharpness="fast")
+    sharp = cap.all_in_focus(frame, sharpness="aligned")  # quick
     near, far = (cap.refocus(frame, mm, f_number=1.0, sharp=sharp) for mm in (1450, 3600))
     book = (slice(260, 440), slice(60, 280))  # the nearest large thing, at 1.45 m
 

@@ -47,7 +47,7 @@ def depth(
     write: Annotated[
         str | None,
         typer.Option(
-            help="Files to write: depth,sigma,disparity,depth-png,color,ply,preview,json; default all.",
+            help="Files to write: depth, sigma, disparity, depth-png, color, ply, preview, json; default all.",
             metavar="NAME,...",
         ),
     ] = None,
