@@ -87,32 +87,7 @@ class MeasuredFile:
         return Report(None, summary, [self.folder / name for name in names])
 
 
-def measure_file(path: str | Path, camera: CodedApertureCamera, **options: Any) -> Report:
-    """Measure one image file and write the results, whole or not at all.
-
-    Parameters
-    ----------
-    path : str or Path
-    camera : CodedApertureCamera
-    **options
-        Those of `measure_first`: ``out``, ``write``, ``black_level``, ``white_level``, ``max_relative_sigma``,
-        ``listener``, ``inspect``.
-
-    Returns
-    -------
-    Report
-
-    Raises
-    ------
-    InputError
-        The image or the folder cannot be used, or an output is unknown.
-    """
-    measured = measure_first(path, camera, **options)
-    options.get("listener", lambda name: None)("write")
-    return replace(measured.write(), frame=measured.frame)
-
-
-def measure_first(
+def measure_file(
     path: str | Path,
     camera: CodedApertureCamera,
     *,
@@ -123,8 +98,8 @@ def measure_first(
     max_relative_sigma: float = MAX_RELATIVE_SIGMA,
     listener: Callable[[str], None] = lambda name: None,
     inspect: Callable[[np.ndarray], None] = lambda image: None,
-) -> MeasuredFile:
-    """Measure one image file; `MeasuredFile.write` writes the results.
+) -> Report:
+    """Measure one image file and write the results, whole or not at all.
 
     Parameters
     ----------
@@ -145,7 +120,34 @@ def measure_first(
 
     Returns
     -------
-    MeasuredFile
+    Report
+
+    Raises
+    ------
+    InputError
+        The image or the folder cannot be used, or an output is unknown.
+    """
+    measured = measure_first(
+        path, camera, out=out, write=write, black_level=black_level, white_level=white_level,
+        max_relative_sigma=max_relative_sigma, listener=listener, inspect=inspect,
+    )  # fmt: skip
+    listener("write")
+    return replace(measured.write(), frame=measured.frame)
+
+
+def measure_first(
+    path: str | Path,
+    camera: CodedApertureCamera,
+    *,
+    out: str | Path | None = None,
+    write: str | Iterable[str] | None = None,
+    black_level: float | None = None,
+    white_level: float | None = None,
+    max_relative_sigma: float = MAX_RELATIVE_SIGMA,
+    listener: Callable[[str], None] = lambda name: None,
+    inspect: Callable[[np.ndarray], None] = lambda image: None,
+) -> MeasuredFile:
+    """Measure one image file; `MeasuredFile.write` writes the results. Parameters as `measure_file`.
 
     Raises
     ------
