@@ -259,7 +259,7 @@ def test_the_preview_is_bounded_and_unknown_is_grey(frame, tmp_path):
     large = [np.repeat(np.repeat(a, 4, axis=0), 4, axis=1) for a in (frame.depth_mm, frame.sigma_mm, frame.color)]
     large[0][:, :1440] = np.nan  # the left half
     made = cap.DepthFrame(large[0], large[1], large[0], large[1], large[1], large[2], large[2])
-    write_preview(tmp_path / "p.png", made, title="title")
+    write_preview(tmp_path / "p.png", made.image, made, title="title")
     picture = cv2.imread(str(tmp_path / "p.png"))[..., ::-1]
     assert picture.shape[1] == 1408
     assert picture.shape[0] < 1100

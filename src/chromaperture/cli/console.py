@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -16,7 +16,7 @@ from rich.table import Table
 
 from chromaperture.compilation import is_compiled
 from chromaperture.errors import CaptureWarning
-from chromaperture.products.measure_file import Report
+from chromaperture.products.measure_file import Written
 
 out = Console()
 err = Console(stderr=True)
@@ -82,7 +82,7 @@ def announce_compilation(*, quiet: bool) -> None:
         err.print("Compiling the matcher once for this machine (about a minute); later runs start at once.")
 
 
-def print_reports(reports: list[Report], *, note: str = "") -> None:
+def print_reports(reports: Sequence[Written], *, note: str = "") -> None:
     """Print a summary of measured images, a note, and the files written."""
     out.print(_table(reports))
     if note:
@@ -90,7 +90,7 @@ def print_reports(reports: list[Report], *, note: str = "") -> None:
     print_files([file for report in reports for file in report.files])
 
 
-def _table(reports: list[Report]) -> Table:
+def _table(reports: Sequence[Written]) -> Table:
     """Tabulate fill rate, depth percentiles and time per stage."""
     calibrated = any(r.summary["depth_percentiles_mm"] for r in reports)
     unit, key = ("mm", "depth_percentiles_mm") if calibrated else ("px", "disparity_percentiles_px")

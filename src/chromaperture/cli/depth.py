@@ -70,7 +70,7 @@ def depth(
     """
     from chromaperture.cli.console import announce_compilation, print_json, print_reports, progress, say_error
     from chromaperture.frame.frame_files import chosen_outputs
-    from chromaperture.products.measure_file import Report, measure_first
+    from chromaperture.products.measure_file import Written, measure_first
     from chromaperture.threads import beside
 
     if len({(out or image.parent, image.stem) for image in images}) < len(images):
@@ -78,9 +78,9 @@ def depth(
     chosen_outputs(write, is_calibrated=camera is not None)  # before the work
     camera_of = cameras(images[0], camera, design, quality=quality, config=config)
     announce_compilation(quiet=quiet or json)
-    reports = []
+    reports: list[Written] = []
     with progress(quiet=quiet or json) as update, beside() as begin:
-        writing: Future[Report] | None = None  # the files of the image before, beside the measurement of this one
+        writing: Future[Written] | None = None  # the files of the image before, beside the measurement of this one
 
         def finish() -> None:
             """Wait for the files, of one image at a time: no more than two measurements are in memory."""

@@ -29,7 +29,7 @@ def color_map(name: str) -> Colormap:
 def draw_levels(levels: np.ndarray, name: str) -> np.ndarray:
     """Colour (H, W) levels from 0 to 1, clipped, NaN unknown, fast enough for a live page; (H, W, 3) uint8 sRGB."""
     known = np.isfinite(levels)
-    index = np.rint(np.clip(np.where(known, levels, 0), 0, 1) * 255).astype(np.uint16)
+    index = np.clip(np.where(known, levels, 0) * 256, 0, 255).astype(np.uint16)  # as Matplotlib rounds
     index[~known] = 256
     return np.take(_table(name), index, axis=0)
 

@@ -73,6 +73,8 @@ def write_maps(
     *,
     max_relative_sigma: float = MAX_RELATIVE_SIGMA,
     title: str = "",
+    caption: str = "",
+    depth_range_mm: tuple[float, float] | None = None,
 ) -> None:
     """Write the chosen files of a frame but its JSON, several at a time.
 
@@ -87,8 +89,10 @@ def write_maps(
         From `chosen_outputs`.
     max_relative_sigma : float
         Largest sigma / depth of ``depth-png`` and ``ply``; the TIFF files are whole.
-    title : str
+    title, caption : str
         Of the preview.
+    depth_range_mm : (float, float), optional
+        Ends of the preview's colour bar.
     """
 
     def write(job: tuple[str, Path]) -> None:
@@ -109,7 +113,8 @@ def write_maps(
             case "preview":
                 from chromaperture.frame.preview import write_preview
 
-                write_preview(path, frame, title=title or stem)
+                texts = {"title": title or stem, "caption": caption}
+                write_preview(path, frame.image, frame, depth_range_mm=depth_range_mm, **texts)
 
     jobs = [(name, target(stem + OUTPUTS[name].suffix)) for name in outputs if name != "json"]
     parallel_map(write, jobs)

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import cv2
 import numpy as np
+from matplotlib import get_data_path
 from PIL import Image, ImageDraw, ImageFont
 
 from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
@@ -25,7 +27,7 @@ _DARK, _LIGHT = (20, 22, 26), (232, 230, 227)
 _WIDTH, _MARGIN, _HEADING, _TITLE = 1408, 16, 28, 44
 _BAR_WIDTH, _BAR_SPACE = 14, 92  # the colour bar, and it with its labels
 _LARGEST = ((_WIDTH - 4 * _MARGIN - _BAR_SPACE) // 2, 900)  # width and height of one picture
-_TEXT_SIZE, _TITLE_SIZE = 15, 19
+_TEXT_SIZE, _TITLE_SIZE = 14, 18
 _TICKS = 7  # at most, on a colour bar
 
 
@@ -62,12 +64,17 @@ class ColorScale:
         return [i * step for i in range(math.ceil(self.low / step), math.floor(self.high / step) + 1)]
 
 
-def depth_scale(frame: DepthFrame) -> tuple[np.ndarray, ColorScale, str]:
-    """Return the map to show, its colours (near is red) and its title: depth, or disparity where depth is unknown."""
+def depth_scale(
+    frame: DepthFrame, depth_range_mm: tuple[float, float] | None = None
+) -> tuple[np.ndarray, ColorScale, str]:
+    """Return the map to show, its colours and its title: depth, or disparity where depth is unknown.
+
+    The colours of depth reach over ``depth_range_mm``, or over the middle 96 % of the pixels.
+    """
     if frame.valid.any():
-        low, high = _percentiles(frame.depth_mm, (2, 98))
+        low, high = _apart(*(depth_range_mm or middle_range(frame.depth_mm, 2)))
         return frame.depth_mm, ColorScale(low, high, DISTANCE, "mm"), "depth from the sensor plane"
-    low, high = _percentiles(frame.disparity_px, (1, 99))
+    low, high = _apart(*middle_range(frame.disparity_px, 1))
     title = "disparity (0 in focus, + beyond); depth needs a calibration"
     return frame.disparity_px, ColorScale(low, high, DISTANCE, "px"), title
 
@@ -75,8 +82,7 @@ def depth_scale(frame: DepthFrame) -> tuple[np.ndarray, ColorScale, str]:
 def error_scale(frame: DepthFrame) -> tuple[np.ndarray, ColorScale, str]:
     """Return the error bar of what `depth_scale` returns."""
     values, unit = (frame.sigma_mm, "mm") if frame.valid.any() else (frame.disparity_sigma_px, "px")
-    high = _percentiles(values, (0, 90))[1]
-    scale = ColorScale(0.0, max(high, 1e-6), ERROR, unit, open_below=False)
+    scale = ColorScale(*_apart(0.0, middle_range(values, 10)[1]), ERROR, unit, open_below=False)
     return values, scale, "error bar (one standard deviation)"
 
 
@@ -102,23 +108,45 @@ def fitted_size(shape: tuple[int, ...], largest: tuple[int, int]) -> tuple[int, 
     return max(1, round(shape[1] * scale)), max(1, round(shape[0] * scale))
 
 
-def write_preview(path: Path, frame: DepthFrame, *, title: str) -> None:
-    """Draw the preview of a frame as PNG, 1408 px wide.
+def write_preview(
+    path: Path,
+    image: np.ndarray | None,
+    frame: DepthFrame,
+    *,
+    title: str,
+    caption: str = "",
+    depth_range_mm: tuple[float, float] | None = None,
+) -> None:
+    """Draw the preview of a capture as PNG, 1408 px wide, a caption below its title.
 
-    It shows disparity instead of depth where the camera is not calibrated, and no capture where the frame has none.
+    It shows disparity instead of depth where the camera is not calibrated.
+
+    Parameters
+    ----------
+    path : Path
+    image : (H, W, 3) float or None
+        The capture, linear RGB, channels not aligned.
+    frame : DepthFrame
+    title, caption : str
+    depth_range_mm : (float, float), optional
+        Ends of the colour bar, to compare previews.
     """
     size = fitted_size(frame.color.shape, _LARGEST)
     width, height = size
-    page = Image.new("RGB", (_WIDTH, _TITLE + 2 * (_HEADING + height) + 2 * _MARGIN), _DARK)
+    heading = _TITLE + (_HEADING if caption else 0)
+    page = Image.new("RGB", (_WIDTH, heading + 2 * (_HEADING + height) + 2 * _MARGIN), _DARK)
     draw = ImageDraw.Draw(page)
     draw.text((_WIDTH // 2, _TITLE // 2), title, _LIGHT, _font(_TITLE_SIZE), anchor="mm")
+    draw.text((_WIDTH // 2, _TITLE + _HEADING // 4), caption, _LIGHT, _font(_TITLE_SIZE), anchor="mm")
     left, right = _MARGIN, 2 * _MARGIN + _LARGEST[0]
-    top, below = _TITLE, _TITLE + _HEADING + height + _MARGIN
-    if frame.image is not None:
-        place = (left, top)
-        _panel(page, place, exposed(frame.image, size), "capture through the colour-coded aperture")
+    top, below = heading, heading + _HEADING + height + _MARGIN
+    if image is not None:
+        _panel(page, (left, top), exposed(image, size), "capture through the colour-coded aperture")
     _panel(page, (left, below), exposed(frame.color, size), "restored colour, channels aligned")
-    for place, (values, scale, name) in (((right, top), depth_scale(frame)), ((right, below), error_scale(frame))):
+    for place, (values, scale, name) in (
+        ((right, top), depth_scale(frame, depth_range_mm)),
+        ((right, below), error_scale(frame)),
+    ):
         small = reduced(values, size)
         note = "; grey is unknown" if np.isnan(small).any() else ""
         _panel(page, place, scale.picture(small), name + note)
@@ -151,14 +179,24 @@ def _bar(draw: ImageDraw.ImageDraw, place: tuple[int, int], height: int, scale: 
     draw.text((right + 9, y - _HEADING / 2), scale.unit, _LIGHT, font, anchor="lm")
 
 
-def _percentiles(values: np.ndarray, percentiles: tuple[float, float]) -> tuple[float, float]:
-    """Return two percentiles of what is known, of every n-th pixel where there are very many; never twice the same."""
-    step = math.isqrt(values.size >> 20) + 1  # a million pixels are plenty
+def middle_range(values: np.ndarray, percent: float) -> tuple[float, float]:
+    """Return the ends of what is known without so many percent at either end; (0, 1) where nothing is known.
+
+    Of a map of many megapixels every n-th pixel is used: a million are plenty.
+    """
+    step = math.isqrt(values.size >> 20) + 1
     sample = values[::step, ::step]
     known = sample[np.isfinite(sample)]
-    low, high = (float(v) for v in np.percentile(known, percentiles)) if known.size else (0.0, 1.0)
-    return low, max(high, low + 1e-6 * max(1.0, abs(low)))
+    low, high = np.percentile(known, (percent, 100 - percent)) if known.size else (0.0, 1.0)
+    return float(low), float(high)
 
 
-def _font(size: int) -> ImageFont.ImageFont | ImageFont.FreeTypeFont:
-    return ImageFont.load_default(size)
+def _apart(low: float, high: float) -> tuple[float, float]:
+    """Return the ends of a scale, which a map of one value does not have."""
+    return low, max(high, low + 1e-3 * max(1.0, abs(low)))
+
+
+@cache
+def _font(size: int) -> ImageFont.FreeTypeFont:
+    """Open the font that comes with Matplotlib, which has Greek and Cyrillic letters; Pillow's own has not."""
+    return ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), size)

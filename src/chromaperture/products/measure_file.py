@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,19 @@ from chromaperture.frame.summary import summarise
 from chromaperture.storage import staged, write_json
 
 
-@dataclass(frozen=True, repr=False)
-class Report:
-    """The files written of one image, and its measurement; ``summary`` is the content of ``STEM.json``."""
+@dataclass(frozen=True)
+class Written:
+    """The files written of one image; ``summary`` is the content of ``STEM.json``."""
 
-    frame: DepthFrame | None  # None where many images are measured: the frames of all would fill the memory
     summary: dict[str, Any]
     files: list[Path]
+
+
+@dataclass(frozen=True, repr=False)
+class Report(Written):
+    """The files written of one image, and its measurement."""
+
+    frame: DepthFrame
 
     def __repr__(self) -> str:
         return f"Report({self.summary['image']}, {self.frame!r}, {len(self.files)} files)"
@@ -67,9 +73,11 @@ class MeasuredFile:
     folder: Path
     outputs: tuple[str, ...]
     max_relative_sigma: float
+    caption: str
+    depth_range_mm: tuple[float, float] | None
     seconds: dict[str, float]
 
-    def write(self) -> Report:
+    def write(self) -> Written:
         """Write the files, whole or not at all; raises InputError where the folder cannot be used."""
         clock, stem, frame = StageClock(), self.path.stem, self.frame
         title = self.path.name
@@ -77,14 +85,16 @@ class MeasuredFile:
             title += f"   {frame.calibration.aperture.title}"
         with staged(self.folder) as stage:
             with clock("write"):
-                limit = {"max_relative_sigma": self.max_relative_sigma}
-                frame_files.write_maps(stage.path, stem, frame, self.outputs, title=title, **limit)
+                frame_files.write_maps(
+                    stage.path, stem, frame, self.outputs, max_relative_sigma=self.max_relative_sigma, title=title,
+                    caption=self.caption, depth_range_mm=self.depth_range_mm,
+                )  # fmt: skip
             summary = summarise(frame, self.seconds | clock.seconds)
             summary |= {"image": self.path.name, "max_relative_sigma": self.max_relative_sigma}
             if "json" in self.outputs:
                 write_json(stage.path(stem + OUTPUTS["json"].suffix), summary)
             names = list(stage.names)
-        return Report(None, summary, [self.folder / name for name in names])
+        return Written(summary, [self.folder / name for name in names])
 
 
 def measure_file(
@@ -98,6 +108,8 @@ def measure_file(
     max_relative_sigma: float = MAX_RELATIVE_SIGMA,
     listener: Callable[[str], None] = lambda name: None,
     inspect: Callable[[np.ndarray], None] = lambda image: None,
+    caption: str = "",
+    depth_range_mm: tuple[float, float] | None = None,
 ) -> Report:
     """Measure one image file and write the results, whole or not at all.
 
@@ -117,6 +129,10 @@ def measure_file(
         Called with the name of each stage as it begins.
     inspect : callable, optional
         Called with the linear image before it is measured; may raise InputError.
+    caption : str
+        Second line over the preview.
+    depth_range_mm : (float, float), optional
+        Ends of the preview's colour bar, to compare it with another's.
 
     Returns
     -------
@@ -129,10 +145,12 @@ def measure_file(
     """
     measured = measure_first(
         path, camera, out=out, write=write, black_level=black_level, white_level=white_level,
-        max_relative_sigma=max_relative_sigma, listener=listener, inspect=inspect,
+        max_relative_sigma=max_relative_sigma, listener=listener, inspect=inspect, caption=caption,
+        depth_range_mm=depth_range_mm,
     )  # fmt: skip
     listener("write")
-    return replace(measured.write(), frame=measured.frame)
+    written = measured.write()
+    return Report(written.summary, written.files, measured.frame)
 
 
 def measure_first(
@@ -146,6 +164,8 @@ def measure_first(
     max_relative_sigma: float = MAX_RELATIVE_SIGMA,
     listener: Callable[[str], None] = lambda name: None,
     inspect: Callable[[np.ndarray], None] = lambda image: None,
+    caption: str = "",
+    depth_range_mm: tuple[float, float] | None = None,
 ) -> MeasuredFile:
     """Measure one image file; `MeasuredFile.write` writes the results. Parameters as `measure_file`.
 
@@ -162,7 +182,8 @@ def measure_first(
     inspect(image)
     frame = camera.measure(image, stage=clock)
     folder = path.parent if out is None else Path(out)
-    return MeasuredFile(frame, path, folder, outputs, max_relative_sigma, clock.seconds)
+    preview = (caption, depth_range_mm)
+    return MeasuredFile(frame, path, folder, outputs, max_relative_sigma, *preview, clock.seconds)
 
 
 def write_maps(
