@@ -16,7 +16,7 @@ from PIL import Image
 
 from chromaperture.color.color_maps import DIFFERENCE, DISTANCE, ERROR, OTHER, UNKNOWN, color_map, draw_levels
 from chromaperture.evaluation.figures import plain_log_scale, show_image
-from chromaperture.products.preview import write_preview
+from chromaperture.frame.preview import write_preview
 from chromaperture.viewer.pictures import depth_picture
 
 ROOT = Path(__file__).parents[1]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 
+from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.depth.error_limit import within_error
 from chromaperture.depth.pointcloud import PointCloud, depth_to_points, write_ply
 from chromaperture.errors import InputError
@@ -138,6 +139,30 @@ def test_ply_can_be_read_back(tmp_path, rng):
     assert len(body) == 7 * (3 * 4 + 3)
     np.testing.assert_array_equal(np.frombuffer(body[:12], "<f4"), cloud.points_mm[0])
     np.testing.assert_array_equal(np.frombuffer(body[12:15], "u1"), cloud.colors[0])
+
+
+def test_large_clouds_and_pictures_are_whole(tmp_path, rng):
+    # Points are written, and pixels converted, in pieces of 65536: nothing is lost or repeated at their ends.
+    depth = rng.uniform(900, 1100, (300, 400)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.1] = np.nan
+    color = rng.uniform(-0.1, 1.1, (300, 400, 3)).astype(np.float32)
+    view = {"camera_matrix": np.diag([800.0, 800.0, 1.0]), "distortion": np.zeros(5), "sensor_to_pupil_mm": 50.0}
+    cloud = depth_to_points(depth, color, **view)
+    known = np.isfinite(depth)
+    np.testing.assert_array_equal(cloud.points_mm[:, 2], depth[known] - np.float32(50))
+    v, u = np.nonzero(known)
+    pixels = 800 * cloud.points_mm[:, :2] / cloud.points_mm[:, 2:]
+    np.testing.assert_allclose(pixels, np.stack([u, v], 1), atol=1e-3)  # float32
+    write_ply(tmp_path / "c.ply", cloud)
+    body = (tmp_path / "c.ply").read_bytes().partition(b"end_header\n")[2]
+    stored = np.frombuffer(body, [("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    np.testing.assert_array_equal(stored["xyz"], cloud.points_mm)
+    np.testing.assert_array_equal(stored["rgb"], cloud.colors)
+    write_color_png(tmp_path / "c.png", color)
+    picture = cv2.imread(str(tmp_path / "c.png"))[..., ::-1]
+    np.testing.assert_array_equal(picture[known], cloud.colors)
+    # Rounding, and a fiftieth of a grey level by the table.
+    assert np.abs(picture - 255.0 * linear_to_srgb(color)).max() < 0.5 + 0.03
 
 
 def test_empty_cloud_is_a_valid_file(tmp_path):

@@ -21,7 +21,7 @@ MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
 BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "storage", "camera_file", "camera_matching",
-                         "camera_alignment", "camera", "calibration", "products"}  # fmt: skip
+                         "camera_alignment", "camera", "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
 COMMON = {"errors", "compilation", "threads", "robust"}
 ALLOWED: dict[str, set[str]] = {
@@ -38,17 +38,20 @@ ALLOWED: dict[str, set[str]] = {
     "config_file": {"config"},
     "camera_matching": {"camera_file", "color", "config", "disparity"},
     "camera_alignment": {"camera_file", "color", "config", "depth"},
-    "camera": {"camera_file", "camera_matching", "camera_alignment", "config"} | STAGES,
+    "frame": {"camera_file", "config", "storage", "color", "depth"},  # the result, and what is made of it
+    "camera": {"camera_file", "camera_matching", "camera_alignment", "config", "frame"} | STAGES,
     "calibration": {"optics", "camera_matching", "camera_file", "config"} | STAGES,
-    "products": {"camera", "storage", "capture", "color", "depth"},
+    "products": {"camera", "config", "frame", "storage", "capture", "color", "depth"},
     "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth"},
     "reconstruction": {"camera", "products", "storage", "capture", "color", "depth"},
     # It shows the model, and the picture focused elsewhere.
     "viewer": {"camera", "products", "storage", "capture", "color", "depth", "effects", "reconstruction"},
     "evaluation": BELOW_LEAVES | {"effects", "reconstruction"},  # the paper's Figures 14 and 15 show them
     "cli": BELOW_LEAVES | {"config_file", "effects", "reconstruction", "viewer", "evaluation", "__init__"},
+    "tasks": BELOW_LEAVES | {"effects", "evaluation"},  # whole tasks in one call, for Python
     "__main__": {"cli"},
-    "__init__": {"camera", "camera_file", "capture", "config", "depth", "disparity", "optics"},
+    # Public names, each imported when it is first used.
+    "__init__": BELOW_LEAVES | {"effects", "tasks"},
 }
 EXECUTIONS = ("chromaperture.disparity.cpu", "chromaperture.disparity.stages")
 # Who imports modules of an execution from outside the two of them, and why.
@@ -72,7 +75,8 @@ ONE_WAY = {
     "ThreadPoolExecutor": "threads.py",
     "ThreadPool": "threads.py",
 }
-OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "mcap", "mcap_ros2", "imageio"}
+OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "mcap", "mcap_ros2", "imageio",
+            "xarray"}  # fmt: skip
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,40 +12,14 @@ from chromaperture.camera_alignment import ChannelAlignment
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, label_maps, noise_model
 from chromaperture.capture.checks import check_capture
+from chromaperture.capture.files import decode, linearise
 from chromaperture.config import Config, DepthConfig, ExecutionName, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.result import Disparity
+from chromaperture.frame.depth_frame import DepthFrame
 
 StageTimer = Callable[[str], AbstractContextManager[None]]
-
-
-@dataclass(frozen=True)
-class DepthFrame:
-    """What is measured from one photograph, every map in the view of the pupil's centre; (H, W) arrays.
-
-    Attributes
-    ----------
-    depth_mm, sigma_mm : float32, mm
-        Distance from the sensor plane along the axis and its standard deviation; NaN unknown.
-    disparity_px, disparity_sigma_px : float32, px
-        Signed half disparity, 0 in focus, + beyond, and its standard deviation; NaN unknown.
-    confidence : float32 in [0, 1]
-    color : (H, W, 3) float32
-        Linear RGB with the channels aligned and white balanced.
-    """
-
-    depth_mm: np.ndarray
-    sigma_mm: np.ndarray
-    disparity_px: np.ndarray
-    disparity_sigma_px: np.ndarray
-    confidence: np.ndarray
-    color: np.ndarray
-
-    @property
-    def valid(self) -> np.ndarray:
-        """(H, W) bool: where the depth is known."""
-        return np.isfinite(self.depth_mm)
 
 
 class CodedApertureCamera:
@@ -79,13 +52,13 @@ class CodedApertureCamera:
         self.depth_model = calibration.depth_model(self.config.quality) if calibration.is_calibrated else None
         self.alignment = ChannelAlignment(calibration, self.config, self.depth_model)
 
-    def measure(self, image: np.ndarray, *, stage: StageTimer = lambda name: nullcontext()) -> DepthFrame:
+    def measure(self, image: np.ndarray | str | Path, *, stage: StageTimer = lambda name: nullcontext()) -> DepthFrame:
         """Measure depth in millimetres for every pixel of one photograph.
 
         Parameters
         ----------
-        image : (H, W, 3) float, linear RGB, 1.0 = white level
-            From `chromaperture.read_image`.
+        image : (H, W, 3) float, linear RGB, 1.0 = white level; or str or Path
+            From `chromaperture.read_image`; or a file, which is read with the levels of this camera, see `read`.
         stage : callable, optional
             ``with stage(name):`` is entered around each stage, for timing and progress.
 
@@ -99,6 +72,9 @@ class CodedApertureCamera:
             The image cannot be used, or is not of this camera's size.
         """
         sensor = self.calibration.sensor
+        if isinstance(image, str | Path):
+            with stage("read"):
+                image = self.read(image)
         with stage("check"):
             image = check_capture(image, sensor.width_px, sensor.height_px)
         with stage("disparity"):  # Eq. (1) and section 3.1
@@ -107,7 +83,29 @@ class CodedApertureCamera:
             depth_mm, sigma_mm = millimetres(disparity, self.depth_model, self.config.depth)
         with stage("color"):  # section 5.1
             color = self.alignment.align(image, disparity.value_px)
-        return DepthFrame(depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color)
+        maps = (depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color)
+        return DepthFrame(*maps, image, self.calibration, self.config)
+
+    def read(
+        self, path: str | Path, *, black_level: float | None = None, white_level: float | None = None
+    ) -> np.ndarray:
+        """Read a photograph with the given levels, else this camera's where the file can hold its counts.
+
+        Returns
+        -------
+        (H, W, 3) float32, linear RGB
+
+        Raises
+        ------
+        InputError
+            As `chromaperture.read_image`.
+        """
+        sensor = self.calibration.sensor
+        levels = (sensor.black_level, sensor.white_level) if self.calibration.is_calibrated else None
+        return linearise(decode(path), black_level=black_level, white_level=white_level, camera_levels=levels)
+
+    def __repr__(self) -> str:
+        return f"CodedApertureCamera({self.calibration.title}, quality {self.config.quality})"
 
 
 def millimetres(disparity: Disparity, model: DepthModel | None, config: DepthConfig) -> tuple[np.ndarray, np.ndarray]:

@@ -84,7 +84,7 @@ class Board:
     square_mm: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Calibration:
     """The parameters of a `chromaperture.camera.CodedApertureCamera`.
 
@@ -125,6 +125,16 @@ class Calibration:
         return design_named(self.design)
 
     @property
+    def title(self) -> str:
+        """Design, size of the picture and working range, in one line."""
+        size = f"{self.design}, {self.sensor.width_px}x{self.sensor.height_px} px"
+        return f"{size}, {self.near_mm:.0f} to {self.far_mm:.0f} mm" if self.is_calibrated else f"{size}, uncalibrated"
+
+    def __repr__(self) -> str:
+        curves = f", curves for {', '.join(self.depth)}" if self.depth else ""
+        return f"Calibration({self.title}{curves})"
+
+    @property
     def unmixing(self) -> np.ndarray:
         """Rows of M^-1, Eq. (1); (K, 3) float64."""
         names = self.aperture.views
@@ -149,10 +159,13 @@ class Calibration:
 
     def depth_model(self, quality: Quality = "real-time") -> DepthModel:
         """Return the depth curve of a quality over the frame; raises InputError where there is none."""
+        return self._curve(quality).model(self.sensor.width_px, self.sensor.height_px)
+
+    def _curve(self, quality: Quality) -> DepthField:
         if quality not in self.depth:
             known = f"it has {', '.join(self.depth)}" if self.depth else "it was never calibrated"
             raise InputError(f"this camera has no depth curve for quality {quality}: {known}; run 'calibrate' again")
-        return self.depth[quality].model(self.sensor.width_px, self.sensor.height_px)
+        return self.depth[quality]
 
     @property
     def in_focus_mm(self) -> float:
@@ -172,8 +185,7 @@ class Calibration:
 
     def on_axis(self, quality: Quality) -> DepthModel:
         """Return the depth curve of a quality in the middle of the frame, as numbers."""
-        self.depth_model(quality)
-        return self.depth[quality].on_axis(self.sensor.width_px, self.sensor.height_px)
+        return self._curve(quality).on_axis(self.sensor.width_px, self.sensor.height_px)
 
     def disparity_range_px(self, quality: Quality = "real-time") -> tuple[float, float]:
         """Return the smallest and the largest disparity of the working range over the frame."""

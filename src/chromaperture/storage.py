@@ -17,8 +17,12 @@ import cv2
 import numpy as np
 import tifffile
 
-from chromaperture.color.srgb import linear_to_srgb
+from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.errors import InputError
+
+# Of the filters and strategies of OpenCV's PNG encoder this is the smallest, and the fastest to within 5 %: 6 mega-
+# pixels of colour take 0.18 s and 6.7 MB; by default 0.17 s and 7.3 MB, by level 6 of zlib's strategy 2.2 s and 7.6 MB.
+_PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_AVG)
 
 
 class Stage:
@@ -83,20 +87,34 @@ def _is_device(path: Path) -> bool:
     return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
-def write_float_tiff(path: Path, values: np.ndarray) -> None:
-    """Write (H, W) as float32 TIFF; NaN stays NaN."""
-    tifffile.imwrite(path, values.astype(np.float32), compression="zlib", metadata=None)
+def write_float_tiff(path: str | Path, values: np.ndarray) -> None:
+    """Write (H, W) as float32 TIFF; NaN stays NaN.
+
+    Not compressed: zlib makes measured floats a fifth smaller, and takes 0.9 s for 6 megapixels instead of 0.03 s.
+    """
+    tifffile.imwrite(path, np.asarray(values, np.float32), metadata=None)
 
 
-def write_depth_png(path: Path, depth_mm: np.ndarray) -> None:
+def write_depth_png(path: str | Path, depth_mm: np.ndarray) -> None:
     """Write (H, W) depth as 16-bit PNG in whole mm; 0 is unknown or beyond 65535 mm."""
-    known = np.isfinite(depth_mm) & (depth_mm > 0) & (depth_mm < 65535.5)
-    _write_png(path, np.where(known, np.rint(np.where(known, depth_mm, 0)), 0).astype(np.uint16))
+    with np.errstate(invalid="ignore"):  # NaN compares false
+        known = (depth_mm > 0) & (depth_mm < 65535.5)
+    write_png(path, np.rint(np.where(known, depth_mm, 0)).astype(np.uint16))
 
 
-def write_color_png(path: Path, color: np.ndarray) -> None:
+def write_color_png(path: str | Path, color: np.ndarray) -> None:
     """Write linear RGB (H, W, 3) as 8-bit sRGB PNG."""
-    _write_png(path, np.rint(linear_to_srgb(color) * 255).astype(np.uint8)[..., ::-1])
+    write_png(path, linear_to_srgb_bytes(color))
+
+
+def write_png(path: str | Path, picture: np.ndarray) -> None:
+    """Write a grey (H, W) or RGB (H, W, 3) picture of uint8 or uint16 as PNG."""
+    path = Path(path)
+    stored = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if picture.ndim == 3 else np.ascontiguousarray(picture)
+    ok, encoded = cv2.imencode(".png", stored, _PNG)
+    if not ok:
+        raise InputError(f"cannot encode {path.name}")
+    path.write_bytes(encoded.data)  # unlike `cv2.imwrite`, raises when the disk is full
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -121,10 +139,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return str(value) if isinstance(value, Path) else value
-
-
-def _write_png(path: Path, array: np.ndarray) -> None:
-    ok, encoded = cv2.imencode(".png", np.ascontiguousarray(array))
-    if not ok:
-        raise InputError(f"cannot encode {path.name}")
-    path.write_bytes(encoded.tobytes())  # unlike `cv2.imwrite`, raises when the disk is full

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import cache
 from typing import TypeVar
 
@@ -85,6 +85,13 @@ def parallel_map(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
     """Apply a function to items of unlike cost, each as soon as a thread is free; results in the items' order."""
     with ThreadPoolExecutor(thread_count()) as pool:
         return list(pool.map(function, items))
+
+
+@contextlib.contextmanager
+def beside() -> Iterator[Callable[[Callable[[], R]], Future[R]]]:
+    """Start work on one other thread, in the order it was given; leaving the ``with`` block waits for it."""
+    with ThreadPoolExecutor(1, thread_name_prefix="chromaperture-beside") as thread:
+        yield thread.submit
 
 
 @cache

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -28,7 +28,7 @@ from rich.table import Table
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.compilation import is_compiled
 from chromaperture.errors import CaptureWarning
-from chromaperture.products.measure_file import Report
+from chromaperture.products.measure_file import Written
 
 Update = Callable[[str, int, int], None]  # what is being done, how many are done, of how many; 0: nobody knows
 
@@ -176,7 +176,7 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
 
 
-def print_reports(reports: list[Report], *, note: str = "") -> None:
+def print_reports(reports: Sequence[Written], *, note: str = "") -> None:
     """Print a summary of measured images, a note, and the files written."""
     out.print(_table(reports))
     if note:
@@ -184,7 +184,7 @@ def print_reports(reports: list[Report], *, note: str = "") -> None:
     print_files([file for report in reports for file in report.files])
 
 
-def _table(reports: list[Report]) -> Table:
+def _table(reports: Sequence[Written]) -> Table:
     """Tabulate fill rate, depth percentiles and time per stage."""
     calibrated = any(r.summary["depth_percentiles_mm"] for r in reports)
     unit, key = ("mm", "depth_percentiles_mm") if calibrated else ("px", "disparity_percentiles_px")

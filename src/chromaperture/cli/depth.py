@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -43,6 +44,13 @@ def depth(
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
+    write: Annotated[
+        str | None,
+        typer.Option(
+            help="Files to write: depth, sigma, disparity, depth-png, color, ply, preview, json; default all.",
+            metavar="NAME,...",
+        ),
+    ] = None,
     config: Annotated[
         Path | None,
         # Escaped: rich would take the names of the tables for markup.
@@ -68,14 +76,27 @@ def depth(
         progress,
         say_error,
     )
-    from chromaperture.products.measure_file import measure_file
+    from chromaperture.frame.frame_files import chosen_outputs
+    from chromaperture.products.measure_file import Written, measure_first
+    from chromaperture.threads import beside
 
     if len({(out or image.parent, image.stem) for image in images}) < len(images):
         raise InputError("two images would write the same files; measure them into different --out folders")
+    chosen_outputs(write, is_calibrated=camera is not None)  # before the work
     camera_of = cameras(images[0], camera, design, quality=quality, config=config)
     announce_compilation(quiet=quiet)
-    reports = []
-    with progress(quiet=quiet) as update:
+    reports: list[Written] = []
+    with progress(quiet=quiet) as update, beside() as begin:
+        writing: Future[Written] | None = None  # the files of the image before, beside the measurement of this one
+
+        def finish() -> None:
+            """Wait for the files, of one image at a time: no more than two measurements are in memory."""
+            try:
+                if writing is not None:
+                    reports.append(writing.result())
+            except ChromapertureError as error:
+                say_error(error)
+
         for i, image in enumerate(images):
 
             def show(stage: str, i: int = i, name: str = image.name) -> None:
@@ -86,10 +107,17 @@ def depth(
                 eye = camera_of(image)
                 announce_duration(eye, len(images) if i == 0 else 0, quiet=quiet)
                 check = partial(check_film, eye.calibration, name=image.name, refuse=not anyway)
-                options = {"max_relative_sigma": max_relative_sigma, **levels}
-                reports.append(measure_file(image, eye, out=out, listener=show, inspect=check, **options))
+                options = {"max_relative_sigma": max_relative_sigma, "write": write, **levels}
+                measured = measure_first(image, eye, out=out, listener=show, inspect=check, **options)
             except ChromapertureError as error:
+                finish()
+                writing = None
                 say_error(error)
+            else:
+                finish()
+                writing = begin(measured.write)
+                show("write")
+        finish()
     if json:
         print_json([report.summary for report in reports])
     elif reports and not quiet:

@@ -6,7 +6,10 @@ from functools import cache
 
 import numpy as np
 
+from chromaperture.threads import in_parallel
+
 _LEVELS = 65535  # of the table: 16 bits
+_PIECE = 1 << 16  # values encoded at once, which stay in the cache; chosen by hand
 
 
 def srgb_to_linear(encoded: np.ndarray) -> np.ndarray:
@@ -24,13 +27,21 @@ def linear_to_srgb(linear: np.ndarray) -> np.ndarray:
 
 
 def linear_to_srgb_bytes(linear: np.ndarray) -> np.ndarray:
-    """Encode linear light as 8-bit sRGB, clipped; uint8 of the same shape.
+    """Encode linear light as 8-bit sRGB, clipped, NaN black; uint8 of the same shape.
 
     By a table of 16-bit levels, ten times faster than the power and at most a fiftieth of a grey level off.
     """
-    light = np.asarray(linear, np.float32)
-    steps = np.nan_to_num(np.clip(light, 0, 1)) * np.float32(_LEVELS) + np.float32(0.5)
-    return _bytes()[steps.astype(np.uint16)]
+    light = np.ascontiguousarray(linear, np.float32)
+    values, encoded, table = light.reshape(-1), np.empty(light.size, np.uint8), _bytes()
+
+    def encode(thread: int, first: int, last: int) -> None:
+        for start in range(first * _PIECE, min(last * _PIECE, values.size), _PIECE):
+            piece = slice(start, min(start + _PIECE, last * _PIECE))
+            steps = np.fmin(np.fmax(values[piece], 0), 1) * np.float32(_LEVELS) + np.float32(0.5)
+            encoded[piece] = table[steps.astype(np.uint16)]
+
+    in_parallel(encode, -(-values.size // _PIECE))
+    return encoded.reshape(light.shape)
 
 
 @cache

@@ -19,7 +19,7 @@ from chromaperture.errors import InputError
 Map = np.ndarray | float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DepthModel:
     """The curve ``d = A - B / (depth_mm - delta)``, one for the whole image or one for every pixel.
 
@@ -72,6 +72,13 @@ class DepthModel:
     def in_focus_mm(self) -> Map:
         """Depth of the focus surface, where the disparity is 0; mm from the sensor, inf when A is 0."""
         return self.sensor_to_pupil_mm + focus_from_pupil(self.infinity_disparity_px, self.scale_px_mm)
+
+    def __repr__(self) -> str:
+        a, b, delta = (
+            f"{np.mean(v):.5g}" if np.size(v) < 2 else f"{np.min(v):.5g} to {np.max(v):.5g}"
+            for v in (self.infinity_disparity_px, self.scale_px_mm, self.sensor_to_pupil_mm)
+        )
+        return f"DepthModel(A = {a} px, B = {b} px mm, delta = {delta} mm)"
 
     @cached_property
     def tables(self) -> tuple[conversion_kernels.FieldMaps, conversion_kernels.CurveTable]:

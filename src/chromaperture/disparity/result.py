@@ -30,7 +30,7 @@ class NoiseModel(NamedTuple):
 ESTIMATED_NOISE = NoiseModel(estimate_noise_variance, is_known=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Disparity:
     """Disparity of every pixel, anchored in the view of the pupil's centre.
 
@@ -47,6 +47,12 @@ class Disparity:
     value_px: np.ndarray
     sigma_px: np.ndarray
     confidence: np.ndarray
+
+    def __repr__(self) -> str:
+        height, width = self.value_px.shape
+        known = np.isfinite(self.value_px)
+        median = f", median {np.median(self.value_px[known]):.2f} px" if known.any() else ""
+        return f"Disparity({width}x{height} px, {known.mean():.1%} filled{median})"
 
     def full_disparity_px(self) -> np.ndarray:
         """Displacement between two opposed sub-apertures, 2 d: what a stereo pair would call disparity; (H, W)."""

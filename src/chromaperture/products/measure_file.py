@@ -3,32 +3,40 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera, DepthFrame
-from chromaperture.capture.files import decode, linearise
-from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
-from chromaperture.depth.pointcloud import PointCloud, depth_to_points, write_ply
-from chromaperture.products.preview import write_preview
-from chromaperture.storage import staged, write_color_png, write_depth_png, write_float_tiff, write_json
-
-_PERCENTILES = (5, 25, 50, 75, 95)  # of disparity and depth in a summary
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
+from chromaperture.depth.pointcloud import PointCloud, depth_to_points
+from chromaperture.frame import frame_files
+from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
+from chromaperture.frame.summary import summarise
+from chromaperture.storage import staged, write_json
 
 
 @dataclass(frozen=True)
-class Report:
-    """Measurement of one image and the files written; ``summary`` is the content of ``STEM.json``."""
+class Written:
+    """The files written of one image; ``summary`` is the content of ``STEM.json``."""
 
-    frame: DepthFrame
     summary: dict[str, Any]
     files: list[Path]
+
+
+@dataclass(frozen=True, repr=False)
+class Report(Written):
+    """The files written of one image, and its measurement."""
+
+    frame: DepthFrame
+
+    def __repr__(self) -> str:
+        return f"Report({self.summary['image']}, {self.frame!r}, {len(self.files)} files)"
 
 
 class StageClock:
@@ -52,10 +60,41 @@ class StageClock:
 def read_capture(
     path: Path, camera: CodedApertureCamera, *, black_level: float | None = None, white_level: float | None = None
 ) -> np.ndarray:
-    """Read an image with the given levels, else the camera's where the file can hold its counts; (H, W, 3) linear."""
-    sensor = camera.calibration.sensor
-    levels = (sensor.black_level, sensor.white_level) if camera.calibration.is_calibrated else None
-    return linearise(decode(path), black_level=black_level, white_level=white_level, camera_levels=levels)
+    """Read an image with the given levels, else the camera's, see `CodedApertureCamera.read`; (H, W, 3) linear."""
+    return camera.read(path, black_level=black_level, white_level=white_level)
+
+
+@dataclass(frozen=True)
+class MeasuredFile:
+    """A measured image whose files are still to be written, perhaps while the next image is measured."""
+
+    frame: DepthFrame
+    path: Path
+    folder: Path
+    outputs: tuple[str, ...]
+    max_relative_sigma: float
+    caption: str
+    depth_range_mm: tuple[float, float] | None
+    seconds: dict[str, float]
+
+    def write(self) -> Written:
+        """Write the files, whole or not at all; raises InputError where the folder cannot be used."""
+        clock, stem, frame = StageClock(), self.path.stem, self.frame
+        title = self.path.name
+        if frame.calibration is not None:
+            title += f"   {frame.calibration.aperture.title}"
+        with staged(self.folder) as stage:
+            with clock("write"):
+                frame_files.write_maps(
+                    stage.path, stem, frame, self.outputs, max_relative_sigma=self.max_relative_sigma, title=title,
+                    caption=self.caption, depth_range_mm=self.depth_range_mm,
+                )  # fmt: skip
+            summary = summarise(frame, self.seconds | clock.seconds)
+            summary |= {"image": self.path.name, "max_relative_sigma": self.max_relative_sigma}
+            if "json" in self.outputs:
+                write_json(stage.path(stem + OUTPUTS["json"].suffix), summary)
+            names = list(stage.names)
+        return Written(summary, [self.folder / name for name in names])
 
 
 def measure_file(
@@ -63,6 +102,7 @@ def measure_file(
     camera: CodedApertureCamera,
     *,
     out: str | Path | None = None,
+    write: str | Iterable[str] | None = None,
     black_level: float | None = None,
     white_level: float | None = None,
     max_relative_sigma: float = MAX_RELATIVE_SIGMA,
@@ -71,7 +111,7 @@ def measure_file(
     caption: str = "",
     depth_range_mm: tuple[float, float] | None = None,
 ) -> Report:
-    """Measure one image file and write all results, whole or not at all.
+    """Measure one image file and write the results, whole or not at all.
 
     Parameters
     ----------
@@ -79,6 +119,8 @@ def measure_file(
     camera : CodedApertureCamera
     out : str or Path, optional
         Folder; that of the image when absent.
+    write : str or iterable of str, optional
+        Names of the files to write, see `OUTPUTS`; all that the camera can give when absent.
     black_level, white_level : float, optional
         Instead of the camera's.
     max_relative_sigma : float
@@ -99,26 +141,49 @@ def measure_file(
     Raises
     ------
     InputError
-        The image or the folder cannot be used.
+        The image or the folder cannot be used, or an output is unknown.
+    """
+    measured = measure_first(
+        path, camera, out=out, write=write, black_level=black_level, white_level=white_level,
+        max_relative_sigma=max_relative_sigma, listener=listener, inspect=inspect, caption=caption,
+        depth_range_mm=depth_range_mm,
+    )  # fmt: skip
+    listener("write")
+    written = measured.write()
+    return Report(written.summary, written.files, measured.frame)
+
+
+def measure_first(
+    path: str | Path,
+    camera: CodedApertureCamera,
+    *,
+    out: str | Path | None = None,
+    write: str | Iterable[str] | None = None,
+    black_level: float | None = None,
+    white_level: float | None = None,
+    max_relative_sigma: float = MAX_RELATIVE_SIGMA,
+    listener: Callable[[str], None] = lambda name: None,
+    inspect: Callable[[np.ndarray], None] = lambda image: None,
+    caption: str = "",
+    depth_range_mm: tuple[float, float] | None = None,
+) -> MeasuredFile:
+    """Measure one image file; `MeasuredFile.write` writes the results. Parameters as `measure_file`.
+
+    Raises
+    ------
+    InputError
+        The image cannot be used, or an output is unknown.
     """
     path = Path(path)
-    folder = path.parent if out is None else Path(out)
+    outputs = chosen_outputs(write, is_calibrated=camera.calibration.is_calibrated)
     clock = StageClock(listener)
     with clock("read"):
-        image = read_capture(path, camera, black_level=black_level, white_level=white_level)
+        image = camera.read(path, black_level=black_level, white_level=white_level)
     inspect(image)
     frame = camera.measure(image, stage=clock)
-    with staged(folder) as stage:
-        with clock("write"):
-            write_maps(stage.path, path.stem, camera, frame, max_relative_sigma=max_relative_sigma)
-            title = f"{path.name}   {camera.calibration.aperture.title}"
-            preview = stage.path(f"{path.stem}.preview.png")
-            write_preview(preview, image, frame, title=title, caption=caption, depth_range_mm=depth_range_mm)
-        summary = summarise(frame, camera, clock.seconds)
-        summary |= {"image": path.name, "max_relative_sigma": max_relative_sigma}
-        write_json(stage.path(f"{path.stem}.json"), summary)
-        names = list(stage.names)
-    return Report(frame, summary, [folder / name for name in names])
+    folder = path.parent if out is None else Path(out)
+    preview = (caption, depth_range_mm)
+    return MeasuredFile(frame, path, folder, outputs, max_relative_sigma, *preview, clock.seconds)
 
 
 def write_maps(
@@ -133,15 +198,9 @@ def write_maps(
 
     ``STEM.depth.tiff`` is whole, beside ``STEM.sigma.tiff``; the PNG and the points are limited by `within_error`.
     """
-    write_float_tiff(target(f"{stem}.disparity.tiff"), frame.disparity_px)
-    write_color_png(target(f"{stem}.color.png"), frame.color)
-    if not camera.calibration.is_calibrated:
-        return
-    write_float_tiff(target(f"{stem}.depth.tiff"), frame.depth_mm)
-    write_float_tiff(target(f"{stem}.sigma.tiff"), frame.sigma_mm)
-    certain_mm = within_error(frame.depth_mm, frame.sigma_mm, max_relative_sigma)
-    write_depth_png(target(f"{stem}.depth.png"), certain_mm)
-    write_ply(target(f"{stem}.ply"), points(camera, certain_mm, frame.color))
+    outputs = chosen_outputs(None, is_calibrated=camera.calibration.is_calibrated)
+    maps = [name for name in outputs if name not in ("preview", "json")]
+    frame_files.write_maps(target, stem, frame, maps, max_relative_sigma=max_relative_sigma)
 
 
 def points(camera: CodedApertureCamera, depth_mm: np.ndarray, color: np.ndarray) -> PointCloud:
@@ -149,24 +208,3 @@ def points(camera: CodedApertureCamera, depth_mm: np.ndarray, color: np.ndarray)
     lens, delta = camera.calibration.lens, camera.calibration.depth[camera.config.quality].sensor_to_pupil_mm
     matrix, distortion = lens.camera_matrix, lens.distortion
     return depth_to_points(depth_mm, color, camera_matrix=matrix, distortion=distortion, sensor_to_pupil_mm=delta)
-
-
-def summarise(frame: DepthFrame, camera: CodedApertureCamera, seconds: dict[str, float]) -> dict[str, Any]:
-    """Collect the figures of one frame, units in the names."""
-    known, sigma = np.isfinite(frame.disparity_px), frame.sigma_mm[np.isfinite(frame.sigma_mm)]
-    return {
-        "fill_rate": float((frame.valid if camera.calibration.is_calibrated else known).mean()),
-        "disparity_percentiles_px": _percentiles(frame.disparity_px),
-        "depth_percentiles_mm": _percentiles(frame.depth_mm),
-        "sigma_median_mm": float(np.median(sigma)) if sigma.size else None,
-        "seconds": {name: round(value, 4) for name, value in seconds.items()},
-        "config": dataclasses.asdict(camera.config),
-        "camera": camera.calibration.summary(),
-    }
-
-
-def _percentiles(values: np.ndarray) -> dict[str, float] | None:
-    known = values[np.isfinite(values)]
-    if known.size == 0:
-        return None
-    return {str(p): float(v) for p, v in zip(_PERCENTILES, np.percentile(known, _PERCENTILES), strict=True)}

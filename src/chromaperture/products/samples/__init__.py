@@ -3,9 +3,39 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from chromaperture.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from chromaperture.camera import CodedApertureCamera
+    from chromaperture.config import Quality
 
 SAMPLES = ("still_life_cy_halves", "still_life_cy_open")
 _HERE = Path(__file__).parent
+
+
+def samples() -> tuple[str, ...]:
+    """List the captures that come with the package, for `open_sample`."""
+    return SAMPLES
+
+
+def open_sample(name: str = SAMPLES[0], *, quality: Quality = "real-time") -> tuple[CodedApertureCamera, np.ndarray]:
+    """Open a bundled capture: its camera, and the photograph as linear RGB, (H, W, 3) float32.
+
+    Raises
+    ------
+    InputError
+        There is no such capture.
+    """
+    from chromaperture.camera import load_camera
+
+    if name not in SAMPLES:
+        raise InputError(f"no sample {name!r}: choose {', '.join(SAMPLES)}")
+    camera = load_camera(sample_camera(name), quality=quality)
+    return camera, camera.read(sample_image(name))
 
 
 def sample_image(name: str) -> Path:

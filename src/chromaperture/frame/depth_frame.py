@@ -1,0 +1,143 @@
+"""The result of a measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from chromaperture.camera_file import Calibration
+from chromaperture.config import Config
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
+from chromaperture.depth.pointcloud import PointCloud, depth_to_points
+from chromaperture.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, repr=False)
+class DepthFrame:
+    """What is measured from one photograph, every map in the view of the pupil's centre; (H, W) arrays.
+
+    Attributes
+    ----------
+    depth_mm, sigma_mm : float32, mm
+        Distance from the sensor plane along the axis and its standard deviation; NaN unknown.
+    disparity_px, disparity_sigma_px : float32, px
+        Signed half disparity, 0 in focus, + beyond, and its standard deviation; NaN unknown.
+    confidence : float32 in [0, 1]
+    color : (H, W, 3) float32
+        Linear RGB with the channels aligned and white balanced.
+    image : (H, W, 3) float32, optional
+        The photograph, linear RGB, channels not aligned.
+    calibration, config : Calibration and Config, optional
+        Of the camera that measured; None in a frame that was put together from arrays.
+    """
+
+    depth_mm: np.ndarray
+    sigma_mm: np.ndarray
+    disparity_px: np.ndarray
+    disparity_sigma_px: np.ndarray
+    confidence: np.ndarray
+    color: np.ndarray
+    image: np.ndarray | None = None
+    calibration: Calibration | None = None
+    config: Config | None = None
+
+    @property
+    def valid(self) -> np.ndarray:
+        """(H, W) bool: where the depth is known."""
+        return np.isfinite(self.depth_mm)
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether the camera that measured this frame is known and gives depth in mm."""
+        return self.calibration is not None and self.config is not None and self.calibration.is_calibrated
+
+    def points(self, *, max_relative_sigma: float = MAX_RELATIVE_SIGMA) -> PointCloud:
+        """Return the coloured points, in mm: origin at the entrance pupil, x right, y down, z forward.
+
+        Parameters
+        ----------
+        max_relative_sigma : float
+            Largest sigma / depth; points carry no error bar. See `within_error`.
+
+        Raises
+        ------
+        InputError
+            The frame has no depth in mm, or was put together without its camera.
+        """
+        if self.calibration is None or self.config is None or not self.calibration.is_calibrated:
+            raise InputError("points need a frame of a calibrated camera; make one with 'chromaperture calibrate'")
+        lens, depth = self.calibration.lens, self.calibration.depth[self.config.quality]
+        return depth_to_points(
+            within_error(self.depth_mm, self.sigma_mm, max_relative_sigma),
+            self.color,
+            camera_matrix=lens.camera_matrix,
+            distortion=lens.distortion,
+            sensor_to_pupil_mm=depth.sensor_to_pupil_mm,
+        )
+
+    def save(
+        self,
+        target: str | Path,
+        *,
+        write: str | Iterable[str] | None = None,
+        max_relative_sigma: float = MAX_RELATIVE_SIGMA,
+    ) -> list[Path]:
+        """Write the files that ``chromaperture depth`` writes, all or none.
+
+        Parameters
+        ----------
+        target : str or Path
+            ``results/photo`` writes ``results/photo.depth.tiff`` and so on; a folder that exists gets ``frame.*``.
+        write : str or iterable of str, optional
+            Which, such as ``"depth,sigma"``; see `OUTPUTS`. All that the camera can give when absent.
+        max_relative_sigma : float
+            Largest sigma / depth in what carries no error bar: ``depth-png`` and ``ply``.
+
+        Returns
+        -------
+        list of Path
+            The files.
+
+        Raises
+        ------
+        InputError
+            An unknown name, depth in mm of a camera without calibration, or a folder that cannot be written.
+        """
+        from chromaperture.frame.frame_files import save
+
+        return save(self, Path(target), write=write, max_relative_sigma=max_relative_sigma)
+
+    def show(self) -> Figure:
+        """Draw photograph, depth with a colour bar in mm, and error bar, in a window or a notebook."""
+        from chromaperture.frame.figure import show
+
+        return show(self)
+
+    def to_open3d(self, *, max_relative_sigma: float = MAX_RELATIVE_SIGMA) -> Any:
+        """Return the points as ``open3d.geometry.PointCloud``, in metres; needs the extra ``reconstruct``."""
+        from chromaperture.frame.bridges import to_open3d
+
+        return to_open3d(self.points(max_relative_sigma=max_relative_sigma))
+
+    def to_xarray(self) -> Any:
+        """Return all maps as ``xarray.Dataset`` with the dimensions y, x, units in the attributes; needs xarray."""
+        from chromaperture.frame.bridges import to_xarray
+
+        return to_xarray(self)
+
+    def __repr__(self) -> str:
+        from chromaperture.frame.summary import one_line
+
+        return f"DepthFrame({one_line(self)})"
+
+    def _repr_html_(self) -> str:
+        from chromaperture.frame.notebook import html
+
+        return html(self)

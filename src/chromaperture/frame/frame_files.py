@@ -1,0 +1,135 @@
+"""The files of one frame, each with a name by which it can be chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
+from chromaperture.depth.pointcloud import write_ply
+from chromaperture.errors import InputError
+from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.frame.summary import summarise
+from chromaperture.storage import staged, write_color_png, write_depth_png, write_float_tiff, write_json
+from chromaperture.threads import parallel_map
+
+
+@dataclass(frozen=True)
+class Output:
+    """One kind of file: how its name ends, and whether it needs depth in mm."""
+
+    suffix: str
+    needs_depth: bool = False
+
+
+OUTPUTS = {
+    "depth": Output(".depth.tiff", needs_depth=True),
+    "sigma": Output(".sigma.tiff", needs_depth=True),
+    "disparity": Output(".disparity.tiff"),
+    "depth-png": Output(".depth.png", needs_depth=True),
+    "color": Output(".color.png"),
+    "ply": Output(".ply", needs_depth=True),
+    "preview": Output(".preview.png"),
+    "json": Output(".json"),
+}
+
+
+def chosen_outputs(write: str | Iterable[str] | None, *, is_calibrated: bool = True) -> tuple[str, ...]:
+    """Check names of outputs; returns them in the order of `OUTPUTS`.
+
+    Parameters
+    ----------
+    write : str or iterable of str, optional
+        Names, in one text with commas between them or one by one; all that the camera can give when None.
+    is_calibrated : bool
+        Whether the camera gives depth in mm.
+
+    Raises
+    ------
+    InputError
+        An unknown name, none, or one that needs depth in mm.
+    """
+    possible = [name for name, output in OUTPUTS.items() if is_calibrated or not output.needs_depth]
+    if write is None:
+        return tuple(possible)
+    names = [name.strip() for name in (write.split(",") if isinstance(write, str) else write)]
+    unknown = [name for name in names if name not in OUTPUTS]
+    if unknown or not names:
+        raise InputError(f"cannot write {', '.join(unknown) or 'nothing'}: choose from {', '.join(OUTPUTS)}")
+    impossible = [name for name in names if name not in possible]
+    if impossible:
+        raise InputError(
+            f"{', '.join(impossible)} cannot be written without a calibrated camera; choose from {', '.join(possible)}"
+        )
+    return tuple(name for name in OUTPUTS if name in names)
+
+
+def write_maps(
+    target: Callable[[str], Path],
+    stem: str,
+    frame: DepthFrame,
+    outputs: Iterable[str],
+    *,
+    max_relative_sigma: float = MAX_RELATIVE_SIGMA,
+    title: str = "",
+    caption: str = "",
+    depth_range_mm: tuple[float, float] | None = None,
+) -> None:
+    """Write the chosen files of a frame but its JSON, several at a time.
+
+    Parameters
+    ----------
+    target : callable
+        From a file's final name to the path to write to.
+    stem : str
+        What the names begin with.
+    frame : DepthFrame
+    outputs : iterable of str
+        From `chosen_outputs`.
+    max_relative_sigma : float
+        Largest sigma / depth of ``depth-png`` and ``ply``; the TIFF files are whole.
+    title, caption : str
+        Of the preview.
+    depth_range_mm : (float, float), optional
+        Ends of the preview's colour bar.
+    """
+
+    def write(job: tuple[str, Path]) -> None:
+        name, path = job
+        match name:
+            case "depth":
+                write_float_tiff(path, frame.depth_mm)
+            case "sigma":
+                write_float_tiff(path, frame.sigma_mm)
+            case "disparity":
+                write_float_tiff(path, frame.disparity_px)
+            case "depth-png":
+                write_depth_png(path, within_error(frame.depth_mm, frame.sigma_mm, max_relative_sigma))
+            case "color":
+                write_color_png(path, frame.color)
+            case "ply":
+                write_ply(path, frame.points(max_relative_sigma=max_relative_sigma))
+            case "preview":
+                from chromaperture.frame.preview import write_preview
+
+                texts = {"title": title or stem, "caption": caption}
+                write_preview(path, frame.image, frame, depth_range_mm=depth_range_mm, **texts)
+
+    jobs = [(name, target(stem + OUTPUTS[name].suffix)) for name in outputs if name != "json"]
+    parallel_map(write, jobs)
+
+
+def save(
+    frame: DepthFrame, target: Path, *, write: str | Iterable[str] | None, max_relative_sigma: float
+) -> list[Path]:
+    """Write the files of a frame, see `DepthFrame.save`."""
+    folder, stem = (target, "frame") if target.is_dir() else (target.parent, target.name)
+    outputs = chosen_outputs(write, is_calibrated=frame.is_calibrated)
+    with staged(folder) as stage:
+        write_maps(stage.path, stem, frame, outputs, max_relative_sigma=max_relative_sigma)
+        if "json" in outputs:
+            summary = summarise(frame, {}) | {"max_relative_sigma": max_relative_sigma}
+            write_json(stage.path(stem + OUTPUTS["json"].suffix), summary)
+        names = list(stage.names)
+    return [folder / name for name in names]
