@@ -34,8 +34,8 @@ def demo(
     from chromaperture.camera import load_camera
     from chromaperture.cli.console import announce_compilation, announce_duration, print_json, print_reports, progress
     from chromaperture.cli.console import out as console
-    from chromaperture.products.measure_file import measure_file
     from chromaperture.frame.preview import middle_range
+    from chromaperture.products.measure_file import measure_file
     from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 
     announce_compilation(quiet=quiet)
