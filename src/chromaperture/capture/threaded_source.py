@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Protocol, Self
 
+import numpy as np
+
 from chromaperture.capture.source import Event, Frame, Listener, log_event, steady
 from chromaperture.errors import ChromapertureError, InputError
 
@@ -84,11 +86,15 @@ class LiveSource:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.stop()
+        if self._thread is not None:
+            self._thread.join(timeout=10)  # s: do not wait for a driver that hangs
+
+    def stop(self) -> None:
+        """End the stream for a reader that waits for a frame; from any thread."""
         self._leave.set()
         with self._ready:
             self._ready.notify_all()
-        if self._thread is not None:
-            self._thread.join(timeout=10)  # s: do not wait for a driver that hangs
 
     def __iter__(self) -> Iterator[Frame]:
         yield from steady(self._newest(), self._listener)
@@ -109,16 +115,21 @@ class LiveSource:
         try:
             device = self._connect()
             self._opened.set()
-            index, last = 0, time.monotonic()
+            index, last, is_whole = 0, time.monotonic(), True
             while device is not None and not self._leave.is_set():
                 try:
                     frame = device.read(index)
                     if frame is not None:
-                        self._put(frame)
+                        was_whole, is_whole = is_whole, is_picture(frame.counts)
+                        if is_whole:
+                            self._put(frame)
+                        elif was_whole:
+                            event = Event("skipped", f"{self.name}: frame {index} is no colour picture; it is left out")
+                            self._listener(event)
                         index, last = index + 1, time.monotonic()
                     elif time.monotonic() - last > self._silence_s:
                         raise DeviceLostError(f"no frame for {self._silence_s:g} s")
-                except DeviceLostError as lost:
+                except (DeviceLostError, OSError) as lost:
                     self._listener(Event("lost", f"{self.name} is gone ({lost}); looking for it again"))
                     device.close()
                     device = self._reconnected()
@@ -139,7 +150,7 @@ class LiveSource:
         while not self._leave.wait(self._retry_s):
             try:
                 device = self._connect()
-            except ChromapertureError:
+            except (ChromapertureError, OSError):
                 continue
             self._listener(Event("reconnected", f"{self.name} is back"))
             return device
@@ -150,6 +161,11 @@ class LiveSource:
             self.dropped += self._slot is not None
             self._slot = frame
             self._ready.notify()
+
+
+def is_picture(counts: np.ndarray) -> bool:
+    """Find whether a driver delivered what every stage expects: (H, W, 3), not empty, unsigned counts or float."""
+    return counts.ndim == 3 and counts.shape[2] == 3 and counts.size > 0 and counts.dtype.kind in "uf"
 
 
 def not_there(what: str, hint: str) -> InputError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import socket
 import time
@@ -24,6 +25,7 @@ from chromaperture.cli.options import (
 )
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.viewer.free_space import RESERVE_BYTES
+from chromaperture.viewer.watchdog import WATCHDOG_S, Watchdog
 
 if TYPE_CHECKING:
     from chromaperture.viewer.loop import LiveLoop
@@ -54,6 +56,9 @@ def live(
     keep_free_gb: Annotated[
         float, typer.Option(min=0, help="GiB of the disk that recordings and snapshots leave free.")
     ] = RESERVE_BYTES / 2**30,
+    watchdog_seconds: Annotated[
+        float, typer.Option(help="Name a stage that has not finished for so long, and go on; inf: never.")
+    ] = WATCHDOG_S,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -76,9 +81,26 @@ def live(
     announce_compilation(quiet=quiet)
     began = time.monotonic()
     levels = {"black_level": black_level, "white_level": white_level}
-    with open_stream(source, calibration=eye.calibration, **levels) as stream:
-        reserve = int(keep_free_gb * 2**30)
-        loop = LiveLoop(stream, eye, track=model, config=config, listener=say_warning, reserve_bytes=reserve)
+    loops: list[LiveLoop] = []  # none while the source is being opened
+
+    def say(line: str) -> None:
+        (loops[0].say_rarely if loops else say_warning)(line)
+
+    stream = open_stream(source, calibration=eye.calibration, say=say, **levels)
+    watchdog = Watchdog(watchdog_seconds, listener=say)
+    with watchdog, contextlib.ExitStack() as opened:
+        with watchdog.stage("source"):  # a driver may hang at once
+            opened.enter_context(stream)
+        loop = LiveLoop(
+            stream,
+            eye,
+            track=model,
+            config=config,
+            listener=say_warning,
+            reserve_bytes=int(keep_free_gb * 2**30),
+            watchdog=watchdog,
+        )
+        loops.append(loop)
         limits = {"max_relative_sigma": max_relative_sigma}
         shown = LivePage(loop, host=host, port=port, out=out, **limits) if page else None
         if shown is not None:  # with --quiet too: without its token nobody can open the page

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from chromaperture.cli.options import BlackLevel, Frames, Json, Quiet, Seconds, WhiteLevel
+
+if TYPE_CHECKING:
+    from chromaperture.capture.source import Source
 
 
 def record(
@@ -40,6 +46,7 @@ def record(
         open_stream(source, calibration=calibration, black_level=black_level, white_level=white_level) as stream,
         Recorder(out, source=source) as recorder,
         progress(quiet=quiet) as update,
+        _stopping(stream, seconds),
     ):
         try:
             for frame in stream:
@@ -55,3 +62,20 @@ def record(
     elif not quiet:
         lost = f", {dropped} came too fast for the disk" if dropped else ""
         typer.echo(f"Recorded {count} frames{lost} to {out}; open it with replay:{out}")
+
+
+@contextlib.contextmanager
+def _stopping(stream: Source, seconds: float | None) -> Iterator[None]:
+    """End a live stream at its time although no frame comes."""
+    from chromaperture.capture.threaded_source import LiveSource
+
+    if seconds is None or not isinstance(stream, LiveSource):
+        yield
+        return
+    timer = threading.Timer(seconds, stream.stop)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

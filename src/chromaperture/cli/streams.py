@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from chromaperture.camera_file import Calibration
 from chromaperture.capture.open import open_source
 from chromaperture.capture.source import Source
@@ -14,12 +16,16 @@ def open_stream(
     calibration: Calibration | None = None,
     black_level: float | None = None,
     white_level: float | None = None,
+    say: Callable[[str], None] = say_warning,
 ) -> Source:
-    """Create a source whose events are printed as warnings; levels override those of the camera and of the file."""
+    """Create a source whose events are printed as warnings; levels override those of the camera and of the file.
+
+    ``say`` receives the events instead, from the thread of the source.
+    """
     sensor = None if calibration is None else calibration.sensor
     return open_source(
         source,
-        listener=lambda event: say_warning(event.message),
+        listener=lambda event: say(event.message),
         camera_levels=None if sensor is None else (sensor.black_level, sensor.white_level),
         black_level=black_level,
         white_level=white_level,

@@ -27,10 +27,14 @@ from chromaperture.reconstruction.fusion import Placed, Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.volume import Mesh, open3d
 from chromaperture.viewer.free_space import RESERVE_BYTES, require_space
+from chromaperture.viewer.notices import RareNotices
+from chromaperture.viewer.old_submaps import forget_old
 from chromaperture.viewer.slots import Meter, Slot
 from chromaperture.viewer.trail import Trail
+from chromaperture.viewer.watchdog import Watchdog
 
 STAGES = ("capture", "depth", "tracking", "view")
+_JOIN_S = 30.0  # for all stages together when the loop ends, then for a recording: a slow frame and disk; by hand
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,8 @@ class LiveLoop:
         Interval of meshes of the growing model while a browser is connected.
     reserve_bytes : int
         What recordings leave free of the disk.
+    watchdog : Watchdog, optional
+        Entered by the caller. By default nothing is said about a stage that hangs.
 
     Attributes
     ----------
@@ -77,11 +83,13 @@ class LiveLoop:
         listener: Callable[[str], None] = lambda line: None,
         mesh_every_s: float = 5.0,
         reserve_bytes: int = RESERVE_BYTES,
+        watchdog: Watchdog | None = None,
     ) -> None:
         if track:
             open3d()
         self.source, self.camera, self.reserve_bytes = source, camera, reserve_bytes
-        self.latest, self._listener = "", listener
+        self.latest, self._listener, self._rarely = "", listener, RareNotices(listener)
+        self.watchdog = watchdog or Watchdog()
         self.meters = {name: Meter() for name in STAGES}
         self.paused, self.over = threading.Event(), threading.Event()
         self.want_mesh = threading.Event()
@@ -98,6 +106,7 @@ class LiveLoop:
         self._starting = threading.Lock()  # two clicks at once start one recording
         self._threads: list[threading.Thread] = []
         self.recorded = 0
+        self.unused = 0  # frames that could not be measured
         self.failure: BaseException | None = None
 
     def __enter__(self) -> Self:
@@ -118,14 +127,23 @@ class LiveLoop:
         self.stop_recording()
         with contextlib.suppress(Exception):
             self.source.__exit__(None, None, None)  # wakes a stage waiting for a frame
+        end = time.monotonic() + _JOIN_S
         for thread in self._threads:
-            thread.join(timeout=30)
+            thread.join(timeout=max(0.0, end - time.monotonic()))
+        for thread in self._threads:
+            if thread.is_alive():
+                self.say(f"the stage {thread.name} did not end within {_JOIN_S:.0f} s and is left behind")
         self.over.set()
 
     def say(self, line: str) -> None:
         """Hand the user a message, and keep it for the page."""
         self.latest = line
         self._listener(line)
+
+    def say_rarely(self, line: str) -> None:
+        """Keep a message for the page, and hand the user one a minute of its kind: it may recur with every frame."""
+        self.latest = line
+        self._rarely(line)
 
     @property
     def recording(self) -> bool:
@@ -153,16 +171,19 @@ class LiveLoop:
         try:
             with Recorder(folder, source=self.source.name) as recorder:
                 while (frame := slot.take()) is not None:
-                    try:
-                        require_space(folder, frame.counts.nbytes, self.reserve_bytes)
-                    except InputError as error:
-                        self.say(f"recording stopped, {recorder.count} frames are safe in {folder}: {error}")
-                        return
-                    recorder.write(frame)
+                    with self.watchdog.stage("record"):
+                        try:
+                            require_space(folder, frame.counts.nbytes, self.reserve_bytes)
+                        except InputError as error:
+                            self.say(f"recording stopped, {recorder.count} frames are safe in {folder}: {error}")
+                            return
+                        recorder.write(frame)
                     self.recorded = recorder.count
             self.say(f"recorded {recorder.count} frames to {folder}, {slot.replaced} came too fast")
         except ChromapertureError as error:
             self.say(str(error))
+        except Exception as error:  # of one frame, or of the disk: the loop goes on
+            self.say(f"recording stopped, {self.recorded} frames are safe in {folder}: {one_line(error)}")
         finally:
             slot.close(drop=True)
 
@@ -171,7 +192,7 @@ class LiveLoop:
         if self._to_disk is not None:
             self._to_disk.close()
         if self._recorder is not None:
-            self._recorder.join(timeout=30)
+            self._recorder.join(timeout=_JOIN_S)
         self._to_disk = None
 
     def figures(self) -> dict[str, Any]:
@@ -179,6 +200,12 @@ class LiveLoop:
         slots = (self._to_depth, self._to_track, self.to_view)
         dropped = (getattr(self.source, "dropped", 0), *(slot.replaced for slot in slots))
         return {name: self.meters[name].summary() | {"dropped": n} for name, n in zip(STAGES, dropped, strict=True)}
+
+    @property
+    def queued(self) -> int:
+        """Items that wait between two stages."""
+        slots = (self._to_depth, self._to_track, self.to_view, self._to_disk)
+        return sum(len(slot) for slot in slots if slot is not None)
 
     def _guarded(self, work: Callable[[], None]) -> None:
         try:
@@ -194,32 +221,31 @@ class LiveLoop:
         meter, stream = self.meters["capture"], iter(self.source)
         while not self._leave.is_set():
             start = time.monotonic()
-            frame = next(stream, None)
+            with self.watchdog.stage("source"):
+                frame = next(stream, None)
             if frame is None:
                 break
             while self.paused.is_set() and not self.source.live and not self._leave.is_set():
                 time.sleep(0.05)
             arrived = time.monotonic()
             meter.record(arrived - start, 0.0)
-            if self._to_disk is not None:
-                self._to_disk.put(frame)
+            if (to_disk := self._to_disk) is not None:  # a click may end the recording meanwhile
+                to_disk.put(frame)
             if not self.paused.is_set():
                 self._to_depth.put((arrived, frame), patient=not self.source.live)
         self._to_depth.close()
 
     def _depth(self) -> None:
-        reported = ""
         while (item := self._to_depth.take()) is not None:
             start = time.monotonic()
             arrived, frame = item
             try:
-                measurement = self.camera.measure(frame.image)
-            except ChromapertureError as error:
-                if str(error) != reported:  # once, not for every frame
-                    self.say(f"frame {frame.index}: {error}")
-                reported = str(error)
+                with self.watchdog.stage("measure"):
+                    measurement = self.camera.measure(frame.image)
+            except Exception as error:  # of this frame, whatever it holds; the next may be in order
+                self.say_rarely(f"frame {frame.index}: {one_line(error)}")
+                self.unused += 1
                 continue
-            reported = ""
             measured = Measured(arrived, frame, measurement)
             now = time.monotonic()
             self.meters["depth"].record(now - start, now - arrived)
@@ -231,23 +257,29 @@ class LiveLoop:
             self._finish()
 
     def _tracking(self) -> None:
-        model = Reconstruction(self.camera.calibration.lens.camera_matrix, self.config, listener=self.say)
+        model = Reconstruction(self.camera.calibration.lens.camera_matrix, self.config, listener=self.say_rarely)
         self.model = model
         to_view = undistorter(self.camera)
         meshed, root = time.monotonic(), 0
         while (item := self._to_track.take()) is not None:
             start = time.monotonic()
-            view = to_view(item.measurement, item.frame.time_s, item.frame.index)
-            self.placed = placed = model.in_root(model.add(view))
-            del model.placed[:-1]  # memory: the path below is thinned
-            if placed.pose is not None and placed.submap != root:  # another world frame
-                root, self.trail = placed.submap, Trail()
-            if placed.pose is not None:
-                self.trail.add(placed.pose[:3, 3])
-            if self.want_mesh.is_set() and start - meshed > self._mesh_every_s and model.current is not None:
-                self.mesh, meshed = model.mesh(model.current.root), start
-                self.want_mesh.clear()
-                trim_memory()
+            with self.watchdog.stage("track"):
+                try:
+                    view = to_view(item.measurement, item.frame.time_s, item.frame.index)
+                    self.placed = placed = model.in_root(model.add(view))
+                except Exception as error:  # of this frame
+                    self.say_rarely(f"frame {item.frame.index}: {one_line(error)}")
+                    continue
+                del model.placed[:-1]  # memory: the path below is thinned
+                forget_old(model, self.config.memory_mb * 2**20, listener=self.say_rarely)
+                if placed.pose is not None and placed.submap != root:  # another world frame
+                    root, self.trail = placed.submap, Trail()
+                if placed.pose is not None:
+                    self.trail.add(placed.pose[:3, 3])
+                if self.want_mesh.is_set() and start - meshed > self._mesh_every_s and model.current is not None:
+                    self.mesh, meshed = model.mesh(model.current.root), start
+                    self.want_mesh.clear()
+                    trim_memory()
             now = time.monotonic()
             self.meters["tracking"].record(now - start, now - item.arrived)
         if model.current is not None:
@@ -257,6 +289,12 @@ class LiveLoop:
     def _finish(self) -> None:
         self.to_view.close()
         self.over.set()
+
+
+def one_line(error: BaseException) -> str:
+    """Return the message of an error; its kind too, unless it was written for the user."""
+    text = " ".join(str(error).split())
+    return text if text and isinstance(error, ChromapertureError) else f"{type(error).__name__}: {text}".rstrip(": ")
 
 
 def trim_memory() -> None:

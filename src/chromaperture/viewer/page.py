@@ -32,6 +32,8 @@ _REFOCUS_REST = 3.0  # pause after a refocused picture, in units of its duration
 _MIN_PERIOD_S = 0.1  # shortest interval of two pages
 # CSS pixels, chosen by hand: at 1400 x 900 both panels show all they hold, and the scene has half of the width.
 _PICTURES_WIDTH, _CONTROLS_WIDTH = 400, 320
+_STATE_EVERY_S = 1.0  # pause between two states of a page without frames, chosen by hand: it counts seconds
+_LOOK_S = 0.2  # between two looks at ``until`` while no frame comes, chosen by hand
 _SNAPSHOT_BYTES_PX = 48  # at most: three float maps, two PNG without compression, a point of 27 bytes
 
 
@@ -57,7 +59,6 @@ class LivePage:
         facts = loop.camera.calibration.summary()
         self.limits = ControlLimits.of_camera(facts["near_mm"], facts["far_mm"], max_relative_sigma)
         self._refocuser, self._refocus_at = refocuser(loop.camera), 0.0
-        self._failures: set[str] = set()
         self._writing = threading.Lock()
         self.access = Access(host)
         self.server = serve(self.access, port, listener=loop.say)
@@ -66,6 +67,9 @@ class LivePage:
         self.scene.look_at(self.limits.focus.initial)
         self._looked, self._depth_line = False, ""
         self._build()
+        self._handled, self._closed = time.monotonic(), threading.Event()
+        self._states = threading.Thread(target=self._keep_state, name="page state", daemon=True)
+        self._states.start()
 
     def _build(self) -> None:
         gui = self.server.gui
@@ -94,15 +98,16 @@ class LivePage:
 
     def _build_buttons(self) -> None:
         gui = self.server.gui
-        self.record, pause, shot = gui.add_button("record"), gui.add_button("pause"), gui.add_button("snapshot")
+        self.record, self.pause = gui.add_button("record"), gui.add_button("pause")
+        self.shot = gui.add_button("snapshot")
 
-        @pause.on_click
+        @self.pause.on_click
         def _(event: Any) -> None:
             paused = self.loop.paused
             (paused.clear if paused.is_set() else paused.set)()
-            pause.label = "go on" if paused.is_set() else "pause"
+            self.pause.label = "go on" if paused.is_set() else "pause"
 
-        @shot.on_click
+        @self.shot.on_click
         def _(event: Any) -> None:
             self._attempt(self.snapshot)
 
@@ -157,17 +162,23 @@ class LivePage:
     def run(self, *, until: Callable[[], bool] = lambda: False) -> None:
         """Show frames until the loop ends or ``until`` returns true; nothing is drawn while no browser is connected.
 
-        What cannot be drawn is left out and said, on the page too; each different message once.
+        What cannot be drawn is left out and said, on the page too; each different message once a minute.
         """
-        meter = self.loop.meters["view"]
-        while not until() and (item := self.loop.to_view.take()) is not None:
+        meter, to_view = self.loop.meters["view"], self.loop.to_view
+        while not until():
+            if not to_view.wait(_LOOK_S):  # paused, or the source stalls
+                continue
+            if (item := to_view.take()) is None:
+                return
             start = time.monotonic()
             self.last = item
             if self.server.get_clients():
                 try:
-                    self.show(item)
+                    with self.loop.watchdog.stage("draw"):
+                        self.show(item)
                 except Exception as error:  # nothing that a browser sends or a frame holds may end the loop
                     self._report(error)
+                self._handled = time.monotonic()
                 self.loop.want_mesh.set()
             now = time.monotonic()
             meter.record(now - start, now - item.arrived)
@@ -177,9 +188,14 @@ class LivePage:
         line = f"this frame could not be drawn: {_line(error)}"
         with contextlib.suppress(Exception):  # the page itself may be what fails
             self.state.content = _escaped(line)
-        if line not in self._failures:
-            self._failures.add(line)
-            self.loop.say(line)
+        self.loop.say_rarely(line)
+
+    def _keep_state(self) -> None:
+        """Show messages and the stage that hangs although no frame is drawn."""
+        while not self._closed.wait(_STATE_EVERY_S):
+            if self.server.get_clients() and time.monotonic() - self._handled >= _STATE_EVERY_S:
+                with contextlib.suppress(Exception):  # as for a frame; the next one says so
+                    self._show_state()
 
     def show(self, item: Measured) -> None:
         """Show one frame and the state of the model."""
@@ -218,7 +234,8 @@ class LivePage:
         self.record.label = "stop recording" if self.loop.recording else "record"
         tracking = tracking_line(self.loop.placed) if self.loop.track else ""
         recorded = f"{self.loop.recorded} frames recorded" if self.loop.recorded else ""
-        lines = (tracking, self._depth_line, recorded, _escaped(self.loop.latest))
+        hanging = [f"**{_escaped(line)}**" for line in self.loop.watchdog.hanging()]
+        lines = (*hanging, tracking, self._depth_line, recorded, _escaped(self.loop.latest))
         self.state.content = "\n\n".join(line for line in lines if line)
         rows = ["| stage | 1/s | ms | behind | lost |", "| --- | ---: | ---: | ---: | ---: |"]
         for name, stage in self.loop.figures().items():
@@ -228,6 +245,8 @@ class LivePage:
 
     def close(self) -> None:
         """Stop serving."""
+        self._closed.set()
+        self._states.join()
         with contextlib.redirect_stdout(io.StringIO()):  # viser says that it stopped
             self.server.stop()
 

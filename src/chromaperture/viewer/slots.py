@@ -37,6 +37,14 @@ class Slot(Generic[T]):
             self._change.notify_all()
             return item
 
+    def wait(self, timeout_s: float) -> bool:
+        """Wait so long at most for an item or the end; whether `take` would return at once."""
+        with self._change:
+            return self._change.wait_for(lambda: self._item is not None or self._closed, timeout_s)
+
+    def __len__(self) -> int:
+        return int(self._item is not None)
+
     def close(self, *, drop: bool = False) -> None:
         """Accept no more items; the present one can still be taken, unless dropped."""
         with self._change:
