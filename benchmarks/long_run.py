@@ -6,11 +6,11 @@ screen connect, look, press every button, send nonsense, and leave or die withou
 resident memory, open handles (/proc/self/fd), threads, items in the queues, messages kept by the server, objects that
 Python's collector follows.
 
-The first third is warm-up: compilation, pools of threads, caches. A straight line is fitted to the rest. A curve is flat
-when the line grows by no more than LIMITS in that time, or by no more than three standard errors of its growth: what
-comes and goes with browsers scatters without a trend. The standard error is that of a line through the means of 20
-parts, since samples a second apart are not independent. Exit code 1: something is not flat, the loop ended, or frames
-stopped. Without the extra "viewer" the loop runs without the page; --model tracks and builds the model (Open3D);
+The first third is warm-up: compilation, pools of threads, caches. A straight line is fitted to the rest. A curve is
+flat when the line grows by no more than LIMITS in that time, or by no more than three standard errors of its growth:
+what comes and goes with browsers scatters without a trend. The standard error is that of a line through the means of
+20 parts, since samples a second apart are not independent. Exit code 1: something is not flat, the loop ended, or
+frames stopped. Without the extra "viewer" the loop runs without the page; --model tracks and builds the model (Open3D);
 --out FOLDER writes long_run.csv and long_run.png.
 """
 
@@ -68,9 +68,8 @@ def small_camera() -> CodedApertureCamera:
     sensor, lens = whole.sensor, whole.lens
     matrix = lens.camera_matrix.copy()
     matrix[:2, 2] -= (sensor.width_px - WIDTH) / 2, (sensor.height_px - HEIGHT) / 2
-    depth = {
-        name: DepthField.constant(field.on_axis(sensor.width_px, sensor.height_px)) for name, field in whole.depth.items()
-    }
+    size = (sensor.width_px, sensor.height_px)
+    depth = {name: DepthField.constant(field.on_axis(*size)) for name, field in whole.depth.items()}
     small = replace(sensor, width_px=WIDTH, height_px=HEIGHT)
     return CodedApertureCamera(
         replace(whole, sensor=small, lens=replace(lens, camera_matrix=matrix), depth=depth, blur=None)
@@ -175,8 +174,10 @@ class Visitors:
         while not self._leave.wait(self._random.uniform(0.05, 0.3)):
             try:
                 self._step(present)
-            except Exception as error:  # a visitor that fails leaves
+            except Exception as error:  # as one whose nonsense the server hung up on: somebody leaves
                 self.did[f"failed: {type(error).__name__}"] += 1
+                if present:
+                    present.pop().close()
         for connection in present:
             with contextlib.suppress(Exception):
                 connection.close()
@@ -190,7 +191,7 @@ class Visitors:
         elif kind == "leave":
             present.pop(0).close()
         elif kind == "die":
-            present.pop(0).socket.close()
+            present.pop(0).socket.shutdown(socket.SHUT_RDWR)  # its own thread ends, and closes it
         elif kind == "nonsense":
             self._random.choice(present).send(os.urandom(30))
         elif kind == "stranger":  # a scan of the port, which leaves in the middle
@@ -199,12 +200,10 @@ class Visitors:
         elif kind == "slide":
             slider = self._random.choice([page.near, page.far, page.max_sigma, page.focus, page.pupil, page.refocus])
             value = self._random.choice([0, -1, 1e9, "far", None, 1500.0, 30.0, True, False])
-            self._send(self._random.choice(present), "GuiUpdateMessage", uuid=slider._impl.uuid, updates={"value": value})
+            self._press(self._random.choice(present), slider, value)
         elif kind == "click":
             button = self._random.choice([page.record, page.record, page.pause, page.shot])
-            self._send(
-                self._random.choice(present), "GuiUpdateMessage", uuid=button._impl.uuid, updates={"value": True}
-            )
+            self._press(self._random.choice(present), button, True)
             kind = f"click {button.label}"
         else:
             for connection in present:
@@ -223,6 +222,9 @@ class Visitors:
         lens = {"fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 480, "image_width": 640}
         self._send(connection, "ViewerCameraMessage", **view, **lens)
         return connection
+
+    def _press(self, connection: Any, control: Any, value: object) -> None:
+        self._send(connection, "GuiUpdateMessage", uuid=control._impl.uuid, updates={"value": value})
 
     @staticmethod
     def _send(connection: Any, kind: str, **fields: Any) -> None:
@@ -320,7 +322,7 @@ def run(
                 elif int(now) % 10 == 0:
                     loop.paused.clear()  # a visitor may have pressed "pause"
                 rows.append(sample(loop, page, now))
-                for old in sorted(folder.iterdir())[:-1]:  # the newest is being written
+                for old in () if loop.recording else sorted(folder.glob("[!.]*")):
                     shutil.rmtree(old, ignore_errors=True) if old.is_dir() else old.unlink(missing_ok=True)
                 loop.over.wait(sample_s)
             ended_early = loop.over.is_set() or loop.failure is not None

@@ -235,7 +235,8 @@ class LivePage:
         tracking = tracking_line(self.loop.placed) if self.loop.track else ""
         recorded = f"{self.loop.recorded} frames recorded" if self.loop.recorded else ""
         hanging = [f"**{_escaped(line)}**" for line in self.loop.watchdog.hanging()]
-        lines = (*hanging, tracking, self._depth_line, recorded, _escaped(self.loop.latest))
+        latest = "" if hanging else _escaped(self.loop.latest)  # which would be the same line, with fewer seconds
+        lines = (*hanging, tracking, self._depth_line, recorded, latest)
         self.state.content = "\n\n".join(line for line in lines if line)
         rows = ["| stage | 1/s | ms | behind | lost |", "| --- | ---: | ---: | ---: | ---: |"]
         for name, stage in self.loop.figures().items():
