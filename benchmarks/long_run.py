@@ -217,7 +217,8 @@ class Visitors:
         from websockets.sync.client import connect
 
         where = f"ws://127.0.0.1:{self._page.server.get_port()}/{self._page.access.token}"
-        connection = connect(where, subprotocols=[f"viser-v{viser.__version__}"], max_size=None)
+        versions = [f"viser-v{viser.__version__}"]
+        connection = connect(where, subprotocols=versions, max_size=None, close_timeout=0.5)  # s: it may not read
         view = {"wxyz": (1, 0, 0, 0), "position": (0, 0, -1), "look_at": (0, 0, 1), "up_direction": (0, -1, 0)}
         lens = {"fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 480, "image_width": 640}
         self._send(connection, "ViewerCameraMessage", **view, **lens)
