@@ -60,6 +60,7 @@ def distances(rulers_mm):
     return "\n".join(("file,ruler_mm", *rows)) + "\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("files", "word"),
     [
@@ -85,6 +86,7 @@ def test_sessions_that_cannot_be_used_say_why(session, tmp_path, files, word):
         calibrated(copy_with(session, tmp_path, **files))
 
 
+@pytest.mark.slow
 def test_a_board_off_its_ruler_is_named_and_left_out(session, tmp_path):
     rows = distances(r + 260 * (r == 1800) for r in RULERS_MM)
     result = calibrated(copy_with(session, tmp_path, distances__csv=rows))
@@ -103,6 +105,7 @@ def test_boards_on_one_side_of_the_focus_leave_it_weak(calibrated_session):
     assert any("nearer than the focus" in text for text in weaknesses(near, whole.fits))
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_where_it_stopped(session, calibrated_session, tmp_path):
     seen = []
 
@@ -123,6 +126,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(session, calibrated_session
     assert again.calibration.in_focus_mm == pytest.approx(calibrated_session.calibration.in_focus_mm, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_what_was_kept_and_is_damaged_is_measured_again(session, tmp_path):
     calibrated(session, keep_in=tmp_path)
     for path in tmp_path.iterdir():
@@ -131,6 +135,7 @@ def test_what_was_kept_and_is_damaged_is_measured_again(session, tmp_path):
     assert calibrated(session, keep_in=tmp_path).calibration.in_focus_mm == pytest.approx(IN_FOCUS_MM, abs=12)
 
 
+@pytest.mark.slow
 def test_curves_free_at_every_place_stay_near_the_smooth_ones(session, calibrated_session):
     """This world's fields are flat: what is free must find nothing, within what its ridge and boards leave of noise."""
     smooth = calibrated_session.calibration.depth
@@ -142,6 +147,7 @@ def test_curves_free_at_every_place_stay_near_the_smooth_ones(session, calibrate
         assert 0 < np.std(local.infinity_disparity_px) < 2 * sigma
 
 
+@pytest.mark.slow
 def test_the_sensors_noise_is_read_from_the_sheets(session, tmp_path, rng):
     folder = copy_with(session, tmp_path)
     shutil.rmtree(folder / "white")
@@ -157,6 +163,7 @@ def test_the_sensors_noise_is_read_from_the_sheets(session, tmp_path, rng):
     assert any("full well" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_the_camera_file_records_what_made_it(session, calibrated_session, tmp_path):
     folder = copy_with(session, tmp_path)
     made = calibrated(folder, command="chromaperture calibrate 'my session' --no-blur").calibration.provenance

@@ -44,6 +44,7 @@ print(scaled(10), sum(scaled.stats.cache_hits.values()))
     return int(result), from_disk == "1"
 
 
+@pytest.mark.slow
 def test_an_edited_constant_never_runs_old_machine_code(package):
     assert call(package) == (20, False)
     assert call(package) == (20, True)
@@ -51,6 +52,7 @@ def test_an_edited_constant_never_runs_old_machine_code(package):
     assert call(package) == (30, False)
 
 
+@pytest.mark.slow
 def test_a_damaged_file_of_machine_code_is_made_anew(package):
     call(package)
     kept = list((package / "__pycache__").glob("kernel_of_a_test.*.nb?"))
