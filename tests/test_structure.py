@@ -23,9 +23,10 @@ STAGES = {"capture", "color", "disparity", "depth"}
 BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "storage", "camera_file", "camera_matching",
                          "camera_alignment", "camera", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
-COMMON = {"errors", "compilation", "threads", "robust"}
+COMMON = {"errors", "compilation", "threads", "robust", "validation"}
 ALLOWED: dict[str, set[str]] = {
     **{part: set() for part in COMMON},
+    "validation": {"errors"},
     "stage_config": {"errors"},
     "config": {"errors", "stage_config"},
     "optics": set(),  # the forward model shares no code with the estimator that it tests
