@@ -23,6 +23,7 @@ from chromaperture.errors import InputError
 MOST_TOML_BYTES = 65_536
 # On one line: Python's reader takes 0.1 s for a dotted key of 2000 parts, and the square of that for longer ones.
 MOST_DOTS = 2_000
+LARGEST_SIDE = 100_000  # px, of a picture; the widest sensors have 20,000
 _LONGEST_QUOTE = 60  # characters of a value that a message repeats
 
 Number = Annotated[float, Field(ge=-math.inf)]  # infinite or not, but not NaN
@@ -174,6 +175,7 @@ def _explained(error: ValidationError, kind: type[BaseModel] | None = None) -> s
     if first["type"] == "missing":
         return f"{name} is missing"
     expected = first["msg"].replace("Input should be", "must be").replace("Value error, ", "")
+    expected = expected.replace("Tuple should", "the list should").replace(" after validation", "")
     if first["type"] in _EXPECTED:
         expected = f"must be {_EXPECTED[first['type']]}"
     elif "must be" not in expected:

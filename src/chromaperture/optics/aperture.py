@@ -30,8 +30,8 @@ from chromaperture.optics.filters import (
 from chromaperture.optics.shapes import Disc, HalfPlane, Intersection, Shape, Square
 
 _LARGEST_OVERLAP = 1e-3  # of the pupil's area; touching neighbours overlap by less than a row of grid cells
-# Every pair of pieces is tested for overlap: 0.6 s for so many. Coded apertures of other fields have 13 x 13 cells.
-MOST_PIECES = 200
+# 17 ms a piece, most of it to find its area on a grid: 1 s for so many. Designs have two or three.
+MOST_PIECES = 64
 
 
 @dataclass(frozen=True)
