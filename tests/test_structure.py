@@ -35,7 +35,9 @@ ALLOWED: dict[str, set[str]] = {
     "disparity": {"optics", "color", "config", "stage_config"},
     "depth": {"color", "config"},  # works on any disparity map, however it was made
     "storage": {"color"},
-    "camera_file": {"optics", "color", "config", "depth", "storage"},
+    "asdf_input": set(),
+    "camera_tree": set(),
+    "camera_file": {"optics", "color", "config", "depth", "storage", "asdf_input", "camera_tree"},
     "config_file": {"config"},
     "camera_matching": {"camera_file", "color", "config", "disparity"},
     "camera_alignment": {"camera_file", "color", "config", "depth"},
@@ -75,7 +77,7 @@ ONE_WAY = {
 }
 OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "mcap", "mcap_ros2", "imageio"}
 # Import name of a distribution, where the two differ.
-IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
+IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pyyaml": "yaml"}
 
 
 def imported(nodes: Iterator[ast.AST], package: tuple[str, ...]) -> Iterator[str]:

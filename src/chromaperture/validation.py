@@ -83,7 +83,9 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     text = read_text(path, most_bytes=MOST_TOML_BYTES)
     for number, line in enumerate(text.split("\n"), start=1):
         if line.count(".") > MOST_DOTS:
-            raise InputError(f"{quoted(path)}: line {number} has more than {MOST_DOTS} dots: break it into several lines")
+            raise InputError(
+                f"{quoted(path)}: line {number} has more than {MOST_DOTS} dots: break it into several lines"
+            )
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # ValueError: also of numbers with thousands of digits
@@ -188,7 +190,9 @@ def _named(place: list[int | str]) -> str:
     name = ""
     for part in place:
         part = part if isinstance(part, int) or part.isidentifier() else _representation(part)
-        name += f" {part + 1}" if isinstance(part, int) else f"{': ' if name[-1:].isdigit() else '.' * bool(name)}{part}"
+        name += (
+            f" {part + 1}" if isinstance(part, int) else f"{': ' if name[-1:].isdigit() else '.' * bool(name)}{part}"
+        )
     return name.strip()
 
 

@@ -49,7 +49,9 @@ def read_svg_shapes(document: str | bytes) -> list[tuple[str, Shape]]:
         No pupil circle, an unsupported element or path command, a transform, or a document that is too large.
     """
     if len(document) > MOST_SVG_BYTES:
-        raise InputError(f"the aperture drawing has {len(document)} characters, more than {MOST_SVG_BYTES}: simplify it")
+        raise InputError(
+            f"the aperture drawing has {len(document)} characters, more than {MOST_SVG_BYTES}: simplify it"
+        )
     try:
         root = ElementTree.fromstring(document)
     except (ElementTree.ParseError, LookupError, ValueError) as error:  # unknown encodings
@@ -106,7 +108,9 @@ def _numbers(tag: str, attrib: Mapping[str, str], *keys: str) -> list[float]:
     try:
         numbers = [float(attrib.get(key, 0)) for key in keys]
     except ValueError as error:
-        raise InputError(f"a <{tag}> of the drawing has a length that is not a plain number: {quoted(str(error))}") from None
+        raise InputError(
+            f"a <{tag}> of the drawing has a length that is not a plain number: {quoted(str(error))}"
+        ) from None
     if not all(abs(number) <= _LARGEST_UNIT for number in numbers):
         raise InputError(f"a <{tag}> of the drawing has a length that is not finite, or above {_LARGEST_UNIT:g}")
     return numbers
@@ -170,6 +174,8 @@ def _check_grammar(commands: str) -> None:
         each = _NUMBERS[command.upper()]
         whole = len(found) % each == 0 and found if each else not found
         if sum(map(len, found)) != len(text.lstrip()) or not whole:
-            raise InputError(f"a path of the drawing lacks numbers, or has too many, after {command}: {quoted(text[:60])}")
+            raise InputError(
+                f"a path of the drawing lacks numbers, or has too many, after {command}: {quoted(text[:60])}"
+            )
         if count > _MOST_COMMAND_NUMBERS:
             raise InputError(f"a path of the drawing has more than {_MOST_COMMAND_NUMBERS} numbers: simplify it")
