@@ -17,7 +17,7 @@ import asdf
 import numpy as np
 
 from chromaperture.asdf_input import read_tree
-from chromaperture.camera_tree import LARGEST_PIXELS, CameraTree
+from chromaperture.camera_tree import CameraTree
 from chromaperture.color.unmixing import ideal_unmixing, mixing_matrix, unmixing_rows
 from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
@@ -29,7 +29,7 @@ from chromaperture.optics.aperture import Aperture, design_named
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.pinhole import centered_pinhole
 from chromaperture.storage import staged
-from chromaperture.validation import checked, quoted
+from chromaperture.validation import MOST_PIXELS, checked, quoted
 
 FORMAT_VERSION = 1
 _ROOT = "chromaperture_camera"
@@ -337,8 +337,8 @@ def _check(calibration: Calibration) -> None:
             raise ValueError(f"{name} must be positive and finite, is {value}")
     if not calibration.depth:
         raise ValueError("no depth curve")
-    if sensor.width_px * sensor.height_px > LARGEST_PIXELS:
-        raise ValueError(f"the sensor has more than {LARGEST_PIXELS} pixels")
+    if sensor.width_px * sensor.height_px > MOST_PIXELS:
+        raise ValueError(f"the sensor has more than {MOST_PIXELS} pixels")
     if not np.array_equal(lens.camera_matrix[2], (0, 0, 1)) or lens.camera_matrix[1, 0] != 0:
         raise ValueError("lens.camera_matrix is not that of a pinhole")
     missing = set(calibration.aperture.views) - set(film.filters)

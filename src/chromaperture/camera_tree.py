@@ -8,7 +8,6 @@ from pydantic import ConfigDict, Field
 
 from chromaperture.validation import LARGEST_SIDE, Finite, Name, NotNegative, Positive, Table
 
-LARGEST_PIXELS = 1_000_000_000  # of the sensor: ten times that of the largest cameras; a map of it has 4 GB
 Side = Annotated[int, Field(gt=0, le=LARGEST_SIDE)]
 Triple = tuple[Finite, Finite, Finite]
 Corners = Annotated[int, Field(gt=2, le=1000)]  # of a side of the chessboard

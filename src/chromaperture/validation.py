@@ -24,6 +24,9 @@ MOST_TOML_BYTES = 65_536
 # On one line: Python's reader takes 0.1 s for a dotted key of 2000 parts, and the square of that for longer ones.
 MOST_DOTS = 2_000
 LARGEST_SIDE = 100_000  # px, of a picture; the widest sensors have 20,000
+# Of a picture: medium-format cameras have 150 megapixels. As linear light in float32 it takes 3 GB.
+MOST_PIXELS = 250_000_000
+MOST_FILE_BYTES = 12 * MOST_PIXELS + 100_000_000  # of a picture's file: three float32 a pixel, and metadata
 _LONGEST_QUOTE = 60  # characters of a value that a message repeats
 
 Number = Annotated[float, Field(ge=-math.inf)]  # infinite or not, but not NaN
@@ -59,7 +62,7 @@ def read_bytes(path: str | Path, *, most_bytes: int) -> bytes:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
                 raise InputError(f"cannot read {quoted(path)}: it is not a regular file; give a file")
-            data = file.read(most_bytes + 1)
+            data = file.read(min(status.st_size, most_bytes) + 1)  # Python reserves what it is asked for
     except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot read {quoted(path)}: {reason}; give a file that can be read") from None

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from chromaperture.calibration.board_distances import check_units
 from chromaperture.camera_file import CameraSensor
-from chromaperture.capture.files import photographs, read_image
+from chromaperture.capture.files import image_size, photographs, read_image
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, design_named
 from chromaperture.validation import (
@@ -58,14 +58,15 @@ class Session:
 
     def read(self, path: Path) -> np.ndarray:
         """Read one photograph of the session as linear light; (H, W, 3) float32."""
-        image = read_image(path, black_level=self.sensor.black_level, white_level=self.sensor.white_level)
-        expected = (self.sensor.height_px, self.sensor.width_px)
-        if image.shape[:2] != expected:
+        expected = (self.sensor.width_px, self.sensor.height_px)
+        width, height = image_size(path)
+        if (width, height) != expected:
             raise InputError(
-                f"{path.name} is {image.shape[1]}x{image.shape[0]} px but session.toml says "
-                f"{expected[1]}x{expected[0]}; correct session.toml or the photograph"
+                f"{path.name} is {width}x{height} px but session.toml says "
+                f"{expected[0]}x{expected[1]}; correct session.toml or the photograph"
             )
-        return image
+        levels = {"black_level": self.sensor.black_level, "white_level": self.sensor.white_level}
+        return read_image(path, size_px=expected, **levels)
 
     @property
     def sheets(self) -> dict[str, Path]:

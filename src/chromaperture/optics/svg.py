@@ -65,7 +65,7 @@ def read_svg_shapes(document: str | bytes) -> list[tuple[str, Shape]]:
     cx, cy, radius = _numbers("circle", pupils[0], "cx", "cy", "r")
     if radius <= 0:
         raise InputError("the pupil circle of the aperture drawing has no radius")
-    shapes = []
+    shapes: list[tuple[str, Shape]] = []
     for tag, attrib in elements:
         if "transform" in attrib:
             raise InputError(f"<{tag}> has a transform: flatten the transforms of the drawing before saving it")

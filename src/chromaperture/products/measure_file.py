@@ -55,7 +55,8 @@ def read_capture(
     """Read an image with the given levels, else the camera's where the file can hold its counts; (H, W, 3) linear."""
     sensor = camera.calibration.sensor
     levels = (sensor.black_level, sensor.white_level) if camera.calibration.is_calibrated else None
-    return linearise(decode(path), black_level=black_level, white_level=white_level, camera_levels=levels)
+    decoded = decode(path, size_px=(sensor.width_px, sensor.height_px))
+    return linearise(decoded, black_level=black_level, white_level=white_level, camera_levels=levels)
 
 
 def measure_file(
