@@ -211,7 +211,8 @@ def png_of(width, height):
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(9))) + chunk(b"IEND", b"")
+    chunks = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(9))) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + chunks
 
 
 def declared(kind, width, height):
@@ -228,7 +229,8 @@ def declared(kind, width, height):
     if kind == "ppm":
         return b"P6\n%d %d\n65535\n" % (width, height) + bytes(99)
     if kind == "bmp":
-        return b"BM" + struct.pack("<IHHIIiiHHIIiiII", 200, 0, 0, 54, 40, width, height, 1, 24, 0, 0, 1, 1, 0, 0) + bytes(99)
+        header = struct.pack("<IHHIIiiHHIIiiII", 200, 0, 0, 54, 40, width, height, 1, 24, 0, 0, 1, 1, 0, 0)
+        return b"BM" + header + bytes(99)
     if kind == "jpeg":
         memory = io.BytesIO()
         Image.new("RGB", (16, 8), (9, 80, 200)).save(memory, "JPEG", subsampling=0)
@@ -243,9 +245,8 @@ def test_the_size_is_read_from_the_header_before_anything_is_decoded(tmp_path, k
     assert image_size(path) == (13_000, 12_000)  # of a file that cannot be decoded
     with pytest.raises(InputError, match=r"13000x12000 px but the camera was calibrated at 720x480"):
         read_image(path, size_px=(720, 480))
-    if kind != "jpeg":  # libjpeg paints what is missing grey
-        with pytest.raises(InputError, match="damaged|not a TIFF"):
-            read_image(path)
+    with pytest.raises(InputError, match=r"damaged|not a TIFF|cut off"):
+        read_image(path)
     path.write_bytes(declared(kind, 40_000, 40_000))
     for read in (read_image, image_size):
         with pytest.raises(InputError, match=r"40000"):
@@ -264,7 +265,7 @@ def test_pictures_without_pixels_are_refused(tmp_path, size):
     for kind in ("tiff", "ppm", "bmp"):
         (tmp_path / "a").write_bytes(declared(kind, *size))
         for read in (read_image, image_size):
-            with pytest.raises(InputError, match="pixel|damaged"):
+            with pytest.raises(InputError, match=r"pixel|damaged"):
                 read(tmp_path / "a")
 
 

@@ -188,7 +188,9 @@ def test_every_number_is_checked(tmp_path, name, value):
 
 
 @pytest.mark.parametrize("array", ["camera_matrix", "distortion", "clear", "cyan", "covariance", "scale_px_mm"])
-@pytest.mark.parametrize("value", ["x", "['1', '2', '3']", "[true, true, true]", "[.nan, 1, 1]", "5", "[[1], [2, 3]]", "{}"])
+@pytest.mark.parametrize(
+    "value", ["x", "['1', '2', '3']", "[true, true, true]", "[.nan, 1, 1]", "5", "[[1], [2, 3]]", "{}"]
+)
 def test_every_array_is_checked(tmp_path, array, value):
     path = tmp_path / "camera.asdf"
     make_calibration().save(path)

@@ -232,7 +232,8 @@ DATA = Path(__file__).parent / "data" / "recordings"
 def test_recordings_of_every_past_format_replay_as_they_were_made(version):
     """Each was made by the release whose format it has, from these numbers."""
     rng, events = np.random.default_rng(5), []
-    with open_source(f"replay:{DATA / f'format_{version}'}", listener=events.append, camera_levels=(16, 1016)) as source:
+    settings = {"listener": events.append, "camera_levels": (16, 1016)}
+    with open_source(f"replay:{DATA / f'format_{version}'}", **settings) as source:
         frames = list(source)
     assert events == []
     assert [f.index for f in frames] == [0, 2, 4, 7, 8]

@@ -1,7 +1,7 @@
 """ASDF files of other people: everything is checked before asdf resolves or allocates anything.
 
-asdf opens what a file names (other files, addresses, devices) and unpacks what it declares. A camera file needs neither:
-its tree is plain YAML and arrays of floats in uncompressed blocks behind it.
+asdf opens what a file names (other files, addresses, devices) and unpacks what it declares. A camera file needs
+neither: its tree is plain YAML and arrays of floats in uncompressed blocks behind it.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def read_tree(path: str | Path) -> dict[str, Any]:
 
 
 def _block_sizes(data: bytes, start: int) -> tuple[list[int], int]:
-    """Return the bytes of every block, and where the last one ends; raises ValueError for blocks that need unpacking."""
+    """Return the bytes of every block, and where the last ends; raises ValueError for blocks that need unpacking."""
     sizes: list[int] = []
     while data[start : start + 4] == _BLOCK:
         (length,) = struct.unpack_from(">H", data[start : start + 6].ljust(6, b"\0"), 4)

@@ -37,8 +37,8 @@ Name = Annotated[str, Field(max_length=200)]  # of a file system: 255 bytes
 _STRICT = ConfigDict(strict=True)  # "1" and true are no numbers
 # How messages call what pydantic expected.
 _EXPECTED = {"float_type": "a number", "float_parsing": "a number", "int_type": "a whole number",
-             "int_parsing": "a whole number", "bool_type": "true or false", "string_type": "text", "tuple_type": "a list",
-             "model_type": "a table", "dict_type": "a table"}  # fmt: skip
+             "int_parsing": "a whole number", "bool_type": "true or false", "string_type": "text",
+             "tuple_type": "a list", "model_type": "a table", "dict_type": "a table"}  # fmt: skip
 M = TypeVar("M", bound="Table")
 
 
@@ -54,7 +54,7 @@ def read_bytes(path: str | Path, *, most_bytes: int) -> bytes:
     Raises
     ------
     InputError
-        It is missing, cannot be read, is no regular file (a folder, a device, a pipe), or is larger than ``most_bytes``.
+        It is missing, cannot be read, is no regular file (a folder, device or pipe), or is larger than ``most_bytes``.
     """
     try:
         # Opening a pipe would wait for a writer.

@@ -1,4 +1,4 @@
-"""Mutants of files: bytes changed, cut and repeated; in texts also values of other types, misspelt keys, other encodings."""
+"""Mutants of files: bytes changed, cut and repeated; in texts also values of other types and misspelt keys."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 
 _VALUES = (b'"x"', b'""', b"[]", b"[1]", b"[1, 2, 3]", b'["a"]', b"{}", b"{a = 1}", b"true", b"nan", b"inf", b"-inf",
            b"0", b"-1", b"1e308", b"-1e308", b"1e-320", b"3", b"1" + 400 * b"0", b"1979-05-27", b"99999999", b"[[[1]]]",
-           b"0x7fffffffffffffff", b"\"" + 300 * b"n" + b"\"", b"null")  # fmt: skip
-_PIECES = (b"\xe9", b"\xff", b"\x00", b"\n", b"[", b"]", b'"', b"=", b".", b"<", b">", b"&#0;", b"..", b"/", b"Z 5 ", b"M",
-           b"e999", b"\xc3\xa4", b"\r", b"#", b"[a]\n", b"[[a]]\n", b"../", b"-", b",")  # fmt: skip
+           b"0x7fffffffffffffff", b'"' + 300 * b"n" + b'"', b"null")  # fmt: skip
+_PIECES = (b"\xe9", b"\xff", b"\x00", b"\n", b"[", b"]", b'"', b"=", b".", b"<", b">", b"&#0;", b"..", b"/", b"Z 5 ",
+           b"M", b"e999", b"\xc3\xa4", b"\r", b"#", b"[a]\n", b"[[a]]\n", b"../", b"-", b",")  # fmt: skip
 _VALUE = re.compile(rb"(?<=[=:,\[\s\"])-?[\w.+-]+(?=[,\]\s\"}])|\"[^\"\n]*\"|\[[^\[\]\n]*\]|\{[^{}\n]*\}")
 _KEY = re.compile(rb"[A-Za-z_][\w-]*(?=\s*[=:\]])")
 
@@ -19,7 +19,8 @@ def mutant(seed: bytes, rng: np.random.Generator, *, is_text: bool) -> bytes:
     """Change a file in one to three places."""
     data = seed
     for _ in range(rng.integers(1, 4)):
-        kinds = (_flip, _delete, _repeat, _insert, _cut) + ((_other_value, _misspelt, _line_away) * 2 if is_text else ())
+        kinds = (_flip, _delete, _repeat, _insert, _cut)
+        kinds += (_other_value, _misspelt, _line_away) * 2 if is_text else ()
         data = kinds[rng.integers(len(kinds))](data, rng)
     return data
 

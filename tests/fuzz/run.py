@@ -25,10 +25,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from fuzz.mutants import mutant  # noqa: E402
-from fuzz.readers import READERS, Reader  # noqa: E402
-
-from chromaperture.errors import InputError  # noqa: E402
+from chromaperture.errors import InputError
+from fuzz.mutants import mutant
+from fuzz.readers import READERS, Reader
 
 SLOW_S = 5.0  # for one file; all of the corpus are read in well under a second
 IN_MEMORY = "/dev/shm"  # files are written here, where there is such a folder

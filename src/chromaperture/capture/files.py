@@ -63,8 +63,8 @@ def read_image(
     black_level, white_level : float, optional
         Counts of no light and of a full well.
     size_px : (int, int), optional
-        Width and height of the camera: a file of another size is refused before it is decoded. Without it, files of more
-        than `validation.MOST_PIXELS` are.
+        Width and height of the camera: a file of another size is refused before it is decoded. Without it, files of
+        more than `validation.MOST_PIXELS` are.
 
     Returns
     -------
@@ -179,7 +179,7 @@ def _decode(path: Path, size_px: tuple[int, int] | None) -> np.ndarray:
         return decode_tiff(data, path.name, check=partial(check_size, name=path.name, size_px=size_px))
     try:
         picture = open_picture(data)
-        check_size(*picture.size, path.name, size_px)
+        check_size(*picture.size, path.name, size_px, file_bytes=len(data))
         picture.verify()  # all chunk checksums of a PNG
         if _is_deep(data):
             if data.startswith(b"P"):

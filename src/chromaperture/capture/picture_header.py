@@ -5,43 +5,53 @@ from __future__ import annotations
 import io
 import logging
 
-from PIL import BmpImagePlugin, Image, JpegImagePlugin, PngImagePlugin, PpmImagePlugin, TiffImagePlugin, WebPImagePlugin
+from PIL import (
+    BmpImagePlugin,
+    ImageFile,
+    JpegImagePlugin,
+    PngImagePlugin,
+    PpmImagePlugin,
+    TiffImagePlugin,
+    WebPImagePlugin,
+)
 
 from chromaperture.errors import InputError
 from chromaperture.validation import MOST_PIXELS
 
 logging.getLogger("PIL").addHandler(logging.NullHandler())  # as for tifffile: an error is one line of ours
+# PNG packs an even area to 340 pixels a byte, JPEG a photograph to 20. libjpeg paints what is missing grey.
+_MOST_PIXELS_A_BYTE = 1000
 TIFF_MARKS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")  # the last two: files beyond 4 GB
 
+_KINDS: tuple[tuple[tuple[bytes, ...], int, type[ImageFile.ImageFile]], ...] = (  # marks, where they are, reader
+    ((b"\x89PNG",), 0, PngImagePlugin.PngImageFile),
+    ((b"\xff\xd8",), 0, JpegImagePlugin.JpegImageFile),
+    ((b"BM",), 0, BmpImagePlugin.BmpImageFile),
+    ((b"WEBP",), 8, WebPImagePlugin.WebPImageFile),
+    (tuple(b"P%d" % number for number in range(1, 7)), 0, PpmImagePlugin.PpmImageFile),
+    (TIFF_MARKS, 0, TiffImagePlugin.TiffImageFile),
+)
 
-def open_picture(data: bytes) -> Image.Image:
+
+def open_picture(data: bytes) -> ImageFile.ImageFile:
     """Open a PNG, JPEG, PNM, BMP, WebP or TIFF file and read its header.
 
-    Other formats that Pillow has are not tried, and its own limit of 179 megapixels does not apply: `check_size` has ours.
+    Pillow's other formats are not tried, and its limit of 179 megapixels does not apply: `check_size` has ours.
 
     Raises
     ------
     InputError
         It is in none of these formats.
     """
-    if data.startswith(b"\x89PNG"):
-        kind = PngImagePlugin.PngImageFile
-    elif data.startswith(b"\xff\xd8"):
-        kind = JpegImagePlugin.JpegImageFile
-    elif data.startswith(b"BM"):
-        kind = BmpImagePlugin.BmpImageFile
-    elif data.startswith(b"RIFF") and data[8:12] == b"WEBP":
-        kind = WebPImagePlugin.WebPImageFile
-    elif data[:1] == b"P" and data[1:2].isdigit():
-        kind = PpmImagePlugin.PpmImageFile
-    elif data.startswith(TIFF_MARKS):
-        kind = TiffImagePlugin.TiffImageFile
-    else:
-        raise InputError("no image format that is read")
-    return kind(io.BytesIO(data))
+    for marks, at, kind in _KINDS:
+        if data.startswith(marks, at):
+            return kind(io.BytesIO(data))
+    raise InputError("no image format that is read")
 
 
-def check_size(width: int, height: int, name: str, size_px: tuple[int, int] | None) -> None:
+def check_size(
+    width: int, height: int, name: str, size_px: tuple[int, int] | None, *, file_bytes: int | None = None
+) -> None:
     """Check the size that a header declares.
 
     Parameters
@@ -51,11 +61,13 @@ def check_size(width: int, height: int, name: str, size_px: tuple[int, int] | No
         Of the file.
     size_px : (int, int), optional
         Width and height of the camera.
+    file_bytes : int, optional
+        Length of the file.
 
     Raises
     ------
     InputError
-        There are no pixels, more than any camera has, or not those of this camera.
+        There are no pixels, more than any camera has, not those of this camera, or more than the file can hold.
     """
     if width < 1 or height < 1:
         raise InputError(f"{name} holds no pixel; export the picture again")
@@ -66,5 +78,8 @@ def check_size(width: int, height: int, name: str, size_px: tuple[int, int] | No
         )
     if width * height > MOST_PIXELS:
         raise InputError(
-            f"{name} declares {width}x{height} px, more than {MOST_PIXELS / 1e6:g} megapixels; give the picture of a camera"
+            f"{name} declares {width}x{height} px, more than {MOST_PIXELS / 1e6:g} megapixels; "
+            "give the picture of a camera"
         )
+    if file_bytes is not None and width * height > _MOST_PIXELS_A_BYTE * file_bytes:
+        raise InputError(f"{name} is cut off: {file_bytes} bytes do not hold {width}x{height} px; copy the file again")

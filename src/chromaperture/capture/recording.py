@@ -2,8 +2,8 @@
 
 A folder with ``recording.json`` (format and source), ``frames/NNNNNNNN.tiff`` (counts as delivered, uncompressed) and
 ``index.jsonl``, one line per frame, appended and synced to the disk after the picture. An incomplete last line, as a
-crash leaves it, is ignored. Picture and line have a checksum each: a damaged one costs its frame. Levels that nobody gave
-are null; format 1 wrote 0 and 65535 for those of 16-bit files. Lines have checksums since format 3.
+crash leaves it, is ignored. Picture and line have a checksum each, lines since format 3: a damaged one costs its frame.
+Levels that nobody gave are null; format 1 wrote 0 and 65535 for those of 16-bit files.
 """
 
 from __future__ import annotations

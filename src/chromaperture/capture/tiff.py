@@ -58,7 +58,9 @@ def decode_tiff(data: bytes, name: str, *, check: Callable[[int, int], None] = n
     except InputError:
         raise
     except Exception:  # tifffile raises anything on a damaged file
-        raise InputError(f"{name} is damaged or not a TIFF file with a picture; copy or export the file again") from None
+        raise InputError(
+            f"{name} is damaged or not a TIFF file with a picture; copy or export the file again"
+        ) from None
 
 
 def tiff_size(data: bytes, name: str) -> tuple[int, int]:
@@ -71,7 +73,9 @@ def tiff_size(data: bytes, name: str) -> tuple[int, int]:
     except InputError:
         raise
     except Exception:
-        raise InputError(f"{name} is damaged or not a TIFF file with a picture; copy or export the file again") from None
+        raise InputError(
+            f"{name} is damaged or not a TIFF file with a picture; copy or export the file again"
+        ) from None
 
 
 def _check_page(page: tifffile.TiffPage, name: str) -> None:
@@ -101,7 +105,7 @@ def _check_segments(page: tifffile.TiffPage, data: bytes) -> None:
         raise ValueError("strips are too short")
     if page.compression not in _DEFLATE:
         return
-    most = math.prod(page.chunks) * page.dtype.itemsize
+    most = math.prod(page.chunks) * np.dtype(page.dtype).itemsize
     for offset, count in zip(offsets, counts, strict=True):
         stream, packed, size = zlib.decompressobj(), data[offset : offset + count], 0
         while packed and not stream.eof:

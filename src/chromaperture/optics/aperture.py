@@ -192,8 +192,8 @@ def checked_aperture(aperture: Aperture) -> Aperture:
     Raises
     ------
     InputError
-        More than `MOST_PIECES` pieces, a piece that lies wholly outside the pupil, two that overlap, a view that names no
-        piece, or no light passes.
+        More than `MOST_PIECES` pieces, a piece wholly outside the pupil, two that overlap, a view that names no piece,
+        or no light passes.
     """
     if len(aperture.parts) > MOST_PIECES:
         raise InputError(f"aperture {aperture.name!r} has {len(aperture.parts)} pieces, more than {MOST_PIECES}")

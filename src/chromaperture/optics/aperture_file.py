@@ -96,7 +96,7 @@ class _ApertureTable(Table):
     film: Name = "ideal"
     remainder: Literal["clear", "opaque"] = "opaque"
     views: Annotated[tuple[Name, ...], Field(max_length=MOST_PIECES)] | None = None
-    filters: Annotated[dict[Name, _FilterTable], Field(max_length=MOST_PIECES)] = {}
+    filters: Annotated[dict[Name, _FilterTable], Field(max_length=MOST_PIECES)] = Field(default_factory=dict)
     part: Annotated[tuple[_PartTable, ...], Field(max_length=MOST_PIECES)] = ()
 
 

@@ -187,8 +187,8 @@ def checked_lens(lens: Prescription) -> Prescription:
         if bad or math.isnan(s.radius_mm + s.thickness_mm + s.index_d + s.conic):
             raise InputError(
                 f"lens {lens.name!r}, surface {number} is not physical: radius must not be 0, thickness "
-                f"lie between 0 and {_LARGEST_MM:g} mm, index between 1 and {_LARGEST_INDEX:g}, Abbe number and diameter "
-                "be positive"
+                f"lie between 0 and {_LARGEST_MM:g} mm, index between 1 and {_LARGEST_INDEX:g}, Abbe number and "
+                "diameter be positive"
             )
     if lens.surfaces[-1].index_d != 1:
         raise InputError(f"lens {lens.name!r}: behind the last surface must be air (index_d = 1)")
