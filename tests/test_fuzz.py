@@ -1,6 +1,5 @@
-"""Every reader takes its own files, and of mutants raises nothing but `InputError`; `fuzz/run.py` tries more of them."""
+"""Every reader takes its own files, and raises only `InputError` for mutants; `fuzz/run.py` tries more of them."""
 
-import numpy as np
 import pytest
 
 from chromaperture.errors import InputError
