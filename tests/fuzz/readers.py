@@ -26,6 +26,7 @@ from chromaperture.config_file import with_file
 from chromaperture.optics.aperture_file import load_aperture
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.prescription import load_lens
+from chromaperture.optics.scene import load_scene
 
 DATA = Path(__file__).parents[1] / "data"
 CORPUS = Path(__file__).parent / "corpus"
@@ -117,6 +118,7 @@ READERS = {
         Reader("lens", "lens.toml", lambda p: focused_at(load_lens(p), 2000.0), _corpus("lens"), True),
         Reader("aperture", "aperture.toml", load_aperture, _corpus("aperture"), True),
         Reader("drawing", "aperture.svg", load_aperture, _corpus("drawing"), True),
+        Reader("scene", "scene.toml", load_scene, _corpus("scene"), True),
         Reader("config", "settings.toml", _with_each_config, _corpus("config"), True),
         Reader("session", "session.toml", lambda p: read_session(p.parent), _corpus("session"), True, _prepare_session),
         Reader("distances", "distances.csv", lambda p: read_session(p.parent), _corpus("distances"), True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -81,7 +82,7 @@ def named(
         board = chessboard((9, 6), width_mm / 12, texel_mm)
         return np.repeat(board[..., None], 3, axis=2)
     path = (folder or Path()) / name
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR) if os.path.isfile(path) else None
     if picture is None:
         raise InputError(
             f"unknown texture {name!r}: choose plain, speckle, clouds, chessboard or a readable picture file"
