@@ -163,7 +163,7 @@ def path_points(commands: str) -> np.ndarray:
 
 
 def _check_grammar(commands: str) -> None:
-    """Raise InputError unless every command has its numbers: `svgelements` never returns from some that have not."""
+    """Raise InputError unless every command has its numbers; what a parser makes of others is its own affair."""
     first, *rest = re.split(r"([MLHVQCZmlhvqcz])", commands)
     count = 0
     if first.strip() or (rest and rest[0] not in "Mm"):
