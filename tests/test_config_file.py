@@ -263,9 +263,16 @@ def test_another_encoding_is_named_with_its_line(tmp_path):
         ("a" + 3_000 * ".a" + " = 1", "more than 2000 dots"),
         ("[depth]\nmax_depth_mm = 1e300", "must lie between"),
         ("[depth]\nmax_depth_mm = nan", "must lie between"),
-        ("[matcher.layers]\nmin_px = -1e8", "more than"),
+        ("[matcher.layers]\nmin_px = -1e8", "must lie between -1000 and 1000"),
+        ("[matcher.layers]\nstep_px = 1e-6", "more than"),
+        ("[matcher.views]\npresmooth_sigma_px = 1e5", "must lie between"),
     ],
 )
 def test_what_would_take_minutes_or_all_memory_is_refused(folder, text, words):
     with pytest.raises(InputError, match=words):
         read(CONFIGS["real-time"], text, folder)
+
+
+def test_iterations_without_end_are_refused(folder):
+    with pytest.raises(InputError, match="variation_iterations must lie between"):
+        read(CONFIGS["accurate"], "[matcher.surface]\nvariation_iterations = 1000000", folder)

@@ -24,7 +24,9 @@ from chromaperture.validation import checked_value, nearest, quoted, read_toml
 
 T = TypeVar("T")
 _SECTIONS = ("matcher", "depth")  # the quality is chosen by --quality
-LARGEST = 1e9  # of any number, whatever its unit: a depth of 1000 km. Squares and sums of such numbers stay finite
+# Of a number in px: the time of a Gaussian grows with its width, and 1000 px takes seconds; of a count of iterations,
+# whose default is 40; of any other: a depth of 1000 km, whose square is still finite.
+MOST_PX, MOST_ITERATIONS, LARGEST = 1e3, 10_000, 1e9
 
 
 def with_file(config: Config, path: str | Path) -> Config:
@@ -66,9 +68,11 @@ def _replaced(settings: T, tree: Any, file: str, section: str) -> T:
 
 
 def _check_size(value: Any, name: str) -> None:
-    """Raise InputError where a number is NaN, or larger than any setting."""
+    """Raise InputError where a number is NaN, or larger than any setting of its unit."""
     for number in value if isinstance(value, tuple) else (value,):
         if isinstance(number, tuple):
             _check_size(number, name)
-        elif isinstance(number, int | float) and not -LARGEST <= number <= LARGEST:
-            raise InputError(f"{name} must lie between {-LARGEST:g} and {LARGEST:g}, is {quoted(number)}")
+        elif isinstance(number, int | float):
+            most = MOST_PX if name.endswith("_px") else MOST_ITERATIONS if isinstance(number, int) else LARGEST
+            if not -most <= number <= most:
+                raise InputError(f"{name} must lie between {-most:g} and {most:g}, is {quoted(number)}")
