@@ -94,7 +94,7 @@ def read_session(folder: str | Path) -> Session:
     """
     folder = Path(folder)
     settings = folder / "session.toml"
-    if not settings.is_file():
+    if not os.path.isfile(settings):
         raise InputError(f"cannot read {quoted(settings)}: there is no such file; is this a session folder?")
     table = checked(_SessionTable, read_toml(settings), where=quoted(settings))
     boards = _distances(folder)

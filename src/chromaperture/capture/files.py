@@ -6,6 +6,7 @@ no white balance, because superposition of the views needs the sensor's own scal
 
 from __future__ import annotations
 
+import os
 import warnings
 from dataclasses import dataclass
 from functools import partial
@@ -123,7 +124,7 @@ def encoding_of(
 
 def photographs(folder: Path) -> list[Path]:
     """List the files of a folder that can be read as photographs, by name; none where there is no such folder."""
-    found = folder.iterdir() if folder.is_dir() else ()
+    found = folder.iterdir() if os.path.isdir(folder) else ()
     return sorted(path for path in found if path.suffix.lower() in _PICTURES or is_raw(path))
 
 
