@@ -181,6 +181,7 @@ def test_what_cannot_be_rendered():
         ({"widht_mm": 10}, "did you mean 'width_mm'"),
         ({"color": [1, 1]}, "color 3 is missing"),
         ({"seed": -1}, "seed"),
+        ({"texel_mm": 1e-320}, "texels is too large"),
         ({"texture": "n" * 5000}, "texture"),
     ):
         with pytest.raises(InputError, match=words):

@@ -10,6 +10,8 @@ import numpy as np
 
 from chromaperture.errors import InputError
 
+_MOST_TEXELS = 64e6  # of a plane; noise of that size takes 2 GB
+
 
 def noise(
     shape: tuple[int, int], *, exponent: float, seed: int, mean: float = 0.45, contrast: float = 0.18
@@ -69,9 +71,10 @@ def named(
     folder: Path | None,
 ) -> np.ndarray:
     """Make a scene file's texture; (h, w, 3) float32 linear. Raises InputError for unknown names."""
-    shape = (max(2, round(height_mm / texel_mm)), max(2, round(width_mm / texel_mm)))
-    if shape[0] * shape[1] > 64e6:
-        raise InputError(f"a texture of {shape[1]}x{shape[0]} texels is too large: raise texel_mm")
+    height, width = height_mm / texel_mm, width_mm / texel_mm
+    if not max(height, 2) * max(width, 2) <= _MOST_TEXELS:
+        raise InputError(f"a texture of {width:.0f}x{height:.0f} texels is too large: raise texel_mm")
+    shape = (max(2, round(height)), max(2, round(width)))
     tint = np.asarray(color, np.float32)
     if name == "plain":
         return np.broadcast_to(tint, (*shape, 3)).astype(np.float32)
