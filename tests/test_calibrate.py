@@ -64,7 +64,15 @@ def distances(rulers_mm):
 @pytest.mark.parametrize(
     ("files", "word"),
     [
-        ({"session__toml": "design = 'cy_thirds'"}, "section"),
+        ({"session__toml": "design = 'cy_thirds'"}, "sensor is missing"),
+        ({"session__toml": SESSION_TOML.replace("ruler_error_mm", "ruler_eror_mm")}, "did you mean 'ruler_error_mm'"),
+        ({"session__toml": SESSION_TOML.replace("= 144", "= 144.0")}, "sensor.width_px must be a whole number"),
+        ({"session__toml": SESSION_TOML.replace("= 144", "= 1" + 30 * "0")}, "sensor.width_px"),
+        ({"session__toml": SESSION_TOML.replace("[9, 6]", "[9, '6']")}, "inner_corners 2 must be a whole number"),
+        ({"session__toml": SESSION_TOML.replace("cy_halves", "n" * 300)}, "design"),
+        ({"distances__csv": "file,ruler_mm\nboard/1150.png,nan\n"}, "must be positive"),
+        ({"distances__csv": "file,ruler_mm\n" + "n" * 5000 + ",1000\n"}, "not there: nnn"),
+        ({"distances__csv": "file,ruler_mm\n" + "n" * 200_000 + ",1000\n"}, "must have the columns"),
         ({"session__toml": SESSION_TOML.replace("cy_halves", "magenta_annulus")}, "no parallax|shifts no channel"),
         ({"session__toml": SESSION_TOML.replace("cy_halves", "cy_thirds")}, "cy_halves"),
         ({"session__toml": SESSION_TOML.replace("[lens]", "[lense]")}, "lens"),
