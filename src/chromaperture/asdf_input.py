@@ -10,11 +10,13 @@ import io
 import math
 import re
 import struct
+import warnings
 from pathlib import Path
 from typing import Any
 
 import asdf
 import yaml
+from asdf.exceptions import AsdfPackageVersionWarning
 
 from chromaperture.validation import read_bytes
 
@@ -50,9 +52,12 @@ def read_tree(path: str | Path) -> dict[str, Any]:
         raise ValueError(f"no ASDF tree in the first {_MOST_TREE_BYTES} bytes")
     sizes, last = _block_sizes(data, end.end())
     _check_tree(data[: end.end()].decode("utf-8"), sizes)
-    # Without the index of the blocks, which may point elsewhere.
-    with asdf.open(io.BytesIO(data[:last]), lazy_load=False, memmap=False, validate_checksums=True) as file:
-        return dict(file.tree)
+    with warnings.catch_warnings():
+        # A newer asdf wrote the file: of that this needs nothing, what it needs was checked above.
+        warnings.simplefilter("ignore", AsdfPackageVersionWarning)
+        # Without the index of the blocks, which may point elsewhere.
+        with asdf.open(io.BytesIO(data[:last]), lazy_load=False, memmap=False, validate_checksums=True) as file:
+            return dict(file.tree)
 
 
 def _block_sizes(data: bytes, start: int) -> tuple[list[int], int]:
