@@ -14,8 +14,10 @@ from worlds import write_board_session
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip the tests of an optional extra whose module is not installed."""
+    """Skip the tests of an optional extra whose module is not installed; mark all but the slow ones as quick."""
     for item in items:
+        if item.get_closest_marker("slow") is None:
+            item.add_marker(pytest.mark.quick)
         for name, module in (marker.args for marker in item.iter_markers("extra")):
             if importlib.util.find_spec(module) is None:
                 item.add_marker(pytest.mark.skip(reason=f"the extra '{name}' is not installed: this is NOT tested"))

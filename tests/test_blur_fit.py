@@ -34,6 +34,7 @@ def fitted():
     return fit_blur(boards(), start, board_count=len(DISTANCES_MM), tile_count=15)
 
 
+@pytest.mark.slow
 def test_the_lens_comes_back(fitted):
     """Single numbers trade places (defocus with spherical aberration): what counts are the transfer functions."""
     true = lens_blur(TRUE, W, H)
@@ -47,10 +48,12 @@ def test_the_lens_comes_back(fitted):
         assert error < start / 3, z
 
 
+@pytest.mark.slow
 def test_the_fit_explains_the_boards(fitted):
     assert fitted.disagreement < fitted.start_disagreement / 4
 
 
+@pytest.mark.slow
 def test_layers_of_the_boards_are_their_distances(fitted):
     at_infinity, scale = fitted.blur.reference
     for image, inverse_mm in boards():
@@ -59,6 +62,7 @@ def test_layers_of_the_boards_are_their_distances(fitted):
         assert np.nanmedian(layer) == pytest.approx(at_infinity - scale * inverse_mm, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_board_far_from_where_it_is_expected_is_found(fitted):
     """Nine layers off: the first search, six to either side, leaves the board unknown."""
     image, inverse_mm = list(boards())[2]
@@ -94,6 +98,7 @@ def calibrated():
     return calibrate_blur(draft(), session(5), evidence(5))
 
 
+@pytest.mark.slow
 def test_a_camera_gets_its_blur_and_keeps_it_in_its_file(calibrated, tmp_path):
     camera, layers = calibrated.camera, calibrated.layers
     assert not calibrated.notes
@@ -110,6 +115,7 @@ def test_a_camera_gets_its_blur_and_keeps_it_in_its_file(calibrated, tmp_path):
     assert replace(again, blur=None).field_blur() is None
 
 
+@pytest.mark.slow
 def test_a_lens_that_is_known_is_where_the_fit_starts(calibrated):
     unknown = calibrated.layers
     known = calibrate_blur(draft(), session(5), evidence(5), lens=TRUE).layers

@@ -46,6 +46,7 @@ def rasterised(svg_text):
     return page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("paper", "square", "corners"), [("a4", 22.0, (9, 6)), ("a3", 30.0, (9, 6)), ("letter", 25.0, (8, 5))]
 )

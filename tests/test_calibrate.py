@@ -60,10 +60,19 @@ def distances(rulers_mm):
     return "\n".join(("file,ruler_mm", *rows)) + "\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("files", "word"),
     [
-        ({"session__toml": "design = 'cy_thirds'"}, "section"),
+        ({"session__toml": "design = 'cy_thirds'"}, "sensor is missing"),
+        ({"session__toml": SESSION_TOML.replace("ruler_error_mm", "ruler_eror_mm")}, "did you mean 'ruler_error_mm'"),
+        ({"session__toml": SESSION_TOML.replace("= 144", "= 144.0")}, "sensor.width_px must be a whole number"),
+        ({"session__toml": SESSION_TOML.replace("= 144", "= 1" + 30 * "0")}, "sensor.width_px"),
+        ({"session__toml": SESSION_TOML.replace("[9, 6]", "[9, '6']")}, "inner_corners 2 must be a whole number"),
+        ({"session__toml": SESSION_TOML.replace("cy_halves", "n" * 300)}, "design"),
+        ({"distances__csv": "file,ruler_mm\nboard/1150.png,nan\n"}, "must be positive"),
+        ({"distances__csv": "file,ruler_mm\n" + "n" * 5000 + ",1000\n"}, "not there: nnn"),
+        ({"distances__csv": "file,ruler_mm\n" + "n" * 200_000 + ",1000\n"}, "must have the columns"),
         ({"session__toml": SESSION_TOML.replace("cy_halves", "magenta_annulus")}, "no parallax|shifts no channel"),
         ({"session__toml": SESSION_TOML.replace("cy_halves", "cy_thirds")}, "cy_halves"),
         ({"session__toml": SESSION_TOML.replace("[lens]", "[lense]")}, "lens"),
@@ -85,6 +94,7 @@ def test_sessions_that_cannot_be_used_say_why(session, tmp_path, files, word):
         calibrated(copy_with(session, tmp_path, **files))
 
 
+@pytest.mark.slow
 def test_a_board_off_its_ruler_is_named_and_left_out(session, tmp_path):
     rows = distances(r + 260 * (r == 1800) for r in RULERS_MM)
     result = calibrated(copy_with(session, tmp_path, distances__csv=rows))
@@ -103,6 +113,7 @@ def test_boards_on_one_side_of_the_focus_leave_it_weak(calibrated_session):
     assert any("nearer than the focus" in text for text in weaknesses(near, whole.fits))
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_where_it_stopped(session, calibrated_session, tmp_path):
     seen = []
 
@@ -123,6 +134,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(session, calibrated_session
     assert again.calibration.in_focus_mm == pytest.approx(calibrated_session.calibration.in_focus_mm, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_what_was_kept_and_is_damaged_is_measured_again(session, tmp_path):
     calibrated(session, keep_in=tmp_path)
     for path in tmp_path.iterdir():
@@ -131,6 +143,7 @@ def test_what_was_kept_and_is_damaged_is_measured_again(session, tmp_path):
     assert calibrated(session, keep_in=tmp_path).calibration.in_focus_mm == pytest.approx(IN_FOCUS_MM, abs=12)
 
 
+@pytest.mark.slow
 def test_curves_free_at_every_place_stay_near_the_smooth_ones(session, calibrated_session):
     """This world's fields are flat: what is free must find nothing, within what its ridge and boards leave of noise."""
     smooth = calibrated_session.calibration.depth
@@ -142,6 +155,7 @@ def test_curves_free_at_every_place_stay_near_the_smooth_ones(session, calibrate
         assert 0 < np.std(local.infinity_disparity_px) < 2 * sigma
 
 
+@pytest.mark.slow
 def test_the_sensors_noise_is_read_from_the_sheets(session, tmp_path, rng):
     folder = copy_with(session, tmp_path)
     shutil.rmtree(folder / "white")
@@ -157,6 +171,7 @@ def test_the_sensors_noise_is_read_from_the_sheets(session, tmp_path, rng):
     assert any("full well" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_the_camera_file_records_what_made_it(session, calibrated_session, tmp_path):
     folder = copy_with(session, tmp_path)
     made = calibrated(folder, command="chromaperture calibrate 'my session' --no-blur").calibration.provenance

@@ -36,6 +36,7 @@ def demo(tmp_path_factory):
     return folder / "chromaperture-demo", result.stdout
 
 
+@pytest.mark.slow
 def test_demo_writes_every_file_and_a_table(demo):
     folder, printed = demo
     assert "the far wall at the top right" in printed
@@ -44,6 +45,7 @@ def test_demo_writes_every_file_and_a_table(demo):
         assert word in printed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sample", SAMPLES)
 def test_the_maps_of_the_demo_hang_together(demo, sample):
     folder, _ = demo
@@ -80,6 +82,7 @@ def test_the_maps_of_the_demo_hang_together(demo, sample):
         assert len(shades) > 200  # a picture, not a blank sheet
 
 
+@pytest.mark.slow
 def test_the_demo_scene_lies_where_it_stands(demo):
     """Depths the scene was traced with; one curve for the whole frame knows no field curvature, so 8 %."""
     folder, _ = demo
@@ -99,6 +102,7 @@ def test_info_prints_json_with_units_in_the_names(run):
     assert (info["width_px"], info["height_px"]) == (720, 480)
 
 
+@pytest.mark.slow
 def test_depth_is_quiet_writes_beside_the_image_and_gives_json(run, tmp_path):
     image = tmp_path / "photo.png"
     image.write_bytes(sample_image(SAMPLES[0]).read_bytes())
@@ -178,19 +182,25 @@ def bad_inputs(folder):
     }
 
 
+@pytest.mark.slow
 def test_bad_input_is_one_clear_line_exit_code_2_and_nothing_written(run, tmp_path):
     cases = bad_inputs(tmp_path)
     before = sorted(p.name for p in tmp_path.iterdir())
     wrong = {}
     for name, (command, word) in cases.items():
         result = run(*command)
-        lines = [line for line in result.stderr.splitlines() if not line.startswith("warning:")]
+        lines = messages(result.stderr)
         good = result.returncode == 2 and len(lines) == 1 and re.search(word, lines[0]) and "Traceback" not in lines[0]
         if not good:
             wrong[name] = (result.returncode, result.stderr[-400:])
     assert not wrong, "\n".join(f"{name}: {got}" for name, got in wrong.items())
     assert sorted(p.name for p in tmp_path.iterdir() if p.name != "out") == before
     assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
+
+
+def messages(stderr: str) -> list[str]:
+    """Lines on standard error that are neither warnings nor progress, such as ``[0:02] chessboards, 4 of 5``."""
+    return [line for line in stderr.splitlines() if not re.match(r"warning:|\[\d+:\d\d\]", line)]
 
 
 # A command of each that writes; OUT is what cannot be written. `demo` writes as `depth` does.
@@ -228,7 +238,7 @@ def test_an_output_that_cannot_be_written_is_one_line(run, tmp_path, monkeypatch
     words = [str(names.get(word, word)).replace("OUT", out) for word in command.split()]
     before = sorted(os.listdir("/dev")), sorted(os.listdir(tmp_path))
     result = run(*words)
-    lines = [line for line in result.stderr.splitlines() if not line.startswith("warning:")]
+    lines = messages(result.stderr)
     assert (result.returncode, len(lines)) == (2, 1), result.stderr
     assert lines[0].startswith("error: ")
     assert re.search("/proc|/dev/full|device", lines[0])
@@ -246,6 +256,7 @@ def test_unwritable_folder(run, tmp_path):
     assert "cannot write" in result.stderr
 
 
+@pytest.mark.slow
 def test_a_full_device_as_output_is_one_clear_line():
     command = [sys.executable, "-m", "chromaperture", "info", str(sample_camera(SAMPLES[0])), "--json"]
     with open("/dev/full", "wb") as full:
@@ -267,6 +278,7 @@ def test_a_warning_of_every_image_is_printed_once_a_run(run, tmp_path, rng):
     assert (result.returncode, result.stderr.count("4:2:0")) == (0, 1)
 
 
+@pytest.mark.slow
 def test_depth_without_an_error_bar_is_limited_where_its_user_wants(run, tmp_path):
     image, camera = sample_image(SAMPLES[0]), sample_camera(SAMPLES[0])
     filled = []
@@ -291,6 +303,7 @@ def test_one_bad_image_does_not_stop_the_others(run, tmp_path):
     assert (tmp_path / "out" / f"{good.stem}.depth.tiff").exists()
 
 
+@pytest.mark.slow
 def test_the_camera_file_is_read_once_for_all_images(run, tmp_path, monkeypatch):
     read, load = [], Calibration.load
 

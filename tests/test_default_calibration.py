@@ -38,6 +38,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_default_calibration_finds_the_camera_that_took_the_session(folder, tmp_path):
     done = []
     result = calibrate_session(folder, progress=lambda what, number, total: done.append((what, number == total)))

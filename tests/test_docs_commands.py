@@ -161,6 +161,7 @@ def complaints(outcomes: list[Outcome]) -> str:
     return "\n".join(f"{o.command}\n  exit code {o.code}: {o.stderr}" for o in outcomes if o.code)
 
 
+@pytest.mark.slow
 def test_the_tour_ends_with_a_depth_map(tour):
     folder, outcomes = tour
     assert not complaints(outcomes)
@@ -168,6 +169,7 @@ def test_the_tour_ends_with_a_depth_map(tour):
     assert (folder / "camera.report.html").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in PAGES if name != FIRST])
 def test_the_commands_of_a_page_run_as_they_stand(name, world, tmp_path):
     folder = tmp_path / "here"

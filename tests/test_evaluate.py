@@ -121,6 +121,7 @@ def test_an_unknown_figure_is_answered_with_the_nearest_name(tmp_path):
     assert len(registry.chosen(["all"])) == len(registry.EXHIBITS)
 
 
+@pytest.mark.slow
 def test_the_command_makes_a_report_and_goes_on_where_it_stopped(tmp_path):
     arguments = ["evaluate", "figure-4a", "figure-12", "--quick", "--out", str(tmp_path)]
     result = CliRunner().invoke(app, arguments)
@@ -309,6 +310,7 @@ def test_the_bend_of_a_floor_is_told_from_its_tilt_and_noise(rng):
 # The sweep
 
 
+@pytest.mark.slow
 def test_two_workers_one_killed_give_what_one_gives_byte_for_byte(tmp_path):
     alone = sweep.sweep(small_trials(), workers=1, keep_in=tmp_path / "one")
 

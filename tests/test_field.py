@@ -100,6 +100,7 @@ def test_the_nonlinearity_is_separated_from_the_lens(rng):
     assert errors[0] > 5 * errors[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("true_terms", [0, 3, 6])
 def test_as_many_terms_as_the_matcher_needs(rng, true_terms):
     z = np.linspace(1000, 4000, 31) - DELTA
@@ -116,6 +117,7 @@ def test_as_many_terms_as_the_matcher_needs(rng, true_terms):
     assert found[-1] == 0
 
 
+@pytest.mark.slow
 def test_a_curve_known_beforehand_is_taken_where_it_is_right(rng):
     """Eight boards carry two terms; the matcher's curve has ten times the bend of what they may follow."""
     z = np.linspace(1000, 4000, 8) - DELTA
@@ -136,6 +138,7 @@ def test_a_curve_known_beforehand_is_taken_where_it_is_right(rng):
     assert np.abs(np.median(residual, axis=1)).max() < 0.002  # 0.01 px, averaged over the frame
 
 
+@pytest.mark.slow
 def test_many_boards_need_no_rendered_curve(rng):
     """A nearly right rendered curve would predict as well as a fitted one; with 31 boards it is not tried."""
     z = np.linspace(1000, 4000, 31) - DELTA

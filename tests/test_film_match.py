@@ -75,6 +75,7 @@ def test_a_white_sheet_has_no_colours_to_compare(films, rng):
     assert (match.cast, match.explained, match.doubts) == (None, None, ())
 
 
+@pytest.mark.slow
 def test_depth_refuses_another_film_unless_told(monkeypatch, tmp_path, capsys):
     def run(*options):
         arguments = ("depth", sample_image(HALVES), "--camera", sample_camera(OPEN), "--out", tmp_path, "-q", *options)

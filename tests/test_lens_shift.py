@@ -42,6 +42,7 @@ def test_a_thin_lens_s_kernels_are_the_aperture_s_shadow(design, radius):
     np.testing.assert_allclose(by_rays[:, shown], by_mask[:, shown], atol=0.02)
 
 
+@pytest.mark.slow
 def test_lateral_colour_is_a_displacement_along_the_field():
     shift = lens_shift(replace(THIN, lateral_red_px=1.5), "open")
     moved = shift(np.full((H, W), 3.0, np.float32))
@@ -59,6 +60,7 @@ def test_shifted_copies_are_found_exactly(rng):
     np.testing.assert_allclose(found - found[1], true, atol=1e-6)  # Gauss-Newton in complex64
 
 
+@pytest.mark.slow
 def test_no_other_displacement_leaves_less_of_a_fringe(rng):
     """Half discs are no copies of a disc: a search over displaced pictures must end at the same place."""
     shift = lens_shift(REAL)
@@ -82,6 +84,7 @@ def test_no_other_displacement_leaves_less_of_a_fringe(rng):
     assert best[1] == (0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_between_the_computed_places_it_is_interpolated():
     shift = lens_shift(REAL)
     radius = np.linspace(-8, 5, W * H, dtype=np.float32).reshape(H, W)
@@ -110,6 +113,7 @@ def captured(blur, wall, inverse_mm):
     return image
 
 
+@pytest.mark.slow
 def test_the_calibrated_blur_restores_what_a_thin_lens_cannot(rng):
     calibration = calibrated(REAL)
     grey = texture(rng, H, W, blur_px=1.5)

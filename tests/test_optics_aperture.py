@@ -1,6 +1,7 @@
 """Apertures: closed forms of the masks, the paper's figures, and what a design file can get wrong."""
 
 import math
+import os
 
 import numpy as np
 import pytest
@@ -182,11 +183,17 @@ DISC = {"filter": "red", "disc": {"radius": 0.5}}
         ({"part": [DISC], "remainder": "red"}, "remainder"),
         ({"part": [DISC], "views": ["blue"]}, "no 'blue' filter"),
         ({"part": [{"filter": "red"}]}, "a part needs"),
-        ({"part": [{"filter": "red", "polygon": [[0, 0], [1, 0]]}]}, "three corners"),
-        ({"part": [{"filter": "red", "disc": {"size": 1}}]}, "cannot read disc"),
+        ({"part": [{"filter": "red", "polygon": [[0, 0], [1, 0]]}]}, "polygon: the list should have at least 3"),
+        ({"part": [{"filter": "red", "disc": {"size": 1}}]}, "unknown key 'size' in part 1: disc"),
         ({"part": [], "remainder": "opaque"}, "no light"),
-        ({"parts": [DISC]}, "unknown keys parts"),
+        ({"parts": [DISC]}, "unknown key 'parts'; did you mean 'part'"),
         ({"part": [DISC], "filters": {"dark": {"transmission": [0, 0, 2]}}}, "between 0 and 1"),
+        ({"part": [DISC], "filters": {"dark": {"transmision": [0, 0, 1]}}}, "did you mean 'transmission'"),
+        ({"part": [DISC], "filters": {"dark": 3}}, "filters.dark must be a table"),
+        ({"part": [{"filter": "red", "disc": {"radius": "wide"}}]}, "part 1: disc.radius must be a number, is 'wide'"),
+        ({"part": [{"filter": "red", "disc": {"radius": 1e300}}]}, "disc.radius must be less than"),
+        ({"part": [{"filter": 3, "disc": {}}]}, "part 1: filter must be text"),
+        ({"part": 65 * [DISC]}, "part: .*at most 64"),
     ],
 )
 def test_bad_designs_say_what_is_wrong(data, message):
@@ -206,6 +213,13 @@ def test_bad_designs_say_what_is_wrong(data, message):
         ('<circle id="pupil" r="10"/><path fill="red" d="M0 0 L1e999 0 3 3"/>', "not finite"),
         ('<circle id="pupil" r="10"/><path fill="red" d="M0 0' + 100_000 * " 1 1" + '"/>', "simplify"),
         ('<circle id="pupil" r="10"/><polygon fill="red" points="0,0 1,1"/>', "fewer than three corners"),
+        ('<circle id="pupil" r="10"/><path fill="red" d="M0 0 L3 0 3 3 Z 5"/>', "too many, after Z"),
+        ('<circle id="pupil" r="10"/><path fill="red" d="3 0 L3 3"/>', "begin with M"),
+        ('<circle id="pupil" r="10"/>' + 65 * '<rect fill="red" width="1" height="1"/>', "more than 64 pieces"),
+        ('<circle id="pupil" r="10"/>' + 10_000 * "<g/>", "elements"),
+        ('<circle id="pupil" r="10"/><rect fill="red" x="nan" width="1" height="1"/>', "not finite"),
+        ('<circle id="pupil" r="10"/><circle fill="red" cx="1e8" r="1"/>', "far outside"),
+        ('<circle id="pupil" r="10"/><circle fill="red" r="1e8"/>', "radius"),
         ('<circle id="pupil" r="1cm"/>', "not a plain number"),
         ("<circle", "not valid SVG"),
     ],
@@ -224,3 +238,27 @@ def test_unknown_names_and_files(tmp_path):
     (tmp_path / "bad.toml").write_text("part = [")
     with pytest.raises(InputError, match="not valid TOML"):
         load_aperture(tmp_path / "bad.toml")
+
+
+def test_a_drawing_in_another_encoding_is_read_where_it_names_it(tmp_path):
+    path = tmp_path / "drawing.svg"
+    drawing = '<svg><!-- Ränder --><circle id="pupil" r="10"/><circle r="5" fill="red"/></svg>'
+    path.write_bytes(drawing.encode("latin-1"))
+    with pytest.raises(InputError, match="not valid SVG"):
+        load_aperture(path)
+    path.write_bytes(b'<?xml version="1.0" encoding="ISO-8859-1"?>' + drawing.encode("latin-1"))
+    assert load_aperture(path).views == ("red",)
+    path.write_bytes(b'<?xml version="1.0" encoding="klingon"?>' + drawing.encode())
+    with pytest.raises(InputError, match="not valid SVG"):
+        load_aperture(path)
+
+
+@pytest.mark.parametrize("name", ["aperture.toml", "aperture.svg"])
+def test_what_is_no_file_is_refused(tmp_path, name):
+    os.mkfifo(tmp_path / name)  # nobody writes into it: opening it would wait for ever
+    with pytest.raises(InputError, match="not a regular file"):
+        load_aperture(tmp_path / name)
+    with pytest.raises(InputError, match="no aperture file"):
+        load_aperture("n" * 5000 + name)
+    with pytest.raises(InputError, match="no aperture file"):
+        load_aperture("zero\0" + name)

@@ -173,9 +173,20 @@ def test_what_cannot_be_rendered():
         render_layers(np.ones((4, 4, 3)), np.ones((4, 4)), camera=CAMERA, aperture=CY)
     with pytest.raises(InputError, match="behind the entrance pupil"):
         render_layers(np.ones((56, 72, 3)), np.full((56, 72), 20.0), camera=CAMERA, aperture=CY)
-    with pytest.raises(InputError, match="behind the camera"):
-        scene_from_dict({"plane": [{"center_mm": [0, 0, -5], "width_mm": 10}]})
-    with pytest.raises(InputError, match="center_mm"):
+    good = {"center_mm": [0, 0, 5], "width_mm": 10}
+    for wrong, words in (
+        ({"center_mm": [0, 0, -5]}, "plane 1: center_mm 3 must be greater than 0"),
+        ({"center_mm": 5}, "center_mm must be a list"),
+        ({"width_mm": "10"}, "width_mm must be a number, is '10'"),
+        ({"widht_mm": 10}, "did you mean 'width_mm'"),
+        ({"color": [1, 1]}, "color 3 is missing"),
+        ({"seed": -1}, "seed"),
+        ({"texel_mm": 1e-320}, "texels is too large"),
+        ({"texture": "n" * 5000}, "texture"),
+    ):
+        with pytest.raises(InputError, match=words):
+            scene_from_dict({"plane": [good | wrong]})
+    with pytest.raises(InputError, match="center_mm is missing"):
         scene_from_dict({"plane": [{"width_mm": 10}]})
     with pytest.raises(InputError, match="unknown texture"):
         scene_from_dict({"plane": [{"center_mm": [0, 0, 5], "width_mm": 10, "texture": "marble"}]})

@@ -18,7 +18,7 @@ from chromaperture.reconstruction.fusion import Reconstruction, orthonormal
 from chromaperture.reconstruction.model_files import glb, quaternion, write_mesh_ply
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import prepare, track
-from chromaperture.reconstruction.volume import Mesh, Volume
+from chromaperture.reconstruction.volume import Mesh, Volume, in_order
 
 MATRIX = np.array([[160.0, 0, 119.5], [0, 160.0, 89.5], [0, 0, 1]])
 SIZE = (180, 240)
@@ -425,3 +425,25 @@ def test_a_missing_extra_is_named(command, monkeypatch, capsys, tmp_path):
 def test_senseless_settings_are_refused(changes):
     with pytest.raises(InputError):
         ReconstructionConfig(**changes)
+
+
+def test_a_mesh_in_order_does_not_depend_on_the_order_it_came_in(rng):
+    points = np.round(rng.normal(0, 100, (60, 3))).astype(np.float32)
+    colors = rng.integers(0, 255, (60, 3)).astype(np.uint8)
+    points[:20] = points[20:40]  # coincident vertices differ by their colours
+    triangles = np.stack([rng.permutation(60)[:3] for _ in range(90)]).astype(np.int32)
+    expected = in_order(Mesh(points, triangles, colors))
+    for _ in range(5):
+        shuffle = rng.permutation(60)
+        number = np.argsort(shuffle).astype(np.int32)
+        turned = np.stack([np.roll(number[t], rng.integers(3)) for t in rng.permutation(triangles)])
+        found = in_order(Mesh(points[shuffle], turned, colors[shuffle]))
+        for name in ("vertices_mm", "triangles", "colors"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    # The same surface, its fronts on the same side.
+    def fronts(mesh):
+        corners = mesh.vertices_mm[mesh.triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return sorted(map(tuple, np.concatenate([corners.sum(axis=1), normals], axis=1).round(0).tolist()))
+
+    assert fronts(expected) == fronts(Mesh(points, triangles, colors))

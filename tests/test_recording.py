@@ -3,10 +3,14 @@
 import errno
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
 import textwrap
+import zlib
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -166,6 +170,8 @@ def recorded(folder, counts, header=None, **encoding):
         recorder.write(Frame(counts, Encoding(**encoding), 0.0, 0))
     if header:
         (folder / "recording.json").write_text(json.dumps({"format": header}))
+        index = folder / "index.jsonl"
+        index.write_text(re.sub(r', "line_crc32": "\w{8}"', "", index.read_text()))
     return f"replay:{folder}"
 
 
@@ -216,6 +222,122 @@ def test_recordings_of_the_first_format_are_read(tmp_path):
     given = recorded(tmp_path / "b", frame(0).counts, header=first, black_level=64, white_level=1023)
     assert encoding_of(guessed, camera_levels=(16, 1016)) == Encoding(16, 1016)
     assert encoding_of(given, camera_levels=(16, 1016)) == Encoding(64, 1023)
+
+
+DATA = Path(__file__).parent / "data" / "recordings"
+
+
+@pytest.mark.filterwarnings("ignore::chromaperture.errors.CaptureWarning")
+@pytest.mark.parametrize("version", [1, 2])
+def test_recordings_of_every_past_format_replay_as_they_were_made(version):
+    """Each was made by the release whose format it has, from these numbers."""
+    rng, events = np.random.default_rng(5), []
+    settings = {"listener": events.append, "camera_levels": (16, 1016)}
+    with open_source(f"replay:{DATA / f'format_{version}'}", **settings) as source:
+        frames = list(source)
+    assert events == []
+    assert [f.index for f in frames] == [0, 2, 4, 7, 8]
+    for i, f in enumerate(frames):
+        low, high, kind = ((20, 1000, np.uint16), (0, 1000, np.uint16), (0, 250, np.uint8))[max(0, i - 2)]
+        np.testing.assert_array_equal(f.counts, rng.integers(low, high, (6, 8, 3)).astype(kind))
+        assert f.encoding == (Encoding(0, 255, "srgb") if i == 4 else Encoding(16, 1016))
+        assert f.metadata == ({"gain": 1.5} if i < 3 else {})
+        assert f.time_s == 1.75e9 + (i / 30 if i < 3 else i - 2)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda line: line.replace(b'"white_level": 1023', b'"white_level": 102'),
+        lambda line: line.replace(b'"index": 2', b'"index": 3'),
+        lambda line: b"[1, 2]",
+        lambda line: b"null",
+        lambda line: b"",
+        lambda line: line[:-20],
+        lambda line: line.replace(b"file", b"fil\xff"),
+        lambda line: b"[" * 100_000,
+        lambda line: b"1" * 10_000,
+    ],
+)
+def test_a_damaged_line_costs_its_own_frame_and_says_so(tmp_path, damage):
+    with Recorder(tmp_path) as recorder:
+        for i in range(3):
+            recorder.write(frame(i))
+    index = tmp_path / "index.jsonl"
+    lines = index.read_bytes().split(b"\n")
+    assert damage(lines[1]) != lines[1]
+    index.write_bytes(b"\n".join([lines[0], damage(lines[1]), *lines[2:]]))
+    events = []
+    assert [f.index for f in replayed(tmp_path, events)] == [0, 4]
+    assert [event.kind for event in events] == ["skipped"]
+    assert "line 2 of" in events[0].message
+    assert "\n" not in events[0].message
+
+
+@pytest.mark.filterwarnings("ignore::chromaperture.errors.CaptureWarning")
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"file": "../../secret.tiff"},
+        {"file": "/etc/passwd"},
+        {"file": "00000000.tiff\n"},
+        {"file": "link.tiff"},
+        {"file": 0},
+        {"index": "0"},
+        {"index": -1},
+        {"time_s": None},
+        {"time_s": float("nan")},
+        {"crc32": "x"},
+        {"encoding": None},
+        {"encoding": {"black_level": 0}},
+        {"metadata": [1]},
+        {"more": 1},
+    ],
+)
+def test_lines_of_the_second_format_are_checked_value_by_value(tmp_path, change):
+    folder = tmp_path / "walk"
+    shutil.copytree(DATA / "format_2", folder)
+    shutil.copy(folder / "frames" / "00000000.tiff", tmp_path / "secret.tiff")
+    lines = (folder / "index.jsonl").read_text().splitlines()
+    lines[0] = json.dumps(json.loads(lines[0]) | change)
+    (folder / "index.jsonl").write_text("\n".join(lines) + "\n")
+    events = []
+    assert [f.index for f in replayed(folder, events)] == [2, 4, 7, 8]
+    assert [event.kind for event in events] == ["skipped"]
+
+
+@pytest.mark.filterwarnings("ignore::chromaperture.errors.CaptureWarning")
+@pytest.mark.parametrize("kind", ["fifo", "link", "folder"])
+def test_only_regular_files_are_read(tmp_path, kind):
+    folder = tmp_path / "walk"
+    shutil.copytree(DATA / "format_2", folder)
+    picture = folder / "frames" / "00000000.tiff"
+    shutil.move(picture, tmp_path / "elsewhere.tiff")
+    if kind == "fifo":
+        os.mkfifo(picture)  # nobody writes into it
+    elif kind == "link":
+        picture.symlink_to(tmp_path / "elsewhere.tiff")
+    else:
+        picture.mkdir()
+    events = []
+    assert [f.index for f in replayed(folder, events)] == [2, 4, 7, 8]
+    assert [event.kind for event in events] == ["skipped"]
+    (folder / "index.jsonl").unlink()
+    os.mkfifo(folder / "index.jsonl")
+    with pytest.raises(InputError, match="no recording"):
+        replayed(folder)
+
+
+def test_a_line_says_what_it_always_said(tmp_path):
+    """Other programs read the index as JSON lines."""
+    with Recorder(tmp_path) as recorder:
+        recorder.write(frame(1))
+    entry = json.loads((tmp_path / "index.jsonl").read_text())
+    body = (tmp_path / "index.jsonl").read_bytes().split(b', "line_crc32"')[0]
+    assert int(entry.pop("line_crc32"), 16) == zlib.crc32(body)
+    assert entry["crc32"] == zlib.crc32(frame(1).counts.tobytes())
+    assert set(entry) == {"file", "index", "time_s", "crc32", "encoding", "metadata"}
+    assert json.loads((tmp_path / "recording.json").read_text())["format"] == "chromaperture recording 3"
 
 
 def test_a_recorded_sequence_is_exported_as_bright_as_its_pictures(run, tmp_path):

@@ -346,6 +346,7 @@ def test_what_is_missing_leaves_its_section_out_of_pictures(result, tmp_path):
     assert text.count("data:image/png") == 10
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_report_beside_the_camera(result, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("chromaperture.calibration.calibrate_session.calibrate_session", lambda *a, **k: result)
 

@@ -506,3 +506,21 @@ def test_a_missing_extra_is_named(tmp_path, monkeypatch, module, spec, extra):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(MissingDependencyError, match=rf"chromaperture\[{extra}\]"), open_source(spec) as source:
         next(iter(source))
+
+
+@pytest.mark.parametrize(
+    "spec", ["{}", "{}.png", "{}/*.png", "replay:{}", "simulate:{}", "simulate:{}.toml", "{}.mp4", "{}?fps=5"]
+)
+@pytest.mark.parametrize("name", ["n" * 5000, "/tmp/" + "n" * 300, "zero\0byte", "\udcff"])
+def test_names_that_no_file_can_have_are_refused(spec, name):
+    with pytest.raises(InputError), open_source(spec.format(name)) as source:
+        list(source)
+
+
+def test_digits_of_every_alphabet_may_stand_in_a_name(tmp_path):
+    for name in ("a10", "a2", "a\u00b2", "a\u0663", "\u2460"):  # a superscript, an Arabic 3, a 1 in a circle
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.random.default_rng(0).integers(0, 255, (4, 4, 3), np.uint8))
+    with open_source(str(tmp_path)) as source:
+        files = [frame.metadata["file"] for frame in source]
+    assert len(files) == 5
+    assert files.index("a2.png") < files.index("a10.png")

@@ -23,9 +23,10 @@ STAGES = {"capture", "color", "disparity", "depth"}
 BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "storage", "camera_file", "camera_matching",
                          "camera_alignment", "camera", "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
-COMMON = {"errors", "compilation", "threads", "robust"}
+COMMON = {"errors", "compilation", "threads", "robust", "validation"}
 ALLOWED: dict[str, set[str]] = {
     **{part: set() for part in COMMON},
+    "validation": {"errors"},
     "stage_config": {"errors"},
     "config": {"errors", "stage_config"},
     "optics": set(),  # the forward model shares no code with the estimator that it tests
@@ -34,7 +35,9 @@ ALLOWED: dict[str, set[str]] = {
     "disparity": {"optics", "color", "config", "stage_config"},
     "depth": {"color", "config"},  # works on any disparity map, however it was made
     "storage": {"color"},
-    "camera_file": {"optics", "color", "config", "depth", "storage"},
+    "asdf_input": set(),
+    "camera_tree": set(),
+    "camera_file": {"optics", "color", "config", "depth", "storage", "asdf_input", "camera_tree"},
     "config_file": {"config"},
     "camera_matching": {"camera_file", "color", "config", "disparity"},
     "camera_alignment": {"camera_file", "color", "config", "depth"},
@@ -78,7 +81,7 @@ ONE_WAY = {
 OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "mcap", "mcap_ros2", "imageio",
             "xarray"}  # fmt: skip
 # Import name of a distribution, where the two differ.
-IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
+IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pyyaml": "yaml"}
 
 
 def imported(nodes: Iterator[ast.AST], package: tuple[str, ...]) -> Iterator[str]:

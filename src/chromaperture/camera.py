@@ -102,7 +102,8 @@ class CodedApertureCamera:
         """
         sensor = self.calibration.sensor
         levels = (sensor.black_level, sensor.white_level) if self.calibration.is_calibrated else None
-        return linearise(decode(path), black_level=black_level, white_level=white_level, camera_levels=levels)
+        decoded = decode(path, size_px=(sensor.width_px, sensor.height_px))
+        return linearise(decoded, black_level=black_level, white_level=white_level, camera_levels=levels)
 
     def __repr__(self) -> str:
         return f"CodedApertureCamera({self.calibration.title}, quality {self.config.quality})"

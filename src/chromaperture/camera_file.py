@@ -7,25 +7,29 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import asdf
 import numpy as np
 
+from chromaperture.asdf_input import read_tree
+from chromaperture.camera_tree import CameraTree
 from chromaperture.color.unmixing import ideal_unmixing, mixing_matrix, unmixing_rows
 from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
 from chromaperture.depth.field import DepthField
-from chromaperture.depth.field_file import field_from_tree, field_to_tree, finite, plain
+from chromaperture.depth.field_file import field_from_tree, field_to_tree, plain
 from chromaperture.depth.paper_form import PaperParameters, model_to_paper
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.pinhole import centered_pinhole
 from chromaperture.storage import staged
+from chromaperture.validation import MOST_PIXELS, checked, quoted
 
 FORMAT_VERSION = 1
 _ROOT = "chromaperture_camera"
@@ -273,18 +277,19 @@ class Calibration:
             The file is missing, damaged, not a camera file, or of a newer format.
         """
         path = Path(path)
-        if not path.is_file():
-            raise InputError(f"no camera file at {path}; make one with: chromaperture calibrate SESSION --out {path}")
+        if not os.path.lexists(path):
+            name = quoted(path)
+            raise InputError(f"no camera file at {name}; make one with: chromaperture calibrate SESSION --out {name}")
         try:
-            with asdf.open(path, lazy_load=False, memmap=False) as file:
-                tree = file.tree[_ROOT]
-                version = tree["format_version"]
-                if isinstance(version, int) and version > FORMAT_VERSION:
-                    raise InputError(
-                        f"{path.name} has format version {version}, newer than this program's {FORMAT_VERSION}; "
-                        "upgrade chromaperture"
-                    )
-                calibration = _from_tree(tree)
+            tree = read_tree(path)[_ROOT]
+            version = tree["format_version"]
+            if isinstance(version, int) and version > FORMAT_VERSION:
+                raise InputError(
+                    f"{path.name} has format version {version}, newer than this program's {FORMAT_VERSION}; "
+                    "upgrade chromaperture"
+                )
+            values = checked(CameraTree, tree, where=quoted(path.name))
+            calibration = _from_tree(values, provenance=dict(tree["provenance"]))
         except InputError:
             raise
         except Exception as error:  # YAML, ASDF and NumPy raise many kinds on a damaged file
@@ -293,52 +298,31 @@ class Calibration:
         return calibration
 
 
-def _from_tree(tree: Mapping[str, Any]) -> Calibration:
+def _from_tree(tree: CameraTree, *, provenance: dict[str, Any]) -> Calibration:
     """Rebuild and check; the caller reports any KeyError or ValueError as damage."""
-    sensor = CameraSensor(**{f.name: tree["sensor"][f.name] for f in dataclasses.fields(CameraSensor)})
-    lens = tree["lens"]
-    film = tree["film"]
-    depth = tree["depth"]
     calibration = Calibration(
-        design=str(tree["design"]),
-        sensor=sensor,
+        design=tree.design,
+        sensor=CameraSensor(**dict(tree.sensor)),
         lens=Lens(
-            focal_length_mm=float(lens["focal_length_mm"]),
-            camera_matrix=finite(lens["camera_matrix"], (3, 3)),
-            distortion=finite(lens["distortion"], (5,)),
-            f_number=None if lens["f_number"] is None else float(lens["f_number"]),
+            focal_length_mm=tree.lens.focal_length_mm,
+            camera_matrix=np.array(tree.lens.camera_matrix),
+            distortion=np.array(tree.lens.distortion),
+            f_number=tree.lens.f_number,
         ),
         film=Film(
-            {str(name): finite(color, (3,)) for name, color in film["filters"].items()},
-            finite(film["clear"], (3,)),
-            finite(film["aperture"], (3,)),
+            {name: np.array(color) for name, color in tree.film.filters.items()},
+            np.array(tree.film.clear),
+            np.array(tree.film.aperture),
         ),
-        depth={quality: field_from_tree(depth[quality]) for quality in QUALITIES if quality in depth},
-        near_mm=float(tree["working_range"]["near_mm"]),
-        far_mm=float(tree["working_range"]["far_mm"]),
-        provenance=dict(tree["provenance"]),
-        blur=_blur_from_tree(tree.get("blur")),
-        board=_board_from_tree(tree.get("board")),
+        depth={quality: field_from_tree(tree.depth[quality]) for quality in QUALITIES if quality in tree.depth},
+        near_mm=tree.working_range.near_mm,
+        far_mm=tree.working_range.far_mm,
+        provenance=provenance,
+        blur=None if tree.blur is None else BlurModel(**{f.name: tree.blur[f.name] for f in fields(BlurModel)}),
+        board=None if tree.board is None else Board(tree.board.inner_corners, tree.board.square_mm),
     )
     _check(calibration)
     return calibration
-
-
-def _blur_from_tree(tree: Mapping[str, Any] | None) -> BlurModel | None:
-    if tree is None:
-        return None
-    names = [f.name for f in dataclasses.fields(BlurModel)]
-    return BlurModel(**dict(zip(names, map(float, finite([tree[n] for n in names], (len(names),))), strict=True)))
-
-
-def _board_from_tree(tree: Mapping[str, Any] | None) -> Board | None:
-    if tree is None:
-        return None
-    columns, rows = (int(n) for n in tree["inner_corners"])
-    square_mm = float(tree["square_mm"])
-    if not (min(columns, rows) > 2 and math.isfinite(square_mm) and square_mm > 0):
-        raise ValueError(f"board has {columns}x{rows} inner corners and squares of {square_mm} mm")
-    return Board((columns, rows), square_mm)
 
 
 def _check(calibration: Calibration) -> None:
@@ -367,6 +351,10 @@ def _check(calibration: Calibration) -> None:
             raise ValueError(f"{name} must be positive and finite, is {value}")
     if not calibration.depth:
         raise ValueError("no depth curve")
+    if sensor.width_px * sensor.height_px > MOST_PIXELS:
+        raise ValueError(f"the sensor has more than {MOST_PIXELS} pixels")
+    if not np.array_equal(lens.camera_matrix[2], (0, 0, 1)) or lens.camera_matrix[1, 0] != 0:
+        raise ValueError("lens.camera_matrix is not that of a pinhole")
     missing = set(calibration.aperture.views) - set(film.filters)
     if missing:
         raise ValueError(f"film.filters lacks {', '.join(sorted(missing))}")

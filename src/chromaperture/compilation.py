@@ -10,6 +10,9 @@ import ast
 import contextlib
 import hashlib
 import inspect
+import os
+import stat
+import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -19,6 +22,7 @@ from numba import njit
 from numba.core import caching
 
 _PACKAGE = Path(__file__).parent
+_DIGEST = hashlib.sha256().digest_size  # bytes
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -96,21 +100,80 @@ class _UserWide(_Stamped, caching.UserWideCacheLocator):
     pass
 
 
+class _Temporary(_Stamped, caching.UserWideCacheLocator):
+    """A folder of this user among the temporary ones, for services: a read-only installation, and no home.
+
+    What is kept there is executed, so it must belong to this user alone.
+    """
+
+    def __init__(self, function: Callable[..., Any], file: str) -> None:
+        self._py_file, self._lineno = file, function.__code__.co_firstlineno
+        self._folder = Path(tempfile.gettempdir()) / f"chromaperture-{os.getuid()}"
+        self._cache_path = str(self._folder / self.get_suitable_cache_subpath(file))
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> Any:
+        if not hasattr(os, "getuid"):  # Windows' temporary folders are those of a user's home
+            return None
+        found = cls(function, file)
+        try:
+            found._folder.mkdir(mode=0o700, exist_ok=True)
+            status = found._folder.lstat()
+            found.ensure_cache_path()
+        except OSError:
+            return None
+        own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o077
+        return found if own else None
+
+
 class _Results(caching.CompileResultCacheImpl):
-    _locator_classes = [_UserProvided, _InTree, _UserWide]  # noqa: RUF012 - Numba's own name
+    _locator_classes = [_UserProvided, _InTree, _UserWide, _Temporary]  # noqa: RUF012 - Numba's own name
+
+
+class _CheckedFile(caching.IndexDataCacheFile):
+    """Numba's files, with a digest behind each pickle, where unpickling ends before it."""
+
+    def _dump(self, value: Any) -> bytes:
+        data: bytes = super()._dump(value)
+        return data + hashlib.sha256(data).digest()
+
+    def _load_data(self, name: str) -> Any:
+        data = Path(self._data_path(name)).read_bytes()
+        if hashlib.sha256(data[:-_DIGEST]).digest() != data[-_DIGEST:]:
+            raise ValueError("the machine code is damaged")  # it would run nevertheless
+        return super()._load_data(name)
 
 
 class _Cache(caching.FunctionCache):
-    """Numba's cache, which compiles again where a kept file is damaged."""
+    """Numba's cache, which compiles again where a kept file is damaged, and goes on without where none can be kept."""
 
     _impl_class = _Results
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._cache_file = _CheckedFile(
+            cache_path=self._cache_path,
+            filename_base=self._impl.filename_base,
+            source_stamp=self._impl.locator.get_source_stamp(),
+        )
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
             return super().load_overload(sig, target_context)
         except Exception:  # a truncated pickle raises nearly anything
-            self.flush()
+            with contextlib.suppress(OSError):
+                self.flush()
             return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super().save_overload(sig, data)
+        except (
+            Exception
+        ):  # a full disk, a folder that became read-only, an index that another program damaged meanwhile
+            with contextlib.suppress(OSError):
+                self.flush()
+            self.disable()
 
 
 def is_compiled(module: Any) -> bool:

@@ -15,16 +15,18 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
-import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 from chromaperture.config import Config
 from chromaperture.errors import InputError
+from chromaperture.validation import checked_value, nearest, quoted, read_toml
 
 T = TypeVar("T")
 _SECTIONS = ("matcher", "depth")  # the quality is chosen by --quality
+# Of a number in px: the time of a Gaussian grows with its width, and 1000 px takes seconds; of a count of iterations,
+# whose default is 40; of any other: a depth of 1000 km, whose square is still finite.
+MOST_PX, MOST_ITERATIONS, LARGEST = 1e3, 10_000, 1e9
 
 
 def with_file(config: Config, path: str | Path) -> Config:
@@ -36,52 +38,41 @@ def with_file(config: Config, path: str | Path) -> Config:
         The file cannot be read, or has a key or a value that does not fit; the message names the nearest valid key.
     """
     path = Path(path)
-    try:
-        tree = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:  # ValueError: also of bytes that are no text
-        raise InputError(f"cannot read settings {path}: {error}") from None
+    tree = read_toml(path)
     for section in tree:
         if section not in _SECTIONS:
-            raise InputError(f"{path.name}: unknown section [{section}]{_nearest(section, _SECTIONS)}")
-    return _replaced(config, tree, path.name, "")
+            raise InputError(f"{path.name}: unknown section [{quoted(section)}]{nearest(section, _SECTIONS)}")
+    return _replaced(config, tree, quoted(path.name), "")
 
 
 def _replaced(settings: T, tree: Any, file: str, section: str) -> T:
     """Return a dataclass with the values of a table, its nested dataclasses included."""
     if not isinstance(tree, dict):
-        raise InputError(f"{file}: [{section}] must be a table, is {tree!r}")
-    known = [field.name for field in dataclasses.fields(settings)]  # type: ignore[arg-type]
+        raise InputError(f"{file}: [{section}] must be a table, is {quoted(tree)}")
+    hints = get_type_hints(type(settings))
     changes = {}
     for key, value in tree.items():
         name = f"{section}.{key}" if section else key
-        if key not in known:
-            raise InputError(f"{file}: unknown setting {key!r} in [{section}]{_nearest(key, known)}")
+        if key not in hints:
+            raise InputError(f"{file}: unknown setting {quoted(key)!r} in [{section}]{nearest(key, hints)}")
         current = getattr(settings, key)
         if dataclasses.is_dataclass(current):
             changes[key] = _replaced(current, value, file, name)
         else:
-            changes[key] = _checked(value, current, file, name)
+            changes[key] = checked_value(hints[key], value, where=f"{file}: {name} ")
+            _check_size(changes[key], f"{file}: {name}")
     try:
         return dataclasses.replace(settings, **changes)  # type: ignore[type-var]
     except InputError as error:
         raise InputError(f"{file}: [{section}] {error}") from None
 
 
-def _checked(value: Any, current: Any, file: str, name: str) -> Any:
-    """Return a value of the type of the one it replaces; InputError where it is of another."""
-    if isinstance(current, tuple) and isinstance(value, list):
-        return tuple(_checked(item, current[0], file, name) for item in value)
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    whole = isinstance(value, int) and not isinstance(value, bool)
-    fits = {bool: isinstance(value, bool), str: isinstance(value, str), int: whole, float: number}
-    if not fits.get(type(current), False):
-        raise InputError(f"{file}: {name} must be like {current!r}, is {value!r}")
-    try:
-        return float(value) if isinstance(current, float) else value
-    except OverflowError:
-        raise InputError(f"{file}: {name} must be like {current!r}, is too large") from None
-
-
-def _nearest(key: str, known: list[str] | tuple[str, ...]) -> str:
-    near = difflib.get_close_matches(key, known, n=1)
-    return f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(known)}"
+def _check_size(value: Any, name: str) -> None:
+    """Raise InputError where a number is NaN, or larger than any setting of its unit."""
+    for number in value if isinstance(value, tuple) else (value,):
+        if isinstance(number, tuple):
+            _check_size(number, name)
+        elif isinstance(number, int | float):
+            most = MOST_PX if name.endswith("_px") else MOST_ITERATIONS if isinstance(number, int) else LARGEST
+            if not -most <= number <= most:
+                raise InputError(f"{name} must lie between {-most:g} and {most:g}, is {quoted(number)}")

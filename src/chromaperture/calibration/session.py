@@ -6,19 +6,33 @@
 from __future__ import annotations
 
 import csv
-import tomllib
-from collections.abc import Mapping
+import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from chromaperture.calibration.board_distances import check_units
 from chromaperture.camera_file import CameraSensor
-from chromaperture.capture.files import decode, linearise, photographs
+from chromaperture.capture.files import decode, image_size, linearise, photographs
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, design_named
+from chromaperture.validation import (
+    LARGEST_SIDE,
+    Name,
+    NotNegative,
+    Positive,
+    Table,
+    checked,
+    quoted,
+    read_text,
+    read_toml,
+)
+
+_MOST_CSV_BYTES = 1_000_000  # of distances.csv: 20,000 boards
 
 # Name of the white sheet through a whole pupil of one filter; film without a name has none.
 SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": "sheet_r", "green": "sheet_g",
@@ -44,16 +58,16 @@ class Session:
 
     def read(self, path: Path) -> np.ndarray:
         """Read one photograph of the session as linear light; (H, W, 3) float32."""
+        expected = (self.sensor.width_px, self.sensor.height_px)
+        width, height = image_size(path)
+        if (width, height) != expected:
+            raise InputError(
+                f"{path.name} is {width}x{height} px but session.toml says "
+                f"{expected[0]}x{expected[1]}; correct session.toml or the photograph"
+            )
         # As `depth` reads: 8 bits, which cannot hold the levels of a sensor, are decoded from the sRGB curve.
         levels = (self.sensor.black_level, self.sensor.white_level)
-        image = linearise(decode(path), camera_levels=levels)
-        expected = (self.sensor.height_px, self.sensor.width_px)
-        if image.shape[:2] != expected:
-            raise InputError(
-                f"{path.name} is {image.shape[1]}x{image.shape[0]} px but session.toml says "
-                f"{expected[1]}x{expected[0]}; correct session.toml or the photograph"
-            )
-        return image
+        return linearise(decode(path, size_px=expected), camera_levels=levels)
 
     @property
     def sheets(self) -> dict[str, Path]:
@@ -81,71 +95,87 @@ def read_session(folder: str | Path) -> Session:
     """
     folder = Path(folder)
     settings = folder / "session.toml"
-    try:
-        text = settings.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot read {settings}: {error.strerror or error}; is this a session folder?") from None
-    try:
-        tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{settings}: {error}") from None
-
-    def number(section: str, key: str, default: float | None = None) -> float:
-        value = _entry(tree, section).get(key, default)
-        if not isinstance(value, int | float) or not np.isfinite(value) or value < 0:
-            raise InputError(f"{settings}: {key} in [{section}] must be a number >= 0, is {value!r}")
-        return float(value)
-
-    corners = _entry(tree, "board").get("inner_corners", [9, 6])
-    if not (isinstance(corners, list) and len(corners) == 2 and all(isinstance(c, int) and c > 2 for c in corners)):
-        raise InputError(f"{settings}: inner_corners in [board] must be two whole numbers, such as [9, 6]")
-
-    def electrons(key: str) -> float | None:
-        return number("sensor", key) if key in _entry(tree, "sensor") else None
-
+    if not os.path.isfile(settings):
+        raise InputError(f"cannot read {quoted(settings)}: there is no such file; is this a session folder?")
+    table = checked(_SessionTable, read_toml(settings), where=quoted(settings))
     boards = _distances(folder)
-    rulers = np.array([*boards.values()])
-    check_units(rulers, number("lens", "focused_at_about_mm"), where=str(folder / "distances.csv"))
+    check_units(np.array([*boards.values()]), table.lens.focused_at_about_mm, where=str(folder / "distances.csv"))
     return Session(
         folder=folder,
-        design=design_named(str(tree.get("design"))).name,
-        sensor=CameraSensor(
-            width_px=int(number("sensor", "width_px")),
-            height_px=int(number("sensor", "height_px")),
-            pixel_pitch_mm=number("sensor", "pixel_pitch_mm"),
-            black_level=number("sensor", "black_level", 0.0),
-            white_level=number("sensor", "white_level", 65535.0),
-            full_well_electrons=electrons("full_well_electrons"),
-            read_noise_electrons=electrons("read_noise_electrons"),
-        ),
-        nominal_focal_length_mm=number("lens", "nominal_focal_length_mm"),
-        nominal_f_number=number("lens", "nominal_f_number"),
-        focused_at_about_mm=number("lens", "focused_at_about_mm"),
-        inner_corners=(corners[0], corners[1]),
-        square_mm=number("board", "square_mm"),
-        ruler_error_mm=number("board", "ruler_error_mm", 3.0),
+        design=design_named(table.design).name,
+        sensor=CameraSensor(**table.sensor.model_dump(exclude={"linear"})),
+        nominal_focal_length_mm=table.lens.nominal_focal_length_mm,
+        nominal_f_number=table.lens.nominal_f_number,
+        focused_at_about_mm=table.lens.focused_at_about_mm,
+        inner_corners=table.board.inner_corners,
+        square_mm=table.board.square_mm,
+        ruler_error_mm=table.board.ruler_error_mm,
         boards=boards,
         tilts=tuple(photographs(folder / "tilt")),
     )
 
 
-def _entry(tree: Mapping[str, Any], section: str) -> Mapping[str, Any]:
-    entry = tree.get(section)
-    if not isinstance(entry, dict):
-        raise InputError(f"session.toml has no [{section}] section")
-    return entry
+_Length = Annotated[float, Field(gt=0, le=1e9)]  # mm; a thousand km, beyond every unit that was mistaken for mm
+_Corners = Annotated[int, Field(gt=2, le=1000)]  # of a side; OpenCV's chessboards begin at 3
+
+
+class _SensorTable(Table):
+    """``[sensor]``."""
+
+    width_px: Annotated[int, Field(gt=0, le=LARGEST_SIDE)]
+    height_px: Annotated[int, Field(gt=0, le=LARGEST_SIDE)]
+    pixel_pitch_mm: _Length
+    black_level: NotNegative = 0.0
+    white_level: NotNegative = 65535.0
+    full_well_electrons: Positive | None = None
+    read_noise_electrons: NotNegative | None = None
+    linear: bool = True  # for people; counts are always taken as linear
+
+
+class _LensTable(Table):
+    """``[lens]``."""
+
+    nominal_focal_length_mm: _Length
+    nominal_f_number: _Length
+    focused_at_about_mm: NotNegative
+
+
+class _BoardTable(Table):
+    """``[board]``."""
+
+    inner_corners: tuple[_Corners, _Corners] = (9, 6)
+    square_mm: _Length
+    ruler_error_mm: NotNegative = 3.0
+
+
+class _ExposureTable(Table):
+    """``[exposure]``: for people; the white sheets show it."""
+
+    relative_to_open: Positive = 1.0
+
+
+class _SessionTable(Table):
+    """A ``session.toml``."""
+
+    design: Name
+    sensor: _SensorTable
+    lens: _LensTable
+    board: _BoardTable
+    exposure: _ExposureTable = _ExposureTable()
 
 
 def _distances(folder: Path) -> dict[Path, float]:
+    """Read ``distances.csv``: photographs of boards and their distances by ruler, mm."""
     table = folder / "distances.csv"
+    rows = csv.DictReader(read_text(table, most_bytes=_MOST_CSV_BYTES).splitlines())
     try:
-        rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
         boards = {folder / row["file"]: float(row["ruler_mm"]) for row in rows}
-    except OSError as error:
-        raise InputError(f"cannot read {table}: {error.strerror or error}") from None
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, csv.Error):
         raise InputError(f"{table} must have the columns file,ruler_mm with distances in mm") from None
-    missing = [path.name for path in boards if not path.is_file()]
+    for path, ruler_mm in boards.items():
+        if not 0 < ruler_mm < math.inf:
+            raise InputError(f"{table}: the distance of {quoted(path.name)} must be positive, in mm, is {ruler_mm:g}")
+    missing = [quoted(path.name) for path in boards if not os.path.isfile(path)]
     if missing:
         raise InputError(f"{table} names photographs that are not there: {', '.join(missing[:5])}")
     return boards

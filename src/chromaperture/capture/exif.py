@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
+from chromaperture.capture.picture_header import open_picture
+from chromaperture.validation import MOST_FILE_BYTES, read_bytes
 
 # Tags of the EXIF standard.
 _EXIF_IFD = 0x8769
@@ -26,8 +28,10 @@ class Exif:
 def read_exif(path: str | Path) -> Exif:
     """Read the settings of a photograph; an empty `Exif` for a file without them."""
     try:
-        with Image.open(path) as picture:
-            tags = picture.getexif().get_ifd(_EXIF_IFD)
+        data = read_bytes(path, most_bytes=MOST_FILE_BYTES)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's, of damaged tags
+            tags = open_picture(data).getexif().get_ifd(_EXIF_IFD)
     except Exception:  # decoders raise anything; errors of the picture itself are reported by `read_image`
         return Exif()
     distance_m = _positive(tags.get(_SUBJECT_DISTANCE))

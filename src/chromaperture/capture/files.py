@@ -6,18 +6,21 @@ no white balance, because superposition of the views needs the sensor's own scal
 
 from __future__ import annotations
 
-import io
+import os
 import warnings
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
-import tifffile
-from PIL import Image, JpegImagePlugin, UnidentifiedImageError
+from PIL import Image, JpegImagePlugin
 
+from chromaperture.capture.picture_header import TIFF_MARKS, check_size, open_picture
 from chromaperture.capture.source import Encoding, choose_encoding, develop_counts, format_encoding
+from chromaperture.capture.tiff import decode_tiff, tiff_size
 from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.validation import MOST_FILE_BYTES, read_bytes
 
 _RAW_SUFFIXES = {".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2"}
 _PICTURES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
@@ -41,7 +44,13 @@ class Decoded:
     own: Encoding | None = None
 
 
-def read_image(path: str | Path, *, black_level: float | None = None, white_level: float | None = None) -> np.ndarray:
+def read_image(
+    path: str | Path,
+    *,
+    black_level: float | None = None,
+    white_level: float | None = None,
+    size_px: tuple[int, int] | None = None,
+) -> np.ndarray:
     """Read a photograph as linear light: `decode`, then `linearise`.
 
     Files of 16 bit (PNG, TIFF, PPM) hold linear counts; without levels, black is 0 and white 65535. Files of 8 bit
@@ -54,6 +63,9 @@ def read_image(path: str | Path, *, black_level: float | None = None, white_leve
     path : str or Path
     black_level, white_level : float, optional
         Counts of no light and of a full well.
+    size_px : (int, int), optional
+        Width and height of the camera: a file of another size is refused before it is decoded. Without it, files of
+        more than `validation.MOST_PIXELS` are.
 
     Returns
     -------
@@ -62,14 +74,14 @@ def read_image(path: str | Path, *, black_level: float | None = None, white_leve
     Raises
     ------
     InputError
-        The file is missing, damaged, grey, or the levels make no sense.
+        The file is missing, damaged, grey, of another size, or the levels make no sense.
 
     Warns
     -----
     CaptureWarning
         Chroma subsampling has halved the resolution of the measured signal, or the levels look wrong.
     """
-    return linearise(decode(path), black_level=black_level, white_level=white_level)
+    return linearise(decode(path, size_px=size_px), black_level=black_level, white_level=white_level)
 
 
 def linearise(
@@ -112,7 +124,7 @@ def encoding_of(
 
 def photographs(folder: Path) -> list[Path]:
     """List the files of a folder that can be read as photographs, by name; none where there is no such folder."""
-    found = folder.iterdir() if folder.is_dir() else ()
+    found = folder.iterdir() if os.path.isdir(folder) else ()
     return sorted(path for path in found if path.suffix.lower() in _PICTURES or is_raw(path))
 
 
@@ -122,51 +134,71 @@ def is_raw(path: Path) -> bool:
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
-    """Return width and height of an image file, px; raises InputError like `read_image`."""
-    height, width = decode(path).array.shape[:2]
+    """Return width and height of an image file, px, from its header; raises InputError like `read_image`."""
+    path = Path(path)
+    if is_raw(path):
+        from chromaperture.capture.raw import raw_size
+
+        return raw_size(path)
+    data = _read(path)
+    if data.startswith(TIFF_MARKS):
+        return tiff_size(data, path.name)
+    try:
+        width, height = open_picture(data).size
+    except Exception:
+        raise InputError(_damaged(path)) from None
+    check_size(width, height, path.name, None)
     return width, height
 
 
-def decode(path: str | Path) -> Decoded:
+def decode(path: str | Path, *, size_px: tuple[int, int] | None = None) -> Decoded:
     """Read a photograph's file once; raises InputError like `read_image`, but for levels."""
     path = Path(path)
     if is_raw(path):
         from chromaperture.capture.raw import read_raw
 
-        counts, own = read_raw(path)
+        counts, own = read_raw(path, size_px=size_px)
         return Decoded(counts, own)
-    return Decoded(_colour(_decode(path), path))
+    return Decoded(_colour(_decode(path, size_px), path))
 
 
-def _decode(path: Path) -> np.ndarray:
-    """Decode to an array of counts in the file's own depth, channels in R, G, B order."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from None
+def _read(path: Path) -> bytes:
+    data = read_bytes(path, most_bytes=MOST_FILE_BYTES)
     if not data:
         raise InputError(f"{path.name} is empty; copy the file again")
-    damaged = f"{path.name} is damaged or not an image (PNG, TIFF, PPM or JPEG); copy or export the file again"
+    return data
+
+
+def _damaged(path: Path) -> str:
+    return f"{path.name} is damaged or not an image (PNG, TIFF, PPM or JPEG); copy or export the file again"
+
+
+def _decode(path: Path, size_px: tuple[int, int] | None) -> np.ndarray:
+    """Decode to an array of counts in the file's own depth, channels in R, G, B order."""
+    data = _read(path)
+    if data.startswith(TIFF_MARKS):
+        return decode_tiff(data, path.name, check=partial(check_size, name=path.name, size_px=size_px))
     try:
-        if data[:4] in (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+"):
-            return np.asarray(tifffile.imread(io.BytesIO(data)))
-        with Image.open(io.BytesIO(data)) as picture:
-            picture.verify()  # all chunk checksums of a PNG
+        picture = open_picture(data)
+        check_size(*picture.size, path.name, size_px, file_bytes=len(data))
+        picture.verify()  # all chunk checksums of a PNG
         if _is_deep(data):
+            if data.startswith(b"P"):
+                return _deep_pnm(data, picture)
             counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
             if counts is None:
-                raise InputError(damaged)
+                raise InputError(_damaged(path))
             return counts[..., [2, 1, 0]] if counts.ndim == 3 else counts  # OpenCV stores B, G, R; alpha goes
-        with Image.open(io.BytesIO(data)) as picture:
-            _warn_of_subsampling(picture)
-            coded = picture.mode in ("P", "RGBA", "CMYK", "YCbCr")
-            return np.asarray(picture.convert("RGB") if coded else picture)
-    except InputError:
+        picture = open_picture(data)
+        _warn_of_subsampling(picture)
+        coded = picture.mode in ("P", "RGBA", "CMYK", "YCbCr")
+        return np.asarray(picture.convert("RGB") if coded else picture)
+    except InputError as error:
+        raise InputError(str(error) if path.name in str(error) else _damaged(path)) from None
+    except (CaptureWarning, MemoryError):  # the first where warnings are errors
         raise
-    except (UnidentifiedImageError, Image.DecompressionBombError) as error:
-        raise InputError(damaged if isinstance(error, UnidentifiedImageError) else f"{path.name}: {error}") from None
     except Exception:  # decoders raise anything on a damaged file
-        raise InputError(damaged) from None
+        raise InputError(_damaged(path)) from None
 
 
 def _is_deep(data: bytes) -> bool:
@@ -177,6 +209,14 @@ def _is_deep(data: bytes) -> bool:
         fields = [f for line in data[:512].split(b"\n") for f in line.split(b"#")[0].split()]
         return len(fields) > 3 and int(fields[3]) > 255
     return False
+
+
+def _deep_pnm(data: bytes, picture: Image.Image) -> np.ndarray:
+    """Return the samples behind the header; raises ValueError where there are too few."""
+    channels = 3 if data.startswith(b"P6") else 1
+    (width, height), start = picture.size, picture.tile[0].offset  # type: ignore[attr-defined]
+    counts = np.frombuffer(data, ">u2", width * height * channels, start)
+    return counts.astype(np.uint16).reshape(height, width, channels)
 
 
 def _colour(counts: np.ndarray, path: Path) -> np.ndarray:

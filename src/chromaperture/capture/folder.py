@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -45,10 +46,10 @@ class FolderSource(FileSource):
     def open(self) -> None:
         """Find the pictures."""
         folder = Path(self.name)
-        if folder.is_dir():
+        if os.path.isdir(folder):  # unlike `Path`, no error for names that are too long
             self.paths = photographs(folder)
         else:
-            self.paths = [folder] if folder.is_file() else [Path(p) for p in glob.glob(self.name, recursive=True)]
+            self.paths = [folder] if os.path.isfile(folder) else _matching(self.name)
         self.paths.sort(key=natural)
         if not self.paths:
             raise InputError(f"no picture at {self.name}; give a folder, a glob in quotes, or a file")
@@ -70,6 +71,13 @@ class FolderSource(FileSource):
             raise InputError(f"none of the {len(self.paths)} files at {self.name} can be used as a colour picture")
 
 
+def _matching(pattern: str) -> list[Path]:
+    try:
+        return [Path(found) for found in glob.glob(pattern, recursive=True)]
+    except ValueError:  # a zero byte
+        return []
+
+
 def natural(path: Path) -> list[tuple[int, int | str]]:
     """Sort key by which frame2 comes before frame10."""
-    return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"(\d+)", str(path))]
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in re.split(r"(\d+)", str(path))]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -71,13 +72,13 @@ def open_source(
         if kind != "gphoto2" and not where:
             raise InputError(f"{kind} needs a folder: {kind}:FOLDER")
         return _file(kind, where, _FILES[kind], settings, listener, camera_levels)
-    if found and "/" not in kind and not Path(spec).exists() and kind.isidentifier() and "*" not in kind:
+    if found and "/" not in kind and not os.path.exists(spec) and kind.isidentifier() and "*" not in kind:
         raise InputError(f"unknown kind of source {kind!r}: choose {', '.join(sorted(_KINDS))}, or give a path")
     path, mark, query = spec.rpartition("?")
-    if not mark or not _QUERY.fullmatch(query) or Path(spec).exists():
+    if not mark or not _QUERY.fullmatch(query) or os.path.exists(spec):
         path, query = spec, ""
     settings = dict(parse_qsl(query, keep_blank_values=True)) | settings
-    if Path(path).suffix.lower() in VIDEOS and not Path(path).is_dir():
+    if Path(path).suffix.lower() in VIDEOS and not os.path.isdir(path):
         return _file("video", path, VideoSource, settings, listener, camera_levels)
     return _file("folder", path, FolderSource, settings, listener, camera_levels)
 

@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from chromaperture.capture.bayer import superpixels
+from chromaperture.capture.picture_header import check_size
 from chromaperture.capture.source import Encoding
 from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.validation import quoted
 
 
-def read_raw(path: Path) -> tuple[np.ndarray, Encoding]:
+def raw_size(path: Path) -> tuple[int, int]:
+    """Return width and height of the half-size picture, px; raises like `read_raw`."""
+    with _opened(path) as raw:
+        return raw.sizes.width // 2, raw.sizes.height // 2
+
+
+def read_raw(path: Path, *, size_px: tuple[int, int] | None = None) -> tuple[np.ndarray, Encoding]:
     """Read the mosaic and make one pixel of every 2 x 2 cell.
+
+    Parameters
+    ----------
+    path : Path
+    size_px : (int, int), optional
+        Width and height of the camera, whose pixels are these cells; see `check_size`.
 
     Returns
     -------
@@ -28,22 +46,11 @@ def read_raw(path: Path) -> tuple[np.ndarray, Encoding]:
     InputError
         A file that cannot be read, or a sensor without a Bayer mosaic.
     """
-    if not path.is_file():
-        raise InputError(f"cannot read {path}: no such file")
-    try:
-        import rawpy
-    except ImportError:
-        raise MissingDependencyError(
-            f"{path.name} is a RAW file; install the extra that reads them: pip install 'chromaperture[raw]'"
-        ) from None
-    try:
-        with rawpy.imread(str(path)) as raw:
-            layout, names = raw.raw_pattern, raw.color_desc.decode()
-            mosaic = raw.raw_image_visible.copy()
-            black, white = float(np.mean(raw.black_level_per_channel)), float(raw.white_level)
-    except rawpy.LibRawError as error:
-        what = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
-        raise InputError(f"{path.name} is damaged or not a RAW file ({what}); copy the file again") from None
+    with _opened(path) as raw:
+        check_size(raw.sizes.width // 2, raw.sizes.height // 2, path.name, size_px)
+        layout, names = raw.raw_pattern, raw.color_desc.decode()
+        mosaic = raw.raw_image_visible.copy()
+        black, white = float(np.mean(raw.black_level_per_channel)), float(raw.white_level)
     pattern = "" if layout is None else "".join(names[i] for i in np.asarray(layout).ravel())
     if len(pattern) != 4 or mosaic.ndim != 2:
         raise InputError(
@@ -52,3 +59,22 @@ def read_raw(path: Path) -> tuple[np.ndarray, Encoding]:
         )
     counts, encoding = superpixels(mosaic, pattern, black_level=black, white_level=white)
     return counts, replace(encoding, given=False)  # the levels of the camera file are more exact
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a file with LibRaw; what it raises becomes InputError."""
+    if not os.path.isfile(path):
+        raise InputError(f"cannot read {quoted(path)}: no such file")
+    try:
+        import rawpy
+    except ImportError:
+        raise MissingDependencyError(
+            f"{path.name} is a RAW file; install the extra that reads them: pip install 'chromaperture[raw]'"
+        ) from None
+    try:
+        with rawpy.imread(str(path)) as raw:
+            yield raw
+    except rawpy.LibRawError as error:
+        what = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
+        raise InputError(f"{path.name} is damaged or not a RAW file ({what}); copy the file again") from None

@@ -2,7 +2,8 @@
 
 A folder with ``recording.json`` (format and source), ``frames/NNNNNNNN.tiff`` (counts as delivered, uncompressed) and
 ``index.jsonl``, one line per frame, appended and synced to the disk after the picture. An incomplete last line, as a
-crash leaves it, is ignored. Levels that nobody gave are null; format 1 wrote 0 and 65535 for those of 16-bit files.
+crash leaves it, is ignored. Picture and line have a checksum each, lines since format 3: a damaged one costs its frame.
+Levels that nobody gave are null; format 1 wrote 0 and 65535 for those of 16-bit files.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any, Self
 import numpy as np
 import tifffile
 
+from chromaperture.capture.recording_index import EncodingEntry, Entry, entry_of, line_of
 from chromaperture.capture.source import (
     CENTRED,
     Encoding,
@@ -31,9 +33,14 @@ from chromaperture.capture.source import (
     choose_encoding,
     format_encoding,
 )
+from chromaperture.capture.tiff import decode_tiff
 from chromaperture.errors import InputError
+from chromaperture.validation import quoted, read_bytes
 
-_FORMAT, _FIRST_FORMAT = "chromaperture recording 2", "chromaperture recording 1"
+_FORMATS = [f"chromaperture recording {number}" for number in (1, 2, 3)]
+_FORMAT, _FIRST_FORMAT = _FORMATS[-1], _FORMATS[0]
+_MOST_HEADER_BYTES, _MOST_INDEX_BYTES = 10_000, 2_000_000_000  # of the index: two days at 30 frames a second
+_MOST_PICTURE_BYTES = 2_000_000_000  # of a frame: 160 megapixels of float32
 _INDEX, _HEADER = "index.jsonl", "recording.json"
 
 
@@ -89,7 +96,7 @@ class Recorder:
             "encoding": _recorded(frame.encoding),
             "metadata": dict(frame.metadata),
         }
-        line = (json.dumps(entry, default=str) + "\n").encode()
+        line = line_of(entry)
         end = os.fstat(self._index).st_size
         try:
             _write_durably(path, _tiff(frame.counts))
@@ -135,52 +142,60 @@ class ReplaySource(FileSource):
         super().__init__(f"replay:{folder}", listener=listener)
         self.folder = Path(folder)
         self.levels, self.camera_levels = {"black_level": black_level, "white_level": white_level}, camera_levels
-        self.entries: list[dict[str, Any]] = []
+        self.entries: list[Entry] = []
         self._is_first_format = False
 
     def open(self) -> None:
-        """Read the index."""
+        """Read the index; report and leave out damaged lines."""
+        none = f"no recording at {quoted(self.folder)}; give a folder that 'chromaperture record' made"
         try:
-            header = json.loads((self.folder / _HEADER).read_text(encoding="utf-8"))
-            known = header.get("format") in (_FORMAT, _FIRST_FORMAT)
-            self._is_first_format = header.get("format") == _FIRST_FORMAT
-            data = (self.folder / _INDEX).read_bytes()
-        except (OSError, ValueError, AttributeError):
-            raise InputError(f"no recording at {self.folder}; give a folder that 'chromaperture record' made") from None
-        if not known:
-            raise InputError(f"{self.folder} was recorded by a newer version; update chromaperture")
+            header = json.loads(read_bytes(self.folder / _HEADER, most_bytes=_MOST_HEADER_BYTES))
+            kind = header.get("format")
+            data = read_bytes(self.folder / _INDEX, most_bytes=_MOST_INDEX_BYTES)
+        except (InputError, ValueError, AttributeError, RecursionError):
+            raise InputError(none) from None
+        if kind not in _FORMATS:
+            raise InputError(f"{quoted(self.folder)} was recorded by a newer version; update chromaperture")
+        self._is_first_format = kind == _FIRST_FORMAT
         self.entries = []
-        for line in data.split(b"\n")[:-1]:  # text after the last newline was never acknowledged
+        for number, line in enumerate(data.split(b"\n")[:-1], start=1):  # the rest was never acknowledged
             try:
-                self.entries.append(json.loads(line))
-            except ValueError:
-                self.listener(Event("skipped", f"line {len(self.entries) + 1} of {self.folder / _INDEX} is damaged"))
+                self.entries.append(entry_of(line, has_checksum=kind == _FORMAT))
+            except InputError as error:
+                where = f"line {number} of {quoted(self.folder / _INDEX)}"
+                self.listener(Event("skipped", f"{where} is damaged, its frame is left out: {error}"))
         if not self.entries:
-            raise InputError(f"the recording at {self.folder} holds no frame")
+            raise InputError(f"the recording at {quoted(self.folder)} holds no frame that can be read")
 
     def frames(self) -> Iterator[Frame]:
         """Yield the frames; report and skip damaged ones."""
         for entry in self.entries:
-            path = self.folder / "frames" / entry["file"]
+            path = self.folder / "frames" / entry.file
             try:
-                counts = np.asarray(tifffile.imread(path))
-            except (OSError, ValueError, tifffile.TiffFileError):
-                counts = np.zeros(0)
-            if zlib.crc32(counts.tobytes()) != entry["crc32"]:
-                self.listener(Event("skipped", f"{path} is damaged; its frame is left out"))
+                counts = self._counts(path, entry)
+                encoding = self._encoding(entry.encoding, counts)
+            except InputError as error:
+                self.listener(Event("skipped", f"{quoted(path)} is left out: {error}"))
                 continue
-            yield Frame(
-                counts, self._encoding(entry["encoding"], counts), entry["time_s"], entry["index"], entry["metadata"]
-            )
+            yield Frame(counts, encoding, entry.time_s, entry.index, entry.metadata)
 
-    def _encoding(self, recorded: dict[str, Any], counts: np.ndarray) -> Encoding:
+    def _counts(self, path: Path, entry: Entry) -> np.ndarray:
+        """Read the picture of a frame; raises InputError where it is damaged, or not the one that was recorded."""
+        if path.is_symlink():
+            raise InputError("it is a link; copy the picture itself into the recording")
+        counts = decode_tiff(read_bytes(path, most_bytes=_MOST_PICTURE_BYTES), path.name)
+        if zlib.crc32(np.ascontiguousarray(counts).tobytes()) != entry.crc32:
+            raise InputError("the picture is damaged")
+        if counts.ndim != 3 or counts.shape[2] != 3:
+            raise InputError(f"it holds an array of shape {counts.shape}")
+        return counts
+
+    def _encoding(self, recorded: EncodingEntry, counts: np.ndarray) -> Encoding:
         """Return the recorded encoding, with the levels of the reader or of the camera file in their place."""
-        fields = dict(recorded)
-        fields["channel_offsets_px"] = tuple(tuple(xy) for xy in fields["channel_offsets_px"])
-        if fields["white_level"] is None:
+        if recorded.white_level is None or recorded.black_level is None:
             own = format_encoding(counts.dtype)
         else:
-            own = Encoding(**fields)
+            own = Encoding(**dict(recorded))
             if self._is_first_format and counts.dtype == np.uint16 and own == Encoding():
                 own = format_encoding(counts.dtype)
         camera_levels = None if own.given else self.camera_levels

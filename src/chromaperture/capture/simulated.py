@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -137,7 +138,7 @@ class SimulatedSource(FileSource):
 
 def rgbd_pairs(folder: Path) -> list[tuple[Path, Path]]:
     """Find colour pictures and their depth: NAME.color.* with NAME.depth.png, or rgb/ and depth/ in equal order."""
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise InputError(f"no RGB-D sequence or scene file at {folder}")
     if (folder / "rgb").is_dir() and (folder / "depth").is_dir():
         colors, depths = (sorted((folder / part).iterdir(), key=natural) for part in ("rgb", "depth"))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
-from pathlib import Path
 
 import cv2
 
@@ -42,7 +42,7 @@ class VideoSource(FileSource):
 
     def open(self) -> None:
         """Open the clip."""
-        if not Path(self.name).is_file():
+        if not os.path.isfile(self.name):
             raise InputError(f"no video at {self.name}")
         self._clip = cv2.VideoCapture(self.name, cv2.CAP_FFMPEG)
         if not self._clip.isOpened():

@@ -52,7 +52,12 @@ def calibrate(
     from chromaperture.cli.console import print_files, print_json, progress, say_warning
     from chromaperture.evaluation.accurate_noise import with_accurate_noise
     from chromaperture.evaluation.verdict import unusable
+    from chromaperture.storage import staged
 
+    page = report or out.with_suffix(".report.html")
+    for path in [out] if no_report else [out, page]:
+        with staged(path.parent):  # fails now and not after minutes of work
+            pass
     known = Calibration.load(lens_from) if lens_from else None
     kept = out.parent / f".{out.stem}.calibrating"  # measurements of an interrupted run
     with progress(quiet=quiet) as update:
@@ -70,8 +75,8 @@ def calibrate(
     if not no_report:  # first: a picture that cannot be read leaves no camera file without its report
         from chromaperture.evaluation.report import write_report
 
-        files.append(report or out.with_suffix(".report.html"))
-        write_report(files[-1], result)
+        files.append(page)
+        write_report(page, result)
     result.calibration.save(out)
     shutil.rmtree(kept, ignore_errors=True)
     faults = unusable(result)

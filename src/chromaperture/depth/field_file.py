@@ -23,14 +23,16 @@ def field_to_tree(field: DepthField) -> dict[str, Any]:
 
 def field_from_tree(tree: Mapping[str, Any]) -> DepthField:
     """Rebuild a field; raises KeyError, TypeError or ValueError where the tree holds none."""
-    infinity, scale = (np.atleast_1d(np.array(tree[n], float)) for n in ("infinity_disparity_px", "scale_px_mm"))
+    infinity, scale = (
+        np.atleast_1d(np.array(_numbers(tree[n]), float)) for n in ("infinity_disparity_px", "scale_px_mm")
+    )
     for coefficients in (infinity, scale):
         degree_of(len(coefficients))
         finite(coefficients, coefficients.shape[:1])
     if len(infinity) != len(scale):
         raise ValueError("the two depth fields differ in degree")
     (delta,) = finite([tree["sensor_to_pupil_mm"]], (1,))
-    covariance = np.array(tree["covariance"], np.float64)
+    covariance = np.array(_numbers(tree["covariance"]), np.float64)
     curve = tree.get("nonlinearity")
     if curve is not None:
         (low, high) = finite([curve["low_px"], curve["high_px"]], (2,))
@@ -65,7 +67,15 @@ def plain(value: Any) -> Any:
 
 def finite(value: Any, shape: tuple[int, ...]) -> np.ndarray:
     """Return a float64 array; raises ValueError where the shape differs or a number is not finite."""
-    array = np.array(value, dtype=np.float64)
+    array = np.array(_numbers(value), dtype=np.float64)
     if array.shape != shape or not np.isfinite(array).all():
         raise ValueError(f"expected finite numbers of shape {shape}")
+    return array
+
+
+def _numbers(value: Any) -> np.ndarray:
+    """Return an array of numbers; raises ValueError for texts and switches, which NumPy would convert."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu":
+        raise ValueError("expected numbers")
     return array

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -58,7 +59,10 @@ class AccurateMethod:
         labels_px = with_halves(layers_px)
         likelihood = self.evidence.at(image, layers_px, labels_px)
         likelihood *= views.mask[..., None]
-        surface = optimised_surface(likelihood, views.guide, labels_px, config=self.config.surface, run=self.run)
+        surface = optimised_surface(
+            likelihood, views.guide, labels_px, config=self.config.surface, run=self.run,
+            known_within_px=sigma_of_range(labels_px),
+        )  # fmt: skip
 
         at_pixels = Surface(
             self.label_map.disparity(surface.disparity_px), self.label_map.scale * surface.sigma_px, surface.peak
@@ -73,7 +77,13 @@ def with_halves(layers_px: np.ndarray) -> np.ndarray:
 
 
 def optimised_surface(
-    likelihood: np.ndarray, guide: np.ndarray, labels_px: np.ndarray, *, config: SurfaceConfig, run: Execution
+    likelihood: np.ndarray,
+    guide: np.ndarray,
+    labels_px: np.ndarray,
+    *,
+    config: SurfaceConfig,
+    run: Execution,
+    known_within_px: float = math.inf,
 ) -> Surface:
     """Find the surface that explains the whole volume.
 
@@ -85,11 +95,13 @@ def optimised_surface(
     labels_px : (N,) float, px
     config : SurfaceConfig
     run : Execution
+    known_within_px : float, px
+        Standard deviation of the posterior from which on the disparity is unknown.
 
     Returns
     -------
     Surface
-        The disparity is NaN within half a layer of an end of the range, and where it is known no better than the range.
+        The disparity is NaN where it is unknown and within half a layer of an end of the range.
 
     Raises
     ------
@@ -110,7 +122,7 @@ def optimised_surface(
     disparity = run.coupled_variation(start, likelihood, guide, labels_px, config=config)
     sigma = run.posterior_sigma(disparity, cost, labels_px, temperature=config.temperature * config.paths)
     inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
-    known = inside & (sigma < sigma_of_range(labels_px))
+    known = inside & (sigma < known_within_px)
     sigma = np.hypot(sigma, local_range(disparity, EDGE_REACH_PX))
 
     layer = np.rint((disparity - labels_px[0]) / step).astype(np.intp)

@@ -30,6 +30,8 @@ from chromaperture.optics.filters import (
 from chromaperture.optics.shapes import Disc, HalfPlane, Intersection, Shape, Square
 
 _LARGEST_OVERLAP = 1e-3  # of the pupil's area; touching neighbours overlap by less than a row of grid cells
+# 17 ms a piece, most of it to find its area on a grid: 1 s for so many. Designs have two or three.
+MOST_PIECES = 64
 
 
 @dataclass(frozen=True)
@@ -190,8 +192,11 @@ def checked_aperture(aperture: Aperture) -> Aperture:
     Raises
     ------
     InputError
-        A piece lies wholly outside the pupil, two pieces overlap, a view names no piece, or no light passes.
+        More than `MOST_PIECES` pieces, a piece wholly outside the pupil, two that overlap, a view that names no piece,
+        or no light passes.
     """
+    if len(aperture.parts) > MOST_PIECES:
+        raise InputError(f"aperture {aperture.name!r} has {len(aperture.parts)} pieces, more than {MOST_PIECES}")
     x, y = pupil_grid(400)
     inside = np.hypot(x, y) < 1
     covers = [part.shape.contains(x, y) & inside for part in aperture.parts]

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import math
-import tomllib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from chromaperture.errors import InputError
+from chromaperture.validation import Finite, Name, Number, Positive, Table, checked, quoted, read_toml
 
 _LINE_F, _LINE_D, _LINE_C = 0.4861, 0.5876, 0.6563  # um, Fraunhofer lines that define the Abbe number
 _WAVELENGTHS_UM = (0.605, 0.540, 0.465)  # R, G, B: about the peaks of a Bayer sensor; chosen by hand, not tuned
+# Of a lens file: zoom lenses have some 40 surfaces, aspheres of smartphones some 10 coefficients.
+_MOST_SURFACES, _MOST_COEFFICIENTS = 200, 32
+# Of what light passes: a micron, a kilometre, more than germanium (4). Beyond, paraxial matrices overflow.
+_SMALLEST_MM, _LARGEST_MM, _LARGEST_INDEX = 1e-3, 1e6, 10.0
 
 
 @dataclass(frozen=True)
@@ -96,12 +102,33 @@ def load_lens(name_or_path: str | Path) -> Prescription:
         path: Any = resources.files("chromaperture.optics") / "prescriptions" / f"{name}.toml"
     else:
         path = Path(name)
-        if not path.is_file():
-            raise InputError(f"no lens file {path}: give a file, or one of {', '.join(lens_names())}")
-    try:
-        return lens_from_dict(tomllib.loads(path.read_text(encoding="utf-8")), name=path.name.removesuffix(".toml"))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path} is not valid TOML: {error}") from None
+        if not os.path.lexists(path):
+            raise InputError(f"no lens file {quoted(path)}: give a file, or one of {', '.join(lens_names())}")
+    with resources.as_file(path) as file:
+        return lens_from_dict(read_toml(file), name=file.name.removesuffix(".toml"))
+
+
+class _SurfaceTable(Table):
+    """``[[surface]]`` of a lens file; lengths in mm."""
+
+    radius_mm: Number = math.inf
+    thickness_mm: Finite = 0.0
+    index_d: Finite = 1.0
+    abbe: Number = math.inf
+    clear_diameter_mm: Number = math.inf
+    conic: Finite = 0.0
+    coefficients: Annotated[tuple[Finite, ...], Field(max_length=_MOST_COEFFICIENTS)] = ()
+    stop: bool = False
+
+
+class _LensTable(Table):
+    """A lens file."""
+
+    sensor_gap_mm: Positive
+    title: Name | None = None
+    source: str = ""
+    wavelengths_um: tuple[Positive, Positive, Positive] = _WAVELENGTHS_UM
+    surface: Annotated[tuple[_SurfaceTable, ...], Field(max_length=_MOST_SURFACES)] = ()
 
 
 def lens_from_dict(data: Mapping[str, Any], *, name: str) -> Prescription:
@@ -118,39 +145,31 @@ def lens_from_dict(data: Mapping[str, Any], *, name: str) -> Prescription:
     Raises
     ------
     InputError
-        Unknown keys, no surface, no stop or several, a stop without diameter, values that are not physical.
+        Unknown keys, values of another type, no surface, no stop or several, a stop without diameter, values that are
+        not physical.
     """
-    rows = data.get("surface", ())
-    known = {"radius_mm", "thickness_mm", "index_d", "abbe", "clear_diameter_mm", "conic", "coefficients", "stop"}
-    surfaces = []
-    for number, row in enumerate(rows, start=1):
-        if set(row) - known:
-            raise InputError(f"lens {name!r}, surface {number}: unknown {', '.join(sorted(set(row) - known))}")
-        surfaces.append(
-            Surface(
-                radius_mm=float(row.get("radius_mm", math.inf)),
-                thickness_mm=float(row.get("thickness_mm", 0.0)),
-                index_d=float(row.get("index_d", 1.0)),
-                abbe=float(row.get("abbe", math.inf)),
-                semi_diameter_mm=float(row.get("clear_diameter_mm", math.inf)) / 2,
-                conic=float(row.get("conic", 0.0)),
-                coefficients=tuple(float(c) for c in row.get("coefficients", ())),
-                role="stop" if row.get("stop", False) else "",
-            )
+    table = checked(_LensTable, dict(data), where=f"lens {quoted(name)}")
+    surfaces = tuple(
+        Surface(
+            radius_mm=row.radius_mm,
+            thickness_mm=row.thickness_mm,
+            index_d=row.index_d,
+            abbe=row.abbe,
+            semi_diameter_mm=row.clear_diameter_mm / 2,
+            conic=row.conic,
+            coefficients=row.coefficients,
+            role="stop" if row.stop else "",
         )
-    waves = tuple(float(w) for w in data.get("wavelengths_um", _WAVELENGTHS_UM))
-    if len(waves) != 3:
-        raise InputError(f"lens {name!r}: wavelengths_um needs three values, for R, G and B")
-    if "sensor_gap_mm" not in data:
-        raise InputError(f"lens {name!r}: sensor_gap_mm, from the last vertex to the sensor, is missing")
+        for row in table.surface
+    )
     return checked_lens(
         Prescription(
             name=name,
-            title=str(data.get("title", name)),
-            source=str(data.get("source", "")),
-            surfaces=tuple(surfaces),
-            sensor_gap_mm=float(data["sensor_gap_mm"]),
-            wavelengths_um=(waves[0], waves[1], waves[2]),
+            title=name if table.title is None else table.title,
+            source=table.source,
+            surfaces=surfaces,
+            sensor_gap_mm=table.sensor_gap_mm,
+            wavelengths_um=table.wavelengths_um,
         )
     )
 
@@ -163,15 +182,17 @@ def checked_lens(lens: Prescription) -> Prescription:
     if not math.isfinite(stops[0].semi_diameter_mm) or stops[0].semi_diameter_mm <= 0:
         raise InputError(f"lens {lens.name!r}: the stop needs a clear_diameter_mm")
     for number, s in enumerate(lens.surfaces, start=1):
-        bad = s.radius_mm == 0 or s.thickness_mm < 0 or s.index_d < 1 or s.abbe <= 0 or s.semi_diameter_mm <= 0
+        bad = s.thickness_mm < 0 or s.index_d < 1 or s.abbe <= 0 or s.semi_diameter_mm <= 0
+        bad = bad or abs(s.radius_mm) < _SMALLEST_MM or s.thickness_mm > _LARGEST_MM or s.index_d > _LARGEST_INDEX
         if bad or math.isnan(s.radius_mm + s.thickness_mm + s.index_d + s.conic):
             raise InputError(
                 f"lens {lens.name!r}, surface {number} is not physical: radius must not be 0, thickness "
-                "not negative, index at least 1, Abbe number and diameter positive"
+                f"lie between 0 and {_LARGEST_MM:g} mm, index between 1 and {_LARGEST_INDEX:g}, Abbe number and "
+                "diameter be positive"
             )
     if lens.surfaces[-1].index_d != 1:
         raise InputError(f"lens {lens.name!r}: behind the last surface must be air (index_d = 1)")
-    if not (lens.sensor_gap_mm > 0 and min(lens.wavelengths_um) > 0.2):
+    if not (0 < lens.sensor_gap_mm <= _LARGEST_MM and min(lens.wavelengths_um) > 0.2):
         raise InputError(f"lens {lens.name!r}: sensor_gap_mm must be positive and wavelengths in um")
     return lens
 

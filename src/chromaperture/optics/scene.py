@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
-import tomllib
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
+from pydantic import Field
 
 from chromaperture.errors import InputError
 from chromaperture.optics import textures
+from chromaperture.validation import Name, Table, checked, quoted, read_toml
+
+LARGEST_MM = 1e7  # of a scene: 10 km
+_MOST_PLANES = 200  # of a scene file; each is a picture of a megapixel
 
 
 @dataclass(frozen=True)
@@ -77,12 +82,34 @@ def load_scene(path: str | Path) -> list[Plane]:
         Missing or malformed file, unknown texture, a plane behind the camera.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"no scene file {path}")
-    try:
-        return scene_from_dict(tomllib.loads(path.read_text(encoding="utf-8")), folder=path.parent)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path} is not valid TOML: {error}") from None
+    if not os.path.lexists(path):
+        raise InputError(f"no scene file {quoted(path)}")
+    return scene_from_dict(read_toml(path), folder=path.parent)
+
+
+_Place = Annotated[float, Field(ge=-LARGEST_MM, le=LARGEST_MM)]
+_Length = Annotated[float, Field(gt=0, le=LARGEST_MM)]
+_Angle = Annotated[float, Field(ge=-360, le=360)]
+_Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+class _PlaneTable(Table):
+    """``[[plane]]`` of a scene file."""
+
+    center_mm: tuple[_Place, _Place, _Length]  # z in front of the camera
+    width_mm: _Length
+    height_mm: _Length | None = None
+    tilt_deg: tuple[_Angle, _Angle, _Angle] = (0.0, 0.0, 0.0)
+    texture: Name = "speckle"
+    texel_mm: _Length | None = None
+    color: tuple[_Fraction, _Fraction, _Fraction] = (0.6, 0.6, 0.6)
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
+
+
+class _SceneTable(Table):
+    """A scene file."""
+
+    plane: Annotated[tuple[_PlaneTable, ...], Field(max_length=_MOST_PLANES)] = ()
 
 
 def scene_from_dict(data: Mapping[str, Any], *, folder: Path | None = None) -> list[Plane]:
@@ -98,23 +125,17 @@ def scene_from_dict(data: Mapping[str, Any], *, folder: Path | None = None) -> l
         See `load_scene`.
     """
     planes = []
-    for number, table in enumerate(data.get("plane", ()), start=1):
-        try:
-            center, width = [float(v) for v in table["center_mm"]], float(table["width_mm"])
-        except (KeyError, TypeError, ValueError):
-            raise InputError(f"plane {number} of the scene needs center_mm = [x, y, z] and width_mm") from None
-        if not (len(center) == 3 and center[2] > 0):
-            raise InputError(f"plane {number} of the scene lies behind the camera: z in center_mm must be positive")
+    for number, table in enumerate(checked(_SceneTable, dict(data), where="the scene").plane, start=1):
         picture = textures.named(
-            str(table.get("texture", "speckle")),
-            width_mm=width,
-            height_mm=float(table.get("height_mm", width)),
-            texel_mm=float(table.get("texel_mm", width / 1024)),
-            color=tuple(table.get("color", (0.6, 0.6, 0.6))),
-            seed=int(table.get("seed", number)),
+            table.texture,
+            width_mm=table.width_mm,
+            height_mm=table.width_mm if table.height_mm is None else table.height_mm,
+            texel_mm=table.width_mm / 1024 if table.texel_mm is None else table.texel_mm,
+            color=table.color,
+            seed=number if table.seed is None else table.seed,
             folder=folder,
         )
-        planes.append(plane(picture, center_mm=center, width_mm=width, tilt_deg=table.get("tilt_deg", (0.0, 0.0, 0.0))))
+        planes.append(plane(picture, center_mm=table.center_mm, width_mm=table.width_mm, tilt_deg=table.tilt_deg))
     if not planes:
         raise InputError("the scene has no [[plane]]")
     return planes

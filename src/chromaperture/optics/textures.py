@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from chromaperture.errors import InputError
+
+_MOST_TEXELS = 64e6  # of a plane; noise of that size takes 2 GB
 
 
 def noise(
@@ -68,9 +71,10 @@ def named(
     folder: Path | None,
 ) -> np.ndarray:
     """Make a scene file's texture; (h, w, 3) float32 linear. Raises InputError for unknown names."""
-    shape = (max(2, round(height_mm / texel_mm)), max(2, round(width_mm / texel_mm)))
-    if shape[0] * shape[1] > 64e6:
-        raise InputError(f"a texture of {shape[1]}x{shape[0]} texels is too large: raise texel_mm")
+    height, width = height_mm / texel_mm, width_mm / texel_mm
+    if not max(height, 2) * max(width, 2) <= _MOST_TEXELS:
+        raise InputError(f"a texture of {width:.0f}x{height:.0f} texels is too large: raise texel_mm")
+    shape = (max(2, round(height)), max(2, round(width)))
     tint = np.asarray(color, np.float32)
     if name == "plain":
         return np.broadcast_to(tint, (*shape, 3)).astype(np.float32)
@@ -81,7 +85,7 @@ def named(
         board = chessboard((9, 6), width_mm / 12, texel_mm)
         return np.repeat(board[..., None], 3, axis=2)
     path = (folder or Path()) / name
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR) if os.path.isfile(path) else None
     if picture is None:
         raise InputError(
             f"unknown texture {name!r}: choose plain, speckle, clouds, chessboard or a readable picture file"

@@ -57,6 +57,17 @@ def joined(parts: list[tuple[Mesh, np.ndarray]]) -> Mesh:
     return Mesh(np.concatenate(vertices), np.concatenate(triangles), np.concatenate([mesh.colors for mesh, _ in parts]))
 
 
+def in_order(mesh: Mesh) -> Mesh:
+    """Sort vertices by position and colour, triangles by their vertices; Open3D's order changes from run to run."""
+    order = np.lexsort((*mesh.colors.T, *mesh.vertices_mm.T))
+    rank = np.empty(len(order), np.int32)
+    rank[order] = np.arange(len(order), dtype=np.int32)
+    triangles = rank[mesh.triangles]
+    first = triangles.argmin(axis=1)[:, None]  # each begins with its first vertex; which side is its front stays
+    triangles = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)
+    return Mesh(mesh.vertices_mm[order], triangles[np.lexsort(triangles.T[::-1])], mesh.colors[order])
+
+
 class Volume:
     """Voxels near surfaces, in blocks of 16^3.
 
@@ -179,13 +190,14 @@ class Volume:
             return empty
         colors = np.rint(np.clip(found.vertex.colors.numpy(), 0.0, 1.0) * 255).astype(np.uint8)
         vertices = (found.vertex.positions.numpy() * 1000).astype(np.float32)
-        return Mesh(vertices, found.triangle.indices.numpy().astype(np.int32), colors)
+        return in_order(Mesh(vertices, found.triangle.indices.numpy().astype(np.int32), colors))
 
     def _blocks_of(self, z_mm: np.ndarray, camera_matrix: np.ndarray, camera_to_world: np.ndarray) -> np.ndarray:
         image = self._o3d.t.geometry.Image(self._core.Tensor(np.nan_to_num(z_mm).astype(np.float32)))
         camera, farthest_m = self._camera(camera_matrix, camera_to_world), self.max_distance_mm / 1000
         keys = self.grid.compute_unique_block_coordinates(image, *camera, 1000.0, farthest_m, self.truncation_voxels)
-        return keys.numpy().copy()
+        found = keys.numpy()
+        return found[np.lexsort(found.T)]  # when not all have room, the same are left out in every run
 
     def _with_room(self, keys: np.ndarray) -> np.ndarray:
         """Activate new blocks as far as the memory allows; returns the keys of those that can be used."""

@@ -1,0 +1,85 @@
+"""The header of an image file: format and size, before anything is decoded."""
+
+from __future__ import annotations
+
+import io
+import logging
+
+from PIL import (
+    BmpImagePlugin,
+    ImageFile,
+    JpegImagePlugin,
+    PngImagePlugin,
+    PpmImagePlugin,
+    TiffImagePlugin,
+    WebPImagePlugin,
+)
+
+from chromaperture.errors import InputError
+from chromaperture.validation import MOST_PIXELS
+
+logging.getLogger("PIL").addHandler(logging.NullHandler())  # as for tifffile: an error is one line of ours
+# PNG packs an even area to 340 pixels a byte, JPEG a photograph to 20. libjpeg paints what is missing grey.
+_MOST_PIXELS_A_BYTE = 1000
+TIFF_MARKS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")  # the last two: files beyond 4 GB
+
+_KINDS: tuple[tuple[tuple[bytes, ...], int, type[ImageFile.ImageFile]], ...] = (  # marks, where they are, reader
+    ((b"\x89PNG",), 0, PngImagePlugin.PngImageFile),
+    ((b"\xff\xd8",), 0, JpegImagePlugin.JpegImageFile),
+    ((b"BM",), 0, BmpImagePlugin.BmpImageFile),
+    ((b"WEBP",), 8, WebPImagePlugin.WebPImageFile),
+    (tuple(b"P%d" % number for number in range(1, 7)), 0, PpmImagePlugin.PpmImageFile),
+    (TIFF_MARKS, 0, TiffImagePlugin.TiffImageFile),
+)
+
+
+def open_picture(data: bytes) -> ImageFile.ImageFile:
+    """Open a PNG, JPEG, PNM, BMP, WebP or TIFF file and read its header.
+
+    Pillow's other formats are not tried, and its limit of 179 megapixels does not apply: `check_size` has ours.
+
+    Raises
+    ------
+    InputError
+        It is in none of these formats.
+    """
+    for marks, at, kind in _KINDS:
+        if data.startswith(marks, at):
+            return kind(io.BytesIO(data))
+    raise InputError("no image format that is read")
+
+
+def check_size(
+    width: int, height: int, name: str, size_px: tuple[int, int] | None, *, file_bytes: int | None = None
+) -> None:
+    """Check the size that a header declares.
+
+    Parameters
+    ----------
+    width, height : int, px
+    name : str
+        Of the file.
+    size_px : (int, int), optional
+        Width and height of the camera.
+    file_bytes : int, optional
+        Length of the file.
+
+    Raises
+    ------
+    InputError
+        There are no pixels, more than any camera has, not those of this camera, or more than the file can hold.
+    """
+    if width < 1 or height < 1:
+        raise InputError(f"{name} holds no pixel; export the picture again")
+    if size_px is not None and (width, height) != tuple(size_px):
+        raise InputError(
+            f"{name}: the image is {width}x{height} px but the camera was calibrated at "
+            f"{size_px[0]}x{size_px[1]}; give an original of that size, or calibrate at this one"
+        )
+    if width * height > MOST_PIXELS:
+        raise InputError(
+            f"{name} declares {width}x{height} px, more than {MOST_PIXELS / 1e6:g} megapixels; "
+            "give the picture of a camera"
+        )
+    if file_bytes is not None and width * height > _MOST_PIXELS_A_BYTE * file_bytes:
+        raise InputError(f"{name} is cut off: {file_bytes} bytes do not hold {width}x{height} px; copy the file again")

@@ -1,0 +1,1 @@
+"""Fuzzing of every reader; `run.py` is the command."""

@@ -1,0 +1,134 @@
+"""Every reader of a file that somebody else may have written, with files that it reads.
+
+Only `InputError` may leave a reader, whatever the file holds.
+"""
+
+from __future__ import annotations
+
+import io
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import tifffile
+from PIL import Image
+
+from chromaperture.calibration.session import read_session
+from chromaperture.camera_file import Calibration
+from chromaperture.capture.exif import read_exif
+from chromaperture.capture.files import image_size, read_image
+from chromaperture.capture.open import open_source
+from chromaperture.config import AccurateConfig, Config, preset
+from chromaperture.config_file import with_file
+from chromaperture.optics.aperture_file import load_aperture
+from chromaperture.optics.paraxial import focused_at
+from chromaperture.optics.prescription import load_lens
+from chromaperture.optics.scene import load_scene
+
+DATA = Path(__file__).parents[1] / "data"
+CORPUS = Path(__file__).parent / "corpus"
+CONFIGS = (Config(), Config("paper", preset("paper")), Config("accurate", AccurateConfig.for_blur(0.4)))
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader and what it is tried on."""
+
+    name: str
+    file: str  # name of the file whose content is mutated, in an empty folder
+    read: Callable[[Path], object]  # takes the path of that file
+    seeds: Callable[[], list[bytes]]  # contents that are read without an error
+    is_text: bool = False  # written by hand
+    prepare: Callable[[Path], None] = lambda folder: None  # puts the other files into the folder
+
+
+def _corpus(kind: str) -> Callable[[], list[bytes]]:
+    return lambda: [path.read_bytes() for path in sorted((CORPUS / kind).iterdir())]
+
+
+@cache
+def _picture() -> np.ndarray:
+    return np.random.default_rng(0).integers(20, 1000, (12, 16, 3)).astype(np.uint16)
+
+
+def _pictures(*formats: str) -> Callable[[], list[bytes]]:
+    def make() -> list[bytes]:
+        deep, made = _picture(), []
+        for name in formats:
+            memory = io.BytesIO()
+            if name == "deep TIFF":
+                tifffile.imwrite(memory, deep, photometric="rgb")
+            elif name == "packed TIFF":
+                tifffile.imwrite(memory, deep, photometric="rgb", compression="zlib", tile=(16, 16))
+            elif name == "deep PPM":
+                memory.write(b"P6\n16 12\n65535\n" + deep.astype(">u2").tobytes())
+            else:
+                Image.fromarray((deep // 4).astype(np.uint8)).save(memory, name, **_OPTIONS.get(name, {}))
+            made.append(memory.getvalue())
+        return made
+
+    return make
+
+
+_OPTIONS = {"JPEG": {"quality": 95, "subsampling": 0}, "WEBP": {"lossless": True}}
+
+
+def _read_picture(path: Path) -> None:
+    image_size(path)
+    read_exif(path)
+    read_image(path, black_level=0, white_level=1023)
+
+
+def _copy_recording(folder: Path) -> None:
+    shutil.copytree(DATA / "recordings" / "format_2", folder, dirs_exist_ok=True)
+
+
+def _replay(path: Path) -> None:
+    folder = path.parent if path.parent.name != "frames" else path.parents[1]
+    with open_source(f"replay:{folder}", listener=lambda event: None) as source:
+        for frame in source:
+            assert frame.image.ndim == 3
+
+
+def _prepare_session(folder: Path) -> None:
+    shutil.copytree(CORPUS / "session_folder", folder, dirs_exist_ok=True)
+
+
+def _with_each_config(path: Path) -> None:
+    errors = []
+    for config in CONFIGS:
+        try:
+            with_file(config, path)
+        except Exception as error:
+            errors.append(error)
+    for error in sorted(errors, key=lambda e: type(e).__name__ == "InputError"):
+        raise error
+
+
+def _files(*paths: Path) -> Callable[[], list[bytes]]:
+    return lambda: [path.read_bytes() for path in paths]
+
+
+READERS = {
+    reader.name: reader
+    for reader in (
+        Reader("lens", "lens.toml", lambda p: focused_at(load_lens(p), 2000.0), _corpus("lens"), True),
+        Reader("aperture", "aperture.toml", load_aperture, _corpus("aperture"), True),
+        Reader("drawing", "aperture.svg", load_aperture, _corpus("drawing"), True),
+        Reader("scene", "scene.toml", load_scene, _corpus("scene"), True),
+        Reader("config", "settings.toml", _with_each_config, _corpus("config"), True),
+        Reader("session", "session.toml", lambda p: read_session(p.parent), _corpus("session"), True, _prepare_session),
+        Reader("distances", "distances.csv", lambda p: read_session(p.parent), _corpus("distances"), True,
+               _prepare_session),
+        Reader("camera", "camera.asdf", Calibration.load, _corpus("camera")),
+        Reader("recording", "index.jsonl", _replay, _files(DATA / "recordings" / "format_2" / "index.jsonl"), False,
+               _copy_recording),
+        Reader("frame", "frames/00000000.tiff", _replay,
+               _files(DATA / "recordings" / "format_2" / "frames" / "00000000.tiff"), False, _copy_recording),
+        Reader("picture", "photo.png", _read_picture, _pictures("PNG", "JPEG", "BMP", "WEBP", "PPM", "deep PPM")),
+        Reader("tiff", "photo.tiff", _read_picture, _pictures("deep TIFF", "packed TIFF", "TIFF")),
+    )
+}  # fmt: skip
