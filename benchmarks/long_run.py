@@ -218,7 +218,8 @@ class Visitors:
 
         where = f"ws://127.0.0.1:{self._page.server.get_port()}/{self._page.access.token}"
         versions = [f"viser-v{viser.__version__}"]
-        connection = connect(where, subprotocols=versions, max_size=None, close_timeout=0.5)  # s: it may not read
+        calm = {"ping_interval": None, "close_timeout": 0.5}  # s; the server pings, and hangs up on who does not read
+        connection = connect(where, subprotocols=versions, max_size=None, **calm)
         view = {"wxyz": (1, 0, 0, 0), "position": (0, 0, -1), "look_at": (0, 0, 1), "up_direction": (0, -1, 0)}
         lens = {"fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 480, "image_width": 640}
         self._send(connection, "ViewerCameraMessage", **view, **lens)

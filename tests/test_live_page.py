@@ -229,6 +229,21 @@ def test_the_server_answers_its_owner_only(tmp_path):
 
 
 @pytest.mark.extra("viewer", "viser")
+def test_the_page_may_load_and_connect_to_nothing_else(tmp_path):
+    """viser writes the address, with the token, behind "?websocket=" in the address bar: it must not leave the page."""
+    with served(tmp_path) as (page, _):
+        answer = urllib.request.urlopen(f"{page.url}?websocket=ws://evil.example/", timeout=WAIT_S)
+        assert answer.headers["Referrer-Policy"] == "no-referrer"
+        parts = [part.split() for part in answer.headers["Content-Security-Policy"].split(";")]
+        rules = {name: set(allowed) for name, *allowed in parts}
+        assert rules["default-src"] == {"'none'"}  # what has no rule of its own: media, objects, frames
+        assert rules["frame-ancestors"] == rules["base-uri"] == rules["form-action"] == {"'none'"}
+        own = {"'self'", "'none'", "'unsafe-inline'", "'unsafe-eval'", "blob:", "data:"}
+        assert set().union(*rules.values()) <= own  # no name of a server, no scheme that reaches one
+        assert rules["connect-src"] == {"'self'", "blob:", "data:"}
+
+
+@pytest.mark.extra("viewer", "viser")
 def test_a_server_whose_requests_cannot_be_checked_is_not_left_running(monkeypatch):
     import viser
 

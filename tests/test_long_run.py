@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from chromaperture.camera import load_camera
+from chromaperture.capture import playback
 from chromaperture.capture.recording import Recorder, ReplaySource
 from chromaperture.capture.source import Encoding, Event, FileSource, Frame
 from chromaperture.capture.threaded_source import LiveSource, StreamEndedError
@@ -302,6 +303,26 @@ def test_damaged_frames_and_errors_of_the_driver_end_no_live_source():
     kinds = [event.kind for event in events]
     assert kinds.count("lost") == kinds.count("reconnected") == 1
     assert kinds.count("skipped") == 5  # once a row of damaged frames: 0, 10, ... 40
+
+
+@pytest.mark.parametrize("jump_s", [86400.0, -86400.0])
+def test_a_clock_that_was_set_while_recording_delays_nothing_in_the_playback(jump_s, monkeypatch):
+    """The frames before and after keep their pace; the jump itself lasts no longer than a gap may."""
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr(playback.time, "monotonic", lambda: clock.now)
+    monkeypatch.setattr(playback.time, "sleep", lambda seconds: setattr(clock, "now", clock.now + seconds))
+    times = [index / 10 + (jump_s if index >= 5 else 0) for index in range(10)]
+    source = SimpleNamespace(
+        __enter__=lambda: None,
+        frames=lambda: iter([Frame(np.zeros(SHAPE, np.uint8), Encoding(0, 255), each, 0) for each in times]),
+    )
+    device, shown = playback.Playback(source, speed=1.0, loop=False), []
+    for index in range(10):
+        device.read(index)
+        shown.append(clock.now)
+    steps = np.diff(shown)
+    np.testing.assert_allclose(np.delete(steps, 4), 0.1, atol=1e-9)  # rounding
+    assert 0 <= steps[4] <= 5.0
 
 
 def test_what_recurs_is_said_rarely_and_counted():

@@ -12,7 +12,7 @@ from chromaperture.errors import InputError
 
 _KEPT_BYTES = 512 << 20  # frames of a loop that are cached: 290 of VGA in 16 bits
 _INTERVAL_S = 1 / 30  # of a loop of one picture: the frame rate that other sources assume
-_LONGEST_WAIT_S = 5.0  # in a gap of the recording: closing waits for it. Chosen by hand, not tuned
+_LONGEST_WAIT_S = 5.0  # a gap of the recording lasts no longer: closing waits for it. Chosen by hand, not tuned
 
 
 class Playback:
@@ -33,21 +33,22 @@ class Playback:
         self._frames: Iterator[Frame] = source.frames()
         self._kept: list[Frame] = []
         self._keeping = loop  # in the first round, while there is room
-        self._began = time.monotonic()
-        self._first_s: float | None = None
+        self._due = time.monotonic()  # when the last frame was to be delivered
+        self._is_first = True
         self._last_s, self._interval_s, self._rest_s = 0.0, _INTERVAL_S, 0.0  # the last frame of a round lasts too
 
     def read(self, index: int) -> Frame | None:
         """Wait for the next frame's time."""
         frame = self._next()
-        if self._first_s is None:
-            self._first_s, self._began = frame.time_s, time.monotonic() + self._rest_s / self._speed
-        elif frame.time_s > self._last_s:
-            self._interval_s = frame.time_s - self._last_s
+        step_s = frame.time_s - self._last_s
+        if self._is_first:
+            self._is_first, self._due, step_s = False, time.monotonic(), self._rest_s
+        elif step_s > 0:
+            self._interval_s = min(step_s, _LONGEST_WAIT_S)
         self._last_s = frame.time_s
-        wait = (frame.time_s - self._first_s) / self._speed - (time.monotonic() - self._began)
-        if wait > 0:
-            time.sleep(min(wait, _LONGEST_WAIT_S))
+        # Step by step: a clock that was set during the recording, by a day or back, must not delay all that follows.
+        self._due += min(max(step_s / self._speed, 0.0), _LONGEST_WAIT_S)
+        time.sleep(max(0.0, self._due - time.monotonic()))
         return replace(frame, index=index, time_s=time.time())
 
     def _next(self) -> Frame:
@@ -58,7 +59,7 @@ class Playback:
                 return frame
             if not self._loop:
                 break
-            self._frames, self._keeping, self._first_s = iter(self._kept or self._source.frames()), False, None
+            self._frames, self._keeping, self._is_first = iter(self._kept or self._source.frames()), False, True
             self._rest_s = self._interval_s
         raise StreamEndedError
 
