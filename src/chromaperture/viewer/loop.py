@@ -34,6 +34,7 @@ from chromaperture.viewer.trail import Trail
 from chromaperture.viewer.watchdog import Watchdog
 
 STAGES = ("capture", "depth", "tracking", "view")
+_TRIM_EVERY_S = 20.0  # between two returns of freed memory to the system, chosen by hand: it takes milliseconds
 _JOIN_S = 30.0  # for all stages together when the loop ends, then for a recording: a slow frame and disk; by hand
 
 
@@ -236,8 +237,12 @@ class LiveLoop:
         self._to_depth.close()
 
     def _depth(self) -> None:
+        trimmed = time.monotonic()
         while (item := self._to_depth.take()) is not None:
             start = time.monotonic()
+            if start - trimmed > _TRIM_EVERY_S:
+                trim_memory()
+                trimmed = start
             arrived, frame = item
             try:
                 with self.watchdog.stage("measure"):
