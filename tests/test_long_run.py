@@ -9,6 +9,7 @@ import os
 import sys
 import threading
 import time
+import weakref
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -363,6 +364,20 @@ def test_old_submaps_take_no_more_memory_than_the_model():
     assert [each.root for each in model.submaps] == list(range(50))
     forget_old(model, 3 * one, listener=said.append)
     assert len(said) == 46  # each once
+
+
+def test_what_only_refers_to_itself_does_not_wait_for_the_collector_of_old_objects():
+    class Connection:
+        def __init__(self) -> None:
+            self.owner, self.buffer = self, np.zeros(1000)
+
+    gc.disable()
+    try:
+        with LiveLoop(Camera(), Eye(), track=False, tidy_every_s=SHORT_S):
+            left = weakref.ref(Connection())
+            until(lambda: left() is None)
+    finally:
+        gc.enable()
 
 
 def test_an_item_can_be_waited_for_with_patience():
