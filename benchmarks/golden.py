@@ -1,9 +1,9 @@
 """Compare known distances with the figures kept: python benchmarks/golden.py --data FOLDER [--keep].
 
 FOLDER holds bench50/cy_halves (boards at ruler distances, measured through the shipped camera file), and
-real/cmu_dual_pixel and real/rf50_dual_pixel (real photographs through halves of a pupil). Exit code 1 when a figure got worse by more than
-four times its scatter over fresh noise; ``--keep`` writes the figures and their scatter to golden.json. The shipped
-captures are compared the same way by tests/test_golden.py. All at quality real-time.
+real/cmu_dual_pixel and real/rf50_dual_pixel (real photographs through halves of a pupil). Exit code 1 when a figure got
+worse by more than four times its scatter over fresh noise; ``--keep`` writes the figures and their scatter to
+golden.json. The shipped captures are compared the same way by tests/test_golden.py. All at quality real-time.
 """
 
 from __future__ import annotations
