@@ -418,7 +418,7 @@ def test_a_leak_is_found_and_scatter_is_none(rng, leak, flat):
     rows = np.zeros((len(seconds), len(long_run.COLUMNS)))
     rows[:, 0] = seconds
     for name, level in (("memory_mb", 800), ("handles", 20), ("threads", 30), ("queued", 1), ("messages", 60),
-                        ("objects", 3e5)):  # fmt: skip
+                        ("blocks", 3e5)):  # fmt: skip
         column = long_run.COLUMNS.index(name)
         warm = np.minimum(seconds / 300, 1) * level  # rises while it warms up
         growing = leak * 3 * max(long_run.LIMITS[name], long_run.MEMORY_PART * level) * seconds / 800
