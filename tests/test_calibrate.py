@@ -113,6 +113,15 @@ def test_boards_on_one_side_of_the_focus_leave_it_weak(calibrated_session):
     assert any("nearer than the focus" in text for text in weaknesses(near, whole.fits))
 
 
+def test_boards_on_both_sides_of_the_focus_are_no_weakness_of_a_short_baseline(calibrated_session):
+    evidence, fits = calibrated_session.evidence, calibrated_session.fits
+    scale = 0.2 / max(board.disparity_px["real-time"] for board in evidence.boards)  # as a phone's lens reads them
+    small = [
+        replace(board, disparity_px={q: scale * d for q, d in board.disparity_px.items()}) for board in evidence.boards
+    ]
+    assert not any("all boards" in text for text in weaknesses(replace(evidence, boards=small), fits))
+
+
 @pytest.mark.slow
 def test_an_interrupted_run_goes_on_where_it_stopped(session, calibrated_session, tmp_path):
     seen = []

@@ -482,6 +482,28 @@ def test_refocus_refuses_in_one_line(run, small_camera, tmp_path, monkeypatch, o
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(("options", "message"), [("--point 720,0", "720x480"), ("--focus-mm 3", "inside the lens")])
+def test_a_focus_that_is_not_there_is_refused_before_the_photograph_is_measured(run, tmp_path, options, message):
+    camera = ("--camera", sample_camera(SAMPLES[0]), "--out", tmp_path / "out.png")
+    result = run("refocus", sample_image(SAMPLES[0]), *camera, *options.split())
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1  # a second line would be how long the measurement takes
+
+
+def test_a_template_states_its_diameter_and_where_it_comes_from(run, tmp_path):
+    common = ("apertures", "cy_halves", "--at-mm", "2000", "--template", tmp_path / "cut.svg")
+    assert "iris of 17.1 mm\n" in run(*common, "--pupil-mm", "17.1").stdout
+    assert "of the lens double_gauss_50; --pupil-mm is for yours" in run(*common).stdout
+
+
+def test_light_is_rounded_once(run):
+    light = json.loads(run("apertures", "cy_open", "--at-mm", "2000", "--json").stdout)[0]["efficiency_mean"]
+    printed = run("apertures", "cy_open", "--at-mm", "2000").stdout
+    assert f"{100 * light:.1f}" == "86.9"  # 86.947 %; rounded to 0.8695 before it would be 87.0
+    assert " 86.9 " in printed
+
+
 def test_transparency_prints_the_tables(run, tmp_path):
     rng = np.random.default_rng(8)
     full, share = 0.8, np.array([0.5, 0.75, 0.375])

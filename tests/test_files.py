@@ -18,6 +18,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from chromaperture.capture.checks import check_capture
 from chromaperture.capture.exif import Exif, read_exif
 from chromaperture.capture.files import decode, image_size, linearise, read_image
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
@@ -130,9 +131,16 @@ def test_grey_pictures_are_refused(tmp_path, rng):
 def test_saturated_pictures_are_not_called_grey(tmp_path, dark):
     picture = np.full((24, 32, 3), 1023, np.uint16)
     picture.reshape(-1, 3)[:dark] = 16  # of 768 pixels: a black corner is no colour either
-    with pytest.raises(InputError, match="saturated") as error:
-        read_image(write_png(tmp_path / "a.png", picture))
-    assert "grey" not in str(error.value)
+    image = read_image(write_png(tmp_path / "a.png", picture), black_level=16, white_level=1023)
+    with pytest.raises(InputError, match="saturated"):
+        check_capture(image, 32, 24)
+
+
+def test_black_pictures_are_called_black(tmp_path):
+    picture = np.full((24, 32, 3), 16, np.uint16)
+    image = read_image(write_png(tmp_path / "a.png", picture), black_level=16, white_level=1023)
+    with pytest.raises(InputError, match="all black"):
+        check_capture(image, 32, 24)
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.01, 0.5, 0.98])

@@ -31,7 +31,9 @@ from chromaperture.robust import robust_sigma
 # where an open design has its film, so that its B falls to a third at the sides. Chosen by hand.
 _LEAST_SCALE = 0.1
 _THIN = 2  # every other point of the boards' grid enters the fit: neighbours have the matcher's window in common
-_ONE_SIDE_PX = 0.3  # disparity; chosen by hand, not tuned
+# Boards on both sides reach beyond 0 by this disparity, or by this part of what they span (a phone's lens: 0.6 px).
+_ONE_SIDE_PX = 0.3  # chosen by hand, not tuned
+_ONE_SIDE_PART = 0.1  # chosen by hand, not tuned
 _WEAK_FOCUS = 0.01  # relative standard deviation of the in-focus distance that earns a note; chosen by hand
 
 
@@ -185,8 +187,10 @@ def weaknesses(evidence: Evidence, fits: Mapping[Quality, DepthFit]) -> tuple[st
     """Return a sentence for every parameter that the boards determine badly."""
     disparity = np.array([board.disparity_px["real-time"] for board in evidence.boards])[evidence.used]
     found = []
-    if np.nanmin(disparity) > -_ONE_SIDE_PX or np.nanmax(disparity) < _ONE_SIDE_PX:
-        side, other = ("beyond", "nearer than") if np.nanmin(disparity) > -_ONE_SIDE_PX else ("nearer than", "beyond")
+    lowest, highest = np.nanmin(disparity), np.nanmax(disparity)
+    least = min(_ONE_SIDE_PX, _ONE_SIDE_PART * (highest - lowest))
+    if lowest > -least or highest < least:
+        side, other = ("beyond", "nearer than") if lowest > -least else ("nearer than", "beyond")
         found.append(
             f"all boards stand {side} the focus: the in-focus distance is extrapolated; photograph two or three "
             f"boards {other} the focus as well"

@@ -7,6 +7,7 @@ import warnings
 
 import numpy as np
 
+from chromaperture.capture.picture_header import other_size
 from chromaperture.color.image import SATURATION, checked_image
 from chromaperture.errors import CaptureWarning, InputError
 
@@ -37,16 +38,7 @@ def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarra
     """
     image = checked_image(image)
     if image.shape[:2] != (height_px, width_px):
-        rotated = image.shape[:2] == (width_px, height_px)
-        advice = (
-            "it looks rotated: turn it back, the filters in the lens did not turn with it"
-            if rotated
-            else "give an original of that size, or calibrate at this one"
-        )
-        raise InputError(
-            f"the image is {image.shape[1]}x{image.shape[0]} px but the camera was calibrated at "
-            f"{width_px}x{height_px}; {advice}"
-        )
+        raise InputError(other_size(image.shape[1], image.shape[0], (width_px, height_px)))
     sparse = max(1, round(math.sqrt(width_px * height_px / _SAMPLES)))
     lit = _finite(image[::sparse, ::sparse])
     lit = lit if lit.size else _finite(image)

@@ -227,10 +227,8 @@ def _colour(counts: np.ndarray, path: Path) -> np.ndarray:
     if not grey and (counts.ndim != 3 or counts.shape[2] != 3):
         raise InputError(f"{path.name} holds an array of shape {counts.shape}; one RGB picture is needed")
     if not grey and np.array_equal(counts[..., 0], counts[..., 1]) and np.array_equal(counts[..., 1], counts[..., 2]):
-        grey = bool(counts.any())  # an all-black picture is another error, raised where exposure is checked
-        clipped = float((counts[..., 0] == counts.max()).mean())
-        if grey and clipped > _MOST_SATURATED:
-            raise InputError(f"{path.name} is saturated: {clipped:.0%} of it is one count; lower the exposure")
+        # A picture of one count is black or saturated: which, the check of its exposure finds out from the levels.
+        grey = float((counts[..., 0] == counts.max()).mean()) <= _MOST_SATURATED
     if grey:
         raise InputError(f"{path.name} is a grey picture; the depth is in the colours, so give the colour original")
     if counts.dtype not in (np.uint8, np.uint16, np.float32, np.float64):

@@ -49,6 +49,17 @@ def open_picture(data: bytes) -> ImageFile.ImageFile:
     raise InputError("no image format that is read")
 
 
+def other_size(width: int, height: int, size_px: tuple[int, int]) -> str:
+    """Return what to say of an image whose size, px, is not that of the camera."""
+    rotated = (height, width) == tuple(size_px)
+    advice = (
+        "it looks rotated: turn it back, the filters in the lens did not turn with it"
+        if rotated
+        else "give an original of that size, or calibrate at this one"
+    )
+    return f"the image is {width}x{height} px but the camera was calibrated at {size_px[0]}x{size_px[1]}; {advice}"
+
+
 def check_size(
     width: int, height: int, name: str, size_px: tuple[int, int] | None, *, file_bytes: int | None = None
 ) -> None:
@@ -72,10 +83,7 @@ def check_size(
     if width < 1 or height < 1:
         raise InputError(f"{name} holds no pixel; export the picture again")
     if size_px is not None and (width, height) != tuple(size_px):
-        raise InputError(
-            f"{name}: the image is {width}x{height} px but the camera was calibrated at "
-            f"{size_px[0]}x{size_px[1]}; give an original of that size, or calibrate at this one"
-        )
+        raise InputError(f"{name}: {other_size(width, height, size_px)}")
     if width * height > MOST_PIXELS:
         raise InputError(
             f"{name} declares {width}x{height} px, more than {MOST_PIXELS / 1e6:g} megapixels; "

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 
 def apertures(
-    design: Annotated[list[str] | None, typer.Argument(help="Designs or files to compare; all when absent.")] = None,
+    design: Annotated[
+        list[str] | None, typer.Argument(help="Designs or files to compare; all when absent.", metavar="DESIGN")
+    ] = None,
     lens: Lens = "double_gauss_50",
     focus_mm: FocusMm = 2000.0,
     at_mm: Annotated[list[float] | None, typer.Option(help="Distance to judge at; repeatable.")] = None,
@@ -26,7 +28,9 @@ def apertures(
     sensor_width_mm: SensorWidthMm = 22.3,
     figure: Annotated[Path | None, typer.Option(help="Write a figure of masks and depth errors (.png, .svg).")] = None,
     template: Annotated[Path | None, typer.Option(help="Write a 1:1 template of the one design (.svg, .pdf).")] = None,
-    pupil_mm: Annotated[float | None, typer.Option(help="Diameter of the stop for the template, mm.")] = None,
+    pupil_mm: Annotated[
+        float | None, typer.Option(help="Diameter of the iris for the template, mm; default that of --lens.")
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -55,9 +59,10 @@ def apertures(
     rows = design_table(chosen, camera, at_mm or [1000.0, 1500.0, 2000.0, 3000.0, 4000.0])
     if template:
         stop = next(s for s in optics.surfaces if s.role == "stop")
+        diameter_mm = pupil_mm or 2 * stop.semi_diameter_mm
         with staged(template.parent) as stage:
             page = stage.path(template.name)
-            write_template(page, chosen[0], pupil_diameter_mm=pupil_mm or 2 * stop.semi_diameter_mm)
+            write_template(page, chosen[0], pupil_diameter_mm=diameter_mm)
     if figure:
         with staged(figure.parent) as stage:
             draw_designs(stage.path(figure.name), chosen, camera)
@@ -65,9 +70,12 @@ def apertures(
         print_json(rows)
     elif not quiet:
         _print_table(rows, camera)
-    for path in (template, figure):
-        if path and not quiet and not json:
-            typer.echo(f"Wrote {path}")
+    if not quiet and not json:
+        if template:
+            whose = "" if pupil_mm else f" of the lens {lens}; --pupil-mm is for yours"
+            typer.echo(f"Wrote {template}: for an iris of {diameter_mm:.1f} mm{whose}")
+        if figure:
+            typer.echo(f"Wrote {figure}")
 
 
 def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list[float]) -> list[dict[str, Any]]:
@@ -88,9 +96,9 @@ def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list
         rows.append({
             "name": aperture.name,
             "title": aperture.title,
-            "transmission_rgb": light.channel_transmission.round(4).tolist(),
-            "efficiency_mean": round(light.efficiency_mean, 4),
-            "efficiency_luminance": round(light.efficiency_luminance, 4),
+            "transmission_rgb": light.channel_transmission.round(6).tolist(),
+            "efficiency_mean": round(light.efficiency_mean, 6),
+            "efficiency_luminance": round(light.efficiency_luminance, 6),
             "baseline_mm": round(views.baseline * camera.pupil_radius_mm, 3) if aperture.views else None,
             "distances_mm": [float(z) for z in distances_mm],
             "disparity_px": curve.disparity_px.round(3).tolist() if aperture.views else None,
@@ -157,7 +165,7 @@ def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> Non
         axes.add_patch(Circle((99.5, 99.5), 99.5, fill=False, color="0.4", linewidth=0.8))
         axes.axis("off")
         percent = 100 * aperture_figures(aperture).efficiency_mean
-        axes.set_title(f"{aperture.title.replace(': ', chr(10))}\n{percent:.1f} %", fontsize=8)
+        axes.set_title(f"{aperture.title.replace(': ', chr(10))}\nlight {percent:.1f} %", fontsize=8)
         if aperture.views:
             sigma_mm = expected_accuracy(aperture, camera, distances).sigma_mm
             below.plot(distances, sigma_mm, label=aperture.title)

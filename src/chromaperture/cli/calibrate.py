@@ -41,8 +41,11 @@ def calibrate(
 
     chromaperture calibrate my_session --out camera.asdf
 
-    A report with pictures is written beside it, camera.report.html; for it three boards of up to two megapixels
-    together are measured at quality accurate, 40 s a megapixel. Exit code 1: the camera cannot be used.
+    A report with pictures is written beside it, camera.report.html.
+
+    For it three boards are measured at quality accurate: about 80 s at the most.
+
+    Exit code 1: the camera cannot be used.
 
     docs/calibration-session.md shows how the folder is laid out.
     """

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 def evaluate(
     names: Annotated[
-        list[str] | None, typer.Argument(help="Names of the list above, such as figure-10 table-1; all when absent.")
+        list[str] | None,
+        typer.Argument(help="Names of the list above, such as figure-10 table-1; all when absent.", metavar="NAME"),
     ] = None,
     data: Annotated[
         Path | None, typer.Option(help="Folder of real sessions and white sheets; simulated when absent.")
@@ -41,8 +42,11 @@ def evaluate(
 
     chromaperture evaluate all --out evaluation
 
-    Every figure has its own folder with pictures and CSV files; report.html contains all of them. An interrupted run
-    continues where it stopped. The names are those of this list, or "all":
+    Every figure has its own folder with pictures and CSV files.
+
+    report.html contains all of them. An interrupted run continues where it stopped.
+
+    The names are those of this list, or "all":
     """
     from chromaperture.cli.console import announce_compilation, print_json, progress, say_warning
     from chromaperture.evaluation.paper.cluster import dask_distributed

@@ -16,8 +16,12 @@ if TYPE_CHECKING:
 
 
 def export(
-    source: Annotated[str, typer.Argument(help="replay:FOLDER, a folder, a glob, or another source that ends.")],
-    out: Annotated[Path, typer.Argument(help="NAME.mcap for ROS 2, else a new folder in the TUM RGB-D layout.")],
+    source: Annotated[
+        str, typer.Argument(help="replay:FOLDER, a folder, a glob, or another source that ends.", metavar="SOURCE")
+    ],
+    out: Annotated[
+        Path, typer.Argument(help="NAME.mcap for ROS 2, else a new folder in the TUM RGB-D layout.", metavar="OUT")
+    ],
     camera: Camera,
     quality: Quality = "real-time",
     black_level: BlackLevel = None,

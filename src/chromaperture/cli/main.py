@@ -18,7 +18,7 @@ from chromaperture.cli.simulate import simulate_rgbd
 from chromaperture.errors import CaptureWarning, ChromapertureError
 
 app = typer.Typer(
-    help=__doc__,
+    help="Depth in millimetres from one photograph through a colour-coded aperture.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

@@ -20,7 +20,9 @@ def _session() -> None:
 
 @app.command()
 def new(
-    folder: Annotated[Path, typer.Argument(help="Folder of the session; made where it does not exist.")],
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of the session; made where it does not exist.", metavar="FOLDER")
+    ],
     design: Annotated[str, typer.Option(help="Design of the aperture.", rich_help_panel=CAMERA_PANEL)] = "cy_halves",
     focus_mm: Annotated[
         float, typer.Option(help="Focus distance from the sensor, mm, roughly.", rich_help_panel=CAMERA_PANEL)

@@ -17,10 +17,28 @@ CameraOrDesign = Annotated[
     Path | None,
     typer.Option("--camera", "-c", help="Camera file from 'chromaperture calibrate'.", metavar="CAMERA.asdf"),
 ]
+
+
+def _design_names() -> list[str]:
+    from chromaperture.optics.aperture import DESIGNS
+
+    return list(DESIGNS)
+
+
 Design = Annotated[
-    str | None, typer.Option(help="Without a camera file: name of the aperture design; disparity without depth in mm.")
+    str | None,
+    typer.Option(
+        help="Without a camera file: name of the aperture design; disparity without depth in mm.",
+        autocompletion=_design_names,
+    ),
 ]
-Quality = Annotated[str, typer.Option(help="paper, real-time, or accurate, which takes about 40 s a megapixel.")]
+Quality = Annotated[
+    str,
+    typer.Option(
+        help="paper, real-time, or accurate, which takes about 40 s a megapixel.",
+        autocompletion=lambda: ["paper", "real-time", "accurate"],
+    ),
+]
 # One sentence for all commands: without a camera file, as in `transparency`, the format's levels are what is left.
 _LEVEL_DEFAULT = "default the camera file's, else the file format's"
 BlackLevel = Annotated[float | None, typer.Option(help=f"Counts of no light; {_LEVEL_DEFAULT}.")]
@@ -38,7 +56,10 @@ MemoryMb = Annotated[int, typer.Option(help="Memory of the volume; bounds what c
 # Of simulated and planned cameras and sessions.
 CAMERA_PANEL, BOARDS_PANEL, RAYS_PANEL = "Camera", "Boards", "Scenes, rays and noise"
 SimulatedDesign = Annotated[
-    str, typer.Option(help="Design, or a .toml or .svg file of your own.", rich_help_panel=CAMERA_PANEL)
+    str,
+    typer.Option(
+        help="Design, or a .toml or .svg file of your own.", rich_help_panel=CAMERA_PANEL, autocompletion=_design_names
+    ),
 ]
 Film = Annotated[
     str, typer.Option(help="ideal, real or leaky; own files keep their film.", rich_help_panel=CAMERA_PANEL)

@@ -13,7 +13,9 @@ from chromaperture.errors import InputError
 
 
 def reconstruct(
-    source: Annotated[str, typer.Argument(help="replay:FOLDER, a folder, a glob, a video, or a camera.")],
+    source: Annotated[
+        str, typer.Argument(help="replay:FOLDER, a folder, a glob, a video, or a camera.", metavar="SOURCE")
+    ],
     camera: Camera,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for mesh, trajectory and report.")] = Path("model"),
     quality: Annotated[

@@ -83,6 +83,7 @@ def refocus(
         quality = "real-time"  # the accurate one needs a calibration
     eye = camera_for(photo, camera, design, quality=quality, config=None)
     pupil = pupil_strength(eye, f_number, strength)
+    _check_focus(eye, focus_mm, pixel)
     announce_compilation(quiet=quiet)
     announce_duration(eye, 1, quiet=quiet)
     with progress(quiet=quiet) as update:
@@ -118,6 +119,18 @@ def _check(request: _Request) -> None:
     allowed = SUFFIXES if request.sweep else (".png",)
     if request.target.suffix.lower() not in allowed:
         raise InputError(f"--out {request.target.name} must end in {' or '.join(allowed)}")
+
+
+def _check_focus(camera: CodedApertureCamera, focus_mm: float | None, pixel: tuple[int, int] | None) -> None:
+    """Raise InputError for a focus inside the lens or a pixel outside the picture."""
+    from chromaperture.effects.restore import focus_radius
+
+    sensor = camera.calibration.sensor
+    if focus_mm is not None:
+        focus_radius(camera, focus_mm)
+    if pixel is not None and not (0 <= pixel[0] < sensor.width_px and 0 <= pixel[1] < sensor.height_px):
+        x, y = pixel
+        raise InputError(f"--point {x},{y} lies outside the picture of {sensor.width_px}x{sensor.height_px} px")
 
 
 def _restored(
@@ -199,7 +212,4 @@ def chosen_radius(
     if pixel is None:
         return 0.0
     x, y = pixel
-    height, width = picture.radius_px.shape
-    if not (0 <= x < width and 0 <= y < height):
-        raise InputError(f"--point {x},{y} lies outside the picture of {width}x{height} px")
     return float(np.median(picture.radius_px[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4]))

@@ -32,7 +32,9 @@ _camera, _boards, _rays = (partial(typer.Option, rich_help_panel=p) for p in (CA
 
 
 def simulate(
-    out: Annotated[Path, typer.Argument(help="Folder of the session; everything is written into it.")],
+    out: Annotated[
+        Path, typer.Argument(help="Folder of the session; everything is written into it.", metavar="FOLDER")
+    ],
     design: SimulatedDesign = "cy_halves",
     film: Film = "real",
     lens: Lens = "double_gauss_50",
@@ -101,9 +103,9 @@ def simulate(
 
 
 def simulate_rgbd(
-    color: Annotated[Path, typer.Argument(help="Colour picture, sharp.")],
-    depth: Annotated[Path, typer.Argument(help="16-bit depth of the same size; 0 and 65535 unknown.")],
-    out: Annotated[Path, typer.Argument(help="Coded capture to write, 16-bit PNG of linear counts.")],
+    color: Annotated[Path, typer.Argument(help="Colour picture, sharp.", metavar="COLOR")],
+    depth: Annotated[Path, typer.Argument(help="16-bit depth of the same size; 0 and 65535 unknown.", metavar="DEPTH")],
+    out: Annotated[Path, typer.Argument(help="Coded capture to write, 16-bit PNG of linear counts.", metavar="OUT")],
     focal_px: Annotated[float, typer.Option(help="fx of the RGB-D camera.")],
     design: SimulatedDesign = "cy_halves",
     film: Film = "real",

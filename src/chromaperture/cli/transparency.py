@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
 def transparency(
     sheets: Annotated[
-        list[Path],
-        typer.Argument(help="White sheet through each coded aperture, one file a design.", metavar="SHEET..."),
+        list[Path], typer.Argument(help="White sheet through each coded aperture, one file a design.", metavar="SHEET")
     ],
     bare: Annotated[Path, typer.Option(help="The same sheet through the open pupil, at the same exposure.")],
     black_level: BlackLevel = None,

@@ -179,7 +179,7 @@ def focus_radius(camera: CodedApertureCamera, focus_mm: float) -> float:
     cal, quality = camera.calibration, camera.config.quality
     model = cal.on_axis(quality)
     if not focus_mm > float(model.sensor_to_pupil_mm):
-        raise InputError(f"--focus-mm {focus_mm:g} lies inside the lens; give the distance from the sensor in mm")
+        raise InputError(f"a focus at {focus_mm:g} mm lies inside the lens; give its distance from the sensor in mm")
     if camera.alignment.lens_shift is None:
         return float(depth_to_disparity(focus_mm, model)) * radius_per_disparity(cal, quality)
     return float(camera.alignment.lens_shift.layer_radius_px(depth_to_disparity(focus_mm, cal.on_axis("accurate"))))

@@ -75,8 +75,8 @@ def _sections(result: CalibrationResult) -> list[dict[str, Any]]:
                "Left, all of the frame: median, half and nine tenths of the pixels; right, the error of the median in "
                "distance.", tables.boards(result)),
         _drawn("Ruler and corners", result, evidence.draw_ruler,
-               "The size of the chessboard determines its distance independently; a point outside the band is a "
-               "misread ruler or board.",
+               "The size of the chessboard determines its distance independently; a point at more than three times the "
+               "band is a misread ruler or board.",
                lines=() if result.ruler else ("No board poses: nothing to compare the ruler with.",)),
         _drawn("Corners found", result, evidence.draw_corners,
                "Red dots are the corners; look for missing boards and corners off their squares."),
