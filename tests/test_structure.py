@@ -26,6 +26,7 @@ BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "storage", "camera_
 COMMON = {"errors", "compilation", "threads", "robust"}
 ALLOWED: dict[str, set[str]] = {
     **{part: set() for part in COMMON},
+    "threads": {"errors"},  # numbers of threads in the environment are refused like any input
     "stage_config": {"errors"},
     "config": {"errors", "stage_config"},
     "optics": set(),  # the forward model shares no code with the estimator that it tests
