@@ -154,6 +154,7 @@ class _Task(Generic[R]):
         """Leave the work undone, unless a thread has begun it."""
         if self._begun.acquire(blocking=False):
             self.result.cancel()
+            self.result.set_running_or_notify_cancel()  # else `wait` would wait for it
 
 
 def _start(pool: Executor, tasks: Iterable[Callable[[], Any]]) -> bool:

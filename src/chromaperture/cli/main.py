@@ -75,7 +75,7 @@ def main() -> None:
 
 _STOPPED = {
     130: "interrupted; nothing half-written was left behind",
-    143: "ended; nothing half-written was left behind",
+    143: "ended by SIGTERM; nothing half-written was left behind",
 }
 
 
