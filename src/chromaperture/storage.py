@@ -78,7 +78,7 @@ def staged(folder: str | Path) -> Iterator[Stage]:
             os.replace(private / name, folder / name)
             moved += 1
     except OSError as error:
-        if error.errno in _FULL or error.errno in _REFUSED:
+        if _is_full(error) or error.errno in _REFUSED:
             raise _cannot_write(folder, error, moved) from None
         raise
     finally:
@@ -177,10 +177,15 @@ _REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST,
 
 
 def _cannot_write(folder: Path, error: OSError, moved: int = 0) -> InputError:
-    if error.errno in _FULL:
+    if _is_full(error):
         written = f"{moved} files were" if moved else "nothing was"
         return InputError(f"the disk is full: {written} written to {folder}; free some space and repeat")
     return InputError(f"cannot write to {folder} ({error.strerror or error}); choose another folder with --out")
+
+
+def _is_full(error: OSError) -> bool:
+    """Whether the disk is full; NumPy reports "345600 requested and 194 written" without a number."""
+    return error.errno in _FULL or (error.errno is None and "requested and" in str(error))
 
 
 def _is_device(path: Path) -> bool:
