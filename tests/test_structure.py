@@ -27,6 +27,7 @@ COMMON = {"errors", "compilation", "threads", "robust", "validation"}
 ALLOWED: dict[str, set[str]] = {
     **{part: set() for part in COMMON},
     "validation": {"errors"},
+    "threads": {"errors"},  # numbers of threads in the environment are refused like any input
     "stage_config": {"errors"},
     "config": {"errors", "stage_config"},
     "optics": set(),  # the forward model shares no code with the estimator that it tests

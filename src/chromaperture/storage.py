@@ -6,6 +6,8 @@ import contextlib
 import errno
 import json
 import os
+import platform
+import re
 import shutil
 import stat
 import tempfile
@@ -19,6 +21,11 @@ import tifffile
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.errors import InputError
+
+try:
+    import fcntl
+except ImportError:  # Windows: what a killed process left stays
+    fcntl = None  # type: ignore[assignment]
 
 # Of the filters and strategies of OpenCV's PNG encoder this is the smallest, and the fastest to within 5 %: 6 mega-
 # pixels of colour take 0.18 s and 6.7 MB; by default 0.17 s and 7.3 MB, by level 6 of zlib's strategy 2.2 s and 7.6 MB.
@@ -36,20 +43,28 @@ class Stage:
         self.names.append(name)
         return self.private / name
 
+    def take_all(self) -> None:
+        """Name every file that was written below ``private``: those in subfolders come first, then by their names."""
+        files = [p.relative_to(self.private) for p in self.private.rglob("*") if p.is_file() and p.name != _LOCK]
+        self.names = [p.as_posix() for p in sorted(files, key=lambda p: (-len(p.parts), p))]
+
 
 @contextlib.contextmanager
 def staged(folder: str | Path) -> Iterator[Stage]:
-    """Write a set of files so that none remain after an error, a full disk or Ctrl-C.
+    """Write a set of files so that none remain after an error, a full disk, Ctrl-C or SIGTERM.
+
+    What a killed process left in the folder is removed.
 
     Raises
     ------
     InputError
         The folder cannot be created or written to, or the disk is full.
     """
-    folder = Path(folder)
+    folder, moved = Path(folder), 0
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        private = Path(tempfile.mkdtemp(prefix=".chromaperture-", dir=folder))
+        _remove_left_behind(folder)
+        private, lock = _private_folder(folder)
     except OSError as error:  # of any number: /proc reports that there is no such file
         raise _cannot_write(folder, error) from None
     try:
@@ -59,23 +74,118 @@ def staged(folder: str | Path) -> Iterator[Stage]:
             if _is_device(folder / name):
                 raise InputError(f"{folder / name} is a device, which a file would replace; choose another name")
         for name in stage.names:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(private / name, folder / name)
+            moved += 1
     except OSError as error:
-        if error.errno in _FULL or error.errno in _REFUSED:
-            raise _cannot_write(folder, error) from None
+        if _is_full(error) or error.errno in _REFUSED:
+            raise _cannot_write(folder, error, moved) from None
         raise
     finally:
-        shutil.rmtree(private, ignore_errors=True)
+        _remove(private)
+        os.close(lock)
+
+
+_LOCK = ".chromaperture-lock"  # in every private folder; locked by the process that writes there, as long as it runs
+
+
+def _prefix() -> str:
+    """Begin a private folder's name with the machine's: locks may not reach the other machines of a network disk."""
+    return f".chromaperture-{re.sub('[^A-Za-z0-9.]', '_', platform.node())[:60]}-"
+
+
+def _private_folder(folder: Path) -> tuple[Path, int]:
+    """Make a private folder; returns it and the descriptor of its lock."""
+    for _ in range(100):  # more than other processes will remove before it is locked; chosen by hand
+        private = Path(tempfile.mkdtemp(prefix=_prefix(), dir=folder))
+        try:
+            lock = _locked(private)
+        except BaseException:
+            _remove(private)
+            raise
+        if lock is not None:
+            return private, lock
+    raise OSError(errno.EBUSY, "another program removes the temporary folders")
+
+
+def _locked(private: Path) -> int | None:
+    """Lock a new private folder; None where another process removed it before, as left behind."""
+    try:
+        lock = os.open(private / _LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+    except FileNotFoundError:
+        return None
+    try:
+        if fcntl is not None:
+            with contextlib.suppress(OSError):  # a disk without locks: nobody can lock, so nobody removes
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(lock), os.lstat(private / _LOCK)):
+            return lock
+    except FileNotFoundError:
+        pass
+    except BaseException:
+        os.close(lock)
+        raise
+    os.close(lock)
+    return None
+
+
+def _remove_left_behind(folder: Path) -> None:
+    """Remove private folders in which no process works any more, once a process and folder; others' are left alone."""
+    if fcntl is None or (place := folder.absolute()) in _searched:
+        return
+    _searched.add(place)
+    name = re.compile(re.escape(_prefix()) + "[a-z0-9_]{8}")  # as `tempfile.mkdtemp` names them
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        for private in [e.path for e in entries if name.fullmatch(e.name) and e.is_dir(follow_symlinks=False)]:
+            with contextlib.suppress(OSError):
+                _remove_unlocked(Path(private))
+
+
+_searched: set[Path] = set()  # folders of `_remove_left_behind`
+
+
+def _remove_unlocked(private: Path) -> None:
+    """Remove a private folder; raises OSError where a process works in it, or it is another user's."""
+    try:
+        lock = os.open(private / _LOCK, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except FileNotFoundError:
+        private.rmdir()  # only where it is empty: made, and not locked yet; who made it makes another
+        return
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _remove(private)
+    finally:
+        os.close(lock)
+
+
+def _remove(private: Path) -> None:
+    """Remove a private folder, its lock last: killed on the way, it can still be found to be left behind."""
+    for _ in range(2):  # again, where the first time was interrupted by a lack of memory or descriptors
+        with contextlib.suppress(OSError, MemoryError), os.scandir(private) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    shutil.rmtree(entry.path, ignore_errors=True)
+                elif entry.name != _LOCK:
+                    os.unlink(entry.path)
+            shutil.rmtree(private, ignore_errors=True)
+        if not os.path.lexists(private):
+            return
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.EISDIR, errno.ENOTEMPTY)
 
 
-def _cannot_write(folder: Path, error: OSError) -> InputError:
-    if error.errno in _FULL:
-        return InputError(f"the disk is full: nothing was written to {folder}; free some space and repeat")
+def _cannot_write(folder: Path, error: OSError, moved: int = 0) -> InputError:
+    if _is_full(error):
+        written = f"{moved} files were" if moved else "nothing was"
+        return InputError(f"the disk is full: {written} written to {folder}; free some space and repeat")
     return InputError(f"cannot write to {folder} ({error.strerror or error}); choose another folder with --out")
+
+
+def _is_full(error: OSError) -> bool:
+    """Whether the disk is full; NumPy reports "345600 requested and 194 written" without a number."""
+    return error.errno in _FULL or (error.errno is None and "requested and" in str(error))
 
 
 def _is_device(path: Path) -> bool:

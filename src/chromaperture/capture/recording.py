@@ -8,6 +8,7 @@ Levels that nobody gave are null; format 1 wrote 0 and 65535 for those of 16-bit
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
 import json
@@ -73,8 +74,11 @@ class Recorder:
             _write_durably(self.folder / _HEADER, header.encode())
             self._index = os.open(self.folder / _INDEX, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
             _sync_folder(self.folder)
-        except OSError as error:
-            raise self._failure(error) from None
+        except BaseException as error:
+            self.__exit__(type(error), error, None)
+            if isinstance(error, OSError):
+                raise self._failure(error) from None
+            raise
         return self
 
     def __exit__(
@@ -83,6 +87,11 @@ class Recorder:
         if self._index >= 0:
             os.close(self._index)
         self._index = -1
+        if kind is not None and not self.count:  # nothing was recorded: the same folder can be given again
+            with contextlib.suppress(OSError):
+                for path in (self.folder / _INDEX, self.folder / _HEADER, *(self.folder / "frames").iterdir()):
+                    path.unlink(missing_ok=True)
+                (self.folder / "frames").rmdir()
 
     def write(self, frame: Frame) -> None:
         """Write one frame; it is on the disk when this returns."""

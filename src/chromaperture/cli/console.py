@@ -49,7 +49,8 @@ def forget_warnings() -> None:
 
 def say_error(error: BaseException | str) -> None:
     """Print one line on standard error."""
-    print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # a full device; the exit code remains
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
 
 
 def say_warning(message: str) -> None:
@@ -134,7 +135,11 @@ def _lines(every_s: float) -> Iterator[Update]:
         newest = (what, done, total)
 
     thread = threading.Thread(target=run, daemon=True, name="progress")
-    thread.start()
+    try:
+        thread.start()
+    except RuntimeError:  # no more threads: the work goes on without a word
+        yield update
+        return
     try:
         yield update
     finally:

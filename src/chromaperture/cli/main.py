@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import importlib
+import signal
 import sys
 import warnings
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -15,7 +16,8 @@ from chromaperture import __version__
 from chromaperture.cli import new_session
 from chromaperture.cli.console import forget_warnings, say_error, show_warning
 from chromaperture.cli.simulate import simulate_rgbd
-from chromaperture.errors import CaptureWarning, ChromapertureError
+from chromaperture.cli.terminal import stop_on_signals
+from chromaperture.errors import FREE_MEMORY, CaptureWarning, ChromapertureError, lacks_memory
 
 app = typer.Typer(
     help="Depth in millimetres from one photograph through a colour-coded aperture.",
@@ -49,7 +51,36 @@ def _options(
 
 
 def main() -> None:
-    """Run the command line; invalid input is one line on standard error and exit code 2."""
+    """Run the command line; whatever fails is one line on standard error and an exit code.
+
+    2: invalid input, or the machine cannot do it; 130: Ctrl-C; 143: SIGTERM; 141: the reader of the output has gone.
+    """
+    with stop_on_signals() as stop:
+        try:
+            _run()
+        except ChromapertureError as error:
+            _end(2, str(error))
+        except (KeyboardInterrupt, Exception) as error:
+            if stop.signal is not None or isinstance(error, KeyboardInterrupt):  # a library may raise another error
+                _end(stop.code, _STOPPED[stop.code])
+            if isinstance(error, BrokenPipeError):
+                _end(141)  # as after "| head"
+            reason = _reason(error)
+            if reason is None:
+                raise
+            _end(2, reason)
+        if stop.signal == signal.SIGTERM:  # commands that end well by Ctrl-C, such as `record`, do so by SIGTERM
+            _end(stop.code)
+
+
+_STOPPED = {
+    130: "interrupted; nothing half-written was left behind",
+    143: "ended by SIGTERM; nothing half-written was left behind",
+}
+
+
+def _run() -> None:
+    """Run the command; the library for the command line exits by itself where a signal or a pipe ends it."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("always", CaptureWarning)
@@ -59,27 +90,39 @@ def main() -> None:
                 app(prog_name="chromaperture")
             finally:
                 sys.stdout.flush()  # here, where a full device is reported
-    except ChromapertureError as error:
-        say_error(error)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        say_error("interrupted; nothing half-written was left behind")
-        sys.exit(130)
-    except BrokenPipeError:
-        _drop_output()
-        sys.exit(141)  # the reader of our output has gone, as after "| head"
-    except OSError as error:
-        if error.errno == errno.ENOSPC:
-            say_error("the disk is full: the output could not be written; free some space and repeat")
-            _drop_output()
-        elif error.filename is not None:
-            say_error(f"cannot use {error.filename} ({error.strerror}); choose another name")
-        else:
-            raise
-        sys.exit(2)
+    except SystemExit as end:
+        if end.code == 0:
+            return
+        reason = end.__cause__ or end.__context__
+        while reason is not None:
+            if isinstance(reason, KeyboardInterrupt | BrokenPipeError):
+                raise reason from None
+            reason = reason.__cause__ or reason.__context__
+        raise
 
 
-def _drop_output() -> None:
-    """Discard what cannot be printed: Python would report it again at exit."""
-    with contextlib.suppress(OSError):
-        sys.stdout.close()
+def _reason(error: BaseException) -> str | None:
+    """Say in one sentence what the machine cannot do; None for what is a fault of the program."""
+    if lacks_memory(error):
+        detail = " ".join(str(error).split())[:200]  # characters
+        return f"not enough memory{f' ({detail})' if detail else ''}; {FREE_MEMORY}"
+    if not isinstance(error, OSError):
+        return None
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        return "the disk is full: the output could not be written; free some space and repeat"
+    if error.filename is not None:
+        return f"cannot use {error.filename} ({error.strerror}); choose another name"
+    return f"the system reports: {error.strerror or error}; mend this and repeat"
+
+
+def _end(code: int, message: str = "") -> NoReturn:
+    """Exit; Python would report again at its end what cannot be printed."""
+    if message:
+        say_error(message)
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            with contextlib.suppress(OSError):
+                stream.close()
+    sys.exit(code)

@@ -71,6 +71,7 @@ def simulate(
     from chromaperture.optics.ray_table import RayTable, lens_rays, pinhole_rays
     from chromaperture.optics.scene import load_scene
     from chromaperture.optics.simulated_session import SessionPlan, write_session
+    from chromaperture.storage import staged
 
     if cells < 4 or cells % 2:
         raise InputError(f"--cells must be even and at least 4, got {cells}")
@@ -87,9 +88,9 @@ def simulate(
 
     count = int((farthest_mm - nearest_mm) / step_mm + 1e-6) + 1
     distances_mm = tuple(nearest_mm + i * step_mm for i in range(count))
-    with progress(quiet=quiet) as update:
+    with progress(quiet=quiet) as update, staged(out) as stage:
         write_session(
-            out,
+            stage.private,
             aperture=aperture,
             camera=camera,
             rays=rays,
@@ -98,6 +99,7 @@ def simulate(
             report=(lambda note: None) if quiet else typer.echo,
             progress=update,
         )
+        stage.take_all()
     if not quiet:
         typer.echo(f"Wrote {out}; calibrate it with: chromaperture calibrate {out} --out camera.asdf")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,11 +38,13 @@ def add_text(axes: Axes, x: float, y: float, text: str, *, size_mm: float = 3.2,
 
 def write_pages(path: Path, pages: Iterable[Figure], title: str) -> None:
     """Write pages without a date: the first as ``.svg``, or all as ``.pdf``."""
+    drawn = io.BytesIO()  # the library for PDF reports a full disk as an error of its compression
     if path.suffix.lower() == ".svg":
-        next(iter(pages)).savefig(path, format="svg", metadata={"Title": title, "Date": None})
-        return
-    from matplotlib.backends.backend_pdf import PdfPages
+        next(iter(pages)).savefig(drawn, format="svg", metadata={"Title": title, "Date": None})
+    else:
+        from matplotlib.backends.backend_pdf import PdfPages
 
-    with PdfPages(path, metadata={"Title": title, "CreationDate": None}) as pdf:
-        for page in pages:
-            pdf.savefig(page)
+        with PdfPages(drawn, metadata={"Title": title, "CreationDate": None}) as pdf:
+            for page in pages:
+                pdf.savefig(page)
+    path.write_bytes(drawn.getvalue())

@@ -265,5 +265,7 @@ def _truth(camera: PupilCamera, aperture: Aperture, stood: dict[str, float]) -> 
 
 def _write_png(path: Path, array: np.ndarray) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), array):
-        raise InputError(f"could not write {path}")
+    ok, encoded = cv2.imencode(".png", array)
+    if not ok:
+        raise InputError(f"cannot encode {path.name}")
+    path.write_bytes(encoded.data)  # unlike `cv2.imwrite`, raises when the disk is full

@@ -14,6 +14,7 @@ import numpy as np
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.depth.pointcloud import PointCloud, depth_to_points
+from chromaperture.errors import within_memory
 from chromaperture.frame import frame_files
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
@@ -83,7 +84,7 @@ class MeasuredFile:
         title = self.path.name
         if frame.calibration is not None:
             title += f"   {frame.calibration.aperture.title}"
-        with staged(self.folder) as stage:
+        with within_memory(_size(self.path, frame.disparity_px)), staged(self.folder) as stage:
             with clock("write"):
                 frame_files.write_maps(
                     stage.path, stem, frame, self.outputs, max_relative_sigma=self.max_relative_sigma, title=title,
@@ -177,13 +178,18 @@ def measure_first(
     path = Path(path)
     outputs = chosen_outputs(write, is_calibrated=camera.calibration.is_calibrated)
     clock = StageClock(listener)
-    with clock("read"):
+    with clock("read"), within_memory(path.name):
         image = camera.read(path, black_level=black_level, white_level=white_level)
-    inspect(image)
-    frame = camera.measure(image, stage=clock)
+    with within_memory(_size(path, image)):
+        inspect(image)
+        frame = camera.measure(image, stage=clock)
     folder = path.parent if out is None else Path(out)
     preview = (caption, depth_range_mm)
     return MeasuredFile(frame, path, folder, outputs, max_relative_sigma, *preview, clock.seconds)
+
+
+def _size(path: Path, pixels: np.ndarray) -> str:
+    return f"{path.name}, {pixels.shape[0] * pixels.shape[1] / 1e6:.3g} megapixels"
 
 
 def write_maps(
