@@ -4,41 +4,22 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
-import subprocess
 import sys
 
 import pytest
 
+from chromaperture import cluster
 from chromaperture.errors import InputError, MissingDependencyError
-from chromaperture.evaluation.paper import cluster, sweep
+from chromaperture.evaluation.paper import sweep
+from clusters import LocalCluster
 from worlds import small_trials, stored
 
 
 @pytest.fixture
 def scheduler(tmp_path):
-    """A scheduler and two workers of one thread in processes of their own, without a nanny that starts them again."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    address = f"tcp://127.0.0.1:{port}"
-    common = ["--no-dashboard"]
-    worker = [address, "--no-nanny", "--nthreads", "1", "--local-directory", str(tmp_path / "dask"), *common]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    started = []
-
-    def start(module, *arguments):
-        command = [sys.executable, "-m", f"distributed.cli.{module}", *arguments]
-        with (tmp_path / f"{module}-{len(started)}.log").open("wb") as log:
-            started.append(subprocess.Popen(command, stdout=log, stderr=log, env=environment))
-        return started[-1]
-
-    start("dask_scheduler", "--host", "127.0.0.1", "--port", str(port), *common)
-    workers = [start("dask_worker", *worker) for _ in range(2)]
-    yield address, workers
-    for process in started:
-        process.kill()
-        process.wait()
+    started = LocalCluster(tmp_path)
+    yield started.address, started.workers
+    started.close()
 
 
 @pytest.mark.extra("cluster", "distributed")
