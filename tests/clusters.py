@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 
@@ -19,9 +21,13 @@ class LocalCluster:
     workers : int
     tls : dict of str to Path
         Options of Dask's commands, such as ``{"tls-ca-file": ...}``; no encryption when empty.
+    **environment
+        Of the scheduler.
     """
 
-    def __init__(self, folder: Path, *, workers: int = 2, tls: dict[str, Path] | None = None) -> None:
+    def __init__(
+        self, folder: Path, *, workers: int = 2, tls: dict[str, Path] | None = None, **environment: str
+    ) -> None:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port = free.getsockname()[1]
@@ -29,7 +35,7 @@ class LocalCluster:
         self.common = ["--no-dashboard", *(part for name, path in (tls or {}).items() for part in (f"--{name}", path))]
         self.address = f"{'tls' if tls else 'tcp'}://127.0.0.1:{self.port}"
         host = ["--host", f"{'tls' if tls else 'tcp'}://127.0.0.1", "--port", str(self.port)]
-        self.scheduler = self.start("dask_scheduler", *host, *self.common)
+        self.scheduler = self.start("dask_scheduler", *host, *self.common, **environment)
         self.workers = [self.add_worker() for _ in range(workers)]
 
     def add_worker(self, **environment: str) -> subprocess.Popen:
@@ -48,3 +54,11 @@ class LocalCluster:
         for process in self.started:
             process.kill()
             process.wait()
+
+
+def sleep_or_die(task: str, seconds: float) -> str:
+    """A task for workers: ``poison`` ends its worker as the system does for lack of memory."""
+    time.sleep(seconds)
+    if task == "poison":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return task

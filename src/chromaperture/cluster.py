@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -56,13 +57,28 @@ def connected(address: str) -> Iterator[Any]:
         No scheduler answers, there are no workers, or workers have another version of the package.
     """
     dask = dask_distributed()
+    with _silent():
+        try:
+            client = dask.Client(address, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError, TypeError, RuntimeError) as error:  # TimeoutError is an OSError
+            raise InputError(_no_answer(address, error)) from None
+        with client:
+            _check_workers(client, address)
+            yield client
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Keep Dask from logging tracebacks of a lost connection, which is reported in one line."""
+    loggers = [logging.getLogger(f"distributed.{name}") for name in ("client", "comm", "core", "utils")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
     try:
-        client = dask.Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError, TypeError, RuntimeError) as error:  # TimeoutError is an OSError
-        raise InputError(_no_answer(address, error)) from None
-    with client:
-        _check_workers(client, address)
-        yield client
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
 
 
 def run_tasks(
@@ -115,7 +131,7 @@ def run_tasks(
     for task in islice(waiting, AT_ONCE):
         submit(task)
     while running:
-        future = _next(client, finished)
+        future = _patiently(client, lambda seconds: finished.get(timeout=seconds))
         result = _finished(running.pop(future), future, client)
         del future  # the scheduler forgets the result
         for task in islice(waiting, 1):
@@ -126,7 +142,7 @@ def run_tasks(
             yield result
     for task in suspects:
         submit(task)
-        future = _next(client, finished)
+        future = _patiently(client, lambda seconds: finished.get(timeout=seconds))
         yield _finished(running.pop(future), future, client)
 
 
@@ -134,13 +150,16 @@ def _same(argument: T) -> T:
     return argument
 
 
-def _next(client: Any, finished: SimpleQueue[Any]) -> Any:
-    """Wait for a task to finish; raises InputError without a scheduler, or without workers for `WORKERS_S`."""
+def _patiently(client: Any, wait: Callable[[float], T]) -> T:
+    """Repeat a wait that ends in TimeoutError or Empty after the seconds it is given.
+
+    Raises InputError without a scheduler, or without workers for `WORKERS_S`.
+    """
     last_seen = time.monotonic()
     while True:
         try:
-            return finished.get(timeout=CHECK_EVERY_S)
-        except Empty:
+            return wait(CHECK_EVERY_S)
+        except (Empty, TimeoutError):
             try:
                 workers = client.ncores()
             except (OSError, RuntimeError, ValueError):
@@ -154,15 +173,19 @@ def _next(client: Any, finished: SimpleQueue[Any]) -> Any:
 
 
 def _finished(task: T, future: Any, client: Any) -> Finished[T]:
-    if future.status == "finished":
+    dask = dask_distributed()
+    ended = ("error", "cancelled")
+    if future.status not in ended:
         try:
-            return Finished(task, future.result())
-        except OSError:  # the worker that holds it, or the scheduler, went away meanwhile
-            raise _lost(client) from None
+            # A result is fetched from its worker. When that died meanwhile, the task is run again, and waited for here.
+            return Finished(task, _patiently(client, lambda seconds: future.result(timeout=seconds)))
+        except (Exception, dask.CancelledError):
+            if future.status not in ended:
+                raise
     error = future.exception() if future.status == "error" else None
     if error is None:
         raise _lost(client)
-    if isinstance(error, dask_distributed().scheduler.KilledWorker):
+    if isinstance(error, dask.scheduler.KilledWorker):
         return Finished(task, error=WorkersDiedError("workers died repeatedly, perhaps for lack of memory"))
     return Finished(task, error=error)
 

@@ -37,7 +37,7 @@ def measure_archive(images: Sequence[str], recipe: Recipe, address: str, *, json
                     kept += 1
                 else:
                     measured += 1
-                update(_counts(measured, kept, len(failed)), done, len(images))
+                update(f"photographs ({len(failed)} failed)" if failed else "photographs", done, len(images))
     except InputError as error:
         raise InputError(f"{error} ({_counts(measured, kept, len(failed))}, of {len(images)})") from None
     seconds = time.monotonic() - began
