@@ -85,7 +85,10 @@ def depth(
     from chromaperture.frame.frame_files import chosen_outputs
     from chromaperture.products.archive_store import as_path, find_photographs, is_url, names_in_list
 
-    names = find_photographs(images or ()) + ([] if files_from is None else names_in_list(files_from))
+    listed = [] if files_from is None else names_in_list(files_from)
+    if cluster is None and any(is_url(name) for name in (*(images or ()), *listed, out or "")):
+        raise InputError("URLs are read and written by the workers of a cluster: give its scheduler with --cluster")
+    names = find_photographs(images or ()) + listed
     if not names:
         raise InputError("give photographs, folders of them, or a list of them with --files-from")
     refuse_common_results(names, out)
@@ -107,8 +110,6 @@ def depth(
         return
     if again:
         raise InputError("--again is used with --cluster; without it everything is measured in any case")
-    if any(is_url(name) for name in (*names, out or "")):
-        raise InputError("URLs are read and written by the workers of a cluster: give its scheduler with --cluster")
     paths = [as_path(name) for name in names]
     camera_of = cameras(paths[0], camera, design, quality=quality, config=config)
     announce_compilation(quiet=quiet)
