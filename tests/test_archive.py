@@ -118,6 +118,7 @@ def test_nothing_is_lost_with_a_worker_or_with_the_scheduler(tmp_path):
     assert results(tmp_path / "out") == alone(images, tmp_path / "alone")
 
 
+@pytest.mark.slow
 @pytest.mark.extra("cluster", "distributed")
 def test_a_worker_with_another_version_is_refused_at_the_start_and_when_it_joins_later(tmp_path):
     installed = tmp_path / "other" / "chromaperture-99.0.dist-info"
@@ -156,6 +157,7 @@ def certificates(tmp_path):
     return {"tls-ca-file": tmp_path / "ca.pem", "tls-cert": tmp_path / "member.pem", "tls-key": tmp_path / "member.key"}
 
 
+@pytest.mark.slow
 @pytest.mark.extra("cluster", "distributed")
 def test_tls_works_with_dasks_own_settings_and_refuses_who_has_no_certificate(certificates, tmp_path, monkeypatch):
     import dask

@@ -68,6 +68,7 @@ def test_a_cluster_without_workers_is_told(scheduler, monkeypatch, tmp_path):
         sweep.sweep(small_trials(), workers=1, keep_in=tmp_path, cluster=address)
 
 
+@pytest.mark.slow
 @pytest.mark.extra("cluster", "distributed")
 def test_a_task_that_kills_its_workers_fails_alone(tmp_path):
     """Without retries by the scheduler: the neighbours of the task, queued at the same worker, are suspected too."""
@@ -86,6 +87,7 @@ def test_a_task_that_kills_its_workers_fails_alone(tmp_path):
     assert isinstance(next(f.error for f in found if f.task == "poison"), cluster.WorkersDiedError)
 
 
+@pytest.mark.slow
 @pytest.mark.extra("cluster", "distributed")
 def test_workers_that_are_all_gone_end_the_wait(scheduler, monkeypatch):
     address, workers = scheduler
@@ -100,6 +102,7 @@ def test_workers_that_are_all_gone_end_the_wait(scheduler, monkeypatch):
             list(results)
 
 
+@pytest.mark.slow
 @pytest.mark.extra("cluster", "distributed")
 def test_tasks_ahead_of_their_results_are_bounded(scheduler, monkeypatch):
     address, _ = scheduler
