@@ -4,41 +4,31 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
-import subprocess
 import sys
 
 import pytest
 
+from chromaperture import cluster
 from chromaperture.errors import InputError, MissingDependencyError
-from chromaperture.evaluation.paper import cluster, sweep
+from chromaperture.evaluation.paper import sweep
+from clusters import LocalCluster, sleep_or_die
 from worlds import small_trials, stored
+
+
+def distributed_client(address, workers):
+    """A client of Dask's own that has seen so many workers."""
+    import distributed
+
+    client = distributed.Client(address, set_as_default=False)
+    client.wait_for_workers(workers, timeout=60)
+    return client
 
 
 @pytest.fixture
 def scheduler(tmp_path):
-    """A scheduler and two workers of one thread in processes of their own, without a nanny that starts them again."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    address = f"tcp://127.0.0.1:{port}"
-    common = ["--no-dashboard"]
-    worker = [address, "--no-nanny", "--nthreads", "1", "--local-directory", str(tmp_path / "dask"), *common]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    started = []
-
-    def start(module, *arguments):
-        command = [sys.executable, "-m", f"distributed.cli.{module}", *arguments]
-        with (tmp_path / f"{module}-{len(started)}.log").open("wb") as log:
-            started.append(subprocess.Popen(command, stdout=log, stderr=log, env=environment))
-        return started[-1]
-
-    start("dask_scheduler", "--host", "127.0.0.1", "--port", str(port), *common)
-    workers = [start("dask_worker", *worker) for _ in range(2)]
-    yield address, workers
-    for process in started:
-        process.kill()
-        process.wait()
+    started = LocalCluster(tmp_path)
+    yield started.address, started.workers
+    started.close()
 
 
 @pytest.mark.extra("cluster", "distributed")
@@ -76,6 +66,57 @@ def test_a_cluster_without_workers_is_told(scheduler, monkeypatch, tmp_path):
     monkeypatch.setattr(cluster, "WORKERS_S", 1)
     with pytest.raises(InputError, match="has no workers"):
         sweep.sweep(small_trials(), workers=1, keep_in=tmp_path, cluster=address)
+
+
+@pytest.mark.slow
+@pytest.mark.extra("cluster", "distributed")
+def test_a_task_that_kills_its_workers_fails_alone(tmp_path):
+    """Without retries by the scheduler: the neighbours of the task, queued at the same worker, are suspected too."""
+    started = LocalCluster(tmp_path, workers=3, DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES="0")
+    try:
+        with distributed_client(started.address, 3):
+            pass
+        tasks = ["a", "b", "poison", *(f"c{i}" for i in range(20))]
+        with cluster.connected(started.address) as client:
+            found = list(cluster.run_tasks(client, sleep_or_die, tasks, 0.01))
+    finally:
+        started.close()
+    assert sorted(f.task for f in found) == sorted(tasks)
+    assert {f.task for f in found if f.error is not None} == {"poison"}
+    assert all(f.value == f.task for f in found if f.error is None)
+    assert isinstance(next(f.error for f in found if f.task == "poison"), cluster.WorkersDiedError)
+
+
+@pytest.mark.slow
+@pytest.mark.extra("cluster", "distributed")
+def test_workers_that_are_all_gone_end_the_wait(scheduler, monkeypatch):
+    address, workers = scheduler
+    monkeypatch.setattr(cluster, "WORKERS_S", 3)
+    monkeypatch.setattr(cluster, "CHECK_EVERY_S", 0.2)
+    with distributed_client(address, 2), cluster.connected(address) as client:
+        results = cluster.run_tasks(client, sleep_or_die, [str(i) for i in range(200)], 0.1)
+        next(results)
+        for worker in workers:
+            worker.kill()
+        with pytest.raises(InputError, match="no worker has been left"):
+            list(results)
+
+
+@pytest.mark.slow
+@pytest.mark.extra("cluster", "distributed")
+def test_tasks_ahead_of_their_results_are_bounded(scheduler, monkeypatch):
+    address, _ = scheduler
+    monkeypatch.setattr(cluster, "AT_ONCE", 10)
+    taken = []
+
+    def tasks():
+        for i in range(100):
+            taken.append(i)
+            yield str(i)
+
+    with cluster.connected(address) as client:
+        for done, _ in enumerate(cluster.run_tasks(client, sleep_or_die, tasks(), 0.0), 1):
+            assert len(taken) <= done + 10
 
 
 @pytest.mark.extra("cluster", "distributed")

@@ -30,7 +30,7 @@ from chromaperture.color.color_maps import UNKNOWN
 from chromaperture.frame import frame_files
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.frame.preview import ColorScale, write_preview
-from chromaperture.products import measure_file as measuring
+from chromaperture.products import archive
 
 mpl.use("Agg")
 ROOT = Path(__file__).parents[1]
@@ -222,7 +222,7 @@ def test_files_written_beside_the_next_measurement_are_the_same(run, camera, tmp
 
 
 def test_no_more_than_two_measurements_are_in_memory(run, tmp_path, monkeypatch):
-    frames, alive, measure = [], [], measuring.measure_first
+    frames, alive, measure = [], [], archive.measure_only
 
     def counted(*args, **options):
         gc.collect()
@@ -231,7 +231,7 @@ def test_no_more_than_two_measurements_are_in_memory(run, tmp_path, monkeypatch)
         frames.append(weakref.ref(made.frame))
         return made
 
-    monkeypatch.setattr(measuring, "measure_first", counted)
+    monkeypatch.setattr(archive, "measure_only", counted)
     options = ("--camera", cap.sample_camera(SAMPLE), "--out", tmp_path / "out", "--write", "depth", "-q")
     assert run("depth", *photographs(tmp_path / "in", 4), *options).returncode == 0
     assert len(alive) == 4

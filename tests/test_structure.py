@@ -21,7 +21,7 @@ MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
 BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "storage", "camera_file", "camera_matching",
-                         "camera_alignment", "camera", "frame", "calibration", "products"}  # fmt: skip
+                         "camera_alignment", "camera", "cluster", "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
 COMMON = {"errors", "compilation", "threads", "robust", "validation"}
 ALLOWED: dict[str, set[str]] = {
@@ -38,6 +38,7 @@ ALLOWED: dict[str, set[str]] = {
     "storage": {"color"},
     "asdf_input": set(),
     "camera_tree": set(),
+    "cluster": set(),
     "camera_file": {"optics", "color", "config", "depth", "storage", "asdf_input", "camera_tree"},
     "config_file": {"config"},
     "camera_matching": {"camera_file", "color", "config", "disparity"},
@@ -45,7 +46,7 @@ ALLOWED: dict[str, set[str]] = {
     "frame": {"camera_file", "config", "storage", "color", "depth"},  # the result, and what is made of it
     "camera": {"camera_file", "camera_matching", "camera_alignment", "config", "frame"} | STAGES,
     "calibration": {"optics", "camera_matching", "camera_file", "config"} | STAGES,
-    "products": {"camera", "config", "frame", "storage", "capture", "color", "depth"},
+    "products": {"camera", "camera_file", "cluster", "config", "frame", "storage", "capture", "color", "depth"},
     "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth"},
     "reconstruction": {"camera", "products", "storage", "capture", "color", "depth"},
     # It shows the model, and the picture focused elsewhere.
@@ -79,8 +80,8 @@ ONE_WAY = {
     "ThreadPoolExecutor": "threads.py",
     "ThreadPool": "threads.py",
 }
-OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "mcap", "mcap_ros2", "imageio",
-            "xarray"}  # fmt: skip
+OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "fsspec", "mcap", "mcap_ros2",
+            "imageio", "xarray"}  # fmt: skip
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pyyaml": "yaml"}
 

@@ -125,7 +125,12 @@ def encoding_of(
 def photographs(folder: Path) -> list[Path]:
     """List the files of a folder that can be read as photographs, by name; none where there is no such folder."""
     found = folder.iterdir() if os.path.isdir(folder) else ()
-    return sorted(path for path in found if path.suffix.lower() in _PICTURES or is_raw(path))
+    return sorted(path for path in found if is_photograph(path))
+
+
+def is_photograph(path: Path) -> bool:
+    """Recognise a file that can be read as a photograph by its name."""
+    return path.suffix.lower() in _PICTURES or is_raw(path)
 
 
 def is_raw(path: Path) -> bool:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from concurrent.futures import Future
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,23 +21,27 @@ from chromaperture.cli.options import (
     WhiteLevel,
 )
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
-from chromaperture.errors import CaptureWarning, ChromapertureError, InputError
+from chromaperture.errors import CaptureWarning, InputError
 
 if TYPE_CHECKING:
     import numpy as np
 
     from chromaperture.camera import CodedApertureCamera
-    from chromaperture.camera_file import Calibration
+    from chromaperture.products.measure_file import Written
 
 
 def depth(
     images: Annotated[
-        list[Path], typer.Argument(help="Photographs through the colour-coded aperture.", metavar="IMAGE...")
-    ],
+        list[str] | None,
+        typer.Argument(
+            help="Photographs through the colour-coded aperture; folders or quoted patterns of them.",
+            metavar="IMAGE...",
+        ),
+    ] = None,
     camera: CameraOrDesign = None,
     design: Design = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for the results; default beside the image.")
+        str | None, typer.Option("--out", "-o", help="Folder for the results; default beside the image.")
     ] = None,
     quality: Quality = "real-time",
     black_level: BlackLevel = None,
@@ -59,6 +62,14 @@ def depth(
     anyway: Annotated[
         bool, typer.Option("--anyway", help="Measure even through a film that is not the camera's.")
     ] = False,
+    files_from: Annotated[
+        Path | None, typer.Option(help="Text file with one photograph a line, besides IMAGE; - is standard input.")
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(help="Dask scheduler whose workers measure, such as tcp://10.0.0.1:8786; docs/archives.md."),
+    ] = None,
+    again: Annotated[bool, typer.Option("--again", help="With --cluster: measure what is complete, too.")] = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -67,67 +78,92 @@ def depth(
     chromaperture depth photo.png --camera camera.asdf --out results
 
     chromaperture depth photo.jpg --design rgb_squares        (no calibration: disparity in px)
+
+    chromaperture depth archive/ --camera camera.asdf --cluster tcp://10.0.0.1:8786 --out s3://bucket/depth
     """
-    from chromaperture.cli.console import (
-        announce_compilation,
-        announce_duration,
-        print_json,
-        print_reports,
-        progress,
-        say_error,
-    )
+    from chromaperture.cli.console import announce_compilation, print_json, print_reports
     from chromaperture.frame.frame_files import chosen_outputs
-    from chromaperture.products.measure_file import Written, measure_first
-    from chromaperture.threads import beside
+    from chromaperture.products.archive_store import as_path, find_photographs, is_url, names_in_list
 
-    if len({(out or image.parent, image.stem) for image in images}) < len(images):
-        raise InputError("two images would write the same files; measure them into different --out folders")
+    listed = [] if files_from is None else names_in_list(files_from)
+    if cluster is None and any(is_url(name) for name in (*(images or ()), *listed, out or "")):
+        raise InputError("URLs are read and written by the workers of a cluster: give its scheduler with --cluster")
+    names = find_photographs(images or ()) + listed
+    if not names:
+        raise InputError("give photographs, folders of them, or a list of them with --files-from")
+    refuse_common_results(names, out)
     chosen_outputs(write, is_calibrated=camera is not None)  # before the work
-    camera_of = cameras(images[0], camera, design, quality=quality, config=config)
+    options: dict[str, Any] = {
+        "write": write, "black_level": black_level, "white_level": white_level,
+        "max_relative_sigma": max_relative_sigma, "inspect": partial(check_film, refuse=not anyway),
+    }  # fmt: skip
+    if cluster is not None:
+        from chromaperture.cli.depth_cluster import measure_archive
+        from chromaperture.cli.setup import camera_for
+        from chromaperture.products.archive_cluster import recipe_for
+
+        if camera is None or design is not None:
+            raise InputError("--cluster measures depth: give the camera file with --camera, and no --design")
+        opened = camera_for(Path(names[0]), camera, None, quality=quality, config=config)
+        recipe = recipe_for(camera, opened, out=out, again=again, **options)
+        measure_archive(names, recipe, cluster, json=json, quiet=quiet)
+        return
+    if again:
+        raise InputError("--again is used with --cluster; without it everything is measured in any case")
+    paths = [as_path(name) for name in names]
+    camera_of = cameras(paths[0], camera, design, quality=quality, config=config)
     announce_compilation(quiet=quiet)
-    reports: list[Written] = []
-    with progress(quiet=quiet) as update, beside() as begin:
-        writing: Future[Written] | None = None  # the files of the image before, beside the measurement of this one
-
-        def finish() -> None:
-            """Wait for the files, of one image at a time: no more than two measurements are in memory."""
-            try:
-                if writing is not None:
-                    reports.append(writing.result())
-            except ChromapertureError as error:
-                say_error(error)
-
-        for i, image in enumerate(images):
-
-            def show(stage: str, i: int = i, name: str = image.name) -> None:
-                update(f"{name}: {stage}", i, len(images))
-
-            levels: dict[str, Any] = {"black_level": black_level, "white_level": white_level}
-            try:
-                eye = camera_of(image)
-                announce_duration(eye, len(images) if i == 0 else 0, quiet=quiet)
-                check = partial(check_film, eye.calibration, name=image.name, refuse=not anyway)
-                options = {"max_relative_sigma": max_relative_sigma, "write": write, **levels}
-                measured = measure_first(image, eye, out=out, listener=show, inspect=check, **options)
-            except ChromapertureError as error:
-                finish()
-                writing = None
-                say_error(error)
-            else:
-                finish()
-                writing = begin(measured.write)
-                show("write")
-        finish()
+    reports = measure_here(paths, camera_of, out=None if out is None else as_path(out), quiet=quiet, **options)
     if json:
         print_json([report.summary for report in reports])
     elif reports and not quiet:
         note = "No calibration: disparity in px only. Depth in mm needs a camera file (--camera)."
         print_reports(reports, note=note if camera is None else "")
-    if len(reports) < len(images):
+    if len(reports) < len(paths):
         raise typer.Exit(2)
 
 
-def check_film(calibration: Calibration, image: np.ndarray, *, name: str, refuse: bool = True) -> None:
+def measure_here(
+    images: Sequence[Path],
+    camera_of: Callable[[Path], CodedApertureCamera],
+    *,
+    out: Path | None,
+    quiet: bool,
+    **options: Any,
+) -> list[Written]:
+    """Measure photographs on this machine; a line of progress for each stage, an error for each that failed."""
+    from chromaperture.cli.console import announce_duration, progress, say_error
+    from chromaperture.products.archive import Failure, measure_files
+
+    def opened(image: Path) -> CodedApertureCamera:
+        camera = camera_of(image)
+        if image == images[0]:
+            announce_duration(camera, len(images), quiet=quiet)
+        return camera
+
+    reports: list[Written] = []
+    with progress(quiet=quiet) as update:
+
+        def show(stage: str, i: int) -> None:
+            update(f"{images[i].name}: {stage}", i, len(images))
+
+        for result in measure_files(images, opened, listener=show, out=out, **options):
+            if isinstance(result, Failure):
+                say_error(result.error)
+            else:
+                reports.append(result)
+    return reports
+
+
+def refuse_common_results(names: Sequence[str], out: str | None) -> None:
+    """Refuse photographs whose results would have the same names; raises InputError."""
+    from chromaperture.products.archive_store import folder_of, stem_of
+
+    if len({(folder_of(name) if out is None else out, stem_of(name)) for name in names}) < len(names):
+        raise InputError("two images would write the same files; measure them into different --out folders")
+
+
+def check_film(camera: CodedApertureCamera, image: np.ndarray, name: str, *, refuse: bool = True) -> None:
     """Warn of a photograph that is unlikely to be taken through the camera's film; refuse one that cannot be.
 
     Raises
@@ -137,6 +173,7 @@ def check_film(calibration: Calibration, image: np.ndarray, *, name: str, refuse
     """
     from chromaperture.evaluation.health import film_match
 
+    calibration = camera.calibration
     if not calibration.is_calibrated or image.shape[:2] != (calibration.sensor.height_px, calibration.sensor.width_px):
         return  # without a film to compare with; the size is refused later
     match = film_match(image, calibration)

@@ -49,7 +49,7 @@ def evaluate(
     The names are those of this list, or "all":
     """
     from chromaperture.cli.console import announce_compilation, print_json, progress, say_warning
-    from chromaperture.evaluation.paper.cluster import dask_distributed
+    from chromaperture.cluster import dask_distributed
     from chromaperture.evaluation.paper.context import Context
     from chromaperture.evaluation.paper.html_page import write_page
     from chromaperture.evaluation.paper.run import evaluate as run

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -78,8 +78,11 @@ class MeasuredFile:
     depth_range_mm: tuple[float, float] | None
     seconds: dict[str, float]
 
-    def write(self) -> Written:
-        """Write the files, whole or not at all; raises InputError where the folder cannot be used."""
+    def write(self, *, made_from: Mapping[str, str] | None = None) -> Written:
+        """Write the files, whole or not at all, ``STEM.json`` last; raises InputError where the folder cannot be used.
+
+        ``made_from`` goes into ``STEM.json``: from what a later run recognises that this measurement is complete.
+        """
         clock, stem, frame = StageClock(), self.path.stem, self.frame
         title = self.path.name
         if frame.calibration is not None:
@@ -92,6 +95,8 @@ class MeasuredFile:
                 )  # fmt: skip
             summary = summarise(frame, self.seconds | clock.seconds)
             summary |= {"image": self.path.name, "max_relative_sigma": self.max_relative_sigma}
+            if made_from is not None:
+                summary["made_from"] = dict(made_from)
             if "json" in self.outputs:
                 write_json(stage.path(stem + OUTPUTS["json"].suffix), summary)
             names = list(stage.names)
@@ -144,7 +149,7 @@ def measure_file(
     InputError
         The image or the folder cannot be used, or an output is unknown.
     """
-    measured = measure_first(
+    measured = measure_only(
         path, camera, out=out, write=write, black_level=black_level, white_level=white_level,
         max_relative_sigma=max_relative_sigma, listener=listener, inspect=inspect, caption=caption,
         depth_range_mm=depth_range_mm,
@@ -154,7 +159,7 @@ def measure_file(
     return Report(written.summary, written.files, measured.frame)
 
 
-def measure_first(
+def measure_only(
     path: str | Path,
     camera: CodedApertureCamera,
     *,

@@ -16,9 +16,9 @@ from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 
+from chromaperture.cluster import connected, run_tasks
 from chromaperture.errors import InputError
-from chromaperture.evaluation.paper.cluster import on_cluster
-from chromaperture.evaluation.paper.trial import Trial, one_thread, run_trial
+from chromaperture.evaluation.paper.trial import Trial, one_thread, run_alone, run_trial
 from chromaperture.storage import staged, write_json
 
 _ATTEMPTS = 4  # pools of processes, each after the one before died; chosen by hand
@@ -43,7 +43,7 @@ def sweep(
     keep_in : Path
         Folder of the finished trials, from which an interrupted run continues.
     cluster : str, optional
-        Address of a Dask scheduler, whose workers run the trials instead; see `on_cluster`.
+        Address of a Dask scheduler, whose workers run the trials instead; see `run_tasks`.
     progress : callable, optional
         Called with how many are done, and of how many.
 
@@ -57,13 +57,22 @@ def sweep(
     done = len(results) - len(missing)
     progress(done, len(results))
     if missing:
-        finished = on_cluster(missing, cluster) if cluster else _on_this_machine(missing, workers)
+        finished = _on_cluster(missing, cluster) if cluster else _on_this_machine(missing, workers)
         for count, (trial, result) in enumerate(finished, done + 1):
             keep(keep_in, trial, result)
             results[trial.key] = result
             progress(count, len(results))
     in_order = [results[trial.key] for trial in trials]
     return [result for result in in_order if result is not None]
+
+
+def _on_cluster(trials: Sequence[Trial], address: str) -> Iterator[tuple[Trial, Result]]:
+    """Yield trials and their results as they finish on the workers of a scheduler; raises InputError."""
+    with connected(address) as client:
+        for finished in run_tasks(client, run_alone, trials, key_of=lambda trial: f"chromaperture-{trial.key}"):
+            if finished.error is not None:
+                raise finished.error
+            yield finished.task, dict(finished.value)
 
 
 def _on_this_machine(trials: Sequence[Trial], workers: int) -> Iterator[tuple[Trial, Result]]:

@@ -1,0 +1,234 @@
+"""Archives of photographs on a Dask cluster: what a worker does with one, and the run over all of them.
+
+``STEM.json`` is written last and names what the results were made from, so a photograph is either complete or measured
+again, whichever process died when.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import tempfile
+import threading
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_file import Calibration
+from chromaperture.cluster import check_version, connected, run_tasks
+from chromaperture.config import Config
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
+from chromaperture.errors import CaptureWarning, ChromapertureError, InputError
+from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
+from chromaperture.products import archive_store as store
+from chromaperture.products.archive import Inspect, measure_everything
+from chromaperture.products.measure_file import measure_only
+
+# Dask may run several tasks in the threads of one process; a measurement already divides its work among threads.
+_ONE_AT_A_TIME = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What all photographs of a run have in common; sent to each worker once. Make it with `recipe_for`.
+
+    Attributes
+    ----------
+    made_from : tuple of (str, str)
+        Hashes of the camera file and of the settings, and the version of the package: equal ones give equal results.
+    out : str or None
+        Folder or URL of the results; beside each photograph when None.
+    outputs : tuple of str
+        From `chosen_outputs`, with ``json``.
+    inspect : callable
+        See `Inspect`; of a module that the workers have too.
+    again : bool
+        Measure what is complete, too.
+    """
+
+    made_from: tuple[tuple[str, str], ...]
+    calibration: Calibration = field(compare=False)
+    config: Config = field(compare=False)
+    out: str | None = None
+    outputs: tuple[str, ...] = ()
+    black_level: float | None = None
+    white_level: float | None = None
+    max_relative_sigma: float = MAX_RELATIVE_SIGMA
+    inspect: Inspect = field(default=measure_everything, compare=False)
+    again: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one photograph.
+
+    Attributes
+    ----------
+    error : str
+        One line; empty where the results are complete.
+    kept : bool
+        The results were complete before.
+    warnings : tuple of str
+    worker : str
+        Where it was measured.
+    version : str
+        Of the package there; empty where the worker could not be reached.
+    """
+
+    image: str
+    error: str = ""
+    kept: bool = False
+    warnings: tuple[str, ...] = ()
+    worker: str = ""
+    version: str = ""
+
+
+def recipe_for(
+    camera_file: Path,
+    camera: CodedApertureCamera,
+    *,
+    out: str | None = None,
+    write: str | Iterable[str] | None = None,
+    black_level: float | None = None,
+    white_level: float | None = None,
+    max_relative_sigma: float = MAX_RELATIVE_SIGMA,
+    inspect: Inspect = measure_everything,
+    again: bool = False,
+) -> Recipe:
+    """Put together what workers need; ``json`` is always among the outputs, because it marks what is complete.
+
+    Raises
+    ------
+    InputError
+        An output is unknown, or the camera file cannot be read.
+    """
+    chosen = chosen_outputs(write, is_calibrated=camera.calibration.is_calibrated)
+    outputs = tuple(name for name in OUTPUTS if name in {*chosen, "json"})
+    settings = {
+        "config": dataclasses.asdict(camera.config), "outputs": outputs, "levels": (black_level, white_level),
+        "max_relative_sigma": max_relative_sigma, "quality": camera.config.quality,
+    }  # fmt: skip
+    made_from = (
+        ("camera_sha256", store.content_hash(str(camera_file))),
+        ("settings_sha256", hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode()).hexdigest()),
+        ("version", metadata.version("chromaperture")),
+    )
+    levels = {"black_level": black_level, "white_level": white_level}
+    absolute_out = None if out is None else store.absolute(out)
+    return Recipe(
+        made_from, camera.calibration, camera.config, absolute_out, outputs, **levels,
+        max_relative_sigma=max_relative_sigma, inspect=inspect, again=again,
+    )  # fmt: skip
+
+
+def measure_on_cluster(images: Iterable[str], recipe: Recipe, address: str) -> Iterator[Outcome]:
+    """Measure photographs on the workers of a scheduler; every one has one outcome, in the order they finish.
+
+    Raises
+    ------
+    InputError
+        The cluster cannot be reached or is lost, no worker is left, or one has another version of the package. What is
+        complete is kept, and the same call goes on from there.
+    """
+    with connected(address) as client:
+        for finished in run_tasks(client, measure_photograph, map(store.absolute, images), recipe):
+            error = finished.error
+            if isinstance(error, ImportError | AttributeError):  # a module or a name of this version is missing there
+                raise InputError(f"a worker cannot run this version's code ({error}): install the same everywhere")
+            if error is not None:
+                yield Outcome(finished.task, _one_line(error))
+                continue
+            outcome: Outcome = finished.value
+            check_version(outcome.worker, outcome.version)
+            yield outcome
+
+
+def measure_photograph(image: str, recipe: Recipe) -> Outcome:
+    """Measure a photograph and write its results, unless they are complete; runs on a worker.
+
+    Returns
+    -------
+    Outcome
+        With the error of a photograph that cannot be measured. The cluster tries no such photograph again.
+
+    Raises
+    ------
+    StoreError
+        A store failed in a way that may pass; Dask tries again.
+    """
+    version = metadata.version("chromaperture")
+    here = _worker()
+    origin: dict[str, Any] = {"worker": "" if here is None else str(here.address), "version": version}
+    if version != dict(recipe.made_from)["version"]:
+        return Outcome(image, "another version", **origin)
+    error, kept = "", False
+    with _ONE_AT_A_TIME, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", CaptureWarning)
+        try:
+            # In Dask's own folder, which it clears of what a killed worker left.
+            directory = None if here is None else here.local_directory
+            with tempfile.TemporaryDirectory(prefix="chromaperture-", dir=directory) as private:
+                kept = _measure(image, recipe, Path(private))
+        except store.StoreError:
+            raise
+        except Exception as raised:  # also a fault of the program: the other photographs are measured all the same
+            error = _one_line(raised)
+    texts = tuple(str(w.message) for w in caught if issubclass(w.category, CaptureWarning))
+    return Outcome(image, error, kept, texts, **origin)
+
+
+def _measure(image: str, recipe: Recipe, private: Path) -> bool:
+    """Measure unless the results are complete; returns whether they were."""
+    path = store.as_path(image)
+    if store.is_url(image):
+        path = private / image.rpartition("/")[2]
+        store.fetch(image, path)
+    folder = store.folder_of(image) if recipe.out is None else recipe.out
+    made_from = {"image_sha256": store.content_hash(str(path)), **dict(recipe.made_from)}
+    names = [path.stem + OUTPUTS[name].suffix for name in recipe.outputs]
+    mark = path.stem + OUTPUTS["json"].suffix
+    if not recipe.again and _made_from(folder, mark) == made_from and store.all_exist(folder, names):
+        return True
+    camera = _camera(recipe)
+    results = private / "results" if store.is_url(folder) else store.as_path(folder)
+    measured = measure_only(
+        path, camera, out=results, write=recipe.outputs, black_level=recipe.black_level,
+        white_level=recipe.white_level, max_relative_sigma=recipe.max_relative_sigma,
+        inspect=lambda linear: recipe.inspect(camera, linear, path.name),
+    )  # fmt: skip
+    store.remove(folder, mark)  # first: never is it beside files of two measurements
+    written = measured.write(made_from=made_from)
+    if store.is_url(folder):
+        store.upload(written.files, folder)
+    return False
+
+
+def _made_from(folder: str, mark: str) -> Any:
+    content = store.read_json(folder, mark)
+    return content.get("made_from") if isinstance(content, dict) else None
+
+
+@lru_cache(maxsize=1)  # a worker measures one archive at a time
+def _camera(recipe: Recipe) -> CodedApertureCamera:
+    return CodedApertureCamera(recipe.calibration, recipe.config)
+
+
+def _worker() -> Any:
+    """Return the Dask worker that runs this thread; None elsewhere."""
+    with contextlib.suppress(ImportError, ValueError):
+        from distributed import get_worker
+
+        return get_worker()
+    return None
+
+
+def _one_line(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return text if isinstance(error, ChromapertureError) else f"{type(error).__name__}: {text}"[:300]
