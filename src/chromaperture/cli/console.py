@@ -154,13 +154,14 @@ def _line(what: str, done: int, total: int) -> str:
     return f"{what}, {min(done + 1, total)} of {total}"
 
 
-def announce_compilation(*, quiet: bool) -> None:
-    """Announce that the first run takes longer, when no compiled matcher is on disk."""
+def announce_compilation(*qualities: str, quiet: bool) -> None:
+    """Announce that the first run takes longer, when no compiled matcher of one of the qualities is on disk."""
     if quiet:
         return
-    from chromaperture.disparity.cpu import strips as matcher  # any module with kernels of the matcher
+    from chromaperture.disparity.cpu import path_costs, paths, strips
 
-    if not is_compiled(matcher):
+    matchers = {"paper": strips, "real-time": path_costs, "accurate": paths}  # a module of kernels of each
+    if not all(is_compiled(matchers[quality]) for quality in qualities if quality in matchers):
         err.print("Compiling the matcher once for this machine (about a minute); later runs start at once.")
 
 

@@ -38,7 +38,7 @@ def demo(
     from chromaperture.products.measure_file import measure_file
     from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 
-    announce_compilation(quiet=quiet)
+    announce_compilation("accurate", quiet=quiet)
     reports: list[Report] = []
     depth_range_mm: tuple[float, float] | None = None
     with progress(quiet=quiet) as update:
@@ -53,7 +53,7 @@ def demo(
             reports.append(measure_file(sample_image(name), camera, out=out, listener=show, **options))
             depth_range_mm = depth_range_mm or middle_range(reports[0].frame.depth_mm, 2)  # both in the same colours
     if json:
-        print_json([report.summary for report in reports])
+        print_json([report.summary | {"files": [str(path) for path in report.files]} for report in reports])
     elif not quiet:
         print_reports(reports)
         for report, line in zip(reports, explain_walls(*(report.frame for report in reports)), strict=True):

@@ -112,10 +112,10 @@ def depth(
         raise InputError("--again is used with --cluster; without it everything is measured in any case")
     paths = [as_path(name) for name in names]
     camera_of = cameras(paths[0], camera, design, quality=quality, config=config)
-    announce_compilation(quiet=quiet)
+    announce_compilation(quality, quiet=quiet)
     reports = measure_here(paths, camera_of, out=None if out is None else as_path(out), quiet=quiet, **options)
     if json:
-        print_json([report.summary for report in reports])
+        print_json([report.summary | {"files": [str(path) for path in report.files]} for report in reports])
     elif reports and not quiet:
         note = "No calibration: disparity in px only. Depth in mm needs a camera file (--camera)."
         print_reports(reports, note=note if camera is None else "")

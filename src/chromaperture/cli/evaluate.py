@@ -64,7 +64,7 @@ def evaluate(
     if cluster:
         dask_distributed()
     exhibits = _chosen(names or [], data)
-    announce_compilation(quiet=quiet)
+    announce_compilation("paper", "real-time", quiet=quiet)
     context = Context(out, data=data, quick=quick, workers=workers, cluster=cluster, cameras=tuple(camera or ()))
     with progress(quiet=quiet) as update:
         outcomes = run(exhibits, context, again=again, progress=update)

@@ -42,7 +42,7 @@ def export(
 
     eye = camera_for(out, camera, None, quality=quality, config=None)
     to_view = undistorter(eye)
-    announce_compilation(quiet=quiet)
+    announce_compilation(quality, quiet=quiet)
     stream = open_stream(source, calibration=eye.calibration, black_level=black_level, white_level=white_level)
     with stream, progress(quiet=quiet) as update:
 

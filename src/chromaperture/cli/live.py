@@ -78,7 +78,7 @@ def live(
         viser()  # before the work: the extra may be missing
     config = ReconstructionConfig(voxel_mm=voxel_mm, memory_mb=memory_mb)
     eye = camera_for(out, camera, None, quality=quality, config=None)
-    announce_compilation(quiet=quiet)
+    announce_compilation(quality, quiet=quiet)
     began = time.monotonic()
     levels = {"black_level": black_level, "white_level": white_level}
     loops: list[LiveLoop] = []  # none while the source is being opened

@@ -53,7 +53,7 @@ def reconstruct(
         raise InputError("a 3D model needs a calibrated camera; make one with 'chromaperture calibrate'")
     quality = quality or ("accurate" if "accurate" in calibration.depth else "real-time")
     eye = camera_for(out, camera, None, quality=quality, config=None)
-    announce_compilation(quiet=quiet)
+    announce_compilation(quality, quiet=quiet)
     stream = open_stream(source, calibration=eye.calibration, black_level=black_level, white_level=white_level)
     with stream, progress(quiet=quiet) as update:
         number = itertools.count(1)

@@ -84,7 +84,7 @@ def refocus(
     eye = camera_for(photo, camera, design, quality=quality, config=None)
     pupil = pupil_strength(eye, f_number, strength)
     _check_focus(eye, focus_mm, pixel)
-    announce_compilation(quiet=quiet)
+    announce_compilation(quality, quiet=quiet)
     announce_duration(eye, 1, quiet=quiet)
     with progress(quiet=quiet) as update:
         update(f"{photo.name}: depth", 0, 3)
