@@ -63,6 +63,7 @@ def surface_of(likelihood, guide=None, *, config, execution="numba"):
     return optimised_surface(likelihood, guide, LAYERS_PX, config=config, run=execution_named(execution))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("execution", ["numba", "numpy"])
 def test_a_surface_is_found_with_an_error_bar(execution):
     rng = np.random.default_rng(2)

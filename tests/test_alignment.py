@@ -79,6 +79,7 @@ def photographed(design):
     return image, d, render(open_table, planes), channel_directions(aperture, {})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("design", ["cy_halves", "rgb_squares", "cmy_circles"])
 def test_strips_hidden_from_a_channel_get_their_own_surface_s_colour(design):
     image, d, natural, u = photographed(design)

@@ -182,6 +182,7 @@ def test_tls_works_with_dasks_own_settings_and_refuses_who_has_no_certificate(ce
 # ---- one photograph, without a cluster
 
 
+@pytest.mark.slow
 def test_what_is_complete_is_measured_again_only_when_its_input_changed(tmp_path):
     (image,) = photographs(tmp_path / "in", 1)
     made, out = recipe(out=str(tmp_path / "out")), tmp_path / "out"

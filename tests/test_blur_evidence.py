@@ -75,6 +75,7 @@ def test_shifted_views_would_be_biased():
     assert abs(aware - true) < abs(shifted - true) / 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edge_px", [-1.5, 0.9])
 def test_noise_does_not_bias_towards_more_blur(edge_px):
     """Near focus an open design's parallax is small, and more blur hides more noise."""

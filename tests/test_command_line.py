@@ -223,6 +223,7 @@ WRITERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", WRITERS.values(), ids=WRITERS)
 @pytest.mark.parametrize("out", ["/proc/foo", "/dev/full"])
 def test_an_output_that_cannot_be_written_is_one_line(run, tmp_path, monkeypatch, session, small_camera, command, out):

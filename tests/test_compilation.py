@@ -63,6 +63,7 @@ def test_a_damaged_file_of_machine_code_is_made_anew(package):
     assert call(package) == (20, True)
 
 
+@pytest.mark.slow
 def test_a_damaged_index_or_data_file_is_made_anew_however_it_is_damaged(package):
     call(package)
     for suffix in (".nbi", ".nbc"):
@@ -103,6 +104,7 @@ print(scaled(10), sum(scaled.stats.cache_hits.values()))
     return int(result), from_disk == "1"
 
 
+@pytest.mark.slow
 def test_a_read_only_installation_without_a_home_keeps_machine_code_in_a_temporary_folder(package, tmp_path):
     temporary = tmp_path / "temporary"
     temporary.mkdir()

@@ -26,6 +26,7 @@ def fields(seed: int, *, maps: bool, known: bool, curved: bool, uncertain: bool 
     return DepthModel(a, b, 47.0, covariance, CURVE if curved else None, own)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @example(
     seed=145, maps=False, known=False, curved=True, uncertain=True, single=False, sigma_is_map=False, odd=[]

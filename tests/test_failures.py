@@ -285,6 +285,7 @@ def test_a_template(run, tmp_path, monkeypatch, name):
     assert make_fail_in_turn(run, tmp_path, monkeypatch, arguments) > 5
 
 
+@pytest.mark.slow
 def test_calibrate(run, calibrated_session: CalibrationResult, tmp_path, monkeypatch):
     name = "chromaperture.calibration.calibrate_session.calibrate_session"
     monkeypatch.setattr(name, lambda *a, **k: calibrated_session)

@@ -71,6 +71,7 @@ def test_an_array_from_elsewhere_is_refused_unopened(good, source):
     assert opened_while_loading(good) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new"),
     [

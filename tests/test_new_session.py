@@ -62,11 +62,7 @@ def test_a_new_session_with_photographs_can_be_read(run, tmp_path, simulated):
     rows = list(csv.DictReader((folder / "distances.csv").read_text().splitlines()))
     # Even in 1 / distance from 1 to 3 m: 1, 5/6, 2/3, 1/2, 1/3.
     assert [row["ruler_mm"] for row in rows] == ["1000", "1200", "1500", "2000", "3000"]
-    with pytest.raises(InputError, match="photographs that are not there"):
-        read_session(folder)
-    for row in rows:
-        (folder / row["file"]).write_bytes((simulated / row["file"]).read_bytes())
-    with pytest.raises(InputError, match=r"nominal_focal_length_mm in \[lens\].*'\?'"):
+    with pytest.raises(InputError, match=r"lens\.nominal_focal_length_mm must be a number, is '\?'"):
         read_session(folder)
     fill(folder, simulated)
     text = (folder / "session.toml").read_text()

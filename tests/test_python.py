@@ -221,6 +221,7 @@ def test_files_written_beside_the_next_measurement_are_the_same(run, camera, tmp
         assert one == many, name
 
 
+@pytest.mark.slow
 def test_no_more_than_two_measurements_are_in_memory(run, tmp_path, monkeypatch):
     frames, alive, measure = [], [], archive.measure_only
 
@@ -326,6 +327,7 @@ def blur_alone(image, disparity_px, camera, **options):
     return cap.SharpPicture(camera.alignment.align(image, disparity_px), np.nan_to_num(radius))
 
 
+@pytest.mark.slow
 def test_every_snippet_of_the_page_runs(session, tmp_path, monkeypatch):
     text = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)

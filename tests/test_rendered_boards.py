@@ -82,6 +82,7 @@ def test_blur_that_changes_over_the_frame_is_that_of_the_place():
         assert size2 == pytest.approx(radius**2 / 2 + 1 / 3, rel=0.1)
 
 
+@pytest.mark.slow
 def test_it_predicts_what_the_matcher_measures():
     """Photographs by another way of blurring, at distances of their own, read as straight lines of 1 / z."""
     curves = rendered_nonlinearity(camera(), session(), evidence())

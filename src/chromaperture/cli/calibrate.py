@@ -51,9 +51,8 @@ def calibrate(
     """
     from chromaperture.calibration.calibrate_session import calibrate_session
     from chromaperture.calibration.calibration_config import CalibrationConfig
-    from chromaperture.calibration.session import read_session
     from chromaperture.camera_file import Calibration
-    from chromaperture.cli.console import announce_compilation, print_files, print_json, progress, say_warning
+    from chromaperture.cli.console import announcing_compilation, print_files, print_json, progress, say_warning
     from chromaperture.evaluation.accurate_noise import with_accurate_noise
     from chromaperture.evaluation.verdict import unusable
     from chromaperture.storage import staged
@@ -62,8 +61,6 @@ def calibrate(
     for path in [out] if no_report else [out, page]:
         with staged(path.parent):  # fails now and not after minutes of work
             pass
-    read_session(session)  # its faults are said before anything else
-    announce_compilation("paper", "real-time", "accurate", quiet=quiet)
     known = Calibration.load(lens_from) if lens_from else None
     kept = out.parent / f".{out.stem}.calibrating"  # measurements of an interrupted run
     with progress(quiet=quiet) as update:
@@ -72,7 +69,7 @@ def calibrate(
             CalibrationConfig(lens_blur=not no_blur, per_pixel=per_pixel),
             lens_from=known,
             command=shlex.join(["chromaperture", *sys.argv[1:]]),
-            progress=update,
+            progress=announcing_compilation(update, "paper", "real-time", "accurate", quiet=quiet),
             keep_in=kept,
         )
         if not no_report:

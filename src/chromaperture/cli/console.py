@@ -165,6 +165,19 @@ def announce_compilation(*qualities: str, quiet: bool) -> None:
         err.print("Compiling the matcher once for this machine (about a minute); later runs start at once.")
 
 
+def announcing_compilation(update: Update, *qualities: str, quiet: bool) -> Update:
+    """Return an update that announces compilation the first time; faults of the input are said before that."""
+    waiting = [True]
+
+    def show(what: str, done: int, total: int) -> None:
+        if waiting:
+            waiting.clear()
+            announce_compilation(*qualities, quiet=quiet)
+        update(what, done, total)
+
+    return show
+
+
 def announce_duration(camera: CodedApertureCamera, photographs: int, *, quiet: bool) -> None:
     """Estimate how long quality accurate takes for photographs; the others take no time to speak of."""
     if quiet or not photographs or camera.config.quality != "accurate":
