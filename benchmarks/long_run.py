@@ -191,7 +191,11 @@ class Visitors:
         elif kind == "leave":
             present.pop(0).close()
         elif kind == "die":
-            present.pop(0).socket.shutdown(socket.SHUT_RDWR)  # its own thread ends, and closes it
+            gone = present.pop(0)
+            gone.socket.shutdown(socket.SHUT_RDWR)
+            with contextlib.suppress(Exception):
+                while True:  # its thread, which may wait for room for another message, comes to the end and closes it
+                    gone.recv(timeout=1.0)
         elif kind == "nonsense":
             self._random.choice(present).send(os.urandom(30))
         elif kind == "stranger":  # a scan of the port, which leaves in the middle
