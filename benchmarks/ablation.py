@@ -34,7 +34,6 @@ from chromaperture.depth.field import DepthField
 from chromaperture.disparity import accurate
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.disparity.real_time import RealTimeMethod
-from chromaperture.products.measure_file import read_capture
 from chromaperture.stage_config import BilateralConfig, CorrelationConfig, CrossFilterConfig, FourPathsConfig
 
 REAL_TIME = RealTimeConfig()
@@ -113,7 +112,7 @@ def measure(name: str, data: Path, design: str, scenes: list[str]) -> dict:
 def figures_of(camera: CodedApertureCamera, data: Path, design: str, scenes: list[str], *, rounds: int) -> dict:
     figures = []
     for scene in scenes:
-        image = read_capture(data / design / "scene" / f"{scene}.png", camera)
+        image = camera.read(data / design / "scene" / f"{scene}.png")
         frame = camera.measure(image)
         stored = cv2.imread(str(data / "truth" / f"{scene}.depth_0.1mm.png"), cv2.IMREAD_UNCHANGED)
         truth = np.where(stored > 0, stored / 10.0, np.nan)

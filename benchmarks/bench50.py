@@ -18,7 +18,6 @@ from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
-from chromaperture.products.measure_file import read_capture
 
 
 def score(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> dict[str, float]:
@@ -59,7 +58,7 @@ def main() -> None:
         for quality in args.quality:
             camera = CodedApertureCamera(calibration, default_config(calibration, quality))
             for scene in args.scenes:
-                frame = camera.measure(read_capture(args.data / design / "scene" / f"{scene}.png", camera))
+                frame = camera.measure(camera.read(args.data / design / "scene" / f"{scene}.png"))
                 stored = cv2.imread(str(args.data / "truth" / f"{scene}.depth_0.1mm.png"), cv2.IMREAD_UNCHANGED)
                 truth = np.where(stored > 0, stored / 10.0, np.nan)
                 figures = score(frame.depth_mm.astype(float), frame.sigma_mm.astype(float), truth)

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from chromaperture.camera import CodedApertureCamera, load_camera
-from chromaperture.products.measure_file import read_capture
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 
 DATA = Path(__file__).parent / "data"
@@ -39,7 +38,7 @@ def figures(camera: CodedApertureCamera, image: np.ndarray) -> dict[str, float]:
 @pytest.mark.parametrize("sample", SAMPLES)
 def test_known_distances_are_measured_as_well_as_ever(sample, quality):
     camera = load_camera(sample_camera(sample), quality=quality)
-    found = figures(camera, read_capture(sample_image(sample), camera))
+    found = figures(camera, camera.read(sample_image(sample)))
     for name, (kept, scatter) in json.loads(KEPT.read_text())[sample][quality].items():
         worse = abs(found[name] - kept) if name.endswith("sigma") else kept - found[name]
         assert worse <= ALLOWED * scatter, f"{name}: {found[name]:.4f}, kept {kept:.4f}, scatter {scatter:.4f}"
@@ -50,7 +49,7 @@ def main() -> None:
     for sample in SAMPLES:
         for quality in QUALITIES:
             camera = load_camera(sample_camera(sample), quality=quality)
-            image = read_capture(sample_image(sample), camera)
+            image = camera.read(sample_image(sample))
             noise = np.sqrt(np.maximum(image, 0) / FULL_WELL_ELECTRONS)
             noisy = []
             for seed in range(SEEDS):

@@ -42,7 +42,6 @@ def check(
     from chromaperture.cli.console import out as console
     from chromaperture.cli.console import print_json, table
     from chromaperture.evaluation.health import Check, check_camera, is_healthy, outcome
-    from chromaperture.products.measure_file import read_capture
 
     eye = load_camera(camera)
     known = eye.calibration.board
@@ -53,7 +52,7 @@ def check(
     target = None if side_mm is None else Board(size, side_mm)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", CaptureWarning)
-        image = read_capture(photo, eye, black_level=black_level, white_level=white_level)
+        image = eye.read(photo, black_level=black_level, white_level=white_level)
     file_checks = [
         Check("file", "warn", str(w.message), "give the original file: 16 bit, or 4:4:4")
         for w in caught

@@ -73,7 +73,6 @@ def refocus(
     from chromaperture.cli.console import announce_compilation, announce_duration, print_files, print_json, progress
     from chromaperture.cli.setup import camera_for
     from chromaperture.effects.refocusing import Focus
-    from chromaperture.products.measure_file import read_capture
 
     pixel = None if point is None else parse_point(point)
     target = out or photo.with_name(f"{photo.stem}.{'sweep.gif' if sweep else 'refocus.png'}")
@@ -88,7 +87,7 @@ def refocus(
     announce_duration(eye, 1, quiet=quiet)
     with progress(quiet=quiet) as update:
         update(f"{photo.name}: depth", 0, 3)
-        image = read_capture(photo, eye, black_level=black_level, white_level=white_level)
+        image = eye.read(photo, black_level=black_level, white_level=white_level)
         picture = _restored(image, eye, request, lambda: update(f"{photo.name}: restoration", 1, 3))
         update(f"{photo.name}: focus", 2, 3)
         lens = Focus(0.0 if sweep else chosen_radius(eye, picture, focus_mm, pixel), pupil, bokeh)

@@ -58,13 +58,6 @@ class StageClock:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
 
-def read_capture(
-    path: Path, camera: CodedApertureCamera, *, black_level: float | None = None, white_level: float | None = None
-) -> np.ndarray:
-    """Read an image with the given levels, else the camera's, see `CodedApertureCamera.read`; (H, W, 3) linear."""
-    return camera.read(path, black_level=black_level, white_level=white_level)
-
-
 @dataclass(frozen=True)
 class MeasuredFile:
     """A measured image whose files are still to be written, perhaps while the next image is measured."""

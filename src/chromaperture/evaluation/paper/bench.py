@@ -25,7 +25,6 @@ from chromaperture.evaluation.paper.exhibit import Chart, Content, CsvTable
 from chromaperture.evaluation.paper.registry import BENCH_DESIGNS as DESIGNS
 from chromaperture.evaluation.paper.registry import BENCH_SCENES as SCENES
 from chromaperture.evaluation.paper.world import full_name
-from chromaperture.products.measure_file import read_capture
 
 _FIRST = "cy_halves"  # has tilted boards, which determine the lens of all designs
 _SHOWN = "steps"
@@ -80,9 +79,9 @@ def _measured(
     """Measure the scenes with the project's own method; yields method, scene, depth in mm, seconds."""
     for quality in qualities:
         camera = CodedApertureCamera(calibration, default_config(calibration, quality))
-        camera.measure(read_capture(folder / "scene" / f"{SCENES[0]}.png", camera))  # compiles, fills tables
+        camera.measure(camera.read(folder / "scene" / f"{SCENES[0]}.png"))  # compiles, fills tables
         for scene in SCENES:
-            image = read_capture(folder / "scene" / f"{scene}.png", camera)
+            image = camera.read(folder / "scene" / f"{scene}.png")
             frame, seconds = methods.timed(camera.measure, image)
             yield f"ours, {quality}", scene, np.asarray(frame.depth_mm, float), seconds
 
