@@ -27,7 +27,8 @@ from chromaperture.robust import huber_weights
 
 RANGE_PX = (-1.75, 1.0)  # half disparities from 0.35 m to infinity, and a layer at either end
 BOARDS_MM = (600.0, 1500.0)
-ROUNDS = 20  # of reweighting; five change the last digit no more
+LEAST_SIGMA_PX = 0.02  # so that no single pixel of a board decides; chosen by hand
+ROUNDS = 20  # of reweighting; chosen by hand
 
 
 def capture(folder: Path, name: str) -> np.ndarray:
@@ -48,7 +49,7 @@ def smooth(values: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     y, x = np.mgrid[-1 : 1 : values.shape[0] * 1j, -1 : 1 : values.shape[1] * 1j]
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
     known = np.isfinite(values)
-    design, target, weight = terms[known], values[known], 1 / np.maximum(sigma[known], 0.02)
+    design, target, weight = terms[known], values[known], 1 / np.maximum(sigma[known], LEAST_SIGMA_PX)
     gain = np.ones_like(target)
     for _ in range(ROUNDS):
         root = np.sqrt(gain) * weight

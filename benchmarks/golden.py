@@ -27,9 +27,9 @@ from chromaperture.products.samples import sample_camera
 
 KEPT = Path(__file__).parent / "golden.json"
 QUALITY = "real-time"
-FULL_WELL_ELECTRONS = 10_000  # of the added noise
+FULL_WELL_ELECTRONS = 10_000  # of the added noise; chosen by hand, a small sensor has as many
 SEEDS, ALLOWED = 4, 4.0  # scatter from four is known to a third; false alarms are rare all the same
-LEAST_SCATTER = 0.002
+LEAST_SCATTER = 0.002  # four runs may agree by chance; chosen by hand
 Spoil = Callable[[np.ndarray], np.ndarray]
 
 

@@ -18,7 +18,7 @@ from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 DATA = Path(__file__).parent / "data"
 KEPT = DATA / "golden.json"
 QUALITIES = ("paper", "real-time")  # `accurate` takes a quarter of a minute a capture: benchmarks/bench50.py
-FULL_WELL_ELECTRONS = 10_000  # of the noise added for the scatter: as much as the captures hold already
+FULL_WELL_ELECTRONS = 10_000  # of the noise added for the scatter; chosen by hand, a small sensor has as many
 SEEDS = 8
 ALLOWED = 4  # standard deviations: one false alarm in 30,000 figures
 

@@ -70,6 +70,12 @@ def test_a_new_session_with_photographs_can_be_read(run, tmp_path, simulated):
         "# white_level = 16383", "white_level = 1016"
     )
     (folder / "session.toml").write_text(levels)
+    board = folder / rows[0]["file"]
+    photograph = board.read_bytes()
+    board.unlink()
+    with pytest.raises(InputError, match=f"photographs that are not there: .*{board.name}"):
+        read_session(folder)
+    board.write_bytes(photograph)
     session = read_session(folder)
     assert (session.design, session.inner_corners, session.square_mm) == ("cy_halves", (9, 6), 30.0)
     assert (session.sensor.width_px, session.sensor.height_px) == (192, 128)
