@@ -9,7 +9,6 @@ import numpy as np
 from chromaperture.camera_file import Calibration
 from chromaperture.color.alignment import align_channels, channel_directions, fill_unknown, white_balance
 from chromaperture.color.lens_shift import LensShift
-from chromaperture.color.unmixing import pure_channels
 from chromaperture.config import Config, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_inverse_depth
 
@@ -86,11 +85,12 @@ class ChannelAlignment:
 def channel_shifts(calibration: Calibration, quality: Quality) -> np.ndarray:
     """Displacement of the sensor's R, G, B per px of the disparity that a quality measures; (3, 2) float64."""
     aperture = calibration.aperture
-    if pure_channels(aperture) is None:  # every channel mixes the filters and moves with its centroid
+    if len(aperture.views) > 2:  # every channel moves with its centroid
         return channel_directions(aperture, calibration.film.transmissions())
+    # Two channels are what "real-time" matches; the distance of unmixed views follows from its and their own curve.
     shifts = channel_directions(aperture, {})
+    shifts /= np.linalg.norm(shifts, axis=1).max()
     if not calibration.is_calibrated:
         return shifts
-    # Leaking film brings the pure channels closer together: by their own curve, where a quality matches other views.
-    pure, matched = (calibration.on_axis(q).scale_px_mm for q in ("real-time", quality))
-    return shifts * (float(pure) / float(matched))
+    channels, matched = (calibration.on_axis(q).scale_px_mm for q in ("real-time", quality))
+    return shifts * (float(channels) / float(matched))

@@ -88,26 +88,31 @@ class RealTimeConfig(MatcherConfig):
 
     Attributes
     ----------
-    space : {"unmixed", "pure"}
-        As `PaperConfig.space`.
+    space : {"unmixed", "pure", "channels"}
+        As `PaperConfig.space`; "channels" are sensor channels for every design, see `disparity.views.channel_space`.
     smoothing_sigma_px : float
         Reach over which places between the layers are averaged on an even guide; 0 switches the average off.
+    smoothing_edge_range : float
+        Difference of the guide, in units of ``guide_range``, at which a link of that average has fallen to 1/e.
     floor_px : float
         Least standard deviation, px: what disparities of bench50's flat boards between 1 and 4 m scatter by whatever
         their texture, because halves of a pupil blur as mirror images.
     """
 
-    views: ViewsConfig = ViewsConfig(presmooth_sigma_px=0.9, guide_range=0.15)
-    space: Literal["unmixed", "pure"] = "pure"
-    correlation: CorrelationConfig = CorrelationConfig(window_decay=0.30)
+    views: ViewsConfig = ViewsConfig(presmooth_sigma_px=0.6, guide_range=0.15)
+    space: Literal["unmixed", "pure", "channels"] = "channels"
+    correlation: CorrelationConfig = CorrelationConfig(window_decay=0.20)
     paths: FourPathsConfig = FourPathsConfig()
-    smoothing_sigma_px: float = 60.0
+    smoothing_sigma_px: float = 30.0
+    smoothing_edge_range: float = 3.3
     floor_px: float = 0.05
 
     def __post_init__(self) -> None:
-        require_space(self.space, "unmixed", "pure")
+        require_space(self.space, "unmixed", "pure", "channels")
         for name, value in (("smoothing_sigma_px", self.smoothing_sigma_px), ("floor_px", self.floor_px)):
             require(all_finite(value) and value >= 0, f"{name} must be finite and >= 0, is {value:g}")
+        positive = all_finite(self.smoothing_edge_range) and self.smoothing_edge_range > 0
+        require(positive, f"smoothing_edge_range must be positive, is {self.smoothing_edge_range:g}")
         require(not self.correlation.noise_debiasing, "noise_debiasing does not apply to quality real-time")
 
     @property

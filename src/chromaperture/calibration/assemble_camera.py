@@ -12,15 +12,19 @@ from chromaperture.calibration.chessboard import Intrinsics
 from chromaperture.calibration.session import Session
 from chromaperture.calibration.white_sheets import WhiteSheets
 from chromaperture.camera_file import Board, Calibration, Lens
-from chromaperture.color.unmixing import pure_channels, view_reach
+from chromaperture.color.unmixing import view_reach
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.paper_form import PaperParameters, model_to_paper, paper_to_model
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import Aperture, design_named
+from chromaperture.optics.aperture import design_named
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.optics.pinhole import centered_pinhole
+
+# Whose depth curve serves ``accurate`` without a lens blur: both match the unmixed views with the same score. A curve
+# fitted to boards read by ``accurate`` itself was no different.
+WITHOUT_BLUR: Quality = "paper"
 
 
 def nominal_depth_model(session: Session) -> DepthModel:
@@ -37,16 +41,6 @@ def nominal_depth_model(session: Session) -> DepthModel:
         focal_length_mm=f,
     )
     return paper_to_model(parameters, pixel_pitch_mm=session.sensor.pixel_pitch_mm)
-
-
-def accurate_matches_like(aperture: Aperture) -> Quality:
-    """Return the quality whose depth curve serves ``accurate`` without a lens blur.
-
-    Both match the same views with the same score: the unmixed views, as ``paper`` does, unless the design has three
-    pure channels, which ``real-time`` matches. A curve fitted to boards read by ``accurate`` itself was no different.
-    """
-    pure = pure_channels(aperture)
-    return "real-time" if pure is not None and len(pure) == 3 else "paper"
 
 
 def assemble_camera(

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.calibration.assemble_camera import accurate_matches_like, assemble_camera, nominal_depth_model
+from chromaperture.calibration.assemble_camera import WITHOUT_BLUR, assemble_camera, nominal_depth_model
 from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.calibration.calibrate_blur import BlurredCamera, LayerEvidence, calibrate_blur, fit_layers
 from chromaperture.calibration.calibration_config import DEFAULT, CalibrationConfig
@@ -105,13 +105,13 @@ def calibrate_session(
     everything = Evidence(sheets.sensor, boards, placed.distances, session.ruler_error_mm, np.ones(len(boards), bool))
     selected = without_outliers(everything, "paper")
     shifted = fit_curves(selected, config, progress=progress)
-    start = dataclasses.replace(draft, depth=with_accurate(session, shifted))
+    start = dataclasses.replace(draft, depth=with_accurate(shifted))
     blurred = calibrate_blur(start, session, selected, config, lens=lens, store=store, progress=progress)
     rendered = rendered_nonlinearity(blurred.camera, session, selected, config, store=store, progress=progress)
     evidence = dataclasses.replace(selected, rendered=rendered)
     curves = fit_curves(evidence, config, progress=progress) if rendered else shifted
     steps = _Steps(session, config, sheets, pinhole, placed, evidence, curves, blurred)
-    depth = {**with_accurate(session, curves), "accurate": blurred.camera.depth["accurate"]}
+    depth = {**with_accurate(curves), "accurate": blurred.camera.depth["accurate"]}
     made_from = origin(session.folder, steps.files, config, command=command, lens_from=lens_from)
     camera = assemble_camera(
         session, sheets, placed.intrinsics, depth, config, blur=blurred.camera.blur,
@@ -200,6 +200,6 @@ def leave_one_out(result: CalibrationResult, board: int, qualities: Sequence[Qua
         if quality == "accurate" and result.layers is not None:
             fields[quality] = fit_layers(result.layers, evidence.distances, evidence.used)
         else:
-            curve = accurate_matches_like(camera.aperture) if quality == "accurate" else quality
+            curve = WITHOUT_BLUR if quality == "accurate" else quality
             fields[quality] = fit_curve(evidence, curve, result.config).field
     return dataclasses.replace(camera, depth=fields)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.calibration.assemble_camera import accurate_matches_like
+from chromaperture.calibration.assemble_camera import WITHOUT_BLUR
 from chromaperture.calibration.board_distances import BoardDistances, find_outliers
 from chromaperture.calibration.calibration_config import DEFAULT, CalibrationConfig
 from chromaperture.calibration.choose_curve import ranked_curves
@@ -17,14 +17,12 @@ from chromaperture.calibration.fit_fields import fit_depth_field
 from chromaperture.calibration.fit_local_fields import with_local
 from chromaperture.calibration.progress import Progress, reported, silent
 from chromaperture.calibration.read_boards import MEASURED, BoardMeasurement, grid
-from chromaperture.calibration.session import Session
 from chromaperture.camera_file import CameraSensor
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import depth_to_disparity, disparity_to_depth
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import design_named
 from chromaperture.robust import robust_sigma
 
 # B at its smallest, of its median over the frame: less is a runaway polynomial. Vignetting takes the rim of the pupil,
@@ -113,10 +111,10 @@ def fit_curves(
     return {quality: fit_curve(evidence, quality, config) for quality in reported(MEASURED, "depth curves", progress)}
 
 
-def with_accurate(session: Session, curves: Mapping[Quality, FittedCurve]) -> dict[Quality, DepthField]:
+def with_accurate(curves: Mapping[Quality, FittedCurve]) -> dict[Quality, DepthField]:
     """Return the depth fields of all qualities, ``accurate`` without a lens blur."""
     fields = {quality: curve.field for quality, curve in curves.items()}
-    return {**fields, "accurate": fields[accurate_matches_like(design_named(session.design))]}
+    return {**fields, "accurate": fields[WITHOUT_BLUR]}
 
 
 def fit_curve(evidence: Evidence, quality: Quality, config: CalibrationConfig = DEFAULT) -> FittedCurve:

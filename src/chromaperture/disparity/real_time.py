@@ -49,8 +49,9 @@ class RealTimeMethod:
         winner = run.four_path_winner(views, layers_px, label_map, correlation=config.correlation, paths=config.paths)
 
         place, weight = place_by_correlation(winner, len(layers_px), view_count=views.pictures.shape[2])
+        even = views.guide / np.float32(config.smoothing_edge_range)
         sums = run.smooth_along_surface(
-            (weight, place * weight), views.guide, winner.layer, sigma_px=config.smoothing_sigma_px
+            (weight, place * weight), even, winner.layer, sigma_px=config.smoothing_sigma_px
         )
         surface = halved_surface(winner, sums[1] / sums[0], layers_px, label_map)
         return run.enlarge(Surface(2 * surface.disparity_px, 2 * surface.sigma_px, surface.peak), guide)

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from chromaperture.color.image import SATURATION
-from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions
+from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions, view_reach
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import Aperture, channel_transmission
+from chromaperture.optics.aperture import Aperture, centroids, channel_transmission
 from chromaperture.stage_config import ViewsConfig
 
 _FILL_SIGMA_PX = 6.0  # of the mean that replaces unusable pixels, px of the halved picture; chosen by hand
@@ -103,7 +103,7 @@ def view_pairs(view_count: int) -> list[tuple[int, int]]:
 
 
 def view_spaces(
-    aperture: Aperture, unmixing: np.ndarray | None, space: Literal["unmixed", "pure", "both"]
+    aperture: Aperture, unmixing: np.ndarray | None, space: Literal["unmixed", "pure", "channels", "both"]
 ) -> list[ViewSpace]:
     """Return the views that a method matches: one space, or for ``both`` two where they differ.
 
@@ -112,8 +112,9 @@ def view_spaces(
     aperture : Aperture
     unmixing : (K, 3) float or None
         Rows of M^-1, Eq. (1). Ideal film when absent.
-    space : {"unmixed", "pure", "both"}
-        A design without pure channels has its unmixed views only.
+    space : {"unmixed", "pure", "channels", "both"}
+        For ``pure`` and ``both``, a design without pure channels has its unmixed views only. ``channels``: see
+        `channel_space`.
 
     Raises
     ------
@@ -123,12 +124,45 @@ def view_spaces(
     rows = ideal_unmixing(aperture) if unmixing is None else np.asarray(unmixing, float)
     if rows.shape != (len(aperture.views), 3):
         raise InputError(f"unmixing must have shape ({len(aperture.views)}, 3) for {aperture.name}, got {rows.shape}")
+    if space == "channels":
+        return [channel_space(aperture, rows)]
     pure = None if space == "unmixed" else pure_channels(aperture)
-    matched = [rows] if pure is None else [pure]
     # Three pure channels are the unmixed views but for the leaks: one of the two is enough.
-    if space == "both" and pure is not None and len(rows) == 2:
-        matched = [rows, pure]
+    if pure is None or (space == "both" and len(rows) == 3):
+        matched = [rows]
+    else:
+        matched = [pure] if space == "pure" else [rows, pure]
     return [ViewSpace(view_directions(aperture), each, guide_weights(aperture)) for each in matched]
+
+
+def channel_space(aperture: Aperture, unmixing: np.ndarray) -> ViewSpace:
+    """Return the views that hold for surfaces of any colour: sensor channels, not what unmixing makes of them.
+
+    Unmixing, Eq. (1), takes all views to show a surface equally bright. On a red wall it leaves the red channel in all
+    views, undisplaced, and the wall looks as if in focus. A channel only needs texture of its own. Displacements are
+    those of the channels' centroids in the pupil, which lie closer together where a channel sees several filters.
+
+    - Channels that see one filter each: two are views themselves; from three, leaks are unmixed.
+    - Two filters and an open rest: the two channels farthest apart. Their distance is the unit of disparity.
+    - Channels that see two filters of three: all three, each with the centroid that the film's colours give it.
+    """
+    pure = pure_channels(aperture)
+    if pure is not None:
+        rows = pure if len(pure) == 2 else unmixing
+        return ViewSpace(view_directions(aperture), rows, guide_weights(aperture))
+    if len(unmixing) == 2:
+        centres = centroids(aperture)
+        a, b = max(combinations(range(3), 2), key=lambda pair: np.linalg.norm(centres[pair[0]] - centres[pair[1]]))
+        directions = centres[[a, b]] / np.linalg.norm(centres[[a, b]], axis=1).mean()
+        return ViewSpace(_rounded(directions), np.eye(3)[[a, b]], guide_weights(aperture))
+    colors = np.linalg.inv(unmixing).T  # of the filters: a channel's unit cancels in its centroid
+    filmed = aperture.with_film(dict(zip(aperture.views, colors, strict=True)))
+    return ViewSpace(_rounded(centroids(filmed) / view_reach(aperture)), np.eye(3), guide_weights(aperture))
+
+
+def _rounded(directions: np.ndarray) -> np.ndarray:
+    """Round directions to 1e-3, as `view_directions` does: axis-aligned shifts stay on the axis."""
+    return np.round(directions, 3) + 0.0
 
 
 def guide_weights(aperture: Aperture) -> np.ndarray:

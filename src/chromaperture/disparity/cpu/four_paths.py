@@ -29,12 +29,7 @@ def four_path_winner(
     links_x, links_y = (_links(views.guide, axis, paths) for axis in (1, 0))
     first, step = (np.float32(value) for value in (layers_px[0], layers_px[1] - layers_px[0]))
     settings = path_costs.Settings(
-        np.float32(paths.slope_penalty),
-        np.float32(paths.jump_penalty),
-        np.float32(paths.temperature),
-        first,
-        step,
-        len(layers_px),
+        np.float32(paths.jump_penalty), np.float32(paths.temperature), first, step, len(layers_px)
     )
     mask = np.ascontiguousarray(views.mask, np.float32)
     two_views = views.pictures.shape[2] == 2

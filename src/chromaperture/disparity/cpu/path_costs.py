@@ -2,8 +2,7 @@
 """Path costs along rows and columns, eight layers a vector: the inner part of `four_paths.py`.
 
 A pixel q with the path cost c, its own included, adds to its neighbour on the path
-``m(d) = min(c(d), c(d - 1) + e slope, c(d + 1) + e slope, min c + e jump) - min c``. The sum of these over the four
-paths and the pixel's own cost decide.
+``m(d) = min(c(d), min c + e jump) - min c``. The sum of these over the four paths and the pixel's own cost decide.
 """
 
 from __future__ import annotations
@@ -30,9 +29,8 @@ _EIGHTH = np.float32(0.125)
 
 
 class Settings(NamedTuple):
-    """Penalties and temperature, nats; the first layer and their distance, px; float32 but for the count."""
+    """Penalty and temperature, nats; the first layer and their distance, px; float32 but for the count."""
 
-    slope: np.float32
     jump: np.float32
     temperature: np.float32
     first: np.float32
@@ -43,7 +41,7 @@ class Settings(NamedTuple):
 class Lines(NamedTuple):
     """State of the lines that are walked together.
 
-    Each line has two slots in ``paths``, for the pixel before and the pixel here, a vector of `_FAR` on either side.
+    Each line has two slots in ``paths``, for the pixel before and the pixel here.
     """
 
     volume: np.ndarray  # int16, flat: log-likelihoods
@@ -160,11 +158,11 @@ def _put_likelihood(volume, at, layer, out, i):
 def _lines(volume, sums, settings, count):
     """Room for ``count`` lines."""
     slabs = (settings.layers + v.LANES - 1) // v.LANES
-    pitch = (slabs + 2) * v.LANES
+    pitch = slabs * v.LANES
     closed = np.zeros(slabs * v.LANES, np.float32)
     for s in range(settings.layers, slabs * v.LANES):
         closed[s] = _CLOSED
-    paths = np.empty((2 * count + 1) * pitch, np.float32)
+    paths = np.empty(2 * count * pitch, np.float32)
     unit = np.float32(32000) / (_THREE * settings.jump)
     return Lines(volume, sums, paths, np.empty(count * v.LANES, np.float32), closed, pitch, slabs, unit)
 
@@ -188,14 +186,9 @@ def _decision(slabs):
 
 @inner
 def _start(lines, count):
-    """No cost has come in yet; beyond the first and the last layer everything is too far."""
-    paths, pitch = lines.paths, lines.pitch
-    for i in range(0, (2 * count + 1) * pitch):
-        paths[i] = ZERO
-    for line in range(2 * count):
-        for i in range(v.LANES):
-            paths[line * pitch + i] = _FAR
-            paths[(line + 1) * pitch - v.LANES + i] = _FAR
+    """No cost has come in yet."""
+    for i in range(2 * count * lines.pitch):
+        lines.paths[i] = ZERO
     for i in range(count * v.LANES):
         lines.least[i] = ZERO
 
@@ -248,29 +241,27 @@ def _read_at_labels(lines, offset, scale, y, height, settings, scores, at_labels
 
 @inner
 def _arrive(lines, settings, weight, line, parity):
-    """Slots of the pixel here and the one before, the least cost there, and the penalties of the link between them."""
-    here, there = (2 * line + parity) * lines.pitch + v.LANES, (2 * line + 1 - parity) * lines.pitch + v.LANES
+    """Slots of the pixel here and the one before, the least cost there, and with a jump over the link between them."""
+    here, there = (2 * line + parity) * lines.pitch, (2 * line + 1 - parity) * lines.pitch
     smallest = v.load(lines.least, line * v.LANES)
-    jump = v.add(smallest, v.broadcast(weight * settings.jump))
-    return here, there, smallest, v.broadcast(weight * settings.slope), jump
+    return here, there, smallest, v.add(smallest, v.broadcast(weight * settings.jump))
 
 
 @inner
-def _incoming(paths, i, slope, jump, smallest):
+def _incoming(paths, i, jump, smallest):
     """Costs of eight layers that come in from the pixel before: m(d) of the module's docstring."""
-    beside = v.smaller(v.load(paths, i - 1), v.load(paths, i + 1))
-    return v.sub(v.smaller(v.smaller(v.load(paths, i), v.add(beside, slope)), jump), smallest)
+    return v.sub(v.smaller(v.load(paths, i), jump), smallest)
 
 
 @inner
 def _propagate(lines, settings, at, weight, line, parity, add):
     """Store or add the path costs that come in, and leave those of this pixel for the next one."""
     volume, sums, paths, slabs = lines.volume, lines.sums, lines.paths, lines.slabs
-    here, there, smallest, slope, jump = _arrive(lines, settings, weight, line, parity)
+    here, there, smallest, jump = _arrive(lines, settings, weight, line, parity)
     into, nats = v.broadcast(lines.unit), v.broadcast(-ONE / _NATS)
     lowest = v.broadcast(_FAR)
     for s in range(0, slabs * v.LANES, v.LANES):
-        incoming = _incoming(paths, there + s, slope, jump, smallest)
+        incoming = _incoming(paths, there + s, jump, smallest)
         i = at + s * BLOCK
         if add:
             v.put_shorts(sums, i, v.fma(incoming, into, v.load_shorts(sums, i)))
@@ -286,12 +277,12 @@ def _propagate(lines, settings, at, weight, line, parity, add):
 def _decide(lines, settings, at, weight, line, parity, decision):
     """Propagate the last path costs, leave the sum of all in ``decision.costs`` and return the best layer."""
     volume, sums, paths, slabs = lines.volume, lines.sums, lines.paths, lines.slabs
-    here, there, smallest, slope, jump = _arrive(lines, settings, weight, line, parity)
+    here, there, smallest, jump = _arrive(lines, settings, weight, line, parity)
     nats_sum, nats, raised = v.broadcast(ONE / lines.unit), v.broadcast(-ONE / _NATS), v.broadcast(_RAISED)
     keep = v.load(decision.tags, 0)
     lowest, best = v.broadcast(_FAR), v.broadcast(_FAR)
     for s in range(0, slabs * v.LANES, v.LANES):
-        incoming = _incoming(paths, there + s, slope, jump, smallest)
+        incoming = _incoming(paths, there + s, jump, smallest)
         i = at + s * BLOCK
         cost = v.fma(v.load_shorts(volume, i), nats, v.add(incoming, v.load(lines.closed, s)))
         v.store(paths, here + s, cost)

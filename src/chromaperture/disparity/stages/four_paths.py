@@ -38,7 +38,7 @@ def four_path_winner(
     if not label_map.is_identity:
         score = scores_at_labels(score, layers_px, label_map)
     likelihood = log_likelihood(score, view_count=views.pictures.shape[2]) * views.mask[..., None]
-    penalties = PathPenalties(paths.slope_penalty, paths.jump_penalty, paths.edge_range, paths.edge_floor)
+    penalties = PathPenalties(paths.jump_penalty, paths.jump_penalty, paths.edge_range, paths.edge_floor)
     cost = path_costs(likelihood, views.guide, penalties, paths=4)
     layer = cost.argmin(axis=2)
     inside = np.clip(layer, 1, len(layers_px) - 2)
