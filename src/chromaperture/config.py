@@ -99,9 +99,9 @@ class RealTimeConfig(MatcherConfig):
         their texture, because halves of a pupil blur as mirror images.
     """
 
-    views: ViewsConfig = ViewsConfig(presmooth_sigma_px=0.6, guide_range=0.15)
+    views: ViewsConfig = ViewsConfig(presmooth_sigma_px=0.4, guide_range=0.15)
     space: Literal["unmixed", "pure", "channels"] = "channels"
-    correlation: CorrelationConfig = CorrelationConfig(window_decay=0.20)
+    correlation: CorrelationConfig = CorrelationConfig(window_decay=0.30, sampling="b-spline")
     paths: FourPathsConfig = FourPathsConfig()
     smoothing_sigma_px: float = 30.0
     smoothing_edge_range: float = 3.3

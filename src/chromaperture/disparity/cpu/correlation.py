@@ -31,7 +31,7 @@ from chromaperture.disparity.stages.correlation import (
     MIN_VARIANCE_FRACTION,
     MIN_WEIGHT,
     RELATIVE_EPSILON,
-    cubic_taps,
+    SAMPLING,
     padding,
 )
 from chromaperture.disparity.views import Views, is_even, view_pairs
@@ -216,7 +216,8 @@ def _plan(
                 whole[k, s] = base[layer]
         still[k] = entries.find_or_append(k, (0.0, 0.0), row)
 
-    taps = np.array([[cubic_taps(t) for t in phase] for phase in entries.phases], np.float32)
+    taps_of = SAMPLING[config.sampling]
+    taps = np.array([[taps_of(t) for t in phase] for phase in entries.phases], np.float32)
     overlap = np.zeros((len(pairs), lanes), np.float32)
     if views.noise is not None:
         overlap[:, :count] = views.noise.overlap(layers_px, directions).T * config.noise_debiasing

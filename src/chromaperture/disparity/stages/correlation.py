@@ -7,12 +7,15 @@ picture is continued by the border's value: windows and shifts then commute and 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from scipy.signal import lfilter
 
 from chromaperture.disparity.views import Views, view_pairs
 from chromaperture.stage_config import CorrelationConfig
+
+Taps = Callable[[float], tuple[float, float, float, float]]
 
 MIN_VARIANCE_FRACTION = 0.05  # of a variance that debiasing always leaves: an estimated noise may be too high
 RELATIVE_EPSILON = 1e-6  # of a view's overall variance: even areas score 0, not noise / noise
@@ -39,15 +42,16 @@ def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig)
     variances, covariances = (_pad(maps.astype(np.float64), pad) for maps in _noise(views, config))
     overlap = None if views.noise is None else views.noise.overlap(layers_px, views.directions)
     epsilon = variance_floor(views.pictures)
+    taps_of = SAMPLING[config.sampling]
 
     volume = np.empty((height, width, len(layers_px)))
     for s, d in enumerate(layers_px):
-        moved = [shift(padded[..., k], d * views.directions[k]) for k in range(view_count)]
+        moved = [shift(padded[..., k], d * views.directions[k], taps_of=taps_of) for k in range(view_count)]
         means = [exponential_window(m, config.window_decay) for m in moved]
         gains = []
         for k in range(view_count):
             variance = exponential_window(moved[k] ** 2, config.window_decay) - means[k] ** 2
-            noise = shift(variances[..., k], d * views.directions[k])
+            noise = shift(variances[..., k], d * views.directions[k], taps_of=taps_of)
             clean = np.maximum(variance - noise, MIN_VARIANCE_FRACTION * variance)
             gains.append(1 / np.sqrt(clean + epsilon[k]))
         rho = []
@@ -111,17 +115,19 @@ def _pad(maps: np.ndarray, pad: tuple[int, int]) -> np.ndarray:
     return np.pad(maps, ((pad[1], pad[1]), (pad[0], pad[0]), (0, 0)), mode="edge")
 
 
-def shift(view: np.ndarray, offset_px: np.ndarray) -> np.ndarray:
-    """Sample ``view`` at x + offset by cubic convolution (Catmull-Rom), borders replicated.
+def shift(view: np.ndarray, offset_px: np.ndarray, *, taps_of: Taps | None = None) -> np.ndarray:
+    """Sample ``view`` at x + offset by a cubic, Catmull and Rom's unless given, borders replicated.
 
     Parameters
     ----------
     view : (H, W) float
     offset_px : (2,) float, (x, y)
+    taps_of : callable, optional
+        One of `SAMPLING`.
     """
     for axis, offset in ((1, offset_px[0]), (0, offset_px[1])):
         whole = math.floor(offset)
-        taps = cubic_taps(offset - whole)
+        taps = (taps_of or cubic_taps)(offset - whole)
         index = np.arange(view.shape[axis])
         view = sum(
             tap * np.take(view, np.clip(index + whole + i, 0, view.shape[axis] - 1), axis=axis)
@@ -138,6 +144,14 @@ def cubic_taps(t: float) -> tuple[float, float, float, float]:
         0.5 * (t + 4 * t**2 - 3 * t**3),
         0.5 * (-(t**2) + t**3),
     )
+
+
+def spline_taps(t: float) -> tuple[float, float, float, float]:
+    """Weights of a cubic B-spline, as `cubic_taps`: their mean is t and their variance 1/3 for every t."""
+    return ((1 - t) ** 3 / 6, (4 - 6 * t**2 + 3 * t**3) / 6, (1 + 3 * t + 3 * t**2 - 3 * t**3) / 6, t**3 / 6)
+
+
+SAMPLING: dict[str, Taps] = {"catmull-rom": cubic_taps, "b-spline": spline_taps}
 
 
 def exponential_window(maps: np.ndarray, decay: float) -> np.ndarray:
