@@ -34,17 +34,23 @@ from chromaperture.depth.field import DepthField
 from chromaperture.disparity import accurate
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.disparity.real_time import RealTimeMethod
-from chromaperture.stage_config import BilateralConfig, CorrelationConfig, CrossFilterConfig, FourPathsConfig
+from chromaperture.stage_config import BilateralConfig, CorrelationConfig, CrossFilterConfig, FourPathsConfig, ViewsConfig
 
 REAL_TIME = RealTimeConfig()
 VARIANTS: dict[str, MatcherConfig] = {
     "everything": REAL_TIME,
     "no field over the frame": REAL_TIME,
     "unmixed views": dataclasses.replace(REAL_TIME, space="unmixed"),
+    "pure channels, else unmixed views": dataclasses.replace(REAL_TIME, space="pure"),
+    "views read by Catmull and Rom's cubic": dataclasses.replace(
+        REAL_TIME, views=ViewsConfig(presmooth_sigma_px=0.6, guide_range=0.15),
+        correlation=CorrelationConfig(window_decay=0.3),
+    ),
     "no average between layers": dataclasses.replace(REAL_TIME, smoothing_sigma_px=0.0),
+    "average broken by the guide's texture": dataclasses.replace(REAL_TIME, smoothing_edge_range=1.0),
     "penalties not led by the guide": dataclasses.replace(REAL_TIME, paths=FourPathsConfig(edge_floor=1.0)),
-    "penalties a tenth": dataclasses.replace(REAL_TIME, paths=FourPathsConfig(slope_penalty=1.0, jump_penalty=2.0)),
-    "window of .70": dataclasses.replace(REAL_TIME, correlation=CorrelationConfig(window_decay=0.7)),
+    "penalties a tenth": dataclasses.replace(REAL_TIME, paths=FourPathsConfig(jump_penalty=1.0)),
+    "window of .70": dataclasses.replace(REAL_TIME, correlation=CorrelationConfig(window_decay=0.7, sampling="b-spline")),
     "full resolution, best layer of a bilateral filter": PaperConfig(
         space="pure",
         correlation=CorrelationConfig(noise_debiasing=True),

@@ -37,6 +37,14 @@ def score(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> dict[str, 
     }
 
 
+def deciles(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """Fraction of the errors within one and two error bars, by decile of the error bar's share of the distance."""
+    answered = np.isfinite(truth) & np.isfinite(depth)
+    z = (np.abs(depth - truth) / sigma)[answered][np.argsort((sigma / depth)[answered])]
+    parts = list(enumerate(np.array_split(z, 10), start=1))
+    return {f"decile_{i}_within_{n}_sigma": float((part < n).mean()) for i, part in parts for n in (1, 2)}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True)
@@ -44,6 +52,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", default=["steps", "room", "desk"])
     parser.add_argument("--quality", nargs="+", default=["paper", "real-time"])
     parser.add_argument("--camera", type=Path, help="use this camera file instead of calibrating (one design)")
+    parser.add_argument("--deciles", action="store_true", help="error bars by decile of sigma, least first")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
 
@@ -61,7 +70,8 @@ def main() -> None:
                 frame = camera.measure(camera.read(args.data / design / "scene" / f"{scene}.png"))
                 stored = cv2.imread(str(args.data / "truth" / f"{scene}.depth_0.1mm.png"), cv2.IMREAD_UNCHANGED)
                 truth = np.where(stored > 0, stored / 10.0, np.nan)
-                figures = score(frame.depth_mm.astype(float), frame.sigma_mm.astype(float), truth)
+                maps = frame.depth_mm.astype(float), frame.sigma_mm.astype(float), truth
+                figures = score(*maps) | (deciles(*maps) if args.deciles else {})
                 table.append({"design": design, "quality": quality, "scene": scene, **figures})
                 if not args.json:
                     words = " ".join(f"{k} {v:.3f}" for k, v in figures.items())

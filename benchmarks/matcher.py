@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 from timing import fastest_ms
 
-from chromaperture.color.unmixing import view_directions
 from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.labels import IDENTITY
@@ -67,7 +66,7 @@ def benchmark() -> dict:
     results: dict = {}
     for case, design in DESIGNS.items():
         aperture = design_named(design)
-        views, guide, truth = scene(view_directions(aperture))
+        views, guide, truth = scene(view_spaces(aperture, None, CONFIG.space)[0].directions)
         match = matching(aperture, views, guide)
         found = match().disparity_px
         results[case] = {

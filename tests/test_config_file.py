@@ -20,10 +20,9 @@ CONFIGS = {
     "accurate": Config(quality="accurate", matcher=preset("accurate")),
     "accurate with blur": Config(quality="accurate", matcher=AccurateConfig.for_blur(0.4)),
 }
-OTHER_SPACE = {"unmixed": "pure", "pure": "unmixed", "both": "pure"}
+OTHER_SPACE = {"unmixed": "pure", "pure": "unmixed", "both": "pure", "channels": "pure"}
 OTHER_VALUES = {  # where nine tenths of the value would not be valid
     "paths": 4,
-    "slope_penalty": 11.0,  # jump_penalty lies between one and two of it
     "bands_px": ((0.5, 1.5), (1.5, 3.0)),
 }
 REFUSED = {"noise_debiasing"}  # by every method but "paper"

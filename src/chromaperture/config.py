@@ -95,8 +95,8 @@ class RealTimeConfig(MatcherConfig):
     smoothing_edge_range : float
         Difference of the guide, in units of ``guide_range``, at which a link of that average has fallen to 1/e.
     floor_px : float
-        Least standard deviation, px: what disparities of bench50's flat boards between 1 and 4 m scatter by whatever
-        their texture, because halves of a pupil blur as mirror images.
+        Least standard deviation of the views' displacement, px: what bench50's flat boards between 1 and 4 m scatter
+        by whatever their texture, because halves of a pupil blur as mirror images.
     """
 
     views: ViewsConfig = ViewsConfig(presmooth_sigma_px=0.4, guide_range=0.15)
@@ -105,7 +105,7 @@ class RealTimeConfig(MatcherConfig):
     paths: FourPathsConfig = FourPathsConfig()
     smoothing_sigma_px: float = 30.0
     smoothing_edge_range: float = 3.3
-    floor_px: float = 0.05
+    floor_px: float = 0.045
 
     def __post_init__(self) -> None:
         require_space(self.space, "unmixed", "pure", "channels")

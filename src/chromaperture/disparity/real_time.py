@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.config import RealTimeConfig
+from chromaperture.disparity.accurate import local_range
 from chromaperture.disparity.error_bar import confidence, sigma_of_range, surface_sigma
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
@@ -14,6 +15,10 @@ from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.views import Views, ViewSpace, halved_views
 from chromaperture.disparity.winner import PathWinner, Surface
 
+# Of the error bar, fitted to simulated captures of four designs (`benchmarks/bench50.py --deciles`): a posterior of summed
+# costs is too wide, since its windows are not independent; next to depth edges a pixel may belong to either side.
+POSTERIOR_SHARE = 0.6
+EDGE_SHARE, EDGE_REACH_PX = 0.5, 7  # of the range of the disparity within so many px of the halved picture
 LEAST_INFORMATION = 1e-4  # where correlations have no peak the place is that of the layer
 LEAST_UNEXPLAINED = 3e-3  # by the best correlation; keeps the information of noiseless pictures finite
 
@@ -39,7 +44,8 @@ class RealTimeMethod:
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3)."""
         surface = self.surface(*halved_views(image, self.space, config=self.config.views))
-        sigma = surface_sigma(surface, floor_px=self.config.floor_px)
+        moved = float(np.linalg.norm(self.space.directions, axis=1).mean())  # px of the views a px of disparity
+        sigma = surface_sigma(surface, floor_px=self.config.floor_px / moved)
         return Disparity(surface.disparity_px, sigma, confidence(sigma, surface.peak))
 
     def surface(self, views: Views, guide: np.ndarray) -> Surface:
@@ -92,7 +98,11 @@ def halved_surface(winner: PathWinner, place: np.ndarray, layers_px: np.ndarray,
     It is unknown where the best layer is an end of the range and where it is known no better than the range.
     """
     first, step = np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0])
-    known = (winner.layer > 0) & (winner.layer < len(layers_px) - 1) & (winner.sigma_px < sigma_of_range(layers_px))
-    label = np.where(known, first + step * place, np.nan).astype(np.float32)
+    widest = np.float32(sigma_of_range(layers_px))
+    known = (winner.layer > 0) & (winner.layer < len(layers_px) - 1) & (winner.sigma_px < widest)
+    disparity = np.asarray(label_map.disparity(first + step * place), np.float32)
+    posterior = np.float32(POSTERIOR_SHARE) * label_map.scale * winner.sigma_px
+    at_edge = np.float32(EDGE_SHARE) * local_range(disparity, EDGE_REACH_PX)
+    sigma = np.minimum(np.hypot(posterior, at_edge), label_map.scale * widest)
     peak = np.sqrt(np.maximum(1 - np.exp(-2 * winner.at), 0)).astype(np.float32)
-    return Surface(label_map.disparity(label), label_map.scale * winner.sigma_px, peak)
+    return Surface(np.where(known, disparity, np.float32(np.nan)), sigma.astype(np.float32), peak)

@@ -142,14 +142,9 @@ def channel_space(aperture: Aperture, unmixing: np.ndarray) -> ViewSpace:
     views, undisplaced, and the wall looks as if in focus. A channel only needs texture of its own. Displacements are
     those of the channels' centroids in the pupil, which lie closer together where a channel sees several filters.
 
-    - Channels that see one filter each: two are views themselves; from three, leaks are unmixed.
-    - Two filters and an open rest: the two channels farthest apart. Their distance is the unit of disparity.
-    - Channels that see two filters of three: all three, each with the centroid that the film's colours give it.
+    - Two filters: the two channels farthest apart; half their distance is the unit of disparity.
+    - Three filters: all channels, each with the centroid that the film's colours give it, leaks included.
     """
-    pure = pure_channels(aperture)
-    if pure is not None:
-        rows = pure if len(pure) == 2 else unmixing
-        return ViewSpace(view_directions(aperture), rows, guide_weights(aperture))
     if len(unmixing) == 2:
         centres = centroids(aperture)
         a, b = max(combinations(range(3), 2), key=lambda pair: np.linalg.norm(centres[pair[0]] - centres[pair[1]]))
