@@ -34,7 +34,13 @@ from chromaperture.depth.field import DepthField
 from chromaperture.disparity import accurate
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.disparity.real_time import RealTimeMethod
-from chromaperture.stage_config import BilateralConfig, CorrelationConfig, CrossFilterConfig, FourPathsConfig, ViewsConfig
+from chromaperture.stage_config import (
+    BilateralConfig,
+    CorrelationConfig,
+    CrossFilterConfig,
+    FourPathsConfig,
+    ViewsConfig,
+)
 
 REAL_TIME = RealTimeConfig()
 VARIANTS: dict[str, MatcherConfig] = {
@@ -50,7 +56,9 @@ VARIANTS: dict[str, MatcherConfig] = {
     "average broken by the guide's texture": dataclasses.replace(REAL_TIME, smoothing_edge_range=1.0),
     "penalties not led by the guide": dataclasses.replace(REAL_TIME, paths=FourPathsConfig(edge_floor=1.0)),
     "penalties a tenth": dataclasses.replace(REAL_TIME, paths=FourPathsConfig(jump_penalty=1.0)),
-    "window of .70": dataclasses.replace(REAL_TIME, correlation=CorrelationConfig(window_decay=0.7, sampling="b-spline")),
+    "window of .70": dataclasses.replace(
+        REAL_TIME, correlation=CorrelationConfig(window_decay=0.7, sampling="b-spline")
+    ),
     "full resolution, best layer of a bilateral filter": PaperConfig(
         space="pure",
         correlation=CorrelationConfig(noise_debiasing=True),

@@ -15,7 +15,7 @@ import numpy as np
 from matcher import CONFIG, matching, scene
 from timing import fastest_ms
 
-from chromaperture.color.unmixing import view_directions
+from chromaperture.disparity.views import view_spaces
 from chromaperture.optics.aperture import design_named
 from chromaperture.threads import thread_count
 
@@ -26,7 +26,7 @@ LAYERS = (16, 24, 32, 48, 64)
 def part_matching(height: int, width: int, layers: int):
     """One match of a cut from the benchmark's scene, as a function without arguments."""
     aperture = design_named("cy_halves")
-    views, guide, _ = scene(view_directions(aperture))
+    views, guide, _ = scene(view_spaces(aperture, None, CONFIG.space)[0].directions)
     views, guide = [view[:height, :width].copy() for view in views], guide[:height, :width].copy()
     return matching(aperture, views, guide, CONFIG.with_range(-layers / 4, layers / 4 - 0.5))
 

@@ -10,12 +10,12 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-from matcher import matching, scene
+from matcher import CONFIG, matching, scene
 from timing import fastest_ms
 
 from chromaperture.color.alignment import align_channels, channel_directions
 from chromaperture.color.lens_shift import LensShift
-from chromaperture.color.unmixing import view_directions
+from chromaperture.disparity.views import view_spaces
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.optics.aperture import design_named
@@ -45,7 +45,7 @@ def benchmark() -> dict:
     results: dict = {}
     for case, (design, (height, width)) in CASES.items():
         aperture = design_named(design)
-        views, guide, truth = scene(view_directions(aperture), shape=(height, width))
+        views, guide, truth = scene(view_spaces(aperture, None, CONFIG.space)[0].directions, shape=(height, width))
         image = np.ascontiguousarray(np.dstack([views[0], guide, views[-1]]), np.float32)
         shifts = channel_directions(aperture, {})
         # With steps, so that there are strips to fill, and a blur as wide as the photographs of the demo have.

@@ -21,6 +21,7 @@ CONFIGS = {
     "accurate with blur": Config(quality="accurate", matcher=AccurateConfig.for_blur(0.4)),
 }
 OTHER_SPACE = {"unmixed": "pure", "pure": "unmixed", "both": "pure", "channels": "pure"}
+OTHER_SAMPLING = {"catmull-rom": "b-spline", "b-spline": "catmull-rom"}
 OTHER_VALUES = {  # where nine tenths of the value would not be valid
     "paths": 4,
     "bands_px": ((0.5, 1.5), (1.5, 3.0)),
@@ -59,7 +60,7 @@ def other(name, value):
     if isinstance(value, bool):
         return not value
     if isinstance(value, str):
-        return OTHER_SPACE[value]
+        return (OTHER_SPACE | OTHER_SAMPLING)[value]
     if isinstance(value, tuple):
         return tuple(0.5 * part for part in value)
     return value + 1 if isinstance(value, int) else value * 0.9

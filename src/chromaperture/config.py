@@ -105,7 +105,7 @@ class RealTimeConfig(MatcherConfig):
     paths: FourPathsConfig = FourPathsConfig()
     smoothing_sigma_px: float = 30.0
     smoothing_edge_range: float = 3.3
-    floor_px: float = 0.045
+    floor_px: float = 0.05
 
     def __post_init__(self) -> None:
         require_space(self.space, "unmixed", "pure", "channels")

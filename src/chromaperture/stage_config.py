@@ -162,10 +162,10 @@ class FourPathsConfig:
         fitted, on captures of known depth.
     """
 
-    jump_penalty: float = 10.0
+    jump_penalty: float = 14.0
     edge_range: float = 0.3
     edge_floor: float = 0.05
-    temperature: float = 3.2
+    temperature: float = 2.2
 
     def __post_init__(self) -> None:
         numbers = (self.jump_penalty, self.edge_range, self.temperature)
