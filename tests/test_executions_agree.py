@@ -61,7 +61,7 @@ BORDER_PX = 5
 # 1/700, and the place between the layers by their ratio to a bend of some hundredths of a nat in weak texture.
 OTHER_WINNERS = 0.01
 TIE_NATS = 0.05  # four path costs to 1/700 nat, and scores to 1/32000, at a correlation of 0.99 worth 0.002 nats
-FOUR_PATHS = ("jump_penalty", "edge_range", "edge_floor")
+FOUR_PATHS = ("jump_penalty", "jump_penalty", "edge_range", "edge_floor")  # every change costs the same
 
 
 def views_of(image: np.ndarray, design: str, config: ViewsConfig = NARROW.views) -> Views:

@@ -194,7 +194,7 @@ def _plan(
 ) -> layout.Plan:
     """Choose the sub-pixel phases at which the views are sampled, where they are kept, and how layers find them."""
     directions, pairs = views.directions, view_pairs(len(views.directions))
-    pad = padding(layers_px, directions) if len(layers_px) else (0, 0)
+    pad = padding(layers_px, directions, config.sampling) if len(layers_px) else (0, 0)
     count, lanes = len(layers_px), whole_vectors(len(layers_px))
     margin = 2 * pad[0] + 2 * LANES + 4
     row = views.mask.shape[1] + 2 * margin

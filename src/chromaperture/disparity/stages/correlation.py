@@ -37,7 +37,7 @@ def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig)
     (H, W, D) float64
     """
     height, width, view_count = views.pictures.shape
-    pad = padding(layers_px, views.directions)
+    pad = padding(layers_px, views.directions, config.sampling)
     padded = _pad(views.pictures.astype(np.float64), pad)
     variances, covariances = (_pad(maps.astype(np.float64), pad) for maps in _noise(views, config))
     overlap = None if views.noise is None else views.noise.overlap(layers_px, views.directions)
@@ -104,10 +104,13 @@ def variance_floor(pictures: np.ndarray) -> np.ndarray:
     return RELATIVE_EPSILON * pictures.astype(np.float64).var(axis=(0, 1)) + 1e-30
 
 
-def padding(layers_px: np.ndarray, directions: np.ndarray) -> tuple[int, int]:
-    """Border (x, y) in px beyond which every shifted view is constant: the shift and two taps of the cubic."""
+def padding(layers_px: np.ndarray, directions: np.ndarray, sampling: str = "catmull-rom") -> tuple[int, int]:
+    """Border (x, y) in px beyond which every shifted view is constant: the shift and two taps of the cubic.
+
+    Along an axis without shifts an interpolating cubic has no taps; a B-spline has them everywhere.
+    """
     reach = np.abs(layers_px).max() * np.abs(directions).max(axis=0)
-    x, y = (math.ceil(r) + 2 if r > 0 else 0 for r in reach)
+    x, y = (math.ceil(r) + 2 if r > 0 or sampling == "b-spline" else 0 for r in reach)
     return x, y
 
 
