@@ -28,6 +28,7 @@ from chromaperture.optics.lens_blur import BlurModel, LensBlur
 from chromaperture.threads import parallel_map
 
 NAMES = tuple(f.name for f in fields(BlurModel))
+_ALL = tuple(name for name in NAMES if name != "contrast_fall")  # a number of the sensor, kept as the start has it
 
 # Chosen by hand, not tuned, unless a reason is given.
 _CORE_PX = 72  # side of a tile's core: tiles must get close to the frame's border, where aberrations are largest
@@ -104,7 +105,7 @@ def fit_blur(
         raise InputError("no board has texture to fit the blur to: photograph a printed pattern that fills the frame")
     few = tiles[:: max(1, len(tiles) // _FEW_TILES)]
     blur = start
-    stages = ((few, _FIRST, 8, 2e-3), (few, NAMES, 8, 2e-3), (tiles, NAMES, 5, 1e-3))  # tolerance: change of log cost
+    stages = ((few, _FIRST, 8, 2e-3), (few, _ALL, 8, 2e-3), (tiles, _ALL, 5, 1e-3))  # tolerance: change of log cost
     for cut, names, rounds, tolerance in reported(stages, "blur of the lens", progress):
         blur = _gauss_newton(blur, cut, names, rounds=rounds, tolerance=tolerance)
     before, after = (float(np.mean(_cost(b, few, _tapers(b, few)))) for b in (start, blur))
