@@ -1,9 +1,9 @@
 """Rays of a dual-pixel sensor, whose pixels each record the light of their left and of their right half apart.
 
 A microlens images the pupil onto the two halves of its pixel, but blurred and with crosstalk: neither half sees half a
-pupil. To first order the sensitivity is a ramp across the pupil, ``1 +- s(x) xi``, which is falling towards the sides of
-the sensor, where light meets the pixels at an angle. The slope at the centre and the place where it is halved are two
-numbers of the sensor; everything else is the lens's prescription.
+pupil. To first order the sensitivity is a ramp across the pupil, ``1 +- s(x) xi``, which is flatter towards the sides
+of the sensor, where light meets the pixels at an angle. The slope at the centre and the place where it is halved are
+two numbers of the sensor; everything else is the lens's prescription.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The blur model of a lens from its prescription: the model's numbers are fitted to traced rays, without photographs."""
+"""The blur model of a lens from its prescription: its numbers are fitted to traced rays, without photographs."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from chromaperture.optics.ray_table import RayTable
 _LEAST_LIGHT = 0.5  # of a ray's light in the middle of the frame: less is cut by a rim
 _RIMS = ("front_rim_radius", "front_rim_shift", "rear_rim_radius", "rear_rim_shift")
 # Colour errors are those of one wavelength here, see `fit_to_rays`.
+_NOT_FITTED = (*_RIMS, "contrast_fall")
 _FITTED = tuple(
-    f.name for f in fields(BlurModel) if not f.name.endswith(("red_px", "blue_px")) and f.name not in (*_RIMS, "contrast_fall")
+    f.name for f in fields(BlurModel) if not f.name.endswith(("red_px", "blue_px")) and f.name not in _NOT_FITTED
 )
 _START = (1.2, 0.2, 1.2, 0.2)  # of the rims, in the order of `_RIMS`; chosen by hand
 
@@ -50,7 +51,9 @@ def fit_to_rays(open_rays: RayTable, *, pupil_radius_mm: float) -> tuple[BlurMod
     passed = light > _LEAST_LIGHT * np.maximum(middle, 1e-12 + middle.max() * _LEAST_LIGHT)
     inverses = (0.0, 1e-3)  # of the distance: the model is linear in it
     units = [BlurModel(**({"infinity_px": 0.0, "scale_px_mm": 0.0} | {name: 1.0})) for name in _FITTED]
-    rows, targets, ends = [], [], []
+    rows: list[np.ndarray] = []
+    targets: list[np.ndarray] = []
+    ends: list[bool] = []
     for i, y in enumerate(open_rays.y_px):
         for j, x in enumerate(open_rays.x_px):
             position = _frame_position(open_rays, x, y)
@@ -68,7 +71,9 @@ def fit_to_rays(open_rays: RayTable, *, pupil_radius_mm: float) -> tuple[BlurMod
     numbers = np.linalg.lstsq(design / unit, target, rcond=None)[0] / unit
     residual = (target - design @ numbers)[at_infinity]
     model = BlurModel(**dict(zip(_FITTED, map(float, numbers), strict=True)))
-    return _with_rims(model, open_rays, origin / pupil_radius_mm, light, middle), float(np.sqrt(2 * np.mean(residual**2)))
+    return _with_rims(model, open_rays, origin / pupil_radius_mm, light, middle), float(
+        np.sqrt(2 * np.mean(residual**2))
+    )
 
 
 def _px_of_slope(table: RayTable, chief: np.ndarray) -> np.ndarray:
