@@ -160,7 +160,7 @@ class AccurateConfig(MatcherConfig):
         return replace(plain, layers=layers, surface=surface)
 
     @classmethod
-    def for_blur(cls, reach: float) -> AccurateConfig:
+    def for_blur(cls, reach: float, *, full_well_electrons: float | None = None) -> AccurateConfig:
         """Return the settings for a camera whose blur is known.
 
         Parameters
@@ -168,10 +168,13 @@ class AccurateConfig(MatcherConfig):
         reach : float
             Px of half disparity for a px by which blur displaces the pupil's edge. Layers (0.3 px of blur) and slopes
             count in blur, so that designs whose views lie close together are searched as finely.
+        full_well_electrons : float, optional
+            Of the sensor, see `CrossFilterConfig.for_blur`.
         """
         surface = SurfaceConfig(slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.3)
         layers = LayersConfig(step_px=0.3 * reach)
-        return cls(layers=layers, evidence=CrossFilterConfig.for_blur(reach), surface=surface)
+        evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
+        return cls(layers=layers, evidence=evidence, surface=surface)
 
 
 @dataclass(frozen=True)

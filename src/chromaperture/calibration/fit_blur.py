@@ -121,6 +121,7 @@ def measured_layers(
     cell_px: int,
     unmixing: np.ndarray | None = None,
     noise_variance: np.ndarray | None = None,
+    full_well_electrons: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Measure the disparity of a flat board, in cells over the frame, with the matcher as the camera uses it.
 
@@ -137,6 +138,8 @@ def measured_layers(
         Rows of M^-1.
     noise_variance : (H, W, 3) float, optional
         Of the image, (white level)^2.
+    full_well_electrons : float, optional
+        Of the camera's sensor: its settings depend on it.
 
     Returns
     -------
@@ -147,7 +150,8 @@ def measured_layers(
     """
     height, width = image.shape[:2]
     at_infinity, scale = blur.reference
-    config, expected = AccurateConfig.for_blur(blur.reach), at_infinity - scale * inverse_mm
+    config = AccurateConfig.for_blur(blur.reach, full_well_electrons=full_well_electrons)
+    expected = at_infinity - scale * inverse_mm
     rows, columns = (np.linspace(0, n, max(1, n // cell_px) + 1).astype(int) for n in (height, width))
     for searched in _SEARCHED:
         reach = searched * config.layers.step_px

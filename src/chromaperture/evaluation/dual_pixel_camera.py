@@ -215,11 +215,12 @@ def _layers(image: np.ndarray, camera: Calibration, distance_mm: float) -> tuple
     blur = _blur(camera)
     infinity, scale = blur.reference
     expected = infinity - scale / distance_mm
+    config = AccurateConfig.for_blur(blur.reach, full_well_electrons=camera.sensor.full_well_electrons)
     found = estimate_disparity(
         image,
         aperture=camera.aperture,
         unmixing=camera.unmixing,
-        config=AccurateConfig.for_blur(blur.reach).with_range(expected - _REACH_PX, expected + _REACH_PX),
+        config=config.with_range(expected - _REACH_PX, expected + _REACH_PX),
         noise_variance=sensor_noise(image, camera),
         label_maps=[IDENTITY],
         blur=blur,
