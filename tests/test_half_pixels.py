@@ -147,7 +147,7 @@ def test_photographs_of_both_halves_become_a_capture(tmp_path):
         cv2.imwrite(str(tmp_path / f"a_{side}.png"), np.full((4, 5, 3), value, np.uint8))
     image = dual.capture(tmp_path, "a", linear=lambda v: v)
     np.testing.assert_allclose(image[0, 0], np.array([200, 105, 10]) / 255, rtol=1e-6)
-    with pytest.raises(InputError, match="b_left.png"):
+    with pytest.raises(InputError, match=r"b_left\.png"):
         dual.capture(tmp_path, "b")
 
 
