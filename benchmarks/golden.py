@@ -17,12 +17,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from dual_pixel import averages, figures
+from dual_pixel import figures
 from half_pupil import CROP, capture, score
 
 from chromaperture.camera import CodedApertureCamera, load_camera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
+from chromaperture.evaluation.paper.dual_pixel import means
 from chromaperture.products.samples import sample_camera
 
 KEPT = Path(__file__).parent / "golden.json"
@@ -63,9 +64,9 @@ def half_pupils(data: Path, spoil: Spoil) -> dict[str, float]:
 
 
 def dual_pixels(data: Path, spoil: Spoil) -> dict[str, float]:
-    means = averages(figures(data / "real" / "rf50_dual_pixel", QUALITY, spoil=spoil))
+    found = means(figures(data / "real" / "rf50_dual_pixel", QUALITY, spoil=spoil))
     names = ("ratio_below_1.25", "within_5_percent")
-    return {f"rf50_{mean['scenes']}_{name}": mean[name] for mean in means for name in names}
+    return {f"rf50_{kind}_{name}": mean[name] for (_, _, kind), mean in found.items() for name in names}
 
 
 def measure(data: Path, spoil: Spoil = lambda image: image) -> dict[str, float]:

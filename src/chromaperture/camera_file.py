@@ -318,11 +318,17 @@ def _from_tree(tree: CameraTree, *, provenance: dict[str, Any]) -> Calibration:
         near_mm=tree.working_range.near_mm,
         far_mm=tree.working_range.far_mm,
         provenance=provenance,
-        blur=None if tree.blur is None else BlurModel(**{f.name: tree.blur[f.name] for f in fields(BlurModel)}),
+        blur=None if tree.blur is None else _blur_from_tree(tree.blur),
         board=None if tree.board is None else Board(tree.board.inner_corners, tree.board.square_mm),
     )
     _check(calibration)
     return calibration
+
+
+def _blur_from_tree(values: Mapping[str, float]) -> BlurModel:
+    """Rebuild the blur; files of versions without ``contrast_fall`` are of film, which has none."""
+    complete = {"contrast_fall": 0.0} | dict(values)
+    return BlurModel(**{f.name: complete[f.name] for f in fields(BlurModel)})
 
 
 def _check(calibration: Calibration) -> None:

@@ -18,7 +18,9 @@ def default_config(calibration: Calibration, quality: Quality = "real-time") -> 
     matcher = preset(quality)
     blur = calibration.field_blur()
     if isinstance(matcher, AccurateConfig) and blur is not None:
-        matcher = AccurateConfig.for_blur(blur.reach)
+        matcher = AccurateConfig.for_blur(blur.reach, full_well_electrons=calibration.sensor.full_well_electrons)
+    elif isinstance(matcher, AccurateConfig) and calibration.is_calibrated:
+        matcher = AccurateConfig.for_range(*calibration.disparity_range_px(quality))
     if calibration.is_calibrated:
         matcher = matcher.with_range(*calibration.disparity_range_px(quality))
     return Config(quality=quality, matcher=matcher)

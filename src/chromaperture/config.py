@@ -26,6 +26,9 @@ from chromaperture.stage_config import (
 Quality = Literal["paper", "real-time", "accurate"]
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
 ExecutionName = Literal["numba", "numpy"]
+# Of quality accurate over a camera's working range. A dual-pixel camera's 2.3 px (benchmarks/dual_pixel.py) in layers
+# of 0.25, 0.125 and 0.06 px: ratio below 1.25 of casual scenes .66, .70, .73.
+LEAST_LAYERS = 32
 Method = TypeVar("Method", bound="MatcherConfig")
 
 
@@ -147,7 +150,22 @@ class AccurateConfig(MatcherConfig):
         return isinstance(self.evidence, CrossFilterConfig)
 
     @classmethod
-    def for_blur(cls, reach: float) -> AccurateConfig:
+    def for_range(cls, min_px: float, max_px: float) -> AccurateConfig:
+        """Return the settings for a camera whose blur is not known, finer where its parallax is small.
+
+        Parameters
+        ----------
+        min_px, max_px : float
+            Disparities of the working range: at least `LEAST_LAYERS` layers, and slopes that cost as much a layer.
+        """
+        plain = cls()
+        step = min(plain.layers.step_px, (max_px - min_px) / LEAST_LAYERS)
+        surface = replace(plain.surface, slope_penalty=plain.surface.slope_penalty * plain.layers.step_px / step)
+        layers = replace(plain.layers, step_px=step).over(min_px, max_px)
+        return replace(plain, layers=layers, surface=surface)
+
+    @classmethod
+    def for_blur(cls, reach: float, *, full_well_electrons: float | None = None) -> AccurateConfig:
         """Return the settings for a camera whose blur is known.
 
         Parameters
@@ -155,10 +173,13 @@ class AccurateConfig(MatcherConfig):
         reach : float
             Px of half disparity for a px by which blur displaces the pupil's edge. Layers (0.3 px of blur) and slopes
             count in blur, so that designs whose views lie close together are searched as finely.
+        full_well_electrons : float, optional
+            Of the sensor, see `CrossFilterConfig.for_blur`.
         """
         surface = SurfaceConfig(slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.3)
         layers = LayersConfig(step_px=0.3 * reach)
-        return cls(layers=layers, evidence=CrossFilterConfig.for_blur(reach), surface=surface)
+        evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
+        return cls(layers=layers, evidence=evidence, surface=surface)
 
 
 @dataclass(frozen=True)

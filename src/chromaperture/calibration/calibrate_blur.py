@@ -144,6 +144,7 @@ def _measure(
     x, y, layer = measured_layers(
         image, inverse_mm, blur, aperture=camera.aperture, cell_px=max(_LEAST_CELL_PX, blur.width_px // _CELLS),
         unmixing=camera.unmixing, noise_variance=sensor_noise(image, camera),
+        full_well_electrons=camera.sensor.full_well_electrons,
     )  # fmt: skip
     return {"x": x, "y": y, "layer": layer}
 

@@ -28,6 +28,7 @@ from chromaperture.optics.lens_blur import BlurModel, LensBlur
 from chromaperture.threads import parallel_map
 
 NAMES = tuple(f.name for f in fields(BlurModel))
+_ALL = tuple(name for name in NAMES if name != "contrast_fall")  # a number of the sensor, kept as the start has it
 
 # Chosen by hand, not tuned, unless a reason is given.
 _CORE_PX = 72  # side of a tile's core: tiles must get close to the frame's border, where aberrations are largest
@@ -104,7 +105,7 @@ def fit_blur(
         raise InputError("no board has texture to fit the blur to: photograph a printed pattern that fills the frame")
     few = tiles[:: max(1, len(tiles) // _FEW_TILES)]
     blur = start
-    stages = ((few, _FIRST, 8, 2e-3), (few, NAMES, 8, 2e-3), (tiles, NAMES, 5, 1e-3))  # tolerance: change of log cost
+    stages = ((few, _FIRST, 8, 2e-3), (few, _ALL, 8, 2e-3), (tiles, _ALL, 5, 1e-3))  # tolerance: change of log cost
     for cut, names, rounds, tolerance in reported(stages, "blur of the lens", progress):
         blur = _gauss_newton(blur, cut, names, rounds=rounds, tolerance=tolerance)
     before, after = (float(np.mean(_cost(b, few, _tapers(b, few)))) for b in (start, blur))
@@ -120,6 +121,7 @@ def measured_layers(
     cell_px: int,
     unmixing: np.ndarray | None = None,
     noise_variance: np.ndarray | None = None,
+    full_well_electrons: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Measure the disparity of a flat board, in cells over the frame, with the matcher as the camera uses it.
 
@@ -136,6 +138,8 @@ def measured_layers(
         Rows of M^-1.
     noise_variance : (H, W, 3) float, optional
         Of the image, (white level)^2.
+    full_well_electrons : float, optional
+        Of the camera's sensor: its settings depend on it.
 
     Returns
     -------
@@ -146,7 +150,8 @@ def measured_layers(
     """
     height, width = image.shape[:2]
     at_infinity, scale = blur.reference
-    config, expected = AccurateConfig.for_blur(blur.reach), at_infinity - scale * inverse_mm
+    config = AccurateConfig.for_blur(blur.reach, full_well_electrons=full_well_electrons)
+    expected = at_infinity - scale * inverse_mm
     rows, columns = (np.linspace(0, n, max(1, n // cell_px) + 1).astype(int) for n in (height, width))
     for searched in _SEARCHED:
         reach = searched * config.layers.step_px

@@ -34,6 +34,7 @@ _RIM_SOFTNESS = 0.06  # pupil radii over which a rim fades, being out of focus a
 # give 1, .5 and .5, three equal filters 1, 1 and 1.
 _WIDE = 0.7  # at least: a primary pair
 _NARROW = 0.3  # at least, but below _WIDE: a secondary pair
+_RAMP = 16 / (3 * np.pi)  # slope of a ramp whose centroid over a disc is that of a step: 4 * 4 / (3 pi)
 _MIN_SEPARATION = 0.05  # pupil radii; below, the aperture has no parallax. Chosen by hand, not tuned
 
 
@@ -78,6 +79,9 @@ class BlurModel:
     front_rim_shift: float = 0.0
     rear_rim_radius: float = 1.1
     rear_rim_shift: float = 0.0
+    # Of a dual-pixel sensor (`half_pixels.py`), 0 for film: its halves see ramps of the pupil in place of half pupils,
+    # and the ramps' slope is divided by 1 + (fall * x / half width)^2. Known of the sensor, not fitted to boards
+    contrast_fall: float = 0.0
 
 
 class PupilSamples(NamedTuple):
@@ -195,9 +199,18 @@ class LensBlur:
         """Trace the rays of channels at an image position; they hold for every distance."""
         position = self.frame_position(x_px, y_px)
         rim = rims(self.model, self.pupil.points, position)
-        light = self.pupil.light[list(channels)] * rim
+        light = self._light(position)[list(channels)] * rim
         at_infinity = [displacement(self.model, self.pupil.points, position, 0.0, k) for k in channels]
         return Rays(np.stack(at_infinity), light / light.sum(axis=1, keepdims=True))
+
+    def _light(self, position: np.ndarray) -> np.ndarray:
+        """Return the light of the pupil's points at a frame position, (3, N)."""
+        light = self.pupil.light
+        if self.model.contrast_fall == 0:
+            return light
+        mean = light.mean(axis=1, keepdims=True)
+        ramp = _RAMP * np.abs(self.pupil.points[:, 0]) / (1 + (self.model.contrast_fall * position[0]) ** 2)
+        return np.asarray(mean + (light - mean) * ramp)
 
     def transfer_of(self, rays: Rays, inverse_mm: float, size_px: int, *, splat: Splat | None = None) -> np.ndarray:
         """Compute the optical transfer functions of rays at a distance.
@@ -264,11 +277,12 @@ class LensBlur:
         """
         position = self.frame_position(x_px, y_px)
         rim = rims(self.model, self.pupil.points, position)
+        light = self._light(position)
         steps = []
         for inverse_mm in (0.0, 1e-3):  # linear in 1 / z: two distances determine it
             centre = []
             for k in self.pairs[0]:
-                weight = self.pupil.light[k] * rim
+                weight = light[k] * rim
                 moved = displacement(self.model, self.pupil.points, position, inverse_mm, k)
                 centre.append(weight @ moved / weight.sum())
             steps.append(float((centre[0] - centre[1]) @ self.axis / 2))

@@ -22,6 +22,13 @@ _BENCH = (
     *(f"{design}/scene/{scene}.png" for design in BENCH_DESIGNS for scene in BENCH_SCENES),
     *(f"truth/{scene}.depth_0.1mm.png" for scene in BENCH_SCENES),
 )
+_DUAL_PIXEL = tuple(
+    f"real/rf50_dual_pixel/{name}"
+    for name in (
+        *(f"flat_{mm}_f4_{side}.png" for mm in ("0600", "1500") for side in ("left", "right")),
+        "rf50mm_prescription.json",
+    )
+)
 
 
 def _exhibit(
@@ -57,6 +64,7 @@ EXHIBITS: dict[str, Exhibit] = {
         _exhibit("accuracy", "Depth error by distance, light, colour, and the Cramer-Rao bound"),
         _exhibit("quality", "Depth quality of a camera: flat walls by distance and by position", reads_all=True),
         _exhibit("bench", "Methods and designs on ray-traced captures", _BENCH, only_data=True, reads_all=True),
+        _exhibit("dual-pixel", "Real photographs of a dual-pixel sensor", _DUAL_PIXEL, only_data=True, reads_all=True),
     )
 }
 
