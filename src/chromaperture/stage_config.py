@@ -321,6 +321,8 @@ class PlanesConfig:
     plane_tolerance : float
         Share of its log-likelihood that a plane may lose when it is joined to a neighbour. The blur that was
         calibrated is not exact, so the log-likelihood of a large plane never peaks where its neighbour's does.
+    slope_tolerance : float
+        Share of its log-likelihood that a plane may lose when its slope is taken away.
     slope_penalty : float
         Nats a pixel of a slope of one label per px; it grows with the square. Floors in view slope by 0.3.
     outside_penalty : float
@@ -340,6 +342,7 @@ class PlanesConfig:
     boundary_penalty: float = 7.5
     plane_penalty: float = 60.0
     plane_tolerance: float = 0.03
+    slope_tolerance: float = 0.003
     slope_penalty: float = 0.3
     outside_penalty: float = 0.05
     border_px: int = 12
@@ -353,6 +356,12 @@ class PlanesConfig:
         require(
             min(whole) >= 1 and self.rounds >= 0, "block_px, border_px, edge_band_px, sweeps must be >= 1, rounds >= 0"
         )
-        penalties = (self.boundary_penalty, self.plane_penalty, self.plane_tolerance, self.slope_penalty)
+        penalties = (
+            self.boundary_penalty,
+            self.plane_penalty,
+            self.plane_tolerance,
+            self.slope_tolerance,
+            self.slope_penalty,
+        )
         least = all_finite(*penalties, self.outside_penalty) and min(*penalties, self.outside_penalty) >= 0
         require(least, "the penalties and the tolerance of planes must be finite and >= 0")

@@ -164,7 +164,7 @@ def log_likelihood(plane: np.ndarray, x: np.ndarray, y: np.ndarray, volume: Volu
 
 
 def refined(
-    plane: np.ndarray, x: np.ndarray, y: np.ndarray, volume: Volume, *, steps: int = _NEWTON_STEPS
+    plane: np.ndarray, x: np.ndarray, y: np.ndarray, volume: Volume, *, steps: int = _NEWTON_STEPS, even: bool = False
 ) -> np.ndarray:
     """Move a plane to the most likely place near it, by Newton's method with shortened steps.
 
@@ -175,6 +175,8 @@ def refined(
         Its points.
     volume : Volume
     steps : int
+    even : bool
+        Keep its slope.
 
     Returns
     -------
@@ -194,8 +196,10 @@ def refined(
     for _ in range(steps):
         uphill = centred.T @ gradient - slope_bend * np.array([plane[0], plane[1], 0])
         bend = slope_bend * np.diag([1.0, 1.0, 0.0]) - centred.T @ hessian @ centred
+        if even:
+            uphill[:2], bend[:2, 2], bend[2, :2], bend[:2, :2] = 0, 0, 0, np.eye(2)
         size, axes = np.linalg.eigh(bend)
-        size = np.maximum(size, _CONDITION * max(size[-1], 1e-9))
+        size = np.maximum(size, _CONDITION * max(size[-1], 1e-9)) if not even else np.maximum(size, 1e-9)
         move = centred @ (axes @ ((axes.T @ uphill) / size))
         before = value
         for shorter in _SHORTENED:

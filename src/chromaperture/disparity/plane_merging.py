@@ -83,7 +83,7 @@ def merged_planes(
     out = np.empty_like(choice)
     for k, part in enumerate(parts.values()):
         out[part.every] = k
-    return np.array([part.plane for part in parts.values()]), out
+    return np.array([_simplest(part, volume, config.slope_tolerance) for part in parts.values()]), out
 
 
 def _parts(choice: np.ndarray, planes: np.ndarray, volume: Volume, border: int) -> list[Part]:
@@ -98,6 +98,14 @@ def _parts(choice: np.ndarray, planes: np.ndarray, volume: Volume, border: int) 
         plane = refined(planes[k], inner[1], inner[0], volume)
         parts.append(Part(every, inner, plane, log_likelihood(plane, inner[1], inner[0], volume)))
     return parts
+
+
+def _simplest(part: Part, volume: Volume, tolerance: float) -> np.ndarray:
+    """Return the plane of one label if it is nearly as likely: the blur that was calibrated tilts planes by itself."""
+    y, x = part.core
+    even = refined(np.array([0, 0, part.plane @ part.middle]), x, y, volume, even=True)
+    loss = part.value - log_likelihood(even, x, y, volume)
+    return even if loss <= tolerance * part.value else part.plane
 
 
 def _joined(one: Part, other: Part, volume: Volume) -> Part:
