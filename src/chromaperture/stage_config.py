@@ -306,7 +306,7 @@ class SurfaceConfig:
 class PlanesConfig:
     """Planes that explain the surface (quality "accurate"), see ``disparity/planar.py``.
 
-    Chosen on nine ray-traced scenes that no table shows; ``benchmarks/ablation.py --quality accurate`` measures each.
+    Chosen on ray-traced scenes that no table shows; ``benchmarks/ablation.py --quality accurate`` measures each.
 
     Attributes
     ----------
@@ -330,7 +330,8 @@ class PlanesConfig:
     border_px : int
         Pixels closer to another plane do not count in a fit: their windows see both.
     edge_band_px : int
-        Reach inwards, from the border of a nearer plane, within which the guide alone decides where its edge is.
+        Reach inwards, from the border of a nearer plane, within which the guide alone decides where its edge is;
+        0 leaves edges where the evidence has them.
     rounds : int
         Of choosing and joining; 0 switches the planes off.
     sweeps : int
@@ -352,9 +353,10 @@ class PlanesConfig:
 
     def __post_init__(self) -> None:
         require(bool(self.tiles_px) and min(self.tiles_px) >= 8, "tiles_px must hold sizes of at least 8 px")
-        whole = (self.block_px, self.border_px, self.edge_band_px, self.sweeps)
+        whole = (self.block_px, self.border_px, self.sweeps)
         require(
-            min(whole) >= 1 and self.rounds >= 0, "block_px, border_px, edge_band_px, sweeps must be >= 1, rounds >= 0"
+            min(whole) >= 1 and min(self.rounds, self.edge_band_px) >= 0,
+            "block_px, border_px and sweeps must be >= 1, edge_band_px and rounds >= 0",
         )
         penalties = (
             self.boundary_penalty,

@@ -22,6 +22,9 @@ from chromaperture.errors import InputError
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig
 
 EDGE_REACH_PX = 8  # two sigmas of the correlation window
+# Of the range of the disparity about a pixel; a place anywhere in it has a standard deviation of 0.29. On seven
+# ray-traced scenes 0.4 makes the bar honest in every tenth of the pixels, by sigma; 1.0 is too wide in two of them.
+EDGE_SHARE = 0.4
 WITHOUT_PLANES = PlanesConfig(rounds=0)
 
 
@@ -134,7 +137,7 @@ def optimised_surface(
     sigma = run.posterior_sigma(disparity, cost, labels_px, temperature=config.temperature * config.paths)
     inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
     known = inside & (sigma < known_within_px)
-    sigma = np.hypot(sigma, local_range(disparity, EDGE_REACH_PX))
+    sigma = np.hypot(sigma, EDGE_SHARE * local_range(disparity, EDGE_REACH_PX))
 
     layer = np.clip(np.rint((disparity - labels_px[0]) / step).astype(np.intp), 0, len(labels_px) - 1)
     explained = -np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0])

@@ -100,6 +100,8 @@ def planes_of_surface(
         np.minimum(np.arange(n) // size, m - 1) for n, m in zip((height, width), choice.shape, strict=True)
     )
     found = Planes(planes, choice[rows[:, None], columns])
+    if config.edge_band_px == 0:
+        return found
     choice = edges_by_guide(found.choice, planes, guide, reach_px=config.edge_band_px, apart_px=1.5 * step, run=run)
     return Planes(planes, choice)
 

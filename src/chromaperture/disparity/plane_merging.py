@@ -16,12 +16,15 @@ FAR_APART_LAYERS = 12  # at the smaller plane's middle: such planes are never on
 _STEPS = 3  # of Newton's method for every pair
 
 
+Pixels = tuple[np.ndarray, np.ndarray]  # y and x
+
+
 @dataclass(frozen=True)
 class Part:
-    """Pixels of one plane: all of them, and those that its fit counts; each (y, x)."""
+    """Pixels of one plane: all of them, and those that its fit counts."""
 
-    every: tuple[np.ndarray, np.ndarray]
-    core: tuple[np.ndarray, np.ndarray]
+    every: Pixels
+    core: Pixels
     plane: np.ndarray
     value: float  # log-likelihood of the core, nats
 
@@ -92,7 +95,7 @@ def _parts(choice: np.ndarray, planes: np.ndarray, volume: Volume, border: int) 
     core = cv2.dilate(numbers, square) == cv2.erode(numbers, square)
     parts = []
     for k in np.unique(choice):
-        every, inner = np.nonzero(choice == k), np.nonzero((choice == k) & core)
+        every, inner = _places(choice == k), _places((choice == k) & core)
         if len(inner[0]) < LEAST_CORE * len(every[0]):
             inner = every
         plane = refined(planes[k], inner[1], inner[0], volume)
@@ -110,13 +113,19 @@ def _simplest(part: Part, volume: Volume, tolerance: float) -> np.ndarray:
 
 def _joined(one: Part, other: Part, volume: Volume) -> Part:
     """Return both parts under the better of the planes that either's plane leads to."""
-    every, core = (
-        (np.concatenate([a[0], b[0]]), np.concatenate([a[1], b[1]]))
-        for a, b in ((one.every, other.every), (one.core, other.core))
-    )
+    every, core = _both(one.every, other.every), _both(one.core, other.core)
     fits = (refined(part.plane, core[1], core[0], volume, steps=_STEPS) for part in (one, other))
     value, plane = max(((log_likelihood(fit, core[1], core[0], volume), fit) for fit in fits), key=lambda pair: pair[0])
     return Part(every, core, plane, value)
+
+
+def _places(where: np.ndarray) -> Pixels:
+    y, x = np.nonzero(where)
+    return y, x
+
+
+def _both(one: Pixels, other: Pixels) -> Pixels:
+    return np.concatenate([one[0], other[0]]), np.concatenate([one[1], other[1]])
 
 
 def neighbouring_pairs(choice: np.ndarray) -> set[tuple[int, int]]:
