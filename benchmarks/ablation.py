@@ -68,7 +68,8 @@ VARIANTS: dict[str, MatcherConfig] = {
 
 
 ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only",
-            "one octave", "three octaves", "window of 8 px", "no total variation", "four paths", "penalties a tenth",
+            "one octave", "three octaves", "window of 8 px", "no planes", "planes keep every slope",
+            "edges where the evidence has them", "no total variation", "four paths", "penalties a tenth",
             "penalties not led by the guide", "one curve for the frame")  # fmt: skip
 
 
@@ -97,6 +98,12 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
             "surface": dataclasses.replace(surface, slope_penalty=surface.slope_penalty / 10, jump_penalty=2.5)
         },
         "penalties not led by the guide": {"surface": dataclasses.replace(surface, edge_floor=1.0)},
+    }
+    planes = config.matcher.planes
+    changes |= {
+        "no planes": {"planes": dataclasses.replace(planes, rounds=0)},
+        "planes keep every slope": {"planes": dataclasses.replace(planes, slope_tolerance=0.0)},
+        "edges where the evidence has them": {"planes": dataclasses.replace(planes, edge_band_px=0)},
     }
     matcher = dataclasses.replace(config.matcher, **changes.get(name, {}))
     return CodedApertureCamera(calibration, dataclasses.replace(config, matcher=matcher))

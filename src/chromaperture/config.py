@@ -16,6 +16,7 @@ from chromaperture.stage_config import (
     CrossFilterConfig,
     FourPathsConfig,
     LayersConfig,
+    PlanesConfig,
     SurfaceConfig,
     ViewsConfig,
     all_finite,
@@ -133,11 +134,14 @@ class AccurateConfig(MatcherConfig):
     evidence : CrossFilterConfig or CorrelationEvidenceConfig
         With the camera's blur where the camera file has one, else with shifted views.
     surface : SurfaceConfig
+    planes : PlanesConfig
+        Explain the surface by planes where that costs no evidence.
     """
 
     layers: LayersConfig = LayersConfig(step_px=0.25)
     evidence: CrossFilterConfig | CorrelationEvidenceConfig = CorrelationEvidenceConfig()
     surface: SurfaceConfig = SurfaceConfig()
+    planes: PlanesConfig = PlanesConfig()
 
     @property
     def label_curves(self) -> tuple[Quality, ...]:

@@ -308,3 +308,70 @@ class SurfaceConfig:
         require(0 <= self.edge_floor <= 1, "edge_floor must lie in [0, 1]")
         require(self.huber_layers >= 0 and self.coupling_rounds >= 0, "huber_layers and coupling_rounds must be >= 0")
         require(self.variation_iterations >= 1, "variation_iterations must be >= 1")
+
+
+@dataclass(frozen=True)
+class PlanesConfig:
+    """Planes that explain the surface (quality "accurate"), see ``disparity/planar.py``.
+
+    Chosen on ray-traced scenes that no table shows; ``benchmarks/ablation.py --quality accurate`` measures each.
+
+    Attributes
+    ----------
+    tiles_px : tuple of int
+        Sizes of the squares to which planes are fitted at first.
+    block_px : int
+        Side of the squares of pixels that choose one plane together.
+    boundary_penalty : float
+        Nats that a px of boundary between two planes costs on an even guide.
+    plane_penalty : float
+        Nats that a plane costs.
+    plane_tolerance : float
+        Share of its log-likelihood that a plane may lose when it is joined to a neighbour. The blur that was
+        calibrated is not exact, so the log-likelihood of a large plane never peaks where its neighbour's does.
+    slope_tolerance : float
+        Share of its log-likelihood that a plane may lose when its slope is taken away.
+    slope_penalty : float
+        Nats a pixel of a slope of one label per px; it grows with the square. Floors in view slope by 0.3.
+    outside_penalty : float
+        Nats a pixel where a plane leaves the search range.
+    border_px : int
+        Pixels closer to another plane do not count in a fit: their windows see both.
+    edge_band_px : int
+        Reach inwards, from the border of a nearer plane, within which the guide alone decides where its edge is;
+        0 leaves edges where the evidence has them.
+    rounds : int
+        Of choosing and joining; 0 switches the planes off.
+    sweeps : int
+        Of the belief propagation in each round.
+    """
+
+    tiles_px: tuple[int, ...] = (48, 96, 192, 480)
+    block_px: int = 4
+    boundary_penalty: float = 7.5
+    plane_penalty: float = 60.0
+    plane_tolerance: float = 0.03
+    slope_tolerance: float = 0.003
+    slope_penalty: float = 0.3
+    outside_penalty: float = 0.05
+    border_px: int = 12
+    edge_band_px: int = 8
+    rounds: int = 5
+    sweeps: int = 8
+
+    def __post_init__(self) -> None:
+        require(bool(self.tiles_px) and min(self.tiles_px) >= 8, "tiles_px must hold sizes of at least 8 px")
+        whole = (self.block_px, self.border_px, self.sweeps)
+        require(
+            min(whole) >= 1 and min(self.rounds, self.edge_band_px) >= 0,
+            "block_px, border_px and sweeps must be >= 1, edge_band_px and rounds >= 0",
+        )
+        penalties = (
+            self.boundary_penalty,
+            self.plane_penalty,
+            self.plane_tolerance,
+            self.slope_tolerance,
+            self.slope_penalty,
+        )
+        least = all_finite(*penalties, self.outside_penalty) and min(*penalties, self.outside_penalty) >= 0
+        require(least, "the penalties and the tolerance of planes must be finite and >= 0")

@@ -13,14 +13,19 @@ from chromaperture.config import AccurateConfig
 from chromaperture.disparity.error_bar import confidence, sigma_of_range, surface_sigma
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.planar import planes_of_surface
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.stages.between_layers import between_layers
 from chromaperture.disparity.views import ViewSpace, filtered_views
 from chromaperture.disparity.winner import Surface, parabola_winner
 from chromaperture.errors import InputError
-from chromaperture.stage_config import SurfaceConfig
+from chromaperture.stage_config import PlanesConfig, SurfaceConfig
 
 EDGE_REACH_PX = 8  # two sigmas of the correlation window
+# Of the range of the disparity about a pixel; a place anywhere in it has a standard deviation of 0.29. On seven
+# ray-traced scenes 0.4 makes the bar honest in every tenth of the pixels, by sigma; 1.0 is too wide in two of them.
+EDGE_SHARE = 0.4
+WITHOUT_PLANES = PlanesConfig(rounds=0)
 
 
 class Evidence(Protocol):
@@ -60,7 +65,7 @@ class AccurateMethod:
         likelihood = self.evidence.at(image, layers_px, labels_px)
         likelihood *= views.mask[..., None]
         surface = optimised_surface(
-            likelihood, views.guide, labels_px, config=self.config.surface, run=self.run,
+            likelihood, views.guide, labels_px, config=self.config.surface, planes=self.config.planes, run=self.run,
             known_within_px=sigma_of_range(labels_px),
         )  # fmt: skip
 
@@ -82,6 +87,7 @@ def optimised_surface(
     labels_px: np.ndarray,
     *,
     config: SurfaceConfig,
+    planes: PlanesConfig = WITHOUT_PLANES,
     run: Execution,
     known_within_px: float = math.inf,
 ) -> Surface:
@@ -94,6 +100,8 @@ def optimised_surface(
         Centre view, in units of ``guide_range``.
     labels_px : (N,) float, px
     config : SurfaceConfig
+    planes : PlanesConfig
+        Without it the surface is not explained by planes.
     run : Execution
     known_within_px : float, px
         Standard deviation of the posterior from which on the disparity is unknown.
@@ -121,11 +129,17 @@ def optimised_surface(
     start = between_layers(start, likelihood, labels_px, sigma_px=config.interpolation_sigma_px)
     disparity = run.coupled_variation(start, likelihood, guide, labels_px, config=config)
     sigma = run.posterior_sigma(disparity, cost, labels_px, temperature=config.temperature * config.paths)
+    explained_by = planes_of_surface(
+        disparity, sigma, likelihood, guide, labels_px, config=planes, surface=config, run=run
+    )
+    if explained_by is not None:
+        disparity = explained_by.label_px
+    sigma = run.posterior_sigma(disparity, cost, labels_px, temperature=config.temperature * config.paths)
     inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
     known = inside & (sigma < known_within_px)
-    sigma = np.hypot(sigma, local_range(disparity, EDGE_REACH_PX))
+    sigma = np.hypot(sigma, EDGE_SHARE * local_range(disparity, EDGE_REACH_PX))
 
-    layer = np.rint((disparity - labels_px[0]) / step).astype(np.intp)
+    layer = np.clip(np.rint((disparity - labels_px[0]) / step).astype(np.intp), 0, len(labels_px) - 1)
     explained = -np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0])
     return Surface(np.where(known, disparity, np.nan).astype(np.float32), sigma, np.sqrt(explained))
 

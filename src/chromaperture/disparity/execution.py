@@ -13,6 +13,7 @@ import numpy as np
 
 from chromaperture.config import ExecutionName
 from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.stages.planes import PlaneCosts, PlaneSums
 from chromaperture.disparity.stages.variation import Problem, State, Steps
 from chromaperture.disparity.views import Views
 from chromaperture.disparity.winner import PathWinner, Surface, Winner
@@ -96,6 +97,26 @@ class Execution(Protocol):
         self, disparity_px: np.ndarray, cost: np.ndarray, layers_px: np.ndarray, *, temperature: float
     ) -> np.ndarray:
         """Return the root mean square distance of the layers from a map by their cost; (H, W)."""
+
+    def plane_costs(
+        self, likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarray, costs: PlaneCosts
+    ) -> np.ndarray:
+        """Cost of every plane at every pixel; (H, W, K)."""
+
+    def plane_sums(
+        self,
+        likelihood: np.ndarray,
+        x: np.ndarray,
+        y: np.ndarray,
+        plane: np.ndarray,
+        labels_px: np.ndarray,
+        *,
+        reach: int,
+    ) -> PlaneSums:
+        """Sum the log-likelihood of a plane and its derivatives over pixels."""
+
+    def potts_beliefs(self, cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
+        """Cost of every choice at every pixel, with the best of all others; (H, W, K)."""
 
     def iterate_variation(self, problem: Problem, state: State, steps: Steps) -> None:
         """Run primal-dual iterations in place."""

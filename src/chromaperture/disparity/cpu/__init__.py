@@ -6,6 +6,7 @@ from chromaperture.disparity.cpu.cross_filter import cross_filter
 from chromaperture.disparity.cpu.enlarge import enlarge
 from chromaperture.disparity.cpu.four_paths import four_path_winner
 from chromaperture.disparity.cpu.paths import aggregate_paths, posterior_sigma, read_at_labels
+from chromaperture.disparity.cpu.planes import plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.cpu.smoothing import smooth_along_surface
 from chromaperture.disparity.cpu.variation import coupled_variation, iterate_variation, variation_gap
 from chromaperture.optics.splat_kernels import splat
@@ -19,7 +20,10 @@ __all__ = [
     "enlarge",
     "four_path_winner",
     "iterate_variation",
+    "plane_costs",
+    "plane_sums",
     "posterior_sigma",
+    "potts_beliefs",
     "read_at_labels",
     "smooth_along_surface",
     "splat",

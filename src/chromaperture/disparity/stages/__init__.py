@@ -6,6 +6,7 @@ from chromaperture.disparity.stages.cross_filter import cross_filter
 from chromaperture.disparity.stages.enlarge import enlarge
 from chromaperture.disparity.stages.four_paths import four_path_winner
 from chromaperture.disparity.stages.paths import aggregate_paths, posterior_sigma, read_at_labels
+from chromaperture.disparity.stages.planes import plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.stages.smoothing import smooth_along_surface
 from chromaperture.disparity.stages.variation import coupled_variation
 from chromaperture.disparity.stages.variation import gap_per_px as variation_gap
@@ -21,7 +22,10 @@ __all__ = [
     "enlarge",
     "four_path_winner",
     "iterate_variation",
+    "plane_costs",
+    "plane_sums",
     "posterior_sigma",
+    "potts_beliefs",
     "read_at_labels",
     "smooth_along_surface",
     "splat",

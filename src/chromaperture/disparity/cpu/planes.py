@@ -1,0 +1,125 @@
+# mypy: disallow-untyped-defs=False
+"""Costs of planes and belief propagation, compiled; ``stages/planes.py`` explains what is computed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from chromaperture.compilation import compiled, inlined
+from chromaperture.disparity.cpu.paths import FAST
+from chromaperture.disparity.stages.planes import PlaneCosts, PlaneSums
+from chromaperture.threads import in_parallel
+
+
+def plane_costs(likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarray, costs: PlaneCosts) -> np.ndarray:
+    """Cost of every plane at every pixel, as `stages.plane_costs`; (H, W, K) float32."""
+    likelihood = np.ascontiguousarray(likelihood, np.float32)
+    step = float(labels_px[1] - labels_px[0])
+    places = np.asarray(planes, float) / step  # labels count from the first, in layers
+    places[:, 2] -= labels_px[0] / step
+    slopes = (costs.slope / 2 * (places[:, 0] ** 2 + places[:, 1] ** 2)).astype(np.float32)
+    out = np.empty((*likelihood.shape[:2], len(planes)), np.float32)
+    in_parallel(
+        lambda _, top, bottom: _plane_costs(likelihood, places, slopes, np.float32(costs.outside), top, bottom, out),
+        len(out),
+    )
+    return out
+
+
+def plane_sums(
+    likelihood: np.ndarray, x: np.ndarray, y: np.ndarray, plane: np.ndarray, labels_px: np.ndarray, *, reach: int
+) -> PlaneSums:
+    """Sum the log-likelihood of a plane and its derivatives over pixels, as `stages.plane_sums`."""
+    step = float(labels_px[1] - labels_px[0])
+    place = np.asarray(plane, float) / step
+    sums = np.zeros(10)
+    _plane_sums(likelihood, x, y, place[0], place[1], place[2] - labels_px[0] / step, reach, sums)
+    value, (ga, gb, gc), (aa, ab, ac, bb, bc, cc) = sums[0], sums[1:4] / step, sums[4:] / step**2
+    return PlaneSums(float(value), np.array([ga, gb, gc]), np.array([[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]]))
+
+
+def potts_beliefs(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
+    """Min-sum belief propagation on the pixel grid, as `stages.potts_beliefs`; (H, W, K) float32."""
+    cost, links = (np.ascontiguousarray(part, np.float32) for part in (cost, links))
+    beliefs = cost.copy()  # the cost and all four messages
+    messages = np.zeros((4, *cost.shape), np.float32)
+    height, width = cost.shape[:2]
+    for _ in range(sweeps):
+        in_parallel(lambda _, first, last: _along_rows(beliefs, messages, links[0], first, last), height)
+        in_parallel(lambda _, first, last: _along_columns(beliefs, messages, links[1], first, last), width)
+    return beliefs
+
+
+@compiled(fastmath=FAST)
+def _plane_costs(likelihood, places, slopes, outside, top, bottom, out):
+    width, count = likelihood.shape[1], likelihood.shape[2]
+    for y in range(top, bottom):
+        for x in range(width):
+            for k in range(len(places)):
+                place = places[k, 0] * x + places[k, 1] * y + places[k, 2]
+                if place < 0 or place > count - 1:
+                    out[y, x, k] = outside + slopes[k]
+                else:
+                    below = min(int(place), count - 2)
+                    t = np.float32(place - below)
+                    low, high = likelihood[y, x, below], likelihood[y, x, below + 1]
+                    out[y, x, k] = slopes[k] - low - t * (high - low)
+
+
+@compiled(fastmath=FAST)
+def _plane_sums(likelihood, xs, ys, a, b, c, reach, sums):
+    last = likelihood.shape[2] - 1 - reach
+    for i in range(len(xs)):
+        x, y = xs[i], ys[i]
+        place = a * x + b * y + c
+        if place < reach or place >= last:
+            continue
+        below = int(place)
+        t = place - below
+        before = (1 - t) * likelihood[y, x, below - reach] + t * likelihood[y, x, below - reach + 1]
+        here = (1 - t) * likelihood[y, x, below] + t * likelihood[y, x, below + 1]
+        after = (1 - t) * likelihood[y, x, below + reach] + t * likelihood[y, x, below + reach + 1]
+        first, second = (after - before) / (2 * reach), (after + before - 2 * here) / (reach * reach)
+        sums[0] += here
+        sums[1] += first * x
+        sums[2] += first * y
+        sums[3] += first
+        sums[4] += second * x * x
+        sums[5] += second * x * y
+        sums[6] += second * x
+        sums[7] += second * y * y
+        sums[8] += second * y
+        sums[9] += second
+
+
+@inlined(fastmath=FAST)
+def _send(beliefs, to, back, y, x, y_next, x_next, penalty):
+    """Renew one message; beliefs hold the cost and all messages, so the one from the receiver is taken off."""
+    least = np.float32(np.inf)
+    for k in range(beliefs.shape[2]):
+        least = min(least, beliefs[y, x, k] - back[y, x, k])
+    for k in range(beliefs.shape[2]):
+        message = min(beliefs[y, x, k] - back[y, x, k] - least, penalty)
+        beliefs[y_next, x_next, k] += message - to[y_next, x_next, k]
+        to[y_next, x_next, k] = message
+
+
+@compiled(fastmath=FAST)
+def _along_rows(beliefs, messages, links, first, last):
+    width = beliefs.shape[1]
+    for y in range(first, last):
+        for x in range(width - 1):
+            _send(beliefs, messages[0], messages[1], y, x, y, x + 1, links[y, x])
+        for x in range(width - 1, 0, -1):
+            _send(beliefs, messages[1], messages[0], y, x, y, x - 1, links[y, x - 1])
+
+
+@compiled(fastmath=FAST)
+def _along_columns(beliefs, messages, links, first, last):
+    height = beliefs.shape[0]
+    for y in range(height - 1):
+        for x in range(first, last):
+            _send(beliefs, messages[2], messages[3], y, x, y + 1, x, links[y, x])
+    for y in range(height - 1, 0, -1):
+        for x in range(first, last):
+            _send(beliefs, messages[3], messages[2], y, x, y - 1, x, links[y - 1, x])

@@ -1,0 +1,150 @@
+"""A surface of few planes: where the evidence is weak, only pixels of the whole plane together say where it is.
+
+Windows and paths pool tens of pixels, a wall has tens of thousands. Planes are proposed from a first surface, every
+block of pixels chooses one by belief propagation, neighbours that one plane explains as well are joined, and the choice
+is made again (multi-model fitting by energy). Curved surfaces become as many planes as their evidence can tell apart.
+
+References
+----------
+H. Isack, Y. Boykov: Energy-based geometric multi-model fitting. IJCV 97, 2012. doi:10.1007/s11263-011-0474-7
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from chromaperture.disparity.execution import Execution
+from chromaperture.disparity.plane_edges import edges_by_guide
+from chromaperture.disparity.plane_fit import Volume, candidates
+from chromaperture.disparity.plane_merging import merged_planes
+from chromaperture.disparity.stages.planes import PlaneCosts
+from chromaperture.disparity.stages.variation import edge_weights
+from chromaperture.stage_config import PlanesConfig, SurfaceConfig
+
+
+class Planes(NamedTuple):
+    """Planes of labels, and which one every pixel lies on.
+
+    Attributes
+    ----------
+    planes : (K, 3) float64; ``label = a x + b y + c``, px
+    choice : (H, W) int
+    """
+
+    planes: np.ndarray
+    choice: np.ndarray
+
+    @property
+    def label_px(self) -> np.ndarray:
+        """Return the label of every pixel; (H, W) float32, px."""
+        a, b, c = (self.planes[:, i][self.choice] for i in range(3))
+        height, width = self.choice.shape
+        return (a * np.arange(width) + b * np.arange(height)[:, None] + c).astype(np.float32)
+
+
+def planes_of_surface(
+    label_px: np.ndarray,
+    sigma_px: np.ndarray,
+    likelihood: np.ndarray,
+    guide: np.ndarray,
+    labels_px: np.ndarray,
+    *,
+    config: PlanesConfig,
+    surface: SurfaceConfig,
+    run: Execution,
+) -> Planes | None:
+    """Explain a surface by planes.
+
+    Parameters
+    ----------
+    label_px, sigma_px : (H, W) float, px
+        A first surface, without NaN, and its standard deviation.
+    likelihood : (H, W, N) float32, nats a pixel
+    guide : (H, W) float
+        In units of ``guide_range``: boundaries are cheaper on its edges.
+    labels_px : (N,) float, px
+    config : PlanesConfig
+    surface : SurfaceConfig
+        How the guide leads.
+    run : Execution
+
+    Returns
+    -------
+    Planes or None
+        None where planes are switched off or no plane was found.
+    """
+    size, step = config.block_px, float(labels_px[1] - labels_px[0])
+    if config.rounds == 0 or min(label_px.shape) < 2 * size:
+        return None
+    pixels = Volume(likelihood, labels_px, PlaneCosts(config.slope_penalty, config.outside_penalty), run)
+    planes = candidates(label_px, sigma_px, pixels, config.tiles_px)
+    if not len(planes):
+        return None
+    # A block stands for size^2 pixels; its px is size px wide, so slopes between blocks are size times as large.
+    costs = PlaneCosts(config.slope_penalty, config.outside_penalty * size**2)
+    blocks = Volume(block_sums(likelihood, size), labels_px, costs, run)
+    weights = edge_weights(guide, edge_range=surface.edge_range, floor=surface.edge_floor)
+    links = config.boundary_penalty * size * block_links(weights, size)
+    planes = _scaled(planes, size)
+    for left in range(config.rounds - 1, -1, -1):
+        cost = run.plane_costs(blocks.likelihood, planes, labels_px, costs)
+        choice = run.potts_beliefs(cost, links, sweeps=config.sweeps).argmin(axis=2)
+        if left == 0 or len(planes) == 1:
+            break
+        planes, choice = merged_planes(choice, planes, blocks, config=config, border=-(-config.border_px // size))
+    planes = _scaled(planes, 1 / size)
+    height, width = label_px.shape
+    rows, columns = (
+        np.minimum(np.arange(n) // size, m - 1) for n, m in zip((height, width), choice.shape, strict=True)
+    )
+    found = Planes(planes, choice[rows[:, None], columns])
+    if config.edge_band_px == 0:
+        return found
+    choice = edges_by_guide(found.choice, planes, guide, reach_px=config.edge_band_px, apart_px=1.5 * step, run=run)
+    return Planes(planes, choice)
+
+
+def block_sums(likelihood: np.ndarray, size: int) -> np.ndarray:
+    """Sum a volume over squares of pixels; what is left over at the right and below is left out."""
+    height, width, count = (n // size for n in (*likelihood.shape[:2], likelihood.shape[2] * size))
+    whole = likelihood[: height * size, : width * size]
+    return np.ascontiguousarray(whole.reshape(height, size, width, size, count).sum(axis=(1, 3)), np.float32)
+
+
+def block_links(weights: np.ndarray, size: int) -> np.ndarray:
+    """Return the links between the middles of blocks: the weakest on the way, averaged over the side.
+
+    Parameters
+    ----------
+    weights : (2, H, W) float
+        Of the links between pixels, see `edge_weights`.
+    size : int
+
+    Returns
+    -------
+    (2, H // size, W // size) float32
+    """
+    height, width = (n // size for n in weights.shape[1:])
+    out = np.ones((2, height, width), np.float32)
+    for axis in (0, 1):
+        part = weights[axis, : height * size, : width * size]
+        along = part if axis == 0 else part.T
+        lines, count = along.shape[0] // size, along.shape[1] // size
+        between = (
+            along[:, size // 2 : size // 2 + (count - 1) * size].reshape(lines * size, count - 1, size).min(axis=2)
+        )
+        mean = between.reshape(lines, size, count - 1).mean(axis=1)
+        if axis == 0:
+            out[0, :, :-1] = mean
+        else:
+            out[1, :-1] = mean.T
+    return out
+
+
+def _scaled(planes: np.ndarray, size: float) -> np.ndarray:
+    """Express planes in the coordinates of blocks of ``size`` px, whose middles are whole numbers; and back."""
+    a, b, c = planes.T
+    middle = (size - 1) / 2
+    return np.stack([a * size, b * size, c + (a + b) * middle], axis=1)

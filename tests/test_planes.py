@@ -1,0 +1,229 @@
+"""Planes that explain a surface: known planes, spoilt, and asked for back."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.planar import block_links, block_sums, planes_of_surface
+from chromaperture.disparity.plane_edges import edges_by_guide
+from chromaperture.disparity.plane_fit import Candidate, Volume, candidates, distinct, refined
+from chromaperture.disparity.plane_merging import merged_planes
+from chromaperture.disparity.stages.planes import PlaneCosts
+from chromaperture.errors import InputError
+from chromaperture.stage_config import PlanesConfig, SurfaceConfig
+
+SLOW, FAST = execution_named("numpy"), execution_named("numba")
+LABELS_PX = np.arange(-3.0, 3.01, 0.1)
+COSTS = PlaneCosts(slope=0.3, outside=0.05)
+NO_COSTS = PlaneCosts(slope=0.0, outside=0.0)
+# float32 volumes and messages of some nats: 1e-7 of them, a few thousand times added.
+ROUNDING = 2e-4
+
+
+def plane_label(plane: np.ndarray, height: int, width: int) -> np.ndarray:
+    return plane[0] * np.arange(width) + plane[1] * np.arange(height)[:, None] + plane[2]
+
+
+def volume_about(label_px: np.ndarray, *, nats: float = 0.5, width_px: float = 0.6) -> np.ndarray:
+    """Evidence that falls off as a parabola from the true label and ends at 0."""
+    away = (LABELS_PX - label_px[..., None]) / width_px
+    return (nats * np.maximum(0, 1 - away**2)).astype(np.float32)
+
+
+def of(likelihood: np.ndarray, costs: PlaneCosts = NO_COSTS) -> Volume:
+    return Volume(likelihood, LABELS_PX, costs, FAST)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**31), height=st.integers(1, 9), width=st.integers(1, 9), count=st.integers(1, 4))
+def test_compiled_planes_agree_with_numpy(seed: int, height: int, width: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    likelihood = rng.random((height, width, len(LABELS_PX)), np.float32)
+    planes = rng.normal(0, (0.3, 0.3, 2), (count, 3))
+    slow, fast = (run.plane_costs(likelihood, planes, LABELS_PX, COSTS) for run in (SLOW, FAST))
+    np.testing.assert_allclose(fast, slow, atol=ROUNDING)
+
+    y, x = (a.ravel() for a in np.mgrid[:height, :width])
+    one, other = (run.plane_sums(likelihood, x, y, planes[0], LABELS_PX, reach=2) for run in (SLOW, FAST))
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(b, a, rtol=1e-5, atol=ROUNDING * 100 * height * width)  # divided by (0.2 px)^2
+
+    links = rng.random((2, height, width), np.float32)
+    slow, fast = (run.potts_beliefs(slow_costs, links, sweeps=3) for run, slow_costs in ((SLOW, slow), (FAST, slow)))
+    np.testing.assert_allclose(fast, slow, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_beliefs_on_a_line_are_those_of_all_assignments(axis: int) -> None:
+    rng = np.random.default_rng(3)
+    cost, penalty = rng.random((6, 3)), 0.6 * rng.random(6)
+    best = np.full(cost.shape, np.inf)
+    for choice in itertools.product(range(3), repeat=6):
+        total = sum(cost[i, k] for i, k in enumerate(choice))
+        total += sum(penalty[i] for i in range(5) if choice[i] != choice[i + 1])
+        for i, k in enumerate(choice):
+            best[i, k] = min(best[i, k], total)
+    shape = (1, 6) if axis == 0 else (6, 1)
+    links = np.zeros((2, *shape))
+    links[axis] = penalty.reshape(shape)
+    beliefs = FAST.potts_beliefs(cost.reshape(*shape, 3), links, sweeps=1).reshape(6, 3)
+    # Messages are counted from their least, so a pixel's beliefs are known up to a constant.
+    np.testing.assert_allclose(
+        beliefs - beliefs.min(axis=1, keepdims=True), best - best.min(axis=1, keepdims=True), atol=1e-5
+    )
+
+
+def test_refining_finds_the_plane_of_noisy_evidence() -> None:
+    rng = np.random.default_rng(5)
+    true = np.array([0.01, -0.02, 0.3])
+    label = plane_label(true, 40, 60)
+    likelihood = volume_about(label + rng.normal(0, 0.1, label.shape))
+    y, x = (a.ravel() for a in np.mgrid[:40, :60])
+    found = refined(true + np.array([0.003, -0.003, 0.1]), x, y, of(likelihood))
+    # The mean of 2400 labels that scatter by 0.1 px is known to 0.002 px, the slope over 60 px to 0.0001.
+    assert np.abs(plane_label(found - true, 40, 60)).max() < 0.015
+
+
+def test_refining_an_even_plane_keeps_it_even() -> None:
+    likelihood = volume_about(plane_label(np.array([0.01, 0, 0]), 20, 30))
+    y, x = (a.ravel() for a in np.mgrid[:20, :30])
+    found = refined(np.array([0, 0, 0.3]), x, y, of(likelihood), even=True)
+    np.testing.assert_allclose(found, [0, 0, 0.01 * 14.5], atol=0.01)  # the mean label; a tenth of a layer
+
+
+def test_candidates_hold_the_planes_of_two_surfaces() -> None:
+    rng = np.random.default_rng(7)
+    wall, floor = np.array([0.0, 0.0, 1.2]), np.array([0.0, -0.02, 1.5])
+    height, width = 96, 96
+    label = np.where(
+        np.arange(height)[:, None] < 40, plane_label(wall, height, width), plane_label(floor, height, width)
+    )
+    noisy = (label + rng.normal(0, 0.05, label.shape)).astype(np.float32)
+    found = candidates(noisy, np.full(label.shape, 0.05), of(volume_about(label)), (48, 96))
+    upper, lower = np.array([48, 20, 1]), np.array([48, 70, 1])
+    for plane, place in ((wall, upper), (floor, lower)):
+        assert np.abs((found - plane) @ place).min() < 0.02  # a fifth of a layer
+
+
+def test_planes_alike_over_their_square_are_one() -> None:
+    one = Candidate(np.array([0.0, 0.0, 1.0]), 50, 50, 100)
+    near = Candidate(np.array([0.0004, 0.0, 1.0]), 50, 50, 40)  # 0.03 px apart where it was found
+    far = Candidate(np.array([0.0, 0.0, 1.2]), 50, 50, 40)
+    assert len(distinct([near, far, one], 0.07)) == 2
+
+
+@pytest.mark.parametrize(("gap_px", "left"), [(0.0, 1), (1.0, 2)])
+def test_parts_of_one_plane_are_joined_and_two_planes_are_not(gap_px: float, left: int) -> None:
+    planes = np.array([[0.0, 0.01, 0.0], [0.0, 0.01, gap_px]])
+    choice = np.zeros((30, 40), int)
+    choice[:, 20:] = 1
+    label = np.where(choice == 0, plane_label(planes[0], 30, 40), plane_label(planes[1], 30, 40))
+    config = PlanesConfig(plane_penalty=5.0)
+    found, joined = merged_planes(
+        choice, planes + np.array([0, 0, 0.05]), of(volume_about(label)), config=config, border=2
+    )
+    assert len(found) == left == joined.max() + 1
+    explained = np.stack([plane_label(plane, 30, 40) for plane in found])
+    assert np.abs(np.take_along_axis(explained, joined[None], axis=0)[0] - label).max() < 0.03  # a third of a layer
+
+
+def test_blocks_add_up_and_keep_the_weakest_link() -> None:
+    rng = np.random.default_rng(9)
+    likelihood = rng.random((11, 9, 5)).astype(np.float32)
+    np.testing.assert_allclose(block_sums(likelihood, 4).sum(), likelihood[:8, :8].sum(), rtol=1e-5)
+    weights = np.ones((2, 12, 12), np.float32)
+    weights[0, :, 3] = 0.1  # between the first and the second column of blocks
+    weights[1, 7, :] = 0.2  # between the second and the third row
+    links = block_links(weights, 4)
+    np.testing.assert_allclose(links[0, :, 0], 0.1)
+    np.testing.assert_allclose(links[0, :, 1], 1.0)
+    np.testing.assert_allclose(links[1, 1], 0.2)
+    np.testing.assert_allclose(links[1, 0], 1.0)
+
+
+def scene(noise_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A slanted card before a wall, weak evidence a pixel: label, spoilt volume, guide."""
+    rng = np.random.default_rng(11)
+    height, width = 96, 144
+    label = np.full((height, width), 1.4)
+    card = np.s_[24:72, 40:104]
+    label[card] = plane_label(np.array([0.008, 0.0, -1.5]), height, width)[card]
+    patches = rng.normal(0, noise_px, (height // 8, width // 8)).repeat(8, 0).repeat(8, 1)  # windows share their noise
+    guide = np.zeros((height, width))
+    guide[card] = 1.0
+    return label, volume_about(label + patches, nats=0.3), guide
+
+
+def test_a_scene_of_planes_is_found_again() -> None:
+    label, likelihood, guide = scene(noise_px=0.15)
+    start = LABELS_PX[likelihood.argmax(axis=2)]
+    found = planes_of_surface(
+        start, np.full(label.shape, 0.15), likelihood, guide, LABELS_PX,
+        config=PlanesConfig(), surface=SurfaceConfig(), run=FAST,
+    )  # fmt: skip
+    assert found is not None
+    error = np.abs(found.label_px - label)
+    assert np.abs(start - label).mean() > 0.08  # what the evidence alone says
+    # 48 patches of the card, each 0.15 px off: 0.02 px in its middle and 0.06 px at a corner; two of these.
+    assert np.quantile(error, 0.98) < 0.12
+    assert (error > 0.5).mean() < 0.01  # of the picture on the wrong side of an edge
+
+
+def test_both_executions_find_the_same_planes() -> None:
+    label, likelihood, guide = scene(noise_px=0.1)
+    part = np.s_[:64, :96]
+    slow, fast = (
+        planes_of_surface(
+            label[part], np.full(label[part].shape, 0.1), likelihood[part], guide[part], LABELS_PX,
+            config=PlanesConfig(tiles_px=(48, 96), rounds=3), surface=SurfaceConfig(), run=run,
+        )
+        for run in (SLOW, FAST)
+    )  # fmt: skip
+    assert slow is not None
+    assert fast is not None
+    np.testing.assert_allclose(fast.label_px, slow.label_px, atol=1e-3)  # Newton's steps end at 1e-5 of the value
+
+
+@pytest.mark.parametrize("grown_px", [-2, 6])
+def test_the_guide_decides_where_a_near_plane_ends(grown_px: int) -> None:
+    planes = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    guide = np.zeros((80, 80), np.float32)
+    guide[20:60, 20:60] = 1.0
+    choice = np.zeros((80, 80), int)
+    choice[20 - grown_px : 60 + grown_px, 20 - grown_px : 60 + grown_px] = 1
+    moved = edges_by_guide(choice, planes, guide, reach_px=8, apart_px=0.1, run=FAST)
+    wrong = (moved == 1) != (guide > 0)
+    # Borders are found on every second pixel, and corners of a band are cut: a px along a border of 160.
+    assert wrong.sum() < 160 * 1.2 < ((choice == 1) != (guide > 0)).sum()
+
+
+def test_planes_can_be_switched_off_and_need_room() -> None:
+    label, likelihood, guide = scene(noise_px=0.0)
+    for part, config in ((np.s_[:], PlanesConfig(rounds=0)), (np.s_[:5], PlanesConfig())):
+        found = planes_of_surface(
+            label[part], np.full(label[part].shape, 0.1), likelihood[part], guide[part], LABELS_PX,
+            config=config, surface=SurfaceConfig(), run=FAST,
+        )  # fmt: skip
+        assert found is None
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"tiles_px": ()},
+        {"tiles_px": (4,)},
+        {"block_px": 0},
+        {"rounds": -1},
+        {"plane_penalty": -1.0},
+        {"boundary_penalty": float("nan")},
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(wrong: dict) -> None:
+    with pytest.raises(InputError):
+        PlanesConfig(**wrong)
