@@ -62,7 +62,7 @@ def other(name, value):
     if isinstance(value, str):
         return (OTHER_SPACE | OTHER_SAMPLING)[value]
     if isinstance(value, tuple):
-        return tuple(0.5 * part for part in value)
+        return tuple(part + 1 if isinstance(part, int) else 0.5 * part for part in value)
     return value + 1 if isinstance(value, int) else value * 0.9
 
 

@@ -172,7 +172,8 @@ def test_a_scene_of_planes_is_found_again() -> None:
     assert np.abs(start - label).mean() > 0.08  # what the evidence alone says
     # 48 patches of the card, each 0.15 px off: 0.02 px in its middle and 0.06 px at a corner; two of these.
     assert np.quantile(error, 0.98) < 0.12
-    assert (error > 0.5).mean() < 0.01  # of the picture on the wrong side of an edge
+    # On the wrong side of an edge: a px along the card's 224 px of border is 1.6 % of the picture.
+    assert (error > 0.5).mean() < 0.02
 
 
 def test_both_executions_find_the_same_planes() -> None:

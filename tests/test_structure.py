@@ -69,6 +69,8 @@ MAY_IMPORT_EXECUTIONS = MAY_IMPORT_CPU | {
     "disparity/accurate.py",  # the place between two layers
     "disparity/blur_evidence.py",  # tiles of the frame
     "disparity/total_variation.py",  # the problem and its state
+    "disparity/plane_fit.py",  # what a plane costs
+    "disparity/planar.py",  # the same, and the weights of links
     "calibration/fit_blur.py",  # a photograph without its shading
 }
 # Names of each way to compile and to start threads, and the one module that may use them.

@@ -6,11 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-import cv2
 import numpy as np
 
 from chromaperture.config import AccurateConfig
-from chromaperture.disparity.error_bar import confidence, sigma_of_range, surface_sigma
+from chromaperture.disparity.error_bar import confidence, local_range, sigma_of_range, surface_sigma
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.planar import planes_of_surface
@@ -142,14 +141,3 @@ def optimised_surface(
     layer = np.clip(np.rint((disparity - labels_px[0]) / step).astype(np.intp), 0, len(labels_px) - 1)
     explained = -np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0])
     return Surface(np.where(known, disparity, np.nan).astype(np.float32), sigma, np.sqrt(explained))
-
-
-def local_range(disparity_px: np.ndarray, reach_px: int) -> np.ndarray:
-    """Return the range of the disparity in a square around each pixel; (H, W) float32, px.
-
-    Next to a depth edge windows see both sides, and a pixel given to the wrong one is wrong by all of it, however
-    narrow its posterior.
-    """
-    square = np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)
-    surface = np.asarray(disparity_px, np.float32)
-    return np.asarray(cv2.dilate(surface, square) - cv2.erode(surface, square))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 
 from chromaperture.config import PaperConfig
@@ -85,3 +86,14 @@ def confidence(sigma_px: np.ndarray, peak: np.ndarray) -> np.ndarray:
     """Return the confidence in [0, 1]: 1 for a sharp, high peak; 0 where unknown; (H, W) float32."""
     value = np.exp(-sigma_px / CONFIDENCE_SCALE_PX) * np.clip(peak, 0, 1)
     return np.nan_to_num(value, nan=0.0).astype(np.float32)
+
+
+def local_range(disparity_px: np.ndarray, reach_px: int) -> np.ndarray:
+    """Return the range of the disparity in a square around each pixel; (H, W) float32, px.
+
+    Next to a depth edge windows see both sides, and a pixel given to the wrong one is wrong by all of it, however
+    narrow its posterior.
+    """
+    square = np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)
+    surface = np.asarray(disparity_px, np.float32)
+    return np.asarray(cv2.dilate(surface, square) - cv2.erode(surface, square))

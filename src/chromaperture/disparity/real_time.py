@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.config import RealTimeConfig
-from chromaperture.disparity.accurate import local_range
-from chromaperture.disparity.error_bar import confidence, sigma_of_range, surface_sigma
+from chromaperture.disparity.error_bar import confidence, local_range, sigma_of_range, surface_sigma
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import Disparity
