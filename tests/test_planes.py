@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.planar import block_links, block_sums, planes_of_surface
+from chromaperture.disparity.planar import block_links, block_sums, planes_of_surface, where_they_agree
 from chromaperture.disparity.plane_edges import edges_by_guide
 from chromaperture.disparity.plane_fit import Candidate, Volume, candidates, distinct, refined
 from chromaperture.disparity.plane_merging import merged_planes
@@ -202,6 +202,16 @@ def test_the_guide_decides_where_a_near_plane_ends(grown_px: int) -> None:
     wrong = (moved == 1) != (guide > 0)
     # Borders are found on every second pixel, and corners of a band are cut: a px along a border of 160.
     assert wrong.sum() < 160 * 1.2 < ((choice == 1) != (guide > 0)).sum()
+
+
+def test_planes_give_way_to_a_surface_that_knows_better() -> None:
+    planes, surface, sigma = np.zeros((40, 60)), np.full((40, 60), 0.15), np.full((40, 60), 0.1)
+    surface[:, 30:] = 0.5  # five standard deviations away
+    surface[20, 10] = 0.5  # a single pixel does not decide against its neighbours
+    taken = where_they_agree(planes, surface, sigma)
+    np.testing.assert_array_equal(
+        taken, np.where(np.arange(60) < 30, np.float32(0), np.float32(0.5))[None].repeat(40, 0)
+    )
 
 
 def test_planes_can_be_switched_off_and_need_room() -> None:

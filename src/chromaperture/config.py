@@ -24,6 +24,10 @@ from chromaperture.stage_config import (
     require_space,
 )
 
+# Px of half disparity for a px of blur. Planes gain 0.03 to 0.09 of the pixels within 2 % for designs of 0.20 to 0.42;
+# for cy_open (0.09), where errors of the blur count four times, they lose 0.04 of them (docs/evaluation.md).
+_LEAST_REACH_OF_PLANES = 0.15
+
 Quality = Literal["paper", "real-time", "accurate"]
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
 ExecutionName = Literal["numba", "numpy"]
@@ -183,7 +187,8 @@ class AccurateConfig(MatcherConfig):
         surface = SurfaceConfig(slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.3)
         layers = LayersConfig(step_px=0.3 * reach)
         evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
-        return cls(layers=layers, evidence=evidence, surface=surface)
+        planes = PlanesConfig() if reach >= _LEAST_REACH_OF_PLANES else PlanesConfig(rounds=0)
+        return cls(layers=layers, evidence=evidence, surface=surface, planes=planes)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from chromaperture.config import AccurateConfig
 from chromaperture.disparity.error_bar import confidence, local_range, sigma_of_range, surface_sigma
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
-from chromaperture.disparity.planar import planes_of_surface
+from chromaperture.disparity.planar import planes_of_surface, where_they_agree
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.stages.between_layers import between_layers
 from chromaperture.disparity.views import ViewSpace, filtered_views
@@ -132,7 +132,7 @@ def optimised_surface(
         disparity, sigma, likelihood, guide, labels_px, config=planes, surface=config, run=run
     )
     if explained_by is not None:
-        disparity = explained_by.label_px
+        disparity = where_they_agree(explained_by.label_px, disparity, np.hypot(sigma, step))
     sigma = run.posterior_sigma(disparity, cost, labels_px, temperature=config.temperature * config.paths)
     inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
     known = inside & (sigma < known_within_px)
