@@ -335,8 +335,6 @@ class PlanesConfig:
         Nats a pixel of a slope of one label per px; it grows with the square. Floors in view slope by 0.3.
     outside_penalty : float
         Nats a pixel where a plane leaves the search range.
-    departure_penalty : float
-        Nats that an area of the first surface must earn to stay where no plane agrees with it.
     border_px : int
         Pixels closer to another plane do not count in a fit: their windows see both.
     edge_band_px : int
@@ -356,7 +354,6 @@ class PlanesConfig:
     slope_tolerance: float = 0.003
     slope_penalty: float = 0.3
     outside_penalty: float = 0.05
-    departure_penalty: float = 120.0
     border_px: int = 12
     edge_band_px: int = 8
     rounds: int = 5
@@ -376,6 +373,5 @@ class PlanesConfig:
             self.slope_tolerance,
             self.slope_penalty,
         )
-        penalties = (*penalties, self.outside_penalty, self.departure_penalty)
-        least = all_finite(*penalties) and min(penalties) >= 0
+        least = all_finite(*penalties, self.outside_penalty) and min(*penalties, self.outside_penalty) >= 0
         require(least, "the penalties and the tolerance of planes must be finite and >= 0")

@@ -136,14 +136,7 @@ def optimised_surface(
         disparity, sigma, likelihood, guide, labels_px, config=planes, surface=config, run=run
     )
     if explained_by is not None:
-        disparity = where_they_agree(
-            explained_by.label_px,
-            disparity,
-            np.hypot(sigma, step),
-            likelihood,
-            labels_px,
-            departure_penalty=planes.departure_penalty,
-        )
+        disparity = where_they_agree(explained_by.label_px, disparity, np.hypot(sigma, step))
     sigma = run.posterior_sigma(disparity, cost, labels_px, temperature=config.temperature * config.paths)
     inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
     known = inside & (sigma < known_within_px)
