@@ -121,3 +121,12 @@ def test_what_does_not_fit_is_told(session, tmp_path):
     assert isinstance(missing.exception, InputError)
     alone = CliRunner().invoke(app, ["evaluate", "quality", "--camera", str(tmp_path / "no.asdf")])
     assert "--data" in str(alone.exception)
+
+
+def test_an_exact_plane_with_outliers_is_found(rng):
+    depth = np.full(SHAPE, TRUTH, float)
+    wild = rng.random(SHAPE) < 0.2
+    depth[wild] *= 0.8  # all on one side: the first fit lies between the two
+    found = judged(depth)
+    assert found.outliers == pytest.approx(wild.mean())
+    assert found.plane_rms < 1e-9  # rounding

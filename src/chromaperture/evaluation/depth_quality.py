@@ -61,8 +61,8 @@ def plane_quality(
     for _ in range(_ROUNDS):
         solution, *_ = np.linalg.lstsq(basis[keep], inverse[keep], rcond=None)
         residual = inverse - basis @ solution
-        sigma = robust_sigma(residual - np.median(residual[keep]))
-        keep = np.abs(residual) <= _OUTLIER_SIGMAS * sigma + 1e-12  # 1/mm; keeps all of an exact plane
+        centred = residual - np.median(residual[keep])  # outliers pull the first fit away from an exact plane
+        keep = np.abs(centred) <= _OUTLIER_SIGMAS * robust_sigma(centred) + 1e-12  # 1/mm; keeps all of an exact plane
     scale = np.broadcast_to(np.asarray(scale_px_mm, float), depth_mm.shape)[known]
     z = truth_mm - sensor_to_pupil_mm
     return PlaneQuality(
