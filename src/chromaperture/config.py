@@ -24,7 +24,7 @@ from chromaperture.stage_config import (
     require_space,
 )
 
-# Px of half disparity for a px of blur. Planes gain 0.03 to 0.09 of the pixels within 2 % for designs of 0.20 to 0.42;
+# Px of half disparity for a px of blur. Planes gain 0.02 to 0.09 of the pixels within 2 % for designs of 0.20 to 0.42;
 # for cy_open (0.09), where errors of the blur count four times, they lose 0.04 of them (docs/evaluation.md).
 _LEAST_REACH_OF_PLANES = 0.15
 

@@ -114,8 +114,8 @@ def where_they_agree(planes_px: np.ndarray, surface_px: np.ndarray, sigma_px: np
     """Take the planes where the surface that they explain allows them, else the surface.
 
     A plane that runs through an area of weak evidence may be off by far more than the surface, which knows its
-    neighbourhood. On bench50's scenes this keeps most of what planes gain within 2 % and gives back what they lose
-    within 5 %.
+    neighbourhood. On bench50's scenes this keeps most of what planes gain within 2 % and gives back most of
+    what they lose within 5 %.
 
     Parameters
     ----------
