@@ -2,7 +2,7 @@
 
 Every straight line of pixels is walked there and back by one thread. A pixel lies on exactly one line of each of the
 four families, so the threads never write to the same pixel and the memory is the two volumes and a few buffers as long
-as the layers. The truncated linear penalty costs two passes over the layers, however far it reaches.
+as the layers. The truncated linear penalty costs a pass over the layers for each power of two that it reaches.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from chromaperture.compilation import compiled, inlined
+from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.paths import EDGE_LAYERS, LEAST_UNEXPLAINED, LINES, penalties_of
 from chromaperture.stage_config import SurfaceConfig
@@ -102,41 +103,77 @@ def line_starts(height: int, width: int, dx: int, dy: int) -> np.ndarray:
 @compiled(fastmath=FAST, error_model="numpy")
 def _walk_lines(likelihood, guide, starts, step, penalties, total):  # type: ignore[no-untyped-def]
     dx, dy = step
-    path = np.empty(likelihood.shape[2], np.float32)
+    shifts = _shifts(likelihood.shape[2], penalties)
+    size = (1 << shifts) + likelihood.shape[2] + v.LANES + (1 << shifts)
+    rows = np.empty(2 * size, np.float32)
     for line in range(len(starts)):
         x, y, count = starts[line]
-        _walk(likelihood, guide, x, y, dx, dy, count, penalties, path, total)
+        _walk(likelihood, guide, x, y, dx, dy, count, penalties, shifts, rows, total)
         x, y = x + (count - 1) * dx, y + (count - 1) * dy
-        _walk(likelihood, guide, x, y, -dx, -dy, count, penalties, path, total)
+        _walk(likelihood, guide, x, y, -dx, -dy, count, penalties, shifts, rows, total)
 
 
 @inlined(fastmath=FAST, error_model="numpy")
-def _walk(likelihood, guide, x, y, dx, dy, count, penalties, path, total):  # type: ignore[no-untyped-def]
-    """Add the costs of one path; ``path`` holds L(p, d) of the last pixel, less its minimum."""
+def _shifts(layers, penalties):  # type: ignore[no-untyped-def]
+    """Count of the shifts 1, 2, 4, ... whose sums are all changes of layer that cost less than a jump."""
+    shifts, reached = 0, 0
+    while reached < layers - 1 and penalties.slope_per_layer * np.float32(reached + 1) < penalties.jump:
+        reached += 1 << shifts
+        shifts += 1
+    return shifts
+
+
+@inlined(fastmath=FAST, error_model="numpy")
+def _walk(likelihood, guide, x, y, dx, dy, count, penalties, shifts, rows, total):  # type: ignore[no-untyped-def]
+    """Add the costs of one path.
+
+    ``rows`` has room for L(p, d) of the last pixel, less its minimum, twice, with a border that no path reaches. The
+    least of L(q, e) + near |d - e| over all e is found by shifts of 1, 2, 4, ... layers up and down: every change of
+    layer is a sum of these. A recursion over the layers computes less, but each of its steps waits for the last one.
+    """
     slope, jump, edge_range, floor = penalties
-    layers = len(path)
-    path[:] = 0
-    one = np.float32(1)
+    height, width, layers = likelihood.shape
+    gains, sums = likelihood.reshape(-1), total.reshape(-1)
+    whole, padded = layers // v.LANES * v.LANES, (layers + v.LANES - 1) // v.LANES * v.LANES
+    here, there = 1 << shifts, len(rows) // 2 + (1 << shifts)
+    one, closed = np.float32(1), np.float32(np.inf)
+    for k in range(len(rows)):
+        rows[k] = closed
+    for k in range(here, here + layers):
+        rows[k] = 0
     before = guide[y, x]
     for _ in range(count):
-        here = guide[y, x]
-        weight = floor + (one - floor) * np.exp(-abs(here - before) / edge_range)
-        before = here
-        near, far = slope * weight, jump * weight
-        # min over e of path[e] + near |d - e|: a pass up and a pass down; the least of ``path`` is 0.
-        for k in range(1, layers):
-            path[k] = min(path[k], path[k - 1] + near)
-        least = np.float32(np.inf)
-        gain = likelihood[y, x]
-        out = total[y, x]
-        arrived = far
-        for k in range(layers - 1, -1, -1):
-            arrived = min(path[k], arrived + near)
-            path[k] = min(arrived, far) - gain[k]
-            least = min(least, path[k])
-        for k in range(layers):
-            out[k] += path[k]
-            path[k] -= least
+        value = guide[y, x]
+        weight = floor + (one - floor) * np.exp(-abs(value - before) / edge_range)
+        before = value
+        for i in range(shifts):
+            shift = 1 << i
+            cost = v.broadcast(slope * weight * np.float32(shift))
+            for k in range(0, padded, v.LANES):
+                beside = v.smaller(v.load(rows, here + k - shift), v.load(rows, here + k + shift))
+                v.store(rows, there + k, v.smaller(v.load(rows, here + k), v.add(beside, cost)))
+            here, there = there, here
+
+        at = (y * width + x) * layers
+        jumped = jump * weight
+        far = v.broadcast(jumped)
+        lowest = v.broadcast(closed)
+        for k in range(0, whole, v.LANES):
+            cost = v.sub(v.smaller(v.load(rows, here + k), far), v.load(gains, at + k))
+            v.store(rows, here + k, cost)
+            lowest = v.smaller(lowest, cost)
+            v.store(sums, at + k, v.add(v.load(sums, at + k), cost))
+        least = v.lane(v.least_lane(lowest), 0)
+        for k in range(whole, layers):
+            last = min(v.get(rows, here + k), jumped) - v.get(gains, at + k)
+            v.put(rows, here + k, last)
+            least = min(least, last)
+            v.put(sums, at + k, v.get(sums, at + k) + last)
+        for k in range(layers, padded):
+            v.put(rows, here + k, closed)
+        lowest = v.broadcast(least)
+        for k in range(0, padded, v.LANES):
+            v.store(rows, here + k, v.sub(v.load(rows, here + k), lowest))
         x += dx
         y += dy
 
