@@ -9,7 +9,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.console import Console
 from rich.markup import escape
@@ -25,10 +25,11 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.compilation import is_compiled
 from chromaperture.errors import CaptureWarning
-from chromaperture.products.measure_file import Written
+
+if TYPE_CHECKING:
+    from chromaperture.camera import CodedApertureCamera
+    from chromaperture.products.measure_file import Written
 
 Update = Callable[[str, int, int], None]  # what is being done, how many are done, of how many; 0: nobody knows
 
@@ -158,6 +159,7 @@ def announce_compilation(*qualities: str, quiet: bool) -> None:
     """Announce that the first run takes longer, when no compiled matcher of one of the qualities is on disk."""
     if quiet:
         return
+    from chromaperture.compilation import is_compiled
     from chromaperture.disparity.cpu import path_costs, paths, strips
 
     matchers = {"paper": strips, "real-time": path_costs, "accurate": paths}  # a module of kernels of each
