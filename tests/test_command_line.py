@@ -379,6 +379,13 @@ def test_one_thing_has_one_name_in_every_command():
         assert len(said) == 1, option
 
 
+def test_help_loads_no_library_of_the_work():
+    code = "import sys, chromaperture.cli.main as m; m.app(['depth', '--help'], standalone_mode=False); "
+    code += "print(sorted({'numpy', 'scipy', 'numba', 'cv2', 'asdf', 'matplotlib', 'PIL'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
 def test_the_shell_completes_commands(run, monkeypatch):
     assert "--install-completion" in run("--help").stdout
     monkeypatch.setenv("_CHROMAPERTURE_COMPLETE", "complete_bash")

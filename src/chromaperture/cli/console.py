@@ -155,29 +155,37 @@ def _line(what: str, done: int, total: int) -> str:
     return f"{what}, {min(done + 1, total)} of {total}"
 
 
-def announce_compilation(*qualities: str, quiet: bool) -> None:
-    """Announce that the first run takes longer, when no compiled matcher of one of the qualities is on disk."""
-    if quiet:
-        return
-    from chromaperture.compilation import is_compiled
-    from chromaperture.disparity.cpu import path_costs, paths, strips
-
-    matchers = {"paper": strips, "real-time": path_costs, "accurate": paths}  # a module of kernels of each
-    if not all(is_compiled(matchers[quality]) for quality in qualities if quality in matchers):
-        err.print("Compiling the matcher once for this machine (about a minute); later runs start at once.")
+def compile_kernels(*qualities: str, quiet: bool) -> None:
+    """Compile what the matchers of qualities need and this machine has not got yet, and show how far it is."""
+    with progress(quiet=quiet) as update:
+        _compile(update, *qualities, quiet=quiet)
 
 
-def announcing_compilation(update: Update, *qualities: str, quiet: bool) -> Update:
-    """Return an update that announces compilation the first time; faults of the input are said before that."""
+def after_compilation(update: Update, *qualities: str, quiet: bool) -> Update:
+    """Return an update that compiles the kernels the first time; faults of the input are said before that."""
     waiting = [True]
 
     def show(what: str, done: int, total: int) -> None:
         if waiting:
             waiting.clear()
-            announce_compilation(*qualities, quiet=quiet)
+            _compile(update, *qualities, quiet=quiet)
         update(what, done, total)
 
     return show
+
+
+def _compile(update: Update, *qualities: str, quiet: bool) -> None:
+    from chromaperture.compile_ahead import compile_ahead
+
+    waiting = [not quiet]
+
+    def show(what: str, done: int, total: int) -> None:
+        if waiting.pop():
+            err.print("Compiling the matcher once for this machine (10 to 20 s); later runs start at once.")
+        waiting.append(False)
+        update(what, done, total)
+
+    compile_ahead(*qualities, update=show)
 
 
 def announce_duration(camera: CodedApertureCamera, photographs: int, *, quiet: bool) -> None:

@@ -81,7 +81,7 @@ def depth(
 
     chromaperture depth archive/ --camera camera.asdf --cluster tcp://10.0.0.1:8786 --out s3://bucket/depth
     """
-    from chromaperture.cli.console import announce_compilation, print_json, print_reports
+    from chromaperture.cli.console import compile_kernels, print_json, print_reports
     from chromaperture.frame.frame_files import chosen_outputs
     from chromaperture.products.archive_store import as_path, find_photographs, is_url, names_in_list
 
@@ -112,7 +112,7 @@ def depth(
         raise InputError("--again is used with --cluster; without it everything is measured in any case")
     paths = [as_path(name) for name in names]
     camera_of = cameras(paths[0], camera, design, quality=quality, config=config)
-    announce_compilation(quality, quiet=quiet)
+    compile_kernels(quality, quiet=quiet)
     reports = measure_here(paths, camera_of, out=None if out is None else as_path(out), quiet=quiet, **options)
     if json:
         print_json([report.summary | {"files": [str(path) for path in report.files]} for report in reports])
