@@ -18,7 +18,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from chromaperture.threads import thread_count
 
@@ -100,7 +100,7 @@ def text_of(given: Any) -> Any:
 
     if isinstance(given, types.BaseTuple):
         of = getattr(given, "instance_class", None)
-        return ["" if of is None else f"{of.__module__}:{of.__name__}", *(text_of(element) for element in given.types)]
+        return ["" if of is None else f"{of.__module__}:{of.__name__}", *map(text_of, cast(Any, given))]
     if isinstance(given, types.Array) and given.mutable and given.aligned:
         return f"{text_of(given.dtype)}[{given.ndim}]{given.layout}"
     if isinstance(given, types.Number | types.Boolean) and not isinstance(given, types.Literal):
@@ -168,12 +168,12 @@ def _ask(
 def _helpers(count: int) -> Iterator[Sequence[subprocess.Popen[str]]]:
     """Start processes that compile; they end with the ``with`` block, whatever they are doing."""
     program = [sys.executable or "python", "-P", "-c", _HELPER.format(str(Path(__file__).parents[1]))]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    pipe, nothing = subprocess.PIPE, subprocess.DEVNULL
     processes: list[subprocess.Popen[str]] = []
     try:
         with contextlib.suppress(OSError):  # no more processes: those that are there, or this one, do the work
             for _ in range(count):
-                processes.append(subprocess.Popen(program, **pipes, text=True))
+                processes.append(subprocess.Popen(program, stdin=pipe, stdout=pipe, stderr=nothing, text=True))
         yield processes
     finally:
         for process in processes:

@@ -124,12 +124,16 @@ def _lines(every_s: float) -> Iterator[Update]:
 
     def run() -> None:
         printed: tuple[str, int, int] | None = None
+        first = (0, 0, began)  # of this step: how many were done, of how many, and when
         while not ended.wait(every_s):
-            state = newest
+            state, now = newest, time.monotonic()
             if state is not None and state != printed:
                 printed = state
-                minutes, seconds = divmod(int(time.monotonic() - began), 60)
-                print(f"[{minutes}:{seconds:02d}] {_line(*state)}", file=sys.stderr, flush=True)
+                if state[1] < first[0] or state[2] != first[1]:
+                    first = (*state[1:], now)
+                minutes, seconds = divmod(int(now - began), 60)
+                left = _remaining(state[1] - first[0], state[2] - state[1], now - first[2])
+                print(f"[{minutes}:{seconds:02d}] {_line(*state)}{left}", file=sys.stderr, flush=True)
 
     def update(what: str, done: int, total: int) -> None:
         nonlocal newest
@@ -146,6 +150,12 @@ def _lines(every_s: float) -> Iterator[Update]:
     finally:
         ended.set()
         thread.join()
+
+
+def _remaining(done: int, left: int, seconds: float) -> str:
+    """State the remaining time, where it is worth saying: from half a minute on."""
+    expected_s = seconds * left / done if done > 0 else 0.0
+    return f", about {_duration(expected_s)} left" if expected_s >= 30 else ""
 
 
 def _line(what: str, done: int, total: int) -> str:
