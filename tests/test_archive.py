@@ -333,7 +333,6 @@ def test_wrong_use_is_one_line(run, tmp_path, monkeypatch):
         "cannot read the list": ("--files-from", tmp_path / "bytes.txt"),
         "give its scheduler with --cluster": ("s3://bucket/photo.png",),
         "same files": (image, image, *address),
-        "--again is used with --cluster": (image, "--again"),
         "no Dask scheduler|pip install": (image, *address),
     }
     monkeypatch.setattr(cluster, "CONNECT_S", 1)
