@@ -9,7 +9,7 @@ from chromaperture.disparity.cpu.paths import aggregate_paths, posterior_sigma, 
 from chromaperture.disparity.cpu.planes import plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.cpu.smoothing import smooth_along_surface
 from chromaperture.disparity.cpu.variation import coupled_variation, iterate_variation, variation_gap
-from chromaperture.optics.splat_kernels import splat
+from chromaperture.optics.splat_kernels import point_transforms
 
 __all__ = [
     "aggregate_paths",
@@ -22,11 +22,11 @@ __all__ = [
     "iterate_variation",
     "plane_costs",
     "plane_sums",
+    "point_transforms",
     "posterior_sigma",
     "potts_beliefs",
     "read_at_labels",
     "smooth_along_surface",
-    "splat",
     "texture_weights",
     "variation_gap",
 ]
