@@ -68,7 +68,7 @@ VARIANTS: dict[str, MatcherConfig] = {
 
 
 ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only",
-            "one octave", "three octaves", "window of 8 px", "no planes", "planes keep every slope",
+            "one octave", "three octaves", "window of 8 px", "pairs of channels alone", "no planes", "planes keep every slope",
             "edges where the evidence has them", "no total variation", "four paths", "penalties a tenth",
             "penalties not led by the guide", "one curve for the frame")  # fmt: skip
 
@@ -101,6 +101,7 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
     }
     planes = config.matcher.planes
     changes |= {
+        "pairs of channels alone": {"spectral": dataclasses.replace(config.matcher.spectral, gain=0.0)},
         "no planes": {"planes": dataclasses.replace(planes, rounds=0)},
         "planes keep every slope": {"planes": dataclasses.replace(planes, slope_tolerance=0.0)},
         "edges where the evidence has them": {"planes": dataclasses.replace(planes, edge_band_px=0)},

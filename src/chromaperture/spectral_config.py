@@ -35,8 +35,8 @@ class SpectralConfig:
     gain: float = 3.0
     cap_nats: float = 0.5
     taper_px: float = 8.0
-    stride_px: int = 8
-    slopes: tuple[float, ...] = (0.75, 1.0, 1.25, 1.5, 1.75)
+    stride_px: int = 10
+    slopes: tuple[float, ...] = (0.75, 1.0, 1.3, 1.7)
     channel_error: float = 0.002
     rounds: int = 2
 

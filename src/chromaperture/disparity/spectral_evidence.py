@@ -18,6 +18,7 @@ defocus approach. Applied Optics 52, 2013. doi:10.1364/AO.52.007152 (likelihood 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -77,16 +78,21 @@ class SpectralEvidence:
         config, run, blur = self.config, self.pairs.run, self.pairs.blur
         windows = Windows(config)
         model = SpectralModel(blur, layers_px, windows, config.slopes, run)
-        variance = np.asarray(self.pairs.noise.variance(image), np.float32)
-        variance = np.where(np.isfinite(variance), variance, 0)
+        variance = np.nan_to_num(np.asarray(self.pairs.noise.variance(image), np.float32), posinf=0, neginf=0)
         image = np.where(np.isfinite(image), image, np.float32(0))
         # The noise's power in a window: the mean over the square of its taper.
-        variance = cv2.GaussianBlur(variance, (0, 0), config.taper_px / np.sqrt(2), borderType=cv2.BORDER_REFLECT)
-        noise = variance[np.ix_(rows, columns)].reshape(-1, 3)
+        mean = cv2.GaussianBlur(variance, (0, 0), config.taper_px / math.sqrt(2), borderType=cv2.BORDER_REFLECT)
+        noise = mean[np.ix_(rows, columns)].reshape(-1, 3)
         spectra = windows.spectra(without_shading(image), rows, columns)
         node = model.nodes(rows, columns)
-        settings = {"channel_error": config.channel_error, "rounds": config.rounds}
-        by_slope = np.stack([run.spectral_likelihood(spectra, g, node, noise, **settings) for g in model.powers()])
+        by_slope = np.stack(
+            [
+                run.spectral_likelihood(
+                    spectra, powers, node, noise, channel_error=config.channel_error, rounds=config.rounds
+                )
+                for powers in model.powers()
+            ]
+        )
         area = 2 * np.pi * config.taper_px**2  # px that a window is worth
         return (over_slopes(by_slope / windows.redundancy) / area).reshape(len(rows), len(columns), -1)
 

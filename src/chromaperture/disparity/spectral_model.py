@@ -5,11 +5,14 @@ A window multiplies the picture, so every frequency of its spectrum holds power 
     G_jk(f) = sum_f' |T(f - f')|^2  H_j(f') H_k(f')*  f'^(-2 slope)
 
 T is the taper's spectrum. Without it a steep texture's power leaks into frequencies that the blur has emptied, and the
-likelihood takes it for less blur.
+likelihood takes it for less blur. Real pictures leak more than Gaussian textures: edges, slants and borders of objects.
+The taper's autocorrelation is therefore cut off, at `_LAG_TAPERS`, which adds side lobes of about 1e-3 of the low
+frequencies' power as a floor; with the exact taper, even areas and edges mislead more (docs/evaluation.md).
 """
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 
 import numpy as np
@@ -21,10 +24,12 @@ from chromaperture.optics.lens_blur import LensBlur
 from chromaperture.spectral_config import SpectralConfig
 from chromaperture.threads import parallel_map
 
-BAND = (0.04, 0.25)  # cycles a px; finer detail of an open design is noise, and fits its blur's errors: .35 was no better
+# Cycles a px; below lies shading, above, of an open design, noise: .35 was no better (docs/evaluation.md).
+BAND = (0.04, 0.25)
 _LEAKAGE_REACH = 0.08  # cycles a px; four sigmas of |T|^2 of the least taper
 _SOFTEST = 0.01  # cycles a px, at which the texture's spectrum levels off: shading is subtracted
 _LEAST_TILE_PX = 64  # side of the tile of a point-spread function
+_LAG_TAPERS = 31 / 8  # sigmas of the taper at which its autocorrelation is cut off, falling from 0.02 of its peak
 _SIDE_TAPERS = 3.0  # half the side of a window, in sigmas of its taper
 _SPACINGS = 11  # of the nodes, along the width; a blur of 20 px varies by a tenth of a px between them
 
@@ -37,7 +42,8 @@ class Windows:
     """
 
     def __init__(self, config: SpectralConfig) -> None:
-        self.period = 2 * int(np.ceil(_SIDE_TAPERS * config.taper_px / 2))
+        self.taper_px = config.taper_px
+        self.period = 2 * math.ceil(_SIDE_TAPERS * config.taper_px / 2)
         self.side = 2 * self.period
         place = np.arange(self.side) - (self.side - 1) / 2
         along = np.exp(-(place**2) / (2 * config.taper_px**2))
@@ -88,7 +94,9 @@ class SpectralModel:
     ) -> None:
         self.blur, self.layers_px, self.windows, self.slopes, self.run = blur, layers_px, windows, slopes, run
         widest = 2 * float(np.abs(layers_px).max()) / blur.reach
-        self.size = int(scipy.fft.next_fast_len(max(_LEAST_TILE_PX, int(np.ceil(widest)) + windows.period), real=True))
+        lags = 2 * round(_LAG_TAPERS * windows.taper_px) + 2
+        least = max(_LEAST_TILE_PX, lags, math.ceil(widest) + windows.period)
+        self.size = int(scipy.fft.next_fast_len(least, real=True))
         self.size += self.size % 2
         spacing = max(1.0, blur.width_px / _SPACINGS)
         self.counts = [max(1, round(n / spacing)) + 1 for n in (blur.height_px, blur.width_px)]
@@ -151,8 +159,8 @@ class SpectralModel:
         """Leakage times the texture's power, for even and odd parts of spectra; (F', slopes * F) float32 each."""
         rows, columns = self._sources
         fy, fx = scipy.fft.fftfreq(self.size), scipy.fft.rfftfreq(self.size)
-        lag = np.arange(-self.size // 2 + 1, self.size // 2)
-        lag = lag[np.abs(lag) < self.windows.side]
+        lags = round(_LAG_TAPERS * self.windows.taper_px)
+        lag = np.arange(-lags, lags + 1)
         shared = np.correlate(self.windows.along, self.windows.along, "full")[lag + self.windows.side - 1]
 
         def along(f: np.ndarray, source: np.ndarray) -> np.ndarray:
@@ -169,4 +177,4 @@ class SpectralModel:
         even, odd = (
             (np.maximum(direct, 0) + sign * np.maximum(mirrored, 0))[:, None] * power[..., None] for sign in (1, -1)
         )
-        return tuple(part.reshape(len(rows), -1).astype(np.float32) for part in (even, odd))  # type: ignore[return-value]
+        return tuple(part.reshape(len(rows), -1).astype(np.float32) for part in (even, odd))
