@@ -47,7 +47,7 @@ ALLOWED: dict[str, set[str]] = {
     "camera_alignment": {"camera_file", "color", "config", "depth"},
     "frame": {"camera_file", "config", "storage", "color", "depth"},  # the result, and what is made of it
     "camera": {"camera_file", "camera_matching", "camera_alignment", "config", "frame"} | STAGES,
-    "calibration": {"optics", "camera_matching", "camera_file", "config"} | STAGES,
+    "calibration": {"optics", "camera_matching", "camera_file", "config", "spectral_config"} | STAGES,
     "products": {"camera", "camera_file", "cluster", "config", "frame", "storage", "capture", "color", "depth"},
     "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth"},
     "reconstruction": {"camera", "products", "storage", "capture", "color", "depth"},
