@@ -49,7 +49,8 @@ VARIANTS: dict[str, MatcherConfig] = {
     "unmixed views": dataclasses.replace(REAL_TIME, space="unmixed"),
     "pure channels, else unmixed views": dataclasses.replace(REAL_TIME, space="pure"),
     "views read by Catmull and Rom's cubic": dataclasses.replace(
-        REAL_TIME, views=ViewsConfig(presmooth_sigma_px=0.6, guide_range=0.15),
+        REAL_TIME,
+        views=ViewsConfig(presmooth_sigma_px=0.6, guide_range=0.15),
         correlation=CorrelationConfig(window_decay=0.3),
     ),
     "no average between layers": dataclasses.replace(REAL_TIME, smoothing_sigma_px=0.0),
@@ -159,8 +160,10 @@ def main() -> None:
     if args.quality == "accurate" and args.camera is None:
         parser.error("--quality accurate needs --camera")
     for name in args.variants or (VARIANTS if args.quality == "real-time" else ACCURATE):
-        found = measure(name, args.data, args.design, args.scenes) if args.quality == "real-time" else (
-            measure_accurate(name, args)
+        found = (
+            measure(name, args.data, args.design, args.scenes)
+            if args.quality == "real-time"
+            else (measure_accurate(name, args))
         )
         print(json.dumps({name: found}), flush=True)
 
