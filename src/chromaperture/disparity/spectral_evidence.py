@@ -19,7 +19,7 @@ defocus approach. Applied Optics 52, 2013. doi:10.1364/AO.52.007152 (likelihood 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -52,6 +52,7 @@ class SpectralEvidence:
 
     config: SpectralConfig
     pairs: BlurEvidence
+    _powers: dict[bytes, np.ndarray] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
         """Return nats a pixel; (H, W, N) float32. Without known noise the pairs alone: faint detail would be noise."""
@@ -90,11 +91,19 @@ class SpectralEvidence:
                 run.spectral_likelihood(
                     spectra, powers, node, noise, channel_error=config.channel_error, rounds=config.rounds
                 )
-                for powers in model.powers()
+                for powers in self._powers_of(model)
             ]
         )
         area = 2 * np.pi * config.taper_px**2  # px that a window is worth
         return (over_slopes(by_slope / windows.redundancy) / area).reshape(len(rows), len(columns), -1)
+
+    def _powers_of(self, model: SpectralModel) -> np.ndarray:
+        """Compute the powers of a model, or take those of the last photograph by the same layers."""
+        key = model.layers_px.tobytes()
+        if key not in self._powers:
+            self._powers.clear()
+            self._powers[key] = model.powers()
+        return self._powers[key]
 
 
 def over_slopes(by_slope: np.ndarray) -> np.ndarray:
