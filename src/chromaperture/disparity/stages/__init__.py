@@ -8,6 +8,7 @@ from chromaperture.disparity.stages.four_paths import four_path_winner
 from chromaperture.disparity.stages.paths import aggregate_paths, posterior_sigma, read_at_labels
 from chromaperture.disparity.stages.planes import plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.stages.smoothing import smooth_along_surface
+from chromaperture.disparity.stages.upsample import upsample
 from chromaperture.disparity.stages.variation import coupled_variation
 from chromaperture.disparity.stages.variation import gap_per_px as variation_gap
 from chromaperture.disparity.stages.variation import iterate as iterate_variation
@@ -30,5 +31,6 @@ __all__ = [
     "smooth_along_surface",
     "splat",
     "texture_weights",
+    "upsample",
     "variation_gap",
 ]
