@@ -5,19 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from typing import Literal, cast
 
 import numpy as np
 
 from chromaperture.camera_alignment import ChannelAlignment
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, label_maps, noise_model
+from chromaperture.camera_scale import at_scale
 from chromaperture.capture.checks import check_capture
 from chromaperture.capture.files import decode, linearise
-from chromaperture.config import Config, DepthConfig, ExecutionName, Quality
+from chromaperture.config import Config, ExecutionName, Quality
+from chromaperture.depth.field_bands import field_to_depth
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.result import Disparity
+from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.result import Disparity, Method
+from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.frame.depth_frame import DepthFrame
+
+_WHOLE_PX = 4_000_000  # pictures up to this size keep the curves of every pixel, 100 bytes each, from frame to frame
 
 StageTimer = Callable[[str], AbstractContextManager[None]]
 
@@ -40,17 +47,13 @@ class CodedApertureCamera:
         self.calibration = calibration
         self.config = config or default_config(calibration)
         self.execution: ExecutionName = execution
-        self.method = method_for(
-            self.config.matcher,
-            aperture=calibration.aperture,
-            unmixing=calibration.unmixing,
-            label_maps=label_maps(calibration, self.config.matcher),
-            blur=calibration.field_blur(),
-            noise=noise_model(calibration),
-            execution=execution,
-        )
-        self.depth_model = calibration.depth_model(self.config.quality) if calibration.is_calibrated else None
-        self.alignment = ChannelAlignment(calibration, self.config, self.depth_model)
+        self.method = scaled_method(calibration, self.config, execution)
+        self.alignment = ChannelAlignment(calibration, self.config)
+
+    @property
+    def depth_model(self) -> DepthModel | None:
+        """The curve from disparity to depth over the frame; None for a camera that was never calibrated."""
+        return self.alignment.depth_model
 
     def measure(self, image: np.ndarray | str | Path, *, stage: StageTimer = lambda name: nullcontext()) -> DepthFrame:
         """Measure depth in millimetres for every pixel of one photograph.
@@ -80,7 +83,7 @@ class CodedApertureCamera:
         with stage("disparity"):  # Eq. (1) and section 3.1
             disparity = self.method.match(image)
         with stage("depth"):  # Eq. (10)
-            depth_mm, sigma_mm = millimetres(disparity, self.depth_model, self.config.depth)
+            depth_mm, sigma_mm = self.millimetres(disparity)
         with stage("color"):  # section 5.1
             color = self.alignment.align(image, disparity.value_px)
         maps = (depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color)
@@ -105,21 +108,64 @@ class CodedApertureCamera:
         decoded = decode(path, size_px=(sensor.width_px, sensor.height_px))
         return linearise(decoded, black_level=black_level, white_level=white_level, camera_levels=levels)
 
+    def millimetres(self, disparity: Disparity) -> tuple[np.ndarray, np.ndarray]:
+        """Return depth and its standard deviation in mm; NaN for a camera never calibrated; two (H, W) float32."""
+        pixels, most_mm = disparity.value_px, self.config.depth.max_depth_mm
+        if not self.calibration.is_calibrated:
+            unknown = np.full(pixels.shape, np.nan, np.float32)
+            return unknown, unknown.copy()
+        if pixels.size > _WHOLE_PX:
+            field = self.calibration.depth[self.config.quality]
+            return field_to_depth(pixels, disparity.sigma_px, field, max_depth_mm=most_mm)
+        model = cast(DepthModel, self.depth_model)
+        return disparity_to_depth(pixels, model, sigma_px=disparity.sigma_px, max_depth_mm=most_mm)
+
     def __repr__(self) -> str:
         return f"CodedApertureCamera({self.calibration.title}, quality {self.config.quality})"
 
 
-def millimetres(disparity: Disparity, model: DepthModel | None, config: DepthConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Depth and its standard deviation in mm; all NaN for a camera that was never calibrated; two (H, W) float32."""
-    if model is None:
-        unknown = np.full(disparity.value_px.shape, np.nan, np.float32)
-        return unknown, unknown.copy()
-    return disparity_to_depth(disparity.value_px, model, sigma_px=disparity.sigma_px, max_depth_mm=config.max_depth_mm)
+def scaled_method(calibration: Calibration, config: Config, execution: ExecutionName = "numba") -> Method:
+    """Compose the method that a configuration describes, for photographs of a camera's full size.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    config : Config
+        At a ``scale`` above 1 the method is that of the camera of reduced pictures.
+    execution : {"numba", "numpy"}
+    """
+    working = at_scale(calibration, config.scale)
+    method = method_for(
+        config.matcher,
+        aperture=working.aperture,
+        unmixing=working.unmixing,
+        label_maps=label_maps(working, config.matcher),
+        blur=working.field_blur(),
+        noise=noise_model(working),
+        execution=execution,
+    )
+    if config.scale == 1:
+        return method
+    size_px = (working.sensor.width_px, working.sensor.height_px)
+    return ScaledMethod(method, config.matcher, size_px, working.aperture, execution_named(execution))
 
 
 def load_camera(
-    path: str | Path, *, quality: Quality = "real-time", execution: ExecutionName = "numba"
+    path: str | Path,
+    *,
+    quality: Quality = "real-time",
+    scale: int | Literal["auto"] = "auto",
+    execution: ExecutionName = "numba",
 ) -> CodedApertureCamera:
-    """Open a camera file; raises InputError when it is missing, damaged or of a newer format."""
+    """Open a camera file; raises InputError when it is missing, damaged or of a newer format.
+
+    Parameters
+    ----------
+    path : str or Path
+    quality : {"paper", "real-time", "accurate"}
+    scale : int or "auto"
+        Match pictures reduced to 1 / scale; ``auto`` takes what the blur allows, see `camera_scale.working_scale`.
+    execution : {"numba", "numpy"}
+    """
     calibration = Calibration.load(path)
-    return CodedApertureCamera(calibration, default_config(calibration, quality), execution=execution)
+    return CodedApertureCamera(calibration, default_config(calibration, quality, scale=scale), execution=execution)

@@ -24,9 +24,19 @@ def channel_directions(aperture: Aperture, film: dict[str, np.ndarray]) -> np.nd
     return np.nan_to_num(centroids(aperture.with_film(film))) / view_reach(aperture)
 
 
-def fill_unknown(values: np.ndarray) -> np.ndarray:
-    """Replace every NaN by the nearest known value, or all by zero when none is known; (H, W)."""
+def fill_unknown(values: np.ndarray, *, step: int = 1) -> np.ndarray:
+    """Replace every NaN by the nearest known value, or all by zero when none is known; (H, W).
+
+    With a ``step`` the nearest is looked for among every so many rows and columns: for maps of many megapixels that
+    were interpolated between pixels so far apart.
+    """
     unknown = ~np.isfinite(values)
+    if step > 1 and unknown.any():
+        known = fill_unknown(values[step // 2 :: step, step // 2 :: step])
+        rows, columns = (np.minimum(np.arange(n) // step, m - 1) for n, m in zip(values.shape, known.shape, strict=True))
+        out = known[rows][:, columns]
+        np.copyto(out, values, where=~unknown)
+        return out
     if unknown.all():
         return np.zeros_like(values)
     if not unknown.any():
