@@ -193,7 +193,10 @@ def _decode(path: Path, size_px: tuple[int, int] | None) -> np.ndarray:
             counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
             if counts is None:
                 raise InputError(_damaged(path))
-            return counts[..., [2, 1, 0]] if counts.ndim == 3 else counts  # OpenCV stores B, G, R; alpha goes
+            # OpenCV stores B, G, R; alpha goes. An index list would leave one plane a channel, which later is copied.
+            if counts.ndim == 3 and counts.shape[2] in (3, 4):
+                return cv2.cvtColor(counts, cv2.COLOR_BGR2RGB if counts.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
+            return counts
         picture = open_picture(data)
         _warn_of_subsampling(picture)
         coded = picture.mode in ("P", "RGBA", "CMYK", "YCbCr")

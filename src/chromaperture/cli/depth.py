@@ -171,12 +171,17 @@ def check_film(camera: CodedApertureCamera, image: np.ndarray, name: str, *, ref
     InputError
         The film is certainly another one, and ``refuse``.
     """
+    from chromaperture.camera_scale import at_scale
+    from chromaperture.disparity.working_scale import reduced
     from chromaperture.evaluation.health import film_match
 
     calibration = camera.calibration
     if not calibration.is_calibrated or image.shape[:2] != (calibration.sensor.height_px, calibration.sensor.width_px):
         return  # without a film to compare with; the size is refused later
-    match = film_match(image, calibration)
+    working = at_scale(calibration, camera.config.scale)
+    if working is not calibration:
+        image = reduced(image, (working.sensor.width_px, working.sensor.height_px))
+    match = film_match(image, working)
     if not match.doubts:
         return
     title = calibration.aperture.title
