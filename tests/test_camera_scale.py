@@ -7,16 +7,17 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from worlds import halves_camera
 
 from chromaperture.camera_file import Calibration
-from chromaperture.camera_scale import at_scale, resized, same_frame
+from chromaperture.camera_scale import at_scale, resized
+from chromaperture.capture.picture_header import same_frame
 from chromaperture.color.noise import photon_noise_variance
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 from chromaperture.optics.lens_blur import BlurModel, rims
+from worlds import halves_camera
 
 W, H, S = 96, 64, 4  # of the full camera, and its reduction
 
@@ -27,7 +28,9 @@ def field(*, degree_terms: int = 15, local: bool = True) -> DepthField:
     infinity, scale = rng.normal(0, 0.1, degree_terms), rng.normal(0, 60, degree_terms)
     infinity[0], scale[0] = 8.0, 16000.0
     count = 2 * degree_terms + 1 + 2
-    root = rng.normal(size=(count, count)) * np.r_[np.full(degree_terms, 1e-3), np.full(degree_terms, 2.0), 1, 0.01, 0.01]
+    root = (
+        rng.normal(size=(count, count)) * np.r_[np.full(degree_terms, 1e-3), np.full(degree_terms, 2.0), 1, 0.01, 0.01]
+    )
     grid = [rng.normal(0, size, (4, 6)).astype(np.float32) for size in (0.05, 20)]
     part = LocalField(7.5, 16.0, *grid, np.diag([1e-4, 4.0])) if local else None
     curve = Nonlinearity(-6.0, 6.0, np.array([0.05, 0.03]))

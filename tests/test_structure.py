@@ -23,10 +23,11 @@ STAGES = {"capture", "color", "disparity", "depth"}
 BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "storage", "camera_file", "camera_matching", "camera_scale",
                          "camera_alignment", "camera", "cluster", "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
-COMMON = {"errors", "compilation", "threads", "robust", "validation"}
+COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory"}
 ALLOWED: dict[str, set[str]] = {
     **{part: set() for part in COMMON},
     "validation": {"errors"},
+    "memory": {"errors"},
     "threads": {"errors"},  # numbers of threads in the environment are refused like any input
     "stage_config": {"errors"},
     "config": {"errors", "stage_config"},
@@ -41,11 +42,12 @@ ALLOWED: dict[str, set[str]] = {
     "cluster": set(),
     "camera_file": {"optics", "color", "config", "depth", "storage", "asdf_input", "camera_tree"},
     "config_file": {"config"},
-    "camera_scale": {"optics", "camera_file", "depth"},
+    "camera_scale": {"optics", "camera_file", "depth", "capture"},
+    "camera_memory": {"camera_file", "config"},
     "camera_matching": {"camera_file", "camera_scale", "color", "config", "disparity"},
     "camera_alignment": {"camera_file", "camera_scale", "color", "config", "depth"},
     "frame": {"camera_file", "config", "storage", "color", "depth"},  # the result, and what is made of it
-    "camera": {"camera_file", "camera_scale", "camera_matching", "camera_alignment", "config", "frame"} | STAGES,
+    "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "config", "frame"} | STAGES,
     "calibration": {"optics", "camera_matching", "camera_file", "config"} | STAGES,
     "products": {"camera", "camera_file", "cluster", "config", "frame", "storage", "capture", "color", "depth"},
     "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth"},

@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_camera_scale import camera, field
 
 from chromaperture.camera_alignment import ChannelAlignment
 from chromaperture.camera_matching import default_config
 from chromaperture.color.alignment import fill_unknown
-from chromaperture.depth.field_bands import field_to_depth
 from chromaperture.depth.conversion import disparity_to_depth
+from chromaperture.depth.field_bands import field_to_depth
 from chromaperture.disparity import cpu, stages
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.stages.upsample import Coarse
 from chromaperture.disparity.working_scale import coarse_maps, reduced
+from test_camera_scale import camera, field
 
 GREY = np.full(3, 1 / 3)
 
@@ -73,7 +73,9 @@ def test_a_depth_edge_lies_where_the_photograph_has_it(run, edge):
 def test_unknown_stays_unknown(run):
     unknown = np.zeros((6, 8), bool)
     unknown[2, 3] = True
-    found, sigma, confidence = run.upsample(coarse(np.ones((6, 8)), unknown=unknown), np.zeros((24, 32, 3), np.float32), GREY)
+    found, sigma, confidence = run.upsample(
+        coarse(np.ones((6, 8)), unknown=unknown), np.zeros((24, 32, 3), np.float32), GREY
+    )
     expected = np.zeros((24, 32), bool)
     expected[8:12, 12:16] = True
     np.testing.assert_array_equal(np.isnan(found), expected)
@@ -85,7 +87,8 @@ def test_unknown_takes_the_nearest_known_values():
     values = np.full((4, 4), np.nan, np.float32)
     values[:, 0], values[0, 3] = 1.0, 2.0
     maps = coarse_maps(Disparity(values, values / 10, np.ones_like(values)), np.zeros_like(values))
-    assert maps.disparity_px[3, 1] == 1 and maps.disparity_px[1, 3] == 2
+    assert maps.disparity_px[3, 1] == 1
+    assert maps.disparity_px[1, 3] == 2
     nothing = np.full((4, 4), np.nan, np.float32)
     assert coarse_maps(Disparity(nothing, nothing, nothing), nothing).unknown.all()
 
@@ -96,7 +99,8 @@ def test_reduced_pictures_are_means_and_know_what_was_cut_off():
     np.testing.assert_allclose(small, image.reshape(8, 4, 12, 4, 3).mean(axis=(1, 3)), rtol=1e-5)
     image[5, 6, 1], image[20, 20] = 1.0, np.nan
     small = reduced(image, (12, 8))
-    assert np.isnan(small[1, 1]).all() and np.isnan(small[5, 5]).all()
+    assert np.isnan(small[1, 1]).all()
+    assert np.isnan(small[5, 5]).all()
     assert np.isfinite(small).sum() == small.size - 6
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, cast
 
@@ -12,18 +14,22 @@ import numpy as np
 from chromaperture.camera_alignment import ChannelAlignment
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, label_maps, noise_model
-from chromaperture.camera_scale import at_scale
+from chromaperture.camera_memory import check_camera_memory
+from chromaperture.camera_scale import at_scale, resized
 from chromaperture.capture.checks import check_capture
 from chromaperture.capture.files import decode, linearise
+from chromaperture.capture.picture_header import same_frame
 from chromaperture.config import Config, ExecutionName, Quality
-from chromaperture.depth.field_bands import field_to_depth
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
+from chromaperture.depth.field_bands import field_to_depth
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.result import Disparity, Method
 from chromaperture.disparity.working_scale import ScaledMethod
+from chromaperture.errors import CaptureWarning
 from chromaperture.frame.depth_frame import DepthFrame
 
+_SAME_SCALE = 0.02  # relative difference of scales at which settings in px still fit
 _WHOLE_PX = 4_000_000  # pictures up to this size keep the curves of every pixel, 100 bytes each, from frame to frame
 
 StageTimer = Callable[[str], AbstractContextManager[None]]
@@ -49,6 +55,7 @@ class CodedApertureCamera:
         self.execution: ExecutionName = execution
         self.method = scaled_method(calibration, self.config, execution)
         self.alignment = ChannelAlignment(calibration, self.config)
+        self._at_sizes: dict[tuple[int, int], CodedApertureCamera] = {}
 
     @property
     def depth_model(self) -> DepthModel | None:
@@ -72,14 +79,26 @@ class CodedApertureCamera:
         Raises
         ------
         InputError
-            The image cannot be used, or is not of this camera's size.
+            The image cannot be used, or is not of this camera's size or aspect.
+        OutOfMemoryError
+            It would need more memory than there is.
+
+        Warns
+        -----
+        CaptureWarning
+            The image is of another size than this camera's, see `at_size`.
         """
         sensor = self.calibration.sensor
         if isinstance(image, str | Path):
             with stage("read"):
                 image = self.read(image)
+        size_px = image.shape[1::-1]
+        if size_px != (sensor.width_px, sensor.height_px) and np.ndim(image) == 3 and self.shows_frame_at(size_px):
+            warnings.warn(self.scaled_note(size_px), CaptureWarning, stacklevel=2)
+            return self.at_size(*size_px).measure(image, stage=stage)
         with stage("check"):
             image = check_capture(image, sensor.width_px, sensor.height_px)
+            check_camera_memory("the photograph", self.calibration, self.config)
         with stage("disparity"):  # Eq. (1) and section 3.1
             disparity = self.method.match(image)
         with stage("depth"):  # Eq. (10)
@@ -105,8 +124,47 @@ class CodedApertureCamera:
         """
         sensor = self.calibration.sensor
         levels = (sensor.black_level, sensor.white_level) if self.calibration.is_calibrated else None
-        decoded = decode(path, size_px=(sensor.width_px, sensor.height_px))
+        check_camera_memory(Path(path).name, self.calibration, self.config)
+        is_known = self.calibration.is_calibrated
+        decoded = decode(path, size_px=(sensor.width_px, sensor.height_px), any_scale=is_known)
         return linearise(decoded, black_level=black_level, white_level=white_level, camera_levels=levels)
+
+    def shows_frame_at(self, size_px: tuple[int, int]) -> bool:
+        """Whether photographs of a size, width and height, have the aspect of this calibrated camera's."""
+        sensor = self.calibration.sensor
+        return self.calibration.is_calibrated and same_frame((sensor.width_px, sensor.height_px), size_px)
+
+    def at_size(self, width_px: int, height_px: int) -> CodedApertureCamera:
+        """Return this camera for photographs of another size, which show the whole frame in other pixels.
+
+        It matches at the same working scale where that is a whole fraction of the size. Elsewhere its settings are
+        those of `default_config`: settings in px would not fit.
+
+        Raises
+        ------
+        InputError
+            The size has another aspect.
+        """
+        size = (width_px, height_px)
+        if size == (self.calibration.sensor.width_px, self.calibration.sensor.height_px):
+            return self
+        if size not in self._at_sizes:
+            calibration = resized(self.calibration, width_px, height_px)
+            scale = self.config.scale * width_px / self.calibration.sensor.width_px
+            if abs(scale / max(1, round(scale)) - 1) < _SAME_SCALE:
+                config = replace(self.config, scale=max(1, round(scale)))
+            else:
+                config = default_config(calibration, self.config.quality)
+            self._at_sizes = {size: CodedApertureCamera(calibration, config, execution=self.execution)}
+        return self._at_sizes[size]
+
+    def scaled_note(self, size_px: tuple[int, int]) -> str:
+        """Return what to say of a photograph of another size."""
+        sensor = self.calibration.sensor
+        return (
+            f"a photograph of {size_px[0]}x{size_px[1]} px by a camera calibrated at {sensor.width_px}x"
+            f"{sensor.height_px}: taken for the whole frame in other pixels; of a crop every distance is wrong"
+        )
 
     def millimetres(self, disparity: Disparity) -> tuple[np.ndarray, np.ndarray]:
         """Return depth and its standard deviation in mm; NaN for a camera never calibrated; two (H, W) float32."""

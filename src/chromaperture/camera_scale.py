@@ -12,12 +12,11 @@ from dataclasses import fields, replace
 import numpy as np
 
 from chromaperture.camera_file import Calibration
+from chromaperture.capture.picture_header import same_frame
 from chromaperture.depth.field_scale import resized_field
 from chromaperture.errors import InputError
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.optics.pixel_loss import mean_bars
-
-_ASPECT_PX = 1.0  # by which a side may be off after a picture was reduced: programs round it up or down
 
 
 def reduced_size(size_px: tuple[int, int], scale: int) -> tuple[int, int]:
@@ -78,13 +77,6 @@ def resized(calibration: Calibration, width_px: int, height_px: int) -> Calibrat
         depth={quality: resized_field(field, before, after) for quality, field in calibration.depth.items()},
         blur=None if calibration.blur is None else resized_blur(calibration.blur, across),
     )
-
-
-def same_frame(before_px: tuple[int, int], after_px: tuple[int, int]) -> bool:
-    """Return whether two sizes, width and height, have one aspect, but for the rounding of a side."""
-    (width, height), (other_width, other_height) = before_px, after_px
-    off = abs(width * other_height - height * other_width)
-    return off <= _ASPECT_PX * max(width, height, other_width, other_height)
 
 
 def resized_blur(blur: BlurModel, factor: float) -> BlurModel:

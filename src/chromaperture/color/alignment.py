@@ -35,7 +35,9 @@ def fill_unknown(values: np.ndarray, *, step: int = 1) -> np.ndarray:
     unknown = ~np.isfinite(values)
     if step > 1 and unknown.any():
         known = fill_unknown(values[step // 2 :: step, step // 2 :: step])
-        rows, columns = (np.minimum(np.arange(n) // step, m - 1) for n, m in zip(values.shape, known.shape, strict=True))
+        rows, columns = (
+            np.minimum(np.arange(n) // step, m - 1) for n, m in zip(values.shape, known.shape, strict=True)
+        )
         out = known[rows][:, columns]
         np.copyto(out, values, where=~unknown)
         return out

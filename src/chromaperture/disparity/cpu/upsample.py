@@ -13,9 +13,7 @@ _JUMP, _LEAST, _HALF = np.float32(JUMP_PX), np.float32(LEAST_WEIGHT), np.float32
 _NAN = np.float32(np.nan)
 
 
-def upsample(
-    coarse: Coarse, image: np.ndarray, guide_rgb: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def upsample(coarse: Coarse, image: np.ndarray, guide_rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Bring maps to the pixels of the photograph, as `stages.upsample`."""
     height, width = image.shape[:2]
     maps = Coarse(*(np.ascontiguousarray(part) for part in coarse))

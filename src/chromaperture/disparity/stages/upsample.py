@@ -48,9 +48,7 @@ def places(count: int, coarse_count: int) -> tuple[np.ndarray, np.ndarray]:
     return before, np.clip(at - before, 0, 1).astype(np.float32)
 
 
-def upsample(
-    coarse: Coarse, image: np.ndarray, guide_rgb: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def upsample(coarse: Coarse, image: np.ndarray, guide_rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Bring maps to the pixels of the photograph.
 
     Parameters
