@@ -15,9 +15,9 @@ from chromaperture.config import Config, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_inverse_depth
 
 _BAND_PX = 4_000_000  # of a band: 250 MB of displacements, depth buffers and samples
-# Rows that a band sees beyond its own: what the largest displacement by the lens may be, of that of the centroids in the
-# frame's middle; the neighbourhood of an occluded pixel (7 px) with the samples of Lanczos' filter (4 px); and lateral
-# colour, px of the working scale.
+# Rows that a band sees beyond its own: what the largest displacement by the lens may be, of that of the centroids in
+# the frame's middle; the neighbourhood of an occluded pixel (7 px) with the samples of Lanczos' filter (4 px); and
+# lateral colour, px of the working scale.
 _MOST_BEYOND, _AROUND_PX, _LATERAL_PX = 2.0, 12, 4
 
 

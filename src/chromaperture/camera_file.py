@@ -351,7 +351,8 @@ def _check(calibration: Calibration) -> None:
         "working range": calibration.far_mm - calibration.near_mm,
     }
     for quality, curve in calibration.depth.items():
-        model = calibration.depth_model(quality) if small else curve.at(*places, sensor.width_px, sensor.height_px)
+        at = (sensor.width_px, sensor.height_px)
+        model = calibration.depth_model(quality) if small else curve.at(places[0], places[1], *at)
         positive[f"depth.{quality}.scale_px_mm"] = float(np.min(model.scale_px_mm))
         positive[f"near_mm - depth.{quality}.sensor_to_pupil_mm"] = calibration.near_mm - float(
             np.max(model.sensor_to_pupil_mm)

@@ -1,4 +1,7 @@
-"""Depth of pictures of many megapixels: the curves of a band of rows at a time, which for a whole frame take gigabytes."""
+"""Depth of pictures of many megapixels, by bands of rows.
+
+The curves of every pixel and their covariances take 100 bytes a pixel, for a whole frame gigabytes.
+"""
 
 from __future__ import annotations
 

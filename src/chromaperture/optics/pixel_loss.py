@@ -1,7 +1,7 @@
 """How much of the disparity pixels cost: which pixels are small enough for a blur.
 
-As in `depth_error_bound.py`, for two channels with the transfer functions h1 and h2, equal white noise, and a texture of
-1/f amplitudes, a frequency f holds about the disparity the information
+As in `depth_error_bound.py`, for two channels with the transfer functions h1 and h2, equal white noise, and a texture
+of 1/f amplitudes, a frequency f holds about the disparity the information
 
     |h2' h1 - h1' h2|^2 / (|h1|^2 + |h2|^2) / f^2,       ' = d / d disparity.
 
@@ -21,9 +21,9 @@ from chromaperture.optics.lens_otf import traced, transfer_at
 
 _FREQUENCIES = 32  # steps to the highest frequency; 48 change the growth by 0.001
 _RAYS = 2  # every second sample of the pupil: all change the growth by 0.015 at most, and take twice the time
-# Cycles in the displacement of the pupil's edge where the blur is widest, up to which light counts. At 1 / f texture and
-# in focus information has no end; beyond this the samples of the pupil, not the lens, would tell it (a flat floor), and
-# it is the half cycle a px of bench50, from whose pixels the matchers' windows and bands are known to suffice.
+# Cycles in the displacement of the pupil's edge where the blur is widest, up to which light counts. Of 1 / f texture in
+# focus information has no end; beyond this the samples of the pupil, not the lens, would tell it (a flat floor), and it
+# is the half cycle a px of bench50, from whose pixels the matchers' windows and bands are known to suffice.
 _HIGHEST_CYCLES = 6.85
 
 

@@ -67,13 +67,13 @@ def upsample(coarse: Coarse, image: np.ndarray, guide_rgb: np.ndarray) -> tuple[
     (rows, down), (columns, right) = places(height, h), places(width, w)
     below, beside = np.minimum(rows + 1, h - 1), np.minimum(columns + 1, w - 1)
     corners = [(r[:, None], c[None]) for r in (rows, below) for c in (columns, beside)]
-    near = [a[:, None] * b[None] for a in (1 - down, down) for b in (1 - right, right)]
+    shares = [a[:, None] * b[None] for a in (1 - down, down) for b in (1 - right, right)]
 
     guide = image @ np.asarray(guide_rgb, np.float32)
     disparity = np.stack([coarse.disparity_px[at] for at in corners])
     low, high = disparity.min(axis=0), disparity.max(axis=0)
     one_surface, middle = high - low <= JUMP_PX, (low + high) / 2
-    near = np.stack(near) + np.where(one_surface, np.float32(0), np.float32(LEAST_WEIGHT))
+    near = np.stack(shares) + np.where(one_surface, np.float32(0), np.float32(LEAST_WEIGHT))
     like = near / (1 + np.stack([guide - coarse.guide[at] for at in corners]) ** 2)
     nearer = disparity < middle
     first = (like * nearer).sum(axis=0) > (like * ~nearer).sum(axis=0)
