@@ -33,8 +33,8 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of
-from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.layer_renderer import render_layers
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.pinhole import PupilCamera, centered_pinhole
 from chromaperture.optics.textures import noise
 
@@ -170,7 +170,9 @@ except SystemExit as end:
     if end.code:
         raise
 use = resource.getrusage(resource.RUSAGE_SELF)
-print("USED", json.dumps({"peak_gb": use.ru_maxrss / 1e6, "cpu_s": use.ru_utime + use.ru_stime}))
+# Not `ru_maxrss`, which a process inherits from the one that started it.
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1]
+print("USED", json.dumps({"peak_gb": int(peak) / 1e6, "cpu_s": use.ru_utime + use.ru_stime}))
 """
 
 
