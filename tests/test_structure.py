@@ -20,8 +20,8 @@ SOURCES = {
 MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
-BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "storage", "camera_file", "camera_matching", "camera_scale",
-                         "camera_alignment", "camera", "cluster", "frame", "calibration", "products"}  # fmt: skip
+BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "storage", "camera_file", "camera_matching",
+                         "camera_scale", "camera_memory", "camera_alignment", "camera", "cluster", "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
 COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory"}
 ALLOWED: dict[str, set[str]] = {
@@ -47,8 +47,9 @@ ALLOWED: dict[str, set[str]] = {
     "camera_matching": {"camera_file", "camera_scale", "color", "config", "disparity"},
     "camera_alignment": {"camera_file", "camera_scale", "color", "config", "depth"},
     "frame": {"camera_file", "config", "storage", "color", "depth"},  # the result, and what is made of it
-    "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "config", "frame"} | STAGES,
-    "calibration": {"optics", "camera_matching", "camera_file", "config"} | STAGES,
+    "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "config", "frame"}
+    | STAGES,
+    "calibration": {"optics", "camera_matching", "camera_scale", "camera_file", "config"} | STAGES,
     "products": {"camera", "camera_file", "cluster", "config", "frame", "storage", "capture", "color", "depth"},
     "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth"},
     "reconstruction": {"camera", "products", "storage", "capture", "color", "depth"},

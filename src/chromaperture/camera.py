@@ -15,7 +15,7 @@ from chromaperture.camera_alignment import ChannelAlignment
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, label_maps, noise_model
 from chromaperture.camera_memory import check_camera_memory
-from chromaperture.camera_scale import at_scale, resized
+from chromaperture.camera_scale import SAME_SCALE, at_scale, resized
 from chromaperture.capture.checks import check_capture
 from chromaperture.capture.files import decode, linearise
 from chromaperture.capture.picture_header import same_frame
@@ -29,7 +29,6 @@ from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.errors import CaptureWarning
 from chromaperture.frame.depth_frame import DepthFrame
 
-_SAME_SCALE = 0.02  # relative difference of scales at which settings in px still fit
 _WHOLE_PX = 4_000_000  # pictures up to this size keep the curves of every pixel, 100 bytes each, from frame to frame
 
 StageTimer = Callable[[str], AbstractContextManager[None]]
@@ -151,7 +150,7 @@ class CodedApertureCamera:
         if size not in self._at_sizes:
             calibration = resized(self.calibration, width_px, height_px)
             scale = self.config.scale * width_px / self.calibration.sensor.width_px
-            if abs(scale / max(1, round(scale)) - 1) < _SAME_SCALE:
+            if abs(scale / max(1, round(scale)) - 1) < SAME_SCALE:
                 config = replace(self.config, scale=max(1, round(scale)))
             else:
                 config = default_config(calibration, self.config.quality)

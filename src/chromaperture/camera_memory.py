@@ -6,8 +6,8 @@ from chromaperture.camera_file import Calibration
 from chromaperture.config import Config
 from chromaperture.memory import check_memory
 
-# The program; a pixel of the photograph, with its results and files; a pixel that is matched, and a layer there. Peaks of
-# 0.35 and 24 megapixels at scales of 1/8 to 1/2 (`benchmarks/large_pictures.py`) are 2 to 27 % below the sums.
+# The program; a pixel of the photograph, with its results and files; a pixel that is matched, and a layer there. Peaks
+# of 0.35 to 24 megapixels at scales of 1/8 to 1/2 (`benchmarks/large_pictures.py`) are 2 to 27 % below the sums.
 _PROGRAM_BYTES, _PIXEL_BYTES = 0.3e9, 78
 _MATCHED_BYTES = {"paper": (120, 3.0), "real-time": (120, 0.8), "accurate": (200, 16.0)}
 _SMALL_BYTES = 1e9  # not checked: asking the system for every frame of a video is not worth it

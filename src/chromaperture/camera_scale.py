@@ -11,7 +11,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from chromaperture.camera_file import Calibration
+from chromaperture.camera_file import Calibration, CameraSensor
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.depth.field_scale import resized_field
 from chromaperture.errors import InputError
@@ -61,21 +61,27 @@ def resized(calibration: Calibration, width_px: int, height_px: int) -> Calibrat
             f"a camera of {before[0]}x{before[1]} px does not show the same frame at {after[0]}x{after[1]} px"
         )
     across, down = (b / a for b, a in zip(before, after, strict=True))
-    binned = across * down  # pixels in a pixel
-    full_well, read_noise = sensor.full_well_electrons, sensor.read_noise_electrons
     return replace(
         calibration,
-        sensor=replace(
-            sensor,
-            width_px=after[0],
-            height_px=after[1],
-            pixel_pitch_mm=sensor.pixel_pitch_mm * across,
-            full_well_electrons=None if full_well is None else full_well * binned,
-            read_noise_electrons=None if read_noise is None else read_noise * binned**0.5,
-        ),
+        sensor=resized_sensor(sensor, *after),
         lens=replace(lens, camera_matrix=_camera_matrix(lens.camera_matrix, across, down)),
         depth={quality: resized_field(field, before, after) for quality, field in calibration.depth.items()},
         blur=None if calibration.blur is None else resized_blur(calibration.blur, across),
+    )
+
+
+def resized_sensor(sensor: CameraSensor, width_px: int, height_px: int) -> CameraSensor:
+    """Return a sensor in other pixels, as `resized` does."""
+    across = sensor.width_px / width_px
+    binned = across * sensor.height_px / height_px  # pixels in a pixel
+    full_well, read_noise = sensor.full_well_electrons, sensor.read_noise_electrons
+    return replace(
+        sensor,
+        width_px=width_px,
+        height_px=height_px,
+        pixel_pitch_mm=sensor.pixel_pitch_mm * across,
+        full_well_electrons=None if full_well is None else full_well * binned,
+        read_noise_electrons=None if read_noise is None else read_noise * binned**0.5,
     )
 
 
@@ -98,20 +104,28 @@ def _camera_matrix(matrix: np.ndarray, across: float, down: float) -> np.ndarray
 # Candidates, and what `auto` allows: the mean of the error bar over the working range may be this many times that of
 # light which no pixels divide. For bench50's own pixels it is 1.04 to 1.08 times that, for pixels twice as wide 1.17 to
 # 1.35 times (four designs; docs/working-scale.md).
+MATCHED_SIZE = "matched_size_px"  # in a camera file's provenance: width and height at which its boards were matched
+SAME_SCALE = 0.02  # relative difference of scales that are one
 SCALES = (1, 2, 3, 4, 6, 8, 12, 16)
 MOST_GROWTH = 1.09
 _DISTANCES = 7  # of the working range, evenly spaced in 1 / z; 15 change the growth by 0.01
 # Px by which the widest blur displaces the pupil's edge, in a reduced picture: no design of bench50 allows fewer, so
 # that scales below need no computation.
 _LEAST_RADIUS_PX = 8.0
-_LEAST_SIDE_PX = 320  # of a reduced picture: windows, planes and borders count pixels
+LEAST_SIDE_PX = 320  # of a reduced picture: windows, planes and borders count pixels
 
 
 def working_scale(calibration: Calibration) -> int:
-    """Return the coarsest scale, see `SCALES`, at which pixels cost the disparity next to nothing.
+    """Return the scale at which a camera's boards were matched, or one at which pixels cost next to nothing.
 
-    1 where the blur is not known.
+    The curves of shift matching hold the bias that windows of so many pixels have, so a camera that was calibrated at
+    a working scale keeps it. Else it is the coarsest of `SCALES` that the blur allows, and 1 where that is not known.
     """
+    matched = calibration.provenance.get(MATCHED_SIZE)
+    if isinstance(matched, list | tuple) and len(matched) == 2 and isinstance(matched[0], int) and matched[0] > 0:
+        scale = calibration.sensor.width_px / matched[0]
+        if round(scale) >= 1 and abs(scale / round(scale) - 1) < SAME_SCALE:
+            return round(scale)
     blur, sensor = calibration.field_blur(), calibration.sensor
     if blur is None or not calibration.is_calibrated:
         return 1
@@ -120,7 +134,7 @@ def working_scale(calibration: Calibration) -> int:
     inverse_mm = np.linspace(nearest, farthest, _DISTANCES)
     widest = float(np.abs(blur.model.infinity_px - blur.model.scale_px_mm * inverse_mm).max())
     side = min(sensor.width_px, sensor.height_px)
-    possible = [s for s in SCALES if s * _LEAST_RADIUS_PX <= widest and side >= s * _LEAST_SIDE_PX]
+    possible = [s for s in SCALES if s * _LEAST_RADIUS_PX <= widest and side >= s * LEAST_SIDE_PX]
     if not possible[1:]:
         return 1
     undivided, *bars = mean_bars(blur, inverse_mm, [0, *possible])
