@@ -21,6 +21,7 @@ from chromaperture.cli.setup import camera_for
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
 from chromaperture.errors import CaptureWarning, InputError, OutOfMemoryError
 from chromaperture.optics.lens_blur import BlurModel
+from chromaperture.products.rectified import undistorter
 from worlds import capture, halves_camera, texture
 
 WIDTH, HEIGHT, SCALE = 768, 512, 4
@@ -103,6 +104,14 @@ def test_a_file_at_another_size_is_read_and_one_of_another_aspect_refused(full, 
         camera.read(tmp_path / "turned.png")
     with pytest.raises(InputError, match="looks rotated: turn it back"):
         camera.measure(photograph.transpose(1, 0, 2))
+
+
+def test_pictures_for_other_programs_are_of_the_size_that_was_calibrated(full, photograph):
+    camera = CodedApertureCamera(full, default_config(full, "real-time", scale=SCALE))
+    with pytest.warns(CaptureWarning):
+        frame = camera.measure(reduced_by_hand(photograph, 2).astype(np.float32))
+    with pytest.raises(InputError, match="384x256"):
+        undistorter(camera)(frame, 0.0, 0)
 
 
 @pytest.mark.parametrize("orientation", [3, 6, 8])
