@@ -239,7 +239,9 @@ def plot(rows: list[dict], path: Path) -> None:
         units = {"cpu_s": "processor time with start-up, s", "peak_gb": "peak, GB"}
         for axis, (key, unit) in zip(axes, units.items(), strict=True):
             axis.plot(megapixels, [row[key] for row in of], "o-", label=quality)
-            axis.set(xlabel="megapixels (working scale: auto)", ylabel=unit, xlim=(0, None), ylim=(0, None))
+            axis.set(xlabel="megapixels (working scale: auto)", ylabel=unit)
+    for axis in axes:
+        axis.set(xlim=(0, None), ylim=(0, None))
     axes[0].legend()
     figure.savefig(path, dpi=110)
 
