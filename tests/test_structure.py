@@ -44,7 +44,7 @@ ALLOWED: dict[str, set[str]] = {
     "camera_file": {"optics", "color", "config", "depth", "storage", "asdf_input", "camera_tree"},
     "config_file": {"config"},
     "camera_scale": {"optics", "camera_file", "depth", "capture"},
-    "camera_memory": {"camera_file", "config"},
+    "camera_memory": {"camera_file", "camera_scale", "config"},
     "camera_matching": {"camera_file", "camera_scale", "color", "config", "disparity"},
     "camera_alignment": {"camera_file", "camera_scale", "color", "config", "depth"},
     "frame": {"camera_file", "config", "storage", "color", "depth"},  # the result, and what is made of it

@@ -70,8 +70,8 @@ def refocus(
 
     chromaperture refocus photo.png --camera camera.asdf --strength 0      (everything in focus)
     """
-    from chromaperture.cli.console import announce_compilation, announce_duration, print_files, print_json, progress
     from chromaperture.capture.files import image_size
+    from chromaperture.cli.console import announce_compilation, announce_duration, print_files, print_json, progress
     from chromaperture.cli.setup import camera_for
     from chromaperture.effects.refocusing import Focus
 
