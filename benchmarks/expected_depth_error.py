@@ -15,7 +15,7 @@ import numpy as np
 
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
 from chromaperture.config import AccurateConfig, RealTimeConfig
-from chromaperture.disparity.blur_evidence import BlurEvidence
+from chromaperture.disparity.blur_evidence import SPACING_PX, BlurEvidence
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.labels import IDENTITY
@@ -71,10 +71,11 @@ def found_radii(image, design, blur, true_px):
     )
     colours = np.array([design.filter_named(name).transmission for name in design.views])
     common = {"aperture": design, "unmixing": unmixing_rows(mixing_matrix(colours), len(design.views))}
+    window = parabola_winner(widest_pair.likelihood(image, layers_px), layers_px).disparity_px
     accurate = estimate_disparity(image, **common, config=config, blur=blur, label_maps=[IDENTITY])
     quick = estimate_disparity(image, **common, config=RealTimeConfig())
     return {
-        "window": parabola_winner(widest_pair.likelihood(image, layers_px), layers_px).disparity_px / blur.reach,
+        "window": np.repeat(np.repeat(window, SPACING_PX, axis=0), SPACING_PX, axis=1)[:SIZE, :SIZE] / blur.reach,
         "accurate": accurate.value_px / blur.reach,
         "real-time": quick.value_px / reach_of(design),
     }

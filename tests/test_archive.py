@@ -72,7 +72,7 @@ def test_a_cluster_gives_the_same_files_names_the_damaged_and_keeps_what_is_comp
         second = run(*command, "--cluster", started.address, "--json")
     finally:
         started.close()
-    assert first.returncode == second.returncode == 2
+    assert first.returncode == second.returncode == 1
     (line,) = first.stderr.splitlines()
     assert "bad.png" in line
     assert "damaged" in line
@@ -333,7 +333,6 @@ def test_wrong_use_is_one_line(run, tmp_path, monkeypatch):
         "cannot read the list": ("--files-from", tmp_path / "bytes.txt"),
         "give its scheduler with --cluster": ("s3://bucket/photo.png",),
         "same files": (image, image, *address),
-        "--again is used with --cluster": (image, "--again"),
         "no Dask scheduler|pip install": (image, *address),
     }
     monkeypatch.setattr(cluster, "CONNECT_S", 1)

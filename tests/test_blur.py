@@ -8,7 +8,15 @@ import pytest
 from chromaperture.errors import InputError
 from chromaperture.optics import splat_kernels
 from chromaperture.optics.aperture import DESIGNS, made_of
-from chromaperture.optics.lens_blur import BlurModel, LensBlur, displacement, rims, sample_pupil, splat
+from chromaperture.optics.lens_blur import (
+    BlurModel,
+    LensBlur,
+    displacement,
+    point_transforms,
+    rims,
+    sample_pupil,
+    splat,
+)
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_bundle, pinhole_rays
@@ -73,7 +81,7 @@ def test_the_rasteriser_in_numpy_is_the_compiled_one():
     # The compiled one rounds to float32 after each of some 10 points a pixel.
     np.testing.assert_allclose(found, expected, atol=10 * np.finfo(np.float32).eps * expected.max())
     blur = blur_of(BlurModel(10.0, 20000.0))
-    plain, compiled = (blur.transfer_of(blur.rays(30.0, 40.0), 1e-3, 64, splat=s) for s in (splat, None))
+    plain, compiled = (blur.transfer_of(blur.rays(30.0, 40.0), 1e-3, 64, transform=t) for t in (point_transforms, None))
     np.testing.assert_allclose(plain, compiled, atol=1e-6)  # float32 rounding of sums that are at most 1
 
 

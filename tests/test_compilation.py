@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 import textwrap
@@ -124,3 +125,21 @@ def test_where_nothing_can_be_kept_every_process_compiles(package, tmp_path):
 def test_a_full_disk_is_no_reason_to_stop(package, tmp_path):
     full = "import os\ndef replace(*_): raise OSError(28, 'No space left on device')\nos.replace = replace"
     assert service(package, tmp_path, full) == (20, False)
+
+
+def parsed_imports(path: Path) -> set[Path]:
+    """The package's files that a file imports, by Python's own parser."""
+    names: list[str] = []
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("chromaperture."):
+            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    root = Path(compilation.__file__).parent
+    paths = [root.joinpath(*name.split(".")[1:]).with_suffix(".py") for name in names]
+    return {path for path in paths if path.is_file()}
+
+
+def test_the_key_of_the_machine_code_sees_every_import_that_pythons_parser_sees():
+    files = sorted(Path(compilation.__file__).parent.rglob("*.py"))
+    assert len(files) > 100
+    assert {file: set(compilation._imports(file)) - parsed_imports(file) for file in files} == {f: set() for f in files}
+    assert {file: parsed_imports(file) - set(compilation._imports(file)) for file in files} == {f: set() for f in files}

@@ -39,6 +39,7 @@ NOT_RUN = {
     "evaluate figure-10": "minutes: test_exhibits.py makes the exhibits one by one",
     "evaluate accuracy": "no cluster here: test_cluster.py starts one",
     "depth archive/": "no cluster here: test_archive.py starts one",
+    "depth holiday/": "a folder of photographs: test_batch.py measures one",
     "depth --files-from": "no cluster here: test_archive.py starts one",
     "record webcam": "no camera here: test_sources.py has others",
     "live webcam": "no camera here: test_live.py shows a simulated one",

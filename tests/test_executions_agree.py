@@ -375,9 +375,7 @@ def test_real_time_agrees_for_every_size(shape):
     assert_real_time_agrees(image, "cy_halves")
 
 
-@pytest.mark.parametrize(
-    "change", [{"jump_penalty": 3.0}, {"edge_floor": 1.0}, {"temperature": 0.5}]
-)
+@pytest.mark.parametrize("change", [{"jump_penalty": 3.0}, {"edge_floor": 1.0}, {"temperature": 0.5}])
 def test_real_time_agrees_for_every_setting(change):
     config = replace(REAL_TIME, paths=FourPathsConfig(**change))
     assert_real_time_agrees(wavy_capture("cy_halves"), "cy_halves", config)
@@ -555,28 +553,40 @@ def test_the_variation_coupled_to_a_volume_agrees(slope_penalty):
 
 @settings(max_examples=20, deadline=None)
 @given(SEEDS, st.integers(1, 12), st.floats(1e-3, 1))
-def test_cross_filtered_spectra_agree_with_the_formula(seed, half, damping):
-    rng = np.random.default_rng(seed)
-    shape = (4, 2 * half, half + 1)
-    a, b, h_a, h_b = (rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(np.complex64)
+def test_cross_filtered_pictures_agree_with_the_formula(seed, half, damping):
+    pictures = np.random.default_rng(seed).normal(size=(4, 2 * half, 2 * half))
+    a, b, h_a, h_b = np.fft.fft2(pictures)
     q = np.sqrt((np.abs(h_a) ** 2 + np.abs(h_b) ** 2) / 2 + damping)
+    expected = np.fft.ifft2([a * h_b / q, b * h_a / q]).real.transpose(1, 2, 0)
+    spectra = [np.fft.rfft2(picture).astype(np.complex64) for picture in pictures]
     for run in (FAST, SLOW):
-        out = np.empty((2, *shape[1:]), np.complex64)
-        run.cross_filter((a, b), (h_a, h_b), damping, out)
-        # float32: relative to the product, whose real and imaginary parts may cancel
-        np.testing.assert_allclose(out, [a * h_b / q, b * h_a / q], rtol=2e-6, atol=2e-6)
+        found = run.cross_filter(spectra[:2], spectra[2:], damping)
+        # float32: relative to the largest of a pixel's sums
+        np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())
 
 
 @settings(max_examples=30, deadline=None)
-@given(SEEDS, st.integers(1, 20), st.integers(0, 60))
-def test_rasterised_points_agree(seed, size, count):
+@given(SEEDS, st.integers(1, 20), st.integers(1, 20), st.integers(1, 3), st.integers(0, 60))
+def test_transforms_of_points_agree(seed, size, fewer, channels, count):
     rng = np.random.default_rng(seed)
-    points, weights = rng.uniform(-30, 30, (count, 2)), rng.uniform(0, 1, count)
-    fast, slow = np.zeros((2, size, size), np.float32)
-    FAST.splat(points, weights, fast)
-    SLOW.splat(points, weights, slow)
-    np.testing.assert_allclose(fast, slow, atol=1e-5)  # float32 sums of up to 60 weights in one pixel
-    assert fast.sum() == pytest.approx(weights.sum(), rel=1e-5, abs=1e-6)  # nothing is lost at the borders
+    points, weights = rng.uniform(-30, 30, (channels, count, 2)), rng.uniform(0, 1, (channels, count))
+    for samples in (size, max(1, size - fewer)):
+        fast, slow = (run.point_transforms(points, weights, size, samples) for run in (FAST, SLOW))
+        assert fast.shape == slow.shape == (channels, samples, samples // 2 + 1)
+        np.testing.assert_allclose(fast, slow, atol=1e-5 * max(1, count))  # float32 sums of weights of at most 1
+        np.testing.assert_allclose(fast[:, 0, 0], weights.sum(axis=1), rtol=1e-5, atol=1e-6)  # nothing is lost
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS, st.integers(1, 30), st.integers(1, 30), st.integers(1, 4))
+def test_volumes_of_few_pixels_are_read_alike(seed, height, width, spacing_px):
+    rng = np.random.default_rng(seed)
+    volume = rng.gamma(0.5, 1, (-(-height // spacing_px), -(-width // spacing_px), 7)).astype(np.float32)
+    layers_px = np.arange(7) * 0.3
+    settings_ = {"factors": 1.5, "shape": (height, width), "spacing_px": spacing_px}
+    fast, slow = (run.read_at_labels(volume, layers_px, layers_px, IDENTITY, **settings_) for run in (FAST, SLOW))
+    np.testing.assert_allclose(fast, slow, atol=1e-3, rtol=1e-3)  # as above
+    np.testing.assert_allclose(fast[::spacing_px, ::spacing_px], volume, atol=1e-4, rtol=1e-4)  # e^-2l in float32
 
 
 # ---- whole measurements

@@ -99,20 +99,20 @@ def test_layers_between_layers_are_those_of_a_smooth_correlation():
     correlation = 0.99 * np.exp(-((fine - peak) ** 2) / (2 * 5.0**2))
     likelihood = (-0.5 * np.log1p(-(correlation**2))).astype(np.float32)
     found = stages.read_at_labels(likelihood[..., ::2], fine[::2], fine, IDENTITY)
-    # The cubic leaves the fourth derivative of the unexplained fraction: 9/384 h^4 of about 12 / 25^2 of it, against
-    # 0.02 at the peak.
+    # Next to the ends a straight continuation is one of the six layers, and errs as a cubic does: 9/384 h^4 of about
+    # 12 / 25^2, against 0.02 at the peak.
     np.testing.assert_allclose(found[..., 2:-2], likelihood[..., 2:-2], atol=0.06)
     np.testing.assert_allclose(found[..., ::2], likelihood[..., ::2], atol=1e-6)  # float32
 
 
 def test_the_product_of_two_correlations_needs_both_factors():
-    """Evidence of two bands, s^1 s^0.5 with s a parabola in the layer: with 1.5 factors the cubic is exact."""
+    """Evidence of two bands, s^1 s^0.5 with s a parabola in the layer: with 1.5 factors a polynomial is exact."""
     layers, peak = np.arange(0, 8.01, 1.0), np.linspace(3.0, 4.0, 11)[None, :, None]
 
     def likelihood(at):
         return (-0.5 * 1.5 * np.log(0.002 + 0.01 * (at - peak) ** 2)).astype(np.float32)
 
-    labels = np.arange(1.0, 7.01, 0.25)
+    labels = np.arange(2.0, 6.01, 0.25)  # six layers around each lie in the volume
     both = stages.read_at_labels(likelihood(layers), layers, labels, IDENTITY, factors=1.5)
     np.testing.assert_allclose(both, likelihood(labels), atol=2e-4)  # float32 fractions down to 0.002
     single = stages.read_at_labels(likelihood(layers), layers, labels, IDENTITY)

@@ -440,6 +440,7 @@ def test_a_mesh_in_order_does_not_depend_on_the_order_it_came_in(rng):
         found = in_order(Mesh(points[shuffle], turned, colors[shuffle]))
         for name in ("vertices_mm", "triangles", "colors"):
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
     # The same surface, its fronts on the same side.
     def fronts(mesh):
         corners = mesh.vertices_mm[mesh.triangles]

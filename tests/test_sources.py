@@ -10,7 +10,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,6 +22,7 @@ from chromaperture.capture.source import Encoding, FileSource, Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource, StreamEndedError
 from chromaperture.errors import CaptureWarning, InputError, MissingDependencyError
 from chromaperture.optics.sensor import mosaic
+from worlds import write_dng
 
 # Older PyGObject has an importer of the old kind.
 pytestmark = pytest.mark.filterwarnings("ignore:DynamicImporter:ImportWarning")
@@ -361,21 +361,6 @@ def test_a_scene_moves_past_the_simulated_camera(tmp_path):
 # What needs an extra
 
 
-def write_dng(path: Path, cells: np.ndarray) -> None:
-    def ascii_(text):
-        return text + "\0"
-
-    tags = [
-        (33421, "H", 2, (2, 2), False), (33422, "B", 4, bytes([1, 0, 2, 1]), False),  # GRBG
-        (50706, "B", 4, bytes([1, 4, 0, 0]), False), (50707, "B", 4, bytes([1, 1, 0, 0]), False),
-        (50708, "s", 0, ascii_("test"), False), (50714, "H", 1, 64, False), (50717, "I", 1, 4095, False),
-        (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), False),
-        (50728, "2I", 3, (1, 1, 1, 1, 1, 1), False), (50778, "H", 1, 21, False),
-        (271, "s", 0, ascii_("test"), False), (272, "s", 0, ascii_("test"), False),
-    ]  # fmt: skip
-    tifffile.imwrite(path, cells, photometric=32803, extratags=tags, metadata=None)
-
-
 def require_aravis() -> None:
     import gi
 
@@ -388,7 +373,7 @@ def require_aravis() -> None:
 @pytest.mark.extra("raw", "rawpy")
 def test_a_raw_file_gives_its_photosites(tmp_path):
     cells = np.random.default_rng(3).integers(200, 4000, (64, 96)).astype(np.uint16)
-    write_dng(tmp_path / "photo.dng", cells)
+    write_dng(tmp_path / "photo.dng", cells, pattern="GRBG", black=(64,))
     with open_source(str(tmp_path / "photo.dng")) as source:
         (frame,) = list(source)
     expected, encoding = superpixels(cells, "GRBG", black_level=64, white_level=4095)

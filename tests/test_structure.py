@@ -30,6 +30,7 @@ ALLOWED: dict[str, set[str]] = {
     "validation": {"errors"},
     "memory": {"errors"},
     "threads": {"errors"},  # numbers of threads in the environment are refused like any input
+    "compile_ahead": set(),
     "stage_config": {"errors"},
     "config": {"errors", "stage_config"},
     "optics": set(),  # the forward model shares no code with the estimator that it tests
@@ -57,7 +58,8 @@ ALLOWED: dict[str, set[str]] = {
     # It shows the model, and the picture focused elsewhere.
     "viewer": {"camera", "products", "storage", "capture", "color", "depth", "effects", "reconstruction"},
     "evaluation": BELOW_LEAVES | {"effects", "reconstruction"},  # the paper's Figures 14 and 15 show them
-    "cli": BELOW_LEAVES | {"config_file", "effects", "reconstruction", "viewer", "evaluation", "__init__"},
+    "cli": BELOW_LEAVES | {"compile_ahead", "config_file", "effects", "reconstruction", "viewer", "evaluation"}
+           | {"__init__"},
     "tasks": BELOW_LEAVES | {"effects", "evaluation"},  # whole tasks in one call, for Python
     "__main__": {"cli"},
     # Public names, each imported when it is first used.
@@ -67,7 +69,6 @@ EXECUTIONS = ("chromaperture.disparity.cpu", "chromaperture.disparity.stages")
 # Who imports modules of an execution from outside the two of them, and why.
 MAY_IMPORT_CPU = {
     "disparity/execution.py",  # chooses between them
-    "cli/console.py",  # checks whether kernels are compiled already, to announce the wait
 }
 MAY_IMPORT_EXECUTIONS = MAY_IMPORT_CPU | {
     # What both executions share, defined where the readable one explains it:

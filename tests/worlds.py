@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import scipy.fft
+import tifffile
 
 from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.calibration.curves import Evidence
@@ -224,6 +225,51 @@ def write_board_session(folder: Path) -> None:
     for name, colour in (("sheet_c", (0, 1, 1)), ("sheet_y", (1, 1, 0))):  # this world's film is ideal
         sheet = np.broadcast_to(np.array(colour) * 45000 + 100, (108, 144, 3)).astype(np.uint16)
         cv2.imwrite(str(folder / "white" / f"{name}.png"), sheet[..., ::-1])
+
+
+# ---- RAW files
+
+
+def write_dng(
+    path: Path,
+    mosaic: np.ndarray,
+    *,
+    pattern: str = "RGGB",
+    black: tuple[int, ...] = (0,),
+    white: int = 4095,
+    orientation: int = 1,
+    active_area: tuple[int, int, int, int] | None = None,
+    model: str = "Test",
+) -> None:
+    """Write an uncompressed DNG (Adobe's specification 1.4) of a mosaic (H, W) uint16.
+
+    ``black`` is one level, or four of the cell, row by row; ``active_area`` is top, left, bottom, right, where the
+    pattern begins.
+    """
+    colours = bytes("RGB".index(colour) for colour in pattern)
+    identity = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
+    tags: list[tuple] = [
+        (33421, "H", 2, (2, 2), False), (33422, "B", 4, colours, False), (274, "H", 1, orientation, True),
+        (50706, "B", 4, bytes([1, 4, 0, 0]), False), (50707, "B", 4, bytes([1, 1, 0, 0]), False),
+        (50708, "s", 0, model + "\0", False), (50717, "I", 1, white, False), (50721, "2i", 9, identity, False),
+        (50728, "2I", 3, (1, 1, 1, 1, 1, 1), False), (50778, "H", 1, 21, False),
+        (271, "s", 0, "test\0", False), (272, "s", 0, model + "\0", False),
+    ]  # fmt: skip
+    if len(black) == 1:
+        tags.append((50714, "H", 1, black[0], False))
+    else:
+        tags += [(50713, "H", 2, (2, 2), False), (50714, "H", 4, black, False)]
+    if active_area is not None:
+        tags.append((50829, "I", 4, active_area, False))
+    tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags, metadata=None, software=False)
+
+
+def mosaic_of(counts: np.ndarray) -> np.ndarray:
+    """Photosites (2H, 2W), RGGB, of a sensor that sees a picture (H, W, 3)."""
+    fine = cv2.resize(counts.astype(np.float32), None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    sites = fine[..., 1].copy()
+    sites[::2, ::2], sites[1::2, 1::2] = fine[::2, ::2, 0], fine[1::2, 1::2, 2]
+    return np.clip(np.round(sites), 0, 65535).astype(np.uint16)
 
 
 # ---- trials of the sweeps

@@ -17,6 +17,8 @@ import numpy as np
 
 from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.camera_file import Calibration
+from chromaperture.capture.exif import read_model
+from chromaperture.capture.files import is_photograph
 
 
 def origin(
@@ -44,13 +46,18 @@ def origin(
     Returns
     -------
     dict of str to plain values
-        ``command`` is absent without one; ``files`` are SHA-256 hashes by name.
+        ``command`` is absent without one, ``camera_model`` where no photograph names it; ``files`` are SHA-256 hashes
+        by name.
     """
     made = {} if command is None else {"command": command}
     lens = None
     if lens_from is not None:
         lens = {"design": lens_from.design, "date": lens_from.provenance.get("date"),
                 "focal_length_mm": lens_from.lens.focal_length_mm}  # fmt: skip
+    files = list(files)
+    model = next(filter(None, map(read_model, filter(is_photograph, files))), None)
+    if model is not None:
+        made["camera_model"] = model
     return made | {
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "versions": {

@@ -8,11 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from chromaperture.capture.picture_header import open_picture
+import tifffile
+from PIL import Image
+
+from chromaperture.capture.files import is_raw
+from chromaperture.capture.picture_header import TIFF_MARKS, open_picture
 from chromaperture.validation import MOST_FILE_BYTES, read_bytes
 
+_JPEG = b"\xff\xd8"  # the first bytes of the file
 # Tags of the EXIF standard.
 _EXIF_IFD = 0x8769
+_MODEL, _ORIENTATION = 0x0110, 0x0112
+_TURNS = {3: 180, 6: 90, 8: 270}  # codes of an orientation, degrees clockwise; others are mirrored, or upright
 _FNUMBER, _SUBJECT_DISTANCE, _FOCAL_LENGTH = 0x829D, 0x9206, 0x920A
 
 
@@ -28,10 +35,7 @@ class Exif:
 def read_exif(path: str | Path) -> Exif:
     """Read the settings of a photograph; an empty `Exif` for a file without them."""
     try:
-        data = read_bytes(path, most_bytes=MOST_FILE_BYTES)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow's, of damaged tags
-            tags = open_picture(data).getexif().get_ifd(_EXIF_IFD)
+        tags = _header(path).get_ifd(_EXIF_IFD)
     except Exception:  # decoders raise anything; errors of the picture itself are reported by `read_image`
         return Exif()
     distance_m = _positive(tags.get(_SUBJECT_DISTANCE))
@@ -40,6 +44,41 @@ def read_exif(path: str | Path) -> Exif:
         f_number=_positive(tags.get(_FNUMBER)),
         subject_distance_mm=None if distance_m is None else 1000 * distance_m,
     )
+
+
+def read_model(path: str | Path) -> str | None:
+    """Read the camera's name from a photograph, RAW files of TIFF's form (DNG, CR2, NEF, ARW) too; None if absent."""
+    name = str(_tag(path, _MODEL) or "").strip("\0 ")
+    return name or None
+
+
+def turn_of(path: str | Path) -> int:
+    """Return by how many degrees, clockwise, a photograph is to be turned to stand upright: 0, 90, 180 or 270."""
+    if not is_raw(Path(path)):
+        return _TURNS.get(_tag(path, _ORIENTATION), 0)
+    from chromaperture.capture.raw import raw_turn
+
+    return raw_turn(Path(path))
+
+
+def _tag(path: str | Path, code: int) -> Any:
+    """Return a tag of a TIFF or JPEG file, of others without decoding their pixels; None where there is none."""
+    try:
+        with open(path, "rb") as file:
+            begin = file.read(4)
+        if begin in TIFF_MARKS:
+            with tifffile.TiffFile(path) as picture:
+                found = picture.pages.first.tags.get(code)
+                return None if found is None else found.value
+        return _header(path).get(code) if begin.startswith(_JPEG) else None
+    except Exception:  # decoders raise anything; errors of the picture itself are reported by `read_image`
+        return None
+
+
+def _header(path: str | Path) -> Image.Exif:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow's, of damaged tags
+        return open_picture(read_bytes(Path(path), most_bytes=MOST_FILE_BYTES)).getexif()
 
 
 def _positive(value: Any) -> float | None:

@@ -17,6 +17,8 @@ from chromaperture.capture.source import Encoding
 from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.validation import quoted
 
+_TURNS = {3: 180, 5: 270, 6: 90}  # LibRaw's codes of an orientation, degrees clockwise
+
 
 def raw_size(path: Path) -> tuple[int, int]:
     """Return width and height of the half-size picture, px; raises like `read_raw`."""
@@ -48,17 +50,38 @@ def read_raw(path: Path, *, size_px: tuple[int, int] | None = None) -> tuple[np.
     """
     with _opened(path) as raw:
         check_size(raw.sizes.width // 2, raw.sizes.height // 2, path.name, size_px)
-        layout, names = raw.raw_pattern, raw.color_desc.decode()
+        layout = None if raw.raw_pattern is None else np.asarray(raw.raw_pattern)
+        if layout is None or layout.shape != (2, 2) or raw.raw_image_visible.ndim != 2:
+            raise InputError(
+                f"{path.name} has no Bayer mosaic (X-Trans, Foveon or already developed); "
+                "develop it to a linear 16-bit TIFF without sharpening"
+            )
+        # The pattern begins at the sensor's corner, the picture behind a masked border: perhaps an odd pixel away.
+        top, left = raw.sizes.top_margin, raw.sizes.left_margin
+        layout = np.roll(layout, (-top, -left), axis=(0, 1))
         mosaic = raw.raw_image_visible.copy()
-        black, white = float(np.mean(raw.black_level_per_channel)), float(raw.white_level)
-    pattern = "" if layout is None else "".join(names[i] for i in np.asarray(layout).ravel())
-    if len(pattern) != 4 or mosaic.ndim != 2:
-        raise InputError(
-            f"{path.name} has no Bayer mosaic (X-Trans, Foveon or already developed); "
-            "develop it to a linear 16-bit TIFF without sharpening"
-        )
-    counts, encoding = superpixels(mosaic, pattern, black_level=black, white_level=white)
+        black = np.array(raw.black_level_per_channel, float)[layout]
+        names, white = raw.color_desc.decode(), float(raw.white_level)
+    pattern = "".join(names[i] for i in layout.ravel())
+    counts, encoding = superpixels(mosaic, pattern, black_level=float(black.mean()), white_level=white)
+    if np.ptp(black) > 0:
+        counts = _with_one_black(counts, pattern, black)
     return counts, replace(encoding, given=False)  # the levels of the camera file are more exact
+
+
+def _with_one_black(counts: np.ndarray, pattern: str, black: np.ndarray) -> np.ndarray:
+    """Move the counts of each colour so that black is at the mean of the cell's black levels; (H, W, 3) float32."""
+    moved = counts.astype(np.float32)
+    for place, level in zip(pattern, black.ravel(), strict=True):
+        factor = 1 if place == "G" else 2  # as in `superpixels`: a cell has two G
+        moved[..., "RGB".index(place)] -= np.float32(factor * (level - black.mean()))
+    return moved
+
+
+def raw_turn(path: Path) -> int:
+    """Return by how many degrees, clockwise, the sensor's picture is to be turned to stand upright; as `read_raw`."""
+    with _opened(path) as raw:
+        return _TURNS.get(raw.sizes.flip, 0)
 
 
 @contextlib.contextmanager

@@ -52,7 +52,7 @@ def calibrate(
     from chromaperture.calibration.calibrate_session import calibrate_session
     from chromaperture.calibration.calibration_config import CalibrationConfig
     from chromaperture.camera_file import Calibration
-    from chromaperture.cli.console import announcing_compilation, print_files, print_json, progress, say_warning
+    from chromaperture.cli.console import after_compilation, print_files, print_json, progress, say_warning
     from chromaperture.evaluation.accurate_noise import with_accurate_noise
     from chromaperture.evaluation.verdict import unusable
     from chromaperture.storage import staged
@@ -69,7 +69,7 @@ def calibrate(
             CalibrationConfig(lens_blur=not no_blur, per_pixel=per_pixel),
             lens_from=known,
             command=shlex.join(["chromaperture", *sys.argv[1:]]),
-            progress=announcing_compilation(update, "paper", "real-time", "accurate", quiet=quiet),
+            progress=after_compilation(update, "paper", "real-time", "accurate", quiet=quiet),
             keep_in=kept,
         )
         if not no_report:

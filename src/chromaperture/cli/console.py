@@ -9,7 +9,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.console import Console
 from rich.markup import escape
@@ -25,10 +25,11 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.compilation import is_compiled
 from chromaperture.errors import CaptureWarning
-from chromaperture.products.measure_file import Written
+
+if TYPE_CHECKING:
+    from chromaperture.camera import CodedApertureCamera
+    from chromaperture.products.measure_file import Written
 
 Update = Callable[[str, int, int], None]  # what is being done, how many are done, of how many; 0: nobody knows
 
@@ -123,12 +124,16 @@ def _lines(every_s: float) -> Iterator[Update]:
 
     def run() -> None:
         printed: tuple[str, int, int] | None = None
+        first = (0, 0, began)  # of this step: how many were done, of how many, and when
         while not ended.wait(every_s):
-            state = newest
+            state, now = newest, time.monotonic()
             if state is not None and state != printed:
                 printed = state
-                minutes, seconds = divmod(int(time.monotonic() - began), 60)
-                print(f"[{minutes}:{seconds:02d}] {_line(*state)}", file=sys.stderr, flush=True)
+                if state[1] < first[0] or state[2] != first[1]:
+                    first = (*state[1:], now)
+                minutes, seconds = divmod(int(now - began), 60)
+                left = _remaining(state[1] - first[0], state[2] - state[1], now - first[2])
+                print(f"[{minutes}:{seconds:02d}] {_line(*state)}{left}", file=sys.stderr, flush=True)
 
     def update(what: str, done: int, total: int) -> None:
         nonlocal newest
@@ -147,6 +152,12 @@ def _lines(every_s: float) -> Iterator[Update]:
         thread.join()
 
 
+def _remaining(done: int, left: int, seconds: float) -> str:
+    """State the remaining time, where it is worth saying: from half a minute on."""
+    expected_s = seconds * left / done if done > 0 else 0.0
+    return f", about {_duration(expected_s)} left" if expected_s >= 30 else ""
+
+
 def _line(what: str, done: int, total: int) -> str:
     """State which one is being worked on; how many are done where nobody knows of how many."""
     if not total:
@@ -154,28 +165,39 @@ def _line(what: str, done: int, total: int) -> str:
     return f"{what}, {min(done + 1, total)} of {total}"
 
 
-def announce_compilation(*qualities: str, quiet: bool) -> None:
-    """Announce that the first run takes longer, when no compiled matcher of one of the qualities is on disk."""
-    if quiet:
-        return
-    from chromaperture.disparity.cpu import path_costs, paths, strips
-
-    matchers = {"paper": strips, "real-time": path_costs, "accurate": paths}  # a module of kernels of each
-    if not all(is_compiled(matchers[quality]) for quality in qualities if quality in matchers):
-        err.print("Compiling the matcher once for this machine (about a minute); later runs start at once.")
+def compile_kernels(*qualities: str, quiet: bool) -> None:
+    """Compile what the matchers of qualities need and this machine has not got yet, and show how far it is."""
+    with progress(quiet=quiet) as update:
+        _compile(update, *qualities, quiet=quiet)
 
 
-def announcing_compilation(update: Update, *qualities: str, quiet: bool) -> Update:
-    """Return an update that announces compilation the first time; faults of the input are said before that."""
+def after_compilation(update: Update, *qualities: str, quiet: bool) -> Update:
+    """Return an update that compiles the kernels the first time; faults of the input are said before that."""
     waiting = [True]
 
     def show(what: str, done: int, total: int) -> None:
         if waiting:
             waiting.clear()
-            announce_compilation(*qualities, quiet=quiet)
+            _compile(update, *qualities, quiet=quiet)
         update(what, done, total)
 
     return show
+
+
+def _compile(update: Update, *qualities: str, quiet: bool) -> None:
+    from chromaperture.compile_ahead import compile_ahead
+
+    waiting = [not quiet]
+
+    def show(what: str, done: int, total: int) -> None:
+        if waiting.pop():
+            err.print(
+                "Compiling the matcher once for this machine (10 to 20 s); later runs start at once.", soft_wrap=True
+            )
+        waiting.append(False)
+        update(what, done, total)
+
+    compile_ahead(*qualities, update=show)
 
 
 def announce_duration(camera: CodedApertureCamera, photographs: int, *, quiet: bool) -> None:

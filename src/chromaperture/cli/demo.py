@@ -32,13 +32,13 @@ def demo(
     from rich.markup import escape
 
     from chromaperture.camera import load_camera
-    from chromaperture.cli.console import announce_compilation, announce_duration, print_json, print_reports, progress
+    from chromaperture.cli.console import announce_duration, compile_kernels, print_json, print_reports, progress
     from chromaperture.cli.console import out as console
     from chromaperture.frame.preview import middle_range
     from chromaperture.products.measure_file import measure_file
     from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 
-    announce_compilation("accurate", quiet=quiet)
+    compile_kernels("accurate", quiet=quiet)
     reports: list[Report] = []
     depth_range_mm: tuple[float, float] | None = None
     with progress(quiet=quiet) as update:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from chromaperture.camera import CodedApertureCamera
-    from chromaperture.products.measure_file import Written
+    from chromaperture.products.archive_cluster import Recipe
 
 
 def depth(
@@ -72,7 +73,10 @@ def depth(
         str | None,
         typer.Option(help="Dask scheduler whose workers measure, such as tcp://10.0.0.1:8786; docs/archives.md."),
     ] = None,
-    again: Annotated[bool, typer.Option("--again", help="With --cluster: measure what is complete, too.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Of several: measure those whose results exist, too.")] = False,
+    jobs: Annotated[
+        int, typer.Option("--jobs", "-j", min=1, help="Photographs at a time; each needs the memory of one.")
+    ] = 1,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -82,9 +86,11 @@ def depth(
 
     chromaperture depth photo.jpg --design rgb_squares        (no calibration: disparity in px)
 
+    chromaperture depth holiday/ --camera camera.asdf --out results --jobs 2      (goes on where it was stopped)
+
     chromaperture depth archive/ --camera camera.asdf --cluster tcp://10.0.0.1:8786 --out s3://bucket/depth
     """
-    from chromaperture.cli.console import announce_compilation, print_json, print_reports
+    from chromaperture.cli.console import compile_kernels
     from chromaperture.frame.frame_files import chosen_outputs
     from chromaperture.products.archive_store import as_path, find_photographs, is_url, names_in_list
 
@@ -112,51 +118,24 @@ def depth(
         recipe = recipe_for(camera, opened, out=out, again=again, **options)
         measure_archive(names, recipe, cluster, json=json, quiet=quiet)
         return
-    if again:
-        raise InputError("--again is used with --cluster; without it everything is measured in any case")
+    from chromaperture.cli.depth_batch import measure_batch
+
     paths = [as_path(name) for name in names]
     camera_of = cameras(paths[0], camera, design, **settings)
-    announce_compilation(quality, quiet=quiet)
-    reports = measure_here(paths, camera_of, out=None if out is None else as_path(out), quiet=quiet, **options)
-    if json:
-        print_json([report.summary | {"files": [str(path) for path in report.files]} for report in reports])
-    elif reports and not quiet:
-        note = "No calibration: disparity in px only. Depth in mm needs a camera file (--camera)."
-        print_reports(reports, note=note if camera is None else "")
-    if len(reports) < len(paths):
-        raise typer.Exit(2)
+    made_by: Recipe | None = None
+    if camera is not None:
+        from chromaperture.products.archive_cluster import recipe_for
 
-
-def measure_here(
-    images: Sequence[Path],
-    camera_of: Callable[[Path], CodedApertureCamera],
-    *,
-    out: Path | None,
-    quiet: bool,
-    **options: Any,
-) -> list[Written]:
-    """Measure photographs on this machine; a line of progress for each stage, an error for each that failed."""
-    from chromaperture.cli.console import announce_duration, progress, say_error
-    from chromaperture.products.archive import Failure, measure_files
-
-    def opened(image: Path) -> CodedApertureCamera:
-        camera = camera_of(image)
-        if image == images[0]:
-            announce_duration(camera, len(images), quiet=quiet)
-        return camera
-
-    reports: list[Written] = []
-    with progress(quiet=quiet) as update:
-
-        def show(stage: str, i: int) -> None:
-            update(f"{images[i].name}: {stage}", i, len(images))
-
-        for result in measure_files(images, opened, listener=show, out=out, **options):
-            if isinstance(result, Failure):
-                say_error(result.error)
-            else:
-                reports.append(result)
-    return reports
+        where = None if out is None else str(as_path(out))
+        made_by = recipe_for(camera, camera_of(paths[0]), out=where, again=again, **options)
+        if len(paths) == 1:  # measured in any case, and no more is written than what was asked for
+            made_by = replace(made_by, again=True, outputs=chosen_outputs(write))
+    compile_kernels(quality, quiet=quiet)
+    note = "No calibration: disparity in px only. Depth in mm needs a camera file (--camera)."
+    measure_batch(
+        paths, camera_of, recipe=made_by, jobs=jobs, json=json, quiet=quiet, note=note if camera is None else "",
+        out=None if out is None else as_path(out), **options,
+    )  # fmt: skip
 
 
 def refuse_common_results(names: Sequence[str], out: str | None) -> None:

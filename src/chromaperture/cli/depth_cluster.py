@@ -14,7 +14,9 @@ from chromaperture.products.archive_cluster import Outcome, Recipe, measure_on_c
 
 
 def measure_archive(images: Sequence[str], recipe: Recipe, address: str, *, json: bool, quiet: bool) -> None:
-    """Measure photographs on a cluster, print each failure as it happens and a summary; exit code 2 after failures.
+    """Measure photographs on a cluster, print each failure as it happens and a summary.
+
+    The exit code is 1 where some could not be measured, 2 where none could.
 
     Raises
     ------
@@ -47,7 +49,7 @@ def measure_archive(images: Sequence[str], recipe: Recipe, address: str, *, json
     elif not quiet:
         out.print(f"{len(images)} photographs in {seconds:.0f} s: {_counts(measured, kept, len(failed))}")
     if failed:
-        raise typer.Exit(2)
+        raise typer.Exit(1 if measured or kept else 2)
 
 
 def _counts(measured: int, kept: int, failed: int) -> str:

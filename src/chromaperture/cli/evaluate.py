@@ -48,7 +48,7 @@ def evaluate(
 
     The names are those of this list, or "all":
     """
-    from chromaperture.cli.console import announce_compilation, print_json, progress, say_warning
+    from chromaperture.cli.console import compile_kernels, print_json, progress, say_warning
     from chromaperture.cluster import dask_distributed
     from chromaperture.evaluation.paper.context import Context
     from chromaperture.evaluation.paper.html_page import write_page
@@ -64,7 +64,7 @@ def evaluate(
     if cluster:
         dask_distributed()
     exhibits = _chosen(names or [], data)
-    announce_compilation("paper", "real-time", quiet=quiet)
+    compile_kernels("paper", "real-time", quiet=quiet)
     context = Context(out, data=data, quick=quick, workers=workers, cluster=cluster, cameras=tuple(camera or ()))
     with progress(quiet=quiet) as update:
         outcomes = run(exhibits, context, again=again, progress=update)

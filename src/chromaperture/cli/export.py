@@ -33,7 +33,7 @@ def export(
 
     Example: chromaperture export replay:session/walk walk.mcap --camera camera.asdf
     """
-    from chromaperture.cli.console import announce_compilation, progress
+    from chromaperture.cli.console import compile_kernels, progress
     from chromaperture.cli.setup import camera_for
     from chromaperture.cli.streams import open_stream
     from chromaperture.products.mcap import write_mcap
@@ -42,7 +42,7 @@ def export(
 
     eye = camera_for(out, camera, None, quality=quality, config=None)
     to_view = undistorter(eye)
-    announce_compilation(quality, quiet=quiet)
+    compile_kernels(quality, quiet=quiet)
     stream = open_stream(source, calibration=eye.calibration, black_level=black_level, white_level=white_level)
     with stream, progress(quiet=quiet) as update:
 

@@ -66,7 +66,7 @@ def live(
 
     Example: chromaperture live "webcam:0?exposure_us=5000" --camera camera.asdf
     """
-    from chromaperture.cli.console import announce_compilation, print_json, say_warning
+    from chromaperture.cli.console import compile_kernels, print_json, say_warning
     from chromaperture.cli.setup import camera_for
     from chromaperture.cli.streams import open_stream
     from chromaperture.reconstruction.settings import ReconstructionConfig
@@ -78,7 +78,7 @@ def live(
         viser()  # before the work: the extra may be missing
     config = ReconstructionConfig(voxel_mm=voxel_mm, memory_mb=memory_mb)
     eye = camera_for(out, camera, None, quality=quality, config=None)
-    announce_compilation(quality, quiet=quiet)
+    compile_kernels(quality, quiet=quiet)
     began = time.monotonic()
     levels = {"black_level": black_level, "white_level": white_level}
     loops: list[LiveLoop] = []  # none while the source is being opened

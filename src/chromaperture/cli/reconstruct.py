@@ -36,7 +36,7 @@ def reconstruct(
     Example: chromaperture reconstruct replay:session/walk --camera camera.asdf --out model
     """
     from chromaperture.camera_file import Calibration
-    from chromaperture.cli.console import announce_compilation, print_files, print_json, progress, say_warning
+    from chromaperture.cli.console import compile_kernels, print_files, print_json, progress, say_warning
     from chromaperture.cli.setup import camera_for
     from chromaperture.cli.streams import open_stream
     from chromaperture.reconstruction.build_model import reconstruct as build
@@ -53,7 +53,7 @@ def reconstruct(
         raise InputError("a 3D model needs a calibrated camera; make one with 'chromaperture calibrate'")
     quality = quality or ("accurate" if "accurate" in calibration.depth else "real-time")
     eye = camera_for(out, camera, None, quality=quality, config=None)
-    announce_compilation(quality, quiet=quiet)
+    compile_kernels(quality, quiet=quiet)
     stream = open_stream(source, calibration=eye.calibration, black_level=black_level, white_level=white_level)
     with stream, progress(quiet=quiet) as update:
         number = itertools.count(1)

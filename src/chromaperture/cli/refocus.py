@@ -71,7 +71,7 @@ def refocus(
     chromaperture refocus photo.png --camera camera.asdf --strength 0      (everything in focus)
     """
     from chromaperture.capture.files import image_size
-    from chromaperture.cli.console import announce_compilation, announce_duration, print_files, print_json, progress
+    from chromaperture.cli.console import announce_duration, compile_kernels, print_files, print_json, progress
     from chromaperture.cli.setup import camera_for
     from chromaperture.effects.refocusing import Focus
 
@@ -86,7 +86,7 @@ def refocus(
         eye = eye.at_size(*size)
     pupil = pupil_strength(eye, f_number, strength)
     _check_focus(eye, focus_mm, pixel)
-    announce_compilation(quality, quiet=quiet)
+    compile_kernels(quality, quiet=quiet)
     announce_duration(eye, 1, quiet=quiet)
     with progress(quiet=quiet) as update:
         update(f"{photo.name}: depth", 0, 3)

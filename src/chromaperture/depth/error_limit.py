@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import TYPE_CHECKING
 
 from chromaperture.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 # sigma / depth. Filled pixels and those of them within 5 % of the truth, real-time, 24 frames of a ray-traced walk past
 # halves of a pupil: 99 and 60 % without a limit, 66 and 71 % at 0.15, 45 and 81 % at 0.10, 18 and 89 % at 0.05.
@@ -33,6 +36,8 @@ def within_error(
     """
     if not max_relative_sigma > 0:
         raise InputError(f"the largest relative sigma must be positive, got {max_relative_sigma:g}")
+    import numpy as np  # here: the command line reads the constant above, and shows its help without NumPy
+
     with np.errstate(invalid="ignore"):  # NaN compares false; inf * 0 too
         kept = sigma_mm <= max_relative_sigma * depth_mm
     return np.where(kept, depth_mm, np.float32(np.nan)).astype(np.float32, copy=False)

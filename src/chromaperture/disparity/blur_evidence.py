@@ -27,14 +27,14 @@ import scipy.fft
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import NoiseModel
-from chromaperture.disparity.stages.tiles import Nodes, TileSpectrum
+from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes, TileSpectrum
 from chromaperture.errors import InputError
 from chromaperture.optics.lens_blur import LensBlur, Rays
 from chromaperture.stage_config import CrossFilterConfig
 from chromaperture.threads import parallel_map
 
 _MAX_CORRELATION2 = 0.999  # 3.5 nats a band at most: a perfect agreement must not outweigh the whole neighbourhood
-_NEGLIGIBLE = 0.01  # weight of the other pairs below which a tile is not evaluated for them
+SPACING_PX = round(2 * SAMPLING_PX)  # of the evidence: windows of sigma 4 px leave nothing finer
 _BANDS_MARGIN_PX = 10  # three sigmas of the coarsest band
 
 
@@ -59,10 +59,18 @@ class BlurEvidence:
     run: Execution
 
     def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
-        """Return nats a pixel; labels between layers are interpolated, which is cheaper than more layers; (H, W, N)."""
+        """Return nats a pixel; (H, W, N).
+
+        Evaluated at every second layer and every third pixel, and interpolated, which loses nothing: on six ray-traced
+        scenes every layer puts .815 of the pixels within 2 % (cy_halves), every second one .814.
+        """
+        step = 2 * (layers_px[1] - layers_px[0])
+        layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 + 1)
         likelihood = self.likelihood(image, layers_px)
-        factors = sum(self.config.band_weights)
-        return self.run.read_at_labels(likelihood, layers_px, labels_px, self.label_map, factors=factors)
+        return self.run.read_at_labels(
+            likelihood, layers_px, labels_px, self.label_map,
+            factors=sum(self.config.band_weights), shape=image.shape[:2], spacing_px=SPACING_PX,
+        )  # fmt: skip
 
     def likelihood(self, image: np.ndarray, layers_px: np.ndarray) -> np.ndarray:
         """Compute the log-likelihood of every layer; where the noise is not known nothing is left out for it.
@@ -75,7 +83,8 @@ class BlurEvidence:
 
         Returns
         -------
-        (H, W, D) float32, nats a pixel. A layer means one distance all over the frame.
+        (ceil(H / 3), ceil(W / 3), D) float32, nats a pixel
+            At every third pixel, from the first on. A layer means one distance all over the frame.
 
         Raises
         ------
@@ -96,28 +105,21 @@ class BlurEvidence:
         spectra = nodes.spectra(
             np.ascontiguousarray(image, np.float32), noise_variance, noise_margin=config.noise_margin
         )
-        likelihood = self._of_pairs(blur.pairs, nodes, spectra, layers_px)
-        if blur.other_pairs and config.fallback_weight > 0:
-            weight = np.exp(-likelihood.max(axis=2) / np.float32(config.fallback_nats))
-            canvas = nodes.canvas()
-            nodes.in_frame(canvas)[:] = weight
-            needed = [spectrum if canvas[nodes.on_canvas(place)].max() > _NEGLIGIBLE else None
-                      for place, spectrum in zip(nodes.places, spectra, strict=True)]  # fmt: skip
-            other = self._of_pairs(blur.other_pairs, nodes, needed, layers_px)
-            other *= np.float32(config.fallback_weight) * weight[..., None]
-            likelihood += other
-        return likelihood
+        other_pairs = blur.other_pairs if config.fallback_weight > 0 else ()
+        evidence = self._of_pairs(blur.pairs + other_pairs, nodes, spectra, layers_px)
+        likelihood = evidence[: len(blur.pairs)].mean(axis=0)
+        if other_pairs:
+            weight = np.exp(-likelihood.max(axis=2, keepdims=True) / np.float32(config.fallback_nats))
+            other = evidence[len(blur.pairs) :].mean(axis=0)
+            likelihood += np.float32(config.fallback_weight) * weight * other
+        return np.asarray(likelihood[: -(-height // SPACING_PX), : -(-width // SPACING_PX)])
 
     def _of_pairs(
-        self,
-        pairs: tuple[tuple[int, int], ...],
-        nodes: Nodes,
-        spectra: Sequence[TileSpectrum | None],
-        layers_px: np.ndarray,
+        self, pairs: tuple[tuple[int, int], ...], nodes: Nodes, spectra: Sequence[TileSpectrum], layers_px: np.ndarray
     ) -> np.ndarray:
-        """Log-likelihood of every layer from pairs of channels, 0 where no tile has a spectrum; (H, W, D) float32."""
+        """Log-likelihood of every layer from every pair of channels; (pairs, H, W, D) float32."""
         channels = tuple(sorted({k for pair in pairs for k in pair}))
-        low_pass = _gaussian(nodes.size, _finest(self.config))  # the same at all depths, hence done once
+        low_pass = _gaussian(nodes.size, _finest(self.config) / SAMPLING_PX)  # the same at all depths, hence done once
         tiles = [
             _Tile(
                 place,
@@ -126,18 +128,17 @@ class BlurEvidence:
                 [(a * low_pass, b * low_pass) for a, b in (spectrum.pair(*pair) for pair in pairs)],
             )
             for place, weight, spectrum in zip(nodes.places, nodes.weights, spectra, strict=True)
-            if spectrum is not None
         ]
         at_infinity, scale = self.blur.reference
-        evidence = np.empty((*nodes.shape, len(layers_px)), np.float32)
+        evidence: list[np.ndarray] = [np.empty(0)] * len(layers_px)
 
         def fill(layer: int) -> None:
             inverse_mm = (at_infinity - layers_px[layer]) / scale
             views = self._cross_filtered(pairs, channels, nodes, tiles, inverse_mm)
-            evidence[..., layer] = np.mean([_agreement(p, q, self.config) for p, q in views], axis=0)
+            evidence[layer] = np.stack([_agreement(both, self.config) for both in views])
 
         parallel_map(fill, range(len(layers_px)))
-        return evidence
+        return np.stack(evidence, axis=-1)
 
     def _cross_filtered(
         self,
@@ -147,16 +148,17 @@ class BlurEvidence:
         tiles: Sequence[_Tile],
         inverse_mm: float,
     ) -> np.ndarray:
-        """P and Q of every pair of channels, at one distance; (pairs, 2, H, W) float32."""
-        canvas = nodes.canvas(len(pairs), 2)
-        spectra = np.empty((2, nodes.size, nodes.size // 2 + 1), np.complex64)
+        """P and Q of every pair of channels, at one distance; (pairs, H, W, 2) float32 of samples."""
+        canvas = nodes.canvas(len(pairs))
         inner = nodes.in_tile()
         for tile in tiles:
-            transfers = self.blur.transfer_of(tile.rays, inverse_mm, nodes.size, splat=self.run.splat)
+            transfers = self.blur.transfer_of(
+                tile.rays, inverse_mm, nodes.size_px, samples=nodes.size, transform=self.run.point_transforms
+            )
             transfer = dict(zip(channels, transfers, strict=True))
             for i, ((a, b), views) in enumerate(zip(pairs, tile.pairs, strict=True)):
-                self.run.cross_filter(views, (transfer[a], transfer[b]), self.config.damping, spectra)
-                canvas[i, :, *nodes.on_canvas(tile.place)] += scipy.fft.irfft2(spectra)[:, inner, inner] * tile.weight
+                filtered = self.run.cross_filter(views, (transfer[a], transfer[b]), self.config.damping)
+                canvas[i, *nodes.on_canvas(tile.place)] += filtered[inner, inner] * tile.weight
         return nodes.in_frame(canvas)
 
 
@@ -169,19 +171,27 @@ class _Tile(NamedTuple):
     pairs: list[tuple[np.ndarray, np.ndarray]]
 
 
-def _agreement(first: np.ndarray, second: np.ndarray, config: CrossFilterConfig) -> np.ndarray:
-    """Nats that the correlation of P and Q earns in a window around every pixel, all bands; (H, W) float32."""
-    evidence = np.zeros(first.shape, np.float32)
-    bands = zip(_bands(first, config), _bands(second, config), config.band_weights, strict=True)
-    for p, q, weight in bands:
-        cross, power_p, power_q = (_smooth(product, config.window_sigma_px) for product in (p * q, p * p, q * q))
+def _agreement(both: np.ndarray, config: CrossFilterConfig) -> np.ndarray:
+    """Nats that the correlation of P and Q, (H, W, 2), earns in windows around every second sample; (H, W) float32."""
+    evidence = np.float32(0)
+    for band, weight in zip(_bands(both, config), config.band_weights, strict=True):
+        p, q = cv2.split(band)
+        cross, power_p, power_q = (_window(product, config.window_sigma_px) for product in (p * q, p * p, q * q))
         correlation2 = np.maximum(cross, 0) ** 2 / (power_p * power_q + np.float32(1e-12))  # 1e-12: even areas earn 0
-        evidence -= np.float32(0.5 * weight) * cv2.log(1 - np.minimum(correlation2, np.float32(_MAX_CORRELATION2)))
-    return evidence
+        unexplained = 1 - np.minimum(correlation2, np.float32(_MAX_CORRELATION2))
+        evidence = evidence - np.float32(0.5 * weight) * cv2.log(unexplained)
+    return np.asarray(evidence)
+
+
+def _window(product: np.ndarray, sigma_px: float) -> np.ndarray:
+    """Mean in a Gaussian window around every second sample."""
+    coarse = cv2.pyrDown(product, borderType=cv2.BORDER_REFLECT_101)  # a window of a variance of one sample squared
+    rest_px = math.sqrt(max(sigma_px**2 - SAMPLING_PX**2, 0.01))
+    return _smooth(coarse, rest_px / 2)
 
 
 def _bands(picture: np.ndarray, config: CrossFilterConfig) -> list[np.ndarray]:
-    """Differences of Gaussians of a picture that has passed the finest of them; (H, W) float32 each."""
+    """Differences of Gaussians of pictures that have passed the finest of them; (H, W, 2) float32 each."""
     finest = _finest(config)
     sigmas = {sigma for band in config.bands_px for sigma in band}
     smooth = {s: _smooth(picture, math.sqrt(s**2 - finest**2)) if s > finest else picture for s in sigmas}
@@ -193,10 +203,10 @@ def _finest(config: CrossFilterConfig) -> float:
 
 
 def _smooth(picture: np.ndarray, sigma_px: float) -> np.ndarray:
-    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT_101))
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px / SAMPLING_PX, borderType=cv2.BORDER_REFLECT_101))
 
 
-def _gaussian(size: int, sigma_px: float) -> np.ndarray:
-    """Return a Gaussian as the filter of a tile's spectrum; (size, size // 2 + 1) float32."""
+def _gaussian(size: int, sigma: float) -> np.ndarray:
+    """Return a Gaussian as the filter of a tile's spectrum, sigma in samples; (size, size // 2 + 1) float32."""
     w2 = (2 * np.pi * scipy.fft.fftfreq(size))[:, None] ** 2 + (2 * np.pi * scipy.fft.rfftfreq(size)) ** 2
-    return np.exp(-w2 * sigma_px**2 / 2).astype(np.float32)
+    return np.exp(-w2 * sigma**2 / 2).astype(np.float32)

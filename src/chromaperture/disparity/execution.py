@@ -60,17 +60,13 @@ class Execution(Protocol):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Bring maps of the working scale to the photograph's pixels; three (H, W)."""
 
-    def splat(self, points_px: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
-        """Rasterise a point-spread function."""
+    def point_transforms(self, points_px: np.ndarray, weights: np.ndarray, size: int, samples: int) -> np.ndarray:
+        """Transform point-spread functions; (C, samples, samples // 2 + 1)."""
 
     def cross_filter(
-        self,
-        spectra: tuple[np.ndarray, np.ndarray],
-        transfers: tuple[np.ndarray, np.ndarray],
-        damping: float,
-        out: np.ndarray,
-    ) -> None:
-        """Filter two channels with each other's blur."""
+        self, spectra: tuple[np.ndarray, np.ndarray], transfers: tuple[np.ndarray, np.ndarray], damping: float
+    ) -> np.ndarray:
+        """Filter two channels of a tile with each other's blur; (n, n, 2)."""
 
     def read_at_labels(
         self,
@@ -80,8 +76,10 @@ class Execution(Protocol):
         label_map: LabelMap,
         *,
         factors: float = 1.0,
+        shape: tuple[int, ...] | None = None,
+        spacing_px: int = 1,
     ) -> np.ndarray:
-        """Interpolate a volume of log-likelihoods at the labels of a map; (H, W, N)."""
+        """Interpolate a volume of log-likelihoods at the pixels and labels of a map; (H, W, N)."""
 
     def aggregate_paths(
         self, likelihood: np.ndarray, guide: np.ndarray, layers_px: np.ndarray, *, config: SurfaceConfig

@@ -8,6 +8,7 @@ import numpy as np
 
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.stages.planes import PlaneCosts
+from chromaperture.threads import parallel_map
 
 TRIALS = 80  # of random samples: a plane on a quarter of a tile is missed once in 3.5 tiles; larger tiles see it too
 INLIER_LAYERS = 1.5  # half a label's own place, and the slopes that a surface of steps hides; chosen by hand
@@ -70,32 +71,41 @@ def candidates(label_px: np.ndarray, sigma_px: np.ndarray, volume: Volume, tiles
     (K, 3) float64
     """
     height, width = label_px.shape
-    rng = np.random.default_rng(0)
     weight = 1 / (np.square(sigma_px, dtype=float) + (volume.step_px / 2) ** 2)
-    found = []
-    for size in tiles_px:
-        for top in range(0, max(1, height - size // 2), size):
-            for left in range(0, max(1, width - size // 2), size):
-                every = max(1, size // SAMPLES_ACROSS)
-                y, x = (
-                    a.ravel()
-                    for a in np.mgrid[top : min(height, top + size) : every, left : min(width, left + size) : every]
-                )
-                for inliers, plane in _planes_of_points(x, y, label_px[y, x], weight[y, x], volume.step_px, rng):
-                    fit = refined(plane, x[inliers], y[inliers], volume)
-                    found.append(Candidate(fit, float(x[inliers].mean()), float(y[inliers].mean()), size))
-    return distinct(found, 0.7 * volume.step_px)
+    tiles = [
+        (size, top, left)
+        for size in tiles_px
+        for top in range(0, max(1, height - size // 2), size)
+        for left in range(0, max(1, width - size // 2), size)
+    ]
+
+    def of_tile(i: int) -> list[Candidate]:
+        size, top, left = tiles[i]
+        every = max(1, size // SAMPLES_ACROSS)
+        y, x = (
+            a.ravel() for a in np.mgrid[top : min(height, top + size) : every, left : min(width, left + size) : every]
+        )
+        rng = np.random.default_rng(i)
+        return [
+            Candidate(refined(plane, x[inliers], y[inliers], volume), x[inliers].mean(), y[inliers].mean(), size)
+            for inliers, plane in _planes_of_points(x, y, label_px[y, x], weight[y, x], volume.step_px, rng)
+        ]
+
+    found = parallel_map(of_tile, range(len(tiles)))
+    return distinct([candidate for part in found for candidate in part], 0.7 * volume.step_px)
 
 
 def distinct(found: list[Candidate], tolerance_px: float) -> np.ndarray:
     """Drop planes that agree with a larger one all over the square on which they were found; (K, 3)."""
-    kept: list[np.ndarray] = []
+    kept = np.empty((len(found), 3))
+    count = 0
     for plane, x, y, size in sorted(found, key=lambda c: -c.size_px):
         corners = np.array([[x + i * size / 2, y + j * size / 2, 1] for i in (-1, 1) for j in (-1, 1)] + [[x, y, 1]])
-        gaps = (np.abs((corners * (plane - other)).sum(axis=1)).max() for other in kept)
-        if all(gap > tolerance_px for gap in gaps):
-            kept.append(plane)
-    return np.array(kept).reshape(-1, 3)
+        gaps = np.abs((plane - kept[:count]) @ corners.T).max(axis=1)
+        if (gaps > tolerance_px).all():
+            kept[count] = plane
+            count += 1
+    return kept[:count]
 
 
 def _planes_of_points(

@@ -26,7 +26,7 @@ import scipy.fft
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
 
-Splat = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
+PointTransforms = Callable[[np.ndarray, np.ndarray, int, int], np.ndarray]
 
 _POINTS = 1500  # samples of the pupil: ten times as many change the transfer functions by 1e-3
 _RIM_SOFTNESS = 0.06  # pupil radii over which a rim fades, being out of focus at the stop; chosen by hand, not tuned
@@ -177,6 +177,40 @@ def splat(points_px: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
             out += np.bincount(pixel, weights * wx * wy, size * size).reshape(size, size)
 
 
+def point_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, samples: int) -> np.ndarray:
+    """Fourier transform of weighted points in a periodic square; `splat_kernels` has the same, compiled.
+
+    Parameters
+    ----------
+    points_px : (C, N, 2) float64
+        (x, y) of the points of each of C pictures.
+    weights : (C, N) float64
+    size : int
+        Side of the square.
+    samples : int
+        At most ``size``; frequencies of less than half a cycle in a ``samples``-th of the side are kept, if it is less.
+
+    Returns
+    -------
+    (C, samples, samples // 2 + 1) complex64
+    """
+    pictures = np.zeros((len(points_px), size, size), np.float32)
+    for points, weight, picture in zip(points_px, weights, pictures, strict=True):
+        splat(points, weight, picture)
+    return low_frequencies(scipy.fft.rfft2(pictures), samples)
+
+
+def low_frequencies(spectrum: np.ndarray, samples: int) -> np.ndarray:
+    """Keep the frequencies of a spectrum (..., n, n // 2 + 1) that fewer samples have; (..., m, m // 2 + 1)."""
+    if samples == spectrum.shape[-2]:
+        return spectrum
+    half = (samples + 1) // 2  # of an even number the highest is left out: its sign is not known
+    kept = np.zeros((*spectrum.shape[:-2], samples, samples // 2 + 1), np.complex64)
+    kept[..., :half, :half] = spectrum[..., :half, :half]
+    kept[..., samples - half + 1 :, :half] = spectrum[..., spectrum.shape[-2] - half + 1 :, :half]
+    return kept
+
+
 @dataclass(frozen=True)
 class LensBlur:
     """Blur of one camera, lens and film together, over the frame."""
@@ -212,7 +246,15 @@ class LensBlur:
         ramp = _RAMP * np.abs(self.pupil.points[:, 0]) / (1 + (self.model.contrast_fall * position[0]) ** 2)
         return np.asarray(mean + (light - mean) * ramp)
 
-    def transfer_of(self, rays: Rays, inverse_mm: float, size_px: int, *, splat: Splat | None = None) -> np.ndarray:
+    def transfer_of(
+        self,
+        rays: Rays,
+        inverse_mm: float,
+        size_px: int,
+        *,
+        samples: int | None = None,
+        transform: PointTransforms | None = None,
+    ) -> np.ndarray:
         """Compute the optical transfer functions of rays at a distance.
 
         Parameters
@@ -222,22 +264,21 @@ class LensBlur:
             1 / z, z from the entrance pupil.
         size_px : int
             Side of the tile to filter; the PSF wraps around in it.
-        splat : callable, optional
-            Rasteriser with the signature of `splat`; the compiled one when absent.
+        samples : int, optional
+            Along the side of a tile that is sampled more coarsely: the frequencies beyond its are left out.
+        transform : callable, optional
+            Has the signature of `point_transforms`; the compiled one when absent.
 
         Returns
         -------
-        (C, size, size // 2 + 1) complex64, 1 at zero frequency
+        (C, n, n // 2 + 1) complex64, 1 at zero frequency; n is ``samples``, or else ``size_px``
         """
-        if splat is None:
+        if transform is None:
             from chromaperture.optics import splat_kernels  # compiling starts here, not at import
 
-            splat = splat_kernels.splat
-        psf = np.zeros((len(rays.light), size_px, size_px), np.float32)
+            transform = splat_kernels.point_transforms
         defocus = self.model.scale_px_mm * inverse_mm * self.pupil.points
-        for points, light, out in zip(rays.at_infinity_px, rays.light, psf, strict=True):
-            splat(points - defocus, light, out)
-        return scipy.fft.rfft2(psf)
+        return transform(rays.at_infinity_px - defocus, rays.light, size_px, samples or size_px)
 
     @cached_property
     def separations(self) -> dict[tuple[int, int], float]:

@@ -1,6 +1,7 @@
 """Measure many photographs: the files of one are written beside the measurement of the next.
 
-A photograph that cannot be measured is a `Failure` among the results, and the others are measured.
+A photograph that cannot be measured is a `Failure` among the results, and the others are measured; one whose results
+are complete is a `Kept`.
 """
 
 from __future__ import annotations
@@ -9,13 +10,13 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.errors import ChromapertureError
-from chromaperture.products.measure_file import MeasuredFile, Written, measure_only
+from chromaperture.products.measure_file import Written, measure_only
 from chromaperture.threads import beside
 
 # Called with the camera and the linear image of a photograph before it is measured, and its name; may raise InputError.
@@ -34,14 +35,35 @@ class Failure:
     error: ChromapertureError
 
 
+@dataclass(frozen=True)
+class Kept:
+    """A photograph whose results were complete before."""
+
+    image: str
+
+
+class Origin(Protocol):
+    """Knows from what results are made, and whether they are complete; see `archive_cluster.RecipeOrigin`."""
+
+    def made_from(self, image: Path) -> dict[str, str]:
+        """Return what goes into ``STEM.json``; raises InputError."""
+
+    def is_complete(self, image: Path, made_from: dict[str, str]) -> bool:
+        """Whether results that were made from this are all there."""
+
+    def begin(self, image: Path) -> None:
+        """Take the mark of completeness from results that are about to be replaced; raises InputError."""
+
+
 def measure_files(
     images: Sequence[Path],
     camera_of: Callable[[Path], CodedApertureCamera],
     *,
     listener: Callable[[str, int], None] = lambda stage, i: None,
     inspect: Inspect = measure_everything,
+    origin: Origin | None = None,
     **options: Any,
-) -> Iterator[Written | Failure]:
+) -> Iterator[Written | Failure | Kept]:
     """Measure photographs one after the other; no more than two measurements are in memory.
 
     Parameters
@@ -53,25 +75,27 @@ def measure_files(
         Called with the name of each stage as it begins, and the index of the photograph.
     inspect : callable, optional
         See `Inspect`.
+    origin : Origin, optional
+        With it, photographs whose results are complete are not measured.
     **options
         Of `measure_only`, the same for all.
 
     Yields
     ------
-    Written or Failure
+    Written, Failure or Kept
         In the order of the photographs, each as soon as its files are complete.
     """
     with beside() as start:
         before: tuple[Path, Future[Written]] | None = None  # the photograph whose files are being written
         for i, image in enumerate(images):
-            result = _measured(image, i, camera_of, listener, inspect, options)
+            result = _measured(image, i, camera_of, listener, inspect, origin, options)
             if before is not None:
                 yield _result(*before)
                 before = None
-            if isinstance(result, Failure):
+            if isinstance(result, Failure | Kept):
                 yield result
             else:
-                before = (image, start(result.write))
+                before = (image, start(result))
                 listener("write", i)
         if before is not None:
             yield _result(*before)
@@ -83,11 +107,17 @@ def _measured(
     camera_of: Callable[[Path], CodedApertureCamera],
     listener: Callable[[str, int], None],
     inspect: Inspect,
+    origin: Origin | None,
     options: dict[str, Any],
-) -> MeasuredFile | Failure:
+) -> Callable[[], Written] | Failure | Kept:
+    """Measure one photograph; returns the function that writes its files."""
     try:
+        made_from = None if origin is None else origin.made_from(image)
+        if origin is not None and made_from is not None and origin.is_complete(image, made_from):
+            listener("complete before", i)
+            return Kept(str(image))
         camera = camera_of(image)
-        return measure_only(
+        measured = measure_only(
             image,
             camera,
             listener=lambda stage: listener(stage, i),
@@ -96,6 +126,13 @@ def _measured(
         )
     except ChromapertureError as error:
         return Failure(str(image), error)
+
+    def write() -> Written:
+        if origin is not None:
+            origin.begin(image)  # first: never is the mark beside files of two measurements
+        return measured.write(made_from=made_from)
+
+    return write
 
 
 def _result(image: Path, writing: Future[Written]) -> Written | Failure:

@@ -15,7 +15,7 @@ import threading
 import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,7 @@ class Recipe:
     Attributes
     ----------
     made_from : tuple of (str, str)
-        Hashes of the camera file and of the settings, and the version of the package: equal ones give equal results.
+        Hashes of the camera file, of the settings and of the program, and its version: equal ones give equal results.
     out : str or None
         Folder or URL of the results; beside each photograph when None.
     outputs : tuple of str
@@ -118,6 +118,7 @@ def recipe_for(
     made_from = (
         ("camera_sha256", store.content_hash(str(camera_file))),
         ("settings_sha256", hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode()).hexdigest()),
+        ("program_sha256", _program_hash()),
         ("version", metadata.version("chromaperture")),
     )
     levels = {"black_level": black_level, "white_level": white_level}
@@ -126,6 +127,48 @@ def recipe_for(
         made_from, camera.calibration, camera.config, absolute_out, outputs, **levels,
         max_relative_sigma=max_relative_sigma, inspect=inspect, again=again,
     )  # fmt: skip
+
+
+@cache
+def _program_hash() -> str:
+    """Hash of the package's own files: someone who changes them keeps the version."""
+    root, digest = Path(__file__).parents[1], hashlib.sha256()
+    for source in sorted(root.rglob("*.py")):
+        digest.update(source.relative_to(root).as_posix().encode() + b"\0" + source.read_bytes())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class RecipeOrigin:
+    """The `Origin` of results that are made by a recipe, on a file system."""
+
+    recipe: Recipe
+
+    def made_from(self, image: Path) -> dict[str, str]:
+        """Return the hash of the photograph, and those of the recipe."""
+        return {"image_sha256": store.content_hash(str(image)), **dict(self.recipe.made_from)}
+
+    def is_complete(self, image: Path, made_from: dict[str, str]) -> bool:
+        """Whether ``STEM.json`` names the same and all files are there; never with ``again``."""
+        return not self.recipe.again and _is_complete(self._folder(image), image.stem, self.recipe, made_from)
+
+    def begin(self, image: Path) -> None:
+        """Remove ``STEM.json`` where it marks results as complete."""
+        if _mark(self._folder(image), image.stem) is not None:
+            store.remove(self._folder(image), image.stem + OUTPUTS["json"].suffix)
+
+    def _folder(self, image: Path) -> str:
+        return str(image.parent) if self.recipe.out is None else self.recipe.out
+
+
+def _is_complete(folder: str, stem: str, recipe: Recipe, made_from: dict[str, str]) -> bool:
+    names = [stem + OUTPUTS[name].suffix for name in recipe.outputs]
+    return bool(_mark(folder, stem) == made_from and store.all_exist(folder, names))
+
+
+def _mark(folder: str, stem: str) -> Any:
+    content = store.read_json(folder, stem + OUTPUTS["json"].suffix)
+    return content.get("made_from") if isinstance(content, dict) else None
 
 
 def measure_on_cluster(images: Iterable[str], recipe: Recipe, address: str) -> Iterator[Outcome]:
@@ -192,9 +235,7 @@ def _measure(image: str, recipe: Recipe, private: Path) -> bool:
         store.fetch(image, path)
     folder = store.folder_of(image) if recipe.out is None else recipe.out
     made_from = {"image_sha256": store.content_hash(str(path)), **dict(recipe.made_from)}
-    names = [path.stem + OUTPUTS[name].suffix for name in recipe.outputs]
-    mark = path.stem + OUTPUTS["json"].suffix
-    if not recipe.again and _made_from(folder, mark) == made_from and store.all_exist(folder, names):
+    if not recipe.again and _is_complete(folder, path.stem, recipe, made_from):
         return True
     camera = _camera(recipe)
     results = private / "results" if store.is_url(folder) else store.as_path(folder)
@@ -203,16 +244,11 @@ def _measure(image: str, recipe: Recipe, private: Path) -> bool:
         white_level=recipe.white_level, max_relative_sigma=recipe.max_relative_sigma,
         inspect=lambda linear: recipe.inspect(camera, linear, path.name),
     )  # fmt: skip
-    store.remove(folder, mark)  # first: never is it beside files of two measurements
+    store.remove(folder, path.stem + OUTPUTS["json"].suffix)  # first: never is it beside files of two measurements
     written = measured.write(made_from=made_from)
     if store.is_url(folder):
         store.upload(written.files, folder)
     return False
-
-
-def _made_from(folder: str, mark: str) -> Any:
-    content = store.read_json(folder, mark)
-    return content.get("made_from") if isinstance(content, dict) else None
 
 
 @lru_cache(maxsize=1)  # a worker measures one archive at a time

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera
+from chromaperture.capture.exif import read_model, turn_of
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.depth.pointcloud import PointCloud, depth_to_points
-from chromaperture.errors import within_memory
+from chromaperture.errors import CaptureWarning, within_memory
 from chromaperture.frame import frame_files
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
@@ -70,6 +72,7 @@ class MeasuredFile:
     caption: str
     depth_range_mm: tuple[float, float] | None
     seconds: dict[str, float]
+    turn_degrees: int = 0  # clockwise, until the photograph stands upright
 
     def write(self, *, made_from: Mapping[str, str] | None = None) -> Written:
         """Write the files, whole or not at all, ``STEM.json`` last; raises InputError where the folder cannot be used.
@@ -88,6 +91,7 @@ class MeasuredFile:
                 )  # fmt: skip
             summary = summarise(frame, self.seconds | clock.seconds)
             summary |= {"image": self.path.name, "max_relative_sigma": self.max_relative_sigma}
+            summary["turn_degrees"] = self.turn_degrees
             if made_from is not None:
                 summary["made_from"] = dict(made_from)
             if "json" in self.outputs:
@@ -178,12 +182,34 @@ def measure_only(
     clock = StageClock(listener)
     with clock("read"), within_memory(path.name):
         image = camera.read(path, black_level=black_level, white_level=white_level)
+    _check_model(path, camera)
+    turn = turn_of(path)
+    if turn:
+        warnings.warn(
+            "a photograph in portrait orientation, or upside down: the results stay as the sensor delivers them, "
+            f"like the calibration; turn_degrees in {OUTPUTS['json'].suffix} says how far to turn them clockwise",
+            CaptureWarning,  # names no file: it is said once
+            stacklevel=3,
+        )
     with within_memory(_size(path, image)):
         inspect(image)
         frame = camera.measure(image, stage=clock)
     folder = path.parent if out is None else Path(out)
     preview = (caption, depth_range_mm)
-    return MeasuredFile(frame, path, folder, outputs, max_relative_sigma, *preview, clock.seconds)
+    return MeasuredFile(frame, path, folder, outputs, max_relative_sigma, *preview, clock.seconds, turn)
+
+
+def _check_model(path: Path, camera: CodedApertureCamera) -> None:
+    """Warn of a photograph that names another camera than the calibration's photographs did."""
+    calibrated = camera.calibration.provenance.get("camera_model")
+    model = read_model(path) if calibrated else None
+    if model and model != calibrated:
+        warnings.warn(
+            f"taken with a {model}, but the camera file was made with a {calibrated}: another camera has another "
+            "sensor and another place for the lens, and its distances will be wrong; calibrate it",
+            CaptureWarning,
+            stacklevel=4,
+        )
 
 
 def _size(path: Path, pixels: np.ndarray) -> str:

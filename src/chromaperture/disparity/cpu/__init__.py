@@ -10,7 +10,7 @@ from chromaperture.disparity.cpu.planes import plane_costs, plane_sums, potts_be
 from chromaperture.disparity.cpu.smoothing import smooth_along_surface
 from chromaperture.disparity.cpu.upsample import upsample
 from chromaperture.disparity.cpu.variation import coupled_variation, iterate_variation, variation_gap
-from chromaperture.optics.splat_kernels import splat
+from chromaperture.optics.splat_kernels import point_transforms
 
 __all__ = [
     "aggregate_paths",
@@ -23,11 +23,11 @@ __all__ = [
     "iterate_variation",
     "plane_costs",
     "plane_sums",
+    "point_transforms",
     "posterior_sigma",
     "potts_beliefs",
     "read_at_labels",
     "smooth_along_surface",
-    "splat",
     "texture_weights",
     "upsample",
     "variation_gap",

@@ -36,6 +36,7 @@ SCORE_SCALE = np.float32(32000)  # of a score in [-1, 1] in int16
 
 ONE = np.float32(1)
 ZERO = np.float32(0)
+START = np.int64(0)  # an index; the literal 0 has a type of its own, for which Numba would compile a function again
 
 
 def whole_vectors(layers: int) -> int:

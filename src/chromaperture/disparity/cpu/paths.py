@@ -2,7 +2,7 @@
 
 Every straight line of pixels is walked there and back by one thread. A pixel lies on exactly one line of each of the
 four families, so the threads never write to the same pixel and the memory is the two volumes and a few buffers as long
-as the layers. The truncated linear penalty costs two passes over the layers, however far it reaches.
+as the layers. The truncated linear penalty costs a pass over the layers for each power of two that it reaches.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from chromaperture.compilation import compiled, inlined
+from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.paths import EDGE_LAYERS, LEAST_UNEXPLAINED, LINES, penalties_of
 from chromaperture.stage_config import SurfaceConfig
@@ -63,21 +64,27 @@ def posterior_sigma(
 
 
 def read_at_labels(
-    likelihood: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray, label_map: LabelMap, *, factors: float = 1.0
+    likelihood: np.ndarray,
+    layers_px: np.ndarray,
+    labels_px: np.ndarray,
+    label_map: LabelMap,
+    *,
+    factors: float = 1.0,
+    shape: tuple[int, ...] | None = None,
+    spacing_px: int = 1,
 ) -> np.ndarray:
     """Interpolate a volume at the labels of a map, as `stages.read_at_labels`; (H, W, N) float32."""
-    out = np.empty((*likelihood.shape[:2], len(labels_px)), np.float32)
+    out = np.empty((*(shape or likelihood.shape[:2]), len(labels_px)), np.float32)
     step = float(layers_px[1] - layers_px[0])
-    likelihood = np.ascontiguousarray(likelihood, np.float32)
-    labels = (np.asarray(labels_px, float) - layers_px[0]) / step
+    unexplained = np.exp(np.float32(-2 / factors) * np.asarray(likelihood, np.float32))
+    labels = ((np.asarray(labels_px, float) - layers_px[0]) / step).astype(np.float32)
     begin = ((label_map.offset_px + (label_map.scale - 1) * layers_px[0]) / step).astype(np.float32)
     offset, scale = (
         np.ascontiguousarray(np.broadcast_to(part, out.shape[:2]), np.float32) for part in (begin, label_map.scale)
     )
 
     def rows(_: int, top: int, bottom: int) -> None:
-        part = slice(top, bottom)
-        _read_at_labels(likelihood[part], labels, offset[part], scale[part], np.float32(factors), out[part])
+        _read_at_labels(unexplained, labels, offset, scale, np.float32(factors), spacing_px, top, bottom, out)
 
     in_parallel(rows, len(out))
     return out
@@ -102,41 +109,77 @@ def line_starts(height: int, width: int, dx: int, dy: int) -> np.ndarray:
 @compiled(fastmath=FAST, error_model="numpy")
 def _walk_lines(likelihood, guide, starts, step, penalties, total):  # type: ignore[no-untyped-def]
     dx, dy = step
-    path = np.empty(likelihood.shape[2], np.float32)
+    shifts = _shifts(likelihood.shape[2], penalties)
+    size = (1 << shifts) + likelihood.shape[2] + v.LANES + (1 << shifts)
+    rows = np.empty(2 * size, np.float32)
     for line in range(len(starts)):
         x, y, count = starts[line]
-        _walk(likelihood, guide, x, y, dx, dy, count, penalties, path, total)
+        _walk(likelihood, guide, x, y, dx, dy, count, penalties, shifts, rows, total)
         x, y = x + (count - 1) * dx, y + (count - 1) * dy
-        _walk(likelihood, guide, x, y, -dx, -dy, count, penalties, path, total)
+        _walk(likelihood, guide, x, y, -dx, -dy, count, penalties, shifts, rows, total)
 
 
 @inlined(fastmath=FAST, error_model="numpy")
-def _walk(likelihood, guide, x, y, dx, dy, count, penalties, path, total):  # type: ignore[no-untyped-def]
-    """Add the costs of one path; ``path`` holds L(p, d) of the last pixel, less its minimum."""
+def _shifts(layers, penalties):  # type: ignore[no-untyped-def]
+    """Count of the shifts 1, 2, 4, ... whose sums are all changes of layer that cost less than a jump."""
+    shifts, reached = 0, 0
+    while reached < layers - 1 and penalties.slope_per_layer * np.float32(reached + 1) < penalties.jump:
+        reached += 1 << shifts
+        shifts += 1
+    return shifts
+
+
+@inlined(fastmath=FAST, error_model="numpy")
+def _walk(likelihood, guide, x, y, dx, dy, count, penalties, shifts, rows, total):  # type: ignore[no-untyped-def]
+    """Add the costs of one path.
+
+    ``rows`` has room for L(p, d) of the last pixel, less its minimum, twice, with a border that no path reaches. The
+    least of L(q, e) + near |d - e| over all e is found by shifts of 1, 2, 4, ... layers up and down: every change of
+    layer is a sum of these. A recursion over the layers computes less, but each of its steps waits for the last one.
+    """
     slope, jump, edge_range, floor = penalties
-    layers = len(path)
-    path[:] = 0
-    one = np.float32(1)
+    width, layers = likelihood.shape[1:]
+    gains, sums = likelihood.reshape(-1), total.reshape(-1)
+    whole, padded = layers // v.LANES * v.LANES, (layers + v.LANES - 1) // v.LANES * v.LANES
+    here, there = 1 << shifts, len(rows) // 2 + (1 << shifts)
+    one, closed = np.float32(1), np.float32(np.inf)
+    for k in range(len(rows)):
+        rows[k] = closed
+    for k in range(here, here + layers):
+        rows[k] = 0
     before = guide[y, x]
     for _ in range(count):
-        here = guide[y, x]
-        weight = floor + (one - floor) * np.exp(-abs(here - before) / edge_range)
-        before = here
-        near, far = slope * weight, jump * weight
-        # min over e of path[e] + near |d - e|: a pass up and a pass down; the least of ``path`` is 0.
-        for k in range(1, layers):
-            path[k] = min(path[k], path[k - 1] + near)
-        least = np.float32(np.inf)
-        gain = likelihood[y, x]
-        out = total[y, x]
-        arrived = far
-        for k in range(layers - 1, -1, -1):
-            arrived = min(path[k], arrived + near)
-            path[k] = min(arrived, far) - gain[k]
-            least = min(least, path[k])
-        for k in range(layers):
-            out[k] += path[k]
-            path[k] -= least
+        value = guide[y, x]
+        weight = floor + (one - floor) * np.exp(-abs(value - before) / edge_range)
+        before = value
+        for i in range(shifts):
+            shift = 1 << i
+            cost = v.broadcast(slope * weight * np.float32(shift))
+            for k in range(0, padded, v.LANES):
+                beside = v.smaller(v.load(rows, here + k - shift), v.load(rows, here + k + shift))
+                v.store(rows, there + k, v.smaller(v.load(rows, here + k), v.add(beside, cost)))
+            here, there = there, here
+
+        at = (y * width + x) * layers
+        jumped = jump * weight
+        far = v.broadcast(jumped)
+        lowest = v.broadcast(closed)
+        for k in range(0, whole, v.LANES):
+            cost = v.sub(v.smaller(v.load(rows, here + k), far), v.load(gains, at + k))
+            v.store(rows, here + k, cost)
+            lowest = v.smaller(lowest, cost)
+            v.store(sums, at + k, v.add(v.load(sums, at + k), cost))
+        least = v.lane(v.least_lane(lowest), 0)
+        for k in range(whole, layers):
+            last = min(v.get(rows, here + k), jumped) - v.get(gains, at + k)
+            v.put(rows, here + k, last)
+            least = min(least, last)
+            v.put(sums, at + k, v.get(sums, at + k) + last)
+        for k in range(layers, padded):
+            v.put(rows, here + k, closed)
+        lowest = v.broadcast(least)
+        for k in range(0, padded, v.LANES):
+            v.store(rows, here + k, v.sub(v.load(rows, here + k), lowest))
         x += dx
         y += dy
 
@@ -160,28 +203,53 @@ def _posterior_sigma(disparity, cost, layers, temperature, out):  # type: ignore
             out[y, x] = np.sqrt(moment / mass)
 
 
-@compiled(error_model="numpy")
-def _read_at_labels(likelihood, labels, offset, scale, factors, out):  # type: ignore[no-untyped-def]
-    """Labels and offset count in layers from the first one."""
-    height, width, layers = likelihood.shape
-    least, edge = np.float32(LEAST_UNEXPLAINED), EDGE_LAYERS
-    zero, one, two, six = np.float32(0), np.float32(1), np.float32(2), np.float32(6)
-    for y in range(height):
-        unexplained = np.empty(layers + 2, np.float32)  # with a straight continuation at both ends
+@compiled(fastmath={"contract"}, error_model="numpy")
+def _read_at_labels(unexplained, labels, offset, scale, factors, spacing, top, bottom, out):  # type: ignore[no-untyped-def]
+    """Rows from ``top`` to before ``bottom``; labels and offset count in layers from the first one."""
+    height, width, layers = unexplained.shape
+    count = len(labels)
+    least, edge = np.float32(LEAST_UNEXPLAINED), np.float32(EDGE_LAYERS)
+    zero, one, two, three = np.float32(0), np.float32(1), np.float32(2), np.float32(3)
+    twelve, twentyfour, hundredtwenty = np.float32(12), np.float32(24), np.float32(120)  # of Lagrange's weights
+    row = np.empty((width, layers), np.float32)
+    samples = np.empty(layers + 4, np.float32)  # with a straight continuation at both ends
+    values = np.ones((count + v.LANES - 1) // v.LANES * v.LANES, np.float32)
+    lows, ts, insides = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.bool_)
+    nats, nothing = v.broadcast(-factors / two), v.broadcast(zero)
+    for y in range(top, bottom):
+        above = min(y // spacing, height - 1)
+        below = min(above + 1, height - 1)
+        weight = np.float32(y - above * spacing) / np.float32(spacing)
         for x in range(width):
             for k in range(layers):
-                unexplained[k + 1] = np.exp(-two / factors * likelihood[y, x, k])
-            unexplained[0] = two * unexplained[1] - unexplained[2]
-            unexplained[layers + 1] = two * unexplained[layers] - unexplained[layers - 1]
-            for n in range(len(labels)):
+                row[x, k] = (one - weight) * unexplained[above, x, k] + weight * unexplained[below, x, k]
+        for x in range(out.shape[1]):
+            left = min(x // spacing, width - 1)
+            right = min(left + 1, width - 1)
+            weight = np.float32(x - left * spacing) / np.float32(spacing)
+            for k in range(layers):
+                samples[k + 2] = (one - weight) * row[left, k] + weight * row[right, k]
+            samples[1] = two * samples[2] - samples[3]
+            samples[0] = two * samples[1] - samples[2]
+            samples[layers + 2] = two * samples[layers + 1] - samples[layers]
+            samples[layers + 3] = two * samples[layers + 2] - samples[layers + 1]
+            for n in range(count):
                 place = offset[y, x] + scale[y, x] * labels[n]
-                if not -edge < place < layers - 1 + edge:
-                    out[y, x, n] = zero
-                    continue
-                below = min(max(int(np.floor(place)), 0), layers - 2)
-                t = np.float32(place - below)
-                a, b, c = t + one, t - one, t - two
-                value = t * (a * b * unexplained[below + 3] - b * c * unexplained[below]) / six
-                value += c * a * (b * unexplained[below + 1] - t * unexplained[below + 2]) / two
-                value = max(value, least * min(unexplained[below + 1], unexplained[below + 2]))
-                out[y, x, n] = max(-factors / two * np.log(value), zero)
+                low = min(max(np.int32(np.floor(place)), np.int32(0)), np.int32(layers - 2))
+                lows[n] = low
+                t = place - np.float32(low)
+                ts[n] = t
+                insides[n] = -edge < place < np.float32(layers - 1) + edge
+            for n in range(count):
+                low, t = lows[n], ts[n]
+                a, b, c, d, e = t + two, t + one, t - one, t - two, t - three
+                inner, outer = b * t * c, a * b * t * c * d
+                value = a * e * (t * b * d * samples[low + 3] - b * c * d * samples[low + 2]) / twelve
+                value += t * c * a * e * (d * samples[low + 1] - b * samples[low + 4]) / twentyfour
+                value += (outer * samples[low + 5] - inner * d * e * samples[low]) / hundredtwenty
+                value = max(value, least * min(samples[low + 2], samples[low + 3]))
+                values[n] = value if insides[n] else one
+            for n in range(0, len(values), v.LANES):
+                v.store(values, n, v.larger(v.mul(nats, v.logarithm(v.load(values, n))), nothing))
+            for n in range(count):
+                out[y, x, n] = values[n]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.disparity.cpu import simd as v
-from chromaperture.disparity.cpu.layout import GROUP, ONE, ZERO, inner
+from chromaperture.disparity.cpu.layout import GROUP, ONE, START, ZERO, inner
 from chromaperture.disparity.cpu.windows import copy, window_end, window_rows, window_up
 
 
@@ -85,7 +85,7 @@ def standardise(pictures, plan, band, first_sample, rows, scratch, weights_out):
         at[2], at[3] = start[e2] + s2 * inset, start[e3] + s3 * inset
         carried = e // 4 * row_size
         if not begin:
-            copy(scratch.carry, carried, ring, 0, row_size)
+            copy(scratch.carry, carried, ring, START, row_size)
         for row in range(0, rows, GROUP):
             for j in range(GROUP):
                 down = (row + j) * length
@@ -94,15 +94,15 @@ def standardise(pictures, plan, band, first_sample, rows, scratch, weights_out):
                     v.store(lanes, target, v.four_and_squares(scratch.value, i0, i1, i2, i3))
                     i0, i1, i2, i3 = i0 + s0, i1 + s1, i2 + s2, i3 + s3
             window_rows(
-                lanes, 0, v.LANES, row_size, lanes, unity, 0, 0,
+                lanes, START, v.LANES, row_size, lanes, unity, START, START,
                 ring, (row + 1) * row_size, padded, numbers.decay, begin and row == 0,
             )  # fmt: skip
         # The next band's samples start pad_y rows above its top.
         below = (bottom - pad_y - first_sample + 1) * row_size
         copy(ring, below - row_size, scratch.carry, carried, row_size)
-        window_end(ring, row_size, rows, padded, numbers.decay, state, 0)
+        window_end(ring, row_size, rows, padded, numbers.decay, state, START)
         for row in range(rows - 2, to_row - 1, -1):
-            window_up(ring, (row + 1) * row_size, padded, numbers.decay, state, 0)
+            window_up(ring, (row + 1) * row_size, padded, numbers.decay, state, START)
         for row in range(to_row - 1, from_row - 1, -1):
             _standardise_row(pictures, samplings, numbers, e, at, row, padded, scratch)
             y = row + first_sample

@@ -46,7 +46,8 @@ def _smooth_in_place(maps, guide, layer, even_link):
             row[x] = ahead[x] + state
             state = links[x] * (own + state)
     down = np.empty((height, width), np.float32)
-    down[0] = maps[0]
+    for x in range(width):  # assigning the row would compile Numba's check of the shapes and its texts: 2.8 s
+        down[0, x] = maps[0, x]
     for y in range(1, height):
         _links_between(guide[y], guide[y - 1], layer[y], layer[y - 1], even_link, links)
         for x in range(width):

@@ -9,11 +9,13 @@ has iterations, and the bands exchange these rows after every sweep. The result 
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import numpy as np
 
 from chromaperture.compilation import compiled, inlined
+from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.paths import FAST
 from chromaperture.disparity.stages.variation import Problem, State, Steps, couple
 from chromaperture.stage_config import SurfaceConfig
@@ -28,7 +30,12 @@ def coupled_variation(
 ) -> np.ndarray:
     """Refine a disparity map, as `stages.coupled_variation`; (H, W) float32, px."""
     likelihood = np.ascontiguousarray(likelihood, np.float32)
-    return couple(disparity_px, likelihood, guide, layers_px, config, iterate_variation, nearest_likely)
+    range_nats = float(likelihood.max() - likelihood.min())
+
+    def decouple(u: np.ndarray, likelihood: np.ndarray, fidelity: float) -> np.ndarray:
+        return nearest_likely(u, likelihood, fidelity, range_nats=range_nats)
+
+    return couple(disparity_px, likelihood, guide, layers_px, config, iterate_variation, decouple)
 
 
 def iterate_variation(
@@ -107,38 +114,69 @@ def _edges(problem: Problem) -> np.ndarray:
     return np.empty((2, 0, 0), np.float32) if problem.edges is None else problem.edges
 
 
-def nearest_likely(u: np.ndarray, likelihood: np.ndarray, fidelity: float) -> np.ndarray:
-    """Return the best layer near ``u``, as `stages.variation.nearest_likely`; (H, W) float32."""
+def nearest_likely(
+    u: np.ndarray, likelihood: np.ndarray, fidelity: float, *, range_nats: float = math.inf
+) -> np.ndarray:
+    """Return the best layer near ``u``, as `stages.variation.nearest_likely`; (H, W) float32.
+
+    ``range_nats`` is the largest difference of two log-likelihoods: no layer beyond what it can outweigh is tried.
+    """
     out = np.empty_like(u)
+    layers = likelihood.shape[2]
+    reach = min(math.sqrt(2 * fidelity * range_nats), layers)
+    vectors = min(-(-(2 * int(reach) + 6) // v.LANES), layers // v.LANES)
+    # Fewer layers than one vector, or too many to be tried by whole vectors, are tried one by one.
+    tried = vectors * v.LANES if vectors * v.LANES >= 2 * int(reach) + 6 else 0
 
     def rows(_: int, top: int, bottom: int) -> None:
-        _nearest_likely(u[top:bottom], likelihood[top:bottom], np.float32(fidelity), out[top:bottom])
+        part = slice(top, bottom)
+        _nearest_likely(u[part], likelihood[part], np.float32(fidelity), np.float32(reach), tried, out[part])
 
     in_parallel(rows, len(u))
     return out
 
 
 @compiled(fastmath=FAST, error_model="numpy")
-def _nearest_likely(u, likelihood, fidelity, out):  # type: ignore[no-untyped-def]
+def _nearest_likely(u, likelihood, fidelity, reach, tried, out):  # type: ignore[no-untyped-def]
     height, width, layers = likelihood.shape
-    half = np.float32(0.5)
+    half, eight = np.float32(0.5), v.broadcast(np.float32(v.LANES))
+    gains = likelihood.reshape(-1)
+    cost = np.empty(layers + v.LANES, np.float32)
+    lanes = np.arange(v.LANES).astype(np.float32)
     for y in range(height):
-        cost = np.empty(layers, np.float32)
         for x in range(width):
-            gain = likelihood[y, x]
-            for k in range(layers):
-                away = np.float32(k) - u[y, x]
-                cost[k] = half * away * away - fidelity * gain[k]
-            best = 0
-            for k in range(1, layers):
-                if cost[k] < cost[best]:
-                    best = k
-            v = np.float32(best)
-            if 0 < best < layers - 1:
+            here, at = u[y, x], (y * width + x) * layers
+            if tried > 0:
+                # The best layer, and one more on either side of it; u itself lies up to half a layer off any.
+                first = min(max(int(here - reach) - 2, 0), layers - tried)
+                count = tried
+                away = v.add(v.load(lanes, 0), v.broadcast(np.float32(first) - here))
+                lowest = v.broadcast(np.float32(np.inf))
+                for k in range(0, tried, v.LANES):
+                    gain = v.mul(v.broadcast(fidelity), v.load(gains, at + first + k))
+                    value = v.sub(v.mul(v.mul(v.broadcast(half), away), away), gain)
+                    v.store(cost, k, value)
+                    lowest = v.smaller(lowest, value)
+                    away = v.add(away, eight)
+                least = v.lane(v.least_lane(lowest), 0)
+                best = 0
+                while cost[best] > least and best < tried - 1:
+                    best += 1
+            else:
+                first, count = 0, layers
+                for k in range(layers):
+                    away_of = np.float32(k) - here
+                    cost[k] = half * away_of * away_of - fidelity * gains[at + k]
+                best = 0
+                for k in range(1, layers):
+                    if cost[k] < cost[best]:
+                        best = k
+            found = np.float32(first + best)
+            if 0 < first + best < layers - 1 and 0 < best < count - 1:
                 bend = cost[best - 1] - 2 * cost[best] + cost[best + 1]
                 offset = (cost[best - 1] - cost[best + 1]) / (2 * max(bend, np.float32(1e-12)))
-                v += min(max(offset, -half), half)
-            out[y, x] = v
+                found += min(max(offset, -half), half)
+            out[y, x] = found
 
 
 @compiled(fastmath=FAST, error_model="numpy")

@@ -12,7 +12,7 @@ from chromaperture.disparity.stages.upsample import upsample
 from chromaperture.disparity.stages.variation import coupled_variation
 from chromaperture.disparity.stages.variation import gap_per_px as variation_gap
 from chromaperture.disparity.stages.variation import iterate as iterate_variation
-from chromaperture.optics.lens_blur import splat
+from chromaperture.optics.lens_blur import point_transforms
 
 __all__ = [
     "aggregate_paths",
@@ -25,11 +25,11 @@ __all__ = [
     "iterate_variation",
     "plane_costs",
     "plane_sums",
+    "point_transforms",
     "posterior_sigma",
     "potts_beliefs",
     "read_at_labels",
     "smooth_along_surface",
-    "splat",
     "texture_weights",
     "upsample",
     "variation_gap",

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.signal import lfilter
 
 from chromaperture.disparity.views import Views, view_pairs
 from chromaperture.stage_config import CorrelationConfig
@@ -162,6 +161,8 @@ def exponential_window(maps: np.ndarray, decay: float) -> np.ndarray:
 
     Two first-order recursions an axis; their start values are the exact response to an endless constant border.
     """
+    from scipy.signal import lfilter  # here: it takes 0.5 s, and only the oracle needs it
+
     for axis in (0, 1):
         first = np.take(maps, [0], axis=axis)
         last = np.take(maps, [-1], axis=axis)

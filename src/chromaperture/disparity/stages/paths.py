@@ -26,8 +26,8 @@ from chromaperture.stage_config import SurfaceConfig
 
 # Lines of pixels, as steps (x, y); every line is walked in both directions. The first two are the 4-path set.
 LINES = ((1, 0), (0, 1), (1, 1), (-1, 1))
-EDGE_LAYERS = 1e-6  # by which rounding may take a label beyond the volume
-LEAST_UNEXPLAINED = 0.25  # of the better neighbour's: a cubic may undershoot next to a steep flank
+EDGE_LAYERS = 1e-4  # by which rounding may take a label beyond the volume
+LEAST_UNEXPLAINED = 0.25  # of the better neighbour's: a polynomial may undershoot next to a steep flank
 
 
 class PathPenalties(NamedTuple):
@@ -122,22 +122,33 @@ def posterior_sigma(
 
 
 def read_at_labels(
-    likelihood: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray, label_map: LabelMap, *, factors: float = 1.0
+    likelihood: np.ndarray,
+    layers_px: np.ndarray,
+    labels_px: np.ndarray,
+    label_map: LabelMap,
+    *,
+    factors: float = 1.0,
+    shape: tuple[int, ...] | None = None,
+    spacing_px: int = 1,
 ) -> np.ndarray:
-    """Interpolate a volume of log-likelihoods at the labels of a map, by a cubic through four layers.
+    """Interpolate a volume of log-likelihoods at the pixels and the labels of a map.
 
-    The cubic goes through the unexplained fraction, exp(-2 l / factors): near a match that is a parabola, while l has a
-    cusp there, and surfaces would be biased to whatever layers l itself is interpolated between.
+    Between layers by a polynomial through six of them, between pixels linearly. Both go through the unexplained
+    fraction, exp(-2 l / factors): near a match that is a parabola, while l has a cusp there, and surfaces would be
+    biased to whatever layers l itself is interpolated between.
 
     Parameters
     ----------
-    likelihood : (H, W, D) float, nats a pixel
-        At the disparities ``layers_px``.
+    likelihood : (h, w, D) float, nats a pixel
+        At the disparities ``layers_px`` and the pixels 0, ``spacing_px``, 2 ``spacing_px``, ...
     layers_px : (D,) float, px
     labels_px : (N,) float, px
     label_map : LabelMap
     factors : float
         How many fractions are multiplied in exp(-2 l), such as one for every band of frequencies.
+    shape : (int, int)
+        Pixels (H, W) of the map; those of the volume when absent.
+    spacing_px : int
 
     Returns
     -------
@@ -145,25 +156,36 @@ def read_at_labels(
         At the disparities ``offset_px + scale * labels_px``; 0, no evidence, beyond the volume.
     """
     unexplained = np.exp(-2 / factors * likelihood)
-    first, last = 2 * unexplained[..., :1] - unexplained[..., 1:2], 2 * unexplained[..., -1:] - unexplained[..., -2:-1]
-    wide = np.concatenate([first, unexplained, last], axis=2)
+    for axis, count in enumerate(shape or likelihood.shape[:2]):
+        unexplained = _between_samples(unexplained, count, spacing_px, axis=axis)
+    before, after = (2 * unexplained[..., end] - unexplained[..., next_] for end, next_ in ((0, 1), (-1, -2)))
+    ends = [2 * before - unexplained[..., 0], before, after, 2 * after - unexplained[..., -1]]
+    wide = np.concatenate([np.stack(ends[:2], -1), unexplained, np.stack(ends[2:], -1)], axis=2)
     disparity = label_map.offset_px[..., None] + label_map.scale[..., None] * labels_px
     place = (disparity - layers_px[0]) / (layers_px[1] - layers_px[0])
-    place = np.broadcast_to(place, (*likelihood.shape[:2], len(labels_px)))
+    place = np.broadcast_to(place, (*unexplained.shape[:2], len(labels_px)))
     below = np.clip(np.floor(place).astype(np.intp), 0, len(layers_px) - 2)
     weights = lagrange_weights(place - below)
-    taps = [np.take_along_axis(wide, below + k, axis=2) for k in range(4)]
+    taps = [np.take_along_axis(wide, below + k, axis=2) for k in range(6)]
     value = sum(weight * tap for weight, tap in zip(weights, taps, strict=True))
-    value = np.maximum(value, LEAST_UNEXPLAINED * np.minimum(taps[1], taps[2]))
+    value = np.maximum(value, LEAST_UNEXPLAINED * np.minimum(taps[2], taps[3]))
     inside = (place > -EDGE_LAYERS) & (place < len(layers_px) - 1 + EDGE_LAYERS)
     return np.where(inside, np.maximum(-factors / 2 * np.log(value), 0), 0).astype(np.float32)
 
 
-def lagrange_weights(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Lagrange's weights of the samples at -1, 0, 1 and 2 for a place ``t`` in [0, 1]."""
-    return (
-        -t * (t - 1) * (t - 2) / 6,
-        (t + 1) * (t - 1) * (t - 2) / 2,
-        -(t + 1) * t * (t - 2) / 2,
-        (t + 1) * t * (t - 1) / 6,
-    )
+def _between_samples(volume: np.ndarray, count: int, spacing_px: int, *, axis: int) -> np.ndarray:
+    """Interpolate linearly along an axis at ``count`` pixels; those beyond the last sample have its value."""
+    place = np.minimum(np.arange(count) / spacing_px, volume.shape[axis] - 1)
+    below = np.floor(place).astype(np.intp)
+    above = np.minimum(below + 1, volume.shape[axis] - 1)
+    weight = np.expand_dims(place - below, [other for other in range(3) if other != axis])
+    return np.asarray((1 - weight) * volume.take(below, axis) + weight * volume.take(above, axis))
+
+
+def lagrange_weights(t: np.ndarray) -> list[np.ndarray]:
+    """Lagrange's weights of the samples at -2, -1, 0, 1, 2 and 3 for a place ``t`` in [0, 1]."""
+    nodes = range(-2, 4)
+    return [
+        np.prod([(t - other) / (node - other) for other in nodes if other != node], axis=0, dtype=float)
+        for node in nodes
+    ]

@@ -1,5 +1,9 @@
 """A photograph cut into tiles in which its blur is assumed constant, without the frequencies that are noise.
 
+Tiles are sampled every `SAMPLING_PX`: finer detail than a third of a cycle a px is left out. It tells little of depth,
+because blur and noise hide it first, and it costs most of the time. On six ray-traced scenes the fractions within 2 %
+and 5 % stay the same to .005 (cy_halves .815 and .872 with all detail, .818 and .873 without).
+
 Without a compiled twin: it is FFTs of SciPy and filters of OpenCV.
 """
 
@@ -12,7 +16,10 @@ import cv2
 import numpy as np
 import scipy.fft
 
+from chromaperture.optics.lens_blur import low_frequencies
+
 _BACKGROUND_PX = 30.0  # smoother parts are shading: no period fits into a tile, only its border effects; chosen by hand
+SAMPLING_PX = 1.5  # distance of two samples of a tile
 _LAG_PX = 8.0  # of the lag window: it resolves spectra to 1 / (2 pi 8) = a fiftieth of a cycle a px
 # Of the nodes, along the width: a surface of focus that is curved by 2.5 px of blur errs by 0.02 px between them
 # (docs/equations.md, "Layers and fields").
@@ -25,7 +32,7 @@ def without_shading(image: np.ndarray) -> np.ndarray:
     return np.asarray(image - cv2.GaussianBlur(image, (0, 0), _BACKGROUND_PX))
 
 
-def signal_fraction(spectrum: np.ndarray, noise_power: np.ndarray) -> np.ndarray:
+def signal_fraction(spectrum: np.ndarray, noise_power: np.ndarray, *, sampling_px: float = 1.0) -> np.ndarray:
     """Return the fraction of a picture's power that is no noise, at every frequency: Wiener's filter.
 
     The power spectrum is Blackman and Tukey's estimate: the autocorrelation of the picture under a lag window. The
@@ -35,7 +42,9 @@ def signal_fraction(spectrum: np.ndarray, noise_power: np.ndarray) -> np.ndarray
     ----------
     spectrum : (C, n, n // 2 + 1) complex
     noise_power : (C,) float
-        Of white noise at any frequency: the sum of its variance over the n x n pixels.
+        Of white noise at any frequency: the sum of its variance over the pixels.
+    sampling_px : float, px
+        Distance of two samples.
 
     Returns
     -------
@@ -43,7 +52,7 @@ def signal_fraction(spectrum: np.ndarray, noise_power: np.ndarray) -> np.ndarray
     """
     size = spectrum.shape[1]
     lag2 = np.minimum(np.arange(size), size - np.arange(size)).astype(np.float32) ** 2
-    window = np.exp(-(lag2[:, None] + lag2) / np.float32(2 * _LAG_PX**2))
+    window = np.exp(-(lag2[:, None] + lag2) / np.float32(2 * (_LAG_PX / sampling_px) ** 2))
     power = scipy.fft.rfft2(scipy.fft.irfft2(np.abs(spectrum) ** 2, s=(size, size)) * window).real
     noise = np.asarray(noise_power, np.float32)[:, None, None]
     return np.asarray(np.clip(1 - noise / np.maximum(power, noise + np.float32(1e-30)), 0, 1))
@@ -67,7 +76,7 @@ class Nodes:
 
     A tile covers the surroundings of its node as far as the next node, with weights that fall linearly to 0: the filter
     of a pixel is the bilinear interpolation of those of the four nodes around it, so that blur varies smoothly. Beyond
-    that the tile has a margin of the filters' reach.
+    that the tile has a margin of the filters' reach. Sample (i, j) of the frame is at the pixel `SAMPLING_PX` (i, j).
 
     Parameters
     ----------
@@ -75,31 +84,51 @@ class Nodes:
         Of the frame.
     margin_px : float
         Reach of the filters.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        Samples of the frame, along y and x.
+    half, size : int
+        Half the side of a tile without its margin, and its whole side; samples.
+    places : list of (float, float)
+        (x, y) of every node, px.
+    weights : list of (2 half, 2 half, 2) float32
+        For P and Q alike.
     """
 
     def __init__(self, height_px: int, width_px: int, *, margin_px: float) -> None:
-        self.shape = (height_px, width_px)
+        frame = (height_px, width_px)
+        self.shape = tuple(int((n - 1) / SAMPLING_PX) + 1 for n in frame)
         spacing = max(_LEAST_SPACING_PX, width_px / _SPACINGS)
-        rows, columns = (np.unique(np.linspace(0, n - 1, max(1, round(n / spacing)) + 1)) for n in self.shape)
-        steps = [max(1.0, float(axis[-1]) / max(1, len(axis) - 1)) for axis in (rows, columns)]
-        self.half = math.ceil(max(steps)) + 1
-        self.size = int(scipy.fft.next_fast_len(2 * (self.half + math.ceil(margin_px)), real=True))
-        self.size += self.size % 2
+        rows, columns = (np.unique(np.linspace(0, n - 1, max(1, round(n / spacing)) + 1)) for n in frame)
+        steps = [max(1.0, float(axis[-1]) / max(1, len(axis) - 1)) / SAMPLING_PX for axis in (rows, columns)]
+        self.half = math.ceil(max(steps)) + 2  # a tile's middle is up to two samples off its node
+        self.size = 4 * scipy.fft.next_fast_len(math.ceil((self.half + int(margin_px / SAMPLING_PX)) / 2), real=True)
         self.places = [(float(x), float(y)) for y in rows for x in columns]
         offsets = np.arange(-self.half, self.half)
         row_weights, column_weights = (
-            [np.clip(1 - np.abs(int(node) + offsets - node) / step, 0, 1) for node in axis]
+            [np.clip(1 - np.abs(_middle(node) + offsets - node / SAMPLING_PX) / step, 0, 1) for node in axis]
             for axis, step in zip((rows, columns), steps, strict=True)
         )
-        self.weights = [np.outer(y, x).astype(np.float32) for y in row_weights for x in column_weights]
+        self.weights = [
+            np.repeat(np.outer(y, x)[..., None], 2, axis=-1).astype(np.float32)
+            for y in row_weights
+            for x in column_weights
+        ]
 
-    def canvas(self, *shape: int) -> np.ndarray:
-        """Return zeros for the frame and the parts of its tiles beyond it; (..., H + 2 half, W + 2 half) float32."""
-        return np.zeros((*shape, *(n + 2 * self.half for n in self.shape)), np.float32)
+    @property
+    def size_px(self) -> int:
+        """Side of a tile."""
+        return round(self.size * SAMPLING_PX)
+
+    def canvas(self, pairs: int) -> np.ndarray:
+        """Return zeros for the frame and the parts of its tiles beyond it; (pairs, H + 2 half, W + 2 half, 2)."""
+        return np.zeros((pairs, *(n + 2 * self.half for n in self.shape), 2), np.float32)
 
     def on_canvas(self, place: tuple[float, float]) -> tuple[slice, slice]:
         """Part of a canvas that the tile of a node covers."""
-        x, y = map(int, place)
+        x, y = map(_middle, place)
         return slice(y, y + 2 * self.half), slice(x, x + 2 * self.half)
 
     def in_tile(self) -> slice:
@@ -107,9 +136,9 @@ class Nodes:
         return slice(self.size // 2 - self.half, self.size // 2 + self.half)
 
     def in_frame(self, canvas: np.ndarray) -> np.ndarray:
-        """Part of a canvas that is the frame; (..., H, W)."""
+        """Part of a canvas that is the frame; (pairs, H, W, 2)."""
         height, width = self.shape
-        return canvas[..., self.half : self.half + height, self.half : self.half + width]
+        return canvas[:, self.half : self.half + height, self.half : self.half + width]
 
     def spectra(
         self, image: np.ndarray, noise_variance: np.ndarray | None, *, noise_margin: float = 1.0
@@ -124,17 +153,26 @@ class Nodes:
             Noise counts as this many times its power.
         """
         detail = self._cuts(without_shading(image))
+        scale = np.float32(SAMPLING_PX**2)  # a sample keeps the value of its pixel
+        spectra = [low_frequencies(scipy.fft.rfft2(cut), self.size) / scale for cut in detail]
         if noise_variance is None:
-            return [TileSpectrum(scipy.fft.rfft2(cut), np.ones((3, 1, 1), np.float32)) for cut in detail]
+            return [TileSpectrum(spectrum, np.ones((3, 1, 1), np.float32)) for spectrum in spectra]
         noise = self._cuts(np.where(np.isfinite(noise_variance), noise_variance, 0).astype(np.float32))
-        found = []
-        for cut, variance in zip(detail, noise, strict=True):
-            spectrum = scipy.fft.rfft2(cut)
-            found.append(TileSpectrum(spectrum, signal_fraction(spectrum, noise_margin * variance.sum(axis=(1, 2)))))
-        return found
+        # White noise has the same power at the frequencies that are kept; the spectra were scaled.
+        powers = (noise_margin * variance.sum(axis=(1, 2)) / SAMPLING_PX**4 for variance in noise)
+        return [
+            TileSpectrum(spectrum, signal_fraction(spectrum, power, sampling_px=SAMPLING_PX))
+            for spectrum, power in zip(spectra, powers, strict=True)
+        ]
 
     def _cuts(self, image: np.ndarray) -> list[np.ndarray]:
-        """Return the tiles of an image, (3, size, size) each."""
-        pad, size = self.size // 2, self.size
+        """Return the tiles of an image, (3, n, n) px each."""
+        size, pad = self.size_px, self.size_px // 2
         padded = cv2.copyMakeBorder(image, pad, pad, pad, pad, cv2.BORDER_REFLECT_101)
-        return [padded[int(y) : int(y) + size, int(x) : int(x) + size].transpose(2, 0, 1) for x, y in self.places]
+        corners = [tuple(round(_middle(n) * SAMPLING_PX) for n in place) for place in self.places]
+        return [padded[y : y + size, x : x + size].transpose(2, 0, 1) for x, y in corners]
+
+
+def _middle(place_px: float) -> int:
+    """Sample in the middle of a node's tile: an even one, which lies on a pixel."""
+    return 2 * int(place_px / (2 * SAMPLING_PX))

@@ -1,0 +1,142 @@
+"""RAW files, from the photosites to millimetres. The tests write their own DNG, which LibRaw reads."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+from dataclasses import replace
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+import chromaperture as cap
+from chromaperture.calibration.calibrate_session import calibrate_session
+from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.camera_file import Calibration
+from chromaperture.capture import raw as raw_files
+from chromaperture.capture.exif import read_model, turn_of
+from chromaperture.capture.files import decode, read_image
+from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
+from worlds import INFINITY_PX, PUPIL_MM, SCALE_PX_MM, mosaic_of, write_dng
+
+needs_rawpy = pytest.mark.extra("raw", "rawpy")
+LIGHT = {"R": 1000, "G": 2000, "B": 3000}
+
+
+def even_light(pattern, shape=(64, 96), start=(0, 0)):
+    """A mosaic of one colour whose pattern begins at ``start``."""
+    y, x = np.indices(shape)
+    place = (y - start[0]) % 2 * 2 + (x - start[1]) % 2
+    return np.array([LIGHT[colour] for colour in pattern], np.uint16)[place]
+
+
+@needs_rawpy
+@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])
+@pytest.mark.parametrize("area", [None, (2, 4, 60, 90), (1, 3, 61, 91), (0, 1, 64, 96)])
+def test_colours_stay_what_they_are_behind_a_masked_border(tmp_path, pattern, area):
+    write_dng(tmp_path / "a.dng", even_light(pattern, start=(area or (0, 0))[:2]), pattern=pattern, active_area=area)
+    counts = decode(tmp_path / "a.dng").array
+    assert (counts == 2 * np.array(list(LIGHT.values()))).all()
+
+
+def test_a_border_of_odd_size_moves_the_pattern(tmp_path, monkeypatch):
+    """LibRaw gives DNG even borders; other makes have odd ones."""
+    full = even_light("RGGB")
+    raw = SimpleNamespace(
+        sizes=SimpleNamespace(width=91, height=62, top_margin=1, left_margin=5),
+        raw_pattern=np.array([[0, 1], [3, 2]], np.uint8), raw_image_visible=full[1:63, 5:], color_desc=b"RGBG",
+        black_level_per_channel=[0, 0, 0, 0], white_level=4095,
+    )  # fmt: skip
+    monkeypatch.setattr(raw_files, "_opened", lambda path: contextlib.nullcontext(raw))
+    counts, _ = raw_files.read_raw(tmp_path / "a.cr2")
+    assert counts.shape == (31, 45, 3)
+    assert (counts == 2 * np.array(list(LIGHT.values()))).all()
+
+
+@needs_rawpy
+def test_every_channel_has_its_black_level(tmp_path):
+    black = np.array([[100, 220], [310, 400]])
+    mosaic = (even_light("RGGB") + np.tile(black, (32, 48))).astype(np.uint16)
+    write_dng(tmp_path / "a.dng", mosaic, black=tuple(black.ravel().tolist()), white=4000)
+    light = read_image(tmp_path / "a.dng")
+    expected = np.array(list(LIGHT.values())) / (4000 - black.mean())  # a channel's own white is not in the file
+    np.testing.assert_allclose(light, np.broadcast_to(expected, light.shape), rtol=1e-6)  # float32
+
+
+@needs_rawpy
+@pytest.mark.parametrize(("orientation", "turn"), [(1, 0), (3, 180), (6, 90), (8, 270)])
+def test_the_pixels_stay_and_the_turn_is_known(tmp_path, orientation, turn):
+    mosaic = np.random.default_rng(1).integers(100, 4000, (64, 96)).astype(np.uint16)
+    write_dng(tmp_path / "upright.dng", mosaic)
+    write_dng(tmp_path / "a.dng", mosaic, orientation=orientation)
+    np.testing.assert_array_equal(decode(tmp_path / "a.dng").array, decode(tmp_path / "upright.dng").array)
+    assert turn_of(tmp_path / "a.dng") == turn
+
+
+@pytest.mark.parametrize(("orientation", "turn"), [(1, 0), (3, 180), (6, 90), (8, 270)])
+@pytest.mark.parametrize("suffix", ["jpg", "tif"])
+def test_the_turn_of_a_developed_photograph(tmp_path, orientation, turn, suffix):
+    exif = Image.Exif()
+    exif[0x0112], exif[0x0110] = orientation, "Test 5"
+    Image.new("RGB", (8, 6), (90, 120, 60)).save(tmp_path / f"a.{suffix}", exif=exif)
+    assert turn_of(tmp_path / f"a.{suffix}") == turn
+    assert read_model(tmp_path / f"a.{suffix}") == "Test 5"
+
+
+def test_a_file_without_such_data_is_upright_and_of_no_model(tmp_path):
+    (tmp_path / "broken.jpg").write_bytes(b"\xff\xd8\xff")
+    (tmp_path / "broken.tif").write_bytes(b"II*\0")
+    for name in ("broken.jpg", "broken.tif", "missing.png"):
+        assert turn_of(tmp_path / name) == 0
+        assert read_model(tmp_path / name) is None
+    assert turn_of(sample_image(SAMPLES[0])) == 0
+
+
+@needs_rawpy
+def test_a_portrait_says_how_to_turn_its_results(run, tmp_path):
+    rng = np.random.default_rng(2)
+    picture = cv2.GaussianBlur(rng.uniform(500, 3500, (64, 96, 3)).astype(np.float32), (0, 0), 1.5)
+    write_dng(tmp_path / "a.dng", mosaic_of(picture), orientation=8)
+    result = run("depth", tmp_path / "a.dng", "--design", "cy_halves", "-o", tmp_path / "out", "--json")
+    assert result.returncode == 0, result.stderr
+    assert "stay as the sensor delivers them" in result.stderr
+    assert json.loads((tmp_path / "out" / "a.json").read_text())["turn_degrees"] == 270
+    assert cv2.imread(str(tmp_path / "out" / "a.color.png")).shape == (64, 96, 3)
+
+
+@needs_rawpy
+def test_a_file_of_another_camera_is_named(tmp_path):
+    calibration = Calibration.load(sample_camera(SAMPLES[0]))
+    known = replace(calibration, provenance=dict(calibration.provenance) | {"camera_model": "Test 5"})
+    camera = cap.CodedApertureCamera(known)
+    counts = cv2.imread(str(sample_image(SAMPLES[0])), cv2.IMREAD_UNCHANGED)[..., ::-1]
+    write_dng(tmp_path / "a.dng", mosaic_of(counts), model="Test 7", black=(16,), white=1016)
+    with pytest.warns(cap.CaptureWarning, match=r"taken with a Test 7, but .* made with a Test 5: .* calibrate it"):
+        cap.measure_file(tmp_path / "a.dng", camera, out=tmp_path, write="depth")
+    write_dng(tmp_path / "a.dng", mosaic_of(counts), model="Test 5", black=(16,), white=1016)
+    cap.measure_file(tmp_path / "a.dng", camera, out=tmp_path, write="depth")  # without a warning, which is an error
+
+
+@pytest.mark.slow
+@needs_rawpy
+def test_a_session_of_raw_files_gives_the_cameras_curve_and_its_model(session, tmp_path):
+    folder = tmp_path / "session"
+    shutil.copytree(session, folder)
+    for picture in folder.rglob("*.png"):
+        counts = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)[..., ::-1]
+        write_dng(picture.with_suffix(".dng"), mosaic_of(counts), black=(100,), white=60100, model="Test 5")
+        picture.unlink()
+    table = (folder / "distances.csv").read_text().replace(".png", ".dng")
+    (folder / "distances.csv").write_text(table)
+    result = calibrate_session(folder, CalibrationConfig(lens_blur=False))
+    assert result.calibration.provenance["camera_model"] == "Test 5"
+    for fit in result.fits.values():
+        model = fit.model
+        for z in (1200.0, 2000.0, 2800.0):
+            true = INFINITY_PX - SCALE_PX_MM / (z - PUPIL_MM)
+            found = model.infinity_disparity_px - model.scale_px_mm / (z - model.sensor_to_pupil_mm)
+            assert found == pytest.approx(true, abs=0.05)  # 0.03 without a mosaic, and what its sampling costs
