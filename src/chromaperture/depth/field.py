@@ -197,7 +197,9 @@ def _evaluate(coefficients: np.ndarray, width_px: int, height_px: int, rows: np.
     square[i + j <= degree] = coefficients
     u, v = np.linspace(-1, 1, width_px), np.linspace(-1, 1, height_px)[rows]
     along_x, along_y = chebyshev.chebvander(u, degree), chebyshev.chebvander(v, degree)
-    return np.asarray(along_y @ square.reshape(degree + 1, degree + 1).T @ along_x.T)
+    # Column after column in memory, so that maps made of it are copied where a kernel needs them row by row: kernels
+    # are compiled for arrays of their own (`compile_ahead.py`), not for read-only views of this one.
+    return np.asarray((along_x @ square.reshape(degree + 1, degree + 1) @ along_y.T).T)
 
 
 def degree_of(count: int) -> int:
