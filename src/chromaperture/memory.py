@@ -37,7 +37,7 @@ def check_memory(what: str, needed_bytes: float, *, advice: str) -> None:
     available = available_bytes()
     if needed_bytes > available:
         needed, free = (f"{value / 1e9:.1f} GB" for value in (needed_bytes, available))
-        raise OutOfMemoryError(f"{what}: needs about {needed} of memory, of which {free} are free; {advice}")
+        raise OutOfMemoryError(f"{what}: not enough memory: {needed} are needed and {free} free; {advice}")
 
 
 def _of_machine() -> float:
