@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeVar, get_args
 
 from chromaperture.errors import InputError
+from chromaperture.spectral_config import SpectralConfig
 from chromaperture.stage_config import (
     BilateralConfig,
     CorrelationConfig,
@@ -140,12 +141,15 @@ class AccurateConfig(MatcherConfig):
     surface : SurfaceConfig
     planes : PlanesConfig
         Explain the surface by planes where that costs no evidence.
+    spectral : SpectralConfig
+        Evidence of all channels together, beside that of pairs, where the camera's blur and noise are known.
     """
 
     layers: LayersConfig = LayersConfig(step_px=0.25)
     evidence: CrossFilterConfig | CorrelationEvidenceConfig = CorrelationEvidenceConfig()
     surface: SurfaceConfig = SurfaceConfig()
     planes: PlanesConfig = PlanesConfig()
+    spectral: SpectralConfig = SpectralConfig()
 
     @property
     def label_curves(self) -> tuple[Quality, ...]:
@@ -188,7 +192,9 @@ class AccurateConfig(MatcherConfig):
         layers = LayersConfig(step_px=0.3 * reach)
         evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
         planes = PlanesConfig() if reach >= _LEAST_REACH_OF_PLANES else PlanesConfig(rounds=0)
-        return cls(layers=layers, evidence=evidence, surface=surface, planes=planes)
+        return cls(
+            layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=SpectralConfig.for_blur(reach)
+        )
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,18 @@ class Execution(Protocol):
     ) -> np.ndarray:
         """Filter two channels of a tile with each other's blur; (n, n, 2)."""
 
+    def spectral_likelihood(
+        self,
+        spectra: np.ndarray,
+        powers: np.ndarray,
+        node: np.ndarray,
+        noise: np.ndarray,
+        *,
+        channel_error: float,
+        rounds: int,
+    ) -> np.ndarray:
+        """Sum the log-likelihood of windows of all channels over their frequencies, at every layer; (M, D)."""
+
     def read_at_labels(
         self,
         likelihood: np.ndarray,
