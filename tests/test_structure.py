@@ -21,8 +21,8 @@ MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
 BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "spectral_config", "storage", "camera_file",
-                         "camera_matching", "camera_scale", "camera_memory", "camera_alignment", "camera", "cluster", "frame",
-                         "calibration", "products"}  # fmt: skip
+                         "camera_matching", "camera_scale", "camera_memory", "camera_alignment", "camera", "cluster",
+                         "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
 COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory"}
 ALLOWED: dict[str, set[str]] = {
