@@ -212,11 +212,26 @@ class DepthConfig:
 
 @dataclass(frozen=True)
 class Config:
-    """All stages together, as ``CodedApertureCamera`` takes it and ``STEM.json`` records it."""
+    """All stages together, as ``CodedApertureCamera`` takes it and ``STEM.json`` records it.
 
-    quality: Quality = "real-time"  # whose depth curve in the camera file belongs to the matcher's settings
+    Attributes
+    ----------
+    quality : {"paper", "real-time", "accurate"}
+        Whose depth curve in the camera file belongs to the matcher's settings.
+    matcher : MatcherConfig
+        Counts px of the picture that is matched, whose sides are 1 / ``scale`` of the photograph's.
+    depth : DepthConfig
+    scale : int
+        Working scale, see `chromaperture.camera_scale.working_scale`.
+    """
+
+    quality: Quality = "real-time"
     matcher: MatcherConfig = RealTimeConfig()
     depth: DepthConfig = DepthConfig()
+    scale: int = 1
+
+    def __post_init__(self) -> None:
+        require(self.scale >= 1, f"a working scale is 1, 1/2, 1/3 ...; got 1/{self.scale}")
 
 
 def preset(quality: Quality) -> MatcherConfig:

@@ -9,6 +9,7 @@ from chromaperture.disparity.cpu.paths import aggregate_paths, posterior_sigma, 
 from chromaperture.disparity.cpu.planes import plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.cpu.smoothing import smooth_along_surface
 from chromaperture.disparity.cpu.spectral_likelihood import spectral_likelihood
+from chromaperture.disparity.cpu.upsample import upsample
 from chromaperture.disparity.cpu.variation import coupled_variation, iterate_variation, variation_gap
 from chromaperture.optics.splat_kernels import point_transforms
 
@@ -30,5 +31,6 @@ __all__ = [
     "smooth_along_surface",
     "spectral_likelihood",
     "texture_weights",
+    "upsample",
     "variation_gap",
 ]

@@ -9,6 +9,7 @@ from chromaperture.disparity.stages.paths import aggregate_paths, posterior_sigm
 from chromaperture.disparity.stages.planes import plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.stages.smoothing import smooth_along_surface
 from chromaperture.disparity.stages.spectral_likelihood import spectral_likelihood
+from chromaperture.disparity.stages.upsample import upsample
 from chromaperture.disparity.stages.variation import coupled_variation
 from chromaperture.disparity.stages.variation import gap_per_px as variation_gap
 from chromaperture.disparity.stages.variation import iterate as iterate_variation
@@ -32,5 +33,6 @@ __all__ = [
     "smooth_along_surface",
     "spectral_likelihood",
     "texture_weights",
+    "upsample",
     "variation_gap",
 ]
