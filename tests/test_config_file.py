@@ -25,6 +25,7 @@ OTHER_SAMPLING = {"catmull-rom": "b-spline", "b-spline": "catmull-rom"}
 OTHER_VALUES = {  # where nine tenths of the value would not be valid
     "paths": 4,
     "bands_px": ((0.5, 1.5), (1.5, 3.0)),
+    "gain": 2.0,
 }
 REFUSED = {"noise_debiasing"}  # by every method but "paper"
 

@@ -79,9 +79,7 @@ def read_at_labels(
     unexplained = np.exp(np.float32(-2 / factors) * np.asarray(likelihood, np.float32))
     labels = ((np.asarray(labels_px, float) - layers_px[0]) / step).astype(np.float32)
     begin = ((label_map.offset_px + (label_map.scale - 1) * layers_px[0]) / step).astype(np.float32)
-    offset, scale = (
-        np.ascontiguousarray(np.broadcast_to(part, out.shape[:2]), np.float32) for part in (begin, label_map.scale)
-    )
+    offset, scale = (np.array(np.broadcast_to(part, out.shape[:2]), np.float32) for part in (begin, label_map.scale))
 
     def rows(_: int, top: int, bottom: int) -> None:
         _read_at_labels(unexplained, labels, offset, scale, np.float32(factors), spacing_px, top, bottom, out)
