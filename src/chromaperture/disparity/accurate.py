@@ -9,7 +9,14 @@ from typing import Protocol
 import numpy as np
 
 from chromaperture.config import AccurateConfig
-from chromaperture.disparity.error_bar import confidence, local_range, sigma_of_range, surface_sigma
+from chromaperture.disparity.error_bar import (
+    confidence,
+    local_range,
+    sigma_of_range,
+    surface_sigma,
+    widened,
+    without_two_views,
+)
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.planar import planes_of_surface, where_they_agree
@@ -29,6 +36,7 @@ EDGE_SHARE_OF_PLANES = 0.4
 # Labels by which all evidence of a plane together misses its place: 0.2 rms for 27 planes of ray-traced scenes, 0.4 at
 # the most but for prints whose own colours are displaced.
 BIAS_OF_PLANES = 0.3
+ALL_CHANNELS = np.eye(3)  # every pair of channels is evidence, the widest pairs first
 WITHOUT_PLANES = PlanesConfig(rounds=0)
 
 
@@ -76,7 +84,8 @@ class AccurateMethod:
         at_pixels = Surface(
             self.label_map.disparity(surface.disparity_px), self.label_map.scale * surface.sigma_px, surface.peak
         )
-        sigma = surface_sigma(at_pixels)
+        unmeasured = without_two_views(image, ALL_CHANNELS)
+        sigma = widened(surface_sigma(at_pixels), unmeasured, self.label_map.scale * sigma_of_range(labels_px))
         return Disparity(at_pixels.disparity_px, sigma, confidence(sigma, at_pixels.peak))
 
 
