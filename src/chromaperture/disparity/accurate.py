@@ -15,6 +15,7 @@ from chromaperture.disparity.error_bar import (
     sigma_of_range,
     surface_sigma,
     widened,
+    without_pixels,
     without_two_views,
 )
 from chromaperture.disparity.execution import Execution
@@ -22,7 +23,7 @@ from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.planar import planes_of_surface, where_they_agree
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.stages.between_layers import between_layers
-from chromaperture.disparity.views import ViewSpace, filtered_views
+from chromaperture.disparity.views import ViewSpace, clipped_filled, filtered_views
 from chromaperture.disparity.winner import Surface, parabola_winner
 from chromaperture.errors import InputError
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig
@@ -74,8 +75,9 @@ class AccurateMethod:
         views = filtered_views(image, self.space, config=self.config.views)
         layers_px = self.config.layers.values_px
         labels_px = with_halves(layers_px)
+        image, usable = clipped_filled(image, views.mask)
         likelihood = self.evidence.at(image, layers_px, labels_px)
-        likelihood *= views.mask[..., None]
+        likelihood *= usable[..., None]
         surface = optimised_surface(
             likelihood, views.guide, labels_px, config=self.config.surface, planes=self.config.planes, run=self.run,
             known_within_px=sigma_of_range(labels_px),
@@ -84,7 +86,7 @@ class AccurateMethod:
         at_pixels = Surface(
             self.label_map.disparity(surface.disparity_px), self.label_map.scale * surface.sigma_px, surface.peak
         )
-        unmeasured = without_two_views(image, ALL_CHANNELS)
+        unmeasured = without_two_views(image, ALL_CHANNELS) | without_pixels(usable)
         sigma = widened(surface_sigma(at_pixels), unmeasured, self.label_map.scale * sigma_of_range(labels_px))
         return Disparity(at_pixels.disparity_px, sigma, confidence(sigma, at_pixels.peak))
 

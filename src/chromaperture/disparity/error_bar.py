@@ -123,6 +123,12 @@ def without_two_views(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return cv2.resize(lacking.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
 
 
+def without_pixels(usable: np.ndarray) -> np.ndarray:
+    """Return where the matching window holds no usable pixel; (H, W) bool."""
+    side = LIGHT_WINDOW_PX + 1
+    return np.asarray(cv2.dilate(usable, np.ones((side, side), np.uint8)) == 0)
+
+
 def widened(sigma_px: np.ndarray, unmeasured: np.ndarray, range_sigma_px: float | np.ndarray) -> np.ndarray:
     """Return error bars that are at least that of the search range where nothing was measured; (H, W) float32, px.
 
