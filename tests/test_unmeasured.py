@@ -54,12 +54,15 @@ def test_error_bars_are_widened_up_to_the_limit_and_stay_unknown():
 def test_clipped_pixels_and_their_neighbours_are_filled_from_around():
     image = np.full((80, 96, 3), (0.2, 0.3, 0.4), np.float32)
     image[30:40, 40:50] = 1.0
-    image[33:36, 45] = np.nan
+    image[33:36, 45] = image[5, 5] = np.nan
+    image[60, 20] = 1.0  # by noise
     usable = np.ones((80, 96), np.float32)
-    usable[30:40, 40:50] = 0.0
+    usable[30:40, 40:50] = usable[5, 5] = usable[60, 20] = 0.0
     filled, kept = clipped_filled(image, usable)
+    np.testing.assert_array_equal(filled[60, 20], 1.0)
+    filled[60, 20] = 0.2, 0.3, 0.4
     np.testing.assert_allclose(filled, np.broadcast_to((0.2, 0.3, 0.4), filled.shape), atol=1e-6)  # float32
-    assert (kept == 0).sum() == 16 * 16  # 3 px wider on every side
+    assert (kept == 0).sum() == 16 * 16 + 2  # the area 3 px wider on every side, and two single pixels
     np.testing.assert_array_equal(without_pixels(kept), np.pad(np.ones((8, 8), bool), ((31, 41), (41, 47))))
     everything = np.ones((80, 96), np.float32)
     assert clipped_filled(filled, everything)[0] is filled

@@ -300,9 +300,10 @@ def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray) -> tuple[list[
 
 
 def clipped_filled(image: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Replace unusable pixels, and those next to them, by the mean of the usable ones around.
+    """Replace clipped areas, what is next to them, and non-finite pixels by the mean of the usable ones around.
 
     A clipped disc has its edge at the same place in channels whose light is displaced, and outweighs all texture.
+    Single clipped pixels, as noise makes them in bright paper, miss little of their light and are left as they are.
 
     Parameters
     ----------
@@ -314,19 +315,23 @@ def clipped_filled(image: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, n
     -------
     image : (H, W, 3) float32
     usable : (H, W) float32
+        0 in the grown areas, too.
     """
     if usable.all():
         return image, usable
-    usable = np.asarray(cv2.erode(usable, np.ones((2 * _CLIPPED_REACH_PX + 1,) * 2, np.uint8)))
+    areas = cv2.morphologyEx((usable == 0).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    grown = cv2.dilate(areas, np.ones((2 * _CLIPPED_REACH_PX + 1,) * 2, np.uint8)) > 0
+    replaced = grown | ~np.isfinite(image).all(axis=2)
+    usable = np.where(replaced, np.float32(0), usable)
     kept = usable > 0
-    if not kept.any():
+    if not (replaced.any() and kept.any()):
         return image, usable
     mean = image[kept].mean(axis=0)
     rest = np.where(kept[..., None], image - mean, np.float32(0))
     sigma = 2 * _FILL_SIGMA_PX  # that is px of the halved picture
     around = cv2.GaussianBlur(usable, (0, 0), sigma)[..., None] + np.float32(1e-3)  # 1e-3: no division by 0
     fill = cv2.GaussianBlur(rest, (0, 0), sigma) / around
-    return np.where(kept[..., None], image, mean + fill).astype(np.float32), usable
+    return np.where(replaced[..., None], mean + fill, image).astype(np.float32), usable
 
 
 def smooth(image: np.ndarray, sigma_px: float, *, out: np.ndarray | None = None) -> np.ndarray:
