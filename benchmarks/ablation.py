@@ -49,7 +49,8 @@ VARIANTS: dict[str, MatcherConfig] = {
     "unmixed views": dataclasses.replace(REAL_TIME, space="unmixed"),
     "pure channels, else unmixed views": dataclasses.replace(REAL_TIME, space="pure"),
     "views read by Catmull and Rom's cubic": dataclasses.replace(
-        REAL_TIME, views=ViewsConfig(presmooth_sigma_px=0.6, guide_range=0.15),
+        REAL_TIME,
+        views=ViewsConfig(presmooth_sigma_px=0.6, guide_range=0.15),
         correlation=CorrelationConfig(window_decay=0.3),
     ),
     "no average between layers": dataclasses.replace(REAL_TIME, smoothing_sigma_px=0.0),
@@ -68,7 +69,8 @@ VARIANTS: dict[str, MatcherConfig] = {
 
 
 ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only",
-            "one octave", "three octaves", "window of 8 px", "no planes", "planes keep every slope",
+            "one octave", "three octaves", "window of 8 px", "pairs of channels alone", "no planes",
+            "planes keep every slope",
             "edges where the evidence has them", "no total variation", "four paths", "penalties a tenth",
             "penalties not led by the guide", "one curve for the frame")  # fmt: skip
 
@@ -101,6 +103,7 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
     }
     planes = config.matcher.planes
     changes |= {
+        "pairs of channels alone": {"spectral": dataclasses.replace(config.matcher.spectral, gain=0.0)},
         "no planes": {"planes": dataclasses.replace(planes, rounds=0)},
         "planes keep every slope": {"planes": dataclasses.replace(planes, slope_tolerance=0.0)},
         "edges where the evidence has them": {"planes": dataclasses.replace(planes, edge_band_px=0)},
@@ -157,8 +160,10 @@ def main() -> None:
     if args.quality == "accurate" and args.camera is None:
         parser.error("--quality accurate needs --camera")
     for name in args.variants or (VARIANTS if args.quality == "real-time" else ACCURATE):
-        found = measure(name, args.data, args.design, args.scenes) if args.quality == "real-time" else (
-            measure_accurate(name, args)
+        found = (
+            measure(name, args.data, args.design, args.scenes)
+            if args.quality == "real-time"
+            else (measure_accurate(name, args))
         )
         print(json.dumps({name: found}), flush=True)
 

@@ -143,7 +143,7 @@ def bad_inputs(folder):
     cv2.imwrite(str(folder / "black.png"), np.full_like(counts, 16))
     cv2.imwrite(str(folder / "white.png"), np.full_like(counts, 1023))
     cv2.imwrite(str(folder / "grey.png"), counts[..., 1])
-    cv2.imwrite(str(folder / "small.png"), counts[::2, ::2])
+    cv2.imwrite(str(folder / "small.png"), counts[:360, :360])
     cv2.imwrite(str(folder / "portrait.png"), counts.transpose(1, 0, 2))
     nan = (counts[..., ::-1].astype(np.float32) - 16) / 1000
     nan[:] = np.nan
@@ -160,7 +160,7 @@ def bad_inputs(folder):
         "all black": (["depth", here("black.png"), *with_camera], "black"),
         "saturated": (["depth", here("white.png"), *with_camera], "is saturated"),
         "not a number": (["depth", here("nan.tif"), *with_camera], "finite"),
-        "other size": (["depth", here("small.png"), *with_camera], "360x240"),
+        "other aspect": (["depth", here("small.png"), *with_camera], "360x360 px .* of its aspect"),
         "rotated": (
             ["depth", here("portrait.png"), *with_camera],
             "480x720 px .* 720x480; it looks rotated: turn it back",

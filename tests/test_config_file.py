@@ -29,6 +29,9 @@ OTHER_VALUES = {  # where nine tenths of the value would not be valid
 REFUSED = {"noise_debiasing"}  # by every method but "paper"
 
 
+CHOSEN = ("quality", "scale")  # by --quality and --scale, which the other settings depend on
+
+
 def values_of(settings, path=()):
     """Path and value of every setting below a dataclass."""
     for field in dataclasses.fields(settings):
@@ -81,7 +84,7 @@ EVERY_VALUE = [
     (name, path)
     for name, config in CONFIGS.items()
     for path, _ in values_of(config)
-    if path[0] != "quality"  # chosen by --quality
+    if path[0] not in CHOSEN
 ]
 
 
@@ -105,7 +108,7 @@ def test_every_value_can_be_set_and_nothing_else_changes(folder, name, path):
 @pytest.mark.parametrize("name", CONFIGS)
 def test_a_file_of_all_present_values_changes_nothing(folder, name):
     config = CONFIGS[name]
-    text = "".join(f"{'.'.join(path)} = {toml(value)}\n" for path, value in values_of(config) if path[0] != "quality")
+    text = "".join(f"{'.'.join(path)} = {toml(value)}\n" for path, value in values_of(config) if path[0] not in CHOSEN)
     assert read(config, text, folder) == config
     assert read(config, "", folder) == config
 

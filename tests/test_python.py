@@ -288,12 +288,12 @@ def test_a_lens_without_size_is_refused(frame):
 
 
 def test_a_calibration_that_cannot_be_used_is_warned_of(monkeypatch):
-    made = types.SimpleNamespace(calibration="the camera")
+    made = types.SimpleNamespace(camera="the camera")
     monkeypatch.setattr(tasks, "calibrate_session", lambda *args, **options: made)
     monkeypatch.setattr(tasks, "unusable", lambda result: ["no board was read"])
     with pytest.warns(cap.CaptureWarning, match="no board was read"):
         assert cap.calibrate("folder") == "the camera"
-    assert "calibration" in CalibrationResult.__dataclass_fields__  # what the stand-in has
+    assert hasattr(CalibrationResult, "camera")  # what the stand-in has
 
 
 @pytest.mark.parametrize(("module", "extra"), [("open3d", "reconstruct"), ("xarray", "xarray")])

@@ -20,21 +20,24 @@ SOURCES = {
 MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
-BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "storage", "camera_file", "camera_matching",
-                         "camera_alignment", "camera", "cluster", "frame", "calibration", "products"}  # fmt: skip
+BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "spectral_config", "storage", "camera_file",
+                         "camera_matching", "camera_scale", "camera_memory", "camera_alignment", "camera", "cluster",
+                         "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
-COMMON = {"errors", "compilation", "threads", "robust", "validation"}
+COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory"}
 ALLOWED: dict[str, set[str]] = {
     **{part: set() for part in COMMON},
     "validation": {"errors"},
+    "memory": {"errors"},
     "threads": {"errors"},  # numbers of threads in the environment are refused like any input
     "compile_ahead": set(),
     "stage_config": {"errors"},
-    "config": {"errors", "stage_config"},
+    "spectral_config": {"errors", "stage_config"},
+    "config": {"errors", "stage_config", "spectral_config"},
     "optics": set(),  # the forward model shares no code with the estimator that it tests
     "color": {"optics"},
     "capture": {"optics", "color"},
-    "disparity": {"optics", "color", "config", "stage_config"},
+    "disparity": {"optics", "color", "config", "stage_config", "spectral_config"},
     "depth": {"color", "config"},  # works on any disparity map, however it was made
     "storage": {"color"},
     "asdf_input": set(),
@@ -42,11 +45,14 @@ ALLOWED: dict[str, set[str]] = {
     "cluster": set(),
     "camera_file": {"optics", "color", "config", "depth", "storage", "asdf_input", "camera_tree"},
     "config_file": {"config"},
-    "camera_matching": {"camera_file", "color", "config", "disparity"},
-    "camera_alignment": {"camera_file", "color", "config", "depth"},
+    "camera_scale": {"optics", "camera_file", "depth", "capture"},
+    "camera_memory": {"camera_file", "camera_scale", "config"},
+    "camera_matching": {"camera_file", "camera_scale", "color", "config", "disparity"},
+    "camera_alignment": {"camera_file", "camera_scale", "color", "config", "depth"},
     "frame": {"camera_file", "config", "storage", "color", "depth"},  # the result, and what is made of it
-    "camera": {"camera_file", "camera_matching", "camera_alignment", "config", "frame"} | STAGES,
-    "calibration": {"optics", "camera_matching", "camera_file", "config"} | STAGES,
+    "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "config", "frame"}
+    | STAGES,
+    "calibration": {"optics", "spectral_config", "camera_matching", "camera_scale", "camera_file", "config"} | STAGES,
     "products": {"camera", "camera_file", "cluster", "config", "frame", "storage", "capture", "color", "depth"},
     "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth"},
     "reconstruction": {"camera", "products", "storage", "capture", "color", "depth"},
@@ -69,9 +75,12 @@ MAY_IMPORT_EXECUTIONS = MAY_IMPORT_CPU | {
     # What both executions share, defined where the readable one explains it:
     "disparity/accurate.py",  # the place between two layers
     "disparity/blur_evidence.py",  # tiles of the frame
+    "disparity/spectral_evidence.py",  # a photograph without its shading, and the cubic between layers
+    "disparity/spectral_model.py",  # what that takes away
     "disparity/total_variation.py",  # the problem and its state
     "disparity/plane_fit.py",  # what a plane costs
     "disparity/planar.py",  # the same, and the weights of links
+    "disparity/working_scale.py",  # the maps that both bring to full size
     "calibration/fit_blur.py",  # a photograph without its shading
 }
 # Names of each way to compile and to start threads, and the one module that may use them.

@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal, cast
 
 import numpy as np
 
 from chromaperture.camera_alignment import ChannelAlignment
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, label_maps, noise_model
+from chromaperture.camera_memory import check_camera_memory
+from chromaperture.camera_scale import SAME_SCALE, at_scale, resized
 from chromaperture.capture.checks import check_capture
 from chromaperture.capture.files import decode, linearise
-from chromaperture.config import Config, DepthConfig, ExecutionName, Quality
+from chromaperture.capture.picture_header import same_frame
+from chromaperture.config import Config, ExecutionName, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
+from chromaperture.depth.field_bands import field_to_depth
 from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.result import Disparity
+from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.result import Disparity, Method
+from chromaperture.disparity.working_scale import ScaledMethod
+from chromaperture.errors import CaptureWarning
 from chromaperture.frame.depth_frame import DepthFrame
+
+_WHOLE_PX = 4_000_000  # pictures up to this size keep the curves of every pixel, 100 bytes each, from frame to frame
 
 StageTimer = Callable[[str], AbstractContextManager[None]]
 
@@ -40,17 +52,14 @@ class CodedApertureCamera:
         self.calibration = calibration
         self.config = config or default_config(calibration)
         self.execution: ExecutionName = execution
-        self.method = method_for(
-            self.config.matcher,
-            aperture=calibration.aperture,
-            unmixing=calibration.unmixing,
-            label_maps=label_maps(calibration, self.config.matcher),
-            blur=calibration.field_blur(),
-            noise=noise_model(calibration),
-            execution=execution,
-        )
-        self.depth_model = calibration.depth_model(self.config.quality) if calibration.is_calibrated else None
-        self.alignment = ChannelAlignment(calibration, self.config, self.depth_model)
+        self.method = scaled_method(calibration, self.config, execution)
+        self.alignment = ChannelAlignment(calibration, self.config)
+        self._at_sizes: dict[tuple[int, int], CodedApertureCamera] = {}
+
+    @property
+    def depth_model(self) -> DepthModel | None:
+        """The curve from disparity to depth over the frame; None for a camera that was never calibrated."""
+        return self.alignment.depth_model
 
     def measure(self, image: np.ndarray | str | Path, *, stage: StageTimer = lambda name: nullcontext()) -> DepthFrame:
         """Measure depth in millimetres for every pixel of one photograph.
@@ -69,18 +78,30 @@ class CodedApertureCamera:
         Raises
         ------
         InputError
-            The image cannot be used, or is not of this camera's size.
+            The image cannot be used, or is not of this camera's size or aspect.
+        OutOfMemoryError
+            It would need more memory than there is.
+
+        Warns
+        -----
+        CaptureWarning
+            The image is of another size than this camera's, see `at_size`.
         """
         sensor = self.calibration.sensor
         if isinstance(image, str | Path):
             with stage("read"):
                 image = self.read(image)
+        size_px = image.shape[1::-1]
+        if size_px != (sensor.width_px, sensor.height_px) and np.ndim(image) == 3 and self.shows_frame_at(size_px):
+            warnings.warn(self.scaled_note(size_px), CaptureWarning, stacklevel=2)
+            return self.at_size(*size_px).measure(image, stage=stage)
         with stage("check"):
             image = check_capture(image, sensor.width_px, sensor.height_px)
+            check_camera_memory("the photograph", self.calibration, self.config)
         with stage("disparity"):  # Eq. (1) and section 3.1
             disparity = self.method.match(image)
         with stage("depth"):  # Eq. (10)
-            depth_mm, sigma_mm = millimetres(disparity, self.depth_model, self.config.depth)
+            depth_mm, sigma_mm = self.millimetres(disparity)
         with stage("color"):  # section 5.1
             color = self.alignment.align(image, disparity.value_px)
         maps = (depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color)
@@ -102,24 +123,106 @@ class CodedApertureCamera:
         """
         sensor = self.calibration.sensor
         levels = (sensor.black_level, sensor.white_level) if self.calibration.is_calibrated else None
-        decoded = decode(path, size_px=(sensor.width_px, sensor.height_px))
+        check_camera_memory(Path(path).name, self.calibration, self.config)
+        is_known = self.calibration.is_calibrated
+        decoded = decode(path, size_px=(sensor.width_px, sensor.height_px), any_scale=is_known)
         return linearise(decoded, black_level=black_level, white_level=white_level, camera_levels=levels)
+
+    def shows_frame_at(self, size_px: tuple[int, int]) -> bool:
+        """Whether photographs of a size, width and height, have the aspect of this calibrated camera's."""
+        sensor = self.calibration.sensor
+        return self.calibration.is_calibrated and same_frame((sensor.width_px, sensor.height_px), size_px)
+
+    def at_size(self, width_px: int, height_px: int) -> CodedApertureCamera:
+        """Return this camera for photographs of another size, which show the whole frame in other pixels.
+
+        It matches at the same working scale where that is a whole fraction of the size. Elsewhere its settings are
+        those of `default_config`: settings in px would not fit.
+
+        Raises
+        ------
+        InputError
+            The size has another aspect.
+        """
+        size = (width_px, height_px)
+        if size == (self.calibration.sensor.width_px, self.calibration.sensor.height_px):
+            return self
+        if size not in self._at_sizes:
+            calibration = resized(self.calibration, width_px, height_px)
+            scale = self.config.scale * width_px / self.calibration.sensor.width_px
+            if abs(scale / max(1, round(scale)) - 1) < SAME_SCALE:
+                config = replace(self.config, scale=max(1, round(scale)))
+            else:
+                config = default_config(calibration, self.config.quality)
+            self._at_sizes = {size: CodedApertureCamera(calibration, config, execution=self.execution)}
+        return self._at_sizes[size]
+
+    def scaled_note(self, size_px: tuple[int, int]) -> str:
+        """Return what to say of a photograph of another size."""
+        sensor = self.calibration.sensor
+        return (
+            f"a photograph of {size_px[0]}x{size_px[1]} px by a camera calibrated at {sensor.width_px}x"
+            f"{sensor.height_px}: taken for the whole frame in other pixels; of a crop every distance is wrong"
+        )
+
+    def millimetres(self, disparity: Disparity) -> tuple[np.ndarray, np.ndarray]:
+        """Return depth and its standard deviation in mm; NaN for a camera never calibrated; two (H, W) float32."""
+        pixels, most_mm = disparity.value_px, self.config.depth.max_depth_mm
+        if not self.calibration.is_calibrated:
+            unknown = np.full(pixels.shape, np.nan, np.float32)
+            return unknown, unknown.copy()
+        if pixels.size > _WHOLE_PX:
+            field = self.calibration.depth[self.config.quality]
+            return field_to_depth(pixels, disparity.sigma_px, field, max_depth_mm=most_mm)
+        model = cast(DepthModel, self.depth_model)
+        return disparity_to_depth(pixels, model, sigma_px=disparity.sigma_px, max_depth_mm=most_mm)
 
     def __repr__(self) -> str:
         return f"CodedApertureCamera({self.calibration.title}, quality {self.config.quality})"
 
 
-def millimetres(disparity: Disparity, model: DepthModel | None, config: DepthConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Depth and its standard deviation in mm; all NaN for a camera that was never calibrated; two (H, W) float32."""
-    if model is None:
-        unknown = np.full(disparity.value_px.shape, np.nan, np.float32)
-        return unknown, unknown.copy()
-    return disparity_to_depth(disparity.value_px, model, sigma_px=disparity.sigma_px, max_depth_mm=config.max_depth_mm)
+def scaled_method(calibration: Calibration, config: Config, execution: ExecutionName = "numba") -> Method:
+    """Compose the method that a configuration describes, for photographs of a camera's full size.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    config : Config
+        At a ``scale`` above 1 the method is that of the camera of reduced pictures.
+    execution : {"numba", "numpy"}
+    """
+    working = at_scale(calibration, config.scale)
+    method = method_for(
+        config.matcher,
+        aperture=working.aperture,
+        unmixing=working.unmixing,
+        label_maps=label_maps(working, config.matcher),
+        blur=working.field_blur(),
+        noise=noise_model(working),
+        execution=execution,
+    )
+    if config.scale == 1:
+        return method
+    size_px = (working.sensor.width_px, working.sensor.height_px)
+    return ScaledMethod(method, config.matcher, size_px, working.aperture, execution_named(execution))
 
 
 def load_camera(
-    path: str | Path, *, quality: Quality = "real-time", execution: ExecutionName = "numba"
+    path: str | Path,
+    *,
+    quality: Quality = "real-time",
+    scale: int | Literal["auto"] = "auto",
+    execution: ExecutionName = "numba",
 ) -> CodedApertureCamera:
-    """Open a camera file; raises InputError when it is missing, damaged or of a newer format."""
+    """Open a camera file; raises InputError when it is missing, damaged or of a newer format.
+
+    Parameters
+    ----------
+    path : str or Path
+    quality : {"paper", "real-time", "accurate"}
+    scale : int or "auto"
+        Match pictures reduced to 1 / scale; ``auto`` takes what the blur allows, see `camera_scale.working_scale`.
+    execution : {"numba", "numpy"}
+    """
     calibration = Calibration.load(path)
-    return CodedApertureCamera(calibration, default_config(calibration, quality), execution=execution)
+    return CodedApertureCamera(calibration, default_config(calibration, quality, scale=scale), execution=execution)

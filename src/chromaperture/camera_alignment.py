@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 
 import numpy as np
 
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_scale import at_scale
 from chromaperture.color.alignment import align_channels, channel_directions, fill_unknown, white_balance
 from chromaperture.color.lens_shift import LensShift
 from chromaperture.config import Config, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_inverse_depth
+
+_BAND_PX = 4_000_000  # of a band: 250 MB of displacements, depth buffers and samples
+# Rows that a band sees beyond its own: what the largest displacement by the lens may be, of that of the centroids in
+# the frame's middle; the neighbourhood of an occluded pixel (7 px) with the samples of Lanczos' filter (4 px); and
+# lateral colour, px of the working scale.
+_MOST_BEYOND, _AROUND_PX, _LATERAL_PX = 2.0, 12, 4
 
 
 class ChannelAlignment:
@@ -20,17 +28,20 @@ class ChannelAlignment:
     ----------
     calibration : Calibration
     config : Config
-    depth_model : DepthModel or None
-        Curve of the disparities that are measured; None for a camera that was never calibrated.
     """
 
-    def __init__(self, calibration: Calibration, config: Config, depth_model: DepthModel | None) -> None:
-        self.calibration, self.depth_model = calibration, depth_model
+    def __init__(self, calibration: Calibration, config: Config) -> None:
+        self.calibration, self.config = calibration, config
         self.uses_blur = config.matcher.uses_blur
         self.shifts = channel_shifts(calibration, config.quality)
 
+    @cached_property
+    def depth_model(self) -> DepthModel | None:
+        """Curve of the disparities that are measured; None for a camera that was never calibrated."""
+        return self.calibration.depth_model(self.config.quality) if self.calibration.is_calibrated else None
+
     def align(self, image: np.ndarray, disparity_px: np.ndarray) -> np.ndarray:
-        """Align the channels and white balance them.
+        """Align the channels and white balance them, in bands of rows: displacements take 24 bytes a pixel.
 
         Parameters
         ----------
@@ -41,18 +52,32 @@ class ChannelAlignment:
         -------
         (H, W, 3) float32, linear RGB
         """
-        filled = fill_unknown(disparity_px)
-        aligned = align_channels(image, filled, self.shifts, displacement_px=self.displacement(filled))
+        filled = fill_unknown(disparity_px, step=self.config.scale)
+        height, width = filled.shape
+        rows = max(1, _BAND_PX // width)
+        if rows >= height:
+            return self._aligned(image, filled, 0, height)
+        moved = float(np.abs(filled).max()) * max(1.0, float(np.abs(self.shifts).max()))
+        halo = math.ceil(_MOST_BEYOND * moved) + _AROUND_PX + _LATERAL_PX * self.config.scale
+        color = np.empty(image.shape, np.float32)
+        for top in range(0, height, rows):
+            first, last = max(0, top - halo), min(height, top + rows + halo)
+            band = self._aligned(image[first:last], filled[first:last], first, height)
+            color[top : top + rows] = band[top - first : top - first + rows]
+        return color
+
+    def _aligned(self, image: np.ndarray, filled: np.ndarray, first_row: int, height: int) -> np.ndarray:
+        """Align a band of a frame of so many rows."""
+        moved = self.displacement(filled, first_row=first_row, height=height)
+        # What cubics smooth is finer than the light of a picture that is matched at fewer pixels.
+        exact = self.config.scale == 1
+        aligned = align_channels(image, filled, self.shifts, displacement_px=moved, exact=exact)
         return white_balance(aligned, self.calibration.film.aperture)
 
     @cached_property
     def lens_shift(self) -> LensShift | None:
         """Displacement of the channels by the lens; None where its blur was not fitted."""
-        blur = self.calibration.field_blur()
-        if blur is None or not self.calibration.is_calibrated:
-            return None
-        pupil_mm = float(self.calibration.on_axis("accurate").sensor_to_pupil_mm)
-        return LensShift(blur, near_mm=self.calibration.near_mm - pupil_mm, far_mm=self.calibration.far_mm - pupil_mm)
+        return _lens_shift(self.calibration)
 
     def blur_radius_px(self, disparity_px: np.ndarray) -> np.ndarray | None:
         """Return the blur radius on the axis at the distance of every pixel, see `LensShift`.
@@ -76,10 +101,38 @@ class ChannelAlignment:
             layer = layer if curve.nonlinearity is None else curve.nonlinearity.measured(layer)
         return self.lens_shift.layer_radius_px(layer).astype(np.float32)
 
-    def displacement(self, disparity_px: np.ndarray) -> np.ndarray | None:
-        """Return the displacement of the channels where the method uses the lens's blur, (3, 2, H, W) px; else None."""
-        radius = self.blur_radius_px(disparity_px) if self.uses_blur else None
-        return None if radius is None or self.lens_shift is None else self.lens_shift(radius)
+    def displacement(
+        self, disparity_px: np.ndarray, *, first_row: int = 0, height: int | None = None
+    ) -> np.ndarray | None:
+        """Return the displacement of the channels where the method uses the lens's blur, (3, 2, H, W) px; else None.
+
+        Parameters
+        ----------
+        disparity_px : (H, W) float, px, no NaN
+        first_row, height : int
+            Where it is a band of a frame of so many rows, the number of its first row.
+        """
+        shift = self._working_shift if self.uses_blur else None
+        if shift is None:
+            return None
+        factor = np.float32(self.calibration.sensor.width_px / shift.blur.width_px)
+        radius = shift.layer_radius_px(np.asarray(disparity_px, float) / factor).astype(np.float32)
+        found = shift(radius, first_row=first_row, height=height)
+        return found if factor == 1 else np.multiply(found, factor, out=found)
+
+    @cached_property
+    def _working_shift(self) -> LensShift | None:
+        """`lens_shift` at the working scale, in whose px the frequencies are that it takes into account."""
+        return self.lens_shift if self.config.scale == 1 else _lens_shift(at_scale(self.calibration, self.config.scale))
+
+
+def _lens_shift(calibration: Calibration) -> LensShift | None:
+    """Return the displacement of the channels by a camera's lens; None where its blur was not fitted."""
+    blur = calibration.field_blur()
+    if blur is None or not calibration.is_calibrated:
+        return None
+    pupil_mm = float(calibration.on_axis("accurate").sensor_to_pupil_mm)
+    return LensShift(blur, near_mm=calibration.near_mm - pupil_mm, far_mm=calibration.far_mm - pupil_mm)
 
 
 def channel_shifts(calibration: Calibration, quality: Quality) -> np.ndarray:

@@ -33,6 +33,7 @@ from chromaperture.validation import MOST_PIXELS, checked, quoted
 
 FORMAT_VERSION = 1
 _ROOT = "chromaperture_camera"
+_CHECKED_WHOLE, _PLACES = 2**20, 129  # px of a sensor whose curves are checked everywhere; else places along a side
 _ABOUT = (
     "One camera with a colour-coded aperture, at one focus setting. Lengths are in mm, disparities are signed half "
     "disparities in px (0 in focus, + beyond). Depth from the sensor plane is sensor_to_pupil_mm + scale_px_mm / "
@@ -334,6 +335,9 @@ def _blur_from_tree(values: Mapping[str, float]) -> BlurModel:
 def _check(calibration: Calibration) -> None:
     """Raise ValueError for parameters that no camera has."""
     sensor, lens, film = calibration.sensor, calibration.lens, calibration.film
+    # The maps of a large sensor take gigabytes: it is checked at some places.
+    small = sensor.width_px * sensor.height_px <= _CHECKED_WHOLE
+    places = np.meshgrid(*(np.linspace(0, side - 1, _PLACES) for side in (sensor.width_px, sensor.height_px)))
     positive = {
         "sensor.width_px": sensor.width_px,
         "sensor.height_px": sensor.height_px,
@@ -346,8 +350,9 @@ def _check(calibration: Calibration) -> None:
         "film.aperture": float(film.aperture.min()),
         "working range": calibration.far_mm - calibration.near_mm,
     }
-    for quality in calibration.depth:
-        model = calibration.depth_model(quality)
+    for quality, curve in calibration.depth.items():
+        at = (sensor.width_px, sensor.height_px)
+        model = calibration.depth_model(quality) if small else curve.at(places[0], places[1], *at)
         positive[f"depth.{quality}.scale_px_mm"] = float(np.min(model.scale_px_mm))
         positive[f"near_mm - depth.{quality}.sensor_to_pupil_mm"] = calibration.near_mm - float(
             np.max(model.sensor_to_pupil_mm)

@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_scale import at_scale, working_scale
 from chromaperture.color.noise import photon_noise_variance
 from chromaperture.config import AccurateConfig, Config, MatcherConfig, Quality, preset
 from chromaperture.disparity.labels import LabelMap, label_map
 from chromaperture.disparity.result import ESTIMATED_NOISE, NoiseModel
 
 
-def default_config(calibration: Calibration, quality: Quality = "real-time") -> Config:
-    """Return the settings for a camera: the quality's preset over the camera's own working range."""
+def default_config(
+    calibration: Calibration, quality: Quality = "real-time", *, scale: int | Literal["auto"] = "auto"
+) -> Config:
+    """Return the settings for a camera: the quality's preset over the camera's own working range.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    quality : {"paper", "real-time", "accurate"}
+    scale : int or "auto"
+        Match pictures reduced to 1 / scale; ``auto`` is `chromaperture.camera_scale.working_scale`.
+    """
+    scale = working_scale(calibration) if scale == "auto" else scale
+    calibration = at_scale(calibration, scale)
     matcher = preset(quality)
     blur = calibration.field_blur()
     if isinstance(matcher, AccurateConfig) and blur is not None:
@@ -23,7 +37,7 @@ def default_config(calibration: Calibration, quality: Quality = "real-time") -> 
         matcher = AccurateConfig.for_range(*calibration.disparity_range_px(quality))
     if calibration.is_calibrated:
         matcher = matcher.with_range(*calibration.disparity_range_px(quality))
-    return Config(quality=quality, matcher=matcher)
+    return Config(quality=quality, matcher=matcher, scale=scale)
 
 
 def label_maps(calibration: Calibration, config: MatcherConfig) -> list[LabelMap]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeVar, get_args
 
 from chromaperture.errors import InputError
+from chromaperture.spectral_config import SpectralConfig
 from chromaperture.stage_config import (
     BilateralConfig,
     CorrelationConfig,
@@ -140,12 +141,15 @@ class AccurateConfig(MatcherConfig):
     surface : SurfaceConfig
     planes : PlanesConfig
         Explain the surface by planes where that costs no evidence.
+    spectral : SpectralConfig
+        Evidence of all channels together, beside that of pairs, where the camera's blur and noise are known.
     """
 
     layers: LayersConfig = LayersConfig(step_px=0.25)
     evidence: CrossFilterConfig | CorrelationEvidenceConfig = CorrelationEvidenceConfig()
     surface: SurfaceConfig = SurfaceConfig()
     planes: PlanesConfig = PlanesConfig()
+    spectral: SpectralConfig = SpectralConfig()
 
     @property
     def label_curves(self) -> tuple[Quality, ...]:
@@ -188,7 +192,9 @@ class AccurateConfig(MatcherConfig):
         layers = LayersConfig(step_px=0.3 * reach)
         evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
         planes = PlanesConfig() if reach >= _LEAST_REACH_OF_PLANES else PlanesConfig(rounds=0)
-        return cls(layers=layers, evidence=evidence, surface=surface, planes=planes)
+        return cls(
+            layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=SpectralConfig.for_blur(reach)
+        )
 
 
 @dataclass(frozen=True)
@@ -206,11 +212,26 @@ class DepthConfig:
 
 @dataclass(frozen=True)
 class Config:
-    """All stages together, as ``CodedApertureCamera`` takes it and ``STEM.json`` records it."""
+    """All stages together, as ``CodedApertureCamera`` takes it and ``STEM.json`` records it.
 
-    quality: Quality = "real-time"  # whose depth curve in the camera file belongs to the matcher's settings
+    Attributes
+    ----------
+    quality : {"paper", "real-time", "accurate"}
+        Whose depth curve in the camera file belongs to the matcher's settings.
+    matcher : MatcherConfig
+        Counts px of the picture that is matched, whose sides are 1 / ``scale`` of the photograph's.
+    depth : DepthConfig
+    scale : int
+        Working scale, see `chromaperture.camera_scale.working_scale`.
+    """
+
+    quality: Quality = "real-time"
     matcher: MatcherConfig = RealTimeConfig()
     depth: DepthConfig = DepthConfig()
+    scale: int = 1
+
+    def __post_init__(self) -> None:
+        require(self.scale >= 1, f"a working scale is 1, 1/2, 1/3 ...; got 1/{self.scale}")
 
 
 def preset(quality: Quality) -> MatcherConfig:

@@ -23,7 +23,7 @@ from chromaperture.errors import InputError
 from chromaperture.validation import checked_value, nearest, quoted, read_toml
 
 T = TypeVar("T")
-_SECTIONS = ("matcher", "depth")  # the quality is chosen by --quality
+_SECTIONS = ("matcher", "depth")  # quality and scale are chosen by --quality and --scale
 # Of a number in px: the time of a Gaussian grows with its width, and 1000 px takes seconds; of a count of iterations,
 # whose default is 40; of any other: a depth of 1000 km, whose square is still finite.
 MOST_PX, MOST_ITERATIONS, LARGEST = 1e3, 10_000, 1e9

@@ -67,7 +67,7 @@ def calibrate(
     faults = unusable(result)
     if faults:
         warnings.warn(f"this calibration cannot be used: {'; '.join(faults)}", CaptureWarning, stacklevel=2)
-    return result.calibration
+    return result.camera
 
 
 def all_in_focus(frame: DepthFrame, *, sharpness: Sharpness = "full") -> SharpPicture:

@@ -34,6 +34,8 @@ from chromaperture.calibration.rendered_boards import rendered_nonlinearity
 from chromaperture.calibration.session import Session, read_session
 from chromaperture.calibration.white_sheets import WhiteSheets, measure_white_sheets
 from chromaperture.camera_file import Calibration
+from chromaperture.camera_scale import MATCHED_SIZE, resized
+from chromaperture.capture.picture_header import same_frame
 from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.field import DepthField, degree_of
 
@@ -42,7 +44,7 @@ from chromaperture.depth.field import DepthField, degree_of
 class CalibrationResult:
     """A camera and the evidence for it."""
 
-    calibration: Calibration
+    calibration: Calibration  # of the pictures that were matched, see `Session`; all px below are theirs
     fits: Mapping[Quality, DepthFit]  # the curve on the axis, with its covariance
     boards: list[BoardMeasurement]
     notes: Sequence[str]  # a sentence for everything that was missing or weak
@@ -60,6 +62,11 @@ class CalibrationResult:
     evidence: Evidence  # the measurements that the curves were fitted to
     layers: LayerEvidence | None = None  # those for the curve of ``accurate``; None without a lens blur
     config: CalibrationConfig = field(default_factory=CalibrationConfig)
+
+    @property
+    def camera(self) -> Calibration:
+        """The camera of the photographs as they are: what a camera file holds."""
+        return resized(self.calibration, *self.session.photograph_size_px)
 
 
 def calibrate_session(
@@ -94,8 +101,9 @@ def calibrate_session(
         Something is missing or invalid; the message names it.
     """
     store = Store(None if keep_in is None else Path(keep_in))
-    lens = lens_from.blur if lens_from else None
     session = read_session(folder)
+    lens_from = _at_size_of(session, lens_from)
+    lens = lens_from.blur if lens_from else None
     sheets = measure_white_sheets(session)
     pinhole = measure_pinhole(session, lens_from, store=store, progress=progress)
     placed = place_boards(session, pinhole, config)
@@ -118,6 +126,15 @@ def calibrate_session(
         provenance=made_from | steps.figures,
     )  # fmt: skip
     return steps.result(camera)
+
+
+def _at_size_of(session: Session, lens_from: Calibration | None) -> Calibration | None:
+    """Return another design's camera in the session's pixels; as it is where it is not of that aspect."""
+    size = (session.sensor.width_px, session.sensor.height_px)
+    if lens_from is None or not same_frame((lens_from.sensor.width_px, lens_from.sensor.height_px), size):
+        return lens_from
+    full = (lens_from.sensor.width_px, lens_from.sensor.height_px) == session.photograph_size_px
+    return resized(lens_from, *size) if full else lens_from
 
 
 @dataclass(frozen=True)
@@ -154,6 +171,7 @@ class _Steps:
         """Figures of the fit for the camera file."""
         intrinsics, residuals = self.placed.intrinsics, self.fits["real-time"].residual_mm
         return {
+            MATCHED_SIZE: [self.session.sensor.width_px, self.session.sensor.height_px],
             "field_degree": degree_of(len(self.curves["real-time"].field.scale_px_mm)),
             "intrinsics_rms_px": intrinsics.rms_px if intrinsics else None,
             "rms_on_axis_mm": {quality: round(fit.rms_mm, 2) for quality, fit in self.fits.items()},

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 
 import cv2
 import numpy as np
@@ -25,6 +25,7 @@ from chromaperture.disparity.stages.tiles import without_shading
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
+from chromaperture.spectral_config import SpectralConfig
 from chromaperture.threads import parallel_map
 
 NAMES = tuple(f.name for f in fields(BlurModel))
@@ -150,7 +151,10 @@ def measured_layers(
     """
     height, width = image.shape[:2]
     at_infinity, scale = blur.reference
-    config = AccurateConfig.for_blur(blur.reach, full_well_electrons=full_well_electrons)
+    # Pairs alone: the boards' speckle has no power law, which would mislead the likelihood of all channels.
+    config = replace(
+        AccurateConfig.for_blur(blur.reach, full_well_electrons=full_well_electrons), spectral=SpectralConfig(gain=0.0)
+    )
     expected = at_infinity - scale * inverse_mm
     rows, columns = (np.linspace(0, n, max(1, n // cell_px) + 1).astype(int) for n in (height, width))
     for searched in _SEARCHED:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -17,7 +18,9 @@ from pydantic import Field
 
 from chromaperture.calibration.board_distances import check_units
 from chromaperture.camera_file import CameraSensor
+from chromaperture.camera_scale import LEAST_SIDE_PX, SCALES, reduced_size, resized_sensor
 from chromaperture.capture.files import decode, image_size, linearise, photographs
+from chromaperture.disparity.working_scale import reduced
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, design_named
 from chromaperture.validation import (
@@ -32,6 +35,9 @@ from chromaperture.validation import (
     read_toml,
 )
 
+# Px of a reduced photograph by which the widest blur of the boards displaces the pupil's edge, at least: bench50's
+# boards, which are not reduced, have 11.6. Their lens on 24 megapixels gets 1/8, as from `working_scale`.
+_WIDEST_PX = 10.0
 _MOST_CSV_BYTES = 1_000_000  # of distances.csv: 20,000 boards
 
 # Name of the white sheet through a whole pupil of one filter; film without a name has none.
@@ -41,11 +47,15 @@ SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": "
 
 @dataclass(frozen=True)
 class Session:
-    """The checked contents of a session folder."""
+    """The checked contents of a session folder.
+
+    Photographs of more pixels than the lens's blur needs are reduced as they are read, and `sensor` is that of the
+    reduced ones: boards are matched at the working scale at which the camera will match (docs/working-scale.md).
+    """
 
     folder: Path
     design: str
-    sensor: CameraSensor
+    sensor: CameraSensor  # of what `read` returns
     nominal_focal_length_mm: float
     nominal_f_number: float
     focused_at_about_mm: float
@@ -55,10 +65,16 @@ class Session:
     # Photograph of the board square to the axis, and its distance from the sensor plane by ruler, mm.
     boards: dict[Path, float]
     tilts: tuple[Path, ...]  # tilted boards, for the intrinsics
+    full_size_px: tuple[int, int] | None = None  # width and height of the photographs; None: those of ``sensor``
+
+    @property
+    def photograph_size_px(self) -> tuple[int, int]:
+        """Width and height of the photographs."""
+        return self.full_size_px or (self.sensor.width_px, self.sensor.height_px)
 
     def read(self, path: Path) -> np.ndarray:
-        """Read one photograph of the session as linear light; (H, W, 3) float32."""
-        expected = (self.sensor.width_px, self.sensor.height_px)
+        """Read one photograph of the session as linear light, at the size of `sensor`; (H, W, 3) float32."""
+        expected = self.photograph_size_px
         width, height = image_size(path)
         if (width, height) != expected:
             raise InputError(
@@ -67,7 +83,12 @@ class Session:
             )
         # As `depth` reads: 8 bits, which cannot hold the levels of a sensor, are decoded from the sRGB curve.
         levels = (self.sensor.black_level, self.sensor.white_level)
-        return linearise(decode(path, size_px=expected), camera_levels=levels)
+        image = linearise(decode(path, size_px=expected), camera_levels=levels)
+        working = (self.sensor.width_px, self.sensor.height_px)
+        if working == expected:
+            return image
+        # Corners and white sheets need a number everywhere: what is cut off counts as saturated.
+        return np.nan_to_num(reduced(image, working), nan=1.0)
 
     @property
     def sheets(self) -> dict[str, Path]:
@@ -99,11 +120,14 @@ def read_session(folder: str | Path) -> Session:
         raise InputError(f"cannot read {quoted(settings)}: there is no such file; is this a session folder?")
     table = checked(_SessionTable, read_toml(settings), where=quoted(settings))
     boards = _distances(folder)
+    full = CameraSensor(**table.sensor.model_dump(exclude={"linear"}))
+    size = (full.width_px, full.height_px)
+    sensor = resized_sensor(full, *reduced_size(size, _scale(full, table.lens, boards)))
     check_units(np.array([*boards.values()]), table.lens.focused_at_about_mm, where=str(folder / "distances.csv"))
     return Session(
         folder=folder,
         design=design_named(table.design).name,
-        sensor=CameraSensor(**table.sensor.model_dump(exclude={"linear"})),
+        sensor=sensor,
         nominal_focal_length_mm=table.lens.nominal_focal_length_mm,
         nominal_f_number=table.lens.nominal_f_number,
         focused_at_about_mm=table.lens.focused_at_about_mm,
@@ -112,7 +136,24 @@ def read_session(folder: str | Path) -> Session:
         ruler_error_mm=table.board.ruler_error_mm,
         boards=boards,
         tilts=tuple(photographs(folder / "tilt")),
+        full_size_px=size,
     )
+
+
+def _scale(sensor: CameraSensor, lens: _LensTable, boards: Mapping[Path, float]) -> int:
+    """Return the working scale by the engraved focal length and f-number, as `camera_scale.working_scale` by the blur.
+
+    The widest blur displaces the pupil's edge by r = F R / mu |1 / z_f - 1 / z| (`optics/pinhole.py`).
+    """
+    f = lens.nominal_focal_length_mm
+    focus = lens.focused_at_about_mm - f  # from the pupil, about
+    nearer = [ruler - f for ruler in boards.values() if ruler > f]
+    if focus <= f or not nearer:
+        return 1
+    radius_px = f / (1 - f / focus) * f / (2 * lens.nominal_f_number) / sensor.pixel_pitch_mm
+    widest = radius_px * max(abs(1 / focus - 1 / z) for z in nearer)
+    side = min(sensor.width_px, sensor.height_px)
+    return max(s for s in SCALES if s == 1 or (s * _WIDEST_PX <= widest and s * LEAST_SIDE_PX <= side))
 
 
 _Length = Annotated[float, Field(gt=0, le=1e9)]  # mm; a thousand km, beyond every unit that was mistaken for mm

@@ -9,14 +9,13 @@ from __future__ import annotations
 import os
 import warnings
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 from PIL import Image, JpegImagePlugin
 
-from chromaperture.capture.picture_header import TIFF_MARKS, check_size, open_picture
+from chromaperture.capture.picture_header import TIFF_MARKS, check_size, open_picture, same_frame
 from chromaperture.capture.source import Encoding, choose_encoding, develop_counts, format_encoding
 from chromaperture.capture.tiff import decode_tiff, tiff_size
 from chromaperture.errors import CaptureWarning, InputError
@@ -156,15 +155,20 @@ def image_size(path: str | Path) -> tuple[int, int]:
     return width, height
 
 
-def decode(path: str | Path, *, size_px: tuple[int, int] | None = None) -> Decoded:
-    """Read a photograph's file once; raises InputError like `read_image`, but for levels."""
+def decode(path: str | Path, *, size_px: tuple[int, int] | None = None, any_scale: bool = False) -> Decoded:
+    """Read a photograph's file once; raises InputError like `read_image`, but for levels.
+
+    With ``any_scale`` other sizes of the aspect of ``size_px`` are read, too.
+    """
     path = Path(path)
     if is_raw(path):
-        from chromaperture.capture.raw import read_raw
+        from chromaperture.capture.raw import raw_size, read_raw
 
+        if any_scale and size_px is not None and same_frame(size_px, found := raw_size(path)):
+            size_px = found
         counts, own = read_raw(path, size_px=size_px)
         return Decoded(counts, own)
-    return Decoded(_colour(_decode(path, size_px), path))
+    return Decoded(_colour(_decode(path, size_px, any_scale), path))
 
 
 def _read(path: Path) -> bytes:
@@ -178,14 +182,19 @@ def _damaged(path: Path) -> str:
     return f"{path.name} is damaged or not an image (PNG, TIFF, PPM or JPEG); copy or export the file again"
 
 
-def _decode(path: Path, size_px: tuple[int, int] | None) -> np.ndarray:
+def _decode(path: Path, size_px: tuple[int, int] | None, any_scale: bool) -> np.ndarray:
     """Decode to an array of counts in the file's own depth, channels in R, G, B order."""
     data = _read(path)
+
+    def check(width: int, height: int, file_bytes: int | None = None) -> None:
+        is_scaled = any_scale and size_px is not None and same_frame(size_px, (width, height))
+        check_size(width, height, path.name, None if is_scaled else size_px, file_bytes=file_bytes)
+
     if data.startswith(TIFF_MARKS):
-        return decode_tiff(data, path.name, check=partial(check_size, name=path.name, size_px=size_px))
+        return decode_tiff(data, path.name, check=check)
     try:
         picture = open_picture(data)
-        check_size(*picture.size, path.name, size_px, file_bytes=len(data))
+        check(*picture.size, file_bytes=len(data))
         picture.verify()  # all chunk checksums of a PNG
         if _is_deep(data):
             if data.startswith(b"P"):
@@ -193,7 +202,10 @@ def _decode(path: Path, size_px: tuple[int, int] | None) -> np.ndarray:
             counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
             if counts is None:
                 raise InputError(_damaged(path))
-            return counts[..., [2, 1, 0]] if counts.ndim == 3 else counts  # OpenCV stores B, G, R; alpha goes
+            # OpenCV stores B, G, R; alpha goes. An index list would leave one plane a channel, which later is copied.
+            if counts.ndim == 3 and counts.shape[2] in (3, 4):
+                return cv2.cvtColor(counts, cv2.COLOR_BGR2RGB if counts.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
+            return counts
         picture = open_picture(data)
         _warn_of_subsampling(picture)
         coded = picture.mode in ("P", "RGBA", "CMYK", "YCbCr")

@@ -55,9 +55,15 @@ def other_size(width: int, height: int, size_px: tuple[int, int]) -> str:
     advice = (
         "it looks rotated: turn it back, the filters in the lens did not turn with it"
         if rotated
-        else "give an original of that size, or calibrate at this one"
+        else "give an original of that size or of its aspect, or calibrate at this one"
     )
     return f"the image is {width}x{height} px but the camera was calibrated at {size_px[0]}x{size_px[1]}; {advice}"
+
+
+def same_frame(size_px: tuple[int, int], other_px: tuple[int, int]) -> bool:
+    """Return whether two sizes, width and height, have one aspect, but for a side that was rounded by a pixel."""
+    (width, height), (other_width, other_height) = size_px, other_px
+    return abs(width * other_height - height * other_width) <= max(width, height, other_width, other_height)
 
 
 def check_size(

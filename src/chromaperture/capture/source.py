@@ -163,7 +163,9 @@ class Frame:
 def develop_counts(counts: np.ndarray, encoding: Encoding) -> np.ndarray:
     """Convert (H, W, 3) counts to linear light on one grid; (H, W, 3) float32, 1.0 = white level."""
     span = np.float32(encoding.white_level - encoding.black_level)
-    image = (counts.astype(np.float32) - np.float32(encoding.black_level)) / span
+    image = counts.astype(np.float32, order="C")
+    image -= np.float32(encoding.black_level)
+    image /= span
     if encoding.curve == "srgb":
         image = srgb_to_linear(image)
     for channel, (dx, dy) in enumerate(encoding.channel_offsets_px):

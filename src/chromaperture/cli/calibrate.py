@@ -80,11 +80,11 @@ def calibrate(
 
         files.append(page)
         write_report(page, result)
-    result.calibration.save(out)
+    result.camera.save(out)
     shutil.rmtree(kept, ignore_errors=True)
     faults = unusable(result)
     if json:
-        print_json(result.calibration.summary() | {"unusable_because": faults})
+        print_json(result.camera.summary() | {"unusable_because": faults})
     elif not quiet:
         _print_result(result, faults)
         print_files(files)
@@ -116,7 +116,7 @@ def _print_result(result: CalibrationResult, faults: list[str]) -> None:
             number(100 * frame[i] / board.ruler_mm, "+.2f"),
         )
     out.print(boards)
-    cal = result.calibration
+    cal = result.camera
     out.print(
         f"focal length {cal.lens.focal_length_mm:.2f} mm, in focus at {cal.in_focus_mm:.0f} mm, "
         f"baseline {cal.baseline_mm:.2f} mm, rms {result.fits[QUALITY].rms_mm:.1f} mm in the middle of the frame"

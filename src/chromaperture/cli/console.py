@@ -206,7 +206,7 @@ def announce_duration(camera: CodedApertureCamera, photographs: int, *, quiet: b
         return
     sensor = camera.calibration.sensor
     megapixels = sensor.width_px * sensor.height_px / 1e6
-    each_s = ACCURATE_S_A_MEGAPIXEL * megapixels
+    each_s = ACCURATE_S_A_MEGAPIXEL * megapixels / camera.config.scale**2  # the working scale's pixels
     several = f", {_duration(photographs * each_s)} for {photographs}" if photographs > 1 else ""
     say = f"Quality accurate: about {_duration(each_s)} a photograph of {megapixels:.2g} megapixels{several}"
     basis = f"{ACCURATE_S_A_MEGAPIXEL:.0f} s a megapixel, as measured on two cores of an Intel Xeon server"

@@ -19,7 +19,9 @@ from chromaperture.cli.options import (
     MaxRelativeSigma,
     Quality,
     Quiet,
+    Scale,
     WhiteLevel,
+    working_scale,
 )
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.errors import CaptureWarning, InputError
@@ -45,6 +47,7 @@ def depth(
         str | None, typer.Option("--out", "-o", help="Folder for the results; default beside the image.")
     ] = None,
     quality: Quality = "real-time",
+    scale: Scale = "auto",
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
@@ -99,6 +102,7 @@ def depth(
         raise InputError("give photographs, folders of them, or a list of them with --files-from")
     refuse_common_results(names, out)
     chosen_outputs(write, is_calibrated=camera is not None)  # before the work
+    settings: dict[str, Any] = {"quality": quality, "config": config, "scale": working_scale(scale)}
     options: dict[str, Any] = {
         "write": write, "black_level": black_level, "white_level": white_level,
         "max_relative_sigma": max_relative_sigma, "inspect": partial(check_film, refuse=not anyway),
@@ -110,14 +114,14 @@ def depth(
 
         if camera is None or design is not None:
             raise InputError("--cluster measures depth: give the camera file with --camera, and no --design")
-        opened = camera_for(Path(names[0]), camera, None, quality=quality, config=config)
+        opened = camera_for(Path(names[0]), camera, None, **settings)
         recipe = recipe_for(camera, opened, out=out, again=again, **options)
         measure_archive(names, recipe, cluster, json=json, quiet=quiet)
         return
     from chromaperture.cli.depth_batch import measure_batch
 
     paths = [as_path(name) for name in names]
-    camera_of = cameras(paths[0], camera, design, quality=quality, config=config)
+    camera_of = cameras(paths[0], camera, design, **settings)
     made_by: Recipe | None = None
     if camera is not None:
         from chromaperture.products.archive_cluster import recipe_for
@@ -150,12 +154,18 @@ def check_film(camera: CodedApertureCamera, image: np.ndarray, name: str, *, ref
     InputError
         The film is certainly another one, and ``refuse``.
     """
+    from chromaperture.camera_scale import at_scale
+    from chromaperture.disparity.working_scale import reduced
     from chromaperture.evaluation.health import film_match
 
-    calibration = camera.calibration
-    if not calibration.is_calibrated or image.shape[:2] != (calibration.sensor.height_px, calibration.sensor.width_px):
+    if not camera.shows_frame_at(image.shape[1::-1]):
         return  # without a film to compare with; the size is refused later
-    match = film_match(image, calibration)
+    camera = camera.at_size(*image.shape[1::-1])
+    calibration = camera.calibration
+    working = at_scale(calibration, camera.config.scale)
+    if working is not calibration:
+        image = reduced(image, (working.sensor.width_px, working.sensor.height_px))
+    match = film_match(image, working)
     if not match.doubts:
         return
     title = calibration.aperture.title
@@ -174,21 +184,24 @@ def check_film(camera: CodedApertureCamera, image: np.ndarray, name: str, *, ref
 
 
 def cameras(
-    first: Path, camera: Path | None, design: str | None, *, quality: str, config: Path | None
+    first: Path, camera: Path | None, design: str | None, **settings: Any
 ) -> Callable[[Path], CodedApertureCamera]:
-    """Return the function from an image to its camera: the file's, read once, or one for each size for a design."""
+    """Return the function from an image to its camera: the file's, read once, or one for each size for a design.
+
+    ``settings`` are those of `camera_for`.
+    """
     from chromaperture.capture.files import image_size
     from chromaperture.cli.setup import camera_for
 
     if design is None or camera is not None:
-        same = camera_for(first, camera, design, quality=quality, config=config)
+        same = camera_for(first, camera, design, **settings)
         return lambda image: same
     of_sizes: dict[tuple[int, int], CodedApertureCamera] = {}
 
     def of_size(image: Path) -> CodedApertureCamera:
         size = image_size(image)
         if size not in of_sizes:
-            of_sizes[size] = camera_for(image, None, design, quality=quality, config=config)
+            of_sizes[size] = camera_for(image, None, design, **settings)
         return of_sizes[size]
 
     return of_size

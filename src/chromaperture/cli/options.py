@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -37,6 +37,13 @@ Quality = Annotated[
     typer.Option(
         help="paper, real-time, or accurate, which takes about 40 s a megapixel.",
         autocompletion=lambda: ["paper", "real-time", "accurate"],
+    ),
+]
+Scale = Annotated[
+    str,
+    typer.Option(
+        help="Working scale: auto, what the blur allows; or 1, 1/2, 1/4 ... of the photograph's pixels.",
+        autocompletion=lambda: ["auto", "1", "1/2", "1/4", "1/8"],
     ),
 ]
 # One sentence for all commands: without a camera file, as in `transparency`, the format's levels are what is left.
@@ -77,6 +84,16 @@ Seed = Annotated[
 ]
 NearestMm = Annotated[float, typer.Option(help="First board distance, mm.", rich_help_panel=BOARDS_PANEL)]
 FarthestMm = Annotated[float, typer.Option(help="Last board distance, mm.", rich_help_panel=BOARDS_PANEL)]
+
+
+def working_scale(text: str) -> int | Literal["auto"]:
+    """Read a working scale, ``auto`` or 1/N; raises InputError."""
+    if text.strip() == "auto":
+        return "auto"
+    found = re.fullmatch(r"\s*1(?:\s*/\s*([1-9][0-9]{0,2}))?\s*", text)
+    if not found:
+        raise InputError(f"--scale {text!r} is not understood: give auto, 1, or a fraction such as 1/4")
+    return int(found[1] or 1)
 
 
 def inner_corners(text: str) -> tuple[int, int]:

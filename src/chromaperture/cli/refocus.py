@@ -70,6 +70,7 @@ def refocus(
 
     chromaperture refocus photo.png --camera camera.asdf --strength 0      (everything in focus)
     """
+    from chromaperture.capture.files import image_size
     from chromaperture.cli.console import announce_duration, compile_kernels, print_files, print_json, progress
     from chromaperture.cli.setup import camera_for
     from chromaperture.effects.refocusing import Focus
@@ -81,6 +82,8 @@ def refocus(
     if quality == "accurate" and camera is None:
         quality = "real-time"  # the accurate one needs a calibration
     eye = camera_for(photo, camera, design, quality=quality, config=None)
+    if eye.shows_frame_at(size := image_size(photo)):  # also of another size than the calibration's
+        eye = eye.at_size(*size)
     pupil = pupil_strength(eye, f_number, strength)
     _check_focus(eye, focus_mm, pixel)
     compile_kernels(quality, quiet=quiet)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
@@ -15,7 +15,13 @@ from chromaperture.errors import InputError
 
 
 def camera_for(
-    image: Path, camera: Path | None, design: str | None, *, quality: str, config: Path | None
+    image: Path,
+    camera: Path | None,
+    design: str | None,
+    *,
+    quality: str,
+    config: Path | None,
+    scale: int | Literal["auto"] = "auto",
 ) -> CodedApertureCamera:
     """Open the camera file, or make an uncalibrated camera of the image's size for a design."""
     if (camera is None) == (design is None):
@@ -25,5 +31,5 @@ def camera_for(
     else:
         width, height = image_size(image)
         calibration = Calibration.uncalibrated(cast(str, design), width_px=width, height_px=height)
-    settings = default_config(calibration, cast(Quality, quality))
+    settings = default_config(calibration, cast(Quality, quality), scale=scale)
     return CodedApertureCamera(calibration, settings if config is None else with_file(settings, config))

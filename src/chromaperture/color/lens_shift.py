@@ -60,13 +60,15 @@ class LensShift:
         at_infinity, scale = self.blur.reference
         return self.radius_px((at_infinity - layer_px) / scale)
 
-    def __call__(self, radius_px: np.ndarray) -> np.ndarray:
+    def __call__(self, radius_px: np.ndarray, *, first_row: int = 0, height: int | None = None) -> np.ndarray:
         """Compute the displacement of each channel from the view of the pupil's centre.
 
         Parameters
         ----------
         radius_px : (H, W) float, px, no NaN
-            Of the frame's size.
+            Over the frame, in any number of pixels.
+        first_row, height : int
+            Where ``radius_px`` is a band of a frame of so many rows, the number of its first row.
 
         Returns
         -------
@@ -76,7 +78,10 @@ class LensShift:
         planes, table = out.reshape(6, *radius_px.shape), self._table
         start, step = np.float32(self.radii_px[0]), np.float32(self.radii_px[1] - self.radii_px[0])
         radius = np.ascontiguousarray(radius_px, np.float32)
-        in_parallel(lambda _, first, last: _interpolate(table, radius, start, step, planes, first, last), len(radius))
+        rows = (first_row, height or len(radius))
+        in_parallel(
+            lambda _, first, last: _interpolate(table, radius, start, step, planes, first, last, *rows), len(radius)
+        )
         return out
 
     @cached_property
@@ -131,12 +136,12 @@ def _refined(coarse: np.ndarray) -> np.ndarray:
 
 
 @compiled()
-def _interpolate(table, radius, start, step, out, first_row, last_row):  # type: ignore[no-untyped-def]
+def _interpolate(table, radius, start, step, out, first_row, last_row, offset, height):  # type: ignore[no-untyped-def]
     """Interpolate the table linearly in position and radius into ``out`` (6, H, W), clamped at its ends."""
     rows, columns, radii = table.shape[:3]
-    height, width = radius.shape
+    width = radius.shape[1]
     for y in range(first_row, last_row):
-        v = np.float32(y) * np.float32(rows - 1) / np.float32(max(height - 1, 1))
+        v = np.float32(y + offset) * np.float32(rows - 1) / np.float32(max(height - 1, 1))
         j = min(int(v), rows - 2)
         v -= np.float32(j)
         for x in range(width):

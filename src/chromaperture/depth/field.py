@@ -110,23 +110,31 @@ class DepthField:
             y_px,
         )
 
-    def model(self, width_px: int, height_px: int) -> DepthModel:
-        """Evaluate the fields: (height, width) maps, or numbers where the fields are constant."""
+    def model(self, width_px: int, height_px: int, rows: slice | None = None) -> DepthModel:
+        """Evaluate the fields: (height, width) maps, or numbers where the fields are constant.
+
+        Parameters
+        ----------
+        width_px, height_px : int
+            Of the frame.
+        rows : slice, optional
+            Of a band of the frame, from ``start`` to before ``stop``: the maps are of its rows only.
+        """
         if len(self.scale_px_mm) == 1:
             return self.on_axis(width_px, height_px)
-        size = (width_px, height_px)
+        size, band = (width_px, height_px), np.arange(height_px)[rows or slice(None)]
         # The covariance is as smooth as the fields: bilinear between nodes it is 30 times faster.
         x, y = np.meshgrid(*(np.linspace(0, count - 1, _NODES) for count in size))
         nodes = polynomials(x, y, *size, degree_of(len(self.scale_px_mm)))
         smooth = DepthModel(
-            _evaluate(self.infinity_disparity_px, *size),
-            _evaluate(self.scale_px_mm, *size),
+            _evaluate(self.infinity_disparity_px, *size, band),
+            _evaluate(self.scale_px_mm, *size, band),
             self.sensor_to_pupil_mm,
-            self._covariance_map(nodes, *size),
+            self._covariance_map(nodes, *size, band),
             self.nonlinearity,
             self._curve_covariance(nodes.mean(axis=(0, 1))),
         )
-        return self._with_local(smooth, *np.meshgrid(np.arange(width_px), np.arange(height_px)))
+        return smooth if self.local is None else self._with_local(smooth, *np.meshgrid(np.arange(width_px), band))
 
     def _with_local(self, smooth: DepthModel, x_px: np.ndarray, y_px: np.ndarray) -> DepthModel:
         """Add the local corrections to the polynomials' curves at pixels."""
@@ -167,27 +175,31 @@ class DepthField:
             return None
         return np.column_stack([rows[:, :n] @ basis, rows[:, n : 2 * n] @ basis, rows[:, 2 * n :]])
 
-    def _covariance_map(self, basis: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
-        """Interpolate the covariance between the nodes of ``basis``; (3, 3), or (height, width, 3, 3) float32."""
+    def _covariance_map(self, basis: np.ndarray, width_px: int, height_px: int, band: np.ndarray) -> np.ndarray:
+        """Interpolate the covariance between the nodes of ``basis``; (3, 3), or (rows, width, 3, 3) float32."""
         if len(self.covariance) == 3:
             return self.covariance
         nodes = self._covariance_at(basis)
         rows, columns = (np.linspace(0, _NODES - 1, n).astype(np.float32) for n in (height_px, width_px))
-        at = (np.broadcast_to(columns, (height_px, width_px)).copy(), np.repeat(rows[:, None], width_px, axis=1))
-        found = np.empty((3, 3, height_px, width_px), np.float32)  # elements are read one by one: keep each contiguous
+        shape = (len(band), width_px)
+        at = (np.broadcast_to(columns, shape).copy(), np.repeat(rows[band][:, None], width_px, axis=1))
+        found = np.empty((3, 3, *shape), np.float32)  # elements are read one by one: keep each contiguous
         for i, j in PAIRS:
             found[i, j] = found[j, i] = cv2.remap(np.ascontiguousarray(nodes[..., i, j]), *at, cv2.INTER_LINEAR)
         return np.moveaxis(found, (0, 1), (2, 3))
 
 
-def _evaluate(coefficients: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
-    """Evaluate a field over the whole frame; (height, width) float64."""
+def _evaluate(coefficients: np.ndarray, width_px: int, height_px: int, rows: np.ndarray) -> np.ndarray:
+    """Evaluate a field over rows of the frame; (rows, width) float64."""
     degree = degree_of(len(coefficients))
     i, j = np.divmod(np.arange((degree + 1) ** 2), degree + 1)
     square = np.zeros((degree + 1) ** 2)
     square[i + j <= degree] = coefficients
-    u, v = np.linspace(-1, 1, width_px), np.linspace(-1, 1, height_px)
-    return chebyshev.chebgrid2d(u, v, square.reshape(degree + 1, degree + 1)).T
+    u, v = np.linspace(-1, 1, width_px), np.linspace(-1, 1, height_px)[rows]
+    along_x, along_y = chebyshev.chebvander(u, degree), chebyshev.chebvander(v, degree)
+    # Column after column in memory, so that maps made of it are copied where a kernel needs them row by row: kernels
+    # are compiled for arrays of their own (`compile_ahead.py`), not for read-only views of this one.
+    return np.asarray((along_x @ square.reshape(degree + 1, degree + 1) @ along_y.T).T)
 
 
 def degree_of(count: int) -> int:

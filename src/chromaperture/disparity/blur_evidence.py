@@ -27,7 +27,7 @@ import scipy.fft
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import NoiseModel
-from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes, TileSpectrum
+from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
 from chromaperture.errors import InputError
 from chromaperture.optics.lens_blur import LensBlur, Rays
 from chromaperture.stage_config import CrossFilterConfig
@@ -35,6 +35,9 @@ from chromaperture.threads import parallel_map
 
 _MAX_CORRELATION2 = 0.999  # 3.5 nats a band at most: a perfect agreement must not outweigh the whole neighbourhood
 SPACING_PX = round(2 * SAMPLING_PX)  # of the evidence: windows of sigma 4 px leave nothing finer
+# Blur, px at the pupil's edge, up to which every layer is computed: half of them would move walls of sharp texture by
+# 0.013 px of half disparity (2.2 px of blur), of less sharp texture by 0.003 px (3.4 px).
+_SHARP_PX = 4.0
 _BANDS_MARGIN_PX = 10  # three sigmas of the coarsest band
 
 
@@ -61,14 +64,17 @@ class BlurEvidence:
     def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
         """Return nats a pixel; (H, W, N).
 
-        Evaluated at every second layer and every third pixel, and interpolated, which loses nothing: on six ray-traced
-        scenes every layer puts .815 of the pixels within 2 % (cy_halves), every second one .814.
+        Where blur is wide, correlations are computed at every second layer, and interpolated: see `with_midpoints`.
         """
-        step = 2 * (layers_px[1] - layers_px[0])
-        layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 + 1)
-        likelihood = self.likelihood(image, layers_px)
+        step = layers_px[1] - layers_px[0]
+        layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
+        between = layers_px[1::2]
+        sharp = np.abs(between) < _SHARP_PX * self.blur.reach
+        computed = self._correlations(image, np.concatenate([layers_px[::2], between[sharp]]))
+        correlation = with_midpoints(computed[..., : len(between) + 1])
+        correlation[..., 1::2][..., sharp] = computed[..., len(between) + 1 :]
         return self.run.read_at_labels(
-            likelihood, layers_px, labels_px, self.label_map,
+            self._explained(correlation), layers_px, labels_px, self.label_map,
             factors=sum(self.config.band_weights), shape=image.shape[:2], spacing_px=SPACING_PX,
         )  # fmt: skip
 
@@ -91,7 +97,26 @@ class BlurEvidence:
         InputError
             The image is not of the blur's size.
         """
-        blur, config = self.blur, self.config
+        return self._explained(self._correlations(image, layers_px))
+
+    @property
+    def _pairs(self) -> tuple[tuple[int, int], ...]:
+        """Primary and, where they count, secondary pairs of channels."""
+        return self.blur.pairs + (self.blur.other_pairs if self.config.fallback_weight > 0 else ())
+
+    def _explained(self, correlation: np.ndarray) -> np.ndarray:
+        """Nats that the correlations of all pairs and bands earn, (pairs, bands, H, W, D); (H, W, D) float32."""
+        evidence = _nats(correlation, self.config.band_weights)
+        primary = len(self.blur.pairs)
+        likelihood = evidence[:primary].mean(axis=0)
+        if len(evidence) > primary:
+            weight = np.exp(-likelihood.max(axis=2, keepdims=True) / np.float32(self.config.fallback_nats))
+            likelihood += np.float32(self.config.fallback_weight) * weight * evidence[primary:].mean(axis=0)
+        return np.asarray(likelihood)
+
+    def _correlations(self, image: np.ndarray, layers_px: np.ndarray) -> np.ndarray:
+        """Correlation of P and Q of every pair of channels, in every band; (pairs, bands, H / 3, W / 3, D) float32."""
+        blur = self.blur
         noise_variance = self.noise.variance(image) if self.noise.is_known else None
         image = np.where(np.isfinite(image), image, np.float32(0))
         height, width = image.shape[:2]
@@ -103,60 +128,44 @@ class BlurEvidence:
         margin = 2 * float(np.abs(layers_px).max()) / blur.reach + _BANDS_MARGIN_PX  # both blurs, and the bands
         nodes = Nodes(height, width, margin_px=margin)
         spectra = nodes.spectra(
-            np.ascontiguousarray(image, np.float32), noise_variance, noise_margin=config.noise_margin
+            np.ascontiguousarray(image, np.float32), noise_variance, noise_margin=self.config.noise_margin
         )
-        other_pairs = blur.other_pairs if config.fallback_weight > 0 else ()
-        evidence = self._of_pairs(blur.pairs + other_pairs, nodes, spectra, layers_px)
-        likelihood = evidence[: len(blur.pairs)].mean(axis=0)
-        if other_pairs:
-            weight = np.exp(-likelihood.max(axis=2, keepdims=True) / np.float32(config.fallback_nats))
-            other = evidence[len(blur.pairs) :].mean(axis=0)
-            likelihood += np.float32(config.fallback_weight) * weight * other
-        return np.asarray(likelihood[: -(-height // SPACING_PX), : -(-width // SPACING_PX)])
-
-    def _of_pairs(
-        self, pairs: tuple[tuple[int, int], ...], nodes: Nodes, spectra: Sequence[TileSpectrum], layers_px: np.ndarray
-    ) -> np.ndarray:
-        """Log-likelihood of every layer from every pair of channels; (pairs, H, W, D) float32."""
-        channels = tuple(sorted({k for pair in pairs for k in pair}))
         low_pass = _gaussian(nodes.size, _finest(self.config) / SAMPLING_PX)  # the same at all depths, hence done once
+        channels = tuple(sorted({k for pair in self._pairs for k in pair}))
         tiles = [
             _Tile(
                 place,
                 weight,
-                self.blur.rays(*place, channels),
-                [(a * low_pass, b * low_pass) for a, b in (spectrum.pair(*pair) for pair in pairs)],
+                blur.rays(*place, channels),
+                [(a * low_pass, b * low_pass) for a, b in (spectrum.pair(*pair) for pair in self._pairs)],
             )
             for place, weight, spectrum in zip(nodes.places, nodes.weights, spectra, strict=True)
         ]
-        at_infinity, scale = self.blur.reference
-        evidence: list[np.ndarray] = [np.empty(0)] * len(layers_px)
+        at_infinity, scale = blur.reference
+        shape = (len(self._pairs), len(self.config.bands_px), -(-height // SPACING_PX), -(-width // SPACING_PX))
+        correlation = np.empty((*shape, len(layers_px)), np.float32)
 
         def fill(layer: int) -> None:
             inverse_mm = (at_infinity - layers_px[layer]) / scale
-            views = self._cross_filtered(pairs, channels, nodes, tiles, inverse_mm)
-            evidence[layer] = np.stack([_agreement(both, self.config) for both in views])
+            views = self._cross_filtered(channels, nodes, tiles, inverse_mm)
+            for of_pair, both in zip(correlation[..., layer], views, strict=True):
+                _correlate(both, self.config, of_pair)
 
         parallel_map(fill, range(len(layers_px)))
-        return np.stack(evidence, axis=-1)
+        return correlation
 
     def _cross_filtered(
-        self,
-        pairs: tuple[tuple[int, int], ...],
-        channels: tuple[int, ...],
-        nodes: Nodes,
-        tiles: Sequence[_Tile],
-        inverse_mm: float,
+        self, channels: tuple[int, ...], nodes: Nodes, tiles: Sequence[_Tile], inverse_mm: float
     ) -> np.ndarray:
         """P and Q of every pair of channels, at one distance; (pairs, H, W, 2) float32 of samples."""
-        canvas = nodes.canvas(len(pairs))
+        canvas = nodes.canvas(len(self._pairs))
         inner = nodes.in_tile()
         for tile in tiles:
             transfers = self.blur.transfer_of(
                 tile.rays, inverse_mm, nodes.size_px, samples=nodes.size, transform=self.run.point_transforms
             )
             transfer = dict(zip(channels, transfers, strict=True))
-            for i, ((a, b), views) in enumerate(zip(pairs, tile.pairs, strict=True)):
+            for i, ((a, b), views) in enumerate(zip(self._pairs, tile.pairs, strict=True)):
                 filtered = self.run.cross_filter(views, (transfer[a], transfer[b]), self.config.damping)
                 canvas[i, *nodes.on_canvas(tile.place)] += filtered[inner, inner] * tile.weight
         return nodes.in_frame(canvas)
@@ -171,16 +180,36 @@ class _Tile(NamedTuple):
     pairs: list[tuple[np.ndarray, np.ndarray]]
 
 
-def _agreement(both: np.ndarray, config: CrossFilterConfig) -> np.ndarray:
-    """Nats that the correlation of P and Q, (H, W, 2), earns in windows around every second sample; (H, W) float32."""
-    evidence = np.float32(0)
-    for band, weight in zip(_bands(both, config), config.band_weights, strict=True):
+def with_midpoints(volume: np.ndarray) -> np.ndarray:
+    """Interpolate a volume (..., D) halfway between its layers, by a polynomial through six of them; (..., 2 D - 1).
+
+    Correlations are smoother than their squares, which count: those would have to be computed twice as densely.
+    """
+    count = volume.shape[-1]
+    out = np.empty((*volume.shape[:-1], 2 * count - 1), volume.dtype)
+    out[..., ::2] = volume
+    wide = np.pad(volume, [(0, 0)] * (volume.ndim - 1) + [(2, 2)], mode="reflect", reflect_type="odd")
+    taps = [wide[..., k : k + count - 1] for k in range(6)]
+    # Lagrange's weights
+    out[..., 1::2] = (3 * (taps[0] + taps[5]) - 25 * (taps[1] + taps[4]) + 150 * (taps[2] + taps[3])) / 256
+    return out
+
+
+def _nats(correlation: np.ndarray, weights: Sequence[float]) -> np.ndarray:
+    """Log-likelihood of correlations (pairs, bands, ...) against uncorrelated pictures; (pairs, ...) float32."""
+    explained = np.minimum(np.maximum(correlation, 0) ** 2, np.float32(_MAX_CORRELATION2))
+    bands = np.moveaxis(explained, 1, 0)
+    return np.asarray(sum(np.float32(-0.5 * w) * np.log1p(-band) for w, band in zip(weights, bands, strict=True)))
+
+
+def _correlate(both: np.ndarray, config: CrossFilterConfig, out: np.ndarray) -> None:
+    """Correlate P and Q, (H, W, 2), in windows around every second sample, for every band; (bands, h, w) is written."""
+    height, width = out.shape[1:]
+    for i, band in enumerate(_bands(both, config)):
         p, q = cv2.split(band)
         cross, power_p, power_q = (_window(product, config.window_sigma_px) for product in (p * q, p * p, q * q))
-        correlation2 = np.maximum(cross, 0) ** 2 / (power_p * power_q + np.float32(1e-12))  # 1e-12: even areas earn 0
-        unexplained = 1 - np.minimum(correlation2, np.float32(_MAX_CORRELATION2))
-        evidence = evidence - np.float32(0.5 * weight) * cv2.log(unexplained)
-    return np.asarray(evidence)
+        # 1e-12: even areas have none
+        out[i] = (cross / np.sqrt(power_p * power_q + np.float32(1e-12)))[:height, :width]
 
 
 def _window(product: np.ndarray, sigma_px: float) -> np.ndarray:

@@ -16,6 +16,7 @@ from chromaperture.disparity.labels import IDENTITY, LabelMap
 from chromaperture.disparity.paper import PaperMethod
 from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.disparity.result import ESTIMATED_NOISE, Disparity, Method, NoiseModel
+from chromaperture.disparity.spectral_evidence import SpectralEvidence
 from chromaperture.disparity.views import view_spaces
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, design_named
@@ -110,7 +111,9 @@ def method_for(
         case AccurateConfig(evidence=CrossFilterConfig() as cross_filter):
             if blur is None or not label_maps:
                 raise InputError("matching with the blur needs a calibrated camera whose file has one")
-            evidence: Evidence = BlurEvidence(cross_filter, blur, label_maps[0], noise, run)
+            evidence: Evidence = SpectralEvidence(
+                config.spectral, BlurEvidence(cross_filter, blur, label_maps[0], noise, run)
+            )
             return AccurateMethod(config, view_spaces(aperture, unmixing, "unmixed")[0], evidence, label_maps[0], run)
         case AccurateConfig(evidence=CorrelationEvidenceConfig() as correlation):
             maps = tuple(label_maps) or (IDENTITY,)

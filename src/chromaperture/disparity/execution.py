@@ -14,6 +14,7 @@ import numpy as np
 from chromaperture.config import ExecutionName
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.planes import PlaneCosts, PlaneSums
+from chromaperture.disparity.stages.upsample import Coarse
 from chromaperture.disparity.stages.variation import Problem, State, Steps
 from chromaperture.disparity.views import Views
 from chromaperture.disparity.winner import PathWinner, Surface, Winner
@@ -54,6 +55,11 @@ class Execution(Protocol):
     def enlarge(self, surface: Surface, guide: np.ndarray) -> Surface:
         """Bring a surface to the guide's resolution."""
 
+    def upsample(
+        self, coarse: Coarse, image: np.ndarray, guide_rgb: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Bring maps of the working scale to the photograph's pixels; three (H, W)."""
+
     def point_transforms(self, points_px: np.ndarray, weights: np.ndarray, size: int, samples: int) -> np.ndarray:
         """Transform point-spread functions; (C, samples, samples // 2 + 1)."""
 
@@ -61,6 +67,18 @@ class Execution(Protocol):
         self, spectra: tuple[np.ndarray, np.ndarray], transfers: tuple[np.ndarray, np.ndarray], damping: float
     ) -> np.ndarray:
         """Filter two channels of a tile with each other's blur; (n, n, 2)."""
+
+    def spectral_likelihood(
+        self,
+        spectra: np.ndarray,
+        powers: np.ndarray,
+        node: np.ndarray,
+        noise: np.ndarray,
+        *,
+        channel_error: float,
+        rounds: int,
+    ) -> np.ndarray:
+        """Sum the log-likelihood of windows of all channels over their frequencies, at every layer; (M, D)."""
 
     def read_at_labels(
         self,

@@ -139,7 +139,7 @@ def _aligned(
     disparity, scatter = filter_disparity(radius / scale, sigma_px, guide)
     radius = disparity * scale
     disparity = radius / scale
-    displacement = linear_displacement(disparity, shifts) if lens is None else lens(radius)
+    displacement = np.stack(list(linear_displacement(disparity, shifts))) if lens is None else lens(radius)
     aligned = align_channels(balanced, disparity, shifts, displacement_px=displacement)
     # Three small sub-apertures, one a channel, blur in the same way, so that single surfaces can be registered.
     same_shape = len(cal.aperture.views) > 2 and pure_channels(cal.aperture) is not None

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, DepthFrame
+from chromaperture.capture.picture_header import other_size
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.errors import InputError
 
@@ -51,6 +52,9 @@ def undistorter(camera: CodedApertureCamera) -> Callable[[DepthFrame, float, int
         return cv2.remap(values, *straight, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
 
     def view(frame: DepthFrame, time_s: float, index: int) -> View:
+        if frame.depth_mm.shape != size[::-1]:
+            height, width = frame.depth_mm.shape
+            raise InputError(other_size(width, height, size))
         color = linear_to_srgb_bytes(frame.color)
         color = cv2.remap(color, *straight, cv2.INTER_LINEAR)
         z_mm, sigma_mm = nearest(frame.depth_mm - np.float32(to_pupil_mm)), nearest(frame.sigma_mm)

@@ -8,6 +8,8 @@ from chromaperture.disparity.cpu.four_paths import four_path_winner
 from chromaperture.disparity.cpu.paths import aggregate_paths, posterior_sigma, read_at_labels
 from chromaperture.disparity.cpu.planes import plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.cpu.smoothing import smooth_along_surface
+from chromaperture.disparity.cpu.spectral_likelihood import spectral_likelihood
+from chromaperture.disparity.cpu.upsample import upsample
 from chromaperture.disparity.cpu.variation import coupled_variation, iterate_variation, variation_gap
 from chromaperture.optics.splat_kernels import point_transforms
 
@@ -27,6 +29,8 @@ __all__ = [
     "potts_beliefs",
     "read_at_labels",
     "smooth_along_surface",
+    "spectral_likelihood",
     "texture_weights",
+    "upsample",
     "variation_gap",
 ]

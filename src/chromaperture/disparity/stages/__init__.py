@@ -8,6 +8,8 @@ from chromaperture.disparity.stages.four_paths import four_path_winner
 from chromaperture.disparity.stages.paths import aggregate_paths, posterior_sigma, read_at_labels
 from chromaperture.disparity.stages.planes import plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.stages.smoothing import smooth_along_surface
+from chromaperture.disparity.stages.spectral_likelihood import spectral_likelihood
+from chromaperture.disparity.stages.upsample import upsample
 from chromaperture.disparity.stages.variation import coupled_variation
 from chromaperture.disparity.stages.variation import gap_per_px as variation_gap
 from chromaperture.disparity.stages.variation import iterate as iterate_variation
@@ -29,6 +31,8 @@ __all__ = [
     "potts_beliefs",
     "read_at_labels",
     "smooth_along_surface",
+    "spectral_likelihood",
     "texture_weights",
+    "upsample",
     "variation_gap",
 ]

@@ -32,6 +32,11 @@ def without_shading(image: np.ndarray) -> np.ndarray:
     return np.asarray(image - cv2.GaussianBlur(image, (0, 0), _BACKGROUND_PX))
 
 
+def high_pass(frequency: np.ndarray) -> np.ndarray:
+    """Gain of `without_shading` at frequencies in cycles a px."""
+    return np.asarray(-np.expm1(-((2 * np.pi * frequency * _BACKGROUND_PX) ** 2) / 2))
+
+
 def signal_fraction(spectrum: np.ndarray, noise_power: np.ndarray, *, sampling_px: float = 1.0) -> np.ndarray:
     """Return the fraction of a picture's power that is no noise, at every frequency: Wiener's filter.
 

@@ -1,0 +1,250 @@
+"""Photographs of 24 megapixels: seconds, memory and accuracy beside the same scene in 720 x 480 pixels.
+
+    python benchmarks/large_pictures.py --out DIR [--quality real-time accurate] [--scales 8 4] [--plot FILE.png]
+
+A 50 mm f/2 lens focused at 2 m is simulated, without aberrations, behind a sensor of 6000 x 4000 pixels: six textured
+surfaces at different distances, blurred by up to 69 px (`optics/layer_renderer.py`). Smaller sensors see the same
+light: means over their larger pixels, then the photon noise of their larger wells. The curve of quality real-time is
+fitted to flat walls in 720 x 480 pixels, the size at which it matches; that of accurate is the optics' own. Every
+photograph is measured by ``chromaperture depth`` in a process of its own; ``peak_gb`` is that process's largest
+resident memory, ``cpu_s`` its processor time with start-up, ``stages_s`` the wall time of its stages.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tifffile
+from numpy.polynomial import chebyshev
+
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_file import Calibration, CameraSensor, Film, Lens
+from chromaperture.camera_matching import default_config
+from chromaperture.camera_scale import resized
+from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.field import DepthField
+from chromaperture.depth.nonlinearity import Nonlinearity
+from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of
+from chromaperture.optics.layer_renderer import render_layers
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
+from chromaperture.optics.pinhole import PupilCamera, centered_pinhole
+from chromaperture.optics.textures import noise
+
+SMALL, LARGE = (720, 480), (6000, 4000)
+SENSOR_MM, FOCAL_MM, PUPIL_MM, FOCUS_MM = 22.3, 52.0, 51.0, 2000.0  # the bench50 camera's, rounded
+NEAR_MM, FAR_MM = 950.0, 4200.0
+FULL_WELL, READ_NOISE = 20_000.0, 3.0  # electrons, of a pixel of the large sensor
+DESIGN = "cy_halves"
+WALLS_MM = tuple(1 / np.linspace(1 / 980, 1 / 4000, 14))
+# Surfaces, near to far: depth, mm; left, top, right, bottom as fractions of the frame; colour.
+SURFACES = (
+    (3600.0, (0.0, 0.0, 1.0, 1.0), (0.80, 0.85, 0.90)),
+    (2900.0, (0.55, 0.08, 0.97, 0.55), (0.90, 0.80, 0.65)),
+    (2300.0, (0.05, 0.10, 0.35, 0.75), (0.75, 0.90, 0.75)),
+    (1750.0, (0.30, 0.45, 0.62, 0.95), (0.90, 0.75, 0.80)),
+    (1400.0, (0.66, 0.50, 0.90, 1.0), (0.85, 0.85, 0.70)),
+    (1150.0, (0.10, 0.65, 0.27, 1.0), (0.80, 0.80, 0.90)),
+)
+
+
+def pupil_camera(size: tuple[int, int]) -> PupilCamera:
+    pitch = SENSOR_MM / size[0]
+    return PupilCamera(*size, FOCAL_MM / pitch, 12.5, FOCUS_MM, PUPIL_MM, pitch)
+
+
+def aperture():
+    return made_of(DESIGNS[DESIGN], "real")
+
+
+def calibration(size: tuple[int, int]) -> Calibration:
+    """The camera as its optics have it: no bias of a matcher."""
+    camera, film = pupil_camera(size), aperture()
+    at_infinity = float(camera.blur_radius_px(np.inf))
+    blur = BlurModel(at_infinity, camera.focal_px * camera.pupil_radius_mm)
+    a, b = LensBlur(blur, sample_pupil(film), *size).reference
+    white = channel_transmission(film)
+    wells = (LARGE[0] / size[0]) ** 2
+    filters = {part.filter.name: np.asarray(part.filter.transmission, float) for part in film.parts}
+    curve = DepthField.constant(DepthModel(a, b, PUPIL_MM))
+    return Calibration(
+        design=DESIGN,
+        sensor=CameraSensor(*size, camera.pixel_pitch_mm, 0.0, 65535.0, FULL_WELL * wells, READ_NOISE * wells**0.5),
+        lens=Lens(50.0, centered_pinhole(camera.focal_px, size), f_number=2.0),
+        film=Film(filters, np.ones(3), np.asarray(white, float)),
+        depth=dict.fromkeys(("paper", "real-time", "accurate"), curve),
+        near_mm=NEAR_MM,
+        far_mm=FAR_MM,
+        provenance={"note": "simulated"},
+        blur=blur,
+    )
+
+
+def exposed(light: np.ndarray, sensor: CameraSensor, seed: int) -> np.ndarray:
+    """Photon and read noise, in float32: the counts are many."""
+    variance = light / sensor.full_well_electrons + (sensor.read_noise_electrons / sensor.full_well_electrons) ** 2
+    draw = np.random.default_rng(seed).standard_normal(light.shape, dtype=np.float32)
+    draw *= np.sqrt(variance, dtype=np.float32)
+    draw += light
+    return np.clip(draw, 0, 1, out=draw)
+
+
+def with_curves(camera: Calibration) -> Calibration:
+    """Fit the curves of the shift matchers, in 720 x 480 pixels, to flat walls in the frame's middle."""
+    size = (camera.sensor.width_px, camera.sensor.height_px)
+    axis = camera.on_axis("accurate")
+    linear = axis.infinity_disparity_px - axis.scale_px_mm / (np.array(WALLS_MM) - PUPIL_MM)
+    texture = noise(size[::-1], exponent=1.0, seed=9)
+    found = []
+    config = default_config(camera, "real-time", scale=1)
+    wide = replace(config, matcher=config.matcher.with_range(1.5 * linear.min(), 1.5 * linear.max()))
+    method = CodedApertureCamera(camera, wide).method
+    for i, z in enumerate(WALLS_MM):
+        color = np.repeat(texture[..., None], 3, axis=2)
+        wall = render_layers(color, np.full(texture.shape, z), camera=pupil_camera(size), aperture=aperture())
+        found.append(float(np.nanmedian(method.match(exposed(wall.image, camera.sensor, i)).value_px)))
+    low, high = linear.min() - 0.5, linear.max() + 0.5
+    u = (2 * linear - low - high) / (high - low)
+    # Measured disparities of channels are those of the centroids times a factor, for film leaks; then T2 to T5.
+    terms = np.stack([np.ones_like(linear), linear, *chebyshev.chebvander(u, 5).T[2:]], axis=1)
+    shift, factor, *bend = np.linalg.lstsq(terms, np.array(found), rcond=None)[0]
+    off = np.abs(terms @ [shift, factor, *bend] - found).max()
+    print(f"real-time on flat walls: {factor:.3f} of the centroids' disparity, residual <= {off:.3f} px", flush=True)
+    ends = sorted((shift + factor * low, shift + factor * high))
+    model = DepthModel(
+        shift + factor * axis.infinity_disparity_px, factor * axis.scale_px_mm, PUPIL_MM,
+        nonlinearity=Nonlinearity(*ends, np.array(bend)),
+    )  # fmt: skip
+    return replace(camera, depth=dict(camera.depth) | {"real-time": DepthField.constant(model)})
+
+
+def scene(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Colours and depth of the scene, (h, w, 3) and (h, w)."""
+    width, height = size
+    grey = noise((height, width), exponent=1.0, seed=4, mean=0.42, contrast=0.16)
+    color, depth = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
+    for i, (z, (left, top, right, bottom), tint) in enumerate(SURFACES):
+        place = np.s_[round(top * height) : round(bottom * height), round(left * width) : round(right * width)]
+        turned = np.roll(grey, (i * height // 7, i * width // 5), axis=(0, 1))[place]
+        color[place] = turned[..., None] * np.asarray(tint, np.float32)
+        depth[place] = z
+    return color, depth
+
+
+def light_and_truth(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Render the scene once: 2 minutes on two cores, 8 GB."""
+    stored = folder / "light.npy"
+    if not stored.exists():
+        color, depth = scene(LARGE)
+        pitch = 1.0 * LARGE[0] / SMALL[0]  # px of blur between layers; surfaces between two are divided among them
+        image = render_layers(color, depth, camera=pupil_camera(LARGE), aperture=aperture(), pitch_px=pitch).image
+        np.save(stored, 0.85 * image / np.percentile(image[::8, ::8], 99.9))
+        np.save(folder / "truth.npy", depth)
+    return np.load(stored), np.load(folder / "truth.npy")
+
+
+def photograph(folder: Path, light: np.ndarray, size: tuple[int, int], camera: Calibration) -> tuple[Path, Path]:
+    """Write the photograph of a sensor and its camera file."""
+    name = f"{size[0]}x{size[1]}"
+    picture, file = folder / f"{name}.png", folder / f"{name}.asdf"
+    resized(camera, *size).save(file)
+    seen = light if size == LARGE else cv2.resize(light, size, interpolation=cv2.INTER_AREA)
+    counts = np.rint(exposed(seen, resized(camera, *size).sensor, 1) * 65535).astype(np.uint16)
+    cv2.imwrite(str(picture), counts[..., ::-1])
+    return picture, file
+
+
+CHILD = """
+import json, resource, sys
+from chromaperture.cli.main import main
+try:
+    main()
+except SystemExit as end:
+    if end.code:
+        raise
+use = resource.getrusage(resource.RUSAGE_SELF)
+# Not `ru_maxrss`, which a process inherits from the one that started it.
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1]
+print("USED", json.dumps({"peak_gb": int(peak) / 1e6, "cpu_s": use.ru_utime + use.ru_stime}))
+"""
+
+
+def measure(picture: Path, camera: Path, quality: str, scale: str, out: Path, write: str | None = None) -> dict:
+    """Run ``chromaperture depth`` in a process of its own."""
+    command = [sys.executable, "-c", CHILD, "depth", str(picture), "--camera", str(camera), "--quality", quality]
+    command += ["--scale", scale, "--out", str(out), "-q"] + (["--write", write] if write else [])
+    run = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ)
+    if run.returncode:
+        raise SystemExit(run.stderr)
+    used = json.loads(run.stdout.split("USED", 1)[1])
+    summary = json.loads((out / f"{picture.stem}.json").read_text()) if write is None or "json" in write else {}
+    return used | {"stages_s": summary.get("seconds"), "scale": summary.get("config", {}).get("scale")}
+
+
+def score(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> dict:
+    """Shares of all pixels."""
+    if depth.shape != truth.shape:
+        truth = cv2.resize(truth, depth.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    with np.errstate(invalid="ignore"):
+        off = np.abs(depth - truth)
+        honest = (off <= sigma)[np.isfinite(depth)].mean()
+        shares = {f"within_{p}%": float((off < p / 100 * truth).mean()) for p in (1, 2, 5)}
+    return {"fill": float(np.isfinite(depth).mean())} | shares | {"within_1_sigma": float(honest)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--quality", nargs="+", default=["real-time", "accurate"])
+    parser.add_argument("--scales", nargs="+", default=["auto"], help="of the large picture, such as auto 1/4 1/12")
+    parser.add_argument("--sizes", nargs="+", default=["720x480", "6000x4000"])
+    parser.add_argument("--plot", type=Path)
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    light, truth = light_and_truth(args.out)
+    camera = with_curves(calibration(SMALL))
+    rows = []
+    for text in args.sizes:
+        size = tuple(int(part) for part in text.split("x"))
+        files = photograph(args.out, light, size, camera)
+        for quality in args.quality:
+            for scale in args.scales if size == LARGE else ["auto"]:
+                results = args.out / f"{text}.{quality}"
+                row = {"size": text, "quality": quality} | measure(*files, quality, scale, results)
+                maps = (tifffile.imread(results / f"{text}.{name}.tiff") for name in ("depth", "sigma"))
+                rows.append(row | score(*maps, truth))
+                print(json.dumps(rows[-1]), flush=True)
+    (args.out / "rows.json").write_text(json.dumps(rows, indent=1))
+    if args.plot:
+        plot(rows, args.plot)
+
+
+def plot(rows: list[dict], path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+    for quality in dict.fromkeys(row["quality"] for row in rows):
+        of = [row for row in rows if row["quality"] == quality]
+        megapixels = [np.prod([int(n) for n in row["size"].split("x")]) / 1e6 for row in of]
+        units = {"cpu_s": "processor time with start-up, s", "peak_gb": "peak, GB"}
+        for axis, (key, unit) in zip(axes, units.items(), strict=True):
+            axis.plot(megapixels, [row[key] for row in of], "o-", label=quality)
+            axis.set(xlabel="megapixels (working scale: auto)", ylabel=unit)
+    for axis in axes:
+        axis.set(xlim=(0, None), ylim=(0, None))
+    axes[0].legend()
+    figure.savefig(path, dpi=110)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,175 @@
+"""Evidence of all three channels together: a Gaussian texture behind the camera's own blur.
+
+Pairs of channels that are filtered with each other's blur (`blur_evidence`) use what blur does to one channel against
+another, and throw away what it does to the spectrum of each, and the third channel. The likelihood of a window's
+spectra y, given a layer's blur, uses all of it::
+
+    L(z) = -sum_f [ log det C(f, z) + y^H C^-1 y ],   C = S o G + N
+
+with the colours' covariance S estimated in the window for every layer (``stages/spectral_likelihood.py``), and the
+slope of the texture's power spectrum drawn from a distribution that is learned over the picture: a known slope tells
+how large blur is, a wrong one misleads.
+
+References
+----------
+P. Trouve, F. Champagnat, G. Le Besnerais et al.: Passive depth estimation using chromatic aberration and a depth from
+defocus approach. Applied Optics 52, 2013. doi:10.1364/AO.52.007152 (likelihood of the channels of one image)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from scipy.special import logsumexp
+
+from chromaperture.disparity.blur_evidence import BlurEvidence
+from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.spectral_model import SpectralModel, Windows
+from chromaperture.disparity.stages.paths import lagrange_weights
+from chromaperture.disparity.stages.tiles import without_shading
+from chromaperture.spectral_config import SpectralConfig
+from chromaperture.threads import parallel_map
+
+EVERY_LAYER = 2  # layers are 0.3 px of blur apart, for small windows; these see half of them
+LEAST_LAYERS = 4  # that the interpolation needs
+_LEARNING_ROUNDS = 10
+_LEAST_SHARE = 1e-9  # of a slope, before its logarithm
+
+
+@dataclass(frozen=True)
+class SpectralEvidence:
+    """Pairs of channels, and all channels together.
+
+    Attributes
+    ----------
+    config : SpectralConfig
+    pairs : BlurEvidence
+        Its blur, noise, labels and execution hold for both.
+    """
+
+    config: SpectralConfig
+    pairs: BlurEvidence
+    _powers: dict[bytes, np.ndarray] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
+        """Return nats a pixel; (H, W, N) float32. Without known noise the pairs alone: faint detail would be noise."""
+        likelihood = self.pairs.at(image, layers_px, labels_px)
+        few_px = layers_px[::EVERY_LAYER]
+        if self.config.gain == 0 or not self.pairs.noise.is_known or len(few_px) < LEAST_LAYERS:
+            return likelihood
+        rows, columns = (np.arange(0, n, self.config.stride_px) for n in image.shape[:2])
+        at_windows = self.at_windows(image, few_px, rows, columns)
+        at_windows = _at_labels(at_windows, few_px, labels_px, self.pairs.label_map, rows, columns)
+        _add_enlarged(_tempered(at_windows, self.config), self.config.stride_px, likelihood)
+        return likelihood
+
+    def at_windows(self, image: np.ndarray, layers_px: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Compute the log-likelihood of every layer in windows around pixels; (len(rows), len(columns), D), nats a px.
+
+        Parameters
+        ----------
+        image : (H, W, 3) float32, linear RGB
+        layers_px : (D,) float, px
+        rows, columns : int
+            Of the windows' middles.
+        """
+        config, run, blur = self.config, self.pairs.run, self.pairs.blur
+        windows = Windows(config)
+        model = SpectralModel(blur, layers_px, windows, config.slopes, run)
+        variance = np.nan_to_num(np.asarray(self.pairs.noise.variance(image), np.float32), posinf=0, neginf=0)
+        image = np.where(np.isfinite(image), image, np.float32(0))
+        # The noise's power in a window: the mean over the square of its taper.
+        mean = cv2.GaussianBlur(variance, (0, 0), config.taper_px / math.sqrt(2), borderType=cv2.BORDER_REFLECT)
+        noise = mean[np.ix_(rows, columns)].reshape(-1, 3)
+        spectra = windows.spectra(without_shading(image), rows, columns)
+        node = model.nodes(rows, columns)
+        by_slope = np.stack(
+            [
+                run.spectral_likelihood(
+                    spectra, powers, node, noise, channel_error=config.channel_error, rounds=config.rounds
+                )
+                for powers in self._powers_of(model)
+            ]
+        )
+        area = 2 * np.pi * config.taper_px**2  # px that a window is worth
+        return (over_slopes(by_slope / windows.redundancy) / area).reshape(len(rows), len(columns), -1)
+
+    def _powers_of(self, model: SpectralModel) -> np.ndarray:
+        """Compute the powers of a model, or take those of the last photograph by the same layers."""
+        key = model.layers_px.tobytes()
+        if key not in self._powers:
+            self._powers.clear()
+            self._powers[key] = model.powers()
+        return self._powers[key]
+
+
+def over_slopes(by_slope: np.ndarray) -> np.ndarray:
+    """Average likelihoods over slopes, by how often each is found in the picture.
+
+    The distribution of the slopes is that of highest likelihood over all windows, by expectation and maximisation.
+
+    Parameters
+    ----------
+    by_slope : (B, M, D) float
+        Log-likelihoods, nats.
+
+    Returns
+    -------
+    (M, D) float
+    """
+    best = by_slope.max(axis=(0, 2), keepdims=True)
+    of_slope = logsumexp(by_slope - best, axis=2)  # whatever the layer
+    share = np.full(len(by_slope), 1 / len(by_slope))
+    for _ in range(_LEARNING_ROUNDS):
+        logs = np.log(share + _LEAST_SHARE)[:, None] + of_slope
+        share = np.exp(logs - logsumexp(logs, axis=0)).mean(axis=1)
+    return np.asarray(logsumexp(by_slope - best + np.log(share + _LEAST_SHARE)[:, None, None], axis=0) + best[0])
+
+
+def _at_labels(
+    volume: np.ndarray,
+    layers_px: np.ndarray,
+    labels_px: np.ndarray,
+    label_map: LabelMap,
+    rows: np.ndarray,
+    columns: np.ndarray,
+) -> np.ndarray:
+    """Interpolate windows' log-likelihoods at labels, by a polynomial through six layers; the ends hold beyond them."""
+    maps = label_map if label_map.is_identity else LabelMap(*(part[np.ix_(rows, columns)] for part in label_map))
+    disparity = maps.offset_px[..., None] + maps.scale[..., None] * labels_px
+    place = np.clip((disparity - layers_px[0]) / (layers_px[1] - layers_px[0]), 0, len(layers_px) - 1)
+    place = np.broadcast_to(place, (*volume.shape[:2], len(labels_px)))
+    below = np.clip(place.astype(np.intp), 0, len(layers_px) - 2)
+    # Two more layers at either end.
+    wide = np.pad(volume, ((0, 0), (0, 0), (2, 2)), mode="reflect", reflect_type="odd")
+    taps = (np.take_along_axis(wide, below + k, axis=2) for k in range(6))
+    return np.asarray(sum(w * tap for w, tap in zip(lagrange_weights(place - below), taps, strict=True)))
+
+
+def _tempered(log_likelihood: np.ndarray, config: SpectralConfig) -> np.ndarray:
+    """Limit what the best label earns over the worst to ``cap_nats``; near the best nothing changes."""
+    below_best = log_likelihood - log_likelihood.max(axis=2, keepdims=True)
+    earned = config.cap_nats * np.exp(config.gain / config.cap_nats * below_best)
+    return np.asarray(earned - earned.min(axis=2, keepdims=True), np.float32)
+
+
+def _add_enlarged(at_windows: np.ndarray, stride: int, likelihood: np.ndarray) -> None:
+    """Add windows' evidence to every pixel's, bilinearly; beyond the last window it holds."""
+
+    def between(count: int, windows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        first = np.minimum(np.arange(count) // stride, windows - 1)
+        part = np.where(first < windows - 1, np.arange(count) % stride / stride, 0).astype(np.float32)
+        return first, np.minimum(first + 1, windows - 1), part
+
+    height, width = likelihood.shape[:2]
+    first, second, part = between(width, at_windows.shape[1])
+    along = at_windows[:, first] * (1 - part[:, None]) + at_windows[:, second] * part[:, None]
+    upper, lower, share = between(height, at_windows.shape[0])
+
+    def add(row: int) -> None:
+        likelihood[row] += along[upper[row]] * (1 - share[row]) + along[lower[row]] * share[row]
+
+    parallel_map(add, range(height))

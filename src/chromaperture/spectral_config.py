@@ -1,0 +1,57 @@
+"""Defaults of the likelihood of all channels (quality "accurate", cameras whose blur is known); see `stage_config`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from chromaperture.stage_config import all_finite, require
+
+LEAST_REACH_OF_PAIRS = 0.15  # as `PlanesConfig`: of bench50's designs the open one has .09, the others .2 to .33
+
+
+@dataclass(frozen=True)
+class SpectralConfig:
+    """Evidence of all channels together: ``disparity/spectral_evidence.py``. docs/evaluation.md has what each gains.
+
+    Attributes
+    ----------
+    gain : float
+        Factor on the log-likelihood beside that of the pairs of channels; 0 switches this evidence off.
+    cap_nats : float
+        The most that it earns a pixel: windows that see a depth edge, or a texture that is not Gaussian, can be wrong.
+    taper_px : float
+        Sigma of the windows' Gaussian taper.
+    stride_px : int
+        Distance of two windows.
+    slopes : tuple of float
+        Slopes of the texture's power spectrum f^(-2 slope) that are tried.
+    channel_error : float
+        Fraction of a channel's power that is its own: error of the calibrated blur, and limit of the correlation of
+        colours.
+    rounds : int
+        Of expectation and maximisation for the covariance of the colours, at each layer, from that of the layer before.
+    """
+
+    gain: float = 3.0
+    cap_nats: float = 0.5
+    taper_px: float = 8.0
+    stride_px: int = 10
+    slopes: tuple[float, ...] = (0.75, 1.0, 1.3, 1.7)
+    channel_error: float = 0.002
+    rounds: int = 2
+
+    def __post_init__(self) -> None:
+        numbers = (self.gain, self.cap_nats, self.taper_px, self.channel_error, *self.slopes)
+        positive = all_finite(*numbers) and self.gain >= 0 and min(numbers[1:]) > 0
+        require(positive and bool(self.slopes), "the numbers of the spectral evidence must be positive, gain >= 0")
+        require(min(self.stride_px, self.rounds) >= 1, "stride_px and rounds must be >= 1")
+
+    @classmethod
+    def for_blur(cls, reach: float) -> SpectralConfig:
+        """Return the settings for a lens; ``reach`` is px of half disparity for a px of the pupil edge's displacement.
+
+        Where views lie close together blur tells more than parallax. Where they lie far apart the pairs alone are
+        exact, and their small windows know edges: a weak dose (gain 1, cap 0.15) adds 0.01 to the fractions within 2 %
+        and 5 %, and half of the time (docs/evaluation.md).
+        """
+        return cls() if reach < LEAST_REACH_OF_PAIRS else cls(gain=0.0)

@@ -1,0 +1,141 @@
+"""Matching at a fraction of the pixels: what comes back at all of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from chromaperture.camera_alignment import ChannelAlignment
+from chromaperture.camera_matching import default_config
+from chromaperture.color.alignment import fill_unknown
+from chromaperture.depth.conversion import disparity_to_depth
+from chromaperture.depth.field_bands import field_to_depth
+from chromaperture.disparity import cpu, stages
+from chromaperture.disparity.result import Disparity
+from chromaperture.disparity.stages.upsample import Coarse
+from chromaperture.disparity.working_scale import coarse_maps, reduced
+from test_camera_scale import camera, field
+
+GREY = np.full(3, 1 / 3)
+
+
+def coarse(disparity, *, guide=None, unknown=None) -> Coarse:
+    disparity = np.asarray(disparity, np.float32)
+    even = np.zeros(disparity.shape, np.float32) if guide is None else np.asarray(guide, np.float32)
+    none = np.zeros(disparity.shape, bool) if unknown is None else unknown
+    return Coarse(disparity, 0.1 + 0 * disparity, 0.5 + 0 * disparity, none, even)
+
+
+@pytest.mark.parametrize("size", [(96, 64), (97, 63), (180, 130)])
+def test_executions_agree(size):
+    rng = np.random.default_rng(0)
+    width, height = size
+    h, w = height // 5, width // 5
+    image = rng.uniform(0, 3, (height, width, 3)).astype(np.float32)
+    disparity = rng.choice([-1.0, 0.05, 0.1, 1.5], (h, w)).astype(np.float32)
+    parts = [rng.uniform(0, 1, (h, w)).astype(np.float32) for _ in range(3)]
+    maps = Coarse(disparity, parts[0], parts[1], rng.uniform(size=(h, w)) < 0.1, 3 * parts[2])
+    for a, b in zip(cpu.upsample(maps, image, GREY), stages.upsample(maps, image, GREY), strict=True):
+        # Sums in another order; where both sides of an edge weigh the same to rounding either may be taken.
+        assert np.mean(~np.isclose(a, b, rtol=1e-5, atol=1e-6, equal_nan=True)) < 1e-3
+
+
+@pytest.mark.parametrize("run", [cpu, stages])
+def test_a_plane_comes_back_exactly(run):
+    """A slant of 0.04 px a working px; values at full pixels are those of the plane, in full px."""
+    image = np.random.default_rng(1).uniform(0, 9, (48, 64, 3)).astype(np.float32)  # texture that must not be copied
+    y, x = np.indices((12, 16))
+    fine_y, fine_x = (np.indices((48, 64)) + 0.5) / 4 - 0.5  # full pixels in working px
+    found, sigma, confidence = run.upsample(coarse(0.04 * x - 0.03 * y), image, GREY)
+    inside = np.s_[2:-2, 2:-2]  # half a working pixel of the border lies beyond the outermost centres
+    np.testing.assert_allclose(found[inside], 4 * (0.04 * fine_x - 0.03 * fine_y)[inside], atol=1e-5)
+    np.testing.assert_allclose(sigma, 0.4, rtol=1e-6)
+    np.testing.assert_allclose(confidence, 0.5, rtol=1e-6)
+
+
+@pytest.mark.parametrize("run", [cpu, stages])
+@pytest.mark.parametrize("edge", [21, 22, 23, 24, 25])
+def test_a_depth_edge_lies_where_the_photograph_has_it(run, edge):
+    """Working pixels are 4 px wide; the edge is at any pixel of the photograph, and no mean is taken over it."""
+    image = np.zeros((24, 48, 3), np.float32)
+    image[:, edge:] = 10.0
+    share = np.clip((np.arange(12) + 1) * 4 - edge, 0, 4) / 4  # of each working pixel beyond the edge
+    guide = np.broadcast_to(10 * share, (6, 12))
+    disparity = np.where(share >= 0.5, 1.0, -1.0) * np.ones((6, 1))
+    found, _, _ = run.upsample(coarse(disparity, guide=guide), image, GREY)
+    assert set(np.unique(found)) == {-4.0, 4.0}
+    assert abs(np.argmax(found[12] > 0) - edge) <= 1
+
+
+@pytest.mark.parametrize("run", [cpu, stages])
+def test_unknown_stays_unknown(run):
+    unknown = np.zeros((6, 8), bool)
+    unknown[2, 3] = True
+    found, sigma, confidence = run.upsample(
+        coarse(np.ones((6, 8)), unknown=unknown), np.zeros((24, 32, 3), np.float32), GREY
+    )
+    expected = np.zeros((24, 32), bool)
+    expected[8:12, 12:16] = True
+    np.testing.assert_array_equal(np.isnan(found), expected)
+    np.testing.assert_array_equal(np.isnan(sigma), expected)
+    np.testing.assert_array_equal(confidence == 0, expected)
+
+
+def test_unknown_takes_the_nearest_known_values():
+    values = np.full((4, 4), np.nan, np.float32)
+    values[:, 0], values[0, 3] = 1.0, 2.0
+    maps = coarse_maps(Disparity(values, values / 10, np.ones_like(values)), np.zeros_like(values))
+    assert maps.disparity_px[3, 1] == 1
+    assert maps.disparity_px[1, 3] == 2
+    nothing = np.full((4, 4), np.nan, np.float32)
+    assert coarse_maps(Disparity(nothing, nothing, nothing), nothing).unknown.all()
+
+
+def test_reduced_pictures_are_means_and_know_what_was_cut_off():
+    image = np.random.default_rng(3).uniform(0, 0.9, (32, 48, 3)).astype(np.float32)
+    small = reduced(image, (12, 8))
+    np.testing.assert_allclose(small, image.reshape(8, 4, 12, 4, 3).mean(axis=(1, 3)), rtol=1e-5)
+    image[5, 6, 1], image[20, 20] = 1.0, np.nan
+    small = reduced(image, (12, 8))
+    assert np.isnan(small[1, 1]).all()
+    assert np.isnan(small[5, 5]).all()
+    assert np.isfinite(small).sum() == small.size - 6
+
+
+def test_depth_in_bands_is_depth_of_the_whole(monkeypatch):
+    monkeypatch.setattr("chromaperture.depth.field_bands._BAND_PX", 96 * 5)
+    rng = np.random.default_rng(4)
+    d = rng.uniform(-5, 5, (64, 96)).astype(np.float32)
+    d[3, 4] = np.nan
+    found = field_to_depth(d, 0.1 + 0 * d, field(), max_depth_mm=20000.0)
+    whole = disparity_to_depth(d, field().model(96, 64), 0.1 + 0 * d, max_depth_mm=20000.0)
+    for a, b in zip(found, whole, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6)
+
+
+@pytest.mark.parametrize("quality", ["real-time", "accurate"])
+@pytest.mark.parametrize("design", ["cy_halves", "rgb_squares"])
+def test_colour_in_bands_is_colour_of_the_whole(monkeypatch, quality, design):
+    rng = np.random.default_rng(6)
+    made = camera()
+    if design == "rgb_squares":
+        film = dict(zip(("red", "green", "blue"), np.eye(3) * 0.9 + 0.05, strict=True))
+        made = replace(made, design=design, film=replace(made.film, filters=film))
+    alignment = ChannelAlignment(made, default_config(made, quality))
+    image = rng.uniform(0, 0.8, (64, 96, 3)).astype(np.float32)
+    d = np.where(rng.uniform(size=(64, 96)) < 0.02, np.nan, np.where(np.arange(96) < 40, -3.0, 2.0)).astype(np.float32)
+    whole = alignment.align(image, d)
+    monkeypatch.setattr("chromaperture.camera_alignment._BAND_PX", 96 * 7)
+    # Positions in a band are smaller numbers: float32 rounds them to 1e-6 px less of the frame's.
+    np.testing.assert_allclose(alignment.align(image, d), whole, atol=1e-5)
+
+
+def test_filling_with_a_step_keeps_what_is_known():
+    rng = np.random.default_rng(7)
+    values = np.where(rng.uniform(size=(40, 60)) < 0.3, np.nan, rng.normal(size=(40, 60))).astype(np.float32)
+    filled = fill_unknown(values, step=8)
+    known = np.isfinite(values)
+    np.testing.assert_array_equal(filled[known], values[known])
+    assert np.isfinite(filled).all()
