@@ -8,11 +8,10 @@ import warnings
 import numpy as np
 
 from chromaperture.capture.picture_header import other_size
-from chromaperture.color.image import SATURATION, checked_image
+from chromaperture.color.image import DARK, SATURATION, checked_image
 from chromaperture.errors import CaptureWarning, InputError
 
 # Chosen by hand, not tuned:
-DARK = 2e-3  # white level; a darker pixel has no signal: a sensor of 10 bits resolves 1e-3
 _MOST_SATURATED, _MUCH_SATURATED = 0.98, 0.05  # fractions of the pixels: an error, a warning
 _MOST_DARK = 0.99  # fraction of the samples
 _SAMPLES = 20_000  # pixels that are checked: standard error of a fraction below 0.4 %

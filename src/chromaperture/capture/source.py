@@ -19,7 +19,7 @@ from typing import Any, Literal, Protocol, Self
 import cv2
 import numpy as np
 
-from chromaperture.capture.checks import DARK
+from chromaperture.color.image import DARK
 from chromaperture.color.srgb import srgb_to_linear
 from chromaperture.errors import CaptureWarning, InputError
 

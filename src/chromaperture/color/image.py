@@ -7,6 +7,7 @@ import numpy as np
 from chromaperture.errors import InputError
 
 SATURATION = 0.995  # of the white level; a pixel at or above it is clipped. Leaves 5 of 1000 counts for noise
+DARK = 2e-3  # white level; a darker pixel has no signal: a sensor of 10 bits resolves 1e-3; chosen by hand
 
 
 def checked_image(image: np.ndarray) -> np.ndarray:

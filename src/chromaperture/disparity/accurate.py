@@ -9,13 +9,21 @@ from typing import Protocol
 import numpy as np
 
 from chromaperture.config import AccurateConfig
-from chromaperture.disparity.error_bar import confidence, local_range, sigma_of_range, surface_sigma
+from chromaperture.disparity.error_bar import (
+    confidence,
+    local_range,
+    sigma_of_range,
+    surface_sigma,
+    widened,
+    without_pixels,
+    without_two_views,
+)
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.planar import planes_of_surface, where_they_agree
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.stages.between_layers import between_layers
-from chromaperture.disparity.views import ViewSpace, filtered_views
+from chromaperture.disparity.views import ViewSpace, clipped_filled, filtered_views
 from chromaperture.disparity.winner import Surface, parabola_winner
 from chromaperture.errors import InputError
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig
@@ -29,6 +37,7 @@ EDGE_SHARE_OF_PLANES = 0.4
 # Labels by which all evidence of a plane together misses its place: 0.2 rms for 27 planes of ray-traced scenes, 0.4 at
 # the most but for prints whose own colours are displaced.
 BIAS_OF_PLANES = 0.3
+ALL_CHANNELS = np.eye(3)  # every pair of channels is evidence, the widest pairs first
 WITHOUT_PLANES = PlanesConfig(rounds=0)
 
 
@@ -66,8 +75,9 @@ class AccurateMethod:
         views = filtered_views(image, self.space, config=self.config.views)
         layers_px = self.config.layers.values_px
         labels_px = with_halves(layers_px)
+        image, usable = clipped_filled(image, views.mask)
         likelihood = self.evidence.at(image, layers_px, labels_px)
-        likelihood *= views.mask[..., None]
+        likelihood *= usable[..., None]
         surface = optimised_surface(
             likelihood, views.guide, labels_px, config=self.config.surface, planes=self.config.planes, run=self.run,
             known_within_px=sigma_of_range(labels_px),
@@ -76,7 +86,8 @@ class AccurateMethod:
         at_pixels = Surface(
             self.label_map.disparity(surface.disparity_px), self.label_map.scale * surface.sigma_px, surface.peak
         )
-        sigma = surface_sigma(at_pixels)
+        unmeasured = without_two_views(image, ALL_CHANNELS) | without_pixels(usable)
+        sigma = widened(surface_sigma(at_pixels), unmeasured, self.label_map.scale * sigma_of_range(labels_px))
         return Disparity(at_pixels.disparity_px, sigma, confidence(sigma, at_pixels.peak))
 
 

@@ -7,9 +7,11 @@ import math
 import cv2
 import numpy as np
 
+from chromaperture.color.image import DARK
 from chromaperture.config import PaperConfig
 from chromaperture.disparity.winner import Surface, Winner
 
+LIGHT_WINDOW_PX = 8  # side of the squares whose mean light is looked at: a matching window, two sigmas of 4 px
 CONFIDENCE_SCALE_PX = 0.25  # standard deviation at which confidence has fallen to 1/e; chosen by hand
 MAX_SIGMA_PX = 4.0  # a quarter of the default search range: beyond, nothing is known of the layer
 # White noise behind a Gaussian of variance s^2 has the autocorrelation exp(-r^2 / 4 s^2), whose integral is 4 pi s^2;
@@ -97,3 +99,45 @@ def local_range(disparity_px: np.ndarray, reach_px: int) -> np.ndarray:
     square = np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)
     surface = np.asarray(disparity_px, np.float32)
     return np.asarray(cv2.dilate(surface, square) - cv2.erode(surface, square))
+
+
+def without_two_views(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return where fewer than two of the matched channels hold light; (H, W) bool.
+
+    A red surface under halves of cyan and yellow is seen by one half only. There is nothing to compare, and what
+    noise agrees on, or neighbours suggest, is no measurement.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32, linear RGB, 1.0 = white level
+    rows : (K, 3) float
+        Weights of R, G, B in the views: a channel is matched where one of them is not 0.
+    """
+    height, width = image.shape[:2]
+    side = LIGHT_WINDOW_PX
+    small = max(1, width // side), max(1, height // side)
+    # Four pixels of a square are enough: read noise of 4 in 5000 electrons leaves their mean to a fifth of the limit.
+    sparse = np.ascontiguousarray(image[side // 4 :: side // 2, side // 4 :: side // 2], np.float32)
+    mean = cv2.resize(sparse, small, interpolation=cv2.INTER_AREA)
+    dark = mean[..., np.any(rows, axis=0)] < DARK  # what is not finite is not known to be dark
+    lacking = (~dark).sum(axis=2) < 2
+    if not lacking.any():
+        return np.zeros((height, width), bool)
+    return np.asarray(cv2.resize(lacking.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0)
+
+
+def without_pixels(usable: np.ndarray) -> np.ndarray:
+    """Return where the matching window holds no usable pixel; (H, W) bool."""
+    side = LIGHT_WINDOW_PX + 1
+    return np.asarray(cv2.dilate(usable, np.ones((side, side), np.uint8)) == 0)
+
+
+def widened(sigma_px: np.ndarray, unmeasured: np.ndarray, range_sigma_px: float | np.ndarray) -> np.ndarray:
+    """Return error bars that are at least that of the search range where nothing was measured; (H, W) float32, px.
+
+    The depth is kept: as that of neighbours it is often right.
+    """
+    if not unmeasured.any():
+        return sigma_px
+    least = np.minimum(range_sigma_px, MAX_SIGMA_PX)
+    return np.where(unmeasured, np.maximum(sigma_px, least), sigma_px).astype(np.float32)  # NaN stays NaN

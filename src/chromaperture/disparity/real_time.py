@@ -7,7 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.config import RealTimeConfig
-from chromaperture.disparity.error_bar import confidence, local_range, sigma_of_range, surface_sigma
+from chromaperture.disparity.error_bar import (
+    confidence,
+    local_range,
+    sigma_of_range,
+    surface_sigma,
+    widened,
+    without_two_views,
+)
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import Disparity
@@ -45,6 +52,8 @@ class RealTimeMethod:
         surface = self.surface(*halved_views(image, self.space, config=self.config.views))
         moved = float(np.linalg.norm(self.space.directions, axis=1).mean())  # px of the views a px of disparity
         sigma = surface_sigma(surface, floor_px=self.config.floor_px / moved)
+        range_sigma = self.label_map.scale * sigma_of_range(self.config.layers.values_px)
+        sigma = widened(sigma, without_two_views(image, self.space.rows), range_sigma)
         return Disparity(surface.disparity_px, sigma, confidence(sigma, surface.peak))
 
     def surface(self, views: Views, guide: np.ndarray) -> Surface:

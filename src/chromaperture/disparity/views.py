@@ -20,6 +20,7 @@ from chromaperture.stage_config import ViewsConfig
 _FILL_SIGMA_PX = 6.0  # of the mean that replaces unusable pixels, px of the halved picture; chosen by hand
 _USABLE = 0.99  # fraction of a halved pixel that must be usable: below, a saturated neighbour's edge is in it
 _GUIDE_SIGMA_PX = 1.0  # noise of the guide would break the links between pixels; chosen by hand
+_CLIPPED_REACH_PX = 3  # about clipped pixels: demosaicing and the sensor spread their light; chosen by hand
 _PERCENTILE_SAMPLES = 20_000  # of the guide, from which its percentiles are taken; chosen by hand
 _CONSTANT = 1e-6  # RMS of a view, of full scale, below which it has no texture: a thousandth of a 10-bit step
 _LEAST_PRESMOOTH_PX = 0.3  # below, the pixel's own area smooths the noise
@@ -296,6 +297,41 @@ def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray) -> tuple[list[
         fill = cv2.GaussianBlur(part, (0, 0), _FILL_SIGMA_PX) / (around + np.float32(1e-3))  # 1e-3: no division by 0
         small.append(np.where(usable, part, fill) + np.float32(mean))
     return small, usable
+
+
+def clipped_filled(image: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Replace clipped areas, what is next to them, and non-finite pixels by the mean of the usable ones around.
+
+    A clipped disc has its edge at the same place in channels whose light is displaced, and outweighs all texture.
+    Single clipped pixels, as noise makes them in bright paper, miss little of their light and are left as they are.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32, linear RGB
+    usable : (H, W) float32
+        1 or 0: `Views.mask`.
+
+    Returns
+    -------
+    image : (H, W, 3) float32
+    usable : (H, W) float32
+        0 in the grown areas, too.
+    """
+    if usable.all():
+        return image, usable
+    areas = cv2.morphologyEx((usable == 0).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    grown = cv2.dilate(areas, np.ones((2 * _CLIPPED_REACH_PX + 1,) * 2, np.uint8)) > 0
+    replaced = grown | ~np.isfinite(image).all(axis=2)
+    usable = np.where(replaced, np.float32(0), usable)
+    kept = usable > 0
+    if not (replaced.any() and kept.any()):
+        return image, usable
+    mean = image[kept].mean(axis=0)
+    rest = np.where(kept[..., None], image - mean, np.float32(0))
+    sigma = 2 * _FILL_SIGMA_PX  # that is px of the halved picture
+    around = cv2.GaussianBlur(usable, (0, 0), sigma)[..., None] + np.float32(1e-3)  # 1e-3: no division by 0
+    fill = cv2.GaussianBlur(rest, (0, 0), sigma) / around
+    return np.where(replaced[..., None], mean + fill, image).astype(np.float32), usable
 
 
 def smooth(image: np.ndarray, sigma_px: float, *, out: np.ndarray | None = None) -> np.ndarray:
