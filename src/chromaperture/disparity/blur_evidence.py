@@ -31,7 +31,7 @@ from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
 from chromaperture.errors import InputError
 from chromaperture.optics.lens_blur import LensBlur, Rays
 from chromaperture.stage_config import CrossFilterConfig
-from chromaperture.threads import parallel_map
+from chromaperture.threads import in_parallel, parallel_map
 
 _MAX_CORRELATION2 = 0.999  # 3.5 nats a band at most: a perfect agreement must not outweigh the whole neighbourhood
 SPACING_PX = round(2 * SAMPLING_PX)  # of the evidence: windows of sigma 4 px leave nothing finer
@@ -71,10 +71,16 @@ class BlurEvidence:
         between = layers_px[1::2]
         sharp = np.abs(between) < _SHARP_PX * self.blur.reach
         computed = self._correlations(image, np.concatenate([layers_px[::2], between[sharp]]))
-        correlation = with_midpoints(computed[..., : len(between) + 1])
-        correlation[..., 1::2][..., sharp] = computed[..., len(between) + 1 :]
+        likelihood = np.empty((*computed.shape[2:4], len(layers_px)), np.float32)
+
+        def rows(_: int, top: int, bottom: int) -> None:
+            correlation = with_midpoints(computed[:, :, top:bottom, :, : len(between) + 1])
+            correlation[..., 1::2][..., sharp] = computed[:, :, top:bottom, :, len(between) + 1 :]
+            likelihood[top:bottom] = self._explained(correlation)
+
+        in_parallel(rows, len(likelihood))
         return self.run.read_at_labels(
-            self._explained(correlation), layers_px, labels_px, self.label_map,
+            likelihood, layers_px, labels_px, self.label_map,
             factors=sum(self.config.band_weights), shape=image.shape[:2], spacing_px=SPACING_PX,
         )  # fmt: skip
 

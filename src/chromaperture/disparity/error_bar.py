@@ -117,7 +117,8 @@ def without_two_views(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
     side = LIGHT_WINDOW_PX
     small = max(1, width // side), max(1, height // side)
     # Four pixels of a square are enough: read noise of 4 in 5000 electrons leaves their mean to a fifth of the limit.
-    sparse = np.ascontiguousarray(image[side // 4 :: side // 2, side // 4 :: side // 2], np.float32)
+    first_row, first_column = min(side // 4, height - 1), min(side // 4, width - 1)
+    sparse = np.ascontiguousarray(image[first_row :: side // 2, first_column :: side // 2], np.float32)
     mean = cv2.resize(sparse, small, interpolation=cv2.INTER_AREA)
     dark = mean[..., np.any(rows, axis=0)] < DARK  # what is not finite is not known to be dark
     lacking = (~dark).sum(axis=2) < 2

@@ -37,12 +37,13 @@ def aggregate_paths(
     """Sum the path costs, as `stages.aggregate_paths`; (H, W, D) float32."""
     likelihood, guide = (np.ascontiguousarray(maps, np.float32) for maps in (likelihood, guide))
     penalties = Penalties(*map(np.float32, penalties_of(config, layers_px)))
-    total = np.float32(config.paths - 1) * likelihood  # counted once, not once a path
+    total = np.empty_like(likelihood)
+    own = np.float32(config.paths - 1)  # is taken off: a pixel's log-likelihood counts once, not once a path
     for line in LINES[: config.paths // 2]:
         starts = line_starts(guide.shape[0], guide.shape[1], *line)
         in_parallel(
             lambda _, first, last, line=line, starts=starts: _walk_lines(  # type: ignore[misc]
-                likelihood, guide, starts[first:last], line, penalties, total
+                likelihood, guide, starts[first:last], line, penalties, own, line == LINES[0], total
             ),
             len(starts),
         )
@@ -105,16 +106,17 @@ def line_starts(height: int, width: int, dx: int, dy: int) -> np.ndarray:
 
 
 @compiled(fastmath=FAST, error_model="numpy")
-def _walk_lines(likelihood, guide, starts, step, penalties, total):  # type: ignore[no-untyped-def]
+def _walk_lines(likelihood, guide, starts, step, penalties, own, is_first, total):  # type: ignore[no-untyped-def]
+    """Add the costs of a family of lines, or set them where it is the first, in both directions."""
     dx, dy = step
     shifts = _shifts(likelihood.shape[2], penalties)
     size = (1 << shifts) + likelihood.shape[2] + v.LANES + (1 << shifts)
     rows = np.empty(2 * size, np.float32)
     for line in range(len(starts)):
         x, y, count = starts[line]
-        _walk(likelihood, guide, x, y, dx, dy, count, penalties, shifts, rows, total)
+        _walk(likelihood, guide, x, y, dx, dy, count, penalties, shifts, rows, own, is_first, total)
         x, y = x + (count - 1) * dx, y + (count - 1) * dy
-        _walk(likelihood, guide, x, y, -dx, -dy, count, penalties, shifts, rows, total)
+        _walk(likelihood, guide, x, y, -dx, -dy, count, penalties, shifts, rows, own, False, total)
 
 
 @inlined(fastmath=FAST, error_model="numpy")
@@ -128,7 +130,7 @@ def _shifts(layers, penalties):  # type: ignore[no-untyped-def]
 
 
 @inlined(fastmath=FAST, error_model="numpy")
-def _walk(likelihood, guide, x, y, dx, dy, count, penalties, shifts, rows, total):  # type: ignore[no-untyped-def]
+def _walk(likelihood, guide, x, y, dx, dy, count, penalties, shifts, rows, own, is_first, total):  # type: ignore[no-untyped-def]
     """Add the costs of one path.
 
     ``rows`` has room for L(p, d) of the last pixel, less its minimum, twice, with a border that no path reaches. The
@@ -163,16 +165,18 @@ def _walk(likelihood, guide, x, y, dx, dy, count, penalties, shifts, rows, total
         far = v.broadcast(jumped)
         lowest = v.broadcast(closed)
         for k in range(0, whole, v.LANES):
-            cost = v.sub(v.smaller(v.load(rows, here + k), far), v.load(gains, at + k))
+            gain = v.load(gains, at + k)
+            cost = v.sub(v.smaller(v.load(rows, here + k), far), gain)
             v.store(rows, here + k, cost)
             lowest = v.smaller(lowest, cost)
-            v.store(sums, at + k, v.add(v.load(sums, at + k), cost))
+            before_it = v.mul(v.broadcast(own), gain) if is_first else v.load(sums, at + k)
+            v.store(sums, at + k, v.add(before_it, cost))
         least = v.lane(v.least_lane(lowest), 0)
         for k in range(whole, layers):
             last = min(v.get(rows, here + k), jumped) - v.get(gains, at + k)
             v.put(rows, here + k, last)
             least = min(least, last)
-            v.put(sums, at + k, v.get(sums, at + k) + last)
+            v.put(sums, at + k, last + (own * v.get(gains, at + k) if is_first else v.get(sums, at + k)))
         for k in range(layers, padded):
             v.put(rows, here + k, closed)
         lowest = v.broadcast(least)

@@ -17,6 +17,7 @@ import numpy as np
 import scipy.fft
 
 from chromaperture.optics.lens_blur import low_frequencies
+from chromaperture.threads import parallel_map
 
 _BACKGROUND_PX = 30.0  # smoother parts are shading: no period fits into a tile, only its border effects; chosen by hand
 SAMPLING_PX = 1.5  # distance of two samples of a tile
@@ -159,16 +160,19 @@ class Nodes:
         """
         detail = self._cuts(without_shading(image))
         scale = np.float32(SAMPLING_PX**2)  # a sample keeps the value of its pixel
-        spectra = [low_frequencies(scipy.fft.rfft2(cut), self.size) / scale for cut in detail]
-        if noise_variance is None:
-            return [TileSpectrum(spectrum, np.ones((3, 1, 1), np.float32)) for spectrum in spectra]
-        noise = self._cuts(np.where(np.isfinite(noise_variance), noise_variance, 0).astype(np.float32))
-        # White noise has the same power at the frequencies that are kept; the spectra were scaled.
-        powers = (noise_margin * variance.sum(axis=(1, 2)) / SAMPLING_PX**4 for variance in noise)
-        return [
-            TileSpectrum(spectrum, signal_fraction(spectrum, power, sampling_px=SAMPLING_PX))
-            for spectrum, power in zip(spectra, powers, strict=True)
-        ]
+        noise = None
+        if noise_variance is not None:
+            noise = self._cuts(np.where(np.isfinite(noise_variance), noise_variance, 0).astype(np.float32))
+
+        def of_tile(i: int) -> TileSpectrum:
+            spectrum = low_frequencies(scipy.fft.rfft2(detail[i]), self.size) / scale
+            if noise is None:
+                return TileSpectrum(spectrum, np.ones((3, 1, 1), np.float32))
+            # White noise has the same power at the frequencies that are kept; the spectra were scaled.
+            power = noise_margin * noise[i].sum(axis=(1, 2)) / SAMPLING_PX**4
+            return TileSpectrum(spectrum, signal_fraction(spectrum, power, sampling_px=SAMPLING_PX))
+
+        return parallel_map(of_tile, range(len(detail)))
 
     def _cuts(self, image: np.ndarray) -> list[np.ndarray]:
         """Return the tiles of an image, (3, n, n) px each."""
