@@ -19,6 +19,7 @@ import matplotlib as mpl
 import numpy as np
 from hard_cases import Shot, shots
 
+from chromaperture.color.color_maps import DIFFERENCE, DISTANCE
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.products.samples import open_sample
 
@@ -62,7 +63,7 @@ def picture(rows: list[tuple[str, Shot, dict[str, DepthFrame]]], path: Path) -> 
     for line, (name, shot, frames) in zip(axes, rows, strict=True):
         low, high = (float(np.nanpercentile(shot.depth_mm, p)) for p in (0.5, 99.5))
         margin = 0.1 * (high - low) + 50
-        limits = {"vmin": low - margin, "vmax": high + margin, "cmap": "turbo"}
+        limits = {"vmin": low - margin, "vmax": high + margin, "cmap": DISTANCE}
         shown = np.clip(shot.image, 0, 1) ** (1 / 2.2)
         line[0].imshow(shown[::2, ::2])
         if not shot.affected.all():
@@ -73,7 +74,7 @@ def picture(rows: list[tuple[str, Shot, dict[str, DepthFrame]]], path: Path) -> 
             frame = frames[quality]
             ratio = errors(frame, shot) / frame.sigma_mm
             drawn.append(line[2 + 2 * i].imshow(frame.depth_mm[::2, ::2], **limits))
-            drawn.append(line[3 + 2 * i].imshow(ratio[::2, ::2], vmin=-4, vmax=4, cmap="RdBu_r"))
+            drawn.append(line[3 + 2 * i].imshow(ratio[::2, ::2], vmin=-4, vmax=4, cmap=DIFFERENCE))
         for axis, image in zip(line[1:], drawn, strict=True):
             axis.set_facecolor("black")
             bar = fig.colorbar(image, ax=axis, fraction=0.032, pad=0.02)
