@@ -437,7 +437,7 @@ def test_sigterm_cleans_up(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["chromaperture.threads", "numpy", "chromaperture.cli.simulate"])
+@pytest.mark.parametrize("module", ["chromaperture.threads", "rich", "chromaperture.cli.simulate"])
 def test_ctrl_c_while_the_program_is_loaded(module):
     assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"] == {
         "chromaperture": "chromaperture.__main__:main"
