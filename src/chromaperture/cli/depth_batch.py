@@ -119,6 +119,8 @@ def _in_processes(images: Sequence[Path], recipe: Recipe, jobs: int, batch: Batc
                 batch.kept.append(outcome.image)
         yield "photographs", done
     batch.reports += [reports[name] for name in names if name in reports]
+    batch.kept.sort(key=names.index)  # processes end in any order
+    batch.failed.sort(key=lambda failed: names.index(failed[0]))
 
 
 def _read(image: str, recipe: Recipe) -> Written:
