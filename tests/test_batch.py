@@ -116,27 +116,27 @@ def cap_threads():
 @pytest.mark.slow
 def test_a_process_that_is_killed_costs_one_photograph(folder, tmp_path, monkeypatch):
     (folder / "b.png").unlink()
-    hired = []
-    hire = batch._Crew.hire
+    started = []
+    start_worker = batch._WorkerPool.start_worker
 
-    def noted(crew):
-        worker = hire(crew)
-        hired.append(worker.process)
+    def noted(pool):
+        worker = start_worker(pool)
+        started.append(worker.process)
         return worker
 
-    monkeypatch.setattr(batch._Crew, "hire", noted)
+    monkeypatch.setattr(batch._WorkerPool, "start_worker", noted)
 
     def kill_the_first():
-        while not hired:
+        while not started:
             time.sleep(0.01)
-        os.kill(hired[0].pid, signal.SIGKILL)
+        os.kill(started[0].pid, signal.SIGKILL)
 
     threading.Thread(target=kill_the_first, daemon=True).start()
     recipe = recipe_for(CAMERA, cap.load_camera(CAMERA), out=str(tmp_path / "out"), write="depth")
     images = [str(path) for path in sorted(folder.iterdir())]
     outcomes = list(batch.measure_in_processes(images, recipe, jobs=1))
     assert [outcome.error for outcome in outcomes] == [batch.DIED, "", ""]
-    assert not any(process.is_alive() for process in hired)
+    assert not any(process.is_alive() for process in started)
 
 
 def test_the_remaining_time_is_said_where_nothing_is_drawn():

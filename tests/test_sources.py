@@ -496,7 +496,7 @@ def test_a_missing_extra_is_named(tmp_path, monkeypatch, module, spec, extra):
 @pytest.mark.parametrize(
     "spec", ["{}", "{}.png", "{}/*.png", "replay:{}", "simulate:{}", "simulate:{}.toml", "{}.mp4", "{}?fps=5"]
 )
-@pytest.mark.parametrize("name", ["n" * 5000, "/tmp/" + "n" * 300, "zero\0byte", "\udcff"])
+@pytest.mark.parametrize("name", ["n" * 5000, "/" + "n" * 300, "zero\0byte", "\udcff"])
 def test_names_that_no_file_can_have_are_refused(spec, name):
     with pytest.raises(InputError), open_source(spec.format(name)) as source:
         list(source)

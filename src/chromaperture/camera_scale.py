@@ -18,6 +18,19 @@ from chromaperture.errors import InputError
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.optics.pixel_loss import mean_bars
 
+MATCHED_SIZE = "matched_size_px"  # in a camera file's provenance: width and height at which its boards were matched
+SAME_SCALE = 0.02  # relative difference of scales that are one: sides are rounded to whole px; chosen by hand
+SCALES = (1, 2, 3, 4, 6, 8, 12, 16)  # that `auto` chooses from
+# Most that `auto` lets the mean of the error bar over the working range grow, against light that no pixels divide. For
+# bench50's own pixels it grows 1.05 to 1.09 times, for pixels twice as wide 1.17 to 1.35 times (four designs;
+# docs/working-scale.md).
+MOST_GROWTH = 1.09
+LEAST_SIDE_PX = 320  # of a reduced picture: windows, planes and borders count pixels; chosen by hand
+_DISTANCES = 7  # of the working range, evenly spaced in 1 / z; 15 change the growth by 0.01
+# Px by which the widest blur displaces the pupil's edge, in a reduced picture: no design of bench50 allows fewer, so
+# that scales below need no computation.
+_LEAST_RADIUS_PX = 8.0
+
 
 def reduced_size(size_px: tuple[int, int], scale: int) -> tuple[int, int]:
     """Return width and height, px, of a picture reduced to 1 / scale; sides that it does not divide are rounded."""
@@ -99,20 +112,6 @@ def _camera_matrix(matrix: np.ndarray, across: float, down: float) -> np.ndarray
     found[0, 2] = (matrix[0, 2] + 0.5) / across - 0.5
     found[1, 2] = (matrix[1, 2] + 0.5) / down - 0.5
     return found
-
-
-# Candidates, and what `auto` allows: the mean of the error bar over the working range may be this many times that of
-# light which no pixels divide. For bench50's own pixels it is 1.04 to 1.08 times that, for pixels twice as wide 1.17 to
-# 1.35 times (four designs; docs/working-scale.md).
-MATCHED_SIZE = "matched_size_px"  # in a camera file's provenance: width and height at which its boards were matched
-SAME_SCALE = 0.02  # relative difference of scales that are one
-SCALES = (1, 2, 3, 4, 6, 8, 12, 16)
-MOST_GROWTH = 1.09
-_DISTANCES = 7  # of the working range, evenly spaced in 1 / z; 15 change the growth by 0.01
-# Px by which the widest blur displaces the pupil's edge, in a reduced picture: no design of bench50 allows fewer, so
-# that scales below need no computation.
-_LEAST_RADIUS_PX = 8.0
-LEAST_SIDE_PX = 320  # of a reduced picture: windows, planes and borders count pixels
 
 
 def working_scale(calibration: Calibration) -> int:

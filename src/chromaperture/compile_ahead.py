@@ -133,11 +133,11 @@ def compile_ahead(*qualities: str, update: Update = lambda what, done, total: No
     helpers = min(thread_count(), len(missing))
     if helpers > 1:
         with _helpers(helpers) as processes:
-            hands = [threading.Thread(target=_ask, args=(p, next_one, compiled_one), daemon=True) for p in processes]
-            for hand in hands:
-                hand.start()
-            for hand in hands:
-                hand.join()
+            threads = [threading.Thread(target=_feed, args=(p, next_one, compiled_one), daemon=True) for p in processes]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
     while (kernel := next_one()) is not None:  # one thread, or no process could be started
         with contextlib.suppress(Exception):
             kernel.compile()
@@ -145,7 +145,7 @@ def compile_ahead(*qualities: str, update: Update = lambda what, done, total: No
     return len(missing)
 
 
-def _ask(
+def _feed(
     process: subprocess.Popen[str], next_one: Callable[[], Listed | None], compiled_one: Callable[[], None]
 ) -> None:
     """Have a process compile one kernel after the other, until none is left or the process ends."""

@@ -27,6 +27,7 @@ import scipy.fft
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import NoiseModel
+from chromaperture.disparity.stages.paths import lagrange_weights
 from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
 from chromaperture.errors import InputError
 from chromaperture.optics.lens_blur import LensBlur, Rays
@@ -195,9 +196,8 @@ def with_midpoints(volume: np.ndarray) -> np.ndarray:
     out = np.empty((*volume.shape[:-1], 2 * count - 1), volume.dtype)
     out[..., ::2] = volume
     wide = np.pad(volume, [(0, 0)] * (volume.ndim - 1) + [(2, 2)], mode="reflect", reflect_type="odd")
-    taps = [wide[..., k : k + count - 1] for k in range(6)]
-    # Lagrange's weights
-    out[..., 1::2] = (3 * (taps[0] + taps[5]) - 25 * (taps[1] + taps[4]) + 150 * (taps[2] + taps[3])) / 256
+    weights = (np.float32(weight) for weight in lagrange_weights(np.array(0.5)))
+    out[..., 1::2] = sum(weight * wide[..., k : k + count - 1] for k, weight in enumerate(weights))
     return out
 
 
@@ -220,9 +220,9 @@ def _correlate(both: np.ndarray, config: CrossFilterConfig, out: np.ndarray) -> 
 
 def _window(product: np.ndarray, sigma_px: float) -> np.ndarray:
     """Mean in a Gaussian window around every second sample."""
-    coarse = cv2.pyrDown(product, borderType=cv2.BORDER_REFLECT_101)  # a window of a variance of one sample squared
-    rest_px = math.sqrt(max(sigma_px**2 - SAMPLING_PX**2, 0.01))
-    return _smooth(coarse, rest_px / 2)
+    coarse = cv2.pyrDown(product, borderType=cv2.BORDER_REFLECT_101)  # its own window has a sigma of one sample
+    rest_px = math.sqrt(max(sigma_px**2 - SAMPLING_PX**2, 0.01))  # 0.01: windows below one sample add no more
+    return _smooth(coarse, rest_px / 2)  # px of every second sample
 
 
 def _bands(picture: np.ndarray, config: CrossFilterConfig) -> list[np.ndarray]:

@@ -11,8 +11,6 @@ import numpy as np
 
 from chromaperture.compilation import compiled
 
-FAST: set[str] = {"contract", "arcp", "nsz"}
-
 
 def point_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, samples: int) -> np.ndarray:
     """Fourier transform of weighted points, as `lens_blur.point_transforms`; (C, n, n // 2 + 1) complex64."""
@@ -40,7 +38,7 @@ def splat(points_px, weights, out):  # type: ignore[no-untyped-def]
         out[y1, x1] += weights[j] * tx * ty
 
 
-@compiled(fastmath=FAST)
+@compiled(fastmath={"contract", "arcp", "nsz"})
 def split_transform(both, out):  # type: ignore[no-untyped-def]
     """Split the transform (n, n) of one or two real pictures into their own, (1 or 2, m, m // 2 + 1)."""
     n, samples, half = both.shape[0], out.shape[1], np.float32(0.5)

@@ -41,9 +41,9 @@ def measure_in_processes(images: Sequence[str], recipe: Recipe, *, jobs: int) ->
     """
     waiting, lock = iter(images), threading.Lock()
     finished: SimpleQueue[Outcome] = SimpleQueue()
-    crew = _Crew(recipe, max(1, thread_count() // jobs))
+    pool = _WorkerPool(recipe, max(1, thread_count() // jobs))
 
-    def tend() -> None:
+    def measure_waiting() -> None:
         with contextlib.suppress(_EndedError):
             worker: _Worker | None = None
             while True:
@@ -51,7 +51,7 @@ def measure_in_processes(images: Sequence[str], recipe: Recipe, *, jobs: int) ->
                     image = next(waiting, None)
                 if image is None:
                     return
-                worker = worker or crew.hire()
+                worker = worker or pool.start_worker()
                 outcome = worker.measure(image)
                 if outcome is None:
                     worker, outcome = None, Outcome(image, DIED)
@@ -59,11 +59,11 @@ def measure_in_processes(images: Sequence[str], recipe: Recipe, *, jobs: int) ->
 
     try:
         for _ in range(min(jobs, len(images))):
-            threading.Thread(target=tend, daemon=True, name="chromaperture-job").start()
+            threading.Thread(target=measure_waiting, daemon=True, name="chromaperture-job").start()
         for _ in images:
             yield finished.get()
     finally:
-        crew.dismiss()
+        pool.stop()
 
 
 class _EndedError(Exception):
@@ -86,7 +86,7 @@ class _Worker:
         return outcome
 
 
-class _Crew:
+class _WorkerPool:
     """All processes of a run."""
 
     def __init__(self, recipe: Recipe, threads: int) -> None:
@@ -96,8 +96,8 @@ class _Crew:
         # Not "fork": locks of this process's threads would be copied as they are.
         self._context = multiprocessing.get_context("spawn")
 
-    def hire(self) -> _Worker:
-        """Start a process; raises _EndedError after `dismiss`."""
+    def start_worker(self) -> _Worker:
+        """Start a process; raises _EndedError after `stop`."""
         with self._lock:
             if self._ended:
                 raise _EndedError
@@ -109,7 +109,7 @@ class _Crew:
             self._workers.append(worker)
             return worker
 
-    def dismiss(self) -> None:
+    def stop(self) -> None:
         """End all processes; what they were writing is removed."""
         with self._lock:
             self._ended = True

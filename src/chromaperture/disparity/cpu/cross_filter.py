@@ -10,8 +10,6 @@ import numpy as np
 
 from chromaperture.compilation import compiled
 
-FAST: set[str] = {"contract", "arcp", "nsz", "afn"}
-
 
 def cross_filter(
     spectra: tuple[np.ndarray, np.ndarray], transfers: tuple[np.ndarray, np.ndarray], damping: float
@@ -24,7 +22,7 @@ def cross_filter(
     return np.asarray(cv2.dft(packed, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE))
 
 
-@compiled(fastmath=FAST, error_model="numpy")
+@compiled(fastmath={"contract", "arcp", "nsz", "afn"}, error_model="numpy")
 def _cross_filter(view_a, view_b, transfer_a, transfer_b, damping, both):  # type: ignore[no-untyped-def]
     """Spectrum of P + i Q from halves of spectra: at -w it is P* + i Q*."""
     size = both.shape[0]
