@@ -43,7 +43,7 @@ def calibrate(
 
     A report with pictures is written beside it, camera.report.html.
 
-    For it three boards are measured at quality accurate: about 20 s at the most.
+    For it three boards are measured at quality accurate: about 24 s at the most.
 
     Exit code 1: the camera cannot be used.
 
