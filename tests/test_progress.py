@@ -33,25 +33,33 @@ def soon(monkeypatch):
 
 
 class Watched:
-    """Standard error and output so far."""
+    """Standard error and output so far.
 
-    def __init__(self, capture):
-        self.capture, self.out, self.err = capture, "", ""
+    Not by capfd: reading it while a thread writes loses what comes between its read and its truncation.
+    """
 
-    def look(self):
-        out, err = self.capture.readouterr()
-        self.out, self.err = self.out + out, self.err + err
-        return self.err
+    def __init__(self, monkeypatch):
+        self._out, self._err = io.StringIO(), io.StringIO()
+        monkeypatch.setattr(sys, "stdout", self._out)
+        monkeypatch.setattr(sys, "stderr", self._err)
+
+    @property
+    def out(self):
+        return self._out.getvalue()
+
+    @property
+    def err(self):
+        return self._err.getvalue()
 
     def until(self, text):
         end = time.monotonic() + PATIENCE_S
-        while text not in self.look():
+        while text not in self.err:
             assert time.monotonic() < end, f"{text!r} did not come: {self.err!r}"
             time.sleep(0.005)
 
 
-def test_without_a_terminal_a_line_for_every_state_that_lasts(soon, capfd):
-    seen = Watched(capfd)
+def test_without_a_terminal_a_line_for_every_state_that_lasts(soon, monkeypatch):
+    seen = Watched(monkeypatch)
     with soon(quiet=False) as update:
         update("board disparity", 2, 31)
         seen.until("] board disparity, 3 of 31\n")
@@ -60,7 +68,7 @@ def test_without_a_terminal_a_line_for_every_state_that_lasts(soon, capfd):
         update("done", 31, 31)
         seen.until("] done, 31 of 31\n")
     assert seen.out == ""
-    lines = seen.look().splitlines()
+    lines = seen.err.splitlines()
     assert all(re.fullmatch(r"\[\d+:\d\d\] .+", line) for line in lines)
     assert len(lines) == len(set(lines)) == 3  # no state twice, however long it lasts
 
@@ -101,10 +109,8 @@ def test_on_a_terminal_the_remaining_time_is_shown(monkeypatch):
             time.sleep(0.01)
 
 
-def test_a_piped_calibration_says_where_it_is_and_keeps_json_apart(
-    soon, calibrated_session, tmp_path, monkeypatch, capfd
-):
-    seen = Watched(capfd)
+def test_a_piped_calibration_says_where_it_is_and_keeps_json_apart(soon, calibrated_session, tmp_path, monkeypatch):
+    seen = Watched(monkeypatch)
 
     def slow(*arguments, progress, **options):
         progress("board disparity", 4, 31)
@@ -115,7 +121,6 @@ def test_a_piped_calibration_says_where_it_is_and_keeps_json_apart(
     command = ["chromaperture", "calibrate", "session", "--out", str(tmp_path / "camera.asdf"), "--no-report", "--json"]
     monkeypatch.setattr(sys, "argv", command)
     main_ended(main)
-    seen.look()
     assert json.loads(seen.out)["design"] == "cy_halves"
     assert "board disparity" not in seen.out
 
