@@ -111,10 +111,6 @@ class Device:
         return self.pipelines[key]
 
 
-class Signed(int):
-    """A whole number that becomes an i32 in a shader, whatever its sign."""
-
-
 class Ticket(NamedTuple):
     """A frame under way: the slot it was given and what is read back."""
 
@@ -300,8 +296,6 @@ def _literal(value: Any) -> str:
     """Write a constant in WGSL."""
     if isinstance(value, bool | np.bool_):
         return str(bool(value)).lower()
-    if isinstance(value, Signed):
-        return f"{int(value)}i"
     if isinstance(value, int | np.integer):
         return f"{value}u" if value >= 0 else f"{value}i"
     if isinstance(value, float | np.floating):

@@ -8,12 +8,12 @@ each other.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from chromaperture.disparity.gpu.device import Array, Chain, Signed
+from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.stages.between_layers import TANGENTS
 from chromaperture.disparity.stages.paths import LEAST_UNEXPLAINED, LINES, penalties_of
 from chromaperture.disparity.stages.variation import OPERATOR_NORM_SQUARED
@@ -33,7 +33,7 @@ class Grid(NamedTuple):
 
     height: int
     width: int
-    count: int
+    layers: int
 
     @property
     def pixels(self) -> int:
@@ -43,7 +43,7 @@ class Grid(NamedTuple):
     @property
     def size(self) -> int:
         """Entries of the volume."""
-        return self.height * self.width * self.count
+        return self.height * self.width * self.layers
 
 
 def groups_for(invocations: int, size: int = GROUP) -> tuple[int, int]:
@@ -52,7 +52,7 @@ def groups_for(invocations: int, size: int = GROUP) -> tuple[int, int]:
     return min(groups, _WIDE), math.ceil(groups / _WIDE)
 
 
-def per_pixel(chain: Chain, stage: str, arrays: list[Array], grid: Grid, **constants: object) -> None:
+def per_pixel(chain: Chain, stage: str, arrays: list[Array], grid: Grid, **constants: Any) -> None:
     """Append a stage with one invocation for every pixel."""
     chain.add(
         stage, arrays, groups=groups_for(grid.pixels), uses=("indexing",),
@@ -89,18 +89,18 @@ def add_paths(
     InputError
         More than `MOST_LAYERS` layers.
     """
-    if grid.count > MOST_LAYERS:
-        raise InputError(f"{grid.count} labels are too many for the GPU, at most {MOST_LAYERS}; use --device cpu")
+    if grid.layers > MOST_LAYERS:
+        raise InputError(f"{grid.layers} labels are too many for the GPU, at most {MOST_LAYERS}; use --device cpu")
     penalties = penalties_of(config, layers_px)
-    own_layers = math.ceil(grid.count / lanes)
+    own_layers = math.ceil(grid.layers / lanes)
     # Layers within which a change costs less than a jump: nothing comes from further away.
     reach = math.ceil(penalties.jump / penalties.slope_per_layer / own_layers)
     for i, (dx, dy) in enumerate((sign * x, sign * y) for x, y in LINES[: config.paths // 2] for sign in (1, -1)):
         lines = grid.height if dy == 0 else grid.width if dx == 0 else grid.height + grid.width - 1
         chain.add(
             "volume_paths", [likelihood, guide, total], groups=(lines / (GROUP // lanes),),
-            height=grid.height, width=grid.width, count=grid.count, lines=lines, lanes=lanes, own_layers=own_layers,
-            reach=min(lanes - 1, reach), dx=Signed(dx), dy=Signed(dy), own=float(config.paths - 1), starts_total=i == 0,
+            height=grid.height, width=grid.width, count=grid.layers, lines=lines, lanes=lanes, own_layers=own_layers,
+            reach=min(lanes - 1, reach), dx=float(dx), dy=float(dy), own=float(config.paths - 1), starts_total=i == 0,
             slope=penalties.slope_per_layer, jump=penalties.jump,
             edge_range=penalties.edge_range, edge_floor=penalties.edge_floor,
         )  # fmt: skip
@@ -115,20 +115,23 @@ def add_gaussian(
     *,
     parts: int,
     planes: int = 1,
+    source: Array | None = None,
 ) -> None:
-    """Append a filter along both axes, in place: (planes, h, w, parts), mirrored at the borders.
+    """Append a filter along both axes: (planes, h, w, parts), mirrored at the borders.
 
     Parameters
     ----------
     chain : Chain
     values, between : Array
-        What is filtered, and as much room.
+        What is filtered, in place, and as much room.
     shape : (int, int)
     taps : (2 r + 1,) float
     parts, planes : int
+    source : Array, optional
+        What is filtered instead; ``values`` is only written.
     """
     height, width = shape
-    for before, after, along_x in ((values, between, True), (between, values, False)):
+    for before, after, along_x in ((source or values, between, True), (between, values, False)):
         chain.add(
             "gaussian_line", [before, after], groups=groups_for(planes * height * width * parts), uses=("indexing",),
             height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2, taps=taps, along_x=along_x,
@@ -175,7 +178,7 @@ def surface_arrays(chain: Chain, grid: Grid, config: SurfaceConfig) -> SurfaceAr
 
 def add_start(chain: Chain, a: SurfaceArrays, grid: Grid, *, config: SurfaceConfig) -> None:
     """Append the best layers by cost and `between_layers`, which starts the variation."""
-    per_pixel(chain, "volume_winner", [a.cost, a.likelihood, a.winner], grid, count=grid.count)
+    per_pixel(chain, "volume_winner", [a.cost, a.likelihood, a.winner], grid, count=grid.layers)
     taps = gaussian_taps(config.interpolation_sigma_px)
     for i in range(TANGENTS):
         per_pixel(
@@ -199,7 +202,7 @@ def add_variation(chain: Chain, a: SurfaceArrays, grid: Grid, layers_px: np.ndar
     for _ in range(config.coupling_rounds):
         per_pixel(
             chain, "coupling_target", [a.surface, a.likelihood, a.winner, a.couplings, a.round, a.goal], grid,
-            count=grid.count, fidelity=1 / (config.slope_penalty * step),
+            count=grid.layers, fidelity=1 / (config.slope_penalty * step),
         )  # fmt: skip
         for i, steps in enumerate(parts):
             before, after = (a.surface, a.other) if i % 2 == 0 else (a.other, a.surface)
@@ -209,7 +212,7 @@ def add_variation(chain: Chain, a: SurfaceArrays, grid: Grid, layers_px: np.ndar
                 groups=(grid.width / inner, grid.height / inner),
                 height=grid.height, width=grid.width, steps=steps, is_fresh=i == 0, primal_step=primal_step,
                 dual_step=1 / (OPERATOR_NORM_SQUARED * primal_step), huber=float(config.huber_layers),
-                highest=float(grid.count - 1),
+                highest=float(grid.layers - 1),
             )  # fmt: skip
         chain.add("count_up", [a.round], groups=(1,), to_zero=False)
 
@@ -226,5 +229,5 @@ def add_posterior(
     """Append `stages.posterior_sigma`, in layers."""
     per_pixel(
         chain, "volume_posterior", [surface, cost, sigma], grid,
-        count=grid.count, temperature=config.temperature * config.paths,
+        count=grid.layers, temperature=config.temperature * config.paths,
     )  # fmt: skip

@@ -15,13 +15,13 @@ var<workgroup> ends: array<vec3f, 128>;
 
 fn line_length(line: u32) -> u32 {
     let start = line_start(line);
-    return min(select(width - start.x, 0xffffffu, dx == 0i), select(height - start.y, 0xffffffu, dy == 0i));
+    return min(select(width - start.x, 0xffffffu, dx == 0.0), select(height - start.y, 0xffffffu, dy == 0.0));
 }
 
 // First pixel as if both steps were positive: diagonals are counted from the lower left corner on.
 fn line_start(line: u32) -> vec2u {
-    if (dy == 0i) { return vec2u(0u, line); }
-    if (dx == 0i) { return vec2u(line, 0u); }
+    if (dy == 0.0) { return vec2u(0u, line); }
+    if (dx == 0.0) { return vec2u(line, 0u); }
     let along = i32(line) - i32(height - 1u);
     return vec2u(u32(max(along, 0i)), u32(max(-along, 0i)));
 }
@@ -43,9 +43,9 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     var before = 0.0;
     for (var s = 0u; s < steps; s++) {
         let along = min(s, length - 1u);
-        let flat = vec2u(select(along, 0u, dx == 0i), select(along, 0u, dy == 0i)) + start;
-        let x = select(flat.x, width - 1u - flat.x, dx < 0i);
-        let y = select(flat.y, height - 1u - flat.y, dy < 0i);
+        let flat = vec2u(select(along, 0u, dx == 0.0), select(along, 0u, dy == 0.0)) + start;
+        let x = select(flat.x, width - 1u - flat.x, dx < 0.0);
+        let y = select(flat.y, height - 1u - flat.y, dy < 0.0);
         let pixel = y * width + x;
         let value = guide[pixel];
         let link = select(edge_floor + (1.0 - edge_floor) * exp(-abs(value - before) / edge_range), 1.0, s == 0u);
