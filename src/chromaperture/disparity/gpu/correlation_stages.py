@@ -1,0 +1,158 @@
+"""Scores of all layers on the device: ``stages/correlation.py``, in WGSL.
+
+Layers share samples: a view moved by whole px is the same samples elsewhere. So each view is sampled and windowed once
+at every sub-pixel phase (an entry), and a layer only windows the product of two entries. Layers come in chunks whose
+entries fit the memory: 32 layers of two halves need 8 entries, three filters one each for every layer and view.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from chromaperture.disparity.gpu.device import Array, Chain
+from chromaperture.disparity.gpu.view_stages import SHARED, Planes, invocations
+from chromaperture.disparity.stages.correlation import RELATIVE_EPSILON, SAMPLING, padding
+from chromaperture.disparity.views import view_pairs
+from chromaperture.stage_config import CorrelationConfig
+
+# Share of a window's weight that lies beyond the samples a block of a line starts from, where the picture counts as
+# even: mean and square see the same weights, so that it is a share of the score's error, not of the means'.
+_NEGLIGIBLE = 1e-5
+_BLOCK = 32  # columns or rows that one invocation takes; of 16, 32 and 64 the fastest on lavapipe, by 10 %
+_CHUNK_BYTES = 128e6  # of the largest array of a chunk: WebGPU's default limit of a binding
+_PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
+
+
+class Chunk(NamedTuple):
+    """Some layers and where they find their samples."""
+
+    first: int
+    count: int
+    phases_y: np.ndarray  # (Ey, 5) float32: four taps, the view
+    phases_x: np.ndarray  # (E, 5) float32: four taps, the phase along y
+    places: np.ndarray  # (K, C, 4) int32: entry, whole px along x, along y, 0
+
+
+def chunks_of(layers_px: np.ndarray, directions: np.ndarray, sampling: str, most: int) -> list[Chunk]:
+    """Cut the layers into chunks of at most ``most`` entries; a single layer may need more."""
+    found: list[Chunk] = []
+    first = 0
+    while first < len(layers_px):
+        count = len(layers_px) - first
+        chunk = _chunk(layers_px, directions, sampling, first, count)
+        while len(chunk.phases_x) > most and count > 1:
+            count = -(-count // 2)
+            chunk = _chunk(layers_px, directions, sampling, first, count)
+        found.append(chunk)
+        first += count
+    return found
+
+
+def _chunk(layers_px: np.ndarray, directions: np.ndarray, sampling: str, first: int, count: int) -> Chunk:
+    along_y: dict[tuple[int, float], int] = {}
+    along_x: dict[tuple[int, float], int] = {}
+    places = np.zeros((len(directions), count, 4), np.int32)
+    for k, direction in enumerate(directions):
+        for c in range(count):
+            (whole_x, phase_x), (whole_y, phase_y) = (_split(layers_px[first + c] * part) for part in direction)
+            y = along_y.setdefault((k, phase_y), len(along_y))
+            entry = along_x.setdefault((y, phase_x), len(along_x))
+            places[k, c] = entry, whole_x, whole_y, 0
+    taps = SAMPLING[sampling]
+    rows = np.array([(*taps(phase), view) for view, phase in along_y], np.float32)
+    columns = np.array([(*taps(phase), y) for y, phase in along_x], np.float32)
+    return Chunk(first, count, rows, columns, places)
+
+
+def _split(offset_px: float) -> tuple[int, float]:
+    """Whole px and the phase in [0, 1), of 1 / `_PHASES`."""
+    parts = round(float(offset_px) * _PHASES)
+    return math.floor(parts / _PHASES), (parts % _PHASES) / _PHASES
+
+
+def add_correlation(
+    chain: Chain,
+    planes: Planes,
+    layers_px: np.ndarray,
+    directions: np.ndarray,
+    config: CorrelationConfig,
+    *,
+    pitch: int | None = None,
+) -> Iterator[tuple[Array, Chunk]]:
+    """Add the scores, chunk after chunk; what is added between two chunks may read the last one's.
+
+    Parameters
+    ----------
+    chain : Chain
+    planes : Planes
+    layers_px : (D,) float, px
+    directions : (K, 2) float
+    config : CorrelationConfig
+    pitch : int, optional
+        Layers of a pixel in one volume (h, w, pitch) of all chunks; without it every chunk has (h, w, C) of its own.
+
+    Yields
+    ------
+    score : Array
+    chunk : Chunk
+    """
+    pad_x, pad_y = padding(layers_px, directions, config.sampling)
+    tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
+    most_bytes = min(_CHUNK_BYTES, chain.device.largest_bytes)
+    chunks = chunks_of(layers_px, directions, config.sampling, max(1, int(most_bytes // (8 * tall * wide))))
+    volume = _largest(chain, "score", [planes.pixels * (pitch or c.count) for c in chunks])
+    samples_y = _largest(chain, "samples_y", [tall * planes.width * len(c.phases_y) for c in chunks])
+    samples = _largest(chain, "samples", [tall * wide * len(c.phases_x) for c in chunks])
+    windows_x, windows = (
+        _largest(chain, name, [2 * tall * wide * len(c.phases_x) for c in chunks]) for name in ("windows_x", "windows")
+    )
+    pairs = view_pairs(planes.view_count)
+    products = [
+        _largest(chain, f"products_{k}{m}", [tall * planes.width * c.count for c in chunks]) for k, m in pairs
+    ]
+    reach = math.ceil(math.log(_NEGLIGIBLE) / math.log(config.window_decay))
+    window = {"decay": float(config.window_decay), "reach": reach, "block": _BLOCK}
+    size = {"width": planes.width, "height": planes.height, "pad_x": pad_x, "pad_y": pad_y}
+    for number, chunk in enumerate(chunks):
+        entries, phases = len(chunk.phases_x), len(chunk.phases_y)
+        taps_y, taps_x = chain.constant(f"taps_y{number}", chunk.phases_y), chain.constant(f"taps_x{number}", chunk.phases_x)
+        places = chain.constant(f"places{number}", chunk.places)
+        chain.add(
+            "sample_y", [planes.planes, taps_y, samples_y], groups=invocations(tall * planes.width * phases), uses=SHARED,
+            width=planes.width, height=planes.height, pad_y=pad_y, phase_count=phases,
+        )  # fmt: skip
+        chain.add(
+            "sample_x", [samples_y, taps_x, samples], groups=invocations(tall * wide * entries), uses=SHARED,
+            phase_count=phases, entry_count=entries, **size,
+        )  # fmt: skip
+        frame = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
+        chain.add(
+            "windows_x", [samples, windows_x], groups=invocations(tall * -(-wide // _BLOCK) * entries), uses=SHARED, **frame
+        )
+        chain.add(
+            "windows_y", [windows_x, taps_x, taps_y, planes.stats, windows],
+            groups=invocations(wide * -(-tall // _BLOCK) * entries), uses=SHARED,
+            relative_epsilon=RELATIVE_EPSILON, **frame,
+        )  # fmt: skip
+        layers = {"layer_count": chunk.count, "entry_count": entries, **size, **window}
+        for (k, m), product in zip(pairs, products, strict=True):
+            chain.add(
+                "products_x", [samples, places, product],
+                groups=invocations(tall * -(-planes.width // _BLOCK) * chunk.count), uses=SHARED,
+                first_view=k, second_view=m, **layers,
+            )  # fmt: skip
+        three = products if len(products) == 3 else products * 3
+        chain.add(
+            "correlation", [*three, places, windows, volume],
+            groups=invocations(planes.width * -(-planes.height // _BLOCK) * chunk.count), uses=SHARED,
+            view_count=planes.view_count, pitch=pitch or chunk.count, first_layer=chunk.first if pitch else 0, **layers,
+        )  # fmt: skip
+        yield volume, chunk
+
+
+def _largest(chain: Chain, name: str, sizes: list[int]) -> Array:
+    return chain.array(name, max(sizes))
