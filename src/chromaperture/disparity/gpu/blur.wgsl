@@ -1,7 +1,8 @@
-// Gaussian along one axis, of some planes of one array into the same planes of another.
+// Gaussian along one axis, of some planes of one array into the same planes of another. Where `sparse`, only what
+// `fill.wgsl` reads, at unusable pixels, and what that is made of: columns next to unusable pixels.
 
 @group(0) @binding(0) var<storage, read> before: array<f32>;  // (planes, h, w)
-@group(0) @binding(1) var<storage, read> stats: array<f32>;
+@group(0) @binding(1) var<storage, read> unusable: array<u32>;  // (bands, w): 1 where a column of a band has one
 @group(0) @binding(2) var<storage, read_write> after: array<f32>;  // (planes, h, w)
 
 @compute @workgroup_size(64)
@@ -11,9 +12,14 @@ fn main(
 ) {
     let i = invocation(group, groups, local);
     if (i >= plane_count * width * height) { return; }
-    if (only_where_unusable && stats[UNUSABLE] == 0.0) { return; }  // nobody will read it
     let x = i % width;
     let y = (i / width) % height;
+    if (sparse) {
+        let band = y / band_height;  // a band is as high as the Gaussian reaches
+        let above = unusable[max(band, 1u) * width - width + x];
+        let below = unusable[min(band + 1u, band_count - 1u) * width + x];
+        if ((above | unusable[band * width + x] | below) == 0u) { return; }
+    }
     let base = (first_plane + i / (width * height)) * width * height;
     var sum = 0.0;
     for (var j = 0u; j < 2u * reach + 1u; j++) {

@@ -19,12 +19,13 @@ fn inside(at: i32, count: u32) -> u32 {
     return u32(clamp(at, 0i, i32(count) - 1i));
 }
 
-// Mirrored at the border, whose pixel is not repeated.
+// Mirrored at the border, whose pixel is not repeated. A loop and no remainder: that takes one division a lane.
 fn mirrored(at: i32, count: u32) -> u32 {
     let last = i32(count) - 1i;
     if (last == 0i) { return 0u; }
-    let place = abs(at) % (2i * last);
-    return u32(min(place, 2i * last - place));
+    var place = abs(at);
+    while (place > last) { place = abs(2i * last - place); }
+    return u32(place);
 }
 
 fn is_finite(value: f32) -> bool {

@@ -101,7 +101,13 @@ def add_halved_views(
     planes = Planes(smoothed, stats, full_guide, half_width, half_height, count)
     # Of all planes, though only views and usable share are read: the guide between them is as cheap.
     taps = _gaussian(FILL_SIGMA_PX, 2 * round(4 * FILL_SIGMA_PX) + 1)
-    around = _add_blur(chain, raw, planes, taps, first=0, count=count + 2, replicate=False, rarely=True)
+    bands = {"band_height": len(taps) // 2, "band_count": -(-half_height // (len(taps) // 2))}
+    unusable = chain.array("unusable", bands["band_count"] * half_width, np.uint32)
+    chain.add(
+        "unusable", [raw, unusable], groups=invocations(unusable.size), uses=SHARED,
+        width=half_width, height=half_height, view_count=count, usable_share=USABLE, **bands,
+    )  # fmt: skip
+    around = _add_blur(chain, raw, planes, taps, first=0, count=count + 2, replicate=False, sparse=(unusable, bands))
     chain.add(
         "fill", [around, raw], groups=invocations(plane), uses=SHARED,
         plane=plane, view_count=count, usable_share=USABLE,
@@ -176,17 +182,19 @@ def _add_blur(
     first: int,
     count: int,
     replicate: bool,
-    rarely: bool = False,
+    sparse: tuple[Array, dict[str, int]] | None = None,
     into: Array | None = None,
 ) -> Array:
-    """Add a Gaussian of some planes; ``rarely``: nothing is done where all pixels are usable."""
+    """Add a Gaussian of some planes; ``sparse``: where there are unusable pixels, at them and not elsewhere."""
+    nowhere = chain.arrays.get("no_unusable") or chain.array("no_unusable", 1, np.uint32)
+    unusable, bands = sparse or (nowhere, {"band_height": 1, "band_count": 1})
     between = chain.arrays.get("planes_between") or chain.array("planes_between", raw.size)
     after = into or chain.array("planes_blurred", raw.size)
     for along_x, source, target in ((True, raw, between), (False, between, after)):
         chain.add(
-            "blur", [source, planes.stats, target], groups=invocations(count * planes.pixels), uses=SHARED,
+            "blur", [source, unusable, target], groups=invocations(count * planes.pixels), uses=SHARED,
             width=planes.width, height=planes.height, first_plane=first, plane_count=count, along_x=along_x,
-            replicate=replicate, only_where_unusable=rarely, reach=len(taps) // 2, taps=taps,
+            replicate=replicate, sparse=sparse is not None, **bands, reach=len(taps) // 2, taps=taps,
         )  # fmt: skip
     return after
 
