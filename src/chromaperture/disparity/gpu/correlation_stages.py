@@ -37,14 +37,19 @@ class Chunk(NamedTuple):
     places: np.ndarray  # (K, C, 4) int32: entry, whole px along x, along y, 0
 
 
-def chunks_of(layers_px: np.ndarray, directions: np.ndarray, sampling: str, most: int) -> list[Chunk]:
-    """Cut the layers into chunks of at most ``most`` entries; a single layer may need more."""
+def chunks_of(
+    layers_px: np.ndarray, directions: np.ndarray, sampling: str, most_entries: int, most_layers: int
+) -> list[Chunk]:
+    """Cut the layers into chunks of at most so many entries and layers, the first the largest.
+
+    A single layer may need more entries than that.
+    """
     found: list[Chunk] = []
     first = 0
     while first < len(layers_px):
-        count = len(layers_px) - first
+        count = min(len(layers_px) - first, found[-1].count if found else most_layers)
         chunk = _chunk(layers_px, directions, sampling, first, count)
-        while len(chunk.phases_x) > most and count > 1:
+        while len(chunk.phases_x) > most_entries and count > 1:
             count = -(-count // 2)
             chunk = _chunk(layers_px, directions, sampling, first, count)
         found.append(chunk)
@@ -82,6 +87,7 @@ def add_correlation(
     config: CorrelationConfig,
     *,
     pitch: int | None = None,
+    chunked: bool = False,
 ) -> Iterator[tuple[Array, Chunk]]:
     """Add the scores, chunk after chunk; what is added between two chunks may read the last one's.
 
@@ -94,6 +100,8 @@ def add_correlation(
     config : CorrelationConfig
     pitch : int, optional
         Layers of a pixel in one volume (h, w, pitch) of all chunks; without it every chunk has (h, w, C) of its own.
+    chunked : bool
+        Chunks are small enough for their scores, too, to fit.
 
     Yields
     ------
@@ -103,7 +111,10 @@ def add_correlation(
     pad_x, pad_y = padding(layers_px, directions, config.sampling)
     tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
     most_bytes = min(_CHUNK_BYTES, chain.device.largest_bytes)
-    chunks = chunks_of(layers_px, directions, config.sampling, max(1, int(most_bytes // (8 * tall * wide))))
+    # Of an entry, mean and gain; of a layer of its own, score and weight.
+    most_entries = max(1, int(most_bytes // (8 * tall * wide)))
+    most_layers = max(1, int(most_bytes // (4 * tall * wide)) - 1) if chunked else len(layers_px)
+    chunks = chunks_of(layers_px, directions, config.sampling, most_entries, most_layers)
     volume = _largest(chain, "score", [planes.pixels * (pitch or c.count) for c in chunks])
     samples_y = _largest(chain, "samples_y", [tall * planes.width * len(c.phases_y) for c in chunks])
     samples = _largest(chain, "samples", [tall * wide * len(c.phases_x) for c in chunks])
