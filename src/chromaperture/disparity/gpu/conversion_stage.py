@@ -4,24 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import SHARED, invocations
-
-
-class Curve(Protocol):
-    """What is needed of a `depth.conversion_kernels.CurveTable`."""
-
-    low_px: float
-    high_px: float
-    slope: np.ndarray
-    first_px: float
-    last_px: float
-    linear_px: np.ndarray
-    errors: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -32,12 +20,13 @@ class Conversion:
     ----------
     fields : nine arrays, (H, W) or (1, 1)
         A, B, delta, and their covariances AA, AB, A delta, BB, B delta, delta delta.
-    curve : Curve
+    curve : CurveTable
+        Of ``depth/conversion_kernels.py``, which this package does not import.
     max_depth_mm : float
     """
 
     fields: Sequence[np.ndarray]
-    curve: Curve
+    curve: Any
     max_depth_mm: float
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -122,34 +122,40 @@ def add_correlation(
         _largest(chain, name, [2 * tall * wide * len(c.phases_x) for c in chunks]) for name in ("windows_x", "windows")
     )
     pairs = view_pairs(planes.view_count)
-    products = [
-        _largest(chain, f"products_{k}{m}", [tall * planes.width * c.count for c in chunks]) for k, m in pairs
-    ]
+    products = [_largest(chain, f"products_{k}{m}", [tall * planes.width * c.count for c in chunks]) for k, m in pairs]
     reach = math.ceil(math.log(_NEGLIGIBLE) / math.log(config.window_decay))
-    window = {"decay": float(config.window_decay), "reach": reach, "block": _BLOCK}
-    size = {"width": planes.width, "height": planes.height, "pad_x": pad_x, "pad_y": pad_y}
+    window: dict[str, Any] = {"decay": float(config.window_decay), "reach": reach, "block": _BLOCK}
+    size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_x": pad_x, "pad_y": pad_y}
     for number, chunk in enumerate(chunks):
         entries, phases = len(chunk.phases_x), len(chunk.phases_y)
-        taps_y, taps_x = chain.constant(f"taps_y{number}", chunk.phases_y), chain.constant(f"taps_x{number}", chunk.phases_x)
+        taps_y, taps_x = (
+            chain.constant(f"taps_y{number}", chunk.phases_y),
+            chain.constant(f"taps_x{number}", chunk.phases_x),
+        )
         places = chain.constant(f"places{number}", chunk.places)
         chain.add(
-            "sample_y", [planes.planes, taps_y, samples_y], groups=invocations(tall * planes.width * phases), uses=SHARED,
+            "sample_y", [planes.planes, taps_y, samples_y],
+            groups=invocations(tall * planes.width * phases), uses=SHARED,
             width=planes.width, height=planes.height, pad_y=pad_y, phase_count=phases,
         )  # fmt: skip
         chain.add(
             "sample_x", [samples_y, taps_x, samples], groups=invocations(tall * wide * entries), uses=SHARED,
             phase_count=phases, entry_count=entries, **size,
         )  # fmt: skip
-        frame = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
+        frame: dict[str, Any] = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
         chain.add(
-            "windows_x", [samples, windows_x], groups=invocations(tall * -(-wide // _BLOCK) * entries), uses=SHARED, **frame
+            "windows_x",
+            [samples, windows_x],
+            groups=invocations(tall * -(-wide // _BLOCK) * entries),
+            uses=SHARED,
+            **frame,
         )
         chain.add(
             "windows_y", [windows_x, taps_x, taps_y, planes.stats, windows],
             groups=invocations(wide * -(-tall // _BLOCK) * entries), uses=SHARED,
             relative_epsilon=RELATIVE_EPSILON, **frame,
         )  # fmt: skip
-        layers = {"layer_count": chunk.count, "entry_count": entries, **size, **window}
+        layers: dict[str, Any] = {"layer_count": chunk.count, "entry_count": entries, **size, **window}
         for (k, m), product in zip(pairs, products, strict=True):
             chain.add(
                 "products_x", [samples, places, product],

@@ -21,7 +21,7 @@ from chromaperture.disparity.paper import PaperMethod
 from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.disparity.result import Disparity, Method
 from chromaperture.disparity.views import ViewSpace
-from chromaperture.errors import CaptureWarning, OutOfMemoryError
+from chromaperture.errors import CaptureWarning, InputError, OutOfMemoryError
 
 _MAPS = ("disparity", "sigma", "confidence")
 _MILLIMETRES = ("depth_mm", "sigma_mm")
@@ -138,8 +138,12 @@ def chosen_device(choice: str) -> Device | None:
     """
     if choice == "cpu":
         return None
-    if choice != "auto":
+    if choice == "gpu" or choice.startswith("gpu:"):
         return open_device(choice)
+    if choice != "auto":
+        raise InputError(
+            f"unknown device {choice!r}: choose auto, cpu, gpu or gpu:NAME, see 'chromaperture info --devices'"
+        )
     found = adapters()
     if not found or found[0].is_software:
         return None
@@ -170,7 +174,9 @@ def on_device(method: Method, choice: str, note: Callable[[str], None]) -> Metho
     else:
         if asked_for:
             chosen_device(choice)  # a device that does not exist is refused all the same
-            note("quality accurate, and debiased or texture-weighted scores, run on the CPU: the GPU has no stages of them yet")
+            note(
+                "quality accurate, and scores debiased or weighted by texture, run on the CPU: the GPU has no such stages"
+            )
         return method
     device = chosen_device(choice)
     if device is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -55,10 +56,10 @@ def add_real_time(
     labels = chain.constant("labels", np.stack([np.asarray(part, np.float32) for part in label_map]))
     chunks = list(add_correlation(chain, planes, layers_px, space.directions, config.correlation, pitch=pitch))
     score = chunks[-1][0]
-    of_labels = {"labelled": not label_map.is_identity, "full_width": width, "full_height": height}
-    of_layers = {"layer_count": len(layers_px), "pitch": pitch}
+    of_labels: dict[str, Any] = {"labelled": not label_map.is_identity, "full_width": width, "full_height": height}
+    of_layers: dict[str, Any] = {"layer_count": len(layers_px), "pitch": pitch}
     first, step = float(layers_px[0]), float(layers_px[1] - layers_px[0])
-    frame = {"width": planes.width, "height": planes.height}
+    frame: dict[str, Any] = {"width": planes.width, "height": planes.height}
     likelihood = chain.array("likelihood", volume)
     chain.add(
         "likelihood", [score, labels, planes.planes, likelihood], groups=invocations(volume), uses=SHARED,
@@ -69,7 +70,7 @@ def add_real_time(
     smoothed = _add_smoothing_along_surface(chain, planes, winner, places, config)
 
     ranges, surface = chain.array("ranges", 2 * planes.pixels), chain.array("surface", 3 * planes.pixels)
-    between = {"first_px": first, "step_px": step, "reach": EDGE_REACH_PX, **frame, **of_labels}
+    between: dict[str, Any] = {"first_px": first, "step_px": step, "reach": EDGE_REACH_PX, **frame, **of_labels}
     chain.add("surface", [smoothed, labels, ranges], groups=invocations(planes.pixels), uses=SHARED, **between)
     chain.add(
         "surface_range", [ranges, smoothed, winner, labels, surface], groups=invocations(planes.pixels), uses=SHARED,
@@ -91,10 +92,11 @@ def add_real_time(
 
 
 def _add_paths(
-    chain: Chain, planes: Planes, likelihood: Array, config: RealTimeConfig, of_layers: dict[str, int]
+    chain: Chain, planes: Planes, likelihood: Array, config: RealTimeConfig, of_layers: dict[str, Any]
 ) -> tuple[Array, Array]:
     """Add the four paths and the best layer; return it, and the places between the layers."""
-    paths, size = config.paths, {"width": planes.width, "height": planes.height}
+    paths = config.paths
+    size: dict[str, Any] = {"width": planes.width, "height": planes.height}
     pitch = of_layers["pitch"]
     # Costs of two layers share 32 bits.
     costs = [
@@ -154,9 +156,7 @@ def add_recursions(
     return maps
 
 
-def add_two_views(
-    chain: Chain, image: Array, size: tuple[int, int], rows: np.ndarray
-) -> tuple[Array, dict[str, int]]:
+def add_two_views(chain: Chain, image: Array, size: tuple[int, int], rows: np.ndarray) -> tuple[Array, dict[str, Any]]:
     """Add `error_bar.without_two_views`; return the map of its squares and their numbers along x and y."""
     height, width = size
     side = LIGHT_WINDOW_PX

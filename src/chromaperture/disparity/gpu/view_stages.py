@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -101,7 +101,7 @@ def add_halved_views(
     planes = Planes(smoothed, stats, full_guide, half_width, half_height, count)
     # Of all planes, though only views and usable share are read: the guide between them is as cheap.
     taps = _gaussian(FILL_SIGMA_PX, 2 * round(4 * FILL_SIGMA_PX) + 1)
-    bands = {"band_height": len(taps) // 2, "band_count": -(-half_height // (len(taps) // 2))}
+    bands: dict[str, Any] = {"band_height": len(taps) // 2, "band_count": -(-half_height // (len(taps) // 2))}
     unusable = chain.array("unusable", bands["band_count"] * half_width, np.uint32)
     chain.add(
         "unusable", [raw, unusable], groups=invocations(unusable.size), uses=SHARED,
@@ -128,13 +128,13 @@ def check_stats(stats: np.ndarray, view_count: int) -> None:
 def _add_light(chain: Chain, image: Array, pixels: int) -> Array:
     parts = min(_PARTS, -(-pixels // 256))
     stats, sums = chain.array("stats", _STATS), chain.array("light_parts", 4 * parts)
-    numbers = {"pixels": pixels, "part_count": parts, "saturation": SATURATION}
+    numbers: dict[str, Any] = {"pixels": pixels, "part_count": parts, "saturation": SATURATION}
     chain.add("light", [image, sums], groups=(parts,), uses=("shared", "light_reduction"), **numbers)
     chain.add("light_sum", [sums, stats], groups=(1,), uses=("shared", "light_reduction"), **numbers)
     return stats
 
 
-def _mixing(space: ViewSpace, width: int, height: int) -> dict[str, object]:
+def _mixing(space: ViewSpace, width: int, height: int) -> dict[str, Any]:
     return {
         "width": width, "height": height, "view_count": len(space.rows), "saturation": SATURATION,
         "rows": np.ravel(space.rows), "guide_rgb": np.ravel(space.guide_rgb),
@@ -151,7 +151,7 @@ def _add_smoothing(chain: Chain, raw: Array, planes: Planes, config: ViewsConfig
     _add_blur(chain, raw, planes, [1.0], first=count + 1, count=1, replicate=True, into=planes.planes)
     parts = min(_PARTS, -(-planes.pixels // 256))
     sums = chain.array("variance_parts", 6 * parts)
-    numbers = {"pixels": planes.pixels, "part_count": parts, "view_count": count}
+    numbers: dict[str, Any] = {"pixels": planes.pixels, "part_count": parts, "view_count": count}
     chain.add("variance", [planes.planes, sums], groups=(parts,), uses=("shared", "variance_reduction"), **numbers)
     chain.add("variance_sum", [sums, planes.stats], groups=(1,), uses=("shared", "variance_reduction"), **numbers)
     _add_guide_scale(
@@ -182,7 +182,7 @@ def _add_blur(
     first: int,
     count: int,
     replicate: bool,
-    sparse: tuple[Array, dict[str, int]] | None = None,
+    sparse: tuple[Array, dict[str, Any]] | None = None,
     into: Array | None = None,
 ) -> Array:
     """Add a Gaussian of some planes; ``sparse``: where there are unusable pixels, at them and not elsewhere."""
