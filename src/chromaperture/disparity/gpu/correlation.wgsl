@@ -1,25 +1,21 @@
-// The score of every layer of a chunk: windows of the products along y, less the means, over the deviations. Two views
-// have their correlation; three have 1 - sqrt(det) of theirs. `recent` holds a block of columns' backward recursion.
+// The score of every layer of a chunk: covariances joined along y, times the gains. Two views have their correlation;
+// three have 1 - sqrt(det) of theirs.
 
-@group(0) @binding(0) var<storage, read> products_01: array<f32>;  // (h + 2 pad_y, w, C)
-@group(0) @binding(1) var<storage, read> products_02: array<f32>;  // the same three times for two views
-@group(0) @binding(2) var<storage, read> products_12: array<f32>;
-@group(0) @binding(3) var<storage, read> places: array<i32>;  // (K, C, 4): entry, whole px along x, along y, 0
-@group(0) @binding(4) var<storage, read> windows: array<vec2f>;  // (h + 2 pad_y, w + 2 pad_x, E): mean, gain
-@group(0) @binding(5) var<storage, read_write> score: array<f32>;  // (h, w, pitch)
+@group(0) @binding(0) var<storage, read> covariances: array<Covariances>;  // (h + 2 pad_y, w, C), along x
+@group(0) @binding(1) var<storage, read> places: array<i32>;  // (K, C, 4): entry, whole px along x, along y, 0
+@group(0) @binding(2) var<storage, read> along_x: array<vec2f>;  // (h + 2 pad_y, w + 2 pad_x, E): mean, variance
+@group(0) @binding(3) var<storage, read> gains: array<f32>;  // (h + 2 pad_y, w + 2 pad_x, E)
+@group(0) @binding(4) var<storage, read_write> score: array<f32>;  // (h, w, pitch)
 
-fn window_at(view: u32, layer: u32, x: u32, y: u32) -> vec2f {
-    let at = 4u * (view * layer_count + layer);
-    let column = inside(i32(x) + places[at + 1u] + i32(pad_x), width + 2u * pad_x);
-    let row = inside(i32(y) + places[at + 2u] + i32(pad_y), height + 2u * pad_y);
-    return windows[(row * (width + 2u * pad_x) + column) * entry_count + u32(places[at])];
+struct Moments {
+    means: Means,
+    covariances: Covariances,
 }
 
-fn products(x: u32, y: i32, layer: u32) -> vec3f {
-    let at = (inside(y + i32(pad_y), height + 2u * pad_y) * width + x) * layer_count + layer;
-    var found = vec3f(products_01[at], 0.0, 0.0);
-    if (view_count == 3u) { found = vec3f(found.x, products_02[at], products_12[at]); }
-    return found;
+fn followed(state: Moments, next: Moments) -> Moments {
+    let apart = next.means - state.means;
+    let joined = (1.0 - decay) * next.covariances + decay * (state.covariances + (1.0 - decay) * products(apart));
+    return Moments(state.means + (1.0 - decay) * apart, joined);
 }
 
 @compute @workgroup_size(64)
@@ -34,30 +30,44 @@ fn main(
     let x = (i / layer_count) % width;
     let first = i32((i / (layer_count * width)) * block);
     let end = min(first + i32(block), i32(height));
-    let norm = (1.0 - decay) / (1.0 + decay);
-    var recent: array<vec3f, block>;
-    var state = products(x, end - 1i + i32(reach), layer) / (1.0 - decay);
-    for (var y = end - 2i + i32(reach); y >= end; y--) { state = products(x, y, layer) + decay * state; }
-    for (var y = end - 1i; y >= first; y--) {
-        state = products(x, y, layer) + decay * state;
-        recent[y - first] = state;
+    let tall = height + 2u * pad_y;
+    let wide = width + 2u * pad_x;
+    var starts: array<u32, view_count>;  // of the columns of windows that the layer reads
+    var rows: array<i32, view_count>;
+    for (var k = 0u; k < view_count; k++) {
+        let at = 4u * (k * layer_count + layer);
+        starts[k] = inside(i32(x + pad_x) + places[at + 1u], wide) * entry_count + u32(places[at]);
+        rows[k] = places[at + 2u] + i32(pad_y);
     }
-    state = products(x, first - i32(reach), layer) / (1.0 - decay);
-    for (var y = first - i32(reach) + 1i; y < first; y++) { state = products(x, y, layer) + decay * state; }
-    for (var y = first; y < end; y++) {
-        let own = products(x, y, layer);
-        state = own + decay * state;
-        let moments = (state + recent[y - first] - own) * norm;
-        let v0 = window_at(0u, layer, x, u32(y));
-        let v1 = window_at(1u, layer, x, u32(y));
-        var found = clamp((moments.x - v0.x * v1.x) * v0.y * v1.y, -1.0, 1.0);
-        if (view_count == 3u) {
-            let v2 = window_at(2u, layer, x, u32(y));
-            let r02 = clamp((moments.y - v0.x * v2.x) * v0.y * v2.y, -1.0, 1.0);
-            let r12 = clamp((moments.z - v1.x * v2.x) * v1.y * v2.y, -1.0, 1.0);
-            let determinant = 1.0 + 2.0 * found * r02 * r12 - found * found - r02 * r02 - r12 * r12;
-            found = 1.0 - sqrt(max(determinant, 0.0));
+    var after: array<Moments, block>;
+    var state = Moments();
+    for (var y = end + i32(reach); y >= first; y--) {
+        if (y < end) { after[y - first] = state; }
+        var here = Moments();
+        for (var k = 0u; k < view_count; k++) {
+            here.means[k] = along_x[starts[k] + inside(y + rows[k], tall) * wide * entry_count].x;
         }
-        score[(u32(y) * width + x) * pitch + first_layer + layer] = found;
+        here.covariances = covariances[(inside(y + i32(pad_y), tall) * width + x) * layer_count + layer];
+        if (y == end + i32(reach)) { state = here; }
+        state = followed(state, here);
+    }
+    for (var y = first - i32(reach); y < end; y++) {
+        var here = Moments();
+        for (var k = 0u; k < view_count; k++) {
+            here.means[k] = along_x[starts[k] + inside(y + rows[k], tall) * wide * entry_count].x;
+        }
+        here.covariances = covariances[(inside(y + i32(pad_y), tall) * width + x) * layer_count + layer];
+        if (y == first - i32(reach)) { state = here; }
+        state = followed(state, here);
+        if (y >= first) {
+            let other = after[y - first];
+            let joined = (state.covariances + decay * other.covariances) / (1.0 + decay)
+                + decay / ((1.0 + decay) * (1.0 + decay)) * products(state.means - other.means);
+            var gain = Means();
+            for (var k = 0u; k < view_count; k++) {
+                gain[k] = gains[starts[k] + inside(y + rows[k], tall) * wide * entry_count];
+            }
+            score[(u32(y) * width + x) * pitch + first_layer + layer] = score_of(joined * products(gain));
+        }
     }
 }

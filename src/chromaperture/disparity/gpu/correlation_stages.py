@@ -3,6 +3,7 @@
 Layers share samples: a view moved by whole px is the same samples elsewhere. So each view is sampled and windowed once
 at every sub-pixel phase (an entry), and a layer only windows the product of two entries. Layers come in chunks whose
 entries fit the memory: 32 layers of two halves need 8 entries, three filters one each for every layer and view.
+Windows are joined from deviations, not from mean squares, so that 32 bits hold the scores of even areas, too.
 """
 
 from __future__ import annotations
@@ -16,11 +17,10 @@ import numpy as np
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import SHARED, Planes, invocations
 from chromaperture.disparity.stages.correlation import RELATIVE_EPSILON, SAMPLING, padding
-from chromaperture.disparity.views import view_pairs
 from chromaperture.stage_config import CorrelationConfig
 
 # Share of a window's weight that lies beyond the samples a block of a line starts from, where the picture counts as
-# even: mean and square see the same weights, so that it is a share of the score's error, not of the means'.
+# even.
 _NEGLIGIBLE = 1e-5
 _BLOCK = 32  # columns or rows that one invocation takes; of 16, 32 and 64 the fastest on lavapipe, by 10 %
 _CHUNK_BYTES = 128e6  # of the largest array of a chunk: WebGPU's default limit of a binding
@@ -118,11 +118,11 @@ def add_correlation(
     volume = _largest(chain, "score", [planes.pixels * (pitch or c.count) for c in chunks])
     samples_y = _largest(chain, "samples_y", [tall * planes.width * len(c.phases_y) for c in chunks])
     samples = _largest(chain, "samples", [tall * wide * len(c.phases_x) for c in chunks])
-    windows_x, windows = (
-        _largest(chain, name, [2 * tall * wide * len(c.phases_x) for c in chunks]) for name in ("windows_x", "windows")
-    )
-    pairs = view_pairs(planes.view_count)
-    products = [_largest(chain, f"products_{k}{m}", [tall * planes.width * c.count for c in chunks]) for k, m in pairs]
+    windows = _largest(chain, "windows", [2 * tall * wide * len(c.phases_x) for c in chunks])
+    gains = _largest(chain, "gains", [tall * wide * len(c.phases_x) for c in chunks])
+    words = 1 if planes.view_count == 2 else 4  # of the covariances of all pairs; WGSL aligns three to four
+    covariances = _largest(chain, "covariances", [words * tall * planes.width * c.count for c in chunks])
+    pairs = "pairs_two" if planes.view_count == 2 else "pairs_three"
     reach = math.ceil(math.log(_NEGLIGIBLE) / math.log(config.window_decay))
     window: dict[str, Any] = {"decay": float(config.window_decay), "reach": reach, "block": _BLOCK}
     size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_x": pad_x, "pad_y": pad_y}
@@ -144,29 +144,23 @@ def add_correlation(
         )  # fmt: skip
         frame: dict[str, Any] = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
         chain.add(
-            "windows_x",
-            [samples, windows_x],
-            groups=invocations(tall * -(-wide // _BLOCK) * entries),
-            uses=SHARED,
-            **frame,
+            "windows_x", [samples, windows], groups=invocations(tall * -(-wide // _BLOCK) * entries), uses=SHARED, **frame
         )
         chain.add(
-            "windows_y", [windows_x, taps_x, taps_y, planes.stats, windows],
+            "windows_y", [windows, taps_x, taps_y, planes.stats, gains],
             groups=invocations(wide * -(-tall // _BLOCK) * entries), uses=SHARED,
             relative_epsilon=RELATIVE_EPSILON, **frame,
         )  # fmt: skip
         layers: dict[str, Any] = {"layer_count": chunk.count, "entry_count": entries, **size, **window}
-        for (k, m), product in zip(pairs, products, strict=True):
-            chain.add(
-                "products_x", [samples, places, product],
-                groups=invocations(tall * -(-planes.width // _BLOCK) * chunk.count), uses=SHARED,
-                first_view=k, second_view=m, **layers,
-            )  # fmt: skip
-        three = products if len(products) == 3 else products * 3
+        layers["view_count"] = planes.view_count
         chain.add(
-            "correlation", [*three, places, windows, volume],
-            groups=invocations(planes.width * -(-planes.height // _BLOCK) * chunk.count), uses=SHARED,
-            view_count=planes.view_count, pitch=pitch or chunk.count, first_layer=chunk.first if pitch else 0, **layers,
+            "products_x", [samples, places, covariances],
+            groups=invocations(tall * -(-planes.width // _BLOCK) * chunk.count), uses=("shared", pairs), **layers,
+        )  # fmt: skip
+        chain.add(
+            "correlation", [covariances, places, windows, gains, volume],
+            groups=invocations(planes.width * -(-planes.height // _BLOCK) * chunk.count), uses=("shared", pairs),
+            pitch=pitch or chunk.count, first_layer=chunk.first if pitch else 0, **layers,
         )  # fmt: skip
         yield volume, chunk
 

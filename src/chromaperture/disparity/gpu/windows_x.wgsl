@@ -1,13 +1,19 @@
-// Windows of the samples and of their squares along x: weights decay^|x|, normalised, the picture continued beyond its
-// border. One invocation takes `block` columns; its recursions start `reach` before them as if the picture were even
-// from there on, which leaves the sum of the weights at 1.
+// Mean and variance of the samples in a window along x: weights decay^|x|, normalised, the picture continued beyond its
+// border. The recursion (West 1979) is of deviations from the mean so far: E[v^2] - E[v]^2 would lose what little
+// texture a bright even area has to the rounding of 32 bits. The samples up to a pixel and those after it are two
+// groups, whose moments are joined. One invocation takes `block` columns; its recursions start `reach` before them as if
+// the picture were even from there on.
 
 @group(0) @binding(0) var<storage, read> samples: array<f32>;  // (rows, columns, E)
-@group(0) @binding(1) var<storage, read_write> windows: array<vec2f>;  // (rows, columns, E): of value and square
+@group(0) @binding(1) var<storage, read_write> windows: array<vec2f>;  // (rows, columns, E): mean, variance
 
-fn value(row: u32, x: i32, e: u32) -> vec2f {
-    let found = samples[(row * columns + inside(x, columns)) * entry_count + e];
-    return vec2f(found, found * found);
+fn value(row: u32, x: i32, e: u32) -> f32 {
+    return samples[(row * columns + inside(x, columns)) * entry_count + e];
+}
+
+fn followed(state: vec2f, next: f32) -> vec2f {
+    let apart = next - state.x;
+    return vec2f(state.x + (1.0 - decay) * apart, decay * (state.y + (1.0 - decay) * apart * apart));
 }
 
 @compute @workgroup_size(64)
@@ -22,18 +28,20 @@ fn main(
     let row = i / (blocks * entry_count);
     let first = i32(((i / entry_count) % blocks) * block);
     let end = min(first + i32(block), i32(columns));
-    var state = value(row, end - 1i + i32(reach), e) / (1.0 - decay);
-    for (var x = end - 2i + i32(reach); x >= end; x--) { state = value(row, x, e) + decay * state; }
+    var state = vec2f(value(row, end + i32(reach), e), 0.0);
+    for (var x = end - 1i + i32(reach); x >= end; x--) { state = followed(state, value(row, x, e)); }
     for (var x = end - 1i; x >= first; x--) {
-        state = value(row, x, e) + decay * state;
-        windows[(row * columns + u32(x)) * entry_count + e] = state;
+        windows[(row * columns + u32(x)) * entry_count + e] = state;  // of what comes after the pixel
+        state = followed(state, value(row, x, e));
     }
-    state = value(row, first - i32(reach), e) / (1.0 - decay);
-    for (var x = first - i32(reach) + 1i; x < first; x++) { state = value(row, x, e) + decay * state; }
+    state = vec2f(value(row, first - i32(reach), e), 0.0);
+    for (var x = first - i32(reach) + 1i; x < first; x++) { state = followed(state, value(row, x, e)); }
     for (var x = first; x < end; x++) {
-        let own = value(row, x, e);
         let at = (row * columns + u32(x)) * entry_count + e;
-        state = own + decay * state;
-        windows[at] = (state + windows[at] - own) * ((1.0 - decay) / (1.0 + decay));
+        state = followed(state, value(row, x, e));
+        let after = windows[at];
+        let apart = state.x - after.x;
+        windows[at] = (state + decay * after) / (1.0 + decay)
+            + vec2f(0.0, decay / ((1.0 + decay) * (1.0 + decay)) * apart * apart);
     }
 }

@@ -1,13 +1,19 @@
-// The windows of `windows_x.wgsl` along y, and from them mean and gain, 1 / standard deviation, of every sample.
+// The windows of `windows_x.wgsl` joined along y, and from them the gain, 1 / standard deviation, of every sample.
 
-@group(0) @binding(0) var<storage, read> along_x: array<vec2f>;  // (rows, columns, E)
+@group(0) @binding(0) var<storage, read> along_x: array<vec2f>;  // (rows, columns, E): mean, variance
 @group(0) @binding(1) var<storage, read> phases: array<f32>;  // (E, 5)
 @group(0) @binding(2) var<storage, read> views: array<f32>;  // (Ey, 5): the view of each phase along y is the last
 @group(0) @binding(3) var<storage, read> stats: array<f32>;
-@group(0) @binding(4) var<storage, read_write> windows: array<vec2f>;  // (rows, columns, E): mean, gain
+@group(0) @binding(4) var<storage, read_write> gains: array<f32>;  // (rows, columns, E)
 
 fn value(x: u32, y: i32, e: u32) -> vec2f {
     return along_x[(inside(y, row_count) * columns + x) * entry_count + e];
+}
+
+fn followed(state: vec2f, next: vec2f) -> vec2f {
+    let apart = next.x - state.x;
+    let variance = (1.0 - decay) * next.y + decay * (state.y + (1.0 - decay) * apart * apart);
+    return vec2f(state.x + (1.0 - decay) * apart, variance);
 }
 
 @compute @workgroup_size(64)
@@ -24,20 +30,21 @@ fn main(
     let end = min(first + i32(block), i32(row_count));
     let view = u32(views[5u * u32(phases[5u * e + 4u]) + 4u]);
     let floor_ = relative_epsilon * stats[VARIANCE + view] + 1.0e-30;
-    var state = value(x, end - 1i + i32(reach), e) / (1.0 - decay);
-    for (var y = end - 2i + i32(reach); y >= end; y--) { state = value(x, y, e) + decay * state; }
+    var after: array<vec2f, block>;
+    var state = value(x, end + i32(reach), e);
+    for (var y = end - 1i + i32(reach); y >= end; y--) { state = followed(state, value(x, y, e)); }
     for (var y = end - 1i; y >= first; y--) {
-        state = value(x, y, e) + decay * state;
-        windows[(u32(y) * columns + x) * entry_count + e] = state;
+        after[y - first] = state;
+        state = followed(state, value(x, y, e));
     }
-    state = value(x, first - i32(reach), e) / (1.0 - decay);
-    for (var y = first - i32(reach) + 1i; y < first; y++) { state = value(x, y, e) + decay * state; }
+    state = value(x, first - i32(reach), e);
+    for (var y = first - i32(reach) + 1i; y < first; y++) { state = followed(state, value(x, y, e)); }
     for (var y = first; y < end; y++) {
-        let own = value(x, y, e);
-        let at = (u32(y) * columns + x) * entry_count + e;
-        state = own + decay * state;
-        let moments = (state + windows[at] - own) * ((1.0 - decay) / (1.0 + decay));
-        let variance = max(moments.y - moments.x * moments.x, 0.0);
-        windows[at] = vec2f(moments.x, inverseSqrt(variance + floor_));
+        state = followed(state, value(x, y, e));
+        let other = after[y - first];
+        let apart = state.x - other.x;
+        let variance = (state.y + decay * other.y) / (1.0 + decay)
+            + decay / ((1.0 + decay) * (1.0 + decay)) * apart * apart;
+        gains[(u32(y) * columns + x) * entry_count + e] = inverseSqrt(variance + floor_);
     }
 }
