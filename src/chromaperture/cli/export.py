@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from chromaperture.cli.options import BlackLevel, Camera, MaxRelativeSigma, Quality, Quiet, WhiteLevel
+from chromaperture.cli.options import BlackLevel, Camera, Device, MaxRelativeSigma, Quality, Quiet, WhiteLevel
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ def export(
     ],
     camera: Camera,
     quality: Quality = "real-time",
+    device: Device = "auto",
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
@@ -40,7 +41,7 @@ def export(
     from chromaperture.products.rectified import undistorter
     from chromaperture.products.tum import write_tum
 
-    eye = camera_for(out, camera, None, quality=quality, config=None)
+    eye = camera_for(out, camera, None, quality=quality, config=None, device=device)
     to_view = undistorter(eye)
     compile_kernels(quality, quiet=quiet)
     stream = open_stream(source, calibration=eye.calibration, black_level=black_level, white_level=white_level)

@@ -22,6 +22,7 @@ def camera_for(
     quality: str,
     config: Path | None,
     scale: int | Literal["auto"] = "auto",
+    device: str = "auto",
 ) -> CodedApertureCamera:
     """Open the camera file, or make an uncalibrated camera of the image's size for a design."""
     if (camera is None) == (design is None):
@@ -32,4 +33,4 @@ def camera_for(
         width, height = image_size(image)
         calibration = Calibration.uncalibrated(cast(str, design), width_px=width, height_px=height)
     settings = default_config(calibration, cast(Quality, quality), scale=scale)
-    return CodedApertureCamera(calibration, settings if config is None else with_file(settings, config))
+    return CodedApertureCamera(calibration, settings if config is None else with_file(settings, config), device=device)

@@ -20,7 +20,10 @@ CPU in between: what depends on the picture (means, percentiles) stays in arrays
 
 from __future__ import annotations
 
+import importlib.util
 import math
+import os
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -311,6 +314,11 @@ def _text(stage: str) -> str:
     return resources.files(__package__).joinpath(f"{stage}.wgsl").read_text(encoding="utf-8")
 
 
+def has_extra() -> bool:
+    """Whether the extra ``gpu`` is installed."""
+    return importlib.util.find_spec("wgpu") is not None
+
+
 def adapters() -> list[AdapterInfo]:
     """Return all adapters, real devices first; empty without the extra or without a driver."""
     return [info for info, _ in _found_adapters()]
@@ -361,6 +369,8 @@ def _opened(info: AdapterInfo, adapter: Any) -> Device:
 def _found_adapters() -> list[tuple[AdapterInfo, Any]]:
     try:
         wgpu = _wgpu()
+        # A Linux driver that looks for a display complains to standard error where this is not set.
+        os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
         found = list(wgpu.gpu.enumerate_adapters_sync())
     except (MissingDependencyError, RuntimeError, OSError):
         return []
