@@ -128,12 +128,8 @@ class BlurEvidence:
         blur = self.blur
         noise_variance = self.noise.variance(image) if self.noise.is_known else None
         image = np.where(np.isfinite(image), image, np.float32(0))
+        self.check_size(image)
         height, width = image.shape[:2]
-        if (width, height) != (blur.width_px, blur.height_px):
-            raise InputError(
-                f"the camera's blur was fitted for {blur.width_px} x {blur.height_px} px, the image has "
-                f"{width} x {height}"
-            )
         margin = 2 * float(np.abs(layers_px).max()) / blur.reach + BANDS_MARGIN_PX  # both blurs, and the bands
         nodes = Nodes(height, width, margin_px=margin)
         spectra = nodes.spectra(
@@ -164,6 +160,15 @@ class BlurEvidence:
 
         parallel_map(fill, range(len(layers_px)))
         return correlation
+
+    def check_size(self, image: np.ndarray) -> None:
+        """Raise InputError where the image is not of the blur's size."""
+        (height, width), blur = image.shape[:2], self.blur
+        if (width, height) != (blur.width_px, blur.height_px):
+            raise InputError(
+                f"the camera's blur was fitted for {blur.width_px} x {blur.height_px} px, the image has "
+                f"{width} x {height}"
+            )
 
     def _cross_filtered(
         self, channels: tuple[int, ...], nodes: Nodes, tiles: Sequence[_Tile], inverse_mm: float

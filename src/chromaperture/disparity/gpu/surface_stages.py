@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from chromaperture.disparity.gpu.device import Array, Chain
+from chromaperture.disparity.planar import AGREEMENT_SIGMAS, AGREEMENT_WINDOW_PX
 from chromaperture.disparity.stages.between_layers import TANGENTS
 from chromaperture.disparity.stages.paths import LEAST_UNEXPLAINED, LINES, penalties_of
 from chromaperture.disparity.stages.variation import OPERATOR_NORM_SQUARED
@@ -231,3 +232,29 @@ def add_posterior(
         chain, "volume_posterior", [surface, cost, sigma], grid,
         count=grid.layers, temperature=config.temperature * config.paths,
     )  # fmt: skip
+
+
+def add_block_sums(chain: Chain, a: SurfaceArrays, grid: Grid, size: int) -> Array:
+    """Append sums of the volume over squares of pixels, as `planar.block_sums`."""
+    entries = (grid.height // size) * (grid.width // size) * grid.layers
+    blocks = chain.array("blocks", entries)
+    chain.add(
+        "block_sums", [a.likelihood, blocks], groups=groups_for(entries), uses=("indexing",),
+        height=grid.height, width=grid.width, count=grid.layers, size=size,
+    )  # fmt: skip
+    return blocks
+
+
+def add_taken_planes(chain: Chain, a: SurfaceArrays, grid: Grid) -> None:
+    """Append `planar.where_they_agree`, for the labels of planes that go up as "plane_labels"."""
+    labels, apart = (chain.array(name, grid.pixels) for name in ("plane_labels", "apart"))
+    per_pixel(chain, "planes_apart", [labels, a.surface, a.sigma, apart], grid, sigmas=AGREEMENT_SIGMAS)
+    per_pixel(chain, "planes_taken", [labels, apart, a.surface], grid, window=AGREEMENT_WINDOW_PX)
+
+
+def add_results(chain: Chain, a: SurfaceArrays, grid: Grid, *, reach_px: int) -> None:
+    """Append the range about every pixel, `error_bar.local_range`, and what leaves the device: (h, w, 4)."""
+    rows, extent, results = (chain.array(name, 4 * grid.pixels) for name in ("range_rows", "extent", "results"))
+    for before, after, along_x in ((a.surface, rows, True), (rows, extent, False)):
+        per_pixel(chain, "range_line", [before, after], grid, reach=reach_px, along_x=along_x)
+    per_pixel(chain, "surface_results", [a.surface, a.sigma, extent, a.likelihood, results], grid, count=grid.layers)
