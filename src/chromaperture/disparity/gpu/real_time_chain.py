@@ -28,7 +28,6 @@ from chromaperture.disparity.views import ViewSpace
 
 _CLOSED = 1e4  # nats; cost of layers that only fill the last vector
 _LANES = 4  # invocations that share a path
-_LINES = 64 // _LANES  # paths of a workgroup
 
 
 def add_real_time(
@@ -103,10 +102,12 @@ def _add_paths(
         chain.array(name, planes.pixels * pitch // 2, np.uint32)
         for name in ("rightward", "leftward", "downward", "upward")
     ]
-    exchange = "lanes_quad" if chain.device.subgroups else "lanes_shared"
+    exchange, lanes = "lanes_quad", _LANES
+    if not chain.device.subgroups:  # barriers of a rasteriser in software take three times as long as the paths
+        exchange, lanes = ("lanes_single", 1) if chain.device.info.is_software else ("lanes_shared", _LANES)
     chain.add(
         "four_paths", [likelihood, planes.planes, planes.stats, *costs],
-        groups=(-(-max(planes.width, planes.height) // _LINES), 4), uses=("shared", exchange),
+        groups=(-(-max(planes.width, planes.height) // (64 // lanes)), 4), uses=("shared", exchange),
         guide_plane=planes.view_count * planes.pixels, pitch=pitch, jump=paths.jump_penalty,
         edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
     )  # fmt: skip
