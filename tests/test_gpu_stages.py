@@ -199,7 +199,7 @@ def test_paper_as_a_whole(case):
 @cache
 def paper_chain(design: str) -> Chain:
     chain = Chain(open_device("gpu"))
-    add_paper(chain, chain.array("image", 3 * SHAPE[0] * SHAPE[1]), SHAPE, PAPER, method_of(design).space)
+    add_paper(chain, chain.array("image", 3 * SHAPE[0] * SHAPE[1]), SHAPE, PAPER, method_of(design, PAPER).space)
     return chain
 
 
@@ -207,9 +207,9 @@ def paper_chain(design: str) -> Chain:
 def test_chunks_of_layers_change_nothing(design, monkeypatch):
     image = wavy_capture(design, shape=SHAPE)
     whole = run(paper_chain(design), image, SHAPE, ["disparity"]).arrays["disparity"]
-    monkeypatch.setattr(correlation_stages, "_CHUNK_BYTES", 8 * 60 * 80 * 7)  # seven entries, with what is padded
+    monkeypatch.setattr(correlation_stages, "_CHUNK_BYTES", 8 * 60 * 80 * 4)  # some four entries, with what is padded
     chain = Chain(open_device("gpu"))
-    add_paper(chain, chain.array("image", image.size), SHAPE, PAPER, method_of(design).space)
+    add_paper(chain, chain.array("image", image.size), SHAPE, PAPER, method_of(design, PAPER).space)
     assert len(chain.dispatches) > len(paper_chain(design).dispatches)
     np.testing.assert_array_equal(run(chain, image, SHAPE, ["disparity"]).arrays["disparity"], whole)
 

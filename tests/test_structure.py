@@ -210,7 +210,8 @@ def test_the_execution_is_chosen_in_one_place():
     cpu, _ = EXECUTIONS
     found = {where: executions_imported(text, package_of(where)) for where, text in SOURCES.items()}
     importers = {where for where, modules in found.items() if modules}
-    outside = {where for where in importers if not where.startswith(("disparity/cpu/", "disparity/stages/", "disparity/gpu/"))}
+    executions = ("disparity/cpu/", "disparity/stages/", "disparity/gpu/")
+    outside = {where for where in importers if not where.startswith(executions)}
     assert outside == MAY_IMPORT_EXECUTIONS
     assert {where for where, modules in found.items() if modules & set(EXECUTIONS)} == {"disparity/execution.py"}
     of_cpu = {where for where, modules in found.items() if any(module.startswith(cpu) for module in modules)}

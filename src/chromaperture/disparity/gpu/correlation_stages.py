@@ -144,7 +144,11 @@ def add_correlation(
         )  # fmt: skip
         frame: dict[str, Any] = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
         chain.add(
-            "windows_x", [samples, windows], groups=invocations(tall * -(-wide // _BLOCK) * entries), uses=SHARED, **frame
+            "windows_x",
+            [samples, windows],
+            groups=invocations(tall * -(-wide // _BLOCK) * entries),
+            uses=SHARED,
+            **frame,
         )
         chain.add(
             "windows_y", [windows, taps_x, taps_y, planes.stats, gains],

@@ -27,12 +27,12 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
-from importlib import resources
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from chromaperture.disparity.gpu.shader_text import shader
 from chromaperture.errors import InputError, MissingDependencyError, OutOfMemoryError
 
 MOST_GROUPS = 65_535  # workgroups along an axis of a dispatch: WebGPU's default limit
@@ -287,31 +287,6 @@ def _encode(one_pass: Any, dispatch: Dispatch) -> None:
     one_pass.set_pipeline(dispatch.pipeline)
     one_pass.set_bind_group(0, dispatch.bindings)
     one_pass.dispatch_workgroups(*dispatch.groups)
-
-
-def shader(stage: str, uses: Sequence[str], constants: Mapping[str, Any]) -> str:
-    """Return the source of a stage behind its constants and the functions that it uses."""
-    lines = [f"const {name} = {_literal(value)};" for name, value in constants.items()]
-    return "\n".join([*lines, *map(_text, uses), _text(stage)])
-
-
-def _literal(value: Any) -> str:
-    """Write a constant in WGSL."""
-    if isinstance(value, bool | np.bool_):
-        return str(bool(value)).lower()
-    if isinstance(value, int | np.integer):
-        return f"{value}u" if value >= 0 else f"{value}i"
-    if isinstance(value, float | np.floating):
-        if not math.isfinite(value):
-            raise InputError(f"a constant of a shader must be finite, got {value}")
-        return f"{np.float32(value)!s}f"
-    numbers = [f"{np.float32(v)!s}f" for v in value]
-    return f"array<f32, {len(numbers)}>({', '.join(numbers)})"
-
-
-@cache
-def _text(stage: str) -> str:
-    return resources.files(__package__).joinpath(f"{stage}.wgsl").read_text(encoding="utf-8")
 
 
 def has_extra() -> bool:
