@@ -80,6 +80,7 @@ class Dispatch(NamedTuple):
     bindings: Any
     groups: tuple[int, int, int]
     arrays: tuple[Array, ...]
+    constants: Mapping[str, Any]
 
 
 @dataclass
@@ -200,7 +201,7 @@ class Chain:
         with device_errors(self.device.info.name):
             layout = pipeline.get_bind_group_layout(0)
             bindings = self.device.handle.create_bind_group(layout=layout, entries=entries)
-        self.dispatches.append(Dispatch(stage, pipeline, bindings, (count[0], count[1], count[2]), tuple(arrays)))
+        self.dispatches.append(Dispatch(stage, pipeline, bindings, (count[0], count[1], count[2]), tuple(arrays), constants))
 
     def run(self, inputs: Mapping[str, np.ndarray], outputs: Sequence[str]) -> dict[str, np.ndarray]:
         """Send the inputs, run all stages and return the outputs, flat; raises DeviceError, OutOfMemoryError."""

@@ -163,7 +163,7 @@ def add_two_views(chain: Chain, image: Array, size: tuple[int, int], rows: np.nd
     side = LIGHT_WINDOW_PX
     spacing, first_y, first_x = side // 2, min(side // 4, height - 1), min(side // 4, width - 1)
     samples_x, samples_y = math.ceil((width - first_x) / spacing), math.ceil((height - first_y) / spacing)
-    cells = {"cells_x": max(1, width // side), "cells_y": max(1, height // side)}
+    cells: dict[str, Any] = {"cells_x": max(1, width // side), "cells_y": max(1, height // side)}
     lacking = chain.array("lacking", cells["cells_x"] * cells["cells_y"])
     red, green, blue = (float(matched) for matched in np.any(rows, axis=0))
     chain.add(
