@@ -50,7 +50,8 @@ def operations(dispatch: Dispatch) -> float:
     c: Mapping[str, Any] = dispatch.constants
     invocations = 64.0 * dispatch.groups[0] * dispatch.groups[1]
     repeated = (c["block"] + c["reach"]) / c["block"] if "block" in c else 1.0
-    pairs = {2: 1, 3: 3}.get(c.get("view_count", 0), 1)
+    views = c.get("view_count", 0)
+    pairs = 3 if views == 3 else 1
     per: dict[str, Callable[[], float]] = {
         "light": lambda: 8 * c["pixels"],
         "views": lambda: 24 * invocations,
@@ -63,10 +64,10 @@ def operations(dispatch: Dispatch) -> float:
         "sample_x": lambda: 8 * invocations,
         "windows_x": lambda: c["block"] * (2 * repeated * 6 + 6) * invocations,
         "windows_y": lambda: c["block"] * (2 * repeated * 8 + 8) * invocations,
-        "products_x": lambda: c["block"] * (2 * repeated * (3 * c["view_count"] + 4 * pairs) + 6 * pairs) * invocations,
-        "correlation": lambda: c["block"] * (2 * repeated * (3 * c["view_count"] + 6 * pairs) + 8 * pairs) * invocations,
+        "products_x": lambda: c["block"] * (2 * repeated * (3 * views + 4 * pairs) + 6 * pairs) * invocations,
+        "correlation": lambda: c["block"] * (2 * repeated * (3 * views + 6 * pairs) + 8 * pairs) * invocations,
         "likelihood": lambda: (22 if c["labelled"] else 7) * invocations,
-        "four_paths": lambda: 4 * 9 * c["width"] * c["height"] * c["pitch"],
+        "four_paths": lambda: 9 * c["width"] * c["height"] * c["pitch"],
         "path_winner": lambda: 17 * c["width"] * c["height"] * c["pitch"],
         "smoothing": lambda: 18 * c["width"] * c["height"] * c["map_count"],
         "surface": lambda: 2 * 15 * 5 * invocations,
@@ -121,7 +122,8 @@ def benchmark(device: str, quality: str, design: str, size: tuple[int, int], ban
     stages = stages_of(chain, image, bandwidth=bandwidth, rate=rate)
     info = chain.device.info
     return {
-        "device": info.name, "software": info.is_software, "quality": quality, "design": design, "size": f"{width}x{height}",
+        "device": info.name, "software": info.is_software,
+        "quality": quality, "design": design, "size": f"{width}x{height}",
         "share_within_0.02_px_of_numba": round(agreeing, 4),
         "ratio_to_numba_wall": round(best["device_wall_ms"] / best["numba_wall_ms"], 2),
         "ratio_to_numba_cpu": round(best["device_cpu_ms"] / best["numba_cpu_ms"], 2),

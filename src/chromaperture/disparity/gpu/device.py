@@ -25,7 +25,7 @@ import math
 import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -70,12 +70,14 @@ class Array(NamedTuple):
     buffer: Any
     size: int
     dtype: np.dtype
+    is_constant: bool = False
 
 
 class Dispatch(NamedTuple):
     """A stage over its arrays."""
 
     stage: str
+    source: str
     pipeline: Any
     bindings: Any
     groups: tuple[int, int, int]
@@ -152,7 +154,8 @@ class Chain:
         values = np.asarray(values)
         dtype = values.dtype if values.dtype in (np.int32, np.uint32) else np.dtype(np.float32)
         values = np.ascontiguousarray(values, dtype)
-        made = self.array(name, values.size, dtype.type)
+        made = self.array(name, values.size, dtype.type)._replace(is_constant=True)
+        self.arrays[name] = made
         self.write(made, values)
         return made
 
@@ -193,7 +196,8 @@ class Chain:
         count = tuple(max(1, math.ceil(g)) for g in (*groups, 1, 1)[:3])
         if max(count) > MOST_GROUPS or len(arrays) > MOST_BINDINGS:
             raise InputError(f"stage {stage}: {count} workgroups, {len(arrays)} arrays; the picture is too large")
-        pipeline = self.device.pipeline(shader(stage, uses, constants), entry)
+        source = shader(stage, uses, constants)
+        pipeline = self.device.pipeline(source, entry)
         entries = [
             {"binding": i, "resource": {"buffer": a.buffer, "offset": 0, "size": a.buffer.size}}
             for i, a in enumerate(arrays)
@@ -201,7 +205,9 @@ class Chain:
         with device_errors(self.device.info.name):
             layout = pipeline.get_bind_group_layout(0)
             bindings = self.device.handle.create_bind_group(layout=layout, entries=entries)
-        self.dispatches.append(Dispatch(stage, pipeline, bindings, (count[0], count[1], count[2]), tuple(arrays), constants))
+        self.dispatches.append(
+            Dispatch(stage, source, pipeline, bindings, (count[0], count[1], count[2]), tuple(arrays), constants)
+        )
 
     def run(self, inputs: Mapping[str, np.ndarray], outputs: Sequence[str]) -> dict[str, np.ndarray]:
         """Send the inputs, run all stages and return the outputs, flat; raises DeviceError, OutOfMemoryError."""
@@ -374,7 +380,8 @@ def _wgpu() -> Any:
     except ImportError as error:
         raise MissingDependencyError(f"a GPU needs the extra: pip install 'chromaperture[gpu]' ({error})") from None
     # Not OpenGL: it lacks storage that compute shaders need, and looking for it writes to standard error.
-    set_instance_extras(backends=["Vulkan", "Metal", "DX12"])
+    with suppress(RuntimeError):  # somebody else in this process was first
+        set_instance_extras(backends=["Vulkan", "Metal", "DX12"])
     return wgpu
 
 

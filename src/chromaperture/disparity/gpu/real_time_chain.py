@@ -61,7 +61,7 @@ def add_real_time(
     frame: dict[str, Any] = {"width": planes.width, "height": planes.height}
     likelihood = chain.array("likelihood", volume)
     chain.add(
-        "likelihood", [score, labels, planes.planes, likelihood], groups=invocations(volume), uses=SHARED,
+        "likelihood", [score, labels, planes.planes, likelihood], groups=invocations(volume // 4), uses=SHARED,
         view_count=planes.view_count, first_px=first, step_px=step, least_determinant=LEAST_DETERMINANT, closed=_CLOSED,
         **frame, **of_layers, **of_labels,
     )  # fmt: skip
@@ -105,12 +105,14 @@ def _add_paths(
     exchange, lanes = "lanes_quad", _LANES
     if not chain.device.subgroups:  # barriers of a rasteriser in software take three times as long as the paths
         exchange, lanes = ("lanes_single", 1) if chain.device.info.is_software else ("lanes_shared", _LANES)
-    chain.add(
-        "four_paths", [likelihood, planes.planes, planes.stats, *costs],
-        groups=(-(-max(planes.width, planes.height) // (64 // lanes)), 4), uses=("shared", exchange),
-        guide_plane=planes.view_count * planes.pixels, pitch=pitch, jump=paths.jump_penalty,
-        edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
-    )  # fmt: skip
+    for direction, cost in enumerate(costs):
+        lines = planes.height if direction < 2 else planes.width
+        chain.add(
+            "four_paths", [likelihood, planes.planes, planes.stats, cost],
+            groups=(-(-lines // (64 // lanes)),), uses=("shared", exchange), direction=direction,
+            guide_plane=planes.view_count * planes.pixels, pitch=pitch, jump=paths.jump_penalty,
+            edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
+        )  # fmt: skip
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(
         "path_winner", [likelihood, *costs, winner, places], groups=invocations(planes.pixels), uses=SHARED,
