@@ -71,6 +71,7 @@ EXECUTIONS = ("chromaperture.disparity.cpu", "chromaperture.disparity.stages")
 MAY_IMPORT_CPU = {
     "disparity/execution.py",  # chooses between them
 }
+# Besides disparity/gpu/, whose shaders take their constants and tables from the readable stages.
 MAY_IMPORT_EXECUTIONS = MAY_IMPORT_CPU | {
     # What both executions share, defined where the readable one explains it:
     "disparity/accurate.py",  # the place between two layers
@@ -209,7 +210,8 @@ def test_the_execution_is_chosen_in_one_place():
     cpu, _ = EXECUTIONS
     found = {where: executions_imported(text, package_of(where)) for where, text in SOURCES.items()}
     importers = {where for where, modules in found.items() if modules}
-    outside = {where for where in importers if not where.startswith(("disparity/cpu/", "disparity/stages/"))}
+    executions = ("disparity/cpu/", "disparity/stages/", "disparity/gpu/")
+    outside = {where for where in importers if not where.startswith(executions)}
     assert outside == MAY_IMPORT_EXECUTIONS
     assert {where for where, modules in found.items() if modules & set(EXECUTIONS)} == {"disparity/execution.py"}
     of_cpu = {where for where, modules in found.items() if any(module.startswith(cpu) for module in modules)}

@@ -21,8 +21,8 @@ from chromaperture.stage_config import CorrelationConfig
 
 # Share of a window's weight that lies beyond the samples a block of a line starts from, where the picture counts as
 # even.
-_NEGLIGIBLE = 1e-5
-_BLOCK = 32  # columns or rows that one invocation takes; of 16, 32 and 64 the fastest on lavapipe, by 10 %
+_NEGLIGIBLE = 1e-6
+_BLOCK = 64  # columns
 _CHUNK_BYTES = 128e6  # of the largest array of a chunk: WebGPU's default limit of a binding
 _PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
 
@@ -31,7 +31,7 @@ class Chunk(NamedTuple):
     """Some layers and where they find their samples."""
 
     first: int
-    count: int
+    size: int
     phases_y: np.ndarray  # (Ey, 5) float32: four taps, the view
     phases_x: np.ndarray  # (E, 5) float32: four taps, the phase along y
     places: np.ndarray  # (K, C, 4) int32: entry, whole px along x, along y, 0
@@ -47,7 +47,7 @@ def chunks_of(
     found: list[Chunk] = []
     first = 0
     while first < len(layers_px):
-        count = min(len(layers_px) - first, found[-1].count if found else most_layers)
+        count = min(len(layers_px) - first, found[-1].size if found else most_layers)
         chunk = _chunk(layers_px, directions, sampling, first, count)
         while len(chunk.phases_x) > most_entries and count > 1:
             count = -(-count // 2)
@@ -115,13 +115,13 @@ def add_correlation(
     most_entries = max(1, int(most_bytes // (8 * tall * wide)))
     most_layers = max(1, int(most_bytes // (4 * tall * wide)) - 1) if chunked else len(layers_px)
     chunks = chunks_of(layers_px, directions, config.sampling, most_entries, most_layers)
-    volume = _largest(chain, "score", [planes.pixels * (pitch or c.count) for c in chunks])
+    volume = _largest(chain, "score", [planes.pixels * (pitch or c.size) for c in chunks])
     samples_y = _largest(chain, "samples_y", [tall * planes.width * len(c.phases_y) for c in chunks])
     samples = _largest(chain, "samples", [tall * wide * len(c.phases_x) for c in chunks])
     windows = _largest(chain, "windows", [2 * tall * wide * len(c.phases_x) for c in chunks])
     gains = _largest(chain, "gains", [tall * wide * len(c.phases_x) for c in chunks])
     words = 1 if planes.view_count == 2 else 4  # of the covariances of all pairs; WGSL aligns three to four
-    covariances = _largest(chain, "covariances", [words * tall * planes.width * c.count for c in chunks])
+    covariances = _largest(chain, "covariances", [words * tall * planes.width * c.size for c in chunks])
     pairs = "pairs_two" if planes.view_count == 2 else "pairs_three"
     reach = math.ceil(math.log(_NEGLIGIBLE) / math.log(config.window_decay))
     window: dict[str, Any] = {"decay": float(config.window_decay), "reach": reach, "block": _BLOCK}
@@ -155,16 +155,16 @@ def add_correlation(
             groups=invocations(wide * -(-tall // _BLOCK) * entries), uses=SHARED,
             relative_epsilon=RELATIVE_EPSILON, **frame,
         )  # fmt: skip
-        layers: dict[str, Any] = {"layer_count": chunk.count, "entry_count": entries, **size, **window}
+        layers: dict[str, Any] = {"layer_count": chunk.size, "entry_count": entries, **size, **window}
         layers["view_count"] = planes.view_count
         chain.add(
             "products_x", [samples, places, covariances],
-            groups=invocations(tall * -(-planes.width // _BLOCK) * chunk.count), uses=("shared", pairs), **layers,
+            groups=invocations(tall * -(-planes.width // _BLOCK) * chunk.size), uses=("shared", pairs), **layers,
         )  # fmt: skip
         chain.add(
             "correlation", [covariances, places, windows, gains, volume],
-            groups=invocations(planes.width * -(-planes.height // _BLOCK) * chunk.count), uses=("shared", pairs),
-            pitch=pitch or chunk.count, first_layer=chunk.first if pitch else 0, **layers,
+            groups=invocations(planes.width * -(-planes.height // _BLOCK) * chunk.size), uses=("shared", pairs),
+            pitch=pitch or chunk.size, first_layer=chunk.first if pitch else 0, **layers,
         )  # fmt: skip
         yield volume, chunk
 

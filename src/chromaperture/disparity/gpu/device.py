@@ -25,14 +25,14 @@ import math
 import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
-from importlib import resources
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from chromaperture.disparity.gpu.shader_text import shader
 from chromaperture.errors import InputError, MissingDependencyError, OutOfMemoryError
 
 MOST_GROUPS = 65_535  # workgroups along an axis of a dispatch: WebGPU's default limit
@@ -70,16 +70,19 @@ class Array(NamedTuple):
     buffer: Any
     size: int
     dtype: np.dtype
+    is_constant: bool = False
 
 
 class Dispatch(NamedTuple):
     """A stage over its arrays."""
 
     stage: str
+    source: str
     pipeline: Any
     bindings: Any
     groups: tuple[int, int, int]
     arrays: tuple[Array, ...]
+    constants: Mapping[str, Any]
 
 
 @dataclass
@@ -151,7 +154,8 @@ class Chain:
         values = np.asarray(values)
         dtype = values.dtype if values.dtype in (np.int32, np.uint32) else np.dtype(np.float32)
         values = np.ascontiguousarray(values, dtype)
-        made = self.array(name, values.size, dtype.type)
+        made = self.array(name, values.size, dtype.type)._replace(is_constant=True)
+        self.arrays[name] = made
         self.write(made, values)
         return made
 
@@ -192,7 +196,8 @@ class Chain:
         count = tuple(max(1, math.ceil(g)) for g in (*groups, 1, 1)[:3])
         if max(count) > MOST_GROUPS or len(arrays) > MOST_BINDINGS:
             raise InputError(f"stage {stage}: {count} workgroups, {len(arrays)} arrays; the picture is too large")
-        pipeline = self.device.pipeline(shader(stage, uses, constants), entry)
+        source = shader(stage, uses, constants)
+        pipeline = self.device.pipeline(source, entry)
         entries = [
             {"binding": i, "resource": {"buffer": a.buffer, "offset": 0, "size": a.buffer.size}}
             for i, a in enumerate(arrays)
@@ -200,7 +205,9 @@ class Chain:
         with device_errors(self.device.info.name):
             layout = pipeline.get_bind_group_layout(0)
             bindings = self.device.handle.create_bind_group(layout=layout, entries=entries)
-        self.dispatches.append(Dispatch(stage, pipeline, bindings, (count[0], count[1], count[2]), tuple(arrays)))
+        self.dispatches.append(
+            Dispatch(stage, source, pipeline, bindings, (count[0], count[1], count[2]), tuple(arrays), constants)
+        )
 
     def run(self, inputs: Mapping[str, np.ndarray], outputs: Sequence[str]) -> dict[str, np.ndarray]:
         """Send the inputs, run all stages and return the outputs, flat; raises DeviceError, OutOfMemoryError."""
@@ -289,31 +296,6 @@ def _encode(one_pass: Any, dispatch: Dispatch) -> None:
     one_pass.dispatch_workgroups(*dispatch.groups)
 
 
-def shader(stage: str, uses: Sequence[str], constants: Mapping[str, Any]) -> str:
-    """Return the source of a stage behind its constants and the functions that it uses."""
-    lines = [f"const {name} = {_literal(value)};" for name, value in constants.items()]
-    return "\n".join([*lines, *map(_text, uses), _text(stage)])
-
-
-def _literal(value: Any) -> str:
-    """Write a constant in WGSL."""
-    if isinstance(value, bool | np.bool_):
-        return str(bool(value)).lower()
-    if isinstance(value, int | np.integer):
-        return f"{value}u" if value >= 0 else f"{value}i"
-    if isinstance(value, float | np.floating):
-        if not math.isfinite(value):
-            raise InputError(f"a constant of a shader must be finite, got {value}")
-        return f"{np.float32(value)!s}f"
-    numbers = [f"{np.float32(v)!s}f" for v in value]
-    return f"array<f32, {len(numbers)}>({', '.join(numbers)})"
-
-
-@cache
-def _text(stage: str) -> str:
-    return resources.files(__package__).joinpath(f"{stage}.wgsl").read_text(encoding="utf-8")
-
-
 def has_extra() -> bool:
     """Whether the extra ``gpu`` is installed."""
     return importlib.util.find_spec("wgpu") is not None
@@ -398,7 +380,8 @@ def _wgpu() -> Any:
     except ImportError as error:
         raise MissingDependencyError(f"a GPU needs the extra: pip install 'chromaperture[gpu]' ({error})") from None
     # Not OpenGL: it lacks storage that compute shaders need, and looking for it writes to standard error.
-    set_instance_extras(backends=["Vulkan", "Metal", "DX12"])
+    with suppress(RuntimeError):  # somebody else in this process was first
+        set_instance_extras(backends=["Vulkan", "Metal", "DX12"])
     return wgpu
 
 

@@ -1,23 +1,18 @@
-// Path costs along rows and columns, all four directions at once. A pixel of path cost c adds to its neighbour on the
-// path m = min(c, min c + e jump) - min c. Each direction leaves its m, in 16 bits of the jump, for `winner.wgsl`.
+// Path costs along one of four directions: 0 right, 1 left, 2 down, 3 up. A pixel of path cost c adds to its neighbour
+// on the path m = min(c, min c + e jump) - min c, which is left in 16 bits of the jump for `path_winner.wgsl`. The four
+// dispatches write to arrays of their own, so that a device may run them side by side.
 
 @group(0) @binding(0) var<storage, read> likelihood: array<vec4f>;  // (h, w, pitch / 4)
 @group(0) @binding(1) var<storage, read> guide: array<f32>;  // planes; the guide is the one behind K others
 @group(0) @binding(2) var<storage, read> stats: array<f32>;
-@group(0) @binding(3) var<storage, read_write> rightward: array<vec2u>;  // (h, w, pitch / 4)
-@group(0) @binding(4) var<storage, read_write> leftward: array<vec2u>;
-@group(0) @binding(5) var<storage, read_write> downward: array<vec2u>;
-@group(0) @binding(6) var<storage, read_write> upward: array<vec2u>;
+@group(0) @binding(3) var<storage, read_write> costs: array<vec2u>;  // (h, w, pitch / 4)
 
 const vectors = pitch / 4u / lanes;  // of an invocation
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    // The direction is that of the whole workgroup, so that all of it takes as many steps.
-    let direction = group.y;
     let line_count = select(width, height, direction < 2u);
     let steps = select(height, width, direction < 2u);
-    if (group.x * (64u / lanes) >= line_count) { return; }
     lane_here = local;
     let line = group.x * (64u / lanes) + local / lanes;
     let lane = local % lanes;
@@ -39,12 +34,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
             let at = pixel * (pitch / 4u) + v * lanes + lane;
             let incoming = select(min(cost[v], vec4f(limit)) - least, vec4f(), s == 0u);
             let packed = vec2u(pack2x16unorm(incoming.xy / jump), pack2x16unorm(incoming.zw / jump));
-            if (used) {
-                if (direction == 0u) { rightward[at] = packed; }
-                if (direction == 1u) { leftward[at] = packed; }
-                if (direction == 2u) { downward[at] = packed; }
-                if (direction == 3u) { upward[at] = packed; }
-            }
+            if (used) { costs[at] = packed; }
             cost[v] = incoming - likelihood[at];
             lowest = min(lowest, cost[v]);
         }

@@ -174,9 +174,7 @@ def on_device(method: Method, choice: str, note: Callable[[str], None]) -> Metho
     else:
         if asked_for:
             chosen_device(choice)  # a device that does not exist is refused all the same
-            note(
-                "quality accurate, and scores debiased or weighted by texture, run on the CPU: the GPU has no such stages"
-            )
+            note("quality accurate, and scores debiased or weighted by texture, run on the CPU: no GPU stages yet")
         return method
     device = chosen_device(choice)
     if device is None:

@@ -48,18 +48,18 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
     even = even_link(config.bilateral.sigma_px)
     best, maps = chain.array("best", 5 * planes.pixels), None
     for score, chunk in add_correlation(chain, planes, layers_px, space.directions, config.correlation, chunked=True):
-        maps = maps or chain.array("weighted", planes.pixels * (chunk.count + 1))  # the first chunk is the largest
+        maps = maps or chain.array("weighted", planes.pixels * (chunk.size + 1))  # the first chunk is the largest
         chain.add(
-            "weigh", [score, planes.planes, maps], groups=invocations(planes.pixels * (chunk.count + 1)), uses=SHARED,
-            pixels=planes.pixels, layer_count=chunk.count, view_count=planes.view_count, least_weight=MIN_WEIGHT,
+            "weigh", [score, planes.planes, maps], groups=invocations(planes.pixels * (chunk.size + 1)), uses=SHARED,
+            pixels=planes.pixels, layer_count=chunk.size, view_count=planes.view_count, least_weight=MIN_WEIGHT,
         )  # fmt: skip
         add_recursions(
-            chain, planes, maps, best, map_count=chunk.count + 1, even=even, edge_range=1.0, gain=1 - even, own=0.0,
+            chain, planes, maps, best, map_count=chunk.size + 1, even=even, edge_range=1.0, gain=1 - even, own=0.0,
             by_layer=False,
         )  # fmt: skip
         chain.add(
             "running_winner", [maps, best], groups=invocations(planes.pixels), uses=SHARED,
-            pixels=planes.pixels, layer_count=chunk.count, first_layer=chunk.first,
+            pixels=planes.pixels, layer_count=chunk.size, first_layer=chunk.first,
         )  # fmt: skip
     samples = effective_samples(config.correlation.window_decay)
     samples /= noise_correlation_factor(config.views.presmooth_sigma_px)

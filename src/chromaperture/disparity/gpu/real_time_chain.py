@@ -28,7 +28,6 @@ from chromaperture.disparity.views import ViewSpace
 
 _CLOSED = 1e4  # nats; cost of layers that only fill the last vector
 _LANES = 4  # invocations that share a path
-_LINES = 64 // _LANES  # paths of a workgroup
 
 
 def add_real_time(
@@ -62,7 +61,7 @@ def add_real_time(
     frame: dict[str, Any] = {"width": planes.width, "height": planes.height}
     likelihood = chain.array("likelihood", volume)
     chain.add(
-        "likelihood", [score, labels, planes.planes, likelihood], groups=invocations(volume), uses=SHARED,
+        "likelihood", [score, labels, planes.planes, likelihood], groups=invocations(volume // 4), uses=SHARED,
         view_count=planes.view_count, first_px=first, step_px=step, least_determinant=LEAST_DETERMINANT, closed=_CLOSED,
         **frame, **of_layers, **of_labels,
     )  # fmt: skip
@@ -103,13 +102,17 @@ def _add_paths(
         chain.array(name, planes.pixels * pitch // 2, np.uint32)
         for name in ("rightward", "leftward", "downward", "upward")
     ]
-    exchange = "lanes_quad" if chain.device.subgroups else "lanes_shared"
-    chain.add(
-        "four_paths", [likelihood, planes.planes, planes.stats, *costs],
-        groups=(-(-max(planes.width, planes.height) // _LINES), 4), uses=("shared", exchange),
-        guide_plane=planes.view_count * planes.pixels, pitch=pitch, jump=paths.jump_penalty,
-        edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
-    )  # fmt: skip
+    exchange, lanes = "lanes_quad", _LANES
+    if not chain.device.subgroups:  # barriers of a rasteriser in software take three times as long as the paths
+        exchange, lanes = ("lanes_single", 1) if chain.device.info.is_software else ("lanes_shared", _LANES)
+    for direction, cost in enumerate(costs):
+        lines = planes.height if direction < 2 else planes.width
+        chain.add(
+            "four_paths", [likelihood, planes.planes, planes.stats, cost],
+            groups=(-(-lines // (64 // lanes)),), uses=("shared", exchange), direction=direction,
+            guide_plane=planes.view_count * planes.pixels, pitch=pitch, jump=paths.jump_penalty,
+            edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
+        )  # fmt: skip
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(
         "path_winner", [likelihood, *costs, winner, places], groups=invocations(planes.pixels), uses=SHARED,
@@ -162,7 +165,7 @@ def add_two_views(chain: Chain, image: Array, size: tuple[int, int], rows: np.nd
     side = LIGHT_WINDOW_PX
     spacing, first_y, first_x = side // 2, min(side // 4, height - 1), min(side // 4, width - 1)
     samples_x, samples_y = math.ceil((width - first_x) / spacing), math.ceil((height - first_y) / spacing)
-    cells = {"cells_x": max(1, width // side), "cells_y": max(1, height // side)}
+    cells: dict[str, Any] = {"cells_x": max(1, width // side), "cells_y": max(1, height // side)}
     lacking = chain.array("lacking", cells["cells_x"] * cells["cells_y"])
     red, green, blue = (float(matched) for matched in np.any(rows, axis=0))
     chain.add(

@@ -107,7 +107,7 @@ def add_halved_views(
         "unusable", [raw, unusable], groups=invocations(unusable.size), uses=SHARED,
         width=half_width, height=half_height, view_count=count, usable_share=USABLE, **bands,
     )  # fmt: skip
-    around = _add_blur(chain, raw, planes, taps, first=0, count=count + 2, replicate=False, sparse=(unusable, bands))
+    around = _add_blur(chain, raw, planes, taps, first=0, count=count + 2, sparse=(unusable, bands))
     chain.add(
         "fill", [around, raw], groups=invocations(plane), uses=SHARED,
         plane=plane, view_count=count, usable_share=USABLE,
@@ -145,10 +145,10 @@ def _add_smoothing(chain: Chain, raw: Array, planes: Planes, config: ViewsConfig
     """Smooth views and guide, copy the mask; then the views' variance and the guide's unit."""
     count = planes.view_count
     taps = _smoothing_taps(config.presmooth_sigma_px)
-    _add_blur(chain, raw, planes, taps, first=0, count=count, replicate=True, into=planes.planes)
+    _add_blur(chain, raw, planes, taps, first=0, count=count)
     taps = _smoothing_taps(GUIDE_SIGMA_PX)
-    _add_blur(chain, raw, planes, taps, first=count, count=1, replicate=True, into=planes.planes)
-    _add_blur(chain, raw, planes, [1.0], first=count + 1, count=1, replicate=True, into=planes.planes)
+    _add_blur(chain, raw, planes, taps, first=count, count=1)
+    _add_pass(chain, raw, planes.planes, planes, [1.0], first=count + 1, count=1, along_x=False)
     parts = min(_PARTS, -(-planes.pixels // 256))
     sums = chain.array("variance_parts", 6 * parts)
     numbers: dict[str, Any] = {"pixels": planes.pixels, "part_count": parts, "view_count": count}
@@ -181,22 +181,36 @@ def _add_blur(
     *,
     first: int,
     count: int,
-    replicate: bool,
     sparse: tuple[Array, dict[str, Any]] | None = None,
-    into: Array | None = None,
 ) -> Array:
-    """Add a Gaussian of some planes; ``sparse``: where there are unusable pixels, at them and not elsewhere."""
+    """Add a Gaussian of some planes, into `planes`; ``sparse``: at unusable pixels only, into an array of its own."""
+    between = chain.arrays.get("planes_between") or chain.array("planes_between", raw.size)
+    after = planes.planes if sparse is None else chain.array("planes_blurred", raw.size)
+    for along_x, source, target in ((True, raw, between), (False, between, after)):
+        _add_pass(chain, source, target, planes, taps, first=first, count=count, along_x=along_x, sparse=sparse)
+    return after
+
+
+def _add_pass(
+    chain: Chain,
+    source: Array,
+    target: Array,
+    planes: Planes,
+    taps: list[float],
+    *,
+    first: int,
+    count: int,
+    along_x: bool,
+    sparse: tuple[Array, dict[str, Any]] | None = None,
+) -> None:
+    """Add one direction of a Gaussian; its border is that of the CPU's."""
     nowhere = chain.arrays.get("no_unusable") or chain.array("no_unusable", 1, np.uint32)
     unusable, bands = sparse or (nowhere, {"band_height": 1, "band_count": 1})
-    between = chain.arrays.get("planes_between") or chain.array("planes_between", raw.size)
-    after = into or chain.array("planes_blurred", raw.size)
-    for along_x, source, target in ((True, raw, between), (False, between, after)):
-        chain.add(
-            "blur", [source, unusable, target], groups=invocations(count * planes.pixels), uses=SHARED,
-            width=planes.width, height=planes.height, first_plane=first, plane_count=count, along_x=along_x,
-            replicate=replicate, sparse=sparse is not None, **bands, reach=len(taps) // 2, taps=taps,
-        )  # fmt: skip
-    return after
+    chain.add(
+        "blur", [source, unusable, target], groups=invocations(count * planes.pixels), uses=SHARED,
+        width=planes.width, height=planes.height, first_plane=first, plane_count=count, along_x=along_x,
+        replicate=sparse is None, sparse=sparse is not None, **bands, reach=len(taps) // 2, taps=taps,
+    )  # fmt: skip
 
 
 def _smoothing_taps(sigma_px: float) -> list[float]:
