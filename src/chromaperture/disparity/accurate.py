@@ -85,7 +85,7 @@ class AccurateMethod:
         return self.of_labels(surface, image, usable, labels_px)
 
     def of_labels(self, surface: Surface, image: np.ndarray, usable: np.ndarray, labels_px: np.ndarray) -> Disparity:
-        """Return the disparity of a surface of labels; the image and where it is usable are those of `clipped_filled`."""
+        """Return the disparity of a surface of labels; image and where it is usable as `clipped_filled` has them."""
         at_pixels = Surface(
             self.label_map.disparity(surface.disparity_px), self.label_map.scale * surface.sigma_px, surface.peak
         )

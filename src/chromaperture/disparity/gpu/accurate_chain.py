@@ -74,7 +74,7 @@ class AccurateChain:
 
     def __post_init__(self) -> None:
         pairs, config = pairs_of(self.method), self.method.config
-        assert pairs is not None  # noqa: S101
+        assert pairs is not None
         self.labels_px = with_halves(config.layers.values_px)
         self.plan = plan_evidence(pairs, config.layers.values_px)
         self.grid = grid_of(self.plan, self.labels_px)
@@ -113,7 +113,7 @@ class AccurateChain:
 
     def _add_windows(self, chain: Chain, usable: Array, likelihood: Array) -> None:
         evidence = self.method.evidence
-        assert isinstance(evidence, SpectralEvidence)  # noqa: S101
+        assert isinstance(evidence, SpectralEvidence)
         stride = evidence.config.stride_px
         rows, columns = -(-self.grid.height // stride), -(-self.grid.width // stride)
         windows = chain.array("windows", rows * columns * self.grid.layers)

@@ -11,13 +11,14 @@ const columns = span / 2u + 1u;
 
 // P + i Q at a frequency, or at its negative.
 fn filtered(tile: u32, layer: u32, pair: u32, y: u32, x: u32, negative: bool) -> vec2f {
-    let a = u32(pairs[4u * pair]);
-    let b = u32(pairs[4u * pair + 1u]);
+    let packed = pairs >> (8u * pair);  // both channels, and where they are among those of the transfer functions
+    let a = packed & 3u;
+    let b = (packed >> 2u) & 3u;
     let at_a = (tile * 3u + a) * span * columns + y * columns + x;
     let at_b = (tile * 3u + b) * span * columns + y * columns + x;
     let place = (layer * tiles + tile) * channels;
-    let blur_a = transfers[(place + u32(pairs[4u * pair + 2u])) * span * columns + y * columns + x];
-    let blur_b = transfers[(place + u32(pairs[4u * pair + 3u])) * span * columns + y * columns + x];
+    let blur_a = transfers[(place + ((packed >> 4u) & 3u)) * span * columns + y * columns + x];
+    let blur_b = transfers[(place + ((packed >> 6u) & 3u)) * span * columns + y * columns + x];
     let power = (dot(blur_a, blur_a) + dot(blur_b, blur_b)) * 0.5;
     let gain = low_pass[y] * low_pass[x] * min(signal_share[at_a], signal_share[at_b]) * inverseSqrt(power + damping);
     let p = product(spectra[at_a], blur_b) * gain;

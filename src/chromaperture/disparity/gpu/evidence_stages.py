@@ -23,6 +23,7 @@ from chromaperture.disparity.stages.paths import EDGE_LAYERS, LEAST_UNEXPLAINED
 from chromaperture.disparity.stages.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis
 from chromaperture.errors import InputError
 
+MOST_PASSES = 6  # of `fourier.wgsl`
 CELLS = 4096  # pixels of a point-spread function in 16 KB of shared memory
 _NEGLIGIBLE = 1e-8  # of a window's transform
 
@@ -86,20 +87,20 @@ def add_transform(
     radices = _radices(span)
     chain.add(
         stage, [_factors(chain, span), *arrays], groups=groups_for(lines, MOST_TRANSFORMED // span),
-        uses=("indexing", "fourier"), span=span, lines=lines, passes=len(radices), radices=radices,
+        uses=("indexing", "fourier"), span=span, lines=lines, passes=len(radices), radices=sum(radix << 3 * i for i, radix in enumerate(radices)),
         backwards=backwards, **constants,
     )  # fmt: skip
 
 
-def _radices(span: int) -> list[float]:
+def _radices(span: int) -> list[int]:
     """Cut a length into factors of 4, 2, 3 and 5; raises InputError where there are others."""
     found = []
     for radix in (4, 2, 3, 5):
         while span % radix == 0:
-            found.append(float(radix))
+            found.append(radix)
             span //= radix
-    if span != 1:
-        raise InputError(f"a tile's side has the factor {span}: only 2, 3 and 5 can be transformed on a GPU")
+    if span != 1 or len(found) > MOST_PASSES:
+        raise InputError("a tile's side has too many or too large factors for the GPU; use --device cpu")
     return found
 
 
@@ -240,7 +241,8 @@ def _add_views(
     """Append P and Q of the frame, for all pairs and layers of a round."""
     pictures = sizes.layers * sizes.tiles * sizes.pairs
     place_of = plan.channels.index
-    pairs = [float(n) for a, b in plan.source.all_pairs for n in (a, b, place_of(a), place_of(b))]
+    numbers = [n for a, b in plan.source.all_pairs for n in (a, b, place_of(a), place_of(b))]
+    pairs = sum(n << 2 * i for i, n in enumerate(numbers))
     add_transform(
         chain, "cross_rows", [*spectra, made["transfers"], constants["low_pass"], made["cross_rows"]],
         sizes.size, pictures * sizes.size, backwards=True, tiles=sizes.tiles, channels=len(plan.channels),

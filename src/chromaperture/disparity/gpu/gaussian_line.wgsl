@@ -1,7 +1,8 @@
 // A filter of 2 reach + 1 taps along one axis of planes (planes, h, w, parts), mirrored at the borders.
 
 @group(0) @binding(0) var<storage, read> before: array<f32>;
-@group(0) @binding(1) var<storage, read_write> after: array<f32>;
+@group(0) @binding(1) var<storage, read> taps: array<f32>;
+@group(0) @binding(2) var<storage, read_write> after: array<f32>;
 
 @compute @workgroup_size(64)
 fn main(

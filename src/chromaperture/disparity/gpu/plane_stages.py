@@ -146,5 +146,5 @@ class BlockChoice(PlaneChoice):
         filled[: len(planes), 2] -= self.labels_px[0] / step
         filled[: len(planes), 3] = self.costs.slope / 2 * (filled[: len(planes), :2] ** 2).sum(axis=1)
         number = np.array([len(planes)], np.uint32)
-        inputs = {"block_planes": filled, "plane_count": number, "plane_links": links}
+        inputs: dict[str, np.ndarray] = {"block_planes": filled, "plane_count": number, "plane_links": links}
         return self.chain.run(inputs, ["choice"])["choice"].reshape(self.shape).astype(np.intp)
