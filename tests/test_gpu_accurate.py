@@ -49,3 +49,20 @@ def test_a_picture_of_another_size_is_refused():
     camera, image = small("still_life_cy_halves", 60, 40)
     with pytest.raises(InputError, match="60 x 40"):
         AccurateOnDevice(camera.method, any_device()).match(image[:30])
+
+
+def test_the_camera_measures_on_the_device():
+    from chromaperture.camera import CodedApertureCamera
+    from chromaperture.disparity.gpu.gpu_method import DeviceMethod
+    from chromaperture.errors import CaptureWarning
+
+    camera, image = small("still_life_cy_halves", 60, 40)
+    if any_device().info.is_software:
+        with pytest.warns(CaptureWarning, match="is software"):
+            on_gpu = CodedApertureCamera(camera.calibration, camera.config, device="gpu")
+    else:
+        on_gpu = CodedApertureCamera(camera.calibration, camera.config, device="gpu")
+    assert isinstance(on_gpu.method, DeviceMethod)
+    found, expected = on_gpu.method.match(image), camera.method.match(image)
+    assert np.isfinite(expected.value_px).mean() > 0.9
+    assert share_within(camera, found, expected, relative=1e-3) > 0.995

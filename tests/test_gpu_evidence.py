@@ -101,11 +101,11 @@ def test_layers_in_rounds_are_the_same(monkeypatch):
 
 
 def test_tiles_that_are_too_large_are_refused():
+    from chromaperture.disparity.gpu.device import DeviceError
     from chromaperture.disparity.gpu.evidence_plan import plan_evidence
-    from chromaperture.errors import InputError
 
     source = BlurEvidence(
         CrossFilterConfig(), lens_blur(LENS, 6000, 4000), IDENTITY, ESTIMATED_NOISE, execution_named("numpy")
     )
-    with pytest.raises(InputError, match="too large for the GPU"):
+    with pytest.raises(DeviceError, match="too large for the GPU"):
         plan_evidence(source, np.linspace(-3, 3, 21))

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.disparity.blur_evidence import BANDS_MARGIN_PX, SHARP_PX, SPACING_PX, BlurEvidence, finest_px
+from chromaperture.disparity.gpu.device import DeviceError
 from chromaperture.disparity.gpu.surface_stages import Grid, gaussian_taps
 from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
-from chromaperture.errors import InputError
 
 MOST_TRANSFORMED = 1024  # complex numbers of a line: two of them fill 16 KB of shared memory
 ROUND_BYTES = 1 << 28  # of the arrays that a round of layers works on; chosen by hand
@@ -54,7 +54,7 @@ class EvidencePlan:
 
 
 def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
-    """Choose layers and tiles; raises InputError where a tile is too large for the device."""
+    """Choose layers and tiles; raises DeviceError where a tile is too large for the device."""
     step = layers_px[1] - layers_px[0]
     layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
     between = layers_px[1::2]
@@ -67,7 +67,7 @@ def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
     margin = 2 * float(np.abs(layers_px).max()) / source.blur.reach + BANDS_MARGIN_PX
     nodes = Nodes(source.blur.height_px, source.blur.width_px, margin_px=margin)
     if nodes.size_px > MOST_TRANSFORMED:
-        raise InputError(
+        raise DeviceError(
             f"tiles of {nodes.size_px} px are too large for the GPU, at most {MOST_TRANSFORMED}: "
             "use --device cpu, or a smaller --scale"
         )

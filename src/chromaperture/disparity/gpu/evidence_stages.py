@@ -15,13 +15,12 @@ import numpy as np
 import scipy.fft
 
 from chromaperture.disparity.blur_evidence import MAX_CORRELATION2_OF_BANDS, SPACING_PX, finest_px
-from chromaperture.disparity.gpu.device import Array, Chain
+from chromaperture.disparity.gpu.device import Array, Chain, DeviceError
 from chromaperture.disparity.gpu.evidence_plan import MOST_TRANSFORMED, EvidencePlan, RoundSizes
 from chromaperture.disparity.gpu.surface_stages import add_gaussian, gaussian_taps, groups_for
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.paths import EDGE_LAYERS, LEAST_UNEXPLAINED
 from chromaperture.disparity.stages.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis
-from chromaperture.errors import InputError
 
 MOST_PASSES = 6  # of `fourier.wgsl`
 CELLS = 4096  # pixels of a point-spread function in 16 KB of shared memory
@@ -87,20 +86,21 @@ def add_transform(
     radices = _radices(span)
     chain.add(
         stage, [_factors(chain, span), *arrays], groups=groups_for(lines, MOST_TRANSFORMED // span),
-        uses=("indexing", "fourier"), span=span, lines=lines, passes=len(radices), radices=sum(radix << 3 * i for i, radix in enumerate(radices)),
+        uses=("indexing", "fourier"), span=span, lines=lines, passes=len(radices),
+        radices=sum(radix << 3 * i for i, radix in enumerate(radices)),
         backwards=backwards, **constants,
     )  # fmt: skip
 
 
 def _radices(span: int) -> list[int]:
-    """Cut a length into factors of 4, 2, 3 and 5; raises InputError where there are others."""
+    """Cut a length into factors of 4, 2, 3 and 5; raises DeviceError where there are others."""
     found = []
     for radix in (4, 2, 3, 5):
         while span % radix == 0:
             found.append(radix)
             span //= radix
     if span != 1 or len(found) > MOST_PASSES:
-        raise InputError("a tile's side has too many or too large factors for the GPU; use --device cpu")
+        raise DeviceError("a tile's side has too many or too large factors for the GPU; use --device cpu")
     return found
 
 
@@ -213,7 +213,7 @@ def _add_transfers(
     factors = _factors(chain, plan.nodes.size_px)
     rows_of_group = CELLS // sizes.side
     if rows_of_group == 0:
-        raise InputError(f"a blur of {sizes.side} px is too wide for the GPU, at most {CELLS}: use --device cpu")
+        raise DeviceError(f"a blur of {sizes.side} px is too wide for the GPU, at most {CELLS}: use --device cpu")
     same = dict(
         tile_px=plan.nodes.size_px, pictures=sizes.pictures, side=sizes.side, kept=sizes.kept,
         layers_of_round=sizes.layers, layer_count=len(plan.computed_px),

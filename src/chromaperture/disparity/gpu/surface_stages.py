@@ -13,12 +13,11 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from chromaperture.disparity.gpu.device import Array, Chain
+from chromaperture.disparity.gpu.device import Array, Chain, DeviceError
 from chromaperture.disparity.planar import AGREEMENT_SIGMAS, AGREEMENT_WINDOW_PX
 from chromaperture.disparity.stages.between_layers import TANGENTS
 from chromaperture.disparity.stages.paths import LEAST_UNEXPLAINED, LINES, penalties_of
 from chromaperture.disparity.stages.variation import OPERATOR_NORM_SQUARED
-from chromaperture.errors import InputError
 from chromaperture.stage_config import SurfaceConfig
 
 GROUP = 64  # invocations of a workgroup of the stages that have one for every pixel
@@ -87,11 +86,11 @@ def add_paths(
 
     Raises
     ------
-    InputError
+    DeviceError
         More than `MOST_LAYERS` layers.
     """
     if grid.layers > MOST_LAYERS:
-        raise InputError(f"{grid.layers} labels are too many for the GPU, at most {MOST_LAYERS}; use --device cpu")
+        raise DeviceError(f"{grid.layers} labels are too many for the GPU, at most {MOST_LAYERS}; use --device cpu")
     penalties = penalties_of(config, layers_px)
     own_layers = math.ceil(grid.layers / lanes)
     # Layers within which a change costs less than a jump: nothing comes from further away.
@@ -136,8 +135,8 @@ def add_gaussian(
     filter_taps = chain.constant(f"taps_of_{values.name}", taps)
     for before, after, along_x in ((source or values, between, True), (between, values, False)):
         chain.add(
-            "gaussian_line", [before, filter_taps, after], groups=groups_for(planes * height * width * parts), uses=("indexing",),
-            height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2, along_x=along_x,
+            "gaussian_line", [before, filter_taps, after], groups=groups_for(planes * height * width * parts),
+            uses=("indexing",), height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2, along_x=along_x,
         )  # fmt: skip
 
 
