@@ -2,8 +2,8 @@
 
     python benchmarks/large_calibration.py SESSION --out DIR [--size 6000x4000] [--no-blur]
 
-SESSION is an ordinary session, such as a folder of bench50. Its photographs are enlarged by cubics to the given size and
-written as 16-bit PNG; photon noise is not added: what is measured here is the work, not the camera. Then
+SESSION is an ordinary session, such as a folder of bench50. Its photographs are enlarged by cubics to the size wanted
+and written as 16-bit PNG; photon noise is not added: what is measured here is the work, not the camera. Then
 ``chromaperture calibrate`` runs in a process of its own. ``peak_gb`` is that process's largest resident memory.
 """
 

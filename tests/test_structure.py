@@ -21,8 +21,8 @@ MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
 BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "spectral_config", "storage", "camera_file",
-                         "camera_matching", "camera_scale", "camera_memory", "camera_alignment", "camera", "cluster",
-                         "frame", "calibration", "products"}  # fmt: skip
+                         "camera_matching", "camera_scale", "camera_memory", "camera_alignment", "camera_crop",
+                         "camera", "cluster", "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
 COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory"}
 ALLOWED: dict[str, set[str]] = {
@@ -50,8 +50,9 @@ ALLOWED: dict[str, set[str]] = {
     "camera_matching": {"camera_file", "camera_scale", "color", "config", "disparity"},
     "camera_alignment": {"camera_file", "camera_scale", "color", "config", "depth"},
     "frame": {"camera_file", "config", "storage", "color", "depth"},  # the result, and what is made of it
-    "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "config", "frame"}
-    | STAGES,
+    "camera_crop": {"camera_file", "frame"},
+    "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "camera_crop",
+               "config", "frame"} | STAGES,
     "calibration": {"optics", "spectral_config", "camera_matching", "camera_scale", "camera_file", "config"} | STAGES,
     "products": {"camera", "camera_file", "cluster", "config", "frame", "storage", "capture", "color", "depth"},
     "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth"},

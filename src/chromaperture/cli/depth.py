@@ -14,6 +14,7 @@ import typer
 from chromaperture.cli.options import (
     BlackLevel,
     CameraOrDesign,
+    CropOrigin,
     Design,
     Json,
     MaxRelativeSigma,
@@ -23,6 +24,7 @@ from chromaperture.cli.options import (
     WhiteLevel,
     working_scale,
 )
+from chromaperture.cli.options import crop_origin as crop_from
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.errors import CaptureWarning, InputError
 
@@ -48,6 +50,7 @@ def depth(
     ] = None,
     quality: Quality = "real-time",
     scale: Scale = "auto",
+    crop_origin: CropOrigin = None,
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
@@ -102,7 +105,9 @@ def depth(
         raise InputError("give photographs, folders of them, or a list of them with --files-from")
     refuse_common_results(names, out)
     chosen_outputs(write, is_calibrated=camera is not None)  # before the work
-    settings: dict[str, Any] = {"quality": quality, "config": config, "scale": working_scale(scale)}
+    settings: dict[str, Any] = {
+        "quality": quality, "config": config, "scale": working_scale(scale), "crop_origin_px": crop_from(crop_origin),
+    }  # fmt: skip
     options: dict[str, Any] = {
         "write": write, "black_level": black_level, "white_level": white_level,
         "max_relative_sigma": max_relative_sigma, "inspect": partial(check_film, refuse=not anyway),
