@@ -54,12 +54,14 @@ ALLOWED: dict[str, set[str]] = {
     | STAGES,
     "calibration": {"optics", "spectral_config", "camera_matching", "camera_scale", "camera_file", "config"} | STAGES,
     "products": {"camera", "camera_file", "cluster", "config", "frame", "storage", "capture", "color", "depth"},
+    "pages": {"color", "depth"},  # pages of maps and points, of whatever is put on them
     "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth"},
     "reconstruction": {"camera", "products", "storage", "capture", "color", "depth"},
     # It shows the model, and the picture focused elsewhere.
-    "viewer": {"camera", "products", "storage", "capture", "color", "depth", "effects", "reconstruction"},
-    "evaluation": BELOW_LEAVES | {"effects", "reconstruction"},  # the paper's Figures 14 and 15 show them
-    "cli": BELOW_LEAVES | {"compile_ahead", "config_file", "effects", "reconstruction", "viewer", "evaluation"}
+    "viewer": {"camera", "products", "storage", "capture", "color", "depth", "effects", "reconstruction",
+               "pages", "camera_file", "config"},
+    "evaluation": BELOW_LEAVES | {"effects", "reconstruction", "pages"},  # the paper's Figures 14 and 15 show them
+    "cli": BELOW_LEAVES | {"compile_ahead", "config_file", "effects", "reconstruction", "viewer", "evaluation", "pages"}
            | {"__init__"},
     "tasks": BELOW_LEAVES | {"effects", "evaluation"},  # whole tasks in one call, for Python
     "__main__": {"cli"},
