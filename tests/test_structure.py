@@ -22,7 +22,7 @@ MAX_LINES = 400
 STAGES = {"capture", "color", "disparity", "depth"}
 BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "spectral_config", "storage", "camera_file",
                          "camera_matching", "camera_scale", "camera_memory", "camera_alignment", "camera", "cluster",
-                         "frame", "calibration", "products"}  # fmt: skip
+                         "formats", "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
 COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory"}
 ALLOWED: dict[str, set[str]] = {
@@ -49,7 +49,8 @@ ALLOWED: dict[str, set[str]] = {
     "camera_memory": {"camera_file", "camera_scale", "config"},
     "camera_matching": {"camera_file", "camera_scale", "color", "config", "disparity"},
     "camera_alignment": {"camera_file", "camera_scale", "color", "config", "depth"},
-    "frame": {"camera_file", "config", "storage", "color", "depth"},  # the result, and what is made of it
+    "formats": {"storage"},  # arrays in, files of other programs out
+    "frame": {"camera_file", "config", "storage", "color", "depth", "formats"},  # the result, and what is made of it
     "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "config", "frame"}
     | STAGES,
     "calibration": {"optics", "spectral_config", "camera_matching", "camera_scale", "camera_file", "config"} | STAGES,
@@ -95,7 +96,7 @@ ONE_WAY = {
     "ThreadPool": "threads.py",
 }
 OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "fsspec", "mcap", "mcap_ros2",
-            "imageio", "xarray"}  # fmt: skip
+            "imageio", "xarray", "OpenEXR", "pxr"}  # fmt: skip
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pyyaml": "yaml"}
 
