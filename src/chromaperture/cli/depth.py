@@ -57,7 +57,8 @@ def depth(
     write: Annotated[
         str | None,
         typer.Option(
-            help="Files to write: depth, sigma, disparity, depth-png, color, ply, preview, json; default all.",
+            help="Files to write: depth, sigma, disparity, depth-png, color, ply, preview, json, which is the default; "
+            "gdepth, dynamic-depth, exr, glb, usdz for other programs (docs/formats.md).",
             metavar="NAME,...",
         ),
     ] = None,
