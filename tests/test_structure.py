@@ -75,6 +75,7 @@ EXECUTIONS = ("chromaperture.disparity.cpu", "chromaperture.disparity.stages")
 MAY_IMPORT_CPU = {
     "disparity/execution.py",  # chooses between them
 }
+# Besides disparity/gpu/, whose shaders take their constants and tables from the readable stages.
 MAY_IMPORT_EXECUTIONS = MAY_IMPORT_CPU | {
     # What both executions share, defined where the readable one explains it:
     "disparity/accurate.py",  # the place between two layers
@@ -97,7 +98,7 @@ ONE_WAY = {
     "ThreadPool": "threads.py",
 }
 OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "fsspec", "mcap", "mcap_ros2",
-            "imageio", "xarray", "OpenEXR", "pxr"}  # fmt: skip
+            "imageio", "xarray", "OpenEXR", "pxr", "wgpu"}  # fmt: skip
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pyyaml": "yaml"}
 
@@ -213,7 +214,8 @@ def test_the_execution_is_chosen_in_one_place():
     cpu, _ = EXECUTIONS
     found = {where: executions_imported(text, package_of(where)) for where, text in SOURCES.items()}
     importers = {where for where, modules in found.items() if modules}
-    outside = {where for where in importers if not where.startswith(("disparity/cpu/", "disparity/stages/"))}
+    executions = ("disparity/cpu/", "disparity/stages/", "disparity/gpu/")
+    outside = {where for where in importers if not where.startswith(executions)}
     assert outside == MAY_IMPORT_EXECUTIONS
     assert {where for where, modules in found.items() if modules & set(EXECUTIONS)} == {"disparity/execution.py"}
     of_cpu = {where for where, modules in found.items() if any(module.startswith(cpu) for module in modules)}

@@ -39,6 +39,13 @@ Quality = Annotated[
         autocompletion=lambda: ["paper", "real-time", "accurate"],
     ),
 ]
+Device = Annotated[
+    str,
+    typer.Option(
+        help="auto, a GPU where there is one; cpu; gpu; or gpu:NAME, of 'chromaperture info --devices'.",
+        autocompletion=lambda: ["auto", "cpu", "gpu"],
+    ),
+]
 Scale = Annotated[
     str,
     typer.Option(

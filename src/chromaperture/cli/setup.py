@@ -24,6 +24,7 @@ def camera_for(
     config: Path | None,
     scale: int | Literal["auto"] = "auto",
     crop_origin_px: tuple[int, int] | None = None,
+    device: str = "auto",
 ) -> CodedApertureCamera:
     """Open the camera file, or make an uncalibrated camera of the image's size for a design."""
     if (camera is None) == (design is None):
@@ -36,4 +37,4 @@ def camera_for(
     if crop_origin_px is not None and camera is None:
         raise InputError("--crop-origin is a place in the frame of a calibrated camera: give its file with --camera")
     settings = replace(default_config(calibration, cast(Quality, quality), scale=scale), crop_origin_px=crop_origin_px)
-    return CodedApertureCamera(calibration, settings if config is None else with_file(settings, config))
+    return CodedApertureCamera(calibration, settings if config is None else with_file(settings, config), device=device)
