@@ -22,6 +22,8 @@ _WAIT_S = 2.0  # for a frame; the longest exposures of a moving camera are far s
 # Frames after which automatic exposure has settled and controls that were set are in force; the manual's examples
 # wait one or two seconds, 40 frames of a second and a third at 30 a second. Chosen by hand.
 _SETTLE_FRAMES = 40
+# Before which a control that was set may not be in force; sensors take three, and the queue holds some. Chosen by hand
+_ACT_FRAMES = 10
 _LOCKED = 0.02  # relative: exposures are whole lines of the sensor, and so not exactly those asked for. Chosen by hand
 _FORMAT = re.compile(r"S?(RGGB|BGGR|GRBG|GBRG)(8|10|12|14|16)")
 _WORD_BITS = 16  # of `SensorBlackLevels`: "relative to a 16-bit pixel range" (libcamera's controls)
@@ -142,9 +144,9 @@ class PiCamera:
             gain = float(metadata["AnalogueGain"]) if gain is None else gain
         wanted = {"ExposureTime": round(exposure_us), "AnalogueGain": float(gain)}
         self._camera.set_controls({"AeEnable": False, **wanted})
-        for _ in range(_SETTLE_FRAMES):
+        for number in range(_SETTLE_FRAMES):
             _, metadata = self._capture()
-            if all(abs(metadata[n] - v) <= max(_LOCKED * v, 1e-9) for n, v in wanted.items()):
+            if number >= _ACT_FRAMES and all(abs(metadata[n] - v) <= max(_LOCKED * v, 1e-9) for n, v in wanted.items()):
                 return
         raise InputError(
             f"the camera does not keep an exposure of {wanted['ExposureTime']} µs and a gain of {gain:g} (it has "
