@@ -21,6 +21,7 @@ import tifffile
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.errors import InputError
+from chromaperture.threads import each_band
 
 try:
     import fcntl
@@ -207,9 +208,16 @@ def write_float_tiff(path: str | Path, values: np.ndarray) -> None:
 
 def write_depth_png(path: str | Path, depth_mm: np.ndarray) -> None:
     """Write (H, W) depth as 16-bit PNG in whole mm; 0 is unknown or beyond 65535 mm."""
-    with np.errstate(invalid="ignore"):  # NaN compares false
-        known = (depth_mm > 0) & (depth_mm < 65535.5)
-    write_png(path, np.rint(np.where(known, depth_mm, 0)).astype(np.uint16))
+    whole_mm = np.empty(depth_mm.shape, np.uint16)
+
+    def convert(rows: slice) -> None:
+        depth = depth_mm[rows]
+        with np.errstate(invalid="ignore"):  # NaN compares false
+            known = (depth > 0) & (depth < 65535.5)
+        whole_mm[rows] = np.rint(np.where(known, depth, 0))
+
+    each_band(convert, len(depth_mm))
+    write_png(path, whole_mm)
 
 
 def write_color_png(path: str | Path, color: np.ndarray) -> None:

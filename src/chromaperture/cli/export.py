@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.options import BlackLevel, Camera, MaxRelativeSigma, Quality, Quiet, WhiteLevel
+from chromaperture.cli.options import BlackLevel, Camera, Device, MaxRelativeSigma, Quality, Quiet, WhiteLevel
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.errors import InputError
 
@@ -42,6 +42,7 @@ def export(
         typer.Option(help="Poses for colmap and nerfstudio, TUM format; default: tracked, as 'reconstruct' does."),
     ] = None,
     quality: Quality = "real-time",
+    device: Device = "auto",
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
@@ -63,7 +64,7 @@ def export(
         raise InputError(f"unknown format {chosen!r}: choose {', '.join(_FORMATS)}")
     if trajectory is not None and chosen not in _POSED:
         raise InputError(f"{chosen} holds no poses; give --trajectory with {' or '.join(_POSED)}")
-    eye = camera_for(out, camera, None, quality=quality, config=None)
+    eye = camera_for(out, camera, None, quality=quality, config=None, device=device)
     matrix = eye.calibration.lens.camera_matrix
     write, see = _writer(chosen, matrix, trajectory)
     to_view = undistorter(eye)
