@@ -98,7 +98,7 @@ ONE_WAY = {
     "ThreadPool": "threads.py",
 }
 OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "fsspec", "mcap", "mcap_ros2",
-            "imageio", "xarray", "OpenEXR", "pxr", "wgpu"}  # fmt: skip
+            "imageio", "xarray", "OpenEXR", "pxr", "foxglove", "picamera2", "wgpu"}  # fmt: skip
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pyyaml": "yaml"}
 

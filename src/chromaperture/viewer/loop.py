@@ -74,6 +74,8 @@ class LiveLoop:
     ----------
     latest : str
         The last message for the user.
+    to_stream : Slot, optional
+        Receives every measurement, beside the page; set before the loop runs.
     """
 
     def __init__(
@@ -105,6 +107,7 @@ class LiveLoop:
         self._leave = threading.Event()
         self._to_depth, self._to_track = Slot[tuple[float, Frame]](), Slot[Measured]()
         self.to_view = Slot[Measured]()
+        self.to_stream: Slot[Measured] | None = None
         self._to_disk: Slot[Frame] | None = None
         self._recorder: threading.Thread | None = None
         self._starting = threading.Lock()  # two clicks at once start one recording
@@ -129,6 +132,8 @@ class LiveLoop:
         self._leave.set()
         for slot in (self._to_depth, self._to_track, self.to_view):
             slot.close(drop=True)
+        if self.to_stream is not None:
+            self.to_stream.close()
         self.stop_recording()
         with contextlib.suppress(Exception):
             self.source.__exit__(None, None, None)  # wakes a stage waiting for a frame
@@ -260,6 +265,8 @@ class LiveLoop:
             now = time.monotonic()
             self.meters["depth"].record(now - start, now - arrived)
             self.to_view.put(measured)
+            if self.to_stream is not None:
+                self.to_stream.put(measured, patient=not self.source.live)
             if self.track:
                 self._to_track.put(measured, patient=not self.source.live)
         self._to_track.close()
@@ -298,6 +305,8 @@ class LiveLoop:
 
     def _finish(self) -> None:
         self.to_view.close()
+        if self.to_stream is not None:
+            self.to_stream.close()
         self.over.set()
 
 
