@@ -45,7 +45,12 @@ NOT_RUN = {
     "live webcam": "no camera here: test_live.py shows a simulated one",
 }
 # A command by its beginning, with the extra and the module that it needs; run where that is installed.
-EXTRAS = {"reconstruct": ("reconstruct", "open3d"), "export replay:session/walk walk.mcap": ("ros", "mcap_ros2")}
+EXTRAS = {
+    "reconstruct": ("reconstruct", "open3d"),
+    "export replay:session/walk walk.mcap": ("ros", "mcap_ros2"),
+    "export replay:session/walk colmap": ("reconstruct", "open3d"),
+    "depth photo.png --camera camera.asdf --out film": ("exr", "OpenEXR"),
+}
 BLOCK = re.compile(r"^```(?:sh|bash)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"^    (\S.*)$", re.MULTILINE)
 # Not `chromaperture --install-completion`: to check it is to change the shell of whoever runs the tests.

@@ -223,15 +223,20 @@ class Config:
     depth : DepthConfig
     scale : int
         Working scale, see `chromaperture.camera_scale.working_scale`.
+    crop_origin_px : (int, int), optional
+        Photographs show a part of the sensor: column and row of its first pixel. None: they show the whole frame.
     """
 
     quality: Quality = "real-time"
     matcher: MatcherConfig = RealTimeConfig()
     depth: DepthConfig = DepthConfig()
     scale: int = 1
+    crop_origin_px: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         require(self.scale >= 1, f"a working scale is 1, 1/2, 1/3 ...; got 1/{self.scale}")
+        origin = self.crop_origin_px
+        require(origin is None or min(origin) >= 0, f"a part of the frame begins at a pixel of it, not at {origin}")
 
 
 def preset(quality: Quality) -> MatcherConfig:

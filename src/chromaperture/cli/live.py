@@ -14,6 +14,7 @@ import typer
 from chromaperture.cli.options import (
     BlackLevel,
     Camera,
+    Device,
     Json,
     MaxRelativeSigma,
     MemoryMb,
@@ -37,6 +38,7 @@ def live(
     camera: Camera,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of snapshots and recordings.")] = Path("live"),
     quality: Quality = "real-time",
+    device: Device = "auto",
     host: Annotated[
         str,
         typer.Option(
@@ -77,7 +79,7 @@ def live(
     if page:
         viser()  # before the work: the extra may be missing
     config = ReconstructionConfig(voxel_mm=voxel_mm, memory_mb=memory_mb)
-    eye = camera_for(out, camera, None, quality=quality, config=None)
+    eye = camera_for(out, camera, None, quality=quality, config=None, device=device)
     compile_kernels(quality, quiet=quiet)
     began = time.monotonic()
     levels = {"black_level": black_level, "white_level": white_level}

@@ -100,9 +100,10 @@ class DepthFrame:
         target : str or Path
             ``results/photo`` writes ``results/photo.depth.tiff`` and so on; a folder that exists gets ``frame.*``.
         write : str or iterable of str, optional
-            Which, such as ``"depth,sigma"``; see `OUTPUTS`. All that the camera can give when absent.
+            Which, such as ``"depth,sigma"``; see `OUTPUTS`. When absent, all that the camera can give, but the formats
+            of other programs (``gdepth``, ``dynamic-depth``, ``exr``, ``glb``, ``usdz``).
         max_relative_sigma : float
-            Largest sigma / depth in what carries no error bar: ``depth-png`` and ``ply``.
+            Largest sigma / depth in what carries no error bar, such as ``depth-png`` and ``ply``.
 
         Returns
         -------
@@ -113,6 +114,8 @@ class DepthFrame:
         ------
         InputError
             An unknown name, depth in mm of a camera without calibration, or a folder that cannot be written.
+        MissingDependencyError
+            ``exr`` or ``usdz`` without its extra.
         """
         from chromaperture.frame.frame_files import save
 

@@ -27,7 +27,7 @@ _CONTENT = (
     "style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; font-src 'self' data:; "
     "connect-src 'self' blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-_HEADERS = {
+HEADERS = {
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
@@ -79,7 +79,7 @@ class Access:
         if len(origins) > 1 or any(_origin_host(origin) != hosts[0].lower() for origin in origins):
             return "another web page may not connect"
         if not hmac.compare_digest(path_without_query(path).split("/")[1].encode(), self.token.encode()):
-            return "the token is missing or wrong: open the whole address that 'chromaperture live' printed"
+            return "the token is missing or wrong: open the whole address that was printed"
         return None
 
     def inner_path(self, path: str) -> str:
@@ -178,7 +178,7 @@ def _checked(access: Access) -> Iterator[Callable[[], bool]]:
             else:
                 response = process_request(connection, Request(access.inner_path(request.path), headers))
             if response is not None:
-                for name, value in _HEADERS.items():
+                for name, value in HEADERS.items():
                     response.headers[name] = value
             return response
 

@@ -1,0 +1,12 @@
+// Three views: their means at a pixel, and the covariances of the pairs 01, 02, 12.
+alias Means = vec3f;
+alias Covariances = vec3f;
+
+fn products(apart: Means) -> Covariances {
+    return vec3f(apart.x * apart.y, apart.x * apart.z, apart.y * apart.z);
+}
+
+fn score_of(correlations: Covariances) -> f32 {
+    let r = clamp(correlations, vec3f(-1.0), vec3f(1.0));
+    return 1.0 - sqrt(max(1.0 + 2.0 * r.x * r.y * r.z - dot(r, r), 0.0));
+}
