@@ -265,7 +265,7 @@ def normal_equations(points, level, motion, brightness, grey_sigma, depth_weight
         j[3], j[4], j[5] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
         j[6], j[7] = -points[n, 3], -1.0
         ratio = abs(r) / grey_sigma
-        # An occluder of unknown distance is a one-sided outlier: its weight must fall to 0 (docs/reconstruction.md).
+        # An occluder of unknown distance is a one-sided outlier: its weight must fall to 0 (docs/measurements.md).
         weight = (1.0 - (ratio / _TUKEY) ** 2) ** 2 / (grey_sigma * grey_sigma) if ratio < _TUKEY else 0.0
         _add(total, j, weight, r, _UNKNOWNS)
         if not abs(apart) <= outlier_mm:  # unknown, or another surface
