@@ -239,8 +239,8 @@ class Reconstruction:
             assert submap.volume is not None
             # The model's distances: frames are tracked against it, not against one measurement.
             matrix = scaled(self.camera_matrix, self.config.tracking_scale)
-            z_mm = submap.volume.ray_cast(matrix, chosen.pose, chosen.grey.shape[1], chosen.grey.shape[0])
-            chosen.set_distances(np.where(z_mm > 0, z_mm, np.float32(np.nan)))
+            height, width = chosen.grey.shape
+            chosen.set_distances(submap.volume.ray_cast(matrix, chosen.pose, width, height))
         return chosen
 
     def _nearest(self, pose: np.ndarray, prepared: PreparedView, submap: Submap) -> Keyframe:

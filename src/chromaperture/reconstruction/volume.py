@@ -13,11 +13,11 @@ import numpy as np
 from chromaperture.errors import MissingDependencyError
 from chromaperture.products.rectified import View
 from chromaperture.reconstruction.fusion_kernels import Pixels, Voxels, clear_faint, fuse, holds_surface
+from chromaperture.reconstruction.ray_casting import cast_rays, table_of
 from chromaperture.threads import in_parallel
 
 EDGE = 16  # voxels along a block
 BLOCK_BYTES = EDGE**3 * 4 * 5  # tsdf, weight, three colours
-_RANGE_PX = 8  # cell in which Open3D bounds rays; it reads past the last whole one, so pictures are cast in whole cells
 # Chosen by hand; not tuned. Weight 1 is a pixel of the first view's median standard deviation.
 _KNOWN_WEIGHT = 0.01  # from which a voxel is used by a ray
 _MESH_WEIGHT = 1.5  # from which the mesh has a surface
@@ -157,28 +157,16 @@ class Volume:
         return Voxels(tsdf[..., 0], weight[..., 0], color)
 
     def ray_cast(self, camera_matrix: np.ndarray, camera_to_world: np.ndarray, width: int, height: int) -> np.ndarray:
-        """Return the distances of the model in a camera's picture; (height, width) float32 mm, 0 unknown."""
-        keys = self.grid.hashmap().key_tensor()[self.grid.hashmap().active_buf_indices().to(self._core.int64)]
-        if len(keys) == 0:
-            return np.zeros((height, width), np.float32)
-        cast = self.grid.ray_cast(
-            keys, *self._camera(camera_matrix, camera_to_world),
-            -(-width // _RANGE_PX) * _RANGE_PX, -(-height // _RANGE_PX) * _RANGE_PX,
-            ["depth", "index", "mask", "interp_ratio"], depth_scale=1000.0, depth_min=0.05,
-            depth_max=self.max_distance_mm / 1000, weight_threshold=_KNOWN_WEIGHT,
-            trunc_voxel_multiplier=self.truncation_voxels, range_map_down_factor=_RANGE_PX,
+        """Return the distances of the model in a camera's picture; (height, width) float32 mm, NaN unknown."""
+        table = self.grid.hashmap()
+        slots = table.active_buf_indices().numpy().astype(np.int64)
+        voxels = self._voxels()
+        return cast_rays(
+            (voxels.tsdf, voxels.weight), table_of(table.key_tensor().numpy()[slots], slots),
+            np.asarray(camera_matrix, float), np.asarray(camera_to_world, float), (height, width),
+            voxel_mm=self.voxel_mm, truncation_mm=self.voxel_mm * self.truncation_voxels,
+            max_distance_mm=self.max_distance_mm, min_weight=_KNOWN_WEIGHT,
         )  # fmt: skip
-        z_mm = cast["depth"].numpy()[..., 0]
-        z_mm = np.where(z_mm > 0, z_mm + self._remainder_mm(cast), 0).astype(np.float32)
-        return z_mm[:height, :width].copy()
-
-    def _remainder_mm(self, cast: Any) -> np.ndarray:
-        """Return the distance from a ray cast's points to the surface: Open3D's stop about a voxel behind it."""
-        tsdf = self.grid.attribute("tsdf").numpy().reshape(-1)
-        weight = np.where(cast["mask"].numpy(), cast["interp_ratio"].numpy(), 0.0)
-        distance = np.einsum("hwn,hwn->hw", tsdf[cast["index"].numpy()], weight) / np.maximum(weight.sum(axis=2), 1e-6)
-        remainder_mm = distance * self.truncation_voxels * self.voxel_mm
-        return remainder_mm.clip(-2 * self.voxel_mm, 2 * self.voxel_mm)
 
     def mesh(self, *, min_weight: float = _MESH_WEIGHT) -> Mesh:
         """Extract the surface where voxels have that weight."""
