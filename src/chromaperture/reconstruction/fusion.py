@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from chromaperture.products.rectified import View
+from chromaperture.reconstruction.camera_matrix import scaled
 from chromaperture.reconstruction.clean_views import cleaned
 from chromaperture.reconstruction.motion import ConstantVelocity
 from chromaperture.reconstruction.settings import ReconstructionConfig
@@ -18,7 +19,6 @@ from chromaperture.reconstruction.tracking import (
     PreparedView,
     Track,
     prepare,
-    scaled,
     track,
     turn_deg,
 )
@@ -30,6 +30,7 @@ _KEYFRAME_DISTANCE = 0.2  # picture widths: a view farther from every keyframe b
 _GOOD_SCORE, _POOR_SCORE = 0.65, 0.3  # of `Track`: from which no other guess is tried; below which all are
 _CANDIDATES = 3  # most similar keyframes tried for a lost frame
 _REFRESH = 4  # views fused until the keyframe takes its distances from the model again
+_CAST_PX = 2  # px of the keyframe a ray: about 1.5 voxels; docs/reconstruction.md: a ray for every px gains nothing
 _VOXELS_OF_DISTANCE, _MIN_VOXEL_MM, _MAX_VOXEL_MM = 200, 0.5, 50.0  # default edge: 1/200 of the distance, in limits
 _JOIN_CORRELATION, _JOIN_OVERLAP = 0.75, 0.5  # stricter than in tracking, which has a prior
 _JOIN_EVERY = 3  # frames between two searches in older submaps
@@ -240,7 +241,7 @@ class Reconstruction:
             # The model's distances: frames are tracked against it, not against one measurement.
             matrix = scaled(self.camera_matrix, self.config.tracking_scale)
             height, width = chosen.grey.shape
-            chosen.set_distances(submap.volume.ray_cast(matrix, chosen.pose, width, height))
+            chosen.set_distances(submap.volume.ray_cast(matrix, chosen.pose, width, height, reduced=_CAST_PX))
         return chosen
 
     def _nearest(self, pose: np.ndarray, prepared: PreparedView, submap: Submap) -> Keyframe:

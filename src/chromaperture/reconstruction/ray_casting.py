@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from chromaperture.compilation import compiled, inlined
@@ -17,8 +18,9 @@ from chromaperture.threads import in_parallel
 EDGE = 16  # voxels along a block
 _BITS, _LAST = 4, EDGE - 1  # a voxel's number in bits, and the last one
 CELL_PX = 8  # side of the cells in which rays are bounded, as Open3D's
-_REFINEMENTS = 2  # of the crossing: a plane takes one, and a third changes curved walls by less than 0.01 voxels
+_REFINEMENTS = 2  # of the crossing by the secant method; a third changes noisy walls by less than 0.01 voxels
 _UNKNOWN_STEP = 2.0  # voxels, where nothing was measured: half of the least reach behind a surface, with that before it
+_STEP = 0.01  # relative difference of neighbours from which nothing is interpolated; chosen by hand
 _OFFSET = 1 << 20  # added to block numbers, which fit in 21 bits: 160 km at blocks of 160 mm
 
 
@@ -78,6 +80,33 @@ def cast_rays(
         lambda _, first, last: _cast(voxels, blocks, matrix, camera_to_world, ends, lengths, z_mm, first, last), size[0]
     )
     return z_mm
+
+
+def enlarged_distances(z_mm: np.ndarray, factor: int, size: tuple[int, int]) -> np.ndarray:
+    """Interpolate the inverse distances of a picture reduced by a factor, linear on a plane.
+
+    Next to what is unknown and at steps the distance is that of the nearest pixel.
+
+    Parameters
+    ----------
+    z_mm : (rows, columns) float32, NaN unknown
+    factor : int
+    size : height, width
+
+    Returns
+    -------
+    (H, W) float32, NaN unknown
+    """
+    inverse = np.nan_to_num(1 / z_mm)
+    shift = (1 / factor - 1) / 2  # of the reduced picture's first pixel, whose centre is between the full one's
+    onto = np.array([[1 / factor, 0, shift], [0, 1 / factor, shift]], np.float32)
+    linear, nearest = (
+        cv2.warpAffine(inverse, onto, size[::-1], flags=how | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE)
+        for how in (cv2.INTER_LINEAR, cv2.INTER_NEAREST)
+    )
+    smooth = np.abs(linear - nearest) < _STEP * nearest
+    with np.errstate(divide="ignore"):
+        return np.where(nearest > 0, 1 / np.where(smooth, linear, nearest), np.float32(np.nan)).astype(np.float32)
 
 
 @compiled()
@@ -152,6 +181,12 @@ def _slot(codes, places, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @inlined()
+def _index(slot, i, j, k):  # type: ignore[no-untyped-def]
+    """Return where a voxel is in the flat array of all blocks."""
+    return (((slot << _BITS | k & _LAST) << _BITS) | j & _LAST) << _BITS | i & _LAST
+
+
+@inlined()
 def _value(tsdf, weight, codes, places, x, y, z, min_weight):  # type: ignore[no-untyped-def]
     """Return the signed distance between eight voxels at a place in voxels; NaN where too few of them are known."""
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
@@ -164,73 +199,91 @@ def _value(tsdf, weight, codes, places, x, y, z, min_weight):  # type: ignore[no
             for di in range(2):
                 ci, cj, ck = i + di, j + dj, k + dk
                 here = slot if inside else _slot(codes, places, ci >> _BITS, cj >> _BITS, ck >> _BITS)
-                if here < 0 or weight[here, ck & _LAST, cj & _LAST, ci & _LAST] < min_weight:
+                if here < 0:
+                    continue
+                at = _index(here, ci, cj, ck)
+                if weight[at] < min_weight:
                     continue
                 share = (s if di else 1 - s) * (t if dj else 1 - t) * (r if dk else 1 - r)
-                value += share * tsdf[here, ck & _LAST, cj & _LAST, ci & _LAST]
+                value += share * tsdf[at]
                 total += share
     return value / total if total > 0.5 else np.nan
 
 
-@compiled(error_model="numpy")
-def _cast(voxels, blocks, matrix, pose, ends, lengths, z_mm, first_row, last_row):  # type: ignore[no-untyped-def]
-    tsdf, weight = voxels
-    codes, places = blocks.codes, blocks.places
-    voxel_mm, truncation_mm, max_mm, min_weight = lengths
-    ox, oy, oz = pose[0, 3] / voxel_mm, pose[1, 3] / voxel_mm, pose[2, 3] / voxel_mm
-    for row in range(first_row, last_row):
-        for column in range(z_mm.shape[1]):
-            z = max(ends[0, row // CELL_PX, column // CELL_PX], voxel_mm)
-            last = min(ends[1, row // CELL_PX, column // CELL_PX], max_mm)
-            x, y = (column - matrix[0, 2]) / matrix[0, 0], (row - matrix[1, 2]) / matrix[1, 1]
-            # voxels a mm of distance
-            dx = (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2]) / voxel_mm
-            dy = (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2]) / voxel_mm
-            dz = (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2]) / voxel_mm
-            before, before_z = -1.0, 0.0
-            known_x, known_y, known_z, slot = -_OFFSET, 0, 0, np.int64(-1)
-            while z <= last:
-                px, py, pz = ox + z * dx, oy + z * dy, oz + z * dz
-                i, j, k = int(np.floor(px + 0.5)), int(np.floor(py + 0.5)), int(np.floor(pz + 0.5))
-                bx, by, bz = i >> _BITS, j >> _BITS, k >> _BITS
-                if bx != known_x or by != known_y or bz != known_z:
-                    slot = _slot(codes, places, bx, by, bz)
-                    known_x, known_y, known_z = bx, by, bz
-                if slot < 0:  # to the other side of the block
-                    out = min(_exit(px, dx, bx), _exit(py, dy, by), _exit(pz, dz, bz))
-                    before = -1.0
-                    z += max(out, voxel_mm)
-                    continue
-                a, b, c = k & _LAST, j & _LAST, i & _LAST
-                if weight[slot, a, b, c] < min_weight:
-                    before = -1.0
-                    z += _UNKNOWN_STEP * voxel_mm
-                    continue
-                value = tsdf[slot, a, b, c]
-                if value <= 0.0 and before > 0.0:
-                    slope = (value - before) / (z - before_z)
-                    least, most = before_z - voxel_mm, z + voxel_mm
-                    found, old, at_old = z - value / slope, 0.0, np.nan
-                    for _ in range(_REFINEMENTS):  # secant method
-                        at = _value(
-                                tsdf, weight, codes, places, ox + found * dx, oy + found * dy, oz + found * dz, min_weight
-                            )
-                        if not np.isfinite(at):
-                            break
-                        steeper = (at - at_old) / (found - old)
-                        if steeper < 0.3 * slope:  # else two places are too close to tell
-                            slope = steeper
-                        old, at_old = found, at
-                        found = min(max(found - at / slope, least), most)
-                    z_mm[row, column] = found
+@inlined(error_model="numpy")
+def _ray(tsdf, weight, codes, places, place, slopes, begin, end, lengths):  # type: ignore[no-untyped-def]
+    """Follow a ray from a place (voxels) along slopes (voxels a mm of distance); NaN where it enters no surface."""
+    ox, oy, oz = place
+    dx, dy, dz = slopes
+    voxel_mm, truncation_mm, _, min_weight = lengths
+    z = begin
+    before, before_z = -1.0, 0.0
+    known_x, known_y, known_z, slot = -_OFFSET, 0, 0, np.int64(-1)
+    while z <= end:
+        px, py, pz = ox + z * dx, oy + z * dy, oz + z * dz
+        i, j, k = int(np.floor(px + 0.5)), int(np.floor(py + 0.5)), int(np.floor(pz + 0.5))
+        bx, by, bz = i >> _BITS, j >> _BITS, k >> _BITS
+        if bx != known_x or by != known_y or bz != known_z:
+            slot = _slot(codes, places, bx, by, bz)
+            known_x, known_y, known_z = bx, by, bz
+        if slot < 0:  # to the other side of the block
+            out = min(_exit(px, dx, bx), _exit(py, dy, by), _exit(pz, dz, bz))
+            before = -1.0
+            z += max(out, voxel_mm)
+            continue
+        at = _index(slot, i, j, k)
+        if weight[at] < min_weight:
+            before = -1.0
+            z += _UNKNOWN_STEP * voxel_mm
+            continue
+        value = tsdf[at]
+        if value <= 0.0 and before > 0.0:
+            slope = (value - before) / (z - before_z)
+            least, most = before_z - voxel_mm, z + voxel_mm
+            found, old, here_old = z - value / slope, 0.0, np.nan
+            for _ in range(_REFINEMENTS):  # secant method
+                here = _value(
+                    tsdf, weight, codes, places, ox + found * dx, oy + found * dy, oz + found * dz, min_weight
+                )
+                if not np.isfinite(here):
                     break
-                before, before_z = float(value), z
-                z += max(abs(value) * truncation_mm, voxel_mm)
+                steeper = (here - here_old) / (found - old)
+                if steeper < 0.3 * slope:  # else two places are too close to tell
+                    slope = steeper
+                old, here_old = found, here
+                found = min(max(found - here / slope, least), most)
+            return found
+        before, before_z = float(value), z
+        z += max(abs(value) * truncation_mm, voxel_mm)
+    return np.nan
+
+
+@compiled(error_model="numpy")
+def _cast(voxels, blocks, matrix, pose, ends, lengths, z_mm, first, last):  # type: ignore[no-untyped-def]
+    """Cast the rays of rows of cells, cell by cell: neighbours read the same blocks."""
+    tsdf, weight = voxels[0].reshape(-1), voxels[1].reshape(-1)
+    codes, places = blocks.codes, blocks.places
+    voxel_mm, max_mm = lengths[0], lengths[2]
+    place = (pose[0, 3] / voxel_mm, pose[1, 3] / voxel_mm, pose[2, 3] / voxel_mm)
+    rows, columns = z_mm.shape
+    for cell_row in range(first, last):
+        for cell_column in range(ends.shape[2]):
+            begin = max(ends[0, cell_row, cell_column], voxel_mm)
+            end = min(ends[1, cell_row, cell_column], max_mm)
+            for row in range(cell_row * CELL_PX, min((cell_row + 1) * CELL_PX, rows)):
+                for column in range(cell_column * CELL_PX, min((cell_column + 1) * CELL_PX, columns)):
+                    x, y = (column - matrix[0, 2]) / matrix[0, 0], (row - matrix[1, 2]) / matrix[1, 1]
+                    slopes = (
+                        (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2]) / voxel_mm,
+                        (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2]) / voxel_mm,
+                        (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2]) / voxel_mm,
+                    )
+                    z_mm[row, column] = _ray(tsdf, weight, codes, places, place, slopes, begin, end, lengths)
 
 
 @inlined()
 def _exit(place, slope, block):  # type: ignore[no-untyped-def]
-    """Return after how many mm of distance a ray leaves a block along one axis; voxels' middles are at whole numbers."""
+    """Return after how many mm a ray leaves a block along one axis; the middles of voxels are at whole numbers."""
     if slope > 0.0:
         return ((block + 1) * EDGE - 0.5 - place) / slope + 1e-3
     if slope < 0.0:

@@ -13,10 +13,10 @@ import numpy as np
 from chromaperture.errors import MissingDependencyError
 from chromaperture.products.rectified import View
 from chromaperture.reconstruction.fusion_kernels import Pixels, Voxels, clear_faint, fuse, holds_surface
-from chromaperture.reconstruction.ray_casting import cast_rays, table_of
+from chromaperture.reconstruction.camera_matrix import scaled
+from chromaperture.reconstruction.ray_casting import EDGE, cast_rays, enlarged_distances, table_of
 from chromaperture.threads import in_parallel
 
-EDGE = 16  # voxels along a block
 BLOCK_BYTES = EDGE**3 * 4 * 5  # tsdf, weight, three colours
 # Chosen by hand; not tuned. Weight 1 is a pixel of the first view's median standard deviation.
 _KNOWN_WEIGHT = 0.01  # from which a voxel is used by a ray
@@ -156,17 +156,24 @@ class Volume:
         tsdf, weight, color = (self.grid.attribute(name).numpy() for name in ("tsdf", "weight", "color"))
         return Voxels(tsdf[..., 0], weight[..., 0], color)
 
-    def ray_cast(self, camera_matrix: np.ndarray, camera_to_world: np.ndarray, width: int, height: int) -> np.ndarray:
-        """Return the distances of the model in a camera's picture; (height, width) float32 mm, NaN unknown."""
+    def ray_cast(
+        self, camera_matrix: np.ndarray, camera_to_world: np.ndarray, width: int, height: int, *, reduced: int = 1
+    ) -> np.ndarray:
+        """Return the distances of the model in a camera's picture; (height, width) float32 mm, NaN unknown.
+
+        A ray is cast for every square of ``reduced`` px; distances between are interpolated, see `enlarged_distances`.
+        """
         table = self.grid.hashmap()
         slots = table.active_buf_indices().numpy().astype(np.int64)
         voxels = self._voxels()
-        return cast_rays(
+        z_mm = cast_rays(
             (voxels.tsdf, voxels.weight), table_of(table.key_tensor().numpy()[slots], slots),
-            np.asarray(camera_matrix, float), np.asarray(camera_to_world, float), (height, width),
+            scaled(camera_matrix, reduced), np.asarray(camera_to_world, float),
+            (-(-height // reduced), -(-width // reduced)),
             voxel_mm=self.voxel_mm, truncation_mm=self.voxel_mm * self.truncation_voxels,
             max_distance_mm=self.max_distance_mm, min_weight=_KNOWN_WEIGHT,
         )  # fmt: skip
+        return z_mm if reduced == 1 else enlarged_distances(z_mm, reduced, (height, width))
 
     def mesh(self, *, min_weight: float = _MESH_WEIGHT) -> Mesh:
         """Extract the surface where voxels have that weight."""
