@@ -22,14 +22,10 @@ _AGREES, _DIFFERS = 1, 2  # distance of a point: within the outlier limit, or no
 # Chosen by hand; not tuned.
 _MIN_POINTS = 50  # of a scale: fewer do not determine eight unknowns robustly
 _LEVELS, _MIN_SIDE_PX = 4, 40  # scales of the pyramid, each half as large, and the least side of the coarsest
-# Points of a scale: so many pixels of the largest gradients, evenly thinned. Twice as many points take twice the time and
-# err as much (docs/reconstruction.md); fewer candidates lie on few strong edges, which may be those of an occluder.
+# Points of a scale: so many pixels of the largest gradients, evenly thinned. Twice as many points take twice the time
+# and err as much (docs/reconstruction.md); fewer candidates lie on few strong edges, which may be an occluder's.
 _CANDIDATES, _MAX_POINTS = 16_000, 4_000
 _ROUNDS, _CONVERGED_PX = 12, 0.05  # Gauss-Newton steps of a scale; a smaller step ends them
-_LEVELS, _MIN_SIDE_PX = 4, 40  # scales of the pyramid, each half as large, and the least side of the coarsest
-# Points of a scale, Gauss-Newton steps there, and a step that ends them. 8000, 12 and 0.02 px take twice the time and
-# err as much (docs/reconstruction.md).
-_MAX_POINTS, _ROUNDS, _CONVERGED_PX = 4_000, 8, 0.05
 _START_SIGMA, _MIN_SIGMA = 20.0, 0.5  # grey levels: standard deviation before the first round, and of rounding alone
 _MAX_SLOPE = 0.02  # change of distance per px, of the distance, above which its gradient is that of an edge
 _DAMPING = 1e-4  # added to the diagonal of the normal equations, scaled to 1

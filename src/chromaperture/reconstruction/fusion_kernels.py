@@ -57,15 +57,9 @@ def fuse(voxels, slots, keys, view, voxel_mm, truncation_mm, max_weight):  # typ
         for line in range(edge * edge):
             x, y = keys[n, 0] * edge * voxel_mm, (keys[n, 1] * edge + line % edge) * voxel_mm
             z = (keys[n, 2] * edge + line // edge) * voxel_mm
-            px = np.float32(
-                (to_camera[0, 0] * x + to_camera[0, 1] * y + to_camera[0, 2] * z) * voxel_mm + to_camera[0, 3]
-            )
-            py = np.float32(
-                (to_camera[1, 0] * x + to_camera[1, 1] * y + to_camera[1, 2] * z) * voxel_mm + to_camera[1, 3]
-            )
-            pz = np.float32(
-                (to_camera[2, 0] * x + to_camera[2, 1] * y + to_camera[2, 2] * z) * voxel_mm + to_camera[2, 3]
-            )
+            px = np.float32(to_camera[0, 0] * x + to_camera[0, 1] * y + to_camera[0, 2] * z + to_camera[0, 3])
+            py = np.float32(to_camera[1, 0] * x + to_camera[1, 1] * y + to_camera[1, 2] * z + to_camera[1, 3])
+            pz = np.float32(to_camera[2, 0] * x + to_camera[2, 1] * y + to_camera[2, 2] * z + to_camera[2, 3])
             for i in range(edge):
                 step = np.float32(i)
                 depth[i] = pz + step * az

@@ -12,8 +12,8 @@ import numpy as np
 
 from chromaperture.errors import MissingDependencyError
 from chromaperture.products.rectified import View
-from chromaperture.reconstruction.fusion_kernels import Pixels, Voxels, clear_faint, fuse, holds_surface
 from chromaperture.reconstruction.camera_matrix import scaled
+from chromaperture.reconstruction.fusion_kernels import Pixels, Voxels, clear_faint, fuse, holds_surface
 from chromaperture.reconstruction.ray_casting import EDGE, cast_rays, enlarged_distances, table_of
 from chromaperture.threads import in_parallel
 
@@ -175,8 +175,8 @@ class Volume:
         )  # fmt: skip
         return z_mm if reduced == 1 else enlarged_distances(z_mm, reduced, (height, width))
 
-    def mesh(self, *, min_weight: float = _MESH_WEIGHT) -> Mesh:
-        """Extract the surface where voxels have that weight."""
+    def mesh(self, *, min_weight: float = _MESH_WEIGHT, ordered: bool = True) -> Mesh:
+        """Extract the surface where voxels have that weight, see `in_order`."""
         empty = Mesh(np.empty((0, 3), np.float32), np.empty((0, 3), np.int32), np.empty((0, 3), np.uint8))
         if self.blocks == 0:
             return empty
@@ -185,7 +185,8 @@ class Volume:
             return empty
         colors = np.rint(np.clip(found.vertex.colors.numpy(), 0.0, 1.0) * 255).astype(np.uint8)
         vertices = (found.vertex.positions.numpy() * 1000).astype(np.float32)
-        return in_order(Mesh(vertices, found.triangle.indices.numpy().astype(np.int32), colors))
+        mesh = Mesh(vertices, found.triangle.indices.numpy().astype(np.int32), colors)
+        return in_order(mesh) if ordered else mesh
 
     def _blocks_of(self, z_mm: np.ndarray, camera_matrix: np.ndarray, camera_to_world: np.ndarray) -> np.ndarray:
         image = self._o3d.t.geometry.Image(self._core.Tensor(np.nan_to_num(z_mm).astype(np.float32)))
