@@ -195,7 +195,12 @@ def test_the_camera_is_found_on_its_way_through_a_room():
 def test_every_second_frame_is_fused_and_every_one_is_tracked(monkeypatch):
     fused: list[int] = []
     integrate = Volume.integrate
-    monkeypatch.setattr(Volume, "integrate", lambda self, view, *at: fused.append(view.index) or integrate(self, view, *at))
+
+    def noted(self, view, *at):
+        fused.append(view.index)
+        return integrate(self, view, *at)
+
+    monkeypatch.setattr(Volume, "integrate", noted)
     model = Reconstruction(MATRIX, ReconstructionConfig(tracking_scale=1, voxel_mm=15.0, fuse_every=2))
     for index in range(7):  # close together: only the first is a keyframe
         placed = model.add(photograph(pose_at(index / 4), index=index))
@@ -476,7 +481,9 @@ def test_a_missing_extra_is_named(command, monkeypatch, capsys, tmp_path):
     assert "pip install 'chromaperture[" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("changes", [{"voxel_mm": 0.0}, {"memory_mb": 1}, {"edge_jump": -1.0}, {"submap_after": 0}, {"fuse_every": 0}])
+@pytest.mark.parametrize(
+    "changes", [{"voxel_mm": 0.0}, {"memory_mb": 1}, {"edge_jump": -1.0}, {"submap_after": 0}, {"fuse_every": 0}]
+)
 def test_senseless_settings_are_refused(changes):
     with pytest.raises(InputError):
         ReconstructionConfig(**changes)

@@ -28,7 +28,7 @@ from chromaperture.viewer.free_space import RESERVE_BYTES
 from chromaperture.viewer.watchdog import WATCHDOG_S, Watchdog
 
 if TYPE_CHECKING:
-    from chromaperture.viewer.loop import FUSE_EVERY, LiveLoop
+    from chromaperture.viewer.loop import LiveLoop
     from chromaperture.viewer.page import LivePage
 
 
