@@ -510,3 +510,33 @@ def test_a_mesh_in_order_does_not_depend_on_the_order_it_came_in(rng):
         return sorted(map(tuple, np.concatenate([corners.sum(axis=1), normals], axis=1).round(0).tolist()))
 
     assert fronts(expected) == fronts(Mesh(points, triangles, colors))
+
+
+@pytest.mark.extra("reconstruct", "open3d")
+def test_tracked_poses_go_into_an_exported_sequence(tmp_path):
+    from chromaperture.products.posed_sequence import write_posed
+    from chromaperture.reconstruction.poses import Tracker
+
+    lines = []
+    tracker = Tracker(MATRIX, listener=lines.append)
+
+    def views():
+        for k in range(5):
+            view = photograph(pose_at(k), noise=0.005, seed=k, index=k)
+            tracker.see(view)
+            yield view
+        blank = plane(1500.0, 10.0)  # nothing to track by
+        lost = View(blank.color, np.full(SIZE, np.nan, np.float32), blank.sigma_mm, 1.0, 5)
+        tracker.see(lost)
+        yield lost
+
+    count = write_posed(tmp_path / "out", views(), form="nerfstudio", camera_matrix=MATRIX, poses=tracker.poses)
+    frames = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"]
+    assert (count, len(frames)) == (5, 5)
+    assert "1 of 6 frames" in lines[-1]
+    flip = np.diag([1.0, -1, -1, 1])
+    for k, frame in enumerate(frames):
+        found = np.array(frame["transform_matrix"]) @ flip
+        expected = np.linalg.inv(pose_at(0)) @ pose_at(k)  # the world is the first camera's
+        assert np.linalg.norm(1000 * found[:3, 3] - expected[:3, 3]) < 5  # mm, of 90; depth has 0.5 % of noise
+    assert len(list((tmp_path / "out" / "depth_mm").iterdir())) == 5
