@@ -58,8 +58,10 @@ ALLOWED: dict[str, set[str]] = {
     "reconstruction": {"camera", "products", "storage", "capture", "color", "depth"},
     # It shows the model, and the picture focused elsewhere.
     "viewer": {"camera", "products", "storage", "capture", "color", "depth", "effects", "reconstruction"},
+    # It calibrates with its report, measures and refocuses, behind the checks of the viewer.
+    "app": BELOW_LEAVES | {"effects", "evaluation", "viewer"},
     "evaluation": BELOW_LEAVES | {"effects", "reconstruction"},  # the paper's Figures 14 and 15 show them
-    "cli": BELOW_LEAVES | {"compile_ahead", "config_file", "effects", "reconstruction", "viewer", "evaluation"}
+    "cli": BELOW_LEAVES | {"compile_ahead", "config_file", "effects", "reconstruction", "viewer", "evaluation", "app"}
            | {"__init__"},
     "tasks": BELOW_LEAVES | {"effects", "evaluation"},  # whole tasks in one call, for Python
     "__main__": {"cli"},
@@ -93,7 +95,7 @@ ONE_WAY = {
     "ThreadPool": "threads.py",
 }
 OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "fsspec", "mcap", "mcap_ros2",
-            "imageio", "xarray"}  # fmt: skip
+            "imageio", "xarray", "starlette", "uvicorn", "cryptography", "segno"}  # fmt: skip
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pyyaml": "yaml"}
 
