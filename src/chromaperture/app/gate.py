@@ -107,7 +107,9 @@ class Gate:
         reason = self.access.refusal(path, hosts, origins)
         if reason is not None:
             raise Refused(HTTPStatus.FORBIDDEN, reason)
-        if _values(headers, b"sec-fetch-site") == ["cross-site"] and _values(headers, b"sec-fetch-mode") != ["navigate"]:
+        if _values(headers, b"sec-fetch-site") == ["cross-site"] and _values(headers, b"sec-fetch-mode") != [
+            "navigate"
+        ]:
             raise Refused(HTTPStatus.FORBIDDEN, "another web page may not connect")
         inner = self.access.inner_path(path)
         is_upload = scope["method"] == "POST" and inner.startswith(self.uploads) if self.uploads else False

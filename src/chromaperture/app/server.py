@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import tempfile
 import time
 from collections.abc import Awaitable, Callable
@@ -14,6 +13,7 @@ from typing import Any, TypeVar
 
 import cv2
 
+from chromaperture.app.assistant_answers import AssistantAnswers
 from chromaperture.app.certificate import NEEDS_EXTRA
 from chromaperture.app.frame_message import pack_frame
 from chromaperture.app.gate import Gate, save_body
@@ -21,14 +21,12 @@ from chromaperture.app.workbench import Workbench
 from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
 from chromaperture.errors import ChromapertureError, InputError, MissingDependencyError, lacks_memory
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.viewer.access import Access, require_host
+from chromaperture.viewer.access import Access
 from chromaperture.viewer.free_space import require_space
 
 T = TypeVar("T")
 UPLOADS = ("/api/frames", "/api/photos", "/api/cameras", "/api/sessions")  # whose bodies may be large
 MOST_WAITING = 6  # measurements that wait for the one under way; more are told to come again
-_MOST_CONNECTIONS = 64  # at a time; a browser opens six
-_IDLE_S = 15  # seconds for the header of a request, and between requests
 _TYPES = {
     ".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".js": "text/javascript; charset=utf-8",
     ".webmanifest": "application/manifest+json", ".png": "image/png", ".svg": "image/svg+xml",
@@ -74,6 +72,7 @@ class Answers:
     def __init__(self, workbench: Workbench, certificate: Path | None = None) -> None:
         self.workbench, self.certificate = workbench, certificate
         self.desk = Desk()
+        self.is_calibrating: Callable[[], bool] = lambda: False
 
     async def page(self, request: Any) -> Any:
         """Return a file of the page."""
@@ -126,6 +125,7 @@ class Answers:
         """Measure one frame of the page's camera."""
         from starlette.responses import Response
 
+        self._free()
         asked = request.query_params
         size = (whole(asked, "width"), whole(asked, "height"))
         data = await request.body()
@@ -143,6 +143,7 @@ class Answers:
         """Measure a photograph's file."""
         from starlette.responses import Response
 
+        self._free()
         asked = request.query_params
         async with _Upload(request, self.workbench, asked.get("name", "photo.png")) as path:
 
@@ -158,6 +159,11 @@ class Answers:
                 return pack_frame(photo.measured.frame, facts)
 
             return Response(await self.desk.run(work), media_type="application/octet-stream")
+
+    def _free(self) -> None:
+        """Refuse to measure beside a calibration: it uses all cores for minutes."""
+        if self.is_calibrating():
+            raise InputError("the computer is calibrating; it measures again when that is done")
 
     async def refocus(self, request: Any) -> Any:
         """Return a photograph with another focus and f-number."""
@@ -292,7 +298,10 @@ def make_app(workbench: Workbench, access: Access, *, certificate: Path | None =
         raise MissingDependencyError(NEEDS_EXTRA) from None
 
     answers = Answers(workbench, certificate)
+    assistant = AssistantAnswers(workbench, answers.desk)
+    answers.is_calibrating = assistant.is_calibrating
     table = [
+        *assistant.table(),
         ("GET", "/api/about", answers.about),
         ("GET", "/api/colors", answers.colors),
         ("GET", "/api/certificate", answers.trust),
@@ -307,83 +316,3 @@ def make_app(workbench: Workbench, access: Access, *, certificate: Path | None =
     ]
     routes = [Route(path, said(answer), methods=[method]) for method, path, answer in table]
     return Gate(Starlette(routes=routes), access, uploads=UPLOADS)
-
-
-def serve(
-    application: Any, *, host: str, port: int, certificate: tuple[Path, Path] | None = None,
-    ready: Callable[[], None] = lambda: None,
-) -> None:  # fmt: skip
-    """Serve until Ctrl-C.
-
-    Parameters
-    ----------
-    application : callable
-        From `make_app`.
-    host : str
-    port : int
-    certificate : (Path, Path), optional
-        Certificate and key, for https.
-    ready : callable, optional
-        Called when the server can be reached.
-
-    Raises
-    ------
-    InputError
-        Nothing can be served there.
-    MissingDependencyError
-    """
-    server = make_server(application, host=host, port=port, certificate=certificate, ready=ready)
-    server.run()
-
-
-def make_server(
-    application: Any, *, host: str, port: int, certificate: tuple[Path, Path] | None = None,
-    ready: Callable[[], None] = lambda: None,
-) -> Any:  # fmt: skip
-    """Return the server of `serve`; ``run`` starts it, ``should_exit = True`` ends it."""
-    try:
-        import uvicorn
-        from uvicorn.protocols.http.h11_impl import H11Protocol
-    except ImportError:
-        raise MissingDependencyError(NEEDS_EXTRA) from None
-    require_host(host)
-    _require_free(host, port)
-
-    class Impatient(H11Protocol):  # type: ignore[misc]
-        """Closes connections that send no request: uvicorn waits for the first one for ever."""
-
-        def connection_made(self, transport: Any) -> None:
-            super().connection_made(transport)
-            self.loop.call_later(_IDLE_S, self._close_unused)
-
-        def _close_unused(self) -> None:
-            if self.cycle is None and not self.transport.is_closing():
-                self.transport.close()
-
-    class Server(uvicorn.Server):  # type: ignore[misc]
-        async def startup(self, sockets: Any = None) -> None:
-            await super().startup(sockets)
-            if self.started:
-                ready()
-
-    logging.getLogger("uvicorn.error").setLevel(logging.ERROR)  # its banner; every scan of the port
-    files = {} if certificate is None else {"ssl_certfile": str(certificate[0]), "ssl_keyfile": str(certificate[1])}
-    config = uvicorn.Config(
-        application, host=host, port=port, http=Impatient, ws="none", lifespan="off", access_log=False,
-        log_config=None, limit_concurrency=_MOST_CONNECTIONS, timeout_keep_alive=_IDLE_S, server_header=False,
-        date_header=False, proxy_headers=False, h11_max_incomplete_event_size=16384, timeout_graceful_shutdown=2,
-        **files,
-    )  # fmt: skip
-    return Server(config)
-
-
-def _require_free(host: str, port: int) -> None:
-    import socket
-
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            raise InputError(f"port {port} cannot be used ({error.strerror}); choose another one with --port") from None

@@ -26,8 +26,8 @@ from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.config import QUALITIES, Quality
-from chromaperture.effects.background import BACKGROUND_EFFECTS, BackgroundEffect, apply_background
+from chromaperture.config import QUALITIES
+from chromaperture.effects.background import BACKGROUND_EFFECTS, apply_background
 from chromaperture.effects.refocusing import Focus
 from chromaperture.effects.restore import SharpPicture, restore
 from chromaperture.errors import CaptureWarning, InputError
@@ -137,7 +137,7 @@ class Workbench:
         key = (path, path.stat().st_mtime_ns, quality)
         if key not in self._eyes:
             calibration = Calibration.load(path)
-            self._eyes[key] = CodedApertureCamera(calibration, default_config(calibration, cast(Quality, quality)))
+            self._eyes[key] = CodedApertureCamera(calibration, default_config(calibration, quality))
             while len(self._eyes) > _KEPT_EYES:
                 self._eyes.popitem(last=False)
         self._eyes.move_to_end(key)
@@ -242,9 +242,7 @@ class Workbench:
         picture = photo.sharp[sharpness]
         strength = 1.0 if f_number is None or not own else own / f_number
         focus = Focus(_radius_at(picture.radius_px, at), strength)
-        return linear_to_srgb_bytes(
-            apply_background(picture.color, picture.radius_px, focus, cast(BackgroundEffect, background))
-        )
+        return linear_to_srgb_bytes(apply_background(picture.color, picture.radius_px, focus, background))
 
     def photo_files(self, key: str, original: Path | None = None) -> bytes:
         """Return the files of a photograph, as ``chromaperture depth`` writes them, in one ZIP archive."""

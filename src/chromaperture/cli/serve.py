@@ -15,9 +15,9 @@ PORT = 8733  # of no service that is registered; the same every time, because an
 
 def serve(
     camera: CameraOrDesign = None,
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder of camera files, sessions and photographs.")
-    ] = Path("chromaperture-app"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of camera files, sessions and photographs.")] = Path(
+        "chromaperture-app"
+    ),
     lan: Annotated[
         bool,
         typer.Option(
@@ -40,8 +40,8 @@ def serve(
     Example: chromaperture serve --camera camera.asdf
     """
     from chromaperture.app.certificate import kept_certificate, kept_token, own_names, qr_code, state_folder
+    from chromaperture.app.listening import make_server
     from chromaperture.app.server import make_app
-    from chromaperture.app.server import serve as run
     from chromaperture.app.workbench import Workbench
     from chromaperture.cli.console import compile_kernels
     from chromaperture.viewer.access import Access
@@ -71,4 +71,4 @@ def serve(
             )
 
     pair = None if trusted is None else (trusted.certificate, trusted.key)
-    run(application, host=host, port=port, certificate=pair, ready=ready)
+    make_server(application, host=host, port=port, certificate=pair, ready=ready).run()
