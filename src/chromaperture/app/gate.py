@@ -6,7 +6,7 @@ Written for any server of the ASGI standard, so that the tests can send it what 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Awaitable, Callable, Iterator, MutableMapping
 from dataclasses import dataclass
 from http import HTTPStatus
 from pathlib import Path
@@ -26,6 +26,7 @@ Application = Callable[[Scope, Receive, Send], Awaitable[None]]
 MOST_UPLOAD_BYTES, MOST_BODY_BYTES = 256 * 2**20, 2**16
 # Seconds, chosen by hand: for the next part of a body or of an answer, and for a whole body.
 PART_S, BODY_S = 20.0, 120.0
+_PART_BYTES = 2**18  # of an answer: 13 kB/s at the least
 MOST_UPLOADS = 4  # at a time: they fill the disk for as long as they are read
 
 # Nothing is loaded from, sent to, or framed by another server; no inline script runs.
@@ -90,16 +91,16 @@ class Gate:
             if message["type"] == "http.response.start":
                 started[0] = True
                 message["headers"] = [*_with_ours(message.get("headers", []))]
-            await asyncio.wait_for(send(message), self.part_s)
+            for part in _parts(message):
+                await asyncio.wait_for(send(part), self.part_s)
 
         try:
             await self._pass(scope, receive, answer)
         except Refused as refused:
             if not started[0]:
                 await _say(answer, refused.status, str(refused))
-        except TimeoutError:  # a reader who stopped reading: nothing more can be said to it
-            if not started[0]:
-                raise
+        except TimeoutError:  # a reader who stopped reading: the server closes what is not answered to its end
+            return
 
     async def _pass(self, scope: Scope, receive: Receive, send: Send) -> None:
         path, headers = scope["path"], scope["headers"]
@@ -163,6 +164,18 @@ async def save_body(request: Any, path: Path) -> int:
     if not length:
         raise InputError("nothing was sent; choose the file again")
     return length
+
+
+def _parts(message: Message) -> Iterator[Message]:
+    """Cut the body of an answer, so that no more waits in memory for a slow reader than a part."""
+    body = message.get("body", b"")
+    if len(body) <= _PART_BYTES:
+        yield message
+        return
+    for start in range(0, len(body), _PART_BYTES):
+        is_last = start + _PART_BYTES >= len(body)
+        more = message.get("more_body", False) or not is_last
+        yield {"type": message["type"], "body": body[start : start + _PART_BYTES], "more_body": more}
 
 
 def _values(headers: list[tuple[bytes, bytes]], name: bytes) -> list[str]:

@@ -16,7 +16,7 @@ import cv2
 from chromaperture.app.assistant_answers import AssistantAnswers
 from chromaperture.app.certificate import NEEDS_EXTRA
 from chromaperture.app.frame_message import pack_frame
-from chromaperture.app.gate import Gate, save_body
+from chromaperture.app.gate import Gate, Refused, save_body
 from chromaperture.app.workbench import Workbench
 from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
 from chromaperture.errors import ChromapertureError, InputError, MissingDependencyError, lacks_memory
@@ -173,8 +173,9 @@ class Answers:
         at = (number(asked, "x"), number(asked, "y")) if "x" in asked else None
 
         def work() -> bytes:
+            f_number = number(asked, "f_number") if "f_number" in asked else None
             picture = self.workbench.refocused(
-                request.path_params["photo"], at=at, f_number=number(asked, "f_number") if "f_number" in asked else None,
+                request.path_params["photo"], at=at, f_number=f_number,
                 background=asked.get("background", "keep"), sharpness=asked.get("sharpness", "aligned"),
             )  # fmt: skip
             return bytes(cv2.imencode(".png", picture[..., ::-1])[1])
@@ -266,6 +267,9 @@ def said(answer: Callable[[Any], Awaitable[Any]]) -> Callable[[Any], Awaitable[A
 
         try:
             return await answer(request)
+        except Refused as refused:  # by the size or the time of its body; the rest of it is not read
+            more = {"Connection": "close"}
+            return JSONResponse({"error": str(refused)}, status_code=int(refused.status), headers=more)
         except Busy:
             line, status = "the computer is still measuring; it will take the next picture in a moment", 503
         except ChromapertureError as error:

@@ -8,6 +8,7 @@ import json
 import os
 import re
 import shutil
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -123,7 +124,9 @@ class SessionFolder:
             raise InputError(f"a file of the kind {photograph.suffix or 'without a name'} is not read; give RAW, PNG, "
                              "TIFF or JPEG")  # fmt: skip
         if self.size_px is None:
-            decoded = decode(photograph)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # the checks say it when they read the photograph again
+                decoded = decode(photograph)
             height, width = decoded.array.shape[:2]
             levels = {}
             if decoded.own is not None and self.facts.white_level is None:  # of RAW files; superpixels hold twice

@@ -5,6 +5,7 @@ Everything here is called by one thread at a time: the matcher uses all cores al
 
 from __future__ import annotations
 
+import contextlib
 import io
 import itertools
 import math
@@ -14,7 +15,7 @@ import tempfile
 import warnings
 import zipfile
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -172,7 +173,7 @@ class Workbench:
         counts = np.frombuffer(data, np.uint8).reshape(height, width, 3)
         sensor = eye.calibration.sensor
         levels = (sensor.black_level, sensor.white_level) if eye.calibration.is_calibrated else None
-        with _heard() as notes:
+        with heard() as notes:
             frame = eye.measure(linearise(Decoded(counts), camera_levels=levels))
         return frame, notes()
 
@@ -181,7 +182,7 @@ class Workbench:
     ) -> tuple[str, Photo]:
         """Measure a photograph's file and keep the result for a while; returns its key; raises InputError."""
         eye = self.eye(camera, quality)
-        with _heard() as notes:
+        with heard() as notes:
             measured = measure_only(path, eye, out=self.folder / "photos", listener=stage)
         height, width = measured.frame.disparity_px.shape
         photo = Photo(measured, eye.at_size(width, height), notes())
@@ -290,19 +291,9 @@ def _radius_at(radius_px: np.ndarray, at: tuple[float, float] | None) -> float:
     return float(np.median(radius_px[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4]))
 
 
-class _heard:
+@contextlib.contextmanager
+def heard() -> Iterator[Callable[[], list[str]]]:
     """Collect the sentences of warnings about captures; what is yielded returns them."""
-
-    def __enter__(self) -> Callable[[], list[str]]:
-        self._catch = warnings.catch_warnings(record=True)
-        self._found = self._catch.__enter__() or []
+    with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        return lambda: list(
-            dict.fromkeys(str(w.message) for w in self._found if issubclass(w.category, CaptureWarning))
-        )
-
-    def __exit__(self, *error: object) -> None:
-        self._catch.__exit__(None, None, None)
-
-
-heard = _heard
+        yield lambda: list(dict.fromkeys(str(w.message) for w in found if issubclass(w.category, CaptureWarning)))
