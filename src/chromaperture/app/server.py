@@ -176,7 +176,7 @@ class Answers:
             f_number = number(asked, "f_number") if "f_number" in asked else None
             picture = self.workbench.refocused(
                 request.path_params["photo"], at=at, f_number=f_number,
-                background=asked.get("background", "keep"), sharpness=asked.get("sharpness", "aligned"),
+                background=asked.get("background", "keep"), sharpness=asked.get("sharpness", "preview"),
             )  # fmt: skip
             return bytes(cv2.imencode(".png", picture[..., ::-1])[1])
 

@@ -29,8 +29,10 @@ from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.config import QUALITIES
 from chromaperture.effects.background import BACKGROUND_EFFECTS, apply_background
+from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.refocusing import Focus
 from chromaperture.effects.restore import SharpPicture, restore
+from chromaperture.effects.transfer_functions import radius_per_disparity
 from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.products.measure_file import MeasuredFile, measure_only
@@ -215,7 +217,8 @@ class Workbench:
         background : str
             keep, desaturate or blur.
         sharpness : str
-            aligned, fast or full.
+            ``preview``, at once: the colours and the blur of the measured frame; or aligned, fast or full, which are
+            restored first, see `restore`.
 
         Returns
         -------
@@ -234,7 +237,7 @@ class Workbench:
         if frame.image is None:
             raise InputError("this photograph is no longer kept; open it again")
         if sharpness not in photo.sharp:
-            sharp = restore(
+            sharp = _at_once(photo) if sharpness == "preview" else restore(
                 frame.image, frame.disparity_px, photo.camera, sigma_px=frame.disparity_sigma_px,
                 sharpness=cast(Any, sharpness),
             )  # fmt: skip
@@ -278,6 +281,14 @@ def _described(path: Path) -> dict[str, Any]:
         "in_focus_mm": calibration.in_focus_mm if calibration.is_calibrated else None,
         "calibrated": calibration.is_calibrated,
     }
+
+
+def _at_once(photo: Photo) -> SharpPicture:
+    """Return a frame's picture and its blur without restoration, as the live page has them; 0.1 s instead of 7."""
+    frame, camera = photo.measured.frame, photo.camera
+    disparity, _ = filter_disparity(frame.disparity_px, frame.disparity_sigma_px, frame.color)
+    per_disparity = np.float32(radius_per_disparity(camera.calibration, camera.config.quality))
+    return SharpPicture(frame.color, disparity * per_disparity)
 
 
 def _radius_at(radius_px: np.ndarray, at: tuple[float, float] | None) -> float:

@@ -53,7 +53,7 @@ async function refocus() {
   waiting = { again: false };
   const now = photo;
   await attempt(async () => {
-    const wish = { f_number: now.f_number ? fNumber() : undefined, background: $("background").value, sharpness: $("sharpen").checked ? "fast" : "aligned" };
+    const wish = { f_number: now.f_number ? fNumber() : undefined, background: $("background").value, sharpness: $("sharpen").checked ? "fast" : "preview" };
     if (at) Object.assign(wish, { x: at[0], y: at[1] });
     viewer.reading.setAttribute("aria-busy", "true");
     const answer = await ask(`api/photos/${now.photo}/refocused` + query(wish));
