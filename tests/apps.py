@@ -24,11 +24,39 @@ _FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-backgro
 _CAMERA = ["--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream"]
 
 
+# What a photographer knows of the camera of `render_session`.
+FACTS = {
+    "design": "cy_halves", "focal_length_mm": 51.6, "f_number": 2.1, "focus_mm": 2000.0, "sensor_width_mm": 22.3,
+    "nearest_mm": 1000.0, "farthest_mm": 3000.0, "inner_corners": [9, 6], "square_mm": 30.0, "black_level": 16.0,
+    "white_level": 1016.0,
+}  # fmt: skip
+
+
 class App(NamedTuple):
     url: str
     port: int
     folder: Path
     server: Any
+
+
+def render_session(folder: Path) -> None:
+    """Photograph boards, leaning boards and sheets through a thin lens whose truth is known; 5 s."""
+    from chromaperture.cli.simulate import simulate
+
+    simulate(folder, thin=True, width=360, height=240, cells=6, tilts=5, nearest_mm=1000, farthest_mm=3000,
+             step_mm=500, quiet=True)  # fmt: skip
+    assert "square_mm = 30" in (folder / "session.toml").read_text()  # as FACTS says
+
+
+def calibrate_rendered(folder: Path, out: Path) -> None:
+    """Calibrate the session of `render_session` as the command line does."""
+    import typer
+
+    from chromaperture.cli.calibrate import calibrate
+
+    with contextlib.suppress(typer.Exit):  # of a calibration that cannot be used
+        calibrate(folder, out, no_blur=True, no_report=True, quiet=True)
+    assert out.is_file()
 
 
 def free_port() -> int:
@@ -61,19 +89,16 @@ def served(folder: Path, *, camera: Path | None = None, port: int | None = None,
 
 
 @contextlib.contextmanager
-def chromium(*, camera: Path | None = None, flags: tuple[str, ...] = ()) -> Iterator[Any]:
+def chromium(driver: Any, *, camera: Path | None = None, flags: tuple[str, ...] = ()) -> Iterator[Any]:
     """A headless browser; its camera plays a y4m file."""
-    from playwright.sync_api import sync_playwright
-
     arguments = [*_FLAGS, *flags]
     if camera is not None:
         arguments += [*_CAMERA, f"--use-file-for-fake-video-capture={camera.absolute()}"]
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), headless=True, args=arguments)
-        try:
-            yield browser
-        finally:
-            browser.close()
+    browser = driver.chromium.launch(executable_path=shutil.which("chromium"), headless=True, args=arguments)
+    try:
+        yield browser
+    finally:
+        browser.close()
 
 
 def write_y4m(path: Path, linear: np.ndarray, frames: int = 2) -> None:

@@ -42,6 +42,7 @@ NOT_RUN = {
     "depth holiday/": "a folder of photographs: test_batch.py measures one",
     "depth --files-from": "no cluster here: test_archive.py starts one",
     "record webcam": "no camera here: test_sources.py has others",
+    "serve": "until Ctrl-C: test_app_server.py asks it",
     "live webcam": "no camera here: test_live.py shows a simulated one",
 }
 # A command by its beginning, with the extra and the module that it needs; run where that is installed.
