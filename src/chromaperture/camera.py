@@ -223,6 +223,11 @@ class CodedApertureCamera:
     def __repr__(self) -> str:
         return f"CodedApertureCamera({self.calibration.title}, quality {self.config.quality})"
 
+    def _repr_html_(self) -> str:
+        from chromaperture.frame.notebook import camera_html
+
+        return camera_html(self.calibration, self.config.quality)
+
 
 def scaled_method(
     calibration: Calibration, config: Config, execution: ExecutionName = "numba", device: str = "cpu"
