@@ -43,6 +43,7 @@ NOT_RUN = {
     "depth --files-from": "no cluster here: test_archive.py starts one",
     "record webcam": "no camera here: test_sources.py has others",
     "record picamera2": "no camera here: test_picamera.py has a stand-in",
+    "serve": "until Ctrl-C: test_app_server.py asks it",
     "live webcam": "no camera here: test_live.py shows a simulated one, test_streams.py streams",
 }
 # A command by its beginning, with the extra and the module that it needs; run where that is installed.

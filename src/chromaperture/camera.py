@@ -223,6 +223,11 @@ class CodedApertureCamera:
     def __repr__(self) -> str:
         return f"CodedApertureCamera({self.calibration.title}, quality {self.config.quality})"
 
+    def _repr_html_(self) -> str:
+        from chromaperture.frame.notebook import camera_html
+
+        return camera_html(self.calibration, self.config.quality)
+
 
 def scaled_method(
     calibration: Calibration, config: Config, execution: ExecutionName = "numba", device: str = "cpu"
@@ -275,7 +280,7 @@ def load_camera(
     execution : {"numba", "numpy"}
     device : str
         ``auto``: a GPU where there is one, never software, and the CPU from where it fails on; ``cpu``; ``gpu`` or
-        ``gpu:NAME``, whose failures are errors. Of the qualities paper and real-time; accurate runs on the CPU.
+        ``gpu:NAME``, whose failures are errors. Quality accurate of a camera without blur in its file runs on the CPU.
 
     Raises
     ------

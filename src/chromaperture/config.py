@@ -26,7 +26,7 @@ from chromaperture.stage_config import (
 )
 
 # Px of half disparity for a px of blur. Planes gain 0.02 to 0.09 of the pixels within 2 % for designs of 0.20 to 0.42;
-# for cy_open (0.09), where errors of the blur count four times, they lose 0.04 of them (docs/evaluation.md).
+# for cy_open (0.09), where errors of the blur count four times, they lose 0.04 of them (docs/measurements.md).
 _LEAST_REACH_OF_PLANES = 0.15
 
 Quality = Literal["paper", "real-time", "accurate"]

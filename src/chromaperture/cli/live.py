@@ -86,12 +86,12 @@ def live(
     from chromaperture.cli.streams import open_stream
     from chromaperture.reconstruction.settings import ReconstructionConfig
     from chromaperture.viewer.access import is_every_address, viser
-    from chromaperture.viewer.loop import LiveLoop
+    from chromaperture.viewer.loop import FUSE_EVERY, LiveLoop
     from chromaperture.viewer.page import LivePage
 
     if page:
         viser()  # before the work: the extra may be missing
-    config = ReconstructionConfig(voxel_mm=voxel_mm, memory_mb=memory_mb)
+    config = ReconstructionConfig(voxel_mm=voxel_mm, memory_mb=memory_mb, fuse_every=FUSE_EVERY)
     eye = camera_for(out, camera, None, quality=quality, config=None, device=device)
     compile_kernels(quality, quiet=quiet)
     began = time.monotonic()
