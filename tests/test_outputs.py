@@ -131,6 +131,19 @@ def test_distorted_pixels_project_back_to_themselves():
     np.testing.assert_allclose(pixels[:, 0], np.stack([u.ravel(), v.ravel()], 1), atol=2e-4)  # float32 at 1 m
 
 
+def test_rays_between_the_grid_of_a_wide_lens():
+    # 500 px of focal length, 0.6 of it to the corner: the rays of every pixel by OpenCV's own iteration.
+    matrix, distortion = np.array([[500.0, 0, 240], [0, 500.0, 180], [0, 0, 1]]), np.array([-0.1, 0.02, 0.001, 0, 0])
+    cloud = depth_to_points(
+        np.full((361, 483), 1050.0), np.zeros((361, 483, 3)),
+        camera_matrix=matrix, distortion=distortion, sensor_to_pupil_mm=50.0,
+    )  # fmt: skip
+    v, u = np.mgrid[:361, :483]
+    exact = cv2.undistortPoints(np.stack([u.ravel(), v.ravel()], 1)[:, None].astype(float), matrix, distortion)[:, 0]
+    off_px = 500 * np.abs(cloud.points_mm[:, :2] / 1000 - exact)
+    assert off_px.max() < 2e-3  # h^2 / 8 of the second derivative, 6 k1 x / f = 7e-4 a px: 1.4e-3 px along one axis
+
+
 def test_ply_can_be_read_back(tmp_path, rng):
     cloud = PointCloud(rng.normal(size=(7, 3)).astype(np.float32), rng.integers(0, 255, (7, 3)).astype(np.uint8))
     write_ply(tmp_path / "c.ply", cloud)

@@ -13,6 +13,7 @@ from typing import Literal, cast
 import numpy as np
 
 from chromaperture.camera_alignment import ChannelAlignment
+from chromaperture.camera_crop import cut_out, in_whole_frame
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, label_maps, noise_model
 from chromaperture.camera_memory import check_camera_memory
@@ -97,26 +98,35 @@ class CodedApertureCamera:
         -----
         CaptureWarning
             The image is of another size than this camera's, see `at_size`.
+
+        Notes
+        -----
+        With ``config.crop_origin_px`` the image is a part of the frame, of any size; so is the result.
         """
-        sensor = self.calibration.sensor
         if isinstance(image, str | Path):
             with stage("read"):
                 image = self.read(image)
-        size_px = image.shape[1::-1]
-        if size_px != (sensor.width_px, sensor.height_px) and np.ndim(image) == 3 and self.shows_frame_at(size_px):
+        frame_px, size_px, origin_px = self._frame_px, image.shape[1::-1], self.config.crop_origin_px
+        if size_px != frame_px and origin_px is None and np.ndim(image) == 3 and self.shows_frame_at(size_px):
             warnings.warn(self.scaled_note(size_px), CaptureWarning, stacklevel=2)
             return self.at_size(*size_px).measure(image, stage=stage)
         with stage("check"):
-            image = check_capture(image, sensor.width_px, sensor.height_px)
+            image = check_capture(image, *(frame_px if origin_px is None else size_px))
             check_camera_memory("the photograph", self.calibration, self.config)
+            known, image = (image, image) if origin_px is None else in_whole_frame(image, origin_px, frame_px)
         with stage("disparity"):  # Eq. (1) and section 3.1
-            disparity, millimetres = self._matched(image)
+            disparity, millimetres = self._matched(known)
         with stage("depth"):  # Eq. (10)
             depth_mm, sigma_mm = millimetres or self.millimetres(disparity)
         with stage("color"):  # section 5.1
             color = self.alignment.align(image, disparity.value_px)
         maps = (depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color)
-        return DepthFrame(*maps, image, self.calibration, self.config)
+        frame = DepthFrame(*maps, image, self.calibration, self.config)
+        return frame if origin_px is None else cut_out(frame, origin_px, size_px)
+
+    @property
+    def _frame_px(self) -> tuple[int, int]:
+        return self.calibration.sensor.width_px, self.calibration.sensor.height_px
 
     def read(
         self, path: str | Path, *, black_level: float | None = None, white_level: float | None = None
@@ -136,13 +146,13 @@ class CodedApertureCamera:
         levels = (sensor.black_level, sensor.white_level) if self.calibration.is_calibrated else None
         check_camera_memory(Path(path).name, self.calibration, self.config)
         is_known = self.calibration.is_calibrated
-        decoded = decode(path, size_px=(sensor.width_px, sensor.height_px), any_scale=is_known)
+        size_px = self._frame_px if self.config.crop_origin_px is None else None
+        decoded = decode(path, size_px=size_px, any_scale=is_known)
         return linearise(decoded, black_level=black_level, white_level=white_level, camera_levels=levels)
 
     def shows_frame_at(self, size_px: tuple[int, int]) -> bool:
         """Whether photographs of a size, width and height, have the aspect of this calibrated camera's."""
-        sensor = self.calibration.sensor
-        return self.calibration.is_calibrated and same_frame((sensor.width_px, sensor.height_px), size_px)
+        return self.calibration.is_calibrated and same_frame(self._frame_px, size_px)
 
     def at_size(self, width_px: int, height_px: int) -> CodedApertureCamera:
         """Return this camera for photographs of another size, which show the whole frame in other pixels.
@@ -156,7 +166,7 @@ class CodedApertureCamera:
             The size has another aspect.
         """
         size = (width_px, height_px)
-        if size == (self.calibration.sensor.width_px, self.calibration.sensor.height_px):
+        if size == self._frame_px:
             return self
         if size not in self._at_sizes:
             calibration = resized(self.calibration, width_px, height_px)
@@ -175,7 +185,8 @@ class CodedApertureCamera:
         sensor = self.calibration.sensor
         return (
             f"a photograph of {size_px[0]}x{size_px[1]} px by a camera calibrated at {sensor.width_px}x"
-            f"{sensor.height_px}: taken for the whole frame in other pixels; of a crop every distance is wrong"
+            f"{sensor.height_px}: taken for the whole frame in other pixels; of a part of it every distance is wrong "
+            "without --crop-origin"
         )
 
     def millimetres(self, disparity: Disparity) -> tuple[np.ndarray, np.ndarray]:
@@ -211,6 +222,11 @@ class CodedApertureCamera:
 
     def __repr__(self) -> str:
         return f"CodedApertureCamera({self.calibration.title}, quality {self.config.quality})"
+
+    def _repr_html_(self) -> str:
+        from chromaperture.frame.notebook import camera_html
+
+        return camera_html(self.calibration, self.config.quality)
 
 
 def scaled_method(
@@ -264,7 +280,7 @@ def load_camera(
     execution : {"numba", "numpy"}
     device : str
         ``auto``: a GPU where there is one, never software, and the CPU from where it fails on; ``cpu``; ``gpu`` or
-        ``gpu:NAME``, whose failures are errors. Of the qualities paper and real-time; accurate runs on the CPU.
+        ``gpu:NAME``, whose failures are errors. Quality accurate of a camera without blur in its file runs on the CPU.
 
     Raises
     ------

@@ -13,8 +13,11 @@ from chromaperture.color.alignment import align_channels, channel_directions, fi
 from chromaperture.color.lens_shift import LensShift
 from chromaperture.config import Config, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_inverse_depth
+from chromaperture.threads import each_band
 
-_BAND_PX = 4_000_000  # of a band: 250 MB of displacements, depth buffers and samples
+# Of a band: displacements, depth buffers and samples, 60 bytes a pixel and thread, stay near the cache. Chosen by hand.
+_BAND_PX = 1_000_000
+_MOST_HALO = 0.25  # of a band's rows, that neighbours compute too; chosen by hand
 # Rows that a band sees beyond its own: what the largest displacement by the lens may be, of that of the centroids in
 # the frame's middle; the neighbourhood of an occluded pixel (7 px) with the samples of Lanczos' filter (4 px); and
 # lateral colour, px of the working scale.
@@ -54,17 +57,27 @@ class ChannelAlignment:
         """
         filled = fill_unknown(disparity_px, step=self.config.scale)
         height, width = filled.shape
-        rows = max(1, _BAND_PX // width)
+        halo = self._rows_beyond(filled)
+        rows = max(1, _BAND_PX // width, math.ceil(halo / _MOST_HALO))
         if rows >= height:
             return self._aligned(image, filled, 0, height)
-        moved = float(np.abs(filled).max()) * max(1.0, float(np.abs(self.shifts).max()))
-        halo = math.ceil(_MOST_BEYOND * moved) + _AROUND_PX + _LATERAL_PX * self.config.scale
         color = np.empty(image.shape, np.float32)
-        for top in range(0, height, rows):
-            first, last = max(0, top - halo), min(height, top + rows + halo)
-            band = self._aligned(image[first:last], filled[first:last], first, height)
-            color[top : top + rows] = band[top - first : top - first + rows]
+
+        def align(band: slice) -> None:
+            seen = slice(max(0, band.start - halo), min(height, band.stop + halo))
+            aligned = self._aligned(image[seen], filled[seen], seen.start, height)
+            color[band] = aligned[band.start - seen.start :][: band.stop - band.start]
+
+        each_band(align, height, rows_a_band=rows)
         return color
+
+    def _rows_beyond(self, filled: np.ndarray) -> int:
+        """Return how many rows a band sees beyond its own."""
+        largest = max(float(filled.max()), -float(filled.min()))
+        if self.uses_blur:
+            moved = _MOST_BEYOND * largest * max(1.0, float(np.abs(self.shifts).max()))
+            return math.ceil(moved) + _AROUND_PX + _LATERAL_PX * self.config.scale
+        return math.ceil(largest * float(np.abs(self.shifts[:, 1]).max())) + _AROUND_PX
 
     def _aligned(self, image: np.ndarray, filled: np.ndarray, first_row: int, height: int) -> np.ndarray:
         """Align a band of a frame of so many rows."""

@@ -21,6 +21,7 @@ import tifffile
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.errors import InputError
+from chromaperture.threads import each_band
 
 try:
     import fcntl
@@ -207,9 +208,16 @@ def write_float_tiff(path: str | Path, values: np.ndarray) -> None:
 
 def write_depth_png(path: str | Path, depth_mm: np.ndarray) -> None:
     """Write (H, W) depth as 16-bit PNG in whole mm; 0 is unknown or beyond 65535 mm."""
-    with np.errstate(invalid="ignore"):  # NaN compares false
-        known = (depth_mm > 0) & (depth_mm < 65535.5)
-    write_png(path, np.rint(np.where(known, depth_mm, 0)).astype(np.uint16))
+    whole_mm = np.empty(depth_mm.shape, np.uint16)
+
+    def convert(rows: slice) -> None:
+        depth = depth_mm[rows]
+        with np.errstate(invalid="ignore"):  # NaN compares false
+            known = (depth > 0) & (depth < 65535.5)
+        whole_mm[rows] = np.rint(np.where(known, depth, 0))
+
+    each_band(convert, len(depth_mm))
+    write_png(path, whole_mm)
 
 
 def write_color_png(path: str | Path, color: np.ndarray) -> None:
@@ -219,12 +227,16 @@ def write_color_png(path: str | Path, color: np.ndarray) -> None:
 
 def write_png(path: str | Path, picture: np.ndarray) -> None:
     """Write a grey (H, W) or RGB (H, W, 3) picture of uint8 or uint16 as PNG."""
-    path = Path(path)
+    Path(path).write_bytes(png_bytes(picture))  # unlike `cv2.imwrite`, raises when the disk is full
+
+
+def png_bytes(picture: np.ndarray) -> bytes:
+    """Return the content of a PNG file of a grey (H, W) or RGB (H, W, 3) picture of uint8 or uint16."""
     stored = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if picture.ndim == 3 else np.ascontiguousarray(picture)
     ok, encoded = cv2.imencode(".png", stored, _PNG)
     if not ok:
-        raise InputError(f"cannot encode {path.name}")
-    path.write_bytes(encoded.data)  # unlike `cv2.imwrite`, raises when the disk is full
+        raise InputError(f"cannot encode a picture of shape {picture.shape} as PNG")
+    return encoded.tobytes()
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -18,6 +18,8 @@ from chromaperture.errors import InputError
 T = TypeVar("T")
 R = TypeVar("R")
 
+BAND_ROWS = 64  # of a picture; 1.5 MB of float32 for 6000 columns; chosen by hand
+
 _limit: int | None = None  # set by `limited_threads`
 
 
@@ -110,6 +112,11 @@ def parallel_map(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
     with ThreadPoolExecutor(max(threads - 1, 1)) as pool:
         _start(pool, [some] * (threads - 1))
         return _run(tasks)
+
+
+def each_band(work: Callable[[slice], object], rows: int, *, rows_a_band: int = BAND_ROWS) -> None:
+    """Run ``work(band)`` for bands of rows of a picture, on all threads: what is computed of one stays in the cache."""
+    parallel_map(work, [slice(top, min(top + rows_a_band, rows)) for top in range(0, rows, rows_a_band)])
 
 
 @contextlib.contextmanager

@@ -15,7 +15,14 @@ import cv2
 import numpy as np
 from PIL import Image, JpegImagePlugin
 
-from chromaperture.capture.picture_header import TIFF_MARKS, check_size, open_picture, same_frame
+from chromaperture.capture.picture_header import (
+    PNG_MARK,
+    TIFF_MARKS,
+    check_png_sums,
+    check_size,
+    open_picture,
+    same_frame,
+)
 from chromaperture.capture.source import Encoding, choose_encoding, develop_counts, format_encoding
 from chromaperture.capture.tiff import decode_tiff, tiff_size
 from chromaperture.errors import CaptureWarning, InputError
@@ -171,6 +178,22 @@ def decode(path: str | Path, *, size_px: tuple[int, int] | None = None, any_scal
     return Decoded(_colour(_decode(path, size_px, any_scale), path))
 
 
+def read_samples(path: str | Path) -> np.ndarray:
+    """Read a PNG, TIFF, PPM or JPEG file as it is stored, whatever it shows: a map, a mask, a picture.
+
+    Returns
+    -------
+    (H, W) or (H, W, S) array
+        Channels in the order R, G, B.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged or too large.
+    """
+    return _decode(Path(path), None, False)
+
+
 def _read(path: Path) -> bytes:
     data = read_bytes(path, most_bytes=MOST_FILE_BYTES)
     if not data:
@@ -195,7 +218,10 @@ def _decode(path: Path, size_px: tuple[int, int] | None, any_scale: bool) -> np.
     try:
         picture = open_picture(data)
         check(*picture.size, file_bytes=len(data))
-        picture.verify()  # all chunk checksums of a PNG
+        if data.startswith(PNG_MARK):
+            check_png_sums(data)
+        else:
+            picture.verify()
         if _is_deep(data):
             if data.startswith(b"P"):
                 return _deep_pnm(data, picture)
@@ -220,7 +246,7 @@ def _decode(path: Path, size_px: tuple[int, int] | None, any_scale: bool) -> np.
 
 def _is_deep(data: bytes) -> bool:
     """Recognise PNG and PNM files of more than 8 bits, which Pillow would reduce to 8."""
-    if data.startswith(b"\x89PNG"):
+    if data.startswith(PNG_MARK):
         return len(data) > 24 and data[24] == 16
     if data[:2] in (b"P5", b"P6"):
         fields = [f for line in data[:512].split(b"\n") for f in line.split(b"#")[0].split()]

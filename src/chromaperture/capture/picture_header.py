@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import logging
+import struct
+import zlib
 
 from PIL import (
     BmpImagePlugin,
@@ -21,10 +23,11 @@ from chromaperture.validation import MOST_PIXELS
 logging.getLogger("PIL").addHandler(logging.NullHandler())  # as for tifffile: an error is one line of ours
 # PNG packs an even area to 340 pixels a byte, JPEG a photograph to 20. libjpeg paints what is missing grey.
 _MOST_PIXELS_A_BYTE = 1000
+PNG_MARK = b"\x89PNG"
 TIFF_MARKS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")  # the last two: files beyond 4 GB
 
 _KINDS: tuple[tuple[tuple[bytes, ...], int, type[ImageFile.ImageFile]], ...] = (  # marks, where they are, reader
-    ((b"\x89PNG",), 0, PngImagePlugin.PngImageFile),
+    ((PNG_MARK,), 0, PngImagePlugin.PngImageFile),
     ((b"\xff\xd8",), 0, JpegImagePlugin.JpegImageFile),
     ((b"BM",), 0, BmpImagePlugin.BmpImageFile),
     ((b"WEBP",), 8, WebPImagePlugin.WebPImageFile),
@@ -49,13 +52,36 @@ def open_picture(data: bytes) -> ImageFile.ImageFile:
     raise InputError("no image format that is read")
 
 
+def check_png_sums(data: bytes) -> None:
+    """Check the length and the checksum of every chunk of a PNG file, up to its end mark.
+
+    Pillow's ``verify`` does the same, in 0.45 instead of 0.1 s for 24 megapixels of 16 bit.
+
+    Raises
+    ------
+    InputError
+        A chunk is damaged or cut off.
+    """
+    view, at, name = memoryview(data), 8, b""  # 8 bytes of signature
+    while name != b"IEND":
+        if at + 12 > len(data):
+            raise InputError("the PNG file ends too early")
+        length, name = struct.unpack_from(">I4s", data, at)
+        after = at + 8 + length
+        if after + 4 > len(data):
+            raise InputError("the PNG file ends too early")
+        if zlib.crc32(view[at + 4 : after]) != int.from_bytes(data[after : after + 4], "big"):
+            raise InputError("a checksum in the PNG file is wrong")
+        at = after + 4
+
+
 def other_size(width: int, height: int, size_px: tuple[int, int]) -> str:
     """Return what to say of an image whose size, px, is not that of the camera."""
     rotated = (height, width) == tuple(size_px)
     advice = (
         "it looks rotated: turn it back, the filters in the lens did not turn with it"
         if rotated
-        else "give an original of that size or of its aspect, or calibrate at this one"
+        else "give an original of that size or of its aspect, or say with --crop-origin where this part of it begins"
     )
     return f"the image is {width}x{height} px but the camera was calibrated at {size_px[0]}x{size_px[1]}; {advice}"
 

@@ -22,6 +22,7 @@ import numpy as np
 from chromaperture.color.image import DARK
 from chromaperture.color.srgb import srgb_to_linear
 from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.threads import each_band
 
 Offsets = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 CENTRED: Offsets = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
@@ -162,10 +163,16 @@ class Frame:
 
 def develop_counts(counts: np.ndarray, encoding: Encoding) -> np.ndarray:
     """Convert (H, W, 3) counts to linear light on one grid; (H, W, 3) float32, 1.0 = white level."""
-    span = np.float32(encoding.white_level - encoding.black_level)
-    image = counts.astype(np.float32, order="C")
-    image -= np.float32(encoding.black_level)
-    image /= span
+    black, span = np.float32(encoding.black_level), np.float32(encoding.white_level - encoding.black_level)
+    image = np.empty(counts.shape, np.float32)
+
+    def convert(rows: slice) -> None:
+        part = image[rows]
+        part[...] = counts[rows]
+        part -= black
+        part /= span
+
+    each_band(convert, len(image))
     if encoding.curve == "srgb":
         image = srgb_to_linear(image)
     for channel, (dx, dy) in enumerate(encoding.channel_offsets_px):

@@ -14,6 +14,7 @@ import typer
 from chromaperture.cli.options import (
     BlackLevel,
     CameraOrDesign,
+    CropOrigin,
     Design,
     Device,
     Json,
@@ -24,6 +25,7 @@ from chromaperture.cli.options import (
     WhiteLevel,
     working_scale,
 )
+from chromaperture.cli.options import crop_origin as crop_from
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.errors import CaptureWarning, InputError
 
@@ -49,6 +51,7 @@ def depth(
     ] = None,
     quality: Quality = "real-time",
     scale: Scale = "auto",
+    crop_origin: CropOrigin = None,
     device: Device = "auto",
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
@@ -56,7 +59,8 @@ def depth(
     write: Annotated[
         str | None,
         typer.Option(
-            help="Files to write: depth, sigma, disparity, depth-png, color, ply, preview, json; default all.",
+            help="Files to write: depth, sigma, disparity, depth-png, color, ply, preview, json, which is the default; "
+            "gdepth, dynamic-depth, exr, glb, usdz for other programs (docs/formats.md).",
             metavar="NAME,...",
         ),
     ] = None,
@@ -106,7 +110,10 @@ def depth(
     chosen_outputs(write, is_calibrated=camera is not None)  # before the work
     if device not in ("auto", "cpu") and (cluster is not None or jobs > 1):
         raise InputError("--cluster and --jobs measure on CPUs: leave --device out, or measure one at a time")
-    settings: dict[str, Any] = {"quality": quality, "config": config, "scale": working_scale(scale), "device": device}
+    settings: dict[str, Any] = {
+        "quality": quality, "config": config, "scale": working_scale(scale), "crop_origin_px": crop_from(crop_origin),
+        "device": device,
+    }  # fmt: skip
     options: dict[str, Any] = {
         "write": write, "black_level": black_level, "white_level": white_level,
         "max_relative_sigma": max_relative_sigma, "inspect": partial(check_film, refuse=not anyway),

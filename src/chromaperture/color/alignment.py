@@ -6,13 +6,14 @@ from collections.abc import Iterable, Iterator
 
 import cv2
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
+from chromaperture.color.nearest_known import fill_from_nearest
 from chromaperture.color.shift_kernels import shift_along_rows
 from chromaperture.color.unmixing import view_reach
 from chromaperture.color.visibility import fill_hidden, visible_from
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids
+from chromaperture.threads import each_band
 
 _STILL = 1e-3  # displacement per px of disparity that counts as none: the accuracy of the centroids
 
@@ -38,15 +39,18 @@ def fill_unknown(values: np.ndarray, *, step: int = 1) -> np.ndarray:
         rows, columns = (
             np.minimum(np.arange(n) // step, m - 1) for n, m in zip(values.shape, known.shape, strict=True)
         )
-        out = known[rows][:, columns]
-        np.copyto(out, values, where=~unknown)
+        out = np.empty_like(values)
+
+        def fill(band: slice) -> None:
+            out[band] = np.where(unknown[band], known[rows[band]][:, columns], values[band])
+
+        each_band(fill, len(values))
         return out
     if unknown.all():
         return np.zeros_like(values)
     if not unknown.any():
         return values
-    rows, columns = distance_transform_edt(unknown, return_distances=False, return_indices=True)
-    return values[rows, columns]
+    return fill_from_nearest(values)
 
 
 def align_channels(

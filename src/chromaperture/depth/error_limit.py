@@ -38,6 +38,14 @@ def within_error(
         raise InputError(f"the largest relative sigma must be positive, got {max_relative_sigma:g}")
     import numpy as np  # here: the command line reads the constant above, and shows its help without NumPy
 
-    with np.errstate(invalid="ignore"):  # NaN compares false; inf * 0 too
-        kept = sigma_mm <= max_relative_sigma * depth_mm
-    return np.where(kept, depth_mm, np.float32(np.nan)).astype(np.float32, copy=False)
+    from chromaperture.threads import each_band
+
+    kept = np.array(depth_mm, np.float32)
+
+    def remove(rows: slice) -> None:
+        with np.errstate(invalid="ignore"):  # NaN compares false; inf * 0 too
+            certain = sigma_mm[rows] <= max_relative_sigma * depth_mm[rows]
+        kept[rows][~certain] = np.nan
+
+    each_band(remove, len(kept))
+    return kept

@@ -8,18 +8,20 @@ from typing import Any
 import numpy as np
 
 from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.threads import parallel_map
 
 _PERCENTILES = (5, 25, 50, 75, 95)  # of disparity and depth
 
 
 def summarise(frame: DepthFrame, seconds: dict[str, float]) -> dict[str, Any]:
     """Collect the figures of one frame, units in the names; ``seconds`` is the time of each stage."""
-    known, sigma = np.isfinite(frame.disparity_px), frame.sigma_mm[np.isfinite(frame.sigma_mm)]
+    known = frame.valid if frame.is_calibrated else np.isfinite(frame.disparity_px)
+    disparity, depth, sigma = parallel_map(_percentiles, (frame.disparity_px, frame.depth_mm, frame.sigma_mm))
     return {
-        "fill_rate": float((frame.valid if frame.is_calibrated else known).mean()),
-        "disparity_percentiles_px": _percentiles(frame.disparity_px),
-        "depth_percentiles_mm": _percentiles(frame.depth_mm),
-        "sigma_median_mm": float(np.median(sigma)) if sigma.size else None,
+        "fill_rate": float(known.mean()),
+        "disparity_percentiles_px": disparity,
+        "depth_percentiles_mm": depth,
+        "sigma_median_mm": None if sigma is None else sigma["50"],
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
         "config": None if frame.config is None else dataclasses.asdict(frame.config),
         "camera": None if frame.calibration is None else frame.calibration.summary(),
