@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from apps import calibrate_rendered, render_session
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
 from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.cli.main import main
@@ -67,3 +68,19 @@ def session(tmp_path_factory):
 def calibrated_session(session) -> CalibrationResult:
     """The session's calibration without the blur: its boards are shifted views, which nothing blurred."""
     return calibrate_session(session, CalibrationConfig(lens_blur=False))
+
+
+@pytest.fixture(scope="session")
+def rendered(tmp_path_factory):
+    """A folder of rendered boards, for the app's assistant."""
+    folder = tmp_path_factory.mktemp("rendered") / "session"
+    render_session(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def rendered_camera(rendered, tmp_path_factory):
+    """The camera file that the command line makes of the rendered boards."""
+    out = tmp_path_factory.mktemp("camera") / "line.asdf"
+    calibrate_rendered(rendered, out)
+    return out

@@ -62,9 +62,11 @@ ALLOWED: dict[str, set[str]] = {
     # It shows the model, and the picture focused elsewhere.
     "viewer": {"camera", "products", "storage", "capture", "color", "depth", "effects", "reconstruction",
                "pages", "camera_file", "config"},
+    # It calibrates with its report, measures and refocuses, behind the checks of the viewer.
+    "app": BELOW_LEAVES | {"effects", "evaluation", "viewer"},
     "evaluation": BELOW_LEAVES | {"effects", "reconstruction", "pages"},  # the paper's Figures 14 and 15 show them
     "cli": BELOW_LEAVES | {"compile_ahead", "config_file", "effects", "reconstruction", "viewer", "evaluation", "pages"}
-           | {"__init__"},
+           | {"app", "__init__"},
     "tasks": BELOW_LEAVES | {"effects", "evaluation"},  # whole tasks in one call, for Python
     "__main__": {"cli"},
     # Public names, each imported when it is first used.
@@ -98,7 +100,8 @@ ONE_WAY = {
     "ThreadPool": "threads.py",
 }
 OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "fsspec", "mcap", "mcap_ros2",
-            "imageio", "xarray", "OpenEXR", "pxr", "wgpu"}  # fmt: skip
+            "imageio", "xarray", "OpenEXR", "pxr", "foxglove", "picamera2", "wgpu", "starlette", "uvicorn",
+            "cryptography", "segno"}  # fmt: skip
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pyyaml": "yaml"}
 

@@ -36,6 +36,11 @@ HEADERS = {
 _replacing = threading.Lock()
 
 
+def new_token() -> str:
+    """Draw the part of an address that nobody can guess."""
+    return secrets.token_urlsafe(_TOKEN_BYTES)
+
+
 @dataclass(frozen=True)
 class Access:
     """Who may connect.
@@ -47,10 +52,16 @@ class Access:
         by its name.
     token : str
         First part of the path of every request.
+    scheme : str
+        http, or https.
+    command : str
+        Which printed the address.
     """
 
     host: str
-    token: str = field(default_factory=lambda: secrets.token_urlsafe(_TOKEN_BYTES))
+    token: str = field(default_factory=new_token)
+    scheme: str = "http"
+    command: str = "live"
 
     def is_own_host(self, name: str) -> bool:
         """Find whether a request may call the server by this name.
@@ -79,7 +90,7 @@ class Access:
         if len(origins) > 1 or any(_origin_host(origin) != hosts[0].lower() for origin in origins):
             return "another web page may not connect"
         if not hmac.compare_digest(path_without_query(path).split("/")[1].encode(), self.token.encode()):
-            return "the token is missing or wrong: open the whole address that was printed"
+            return f"the token is missing or wrong: open the whole address that 'chromaperture {self.command}' printed"
         return None
 
     def inner_path(self, path: str) -> str:
@@ -89,7 +100,7 @@ class Access:
     def url(self, port: int, *, host: str | None = None) -> str:
         """Return the address of the page, by default for a browser on this machine."""
         name = host or ("127.0.0.1" if is_every_address(self.host) else self.host)
-        return f"http://{f'[{name}]' if ':' in name else name}:{port}/{self.token}/"
+        return f"{self.scheme}://{f'[{name}]' if ':' in name else name}:{port}/{self.token}/"
 
 
 def path_without_query(path: str) -> str:
@@ -133,7 +144,7 @@ def serve(access: Access, port: int, *, listener: Callable[[str], None]) -> Any:
         def request_share_url(self, verbose: bool = True) -> None:
             """Publish nothing: viser would send the page through a server on the internet."""
 
-    _require_host(access.host)
+    require_host(access.host)
     with contextlib.redirect_stdout(io.StringIO()), _checked(access) as is_checked:  # its banner has no token
         server = Server(host=access.host, port=port, verbose=False)
     if not is_checked():
@@ -193,7 +204,7 @@ def _checked(access: Access) -> Iterator[Callable[[], bool]]:
             module.serve = original
 
 
-def _require_host(host: str) -> None:
+def require_host(host: str) -> None:
     """Refuse a host that this machine does not have: viser would try a thousand ports and then wait for ever."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host or None, 0, type=socket.SOCK_STREAM)[0]

@@ -32,7 +32,7 @@ class PageServer:
     """
 
     def __init__(self, text: str, *, host: str = "127.0.0.1", port: int = 8080) -> None:
-        self.access = Access(host)
+        self.access = Access(host, command="view")
         self._server = _bound(host, port, _handler(text.encode("utf-8"), self.access))
         self.url = self.access.url(self._server.server_address[1])
         self._thread = threading.Thread(target=self._server.serve_forever, name="page server", daemon=True)

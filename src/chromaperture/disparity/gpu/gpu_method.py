@@ -6,11 +6,14 @@ import threading
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from chromaperture.config import MatcherConfig, PaperConfig, RealTimeConfig
+from chromaperture.disparity.accurate import AccurateMethod
+from chromaperture.disparity.gpu.accurate_chain import AccurateOnDevice, pairs_of
 from chromaperture.disparity.gpu.conversion_stage import Conversion, add_conversion
 from chromaperture.disparity.gpu.device import Chain, Device, DeviceError, adapters, open_device
 from chromaperture.disparity.gpu.paper_chain import add_paper, runs_on_device
@@ -100,14 +103,14 @@ class DeviceMethod:
 
     Attributes
     ----------
-    on_gpu : GpuMethod
+    on_gpu : GpuMethod or AccurateOnDevice
     on_cpu : Method
         Takes over, with one warning, where ``may_fall_back``.
     may_fall_back : bool
         Whether nobody asked for the device by name: then an error of the device is not the caller's concern.
     """
 
-    on_gpu: GpuMethod
+    on_gpu: GpuMethod | AccurateOnDevice
     on_cpu: Method
     may_fall_back: bool
     has_failed: bool = False
@@ -121,6 +124,8 @@ class DeviceMethod:
         if self.has_failed:
             return Measured(self.on_cpu.match(image))
         try:
+            if isinstance(self.on_gpu, AccurateOnDevice):  # its depth is converted on the CPU
+                return Measured(self.on_gpu.match(image))
             return self.on_gpu.measure(image, conversion)
         except (DeviceError, OutOfMemoryError) as error:
             if not self.may_fall_back:
@@ -167,18 +172,24 @@ def on_device(method: Method, choice: str, note: Callable[[str], None]) -> Metho
         Called with one line where a device was asked for and the CPU is taken, or the device is software.
     """
     asked_for = choice not in ("auto", "cpu")
+    on_gpu: Callable[[Device], GpuMethod | AccurateOnDevice]
     if isinstance(method, PaperMethod) and runs_on_device(method.config):
-        label_map = IDENTITY
+        on_gpu = partial(GpuMethod, method.config, method.space, IDENTITY)
     elif isinstance(method, RealTimeMethod):
-        label_map = method.label_map
+        on_gpu = partial(GpuMethod, method.config, method.space, method.label_map)
+    elif isinstance(method, AccurateMethod) and pairs_of(method) is not None:
+        on_gpu = partial(AccurateOnDevice, method)
     else:
         if asked_for:
             chosen_device(choice)  # a device that does not exist is refused all the same
-            note("quality accurate, and scores debiased or weighted by texture, run on the CPU: no GPU stages yet")
+            note(
+                "quality accurate without the camera's blur, and scores debiased or weighted by texture, run on the "
+                "CPU: no GPU stages yet"
+            )
         return method
     device = chosen_device(choice)
     if device is None:
         return method
     if device.info.is_software:
         note(f"{device.info.name} is software: slower than --device cpu, with the same results")
-    return DeviceMethod(GpuMethod(method.config, method.space, label_map, device), method, not asked_for)
+    return DeviceMethod(on_gpu(device), method, not asked_for)

@@ -8,5 +8,7 @@ fn products(apart: Means) -> Covariances {
 
 fn score_of(correlations: Covariances) -> f32 {
     let r = clamp(correlations, vec3f(-1.0), vec3f(1.0));
-    return 1.0 - sqrt(max(1.0 + 2.0 * r.x * r.y * r.z - dot(r, r), 0.0));
+    // The determinant 1 + 2 xyz - xx - yy - zz, without the difference of numbers near 1 where all are alike.
+    let rest = r.z - r.x * r.y;
+    return 1.0 - sqrt(max((1.0 - r.x) * (1.0 + r.x) * (1.0 - r.y) * (1.0 + r.y) - rest * rest, 0.0));
 }

@@ -16,7 +16,7 @@ from chromaperture.disparity.error_bar import (
 )
 from chromaperture.disparity.gpu.correlation_stages import add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain
-from chromaperture.disparity.gpu.real_time_chain import add_recursions
+from chromaperture.disparity.gpu.real_time_chain import add_links, add_recursions
 from chromaperture.disparity.gpu.view_stages import SHARED, add_views, invocations
 from chromaperture.disparity.stages.bilateral import even_link
 from chromaperture.disparity.stages.correlation import MIN_WEIGHT
@@ -47,16 +47,14 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
     first, step = float(layers_px[0]), float(layers_px[1] - layers_px[0])
     even = even_link(config.bilateral.sigma_px)
     best, maps = chain.array("best", 5 * planes.pixels), None
+    links = add_links(chain, planes, best, even=even, edge_range=1.0, by_layer=False)
     for score, chunk in add_correlation(chain, planes, layers_px, space.directions, config.correlation, chunked=True):
         maps = maps or chain.array("weighted", planes.pixels * (chunk.size + 1))  # the first chunk is the largest
         chain.add(
             "weigh", [score, planes.planes, maps], groups=invocations(planes.pixels * (chunk.size + 1)), uses=SHARED,
             pixels=planes.pixels, layer_count=chunk.size, view_count=planes.view_count, least_weight=MIN_WEIGHT,
         )  # fmt: skip
-        add_recursions(
-            chain, planes, maps, best, map_count=chunk.size + 1, even=even, edge_range=1.0, gain=1 - even, own=0.0,
-            by_layer=False,
-        )  # fmt: skip
+        add_recursions(chain, planes, maps, links, map_count=chunk.size + 1, gain=1 - even, own=0.0)
         chain.add(
             "running_winner", [maps, best], groups=invocations(planes.pixels), uses=SHARED,
             pixels=planes.pixels, layer_count=chunk.size, first_layer=chunk.first,

@@ -11,7 +11,7 @@ from chromaperture.color.image import DARK
 from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, LIGHT_WINDOW_PX, MAX_SIGMA_PX, sigma_of_range
 from chromaperture.disparity.gpu.correlation_stages import add_correlation
-from chromaperture.disparity.gpu.device import Array, Chain
+from chromaperture.disparity.gpu.device import MOST_GROUPS, Array, Chain
 from chromaperture.disparity.gpu.view_stages import SHARED, Planes, add_halved_views, invocations
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.real_time import (
@@ -125,36 +125,36 @@ def _add_paths(
 def _add_smoothing_along_surface(
     chain: Chain, planes: Planes, winner: Array, places: Array, config: RealTimeConfig
 ) -> Array:
-    return add_recursions(
-        chain, planes, places, winner, map_count=2, even=even_link(config.smoothing_sigma_px),
-        edge_range=config.smoothing_edge_range, gain=1.0, own=1.0, by_layer=True,
+    links = add_links(
+        chain, planes, winner, even=even_link(config.smoothing_sigma_px), edge_range=config.smoothing_edge_range,
+        by_layer=True,
     )  # fmt: skip
+    return add_recursions(chain, planes, places, links, map_count=2, gain=1.0, own=1.0)
+
+
+def add_links(chain: Chain, planes: Planes, layers: Array, *, even: float, edge_range: float, by_layer: bool) -> Array:
+    """Add the weights of the links between neighbours, (2, h, w); ``layers`` is read only where ``by_layer``."""
+    links = chain.array("links", 2 * planes.pixels)
+    chain.add(
+        "links", [planes.planes, planes.stats, layers, links], groups=invocations(planes.pixels), uses=SHARED,
+        width=planes.width, height=planes.height, guide_plane=planes.view_count * planes.pixels,
+        even_link=even, edge_range=edge_range, by_layer=by_layer,
+    )  # fmt: skip
+    return links
 
 
 def add_recursions(
-    chain: Chain,
-    planes: Planes,
-    maps: Array,
-    layers: Array,
-    *,
-    map_count: int,
-    even: float,
-    edge_range: float,
-    gain: float,
-    own: float,
-    by_layer: bool,
+    chain: Chain, planes: Planes, maps: Array, links: Array, *, map_count: int, gain: float, own: float
 ) -> Array:
     """Add the recursions of ``smoothing.wgsl`` along x, then along y; return the sums, in place of the maps."""
     between = chain.arrays.get(f"{maps.name}_x") or chain.array(f"{maps.name}_x", maps.size)
     for along_x, source, target in ((True, maps, between), (False, between, maps)):
         lines = (planes.height if along_x else planes.width) * map_count
         groups = -(-lines // 8)
-        across = min(groups, 65_535)
+        across = min(groups, MOST_GROUPS)
         chain.add(
-            "smoothing", [source, planes.planes, planes.stats, layers, target], groups=(across, -(-groups // across)),
-            uses=SHARED, width=planes.width, height=planes.height, guide_plane=planes.view_count * planes.pixels,
-            map_count=map_count, along_x=along_x, even_link=even, edge_range=edge_range, gain=gain, own=own,
-            by_layer=by_layer,
+            "smoothing", [source, links, target], groups=(across, -(-groups // across)), uses=SHARED,
+            width=planes.width, height=planes.height, map_count=map_count, along_x=along_x, gain=gain, own=own,
         )  # fmt: skip
     return maps
 

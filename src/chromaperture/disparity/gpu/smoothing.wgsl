@@ -1,14 +1,12 @@
-// Recursions from both ends of every line, over links that fall with the guide's changes: f(i) = gain x(i) + link(i)
+// Recursions from both ends of every line, over the links of `links.wgsl`: f(i) = gain x(i) + link(i)
 // f(i - 1), the first sample without the gain; the sum of both less `own` x. Lines are the rows or the columns of maps
 // (h, w, C). A workgroup takes eight lines in 32 segments: every segment first sums itself up, so that each knows what
 // comes in from its two sides before it is walked again. Used by the smoothing along the surface and by the bilateral
 // filter of the scores.
 
 @group(0) @binding(0) var<storage, read> maps: array<f32>;  // (h, w, C)
-@group(0) @binding(1) var<storage, read> guide: array<f32>;  // planes
-@group(0) @binding(2) var<storage, read> stats: array<f32>;
-@group(0) @binding(3) var<storage, read> layers: array<f32>;  // (h, w): no link where it changes by more than 1
-@group(0) @binding(4) var<storage, read_write> sums: array<f32>;  // (h, w, C)
+@group(0) @binding(1) var<storage, read> links: array<f32>;  // (2, h, w): along x, along y
+@group(0) @binding(2) var<storage, read_write> sums: array<f32>;  // (h, w, C)
 
 struct Segment {
     ahead: f32,  // what it hands on to the next segment, of what comes in none
@@ -25,13 +23,8 @@ fn pixel_of(line: u32, i: u32) -> u32 {
 
 // Weight of the link between a pixel of a line and the one before it; none at the ends.
 fn link_to(line: u32, i: u32) -> f32 {
-    if (i == 0u || i >= select(height, width, along_x)) { return 0.0; }
-    let here = pixel_of(line, i);
-    let before = pixel_of(line, i - 1u);
-    let apart = abs(guide[guide_plane + here] - guide[guide_plane + before]) * stats[GUIDE_SCALE] / edge_range;
-    var link = even_link * exp(-apart);
-    if (by_layer && abs(layers[here] - layers[before]) > 1.0) { link = 0.0; }
-    return link;
+    if (i >= select(height, width, along_x)) { return 0.0; }
+    return links[select(width * height, 0u, along_x) + pixel_of(line, i)];
 }
 
 @compute @workgroup_size(256)

@@ -1,0 +1,1 @@
+"""The app: a page in the browser that measures, and leads through a calibration."""

@@ -1,0 +1,209 @@
+"""The addresses of the calibration assistant."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from chromaperture.app.assistant import check_shot, shown_check, state
+from chromaperture.app.calibration_job import CalibrationJob
+from chromaperture.app.session_folder import SessionFolder
+from chromaperture.app.workbench import NAME, Workbench
+from chromaperture.errors import InputError
+from chromaperture.viewer.free_space import require_space
+
+if TYPE_CHECKING:
+    from chromaperture.app.server import Desk
+
+_MOST_SESSIONS = 200  # chosen by hand
+_KINDS = ("board", "tilt", "white")
+# Of the report: it has its styles inside, and no script.
+_REPORT = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; base-uri 'none'"
+
+
+class AssistantAnswers:
+    """The answer to each address of the assistant.
+
+    Parameters
+    ----------
+    workbench : Workbench
+    desk : Desk
+    """
+
+    def __init__(self, workbench: Workbench, desk: Desk) -> None:
+        self.workbench, self.desk = workbench, desk
+        self.jobs: dict[str, CalibrationJob] = {}
+
+    def table(self) -> list[tuple[str, str, Any]]:
+        """Return method, address and answer of each."""
+        one = "/api/sessions/{name}"
+        return [
+            ("GET", "/api/sessions", self.sessions),
+            ("POST", "/api/sessions", self.create),
+            ("GET", one, self.session),
+            ("POST", f"{one}/shots", self.shot),
+            ("DELETE", f"{one}/shots/{{kind}}/{{file}}", self.remove),
+            ("POST", f"{one}/calibration", self.calibrate),
+            ("GET", f"{one}/calibration", self.progress),
+            ("DELETE", f"{one}/calibration", self.stop),
+            ("GET", f"{one}/report", self.report),
+        ]
+
+    def folder(self, name: str) -> Path:
+        """Return a session's folder; raises InputError for a name that could lead elsewhere."""
+        if not NAME.fullmatch(name):
+            raise InputError("a session's name has letters, digits, - and _ only, 60 at most")
+        return self.workbench.folder / "sessions" / name
+
+    def is_calibrating(self) -> bool:
+        """Whether a calibration runs."""
+        return any(job.is_running for job in self.jobs.values())
+
+    async def sessions(self, request: Any) -> Any:
+        """List the sessions."""
+        from starlette.responses import JSONResponse
+
+        return JSONResponse(await asyncio.to_thread(self._names))
+
+    def _names(self) -> list[str]:
+        folders = (self.workbench.folder / "sessions").iterdir()
+        return sorted(p.name for p in folders if NAME.fullmatch(p.name) and (p / "assistant.json").is_file())
+
+    async def create(self, request: Any) -> Any:
+        """Begin a session."""
+        from starlette.responses import JSONResponse
+
+        asked = await _json(request)
+        folder = self.folder(str(asked.get("name", "")))
+        if len(self._names()) >= _MOST_SESSIONS:
+            raise InputError(f"there are {_MOST_SESSIONS} sessions already; remove some from {folder.parent}")
+        require_space(folder, 0, self.workbench.reserve_bytes)
+        made = await self.desk.run(partial(SessionFolder.create, folder, asked.get("facts")))
+        return JSONResponse(await self.desk.run(partial(state, made)))
+
+    async def session(self, request: Any) -> Any:
+        """Return the state of a session."""
+        from starlette.responses import JSONResponse
+
+        folder = self.folder(request.path_params["name"])
+        return JSONResponse(await self.desk.run(lambda: state(_opened(folder))))
+
+    async def shot(self, request: Any) -> Any:
+        """Check a photograph; keep it where the page asks for that and no check warns, or it insists."""
+        from starlette.responses import JSONResponse
+
+        from chromaperture.app.server import Upload, number
+
+        asked = request.query_params
+        kind, folder = asked.get("kind", ""), self.folder(request.path_params["name"])
+        if kind not in _KINDS:
+            raise InputError("a photograph is of a board, of a tilted board or of a white sheet")
+        ruler = number(asked, "ruler_mm") if asked.get("ruler_mm") else None
+        sheet, keep = asked.get("sheet", ""), asked.get("keep", "")
+        if self.is_calibrating():
+            raise InputError("the computer is calibrating; photographs are taken again when it is done")
+
+        async with Upload(request, self.workbench, asked.get("name", "photo.png")) as path:
+
+            def work() -> dict[str, Any]:
+                session = _opened(folder)
+                found = check_shot(session, path, kind, ruler_mm=ruler, sheet=sheet)
+                kept = keep == "always" or (keep == "good" and found.is_usable)
+                file = None
+                if kept:
+                    file = session.keep(path, kind, found.reading, found.checks, sheet=sheet).file
+                corners = found.reading.corners_px
+                working = session.session()
+                return {
+                    "kept": file,
+                    "usable": found.is_usable,
+                    "checks": [shown_check(check) for check in found.checks],
+                    "corners": [] if corners is None or working is None else (
+                        corners / [working.sensor.width_px, working.sensor.height_px]
+                    ).round(5).tolist(),
+                    "state": state(session),
+                }  # fmt: skip
+
+            return JSONResponse(await self.desk.run(work))
+
+    async def remove(self, request: Any) -> Any:
+        """Delete a kept photograph."""
+        from starlette.responses import JSONResponse
+
+        asked = request.path_params
+        folder, file = self.folder(asked["name"]), f"{asked['kind']}/{asked['file']}"
+
+        def work() -> dict[str, Any]:
+            session = _opened(folder)
+            session.remove(file)
+            return state(session)
+
+        return JSONResponse(await self.desk.run(work))
+
+    async def calibrate(self, request: Any) -> Any:
+        """Start the calibration."""
+        from starlette.responses import JSONResponse
+
+        folder = self.folder(request.path_params["name"])
+        _opened(folder)
+        if self.is_calibrating():
+            raise InputError("a calibration is running already; wait for it, or stop it")
+        require_space(folder, 0, self.workbench.reserve_bytes)
+        cameras = self.workbench.folder / "cameras"
+        job = CalibrationJob(
+            folder, cameras / f"{folder.name}.asdf", cameras / f"{folder.name}.report.html",
+            lens_blur=request.query_params.get("lens_blur", "1") != "0",
+        )  # fmt: skip
+        self.jobs[folder.name] = job
+        job.start()
+        return JSONResponse(job.as_shown())
+
+    async def progress(self, request: Any) -> Any:
+        """Return how far the calibration is."""
+        from starlette.responses import JSONResponse
+
+        return JSONResponse(self._job(request).as_shown())
+
+    async def stop(self, request: Any) -> Any:
+        """End the calibration."""
+        from starlette.responses import JSONResponse
+
+        job = self._job(request)
+        job.stop()
+        return JSONResponse(job.as_shown())
+
+    async def report(self, request: Any) -> Any:
+        """Return the report of the last calibration."""
+        from starlette.responses import Response
+
+        path = self.workbench.folder / "cameras" / f"{self.folder(request.path_params['name']).name}.report.html"
+        if not path.is_file():
+            raise InputError("there is no report yet; calibrate first")
+        headers = {"Content-Security-Policy": _REPORT}
+        return Response(await asyncio.to_thread(path.read_bytes), media_type="text/html", headers=headers)
+
+    def _job(self, request: Any) -> CalibrationJob:
+        job = self.jobs.get(self.folder(request.path_params["name"]).name)
+        if job is None:
+            raise InputError("no calibration was started")
+        return job
+
+
+def _opened(folder: Path) -> SessionFolder:
+    if not (folder / "assistant.json").is_file():
+        raise InputError("there is no such session; start a new one")
+    return SessionFolder(folder)
+
+
+async def _json(request: Any) -> dict[str, Any]:
+    """Read a JSON object; raises InputError for anything else."""
+    try:
+        asked = json.loads(await request.body())
+    except (ValueError, RecursionError):
+        asked = None
+    if not isinstance(asked, dict):
+        raise InputError("the page sent something that is not understood; reload it")
+    return asked

@@ -1,0 +1,74 @@
+"""A measured frame as bytes for the page: a JSON text, then maps as the page's canvas takes them."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any
+
+import cv2
+import numpy as np
+
+from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.frame.preview import depth_scale, error_scale, exposed, fitted_size, reduced
+
+MOST_COUNT = 65535  # of a map: 0 is unknown, so the steps of 8 m are 0.12 mm
+LARGEST_PX = (1600, 1600)  # of the maps in a page; the files that are saved have every pixel
+_JPEG_QUALITY = 90  # of the colour picture, for the eye only
+
+
+def pack_frame(frame: DepthFrame, facts: dict[str, Any]) -> bytes:
+    """Return a frame as one message.
+
+    Four bytes hold the length of a JSON text, little-endian. After it come depth and error bar, each (h, w) uint16, and
+    the restored colours as JPEG. A count c of a map means c * step mm, and 0 unknown. Frames of a camera without a
+    calibration have disparity instead, offset by ``first``: value = first + c * step.
+
+    Parameters
+    ----------
+    frame : DepthFrame
+    facts : dict
+        More to put into the JSON text.
+    """
+    size = fitted_size(frame.disparity_px.shape, LARGEST_PX)
+    size = min(size, frame.disparity_px.shape[1::-1])
+    depth, depth_colors, _ = depth_scale(frame)
+    sigma, sigma_colors, _ = error_scale(frame)
+    maps, described = [], {}
+    for name, values, colors in (("depth", depth, depth_colors), ("sigma", sigma, sigma_colors)):
+        counts, first, step = to_counts(reduced(values, size))
+        maps.append(counts.astype("<u2").tobytes())
+        described[name] = {
+            "first": first, "step": step, "unit": colors.unit, "low": colors.low, "high": colors.high,
+        }  # fmt: skip
+    picture = cv2.cvtColor(exposed(frame.color, size), cv2.COLOR_RGB2BGR)
+    color = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))[1].tobytes()
+    known = np.isfinite(depth)
+    header = facts | described | {
+        "width": size[0], "height": size[1],
+        "full_width": frame.disparity_px.shape[1], "full_height": frame.disparity_px.shape[0],
+        "fill": float(known.mean()), "color_bytes": len(color),
+    }  # fmt: skip
+    text = json.dumps(header, allow_nan=False).encode()
+    text += b" " * (-(4 + len(text)) % 2)  # the maps begin at an even place, as arrays of 16 bits must
+    return struct.pack("<I", len(text)) + text + b"".join(maps) + color
+
+
+def to_counts(values: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Divide a map into counts from 1 to `MOST_COUNT`; 0 where it is unknown.
+
+    Returns
+    -------
+    counts : (h, w) uint16
+    first, step : float
+        The value of a count c is first + c * step.
+    """
+    known = np.isfinite(values)
+    if not known.any():
+        return np.zeros(values.shape, np.uint16), 0.0, 1.0
+    low, high = float(values[known].min()), float(values[known].max())
+    low = min(low, 0.0)
+    step = max(high - low, 1e-6) / (MOST_COUNT - 1)
+    counts = np.zeros(values.shape, np.uint16)
+    counts[known] = np.rint((values[known] - low) / step + 1).clip(1, MOST_COUNT)
+    return counts, low - step, step

@@ -1,0 +1,322 @@
+"""The app's server: addresses, answers, and one measurement at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import tempfile
+import time
+from collections.abc import Awaitable, Callable
+from functools import cache, partial
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+import cv2
+
+from chromaperture.app.assistant_answers import AssistantAnswers
+from chromaperture.app.certificate import NEEDS_EXTRA
+from chromaperture.app.frame_message import pack_frame
+from chromaperture.app.gate import Gate, Refused, save_body
+from chromaperture.app.workbench import Workbench
+from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
+from chromaperture.errors import ChromapertureError, InputError, MissingDependencyError, lacks_memory
+from chromaperture.optics.aperture import DESIGNS
+from chromaperture.viewer.access import Access
+from chromaperture.viewer.free_space import require_space
+
+T = TypeVar("T")
+UPLOADS = ("/api/frames", "/api/photos", "/api/cameras", "/api/sessions")  # whose bodies may be large
+MOST_WAITING = 6  # measurements that wait for the one under way; more are told to come again
+_TYPES = {
+    ".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".js": "text/javascript; charset=utf-8",
+    ".webmanifest": "application/manifest+json", ".png": "image/png", ".svg": "image/svg+xml",
+}  # fmt: skip
+
+
+class Busy(Exception):
+    """More measurements wait than will be taken."""
+
+
+class Desk:
+    """Give one task at a time to a thread, because the matcher uses all cores."""
+
+    def __init__(self) -> None:
+        self._lock, self._waiting = asyncio.Lock(), 0
+
+    async def run(self, work: Callable[[], T]) -> T:
+        """Run a task when it is its turn; raises Busy when too many wait."""
+        if self._waiting >= MOST_WAITING:
+            raise Busy
+        self._waiting += 1
+        try:
+            async with self._lock:
+                return await asyncio.to_thread(work)
+        finally:
+            self._waiting -= 1
+
+
+@cache
+def static_files() -> dict[str, tuple[bytes, str]]:
+    """Return the files of the page with their types, by name; nothing else on the disk is ever served."""
+    folder = resources.files("chromaperture.app") / "static"
+    return {
+        entry.name: (entry.read_bytes(), _TYPES[Path(entry.name).suffix])
+        for entry in folder.iterdir()
+        if Path(entry.name).suffix in _TYPES
+    }
+
+
+class Answers:
+    """The answer to each address, without the token."""
+
+    def __init__(self, workbench: Workbench, certificate: Path | None = None) -> None:
+        self.workbench, self.certificate = workbench, certificate
+        self.desk = Desk()
+        self.is_calibrating: Callable[[], bool] = lambda: False
+
+    async def page(self, request: Any) -> Any:
+        """Return a file of the page."""
+        from starlette.responses import PlainTextResponse, Response
+
+        name = request.path_params.get("name") or "index.html"
+        if name not in static_files():
+            return PlainTextResponse("there is no such page\n", status_code=404)
+        content, kind = static_files()[name]
+        return Response(content, media_type=kind, headers={"Cache-Control": "no-cache"})
+
+    async def about(self, request: Any) -> Any:
+        """Return what the page needs to know at its start."""
+        from starlette.responses import JSONResponse
+
+        from chromaperture import __version__
+
+        cameras = await self.desk.run(self.workbench.describe_cameras)
+        return JSONResponse({
+            "version": __version__,
+            "cameras": cameras,
+            "designs": {name: design.title for name, design in DESIGNS.items() if design.views},
+            "folder": str(self.workbench.folder),
+            "certificate": self.certificate is not None,
+        })  # fmt: skip
+
+    async def colors(self, request: Any) -> Any:
+        """Return the 257 colours of each map, the last for unknown pixels, so that every picture has the same."""
+        from starlette.responses import JSONResponse
+
+        return JSONResponse({name: _colors(kind) for name, kind in (("depth", DISTANCE), ("sigma", ERROR))})
+
+    async def add_camera(self, request: Any) -> Any:
+        """Keep a camera file."""
+        from starlette.responses import JSONResponse
+
+        async with _Upload(request, self.workbench, ".asdf") as path:
+            kept = partial(self.workbench.add_camera, request.query_params.get("name", "camera"), path)
+            return JSONResponse({"name": await self.desk.run(kept)})
+
+    async def camera(self, request: Any) -> Any:
+        """Return a camera file."""
+        from starlette.responses import Response
+
+        path = self.workbench.camera_path(request.path_params["name"])
+        headers = {"Content-Disposition": f'attachment; filename="{path.stem}.asdf"'}
+        return Response(path.read_bytes(), media_type="application/octet-stream", headers=headers)
+
+    async def frame(self, request: Any) -> Any:
+        """Measure one frame of the page's camera."""
+        from starlette.responses import Response
+
+        self._free()
+        asked = request.query_params
+        size = (whole(asked, "width"), whole(asked, "height"))
+        data = await request.body()
+
+        def work() -> bytes:
+            began = time.perf_counter()
+            frame, notes = self.workbench.measure_pixels(
+                data, size, camera=asked.get("camera", ""), quality=asked.get("quality", "real-time")
+            )
+            return pack_frame(frame, {"seconds": time.perf_counter() - began, "notes": notes})
+
+        return Response(await self.desk.run(work), media_type="application/octet-stream")
+
+    async def photo(self, request: Any) -> Any:
+        """Measure a photograph's file."""
+        from starlette.responses import Response
+
+        self._free()
+        asked = request.query_params
+        async with _Upload(request, self.workbench, asked.get("name", "photo.png")) as path:
+
+            def work() -> bytes:
+                began = time.perf_counter()
+                key, photo = self.workbench.measure_photo(
+                    path, camera=asked.get("camera", ""), quality=asked.get("quality", "real-time")
+                )
+                facts = {
+                    "seconds": time.perf_counter() - began, "notes": photo.notes, "photo": key,
+                    "turn_degrees": photo.measured.turn_degrees, "f_number": photo.camera.calibration.lens.f_number,
+                }  # fmt: skip
+                return pack_frame(photo.measured.frame, facts)
+
+            return Response(await self.desk.run(work), media_type="application/octet-stream")
+
+    def _free(self) -> None:
+        """Refuse to measure beside a calibration: it uses all cores for minutes."""
+        if self.is_calibrating():
+            raise InputError("the computer is calibrating; it measures again when that is done")
+
+    async def refocus(self, request: Any) -> Any:
+        """Return a photograph with another focus and f-number."""
+        from starlette.responses import Response
+
+        asked = request.query_params
+        at = (number(asked, "x"), number(asked, "y")) if "x" in asked else None
+
+        def work() -> bytes:
+            f_number = number(asked, "f_number") if "f_number" in asked else None
+            picture = self.workbench.refocused(
+                request.path_params["photo"], at=at, f_number=f_number,
+                background=asked.get("background", "keep"), sharpness=asked.get("sharpness", "preview"),
+            )  # fmt: skip
+            return bytes(cv2.imencode(".png", picture[..., ::-1])[1])
+
+        return Response(await self.desk.run(work), media_type="image/png")
+
+    async def photo_files(self, request: Any) -> Any:
+        """Return the files of a photograph."""
+        from starlette.responses import Response
+
+        key = request.path_params["photo"]
+        packed = await self.desk.run(partial(self.workbench.photo_files, key))
+        name = self.workbench.photo(key).measured.path.stem
+        headers = {"Content-Disposition": f'attachment; filename="{name}.zip"'}
+        return Response(packed, media_type="application/zip", headers=headers)
+
+    async def trust(self, request: Any) -> Any:
+        """Return the certificate, which a phone is told to trust."""
+        from starlette.responses import PlainTextResponse, Response
+
+        if self.certificate is None:
+            return PlainTextResponse("this server needs no certificate\n", status_code=404)
+        headers = {"Content-Disposition": 'attachment; filename="chromaperture.crt"'}
+        return Response(self.certificate.read_bytes(), media_type="application/x-x509-ca-cert", headers=headers)
+
+
+def _colors(kind: str) -> list[list[int]]:
+    import numpy as np
+
+    levels = np.append((np.arange(256) + 0.5) / 256, np.nan)[None]
+    return [[int(part) for part in color] for color in draw_levels(levels, kind)[0]]
+
+
+class _Upload:
+    """The body of a request in a private file, which goes afterwards."""
+
+    def __init__(self, request: Any, workbench: Workbench, name: str) -> None:
+        self.request, self.workbench = request, workbench
+        self.name = safe_name(name)
+
+    async def __aenter__(self) -> Path:
+        declared = int(self.request.headers.get("content-length", "0"))
+        require_space(self.workbench.folder, declared, self.workbench.reserve_bytes)
+        self._folder = tempfile.TemporaryDirectory(dir=self.workbench.folder, prefix=".upload-")
+        path = Path(self._folder.name) / self.name
+        try:
+            await save_body(self.request, path)
+        except BaseException:
+            self._folder.cleanup()
+            raise
+        return path
+
+    async def __aexit__(self, *error: object) -> None:
+        self._folder.cleanup()
+
+
+Upload = _Upload
+
+
+def safe_name(name: str) -> str:
+    """Return a file's name without anything that leads to another folder; at most 100 characters."""
+    last = name.replace("\\", "/").rsplit("/", 1)[-1]
+    plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in last).lstrip(".")
+    stem, dot, suffix = plain.rpartition(".")
+    return f"{(stem if dot else plain)[:90] or 'photo'}{f'.{suffix[:8]}' if dot else ''}"
+
+
+def whole(asked: Any, name: str) -> int:
+    """Read a positive whole number of a request; raises InputError."""
+    text = asked.get(name, "")
+    if not (text.isascii() and text.isdigit() and len(text) < 8):
+        raise InputError(f"{name} must be a whole number")
+    return int(text)
+
+
+def number(asked: Any, name: str) -> float:
+    """Read a number of a request; raises InputError."""
+    try:
+        return float(asked.get(name, ""))
+    except ValueError:
+        raise InputError(f"{name} must be a number") from None
+
+
+def said(answer: Callable[[Any], Awaitable[Any]]) -> Callable[[Any], Awaitable[Any]]:
+    """Turn what is raised on purpose into a sentence for the page."""
+
+    async def with_sentence(request: Any) -> Any:
+        from starlette.responses import JSONResponse
+
+        try:
+            return await answer(request)
+        except Refused as refused:  # by the size or the time of its body; the rest of it is not read
+            more = {"Connection": "close"}
+            return JSONResponse({"error": str(refused)}, status_code=int(refused.status), headers=more)
+        except Busy:
+            line, status = "the computer is still measuring; it will take the next picture in a moment", 503
+        except ChromapertureError as error:
+            line, status = " ".join(str(error).split()), 400
+        except OSError as error:
+            line, status = f"the computer reports: {error.strerror or error}; free some space or choose --out", 507
+        except Exception as error:
+            if not lacks_memory(error):
+                raise
+            line, status = "the computer has not enough memory for this; choose a smaller picture", 507
+        return JSONResponse({"error": line}, status_code=status)
+
+    return with_sentence
+
+
+def make_app(workbench: Workbench, access: Access, *, certificate: Path | None = None) -> Gate:
+    """Put the server's application together, behind its checks; raises MissingDependencyError.
+
+    Parameters
+    ----------
+    workbench : Workbench
+    access : Access
+    certificate : Path, optional
+        Offered to phones.
+    """
+    try:
+        from starlette.applications import Starlette
+        from starlette.routing import Route
+    except ImportError:
+        raise MissingDependencyError(NEEDS_EXTRA) from None
+
+    answers = Answers(workbench, certificate)
+    assistant = AssistantAnswers(workbench, answers.desk)
+    answers.is_calibrating = assistant.is_calibrating
+    table = [
+        *assistant.table(),
+        ("GET", "/api/about", answers.about),
+        ("GET", "/api/colors", answers.colors),
+        ("GET", "/api/certificate", answers.trust),
+        ("POST", "/api/cameras", answers.add_camera),
+        ("GET", "/api/cameras/{name}", answers.camera),
+        ("POST", "/api/frames", answers.frame),
+        ("POST", "/api/photos", answers.photo),
+        ("GET", "/api/photos/{photo}/refocused", answers.refocus),
+        ("GET", "/api/photos/{photo}/files", answers.photo_files),
+        ("GET", "/", answers.page),
+        ("GET", "/{name}", answers.page),
+    ]
+    routes = [Route(path, said(answer), methods=[method]) for method, path, answer in table]
+    return Gate(Starlette(routes=routes), access, uploads=UPLOADS)

@@ -1,0 +1,67 @@
+// The list of cameras, and the files that stay on this device.
+import { ask, askJson, attempt, make, query, say } from "./api.js";
+import { forgetCamera, keepCamera, keptCameras } from "./store.js";
+
+const $ = (id) => document.getElementById(id);
+let known = [];
+export let about = null;
+
+export const chosenCamera = () => known.find((camera) => camera.name === $("camera").value && !camera.error);
+
+export async function loadCameras(choose) {
+  about = await askJson("api/about");
+  known = about.cameras;
+  const wanted = choose ?? $("camera").value;
+  $("camera").replaceChildren(...known.map((camera) => new Option(camera.error ? `${camera.name} (damaged)` : camera.name, camera.name)));
+  if (!known.length) $("camera").append(new Option("none yet", ""));
+  if (known.some((camera) => camera.name === wanted)) $("camera").value = wanted;
+  $("certificate").hidden = !about.certificate;
+  describe();
+  if (choose) $("camera").dispatchEvent(new Event("change"));
+}
+
+function describe() {
+  const camera = known.find((one) => one.name === $("camera").value);
+  $("camera-keep").disabled = !camera || Boolean(camera.error);
+  if (!camera) $("camera-facts").textContent = "No camera file yet. “Calibrate” makes one, or open one.";
+  else if (camera.error) $("camera-facts").textContent = camera.error;
+  else $("camera-facts").textContent = `${camera.title}${camera.in_focus_mm ? `, in focus at ${Math.round(camera.in_focus_mm)} mm` : ""}`;
+}
+
+async function upload(name, data) {
+  const { name: kept } = await (await ask("api/cameras" + query({ name }), { method: "POST", body: data })).json();
+  await loadCameras(kept);
+}
+
+export async function keepHere(name) {
+  const data = await (await ask(`api/cameras/${encodeURIComponent(name)}`)).arrayBuffer();
+  await keepCamera(name, data);
+  await showKept();
+}
+
+async function showKept() {
+  const kept = await keptCameras();
+  $("camera-kept").replaceChildren(...kept.map(({ name, data }) => make("li", { class: "row" },
+    make("span", { text: `${name}, kept on this device` }),
+    make("button", { text: "Use", "aria-label": `Use ${name}`, onclick: () => attempt(() => upload(name, data)) }),
+    make("a", { text: "Save as file", class: "button", download: `${name}.asdf`, href: URL.createObjectURL(new Blob([data])) }),
+    make("button", { text: "Remove", "aria-label": `Remove ${name} from this device`, onclick: () => attempt(async () => { await forgetCamera(name); await showKept(); }) }))));
+}
+
+export function startCameras() {
+  $("camera").addEventListener("change", describe);
+  $("camera-menu").addEventListener("click", () => {
+    $("camera-panel").hidden = !$("camera-panel").hidden;
+    $("camera-menu").setAttribute("aria-expanded", String(!$("camera-panel").hidden));
+  });
+  $("camera-file").addEventListener("change", () => attempt(async () => {
+    const [file] = $("camera-file").files;
+    $("camera-file").value = "";
+    if (file) { await upload(file.name, file); say(""); }
+  }));
+  $("camera-keep").addEventListener("click", () => attempt(async () => {
+    await keepHere($("camera").value);
+    say("Kept on this device; it stays when the computer is off.", { plain: true });
+  }));
+  attempt(showKept);
+}

@@ -1,0 +1,32 @@
+// Keeps the page, so that it opens without the computer that serves it. Answers of the server are never kept.
+const NAME = "chromaperture-page";
+const FILES = [
+  "./", "app.css", "api.js", "assistant.js", "cameras.js", "capture.js", "charts.js", "frame.js", "live.js", "main.js",
+  "manifest.webmanifest", "photo.js", "store.js", "viewer.js", "icon-192.png", "icon-512.png", "icon-maskable-512.png",
+];
+
+self.addEventListener("install", (event) => {
+  event.waitUntil(caches.open(NAME).then((cache) => cache.addAll(FILES)).then(() => self.skipWaiting()));
+});
+
+self.addEventListener("activate", (event) => event.waitUntil(self.clients.claim()));
+
+self.addEventListener("fetch", (event) => {
+  const inner = new URL(event.request.url).pathname.slice(new URL(self.registration.scope).pathname.length);
+  if (event.request.method !== "GET" || inner.startsWith("api/")) return;
+  event.respondWith(newest(event.request));
+});
+
+// The server's file where it answers, so that nothing gets old; the kept one where it does not.
+async function newest(request) {
+  const cache = await caches.open(NAME);
+  try {
+    const answer = await fetch(request);
+    if (answer.ok) await cache.put(request, answer.clone()).catch(() => {});
+    return answer;
+  } catch (error) {
+    const kept = await cache.match(request, { ignoreSearch: true });
+    if (kept) return kept;
+    throw error;
+  }
+}

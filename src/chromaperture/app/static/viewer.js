@@ -1,0 +1,141 @@
+// Shows a frame as depth, error bar or colour, and the distance under the finger.
+import { askJson, make } from "./api.js";
+import { readAt, valueOf } from "./frame.js";
+
+let tables;  // 257 colours of each map, from the server: the same as in every picture of the package
+const tablesOnce = () => (tables ??= askJson("api/colors").catch((error) => { tables = undefined; throw error; }));
+
+const MOST_RELATIVE = 0.1;  // error bar over depth, as depth/error_limit.py: beyond, colours are dark
+
+// Colours (RGBA in 32 bits) mixed, three parts of the second.
+const mix = (a, b) => [0, 8, 16].reduce((sum, bit) => sum | (((a >>> bit & 255) + 3 * (b >>> bit & 255)) >> 2) << bit, 255 << 24) >>> 0;
+
+export class Viewer {
+  // views: {name: label}; "picture" shows what `setPicture` was given
+  constructor(root, views, { onpoint } = {}) {
+    this.views = views;
+    this.onpoint = onpoint;
+    this.point = null;  // fractions of width and height
+    this.canvas = make("canvas", { tabindex: 0, role: "img", "aria-label": "Nothing measured yet", hidden: true });
+    this.empty = make("div", { class: "empty", text: "Nothing measured yet" });
+    this.reading = make("div", { class: "reading", role: "status", "aria-live": "polite", hidden: true });
+    this.mark = make("div", { class: "mark", hidden: true });
+    this.bar = make("canvas", { width: 256, height: 1, "aria-hidden": "true" });
+    this.ends = [make("span"), make("span")];
+    this.note = make("span", { text: `dark: error bar above ${100 * MOST_RELATIVE} %` });
+    this.scale = make("div", { class: "scale", hidden: true }, this.ends[0], this.bar, this.ends[1], this.note);
+    this.buttons = Object.entries(views).map(([name, label]) =>
+      make("button", { text: label, "aria-pressed": "false", "data-view": name, onclick: () => this.show(name) }));
+    root.append(
+      make("div", { class: "stage" }, this.canvas, this.empty, this.reading, this.mark), this.scale,
+      make("div", { class: "views", role: "group", "aria-label": "What to show" }, ...this.buttons));
+    this.canvas.addEventListener("pointerdown", (event) => this.#touch(event));
+    this.canvas.addEventListener("pointermove", (event) => { if (event.buttons || event.pointerType === "mouse") this.#touch(event, !event.buttons); });
+    this.canvas.addEventListener("keydown", (event) => this.#key(event));
+    this.show("depth");
+  }
+
+  show(view) {
+    this.view = view;
+    for (const button of this.buttons) button.setAttribute("aria-pressed", String(button.dataset.view === view));
+    this.draw();
+  }
+
+  async setFrame(frame) {
+    this.colors = await tablesOnce();
+    this.frame?.color.close?.();
+    this.frame = frame;
+    this.draw();
+  }
+
+  setPicture(bitmap) { this.picture = bitmap; this.draw(); }
+
+  clear() { this.frame = this.picture = undefined; this.canvas.hidden = this.scale.hidden = true; this.empty.hidden = false; this.reading.hidden = this.mark.hidden = true; }
+
+  draw() {
+    const { frame, canvas } = this;
+    if (!frame) return;
+    const { width, height } = frame.facts;
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    canvas.hidden = false;
+    this.empty.hidden = true;
+    const context = canvas.getContext("2d");
+    const isMap = this.view === "depth" || this.view === "sigma";
+    if (isMap) this.#map(context, this.view);
+    else context.drawImage(this.view === "picture" && this.picture ? this.picture : frame.color, 0, 0, width, height);
+    this.scale.hidden = !isMap;
+    canvas.setAttribute("aria-label", `${this.views[this.view]}, ${width} by ${height} pixels, ${Math.round(100 * frame.facts.fill)} % measured. Arrow keys move the place that is read.`);
+    this.#read();
+  }
+
+  #map(context, name) {
+    const map = this.frame.facts[name], counts = this.frame[name], colors = this.colors[name];
+    const picture = context.createImageData(this.frame.facts.width, this.frame.facts.height);
+    const lookup = this.#lookup(map, colors, name);
+    const out = new Uint32Array(picture.data.buffer);
+    if (name === "depth" && map.unit === "mm") {
+      const pale = lookup.map((color) => mix(color, lookup[0])), { sigma } = this.frame, error = this.frame.facts.sigma;
+      for (let i = 0; i < counts.length; i++) {
+        const depth = map.first + counts[i] * map.step, certain = sigma[i] && error.first + sigma[i] * error.step <= MOST_RELATIVE * depth;
+        out[i] = certain ? lookup[counts[i]] : pale[counts[i]];
+      }
+    } else for (let i = 0; i < counts.length; i++) out[i] = lookup[counts[i]];
+    context.putImageData(picture, 0, 0);
+    const bar = this.bar.getContext("2d"), strip = bar.createImageData(256, 1);
+    colors.slice(0, 256).forEach((c, i) => strip.data.set([...c, 255], 4 * i));
+    bar.putImageData(strip, 0, 0);
+    this.ends[0].textContent = `${round(map.low)} ${map.unit}`;
+    this.ends[1].textContent = `${round(map.high)} ${map.unit}`;
+    this.note.hidden = name !== "depth";
+  }
+
+  // Colour of every count, little-endian RGBA.
+  #lookup(map, colors, name) {
+    const lookup = new Uint32Array(65536), pack = ([r, g, b]) => (255 << 24 | b << 16 | g << 8 | r) >>> 0;
+    const packed = colors.map(pack);
+    lookup[0] = packed[256];
+    for (let c = 1; c < 65536; c++) {
+      const level = (valueOf(map, c) - map.low) / (map.high - map.low);
+      lookup[c] = packed[Math.max(0, Math.min(255, Math.floor(level * 256)))];
+    }
+    return lookup;
+  }
+
+  #touch(event, hovering = false) {
+    const box = this.canvas.getBoundingClientRect();
+    // The picture is as large as fits into the canvas's box, in its middle (object-fit: contain).
+    const scale = Math.min(box.width / this.canvas.width, box.height / this.canvas.height);
+    const left = (box.width - scale * this.canvas.width) / 2, top = (box.height - scale * this.canvas.height) / 2;
+    const x = (event.clientX - box.left - left) / (scale * this.canvas.width);
+    const y = (event.clientY - box.top - top) / (scale * this.canvas.height);
+    if (x < 0 || x >= 1 || y < 0 || y >= 1) return;
+    this.point = [x, y];
+    this.#read();
+    if (!hovering && event.type === "pointerdown") this.onpoint?.(x, y);
+  }
+
+  #key(event) {
+    const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+    if (event.key === "Enter" && this.point) return this.onpoint?.(...this.point);
+    if (!(event.key in steps)) return;
+    event.preventDefault();
+    const [x, y] = this.point ?? [0.5, 0.5], [dx, dy] = steps[event.key];
+    this.point = [x + dx / 40, y + dy / 40].map((v) => Math.min(0.999, Math.max(0, v)));
+    this.#read();
+  }
+
+  #read() {
+    if (!this.point || !this.frame) return;
+    const [x, y] = this.point, { width, height } = this.frame.facts;
+    const { depth, sigma, unit } = readAt(this.frame, Math.floor(x * width), Math.floor(y * height));
+    const text = Number.isNaN(depth) ? "unknown here" : `${round(depth)} ± ${Number(sigma.toPrecision(2))} ${unit}`;
+    if (this.reading.textContent !== text) this.reading.textContent = text;
+    this.reading.hidden = this.mark.hidden = false;
+    const box = this.canvas.getBoundingClientRect(), stage = this.canvas.parentElement.getBoundingClientRect();
+    const scale = Math.min(box.width / width, box.height / height);
+    this.mark.style.left = `${box.left - stage.left + (box.width - scale * width) / 2 + x * scale * width}px`;
+    this.mark.style.top = `${box.top - stage.top + (box.height - scale * height) / 2 + y * scale * height}px`;
+  }
+}
+
+const round = (value) => (Math.abs(value) >= 100 ? Math.round(value).toString() : value.toFixed(Math.abs(value) >= 10 ? 1 : 2));

@@ -1,0 +1,310 @@
+"""What the app's server does with pictures: cameras by name, measuring, refocusing, files to save.
+
+Everything here is called by one thread at a time: the matcher uses all cores already.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import itertools
+import math
+import re
+import secrets
+import tempfile
+import warnings
+import zipfile
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_file import Calibration
+from chromaperture.camera_matching import default_config
+from chromaperture.capture.files import Decoded, linearise
+from chromaperture.color.srgb import linear_to_srgb_bytes
+from chromaperture.config import QUALITIES
+from chromaperture.effects.background import BACKGROUND_EFFECTS, apply_background
+from chromaperture.effects.edge_aware import filter_disparity
+from chromaperture.effects.refocusing import Focus
+from chromaperture.effects.restore import SharpPicture, restore
+from chromaperture.effects.transfer_functions import radius_per_disparity
+from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.products.measure_file import MeasuredFile, measure_only
+from chromaperture.storage import staged
+from chromaperture.viewer.free_space import RESERVE_BYTES, require_space
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")  # of cameras and sessions: nothing that a path could be made of
+_MOST_CAMERAS = 200  # files that the page may add; chosen by hand
+_MOST_CAMERA_BYTES = 64 * 2**20  # of a camera file; that of 24 megapixels has 0.1 MB
+_KEPT_PHOTOS = 3  # measured photographs for tap-to-focus; 24 megapixels take 1 GB each
+_KEPT_EYES = 4  # cameras at a quality and a size, with their curves
+_WHITE = 0.95  # of the screen, for the brightest 0.2 % of a refocused picture; as `chromaperture refocus`
+
+
+@dataclass
+class Photo:
+    """A measured photograph, for its files and for other focuses."""
+
+    measured: MeasuredFile
+    camera: CodedApertureCamera
+    notes: list[str]
+    sharp: dict[str, SharpPicture] = field(default_factory=dict)
+
+
+class Workbench:
+    """Cameras and photographs of one app.
+
+    Parameters
+    ----------
+    folder : Path
+        Of everything that is kept: ``cameras/``, ``sessions/``, ``photos/``.
+    camera : Path, optional
+        The camera file that the page begins with.
+    reserve_bytes : int
+        Of the disk, that stay free.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be written, or the camera file cannot be read.
+    """
+
+    def __init__(self, folder: Path, camera: Path | None = None, *, reserve_bytes: int = RESERVE_BYTES) -> None:
+        self.folder, self.reserve_bytes = folder, reserve_bytes
+        for name in ("cameras", "sessions", "photos"):
+            with staged(folder / name):
+                pass
+        self.given = camera
+        if camera is not None:
+            Calibration.load(camera)
+        self._eyes: OrderedDict[tuple[Any, ...], CodedApertureCamera] = OrderedDict()
+        self._photos: OrderedDict[str, Photo] = OrderedDict()
+
+    # ---- cameras
+
+    def camera_paths(self) -> dict[str, Path]:
+        """Return the camera files by the names that the page shows; the one given at the start first."""
+        given = {} if self.given is None else {self.given.stem: self.given}
+        kept = sorted((self.folder / "cameras").glob("*.asdf"))
+        return given | {path.stem: path for path in kept if NAME.fullmatch(path.stem) and path.stem not in given}
+
+    def camera_path(self, name: str) -> Path:
+        """Return a camera file; raises InputError for an unknown name."""
+        try:
+            return self.camera_paths()[name]
+        except KeyError:
+            raise InputError("there is no camera of that name; choose one of the list") from None
+
+    def add_camera(self, name: str, source: Path) -> str:
+        """Keep a camera file that the page sent; returns its name.
+
+        Raises
+        ------
+        InputError
+            It is no camera file, there are too many, or another camera has the name.
+        """
+        stem = re.sub(r"[^A-Za-z0-9_-]+", "-", Path(name).stem).strip("-_")[:60] or "camera"
+        data = source.read_bytes()
+        if len(data) > _MOST_CAMERA_BYTES:
+            raise InputError("this is too large for a camera file; choose the .asdf of 'chromaperture calibrate'")
+        Calibration.load(source)
+        paths = self.camera_paths()
+        for number in itertools.count(1):
+            unused = stem if number == 1 else f"{stem[:56]}-{number}"
+            if unused in paths and paths[unused].read_bytes() == data:
+                return unused
+            if unused not in paths:
+                break
+        if len(paths) >= _MOST_CAMERAS:
+            raise InputError(f"there are {_MOST_CAMERAS} cameras already; remove some from {self.folder / 'cameras'}")
+        require_space(self.folder, len(data), self.reserve_bytes)
+        with staged(self.folder / "cameras") as stage:
+            stage.path(f"{unused}.asdf").write_bytes(data)
+        return unused
+
+    def describe_cameras(self) -> list[dict[str, Any]]:
+        """Return for each camera what the page shows; a damaged file has ``error`` instead."""
+        return [{"name": name, **_described(path)} for name, path in self.camera_paths().items()]
+
+    def eye(self, name: str, quality: str) -> CodedApertureCamera:
+        """Return a camera at a quality, opened once for all frames; raises InputError."""
+        if quality not in QUALITIES:
+            raise InputError(f"unknown quality {quality!r}: choose {', '.join(QUALITIES)}")
+        path = self.camera_path(name)
+        key = (path, path.stat().st_mtime_ns, quality)
+        if key not in self._eyes:
+            calibration = Calibration.load(path)
+            self._eyes[key] = CodedApertureCamera(calibration, default_config(calibration, quality))
+            while len(self._eyes) > _KEPT_EYES:
+                self._eyes.popitem(last=False)
+        self._eyes.move_to_end(key)
+        return self._eyes[key]
+
+    # ---- measuring
+
+    def measure_pixels(
+        self, data: bytes, size_px: tuple[int, int], *, camera: str, quality: str
+    ) -> tuple[DepthFrame, list[str]]:
+        """Measure one frame of the page's camera.
+
+        Parameters
+        ----------
+        data : bytes
+            R, G, B of 8 bits, row by row, as a browser decodes a video; taken for sRGB.
+        size_px : (width, height)
+        camera, quality : str
+
+        Returns
+        -------
+        DepthFrame, and a list of sentences about it
+
+        Raises
+        ------
+        InputError
+        """
+        width, height = size_px
+        if min(size_px) < 1 or len(data) != 3 * width * height:
+            raise InputError("a frame is not as large as it says; reload the page")
+        eye = self.eye(camera, quality)
+        counts = np.frombuffer(data, np.uint8).reshape(height, width, 3)
+        sensor = eye.calibration.sensor
+        levels = (sensor.black_level, sensor.white_level) if eye.calibration.is_calibrated else None
+        with heard() as notes:
+            frame = eye.measure(linearise(Decoded(counts), camera_levels=levels))
+        return frame, notes()
+
+    def measure_photo(
+        self, path: Path, *, camera: str, quality: str, stage: Callable[[str], None] = lambda name: None
+    ) -> tuple[str, Photo]:
+        """Measure a photograph's file and keep the result for a while; returns its key; raises InputError."""
+        eye = self.eye(camera, quality)
+        with heard() as notes:
+            measured = measure_only(path, eye, out=self.folder / "photos", listener=stage)
+        height, width = measured.frame.disparity_px.shape
+        photo = Photo(measured, eye.at_size(width, height), notes())
+        key = secrets.token_urlsafe(9)
+        self._photos[key] = photo
+        while len(self._photos) > _KEPT_PHOTOS:
+            self._photos.popitem(last=False)
+        return key, photo
+
+    def photo(self, key: str) -> Photo:
+        """Return a measured photograph; raises InputError for one that is no longer kept."""
+        if key not in self._photos:
+            raise InputError("this photograph is no longer kept; open it again")
+        self._photos.move_to_end(key)
+        return self._photos[key]
+
+    def refocused(
+        self, key: str, *, at: tuple[float, float] | None, f_number: float | None, background: str, sharpness: str
+    ) -> np.ndarray:
+        """Return the photograph of another lens.
+
+        Parameters
+        ----------
+        key : str
+            From `measure_photo`.
+        at : (x, y), optional
+            Place to focus on, fractions of width and height; the camera's own focus when absent.
+        f_number : float, optional
+            Of the new lens; the camera's own when absent.
+        background : str
+            keep, desaturate or blur.
+        sharpness : str
+            ``preview``, at once: the colours and the blur of the measured frame; or aligned, fast or full, which are
+            restored first, see `restore`.
+
+        Returns
+        -------
+        (H, W, 3) uint8 sRGB
+
+        Raises
+        ------
+        InputError
+        """
+        if background not in BACKGROUND_EFFECTS:
+            raise InputError(f"unknown background effect {background!r}: choose {', '.join(BACKGROUND_EFFECTS)}")
+        photo = self.photo(key)
+        frame, own = photo.measured.frame, photo.camera.calibration.lens.f_number
+        if f_number is not None and not (own and math.isfinite(f_number) and f_number > 0):
+            raise InputError("the f-number must be positive, and the camera file must state the lens's own")
+        if frame.image is None:
+            raise InputError("this photograph is no longer kept; open it again")
+        if sharpness not in photo.sharp:
+            sharp = _at_once(photo) if sharpness == "preview" else restore(
+                frame.image, frame.disparity_px, photo.camera, sigma_px=frame.disparity_sigma_px,
+                sharpness=cast(Any, sharpness),
+            )  # fmt: skip
+            gain = float(_WHITE / max(np.percentile(sharp.color, 99.8), 1e-6))
+            photo.sharp = {sharpness: SharpPicture(sharp.color * gain, sharp.radius_px)}
+        picture = photo.sharp[sharpness]
+        strength = 1.0 if f_number is None or not own else own / f_number
+        focus = Focus(_radius_at(picture.radius_px, at), strength)
+        return linear_to_srgb_bytes(apply_background(picture.color, picture.radius_px, focus, background))
+
+    def photo_files(self, key: str, original: Path | None = None) -> bytes:
+        """Return the files of a photograph, as ``chromaperture depth`` writes them, in one ZIP archive."""
+        photo = self.photo(key)
+        require_space(self.folder, 100 * photo.measured.frame.disparity_px.size, self.reserve_bytes)
+        packed = io.BytesIO()
+        with tempfile.TemporaryDirectory(dir=self.folder) as private:
+            MeasuredFile(**{**vars(photo.measured), "folder": Path(private)}).write()
+            names = sorted(Path(private).iterdir())
+            with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+                for path in names:
+                    if path.is_file():
+                        archive.write(path, path.name)
+                if original is not None:
+                    archive.write(original, original.name)
+        return packed.getvalue()
+
+
+def _described(path: Path) -> dict[str, Any]:
+    try:
+        calibration = Calibration.load(path)
+    except InputError as error:
+        return {"error": str(error)}
+    sensor = calibration.sensor
+    return {
+        "title": calibration.title,
+        "width": sensor.width_px,
+        "height": sensor.height_px,
+        "near_mm": calibration.near_mm,
+        "far_mm": calibration.far_mm,
+        "f_number": calibration.lens.f_number,
+        "in_focus_mm": calibration.in_focus_mm if calibration.is_calibrated else None,
+        "calibrated": calibration.is_calibrated,
+    }
+
+
+def _at_once(photo: Photo) -> SharpPicture:
+    """Return a frame's picture and its blur without restoration, as the live page has them; 0.1 s instead of 7."""
+    frame, camera = photo.measured.frame, photo.camera
+    disparity, _ = filter_disparity(frame.disparity_px, frame.disparity_sigma_px, frame.color)
+    per_disparity = np.float32(radius_per_disparity(camera.calibration, camera.config.quality))
+    return SharpPicture(frame.color, disparity * per_disparity)
+
+
+def _radius_at(radius_px: np.ndarray, at: tuple[float, float] | None) -> float:
+    """Return the capture's blur radius at a place of the picture: of the window that `refocus --point` takes."""
+    if at is None:
+        return 0.0
+    if not all(math.isfinite(v) and 0 <= v <= 1 for v in at):
+        raise InputError("the place to focus on lies outside the picture")
+    height, width = radius_px.shape
+    x, y = (min(int(v * n), n - 1) for v, n in zip(at, (width, height), strict=True))
+    return float(np.median(radius_px[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4]))
+
+
+@contextlib.contextmanager
+def heard() -> Iterator[Callable[[], list[str]]]:
+    """Collect the sentences of warnings about captures; what is yielded returns them."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        yield lambda: list(dict.fromkeys(str(w.message) for w in found if issubclass(w.category, CaptureWarning)))

@@ -1,0 +1,118 @@
+"""The app as the tests run it: its server in a thread, a Chromium of the system, a camera that is a file."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from chromaperture.app.workbench import Workbench
+from chromaperture.color.srgb import linear_to_srgb_bytes
+from chromaperture.viewer.access import Access
+
+TOKEN = "a-token-that-only-the-tests-know"
+PHONE, DESKTOP = {"width": 360, "height": 740}, {"width": 1280, "height": 860}
+_FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
+          "--disable-component-update", "--disable-sync"]  # fmt: skip
+_CAMERA = ["--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream"]
+
+
+# What a photographer knows of the camera of `render_session`.
+FACTS = {
+    "design": "cy_halves", "focal_length_mm": 51.6, "f_number": 2.1, "focus_mm": 2000.0, "sensor_width_mm": 22.3,
+    "nearest_mm": 1000.0, "farthest_mm": 3000.0, "inner_corners": [9, 6], "square_mm": 30.0, "black_level": 16.0,
+    "white_level": 1016.0,
+}  # fmt: skip
+
+
+class App(NamedTuple):
+    url: str
+    port: int
+    folder: Path
+    server: Any
+
+
+def render_session(folder: Path) -> None:
+    """Photograph boards, leaning boards and sheets through a thin lens whose truth is known; 5 s."""
+    from chromaperture.cli.simulate import simulate
+
+    simulate(folder, thin=True, width=360, height=240, cells=6, tilts=5, nearest_mm=1000, farthest_mm=3000,
+             step_mm=500, quiet=True)  # fmt: skip
+    assert "square_mm = 30" in (folder / "session.toml").read_text()  # as FACTS says
+
+
+def calibrate_rendered(folder: Path, out: Path) -> None:
+    """Calibrate the session of `render_session` as the command line does."""
+    import typer
+
+    from chromaperture.cli.calibrate import calibrate
+
+    with contextlib.suppress(typer.Exit):  # of a calibration that cannot be used
+        calibrate(folder, out, no_blur=True, no_report=True, quiet=True)
+    assert out.is_file()
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@contextlib.contextmanager
+def served(folder: Path, *, camera: Path | None = None, port: int | None = None, **gate: Any) -> Iterator[App]:
+    """The app on this machine; ``gate`` replaces limits of its Gate."""
+    from chromaperture.app.listening import make_server
+    from chromaperture.app.server import make_app
+
+    access, port = Access("127.0.0.1", TOKEN, command="serve"), port or free_port()
+    application = make_app(Workbench(folder, camera, reserve_bytes=0), access)
+    for name, value in gate.items():
+        setattr(application, name, value)
+    ready = threading.Event()
+    server = make_server(application, host="127.0.0.1", port=port, ready=ready.set)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    assert ready.wait(20)
+    try:
+        yield App(access.url(port), port, folder, server)
+    finally:
+        server.should_exit = True
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+@contextlib.contextmanager
+def chromium(driver: Any, *, camera: Path | None = None, flags: tuple[str, ...] = ()) -> Iterator[Any]:
+    """A headless browser; its camera plays a y4m file."""
+    arguments = [*_FLAGS, *flags]
+    if camera is not None:
+        arguments += [*_CAMERA, f"--use-file-for-fake-video-capture={camera.absolute()}"]
+    browser = driver.chromium.launch(executable_path=shutil.which("chromium"), headless=True, args=arguments)
+    try:
+        yield browser
+    finally:
+        browser.close()
+
+
+def write_y4m(path: Path, linear: np.ndarray, frames: int = 2) -> None:
+    """Write a picture (H, W, 3), linear RGB, as a video: sRGB, Rec. 601 of limited range, chroma 4:2:0."""
+    height, width = linear.shape[:2]
+    yuv = cv2.cvtColor(linear_to_srgb_bytes(linear).astype(np.float32) / 255, cv2.COLOR_RGB2YUV)
+    luma = yuv[..., 0]
+    red, blue = (linear_to_srgb_bytes(linear)[..., c].astype(np.float32) / 255 for c in (0, 2))
+    planes = [16 + 219 * luma]
+    for colour, factor in ((blue, 1.772), (red, 1.402)):
+        chroma = 128 + 224 * (colour - luma) / factor
+        planes.append(cv2.resize(chroma, (width // 2, height // 2), interpolation=cv2.INTER_AREA))
+    frame = b"".join(np.rint(plane).clip(0, 255).astype(np.uint8).tobytes() for plane in planes)
+    with path.open("wb") as file:
+        file.write(f"YUV4MPEG2 W{width} H{height} F15:1 Ip A1:1 C420jpeg\n".encode())
+        for _ in range(frames):
+            file.write(b"FRAME\n" + frame)

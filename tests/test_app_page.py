@@ -1,0 +1,392 @@
+"""The app's page in a Chromium of the system, at the sizes of a phone and of a desktop."""
+
+from __future__ import annotations
+
+import io
+import re
+import shutil
+import zipfile
+
+import cv2
+import numpy as np
+import pytest
+
+from apps import DESKTOP, FACTS, PHONE, chromium, served, write_y4m
+from chromaperture.camera_file import Calibration
+from chromaperture.capture.files import Decoded, linearise
+from chromaperture.color.srgb import linear_to_srgb_bytes
+from chromaperture.products.samples import open_sample, sample_camera, sample_image
+
+pytestmark = [
+    pytest.mark.extra("serve", "starlette"),
+    pytest.mark.extra("browser", "playwright"),
+    pytest.mark.skipif(shutil.which("chromium") is None, reason="Chromium is not installed: the page is NOT tested"),
+    pytest.mark.slow,
+]
+NAME = "still_life_cy_halves"
+PLACES = ((0.25, 0.6), (0.62, 0.6), (0.8, 0.55))  # on the books of the sample, fractions of the frame
+
+# Lets a video exchange width and height, as when a phone turns.
+TURNING = """
+    const video = HTMLVideoElement.prototype;
+    const [w, h] = ["videoWidth", "videoHeight"].map((name) => Object.getOwnPropertyDescriptor(video, name).get);
+    Object.defineProperty(video, "videoWidth", { get() { return (window.turned ? h : w).call(this); } });
+    Object.defineProperty(video, "videoHeight", { get() { return (window.turned ? w : h).call(this); } });
+"""
+# Controls that are shown and are less than 44 px high, or have no name for a screen reader.
+FAULTS = """() => [...document.querySelectorAll("button, select, input, a.button")].flatMap((e) => {
+    const inside = e.classList.contains("unseen") || e.type === "checkbox";
+    const box = (inside ? e.closest("label") : e).getBoundingClientRect();
+    if (!box.width || e.closest("[hidden]")) return [];
+    const labels = [...(e.labels ?? [])].map((label) => label.textContent.trim()).join(" ");
+    const faults = box.height < 44 ? [`${e.outerHTML}: ${box.height} px high`] : [];
+    const name = e.getAttribute("aria-label") || e.textContent.trim() || labels;
+    return name ? faults : [...faults, `${e.outerHTML}: no name`];
+})"""
+
+
+@pytest.fixture(scope="module")
+def app(tmp_path_factory):
+    with served(tmp_path_factory.mktemp("app"), camera=sample_camera(NAME)) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def driver():
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def browser(driver, tmp_path_factory):
+    """A Chromium whose camera plays the sample at twice its size: what 4:2:0 loses is averaged away."""
+    scene = tmp_path_factory.mktemp("camera") / "scene.y4m"
+    _, image = open_sample(NAME)
+    write_y4m(scene, cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST))
+    with chromium(driver, camera=scene) as started:
+        yield started
+
+
+@pytest.fixture
+def page_at(browser, app):
+    """A function that opens the page in a window of a size; afterwards nothing went wrong in its console."""
+    contexts, wrong = [], []
+
+    def at(size, *, camera="cy_halves", url=app.url, script=None, **options):
+        context = browser.new_context(viewport=size, permissions=["camera"], **options)
+        contexts.append(context)
+        page = context.new_page()
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("console", lambda line: wrong.append(line.text) if "Security Policy" in line.text else None)
+        if script:
+            page.add_init_script(script)
+        page.goto(url)
+        if camera:
+            page.wait_for_selector(f"#camera option[value={camera}]", state="attached")
+        return page
+
+    yield at
+    for context in contexts:
+        context.close()
+    assert wrong == []
+
+
+def says(page, text):
+    page.wait_for_selector(f"#message:has-text('{text}')", timeout=30_000)
+    return page.inner_text("#message")
+
+
+def reading(page, viewer, x, y):
+    """Touch a place of a picture; returns depth and error bar, mm."""
+    box = page.locator(f"{viewer} .stage canvas").bounding_box()
+    width, height = 720, 480
+    scale = min(box["width"] / width, box["height"] / height)
+    left, top = box["x"] + (box["width"] - scale * width) / 2, box["y"] + (box["height"] - scale * height) / 2
+    page.mouse.click(left + x * scale * width, top + y * scale * height)
+    text = page.inner_text(f"{viewer} .reading")
+    found = re.fullmatch(r"([\d.]+) ± ([\d.]+) mm", text)
+    assert found, text
+    return float(found[1]), float(found[2])
+
+
+def open_photo(page, path=None):
+    page.click("#tab-photo")
+    page.set_input_files("#photo-open", path or str(sample_image(NAME)))
+    page.wait_for_selector("#photo-tools:not([hidden])", timeout=60_000)
+
+
+# ---- live
+
+
+@pytest.mark.parametrize("size", [PHONE, DESKTOP], ids=["phone", "desktop"])
+def test_live_depth_is_that_of_python(page_at, size):
+    page = page_at(size)
+    page.click("#live-start")
+    page.wait_for_selector("#live-viewer canvas:not([hidden])", timeout=30_000)
+    page.wait_for_selector("#live-speed:has-text('frames/s')")
+    camera, image = open_sample(NAME)
+    with pytest.warns(UserWarning, match="8-bit"):
+        picture = linearise(Decoded(linear_to_srgb_bytes(image)), camera_levels=(16, 1016))
+    frame = camera.measure(picture)
+    for x, y in PLACES:
+        depth, sigma = reading(page, "#live-viewer", x, y)
+        row, column = round(y * 480), round(x * 720)
+        window = frame.depth_mm[row - 6 : row + 7, column - 6 : column + 7]
+        # limited range and 4:2:0 of the video: a third of a px of chroma noise, well within the error bar or 2 %
+        assert depth == pytest.approx(float(np.nanmedian(window)), abs=max(sigma, 0.02 * depth))
+    assert re.search(r"\d ms from picture to depth", page.inner_text("#live-speed"))
+    page.click("#live-start")
+    assert page.inner_text("#live-start") == "Start the camera"
+
+
+def test_a_turned_phone_pauses_and_goes_on(page_at):
+    page = page_at(PHONE, script=TURNING)
+    page.click("#live-start")
+    page.wait_for_selector("#live-speed:has-text('frames/s')", timeout=30_000)
+    page.evaluate("window.turned = true")
+    assert "hold the device as it was calibrated" in says(page, "960 x 1440")
+    page.evaluate("window.turned = false")
+    page.wait_for_selector("#message", state="hidden")
+
+
+def test_a_page_in_the_background_pauses(page_at):
+    script = 'Object.defineProperty(Document.prototype, "hidden", { get: () => Boolean(window.away) });'
+    page = page_at(PHONE, script=script)
+    page.click("#live-start")
+    page.wait_for_selector("#live-speed:has-text('frames/s')", timeout=30_000)
+    page.evaluate("window.away = true; document.dispatchEvent(new Event('visibilitychange'))")
+    page.wait_for_selector("#live-speed:has-text('paused')")
+    page.evaluate("window.away = false; document.dispatchEvent(new Event('visibilitychange'))")
+    page.wait_for_selector("#live-speed:has-text('frames/s')", timeout=30_000)
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        ("NotAllowedError", "does not give this page the camera"),
+        ("NotReadableError", "another app uses it"),
+        ("NotFoundError", "This device has no camera"),
+        ("SomethingNew", "SomethingNew"),
+    ],
+)
+def test_a_camera_that_cannot_be_opened_is_one_sentence(page_at, error, sentence):
+    page = page_at(PHONE, script=f"""
+        navigator.mediaDevices.getUserMedia = async () => {{ throw new DOMException("no", "{error}"); }};
+    """)
+    page.click("#live-start")
+    says(page, sentence)
+    assert page.inner_text("#live-start") == "Start the camera"
+
+
+def test_a_browser_that_asks_and_is_denied_says_so(driver, app):
+    with chromium(driver, flags=("--use-fake-device-for-media-stream", "--deny-permission-prompts")) as strict:
+        page = strict.new_page()
+        page.goto(app.url)
+        page.wait_for_selector("#camera option[value=cy_halves]", state="attached")
+        page.click("#live-start")
+        says(page, "does not give this page the camera")
+
+
+# ---- photo
+
+
+def test_a_photograph_is_measured_focused_by_a_touch_and_saved(page_at):
+    page = page_at(DESKTOP)
+    open_photo(page)
+    camera, image = open_sample(NAME)
+    frame = camera.measure(image)
+    for x, y in PLACES:
+        depth, sigma = reading(page, "#photo-viewer", x, y)
+        window = frame.depth_mm[round(y * 480) - 3 : round(y * 480) + 4, round(x * 720) - 3 : round(x * 720) + 4]
+        assert np.nanmin(window) - 1 <= depth <= np.nanmax(window) + 1  # rounded to mm
+        assert sigma > 0
+    page.locator("#photo-viewer [data-view=picture]").click()
+    pictures = []
+    for step in (0, -2):
+        with page.expect_response(re.compile("refocused")) as answer:
+            page.evaluate(
+                "(step) => { const f = document.getElementById('f-number'); f.value = step; "
+                "f.dispatchEvent(new Event('input')); }",
+                step,
+            )
+        assert answer.value.status == 200
+        with page.expect_response(re.compile(r"refocused.*x=0\.2")) as answer:
+            reading(page, "#photo-viewer", *PLACES[0])
+        png = np.frombuffer(page.request.get(answer.value.url).body(), np.uint8)
+        pictures.append(cv2.imdecode(png, cv2.IMREAD_GRAYSCALE).astype(float))
+    wall = (slice(30, 120), slice(200, 500))
+    detail = [np.abs(np.diff(picture[wall], axis=1)).mean() for picture in pictures]
+    assert detail[1] < 0.8 * detail[0]  # behind the book that was touched, softer with the larger pupil
+    with page.expect_download() as download:
+        page.click("#photo-save")
+    packed = zipfile.ZipFile(io.BytesIO(download.value.path().read_bytes()))
+    assert f"{NAME}.depth.tiff" in packed.namelist()
+
+
+def test_a_portrait_photograph_is_said(page_at, tmp_path):
+    from PIL import Image
+
+    _, image = open_sample(NAME)
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(linear_to_srgb_bytes(image)).save(tmp_path / "p.jpg", quality=95, subsampling=0, exif=exif)
+    page = page_at(PHONE)
+    open_photo(page, str(tmp_path / "p.jpg"))
+    says(page, "portrait orientation")
+
+
+def test_a_photograph_of_another_camera_is_one_sentence(page_at, tmp_path):
+    cv2.imwrite(str(tmp_path / "p.png"), np.random.default_rng(1).integers(0, 255, (100, 100, 3), np.uint8))
+    page = page_at(PHONE)
+    page.click("#tab-photo")
+    page.set_input_files("#photo-open", str(tmp_path / "p.png"))
+    says(page, "100x100 px but the camera was calibrated at 720x480")
+    page.set_input_files("#photo-open", {"name": "x.jpg", "mimeType": "image/jpeg", "buffer": b"no picture"})
+    says(page, "damaged")
+
+
+# ---- the page itself
+
+
+def test_it_opens_again_without_the_server(browser, tmp_path):
+    context = browser.new_context(viewport=PHONE)
+    page = context.new_page()
+    with served(tmp_path, camera=sample_camera(NAME)) as app:
+        page.goto(app.url)
+        page.wait_for_selector("#camera option[value=cy_halves]", state="attached")
+        page.evaluate("navigator.serviceWorker.ready.then(() => true)")
+        page.click("#camera-menu")
+        page.click("#camera-keep")
+        says(page, "Kept on this device")
+    page.reload()
+    says(page, "does not answer")
+    page.click("#camera-menu")
+    page.wait_for_selector("#camera-kept li:has-text('cy_halves')")  # the camera file stayed
+    with page.expect_download() as download:
+        page.click("#camera-kept a")
+    assert download.value.path().read_bytes() == sample_camera(NAME).read_bytes()
+    page.click("#tab-photo")
+    assert page.is_visible("#photo-take + *") or page.is_visible("text=Take a photograph")
+    context.close()
+
+
+def test_a_full_storage_is_one_sentence(page_at, app):
+    page = page_at(PHONE)
+    origin = app.url.split("/", 3)
+    control = page.context.new_cdp_session(page)
+    control.send("Storage.overrideQuotaForOrigin", {"origin": "/".join(origin[:3]), "quotaSize": 1})
+    page.click("#camera-menu")
+    page.click("#camera-keep")
+    says(page, "storage of this browser is full")
+
+
+@pytest.mark.parametrize("size", [PHONE, DESKTOP], ids=["phone", "desktop"])
+def test_everything_can_be_touched_read_and_reached(page_at, size):
+    page = page_at(size)
+    for tab in ("live", "photo", "calibrate"):
+        page.click(f"#tab-{tab}")
+        if tab == "photo":
+            open_photo(page)
+        if tab == "calibrate":
+            page.wait_for_selector("input[name=name]")
+        assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]  # nothing to the side
+        faults = page.evaluate(FAULTS)
+        assert faults == []
+
+
+def test_the_keyboard_suffices(page_at):
+    page = page_at(DESKTOP)
+    page.focus("#tab-live")
+    page.keyboard.press("ArrowRight")
+    assert page.is_visible("#photo")
+    open_photo(page)
+    page.focus("#photo-viewer .stage canvas")
+    page.keyboard.press("ArrowLeft")
+    first = page.inner_text("#photo-viewer .reading")
+    assert re.fullmatch(r"[\d.]+ ± [\d.]+ mm", first)
+    for _ in range(8):
+        page.keyboard.press("ArrowUp")
+    assert page.inner_text("#photo-viewer .reading") != first
+    assert page.get_attribute("#photo-viewer .stage canvas", "aria-label").startswith("Depth, 720 by 480 pixels")
+
+
+# ---- the assistant
+
+
+def put(page, kind, path, *, ruler_mm=None, sheet=None):
+    page.select_option("#shot-kind", kind)
+    if ruler_mm:
+        page.fill("#shot-ruler", str(ruler_mm))
+    if sheet:
+        page.select_option("#shot-sheet", sheet)
+    page.set_input_files("#shot-file", str(path))
+    page.wait_for_selector(f"text=Kept as {kind}/{path.name}", timeout=60_000)
+
+
+def begin(page, name, facts):
+    page.click("#tab-calibrate")
+    page.wait_for_selector("input[name=name]")
+    page.fill("input[name=name]", name)
+    for key, value in facts.items():
+        if key not in ("design", "inner_corners"):
+            page.fill(f"input[name={key}]", str(value))
+    page.click("text=Begin")
+    page.wait_for_selector("#shot-file", state="attached")
+
+
+def test_from_an_empty_folder_to_the_camera_of_the_command_line(page_at, app, tmp_path, rendered, rendered_camera):
+    page = page_at(PHONE)
+    begin(page, "bench", FACTS)
+    put(page, "board", rendered / "board" / "2000.png", ruler_mm=2000)
+    assert "1000 mm" in page.inner_text(".next .what")
+    page.fill("#shot-ruler", "1900")  # misread
+    page.set_input_files("#shot-file", str(rendered / "board" / "1500.png"))
+    page.wait_for_selector("text=Not kept")
+    assert "the ruler says 1900 mm" in page.inner_text(".checks")
+    for at in (1000, 1500, 2500, 3000):
+        put(page, "board", rendered / "board" / f"{at}.png", ruler_mm=at)
+    for path in sorted((rendered / "tilt").iterdir()):
+        put(page, "tilt", path)
+    for sheet in ("open", "cy_halves", "sheet_c", "sheet_y"):
+        put(page, "white", rendered / "white" / f"{sheet}.png", sheet=sheet)
+    assert "Enough for a camera file" in page.inner_text("#calibrate")
+    page.uncheck("#lens-blur")
+    page.click("#calibrate-start")
+    page.wait_for_selector("#calibrated", timeout=180_000)
+    with page.expect_download() as download:
+        page.click("text=Save the camera file")
+    kept = tmp_path / "app.asdf"
+    download.value.save_as(kept)
+    ours, theirs = Calibration.load(kept).summary(), Calibration.load(rendered_camera).summary()
+    for name in ("focal_length_mm", "in_focus_mm", "baseline_mm", "infinity_disparity_px", "scale_px_mm"):
+        assert ours[name] == pytest.approx(theirs[name], rel=5e-3), name
+    page.click("#camera-menu")
+    page.wait_for_selector("#camera-kept li:has-text('bench')")  # it went back to the device
+    with page.context.expect_page() as report:
+        page.click("text=Report")
+    report.value.wait_for_load_state()
+    assert "Calibration of bench" in report.value.title() + report.value.inner_text("h1")
+    assert (app.folder / "sessions" / "bench" / "distances.csv").is_file()  # an ordinary session
+
+
+def test_the_devices_camera_photographs_for_the_assistant(page_at):
+    page = page_at(PHONE)
+    begin(page, "by-camera", FACTS)
+    page.click("#shot-camera")
+    page.wait_for_selector(".preview video")
+    page.click("text=Check only")  # the sample shows no board
+    page.wait_for_selector(".checks:has-text('no board of 9 x 6 inner corners')", timeout=60_000)
+    assert "only checked" not in page.inner_text("#calibrate")
+
+
+def test_facts_that_make_no_sense_are_one_sentence(page_at):
+    page = page_at(PHONE)
+    begin_with = FACTS | {"focus_mm": 9000}
+    page.click("#tab-calibrate")
+    page.wait_for_selector("input[name=name]")
+    for key in ("focus_mm", "nearest_mm", "farthest_mm"):
+        page.fill(f"input[name={key}]", str(begin_with[key]))
+    page.click("text=Begin")
+    says(page, "must lie between the nearest and the farthest board")
