@@ -59,7 +59,7 @@ ALLOWED: dict[str, set[str]] = {
     # It shows the model, and the picture focused elsewhere.
     "viewer": {"camera", "products", "storage", "capture", "color", "depth", "effects", "reconstruction"},
     # It calibrates with its report, measures and refocuses, behind the checks of the viewer.
-    "app": BELOW_LEAVES | {"effects", "evaluation", "viewer"},
+    "app": BELOW_LEAVES | {"effects", "evaluation", "viewer"} | {"__init__"},  # the last for the version
     "evaluation": BELOW_LEAVES | {"effects", "reconstruction"},  # the paper's Figures 14 and 15 show them
     "cli": BELOW_LEAVES | {"compile_ahead", "config_file", "effects", "reconstruction", "viewer", "evaluation", "app"}
            | {"__init__"},
