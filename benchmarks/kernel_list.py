@@ -43,6 +43,7 @@ def kernels_of(quality: str) -> dict[str, list]:
     for sample in samples():
         camera, image = open_sample(sample, quality=quality)
         frame = camera.measure(image)
+        frame.points()
         frame.depth_mm, frame.sigma_mm, frame.color  # noqa: B018 - some are computed when they are asked for
     found: dict[str, list] = {}
     for kernel in (it for it in gc.get_objects() if isinstance(it, Dispatcher)):

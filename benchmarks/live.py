@@ -1,7 +1,8 @@
 """Rate and memory of the live loop: python benchmarks/live.py SOURCE --camera CAMERA.asdf [--seconds 60].
 
 SOURCE is a live one, as "replay:FOLDER?speed=1&loop=1" or "simulate:FOLDER?speed=1&loop=1". Without a browser; --page
-draws the page as for a viewer. CPU seconds a frame are comparable between busy and free machines. The first third is
+draws the page as for a viewer. CPU time is comparable between busy and free machines, rates are those of a free one
+only, see the load; stages hand parts of their work to the threads called chromaperture. The first third is
 warm-up: compilation, and growth of the model. Memory growth is of a straight line fitted to the remaining time, for all
 memory and without the voxels in use, which new places need. --out FOLDER stores the curves, memory.csv and memory.png.
 """
@@ -11,11 +12,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import os
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -32,18 +36,10 @@ def resident_mb() -> float:
 
 
 def with_page(loop: LiveLoop, folder: str) -> tuple[LivePage, threading.Thread]:
-    """Draw the page without a browser."""
+    """Draw the page as for a browser, without one."""
     page = LivePage(loop, host="127.0.0.1", port=8990, out=Path(folder))
-
-    def show() -> None:
-        while (item := loop.to_view.take()) is not None:
-            start = time.monotonic()
-            page.show(item)
-            loop.want_mesh.set()
-            loop.meters["view"].record(time.monotonic() - start, time.monotonic() - item.arrived)
-            time.sleep(0.1)
-
-    thread = threading.Thread(target=show, daemon=True)
+    page.server.get_clients = lambda: {0: SimpleNamespace(camera=SimpleNamespace())}
+    thread = threading.Thread(target=page.run, name="page", daemon=True)
     thread.start()
     return page, thread
 
@@ -59,6 +55,18 @@ def running(
         LiveLoop(source, camera, track=not args.no_model, listener=listener) as loop,
     ):
         yield loop
+
+
+def cpu_seconds() -> dict[str, float]:
+    """CPU time of all threads so far; those of libraries, which Python does not know, together."""
+    names = {thread.native_id: thread.name for thread in threading.enumerate()}
+    spent: Counter[str] = Counter()
+    for task in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):  # it has ended
+            fields = (task / "stat").read_text().rpartition(")")[2].split()
+            name = names.get(int(task.name), "libraries").split("_")[0]
+            spent[name] += (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return dict(spent)
 
 
 def sample(loop: LiveLoop, now: float) -> tuple[float, ...]:
@@ -113,10 +121,13 @@ def main() -> None:
         while (now := time.monotonic() - start) < args.seconds and not loop.over.is_set():
             rows.append(sample(loop, now))
             if warm is None and now >= warm_s:
-                warm = (now, time.process_time(), loop.meters["depth"].count)
+                warm = (now, time.process_time(), loop.meters["depth"].count, loop.meters["tracking"].count)
+                spent_before = cpu_seconds()
             loop.over.wait(1.0)
         seconds, frames = now - warm[0], loop.meters["depth"].count - warm[2]
         spent, figures = time.process_time() - warm[1], loop.figures()
+        tracked = loop.meters["tracking"].count - warm[3]
+        spent_by = {name: s - spent_before.get(name, 0.0) for name, s in cpu_seconds().items()}
         loop.stop()
         if page is not None:
             thread.join()
@@ -129,7 +140,12 @@ def main() -> None:
         json.dumps(
             {
                 "frames_per_second": frames / seconds,
+                "tracked_frames_per_second": tracked / seconds,
                 "cpu_seconds_per_frame": spent / max(frames, 1),
+                "cpu_ms_by_thread_a_tracked_frame": {
+                    name: round(1000 * s / max(tracked, 1), 1) for name, s in sorted(spent_by.items()) if s > 0
+                },
+                "load": os.getloadavg(),
                 "memory_growth_percent": growth_percent(late[:, 0], late[:, 1]),
                 "memory_growth_without_voxels_percent": growth_percent(late[:, 0], late[:, 1] - voxels_mb(late)),
                 "blocks": [int(late[0, 3]), int(late[-1, 3])],

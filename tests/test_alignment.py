@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_edt
 
 from chromaperture.color.alignment import (
     align_channels,
@@ -58,6 +59,18 @@ def test_unknown_takes_the_nearest_known():
     assert filled[1, 0] == 1.0
     assert filled[4, 3] == 2.0
     assert (fill_unknown(np.full((3, 3), np.nan)) == 0).all()
+
+
+@pytest.mark.parametrize(("shape", "unknown"), [((60, 80), 0.5), ((37, 53), 0.98), ((1, 9), 0.7), ((9, 1), 0.7)])
+def test_the_nearest_known_is_as_near_as_scipy_s(rng, shape, unknown):
+    missing = rng.random(shape) < unknown
+    missing[0, 0], missing[-1, -1] = False, True
+    filled = fill_unknown(np.where(missing, np.nan, np.arange(missing.size).reshape(shape))).astype(int)
+    rows, columns = np.divmod(filled, shape[1])  # where every value came from
+    assert not missing[rows, columns].any()
+    y, x = np.indices(shape)
+    # Which of several equally near ones is left to each; the distances are roots of the same whole numbers.
+    np.testing.assert_allclose(np.hypot(rows - y, columns - x), distance_transform_edt(missing), rtol=1e-14)
 
 
 def test_white_paper_comes_out_white():

@@ -218,6 +218,8 @@ WRITERS = {
     "simulate-rgbd": "simulate-rgbd COLOR DEPTH OUT.png --focal-px 60",
     "session": "session new OUT",
     "record": "record SMALL --out OUT",
+    "view": "view CAMERA --out OUT.html",
+    "compare": "compare CAMERA CAMERA --out OUT.html",
     "TUM folder": "export PHOTO OUT --camera CAMERA --quality paper",
     "evaluate": "evaluate figure-4a --quick --out OUT",
 }

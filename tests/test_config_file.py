@@ -30,7 +30,8 @@ OTHER_VALUES = {  # where nine tenths of the value would not be valid
 REFUSED = {"noise_debiasing"}  # by every method but "paper"
 
 
-CHOSEN = ("quality", "scale")  # by --quality and --scale, which the other settings depend on
+# By --quality and --scale, which the other settings depend on, and --crop-origin, which belongs to the photograph.
+CHOSEN = ("quality", "scale", "crop_origin_px")
 
 
 def values_of(settings, path=()):

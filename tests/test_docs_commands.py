@@ -42,11 +42,18 @@ NOT_RUN = {
     "depth holiday/": "a folder of photographs: test_batch.py measures one",
     "depth --files-from": "no cluster here: test_archive.py starts one",
     "record webcam": "no camera here: test_sources.py has others",
+    "record picamera2": "no camera here: test_picamera.py has a stand-in",
     "serve": "until Ctrl-C: test_app_server.py asks it",
-    "live webcam": "no camera here: test_live.py shows a simulated one",
+    "live webcam": "no camera here: test_live.py shows a simulated one, test_streams.py streams",
 }
 # A command by its beginning, with the extra and the module that it needs; run where that is installed.
-EXTRAS = {"reconstruct": ("reconstruct", "open3d"), "export replay:session/walk walk.mcap": ("ros", "mcap_ros2")}
+EXTRAS = {
+    "reconstruct": ("reconstruct", "open3d"),
+    "export replay:session/walk walk.mcap": ("ros", "mcap_ros2"),
+    "export replay:session/walk colmap": ("reconstruct", "open3d"),
+    "live replay:session/walk": ("stream", "foxglove"),
+    "depth photo.png --camera camera.asdf --out film": ("exr", "OpenEXR"),
+}
 BLOCK = re.compile(r"^```(?:sh|bash)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"^    (\S.*)$", re.MULTILINE)
 # Not `chromaperture --install-completion`: to check it is to change the shell of whoever runs the tests.

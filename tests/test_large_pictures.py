@@ -84,7 +84,7 @@ def test_the_same_camera_at_another_size_is_measured_and_said(full, photograph):
     with pytest.warns(CaptureWarning, match="384x256 px by a camera calibrated at 768x512") as said:
         frame = camera.measure(half)
     assert len(said) == 1
-    assert "of a crop every distance is wrong" in str(said[0].message)
+    assert "of a part of it every distance is wrong" in str(said[0].message)
     assert frame.depth_mm.shape == half.shape[:2]
     assert frame.config.scale == SCALE // 2  # the same working picture
     assert np.nanmedian(frame.depth_mm) == pytest.approx(DEPTH_MM, rel=0.01)

@@ -160,7 +160,7 @@ def test_save_writes_the_files_of_the_command_line(frame, run, tmp_path):
     assert run("depth", image, "--camera", cap.sample_camera(SAMPLE), "--out", tmp_path / "a", "-q").returncode == 0
     saved = frame.save(tmp_path / "b" / "photo")
     assert sorted(p.name for p in saved) == sorted(p.name for p in (tmp_path / "a").iterdir())
-    assert sorted(p.name for p in saved) == sorted(f"photo{output.suffix}" for output in OUTPUTS.values())
+    assert sorted(p.name for p in saved) == sorted(f"photo{o.suffix}" for o in OUTPUTS.values() if o.by_default)
     for path in saved:
         if path.suffix != ".json" and "preview" not in path.name:  # seconds; the name of the file
             assert path.read_bytes() == (tmp_path / "a" / path.name).read_bytes(), path.name
@@ -195,7 +195,9 @@ def test_unknown_outputs_are_one_line_before_the_work(run, tmp_path):
 
 def test_the_help_names_every_output(run, monkeypatch):
     monkeypatch.setenv("COLUMNS", "250")  # no line is broken
-    assert ", ".join(OUTPUTS) in run("depth", "--help").stdout
+    said = run("depth", "--help").stdout
+    for by_default in (True, False):
+        assert ", ".join(name for name, o in OUTPUTS.items() if o.by_default == by_default) in said
 
 
 def photographs(folder, count=3):

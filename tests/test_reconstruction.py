@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -16,6 +17,7 @@ from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.reconstruction.clean_views import cleaned, near_steps
 from chromaperture.reconstruction.fusion import Reconstruction, orthonormal
 from chromaperture.reconstruction.model_files import glb, quaternion, write_mesh_ply
+from chromaperture.reconstruction.ray_casting import enlarged_distances, table_of
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import prepare, track
 from chromaperture.reconstruction.volume import Mesh, Volume, in_order
@@ -48,8 +50,6 @@ def photograph(pose: np.ndarray, *, noise: float = 0.0, seed: int = 0, index: in
     color = texture((turned * z + start[:, None]).T).reshape(*SIZE, 3)
     z = z.reshape(SIZE)
     if noise:
-        import cv2
-
         grain = cv2.GaussianBlur(np.random.default_rng(seed).normal(0, 1, SIZE), (0, 0), 3.0)
         z = z * (1 + noise * grain / grain.std())
     sigma = np.full(SIZE, max(noise, 0.002)) * z
@@ -189,6 +189,66 @@ def test_the_camera_is_found_on_its_way_through_a_room():
     world = vertices @ poses[0][:3, :3].T + poses[0][:3, 3]
     off = np.min([np.abs(world @ n - c) for n, c in WALLS], axis=0)
     assert np.median(off) < 10.0  # of voxels of 15 mm
+
+
+@pytest.mark.extra("reconstruct", "open3d")
+def test_every_second_frame_is_fused_and_every_one_is_tracked(monkeypatch):
+    fused: list[int] = []
+    integrate = Volume.integrate
+
+    def noted(self, view, *at):
+        fused.append(view.index)
+        return integrate(self, view, *at)
+
+    monkeypatch.setattr(Volume, "integrate", noted)
+    model = Reconstruction(MATRIX, ReconstructionConfig(tracking_scale=1, voxel_mm=15.0, fuse_every=2))
+    for index in range(7):  # close together: only the first is a keyframe
+        placed = model.add(photograph(pose_at(index / 4), index=index))
+        gap = np.linalg.inv(pose_at(0)) @ pose_at(index / 4) - placed.pose
+        assert np.linalg.norm(gap[:3, 3]) < 1.5  # a tenth of a pixel, which is 13 mm wide at 2 m
+    assert fused == [0, 1, 3, 5]
+    assert len(model.current.keyframes) == 1
+
+
+@pytest.mark.extra("reconstruct", "open3d")
+def test_a_ray_finds_the_walls_where_they_are():
+    volume = small_volume()
+    for k in range(3):
+        volume.integrate(photograph(pose_at(k)), MATRIX, pose_at(k))
+    for reduced in (1, 2):
+        seen = volume.ray_cast(MATRIX, pose_at(0.7), SIZE[1], SIZE[0], reduced=reduced)
+        assert np.isfinite(seen).mean() > 0.95
+        error = np.abs(seen - photograph(pose_at(0.7)).z_mm)[np.isfinite(seen)]
+        # Voxels of 10 mm: flat walls are exact but for the rounding of a voxel to a pixel, edges of the room are round.
+        assert np.median(error) < 0.5
+        assert np.quantile(error, 0.9) < 3.0
+    away = pose_at(0)
+    away[:3, :3] = np.diag([-1.0, 1, -1])
+    assert np.isnan(volume.ray_cast(MATRIX, away, SIZE[1], SIZE[0])).all()
+
+
+def test_blocks_are_found_in_a_table_however_many_fall_on_one_place(rng):
+    keys = np.unique(rng.integers(-40, 40, (3000, 3)), axis=0).astype(np.int32)
+    slots = rng.permutation(len(keys))
+    table = table_of(keys, slots)
+    used = table.codes >= 0
+    assert used.sum() == len(keys)
+    np.testing.assert_array_equal(np.sort(table.places[used]), np.arange(len(keys)))
+
+
+def test_distances_are_enlarged_along_planes_and_not_across_steps():
+    rows, columns = np.indices((24, 32), np.float32)
+    plane_mm = 1 / (1 / 2000 + columns * 1e-6 + rows * 2e-6)  # planes are linear in 1 / z
+    halved = 1 / cv2.resize(1 / plane_mm, (16, 12), interpolation=cv2.INTER_AREA)
+    inner = enlarged_distances(halved, 2, plane_mm.shape)[1:-1, 1:-1]  # the border takes its neighbour's
+    np.testing.assert_allclose(inner, plane_mm[1:-1, 1:-1], rtol=3e-5)  # OpenCV interpolates in steps of 1/32
+    halved[:, 8:] += 500
+    halved[:, 12:] = np.nan
+    enlarged = enlarged_distances(halved, 2, plane_mm.shape)
+    assert np.isfinite(enlarged).sum() == 24 * 24
+    steps = np.abs(np.diff(enlarged[:, :24], axis=1))
+    assert (steps.max(axis=1) > 450).all()  # one leap, and nothing between
+    assert ((steps > 20).sum(axis=1) == 1).all()
 
 
 @pytest.mark.extra("reconstruct", "open3d")
@@ -421,7 +481,9 @@ def test_a_missing_extra_is_named(command, monkeypatch, capsys, tmp_path):
     assert "pip install 'chromaperture[" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("changes", [{"voxel_mm": 0.0}, {"memory_mb": 1}, {"edge_jump": -1.0}, {"submap_after": 0}])
+@pytest.mark.parametrize(
+    "changes", [{"voxel_mm": 0.0}, {"memory_mb": 1}, {"edge_jump": -1.0}, {"submap_after": 0}, {"fuse_every": 0}]
+)
 def test_senseless_settings_are_refused(changes):
     with pytest.raises(InputError):
         ReconstructionConfig(**changes)
@@ -448,3 +510,33 @@ def test_a_mesh_in_order_does_not_depend_on_the_order_it_came_in(rng):
         return sorted(map(tuple, np.concatenate([corners.sum(axis=1), normals], axis=1).round(0).tolist()))
 
     assert fronts(expected) == fronts(Mesh(points, triangles, colors))
+
+
+@pytest.mark.extra("reconstruct", "open3d")
+def test_tracked_poses_go_into_an_exported_sequence(tmp_path):
+    from chromaperture.products.posed_sequence import write_posed
+    from chromaperture.reconstruction.poses import Tracker
+
+    lines = []
+    tracker = Tracker(MATRIX, listener=lines.append)
+
+    def views():
+        for k in range(5):
+            view = photograph(pose_at(k), noise=0.005, seed=k, index=k)
+            tracker.see(view)
+            yield view
+        blank = plane(1500.0, 10.0)  # nothing to track by
+        lost = View(blank.color, np.full(SIZE, np.nan, np.float32), blank.sigma_mm, 1.0, 5)
+        tracker.see(lost)
+        yield lost
+
+    count = write_posed(tmp_path / "out", views(), form="nerfstudio", camera_matrix=MATRIX, poses=tracker.poses)
+    frames = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"]
+    assert (count, len(frames)) == (5, 5)
+    assert "1 of 6 frames" in lines[-1]
+    flip = np.diag([1.0, -1, -1, 1])
+    for k, frame in enumerate(frames):
+        found = np.array(frame["transform_matrix"]) @ flip
+        expected = np.linalg.inv(pose_at(0)) @ pose_at(k)  # the world is the first camera's
+        assert np.linalg.norm(1000 * found[:3, 3] - expected[:3, 3]) < 5  # mm, of 90; depth has 0.5 % of noise
+    assert len(list((tmp_path / "out" / "depth_mm").iterdir())) == 5

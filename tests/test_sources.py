@@ -205,7 +205,7 @@ def test_a_source_that_is_not_there_says_so(spec, word):
 
 def test_every_kind_of_camera_is_listed_or_says_why_not():
     kinds = {c.kind: c for c in connected_sources()}
-    assert set(kinds) == {"webcam", "aravis", "gphoto2"}
+    assert set(kinds) == {"webcam", "aravis", "gphoto2", "picamera2"}
     assert all(c.specs or c.note for c in kinds.values())
 
 

@@ -21,8 +21,8 @@ MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
 BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "spectral_config", "storage", "camera_file",
-                         "camera_matching", "camera_scale", "camera_memory", "camera_alignment", "camera", "cluster",
-                         "frame", "calibration", "products"}  # fmt: skip
+                         "camera_matching", "camera_scale", "camera_memory", "camera_alignment", "camera_crop",
+                         "camera", "cluster", "formats", "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
 COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory"}
 ALLOWED: dict[str, set[str]] = {
@@ -49,20 +49,24 @@ ALLOWED: dict[str, set[str]] = {
     "camera_memory": {"camera_file", "camera_scale", "config"},
     "camera_matching": {"camera_file", "camera_scale", "color", "config", "disparity"},
     "camera_alignment": {"camera_file", "camera_scale", "color", "config", "depth"},
-    "frame": {"camera_file", "config", "storage", "color", "depth"},  # the result, and what is made of it
-    "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "config", "frame"}
-    | STAGES,
+    "formats": {"storage"},  # arrays in, files of other programs out
+    "frame": {"camera_file", "config", "storage", "color", "depth", "formats"},  # the result, and what is made of it
+    "camera_crop": {"camera_file", "frame"},
+    "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "camera_crop",
+               "config", "frame"} | STAGES,
     "calibration": {"optics", "spectral_config", "camera_matching", "camera_scale", "camera_file", "config"} | STAGES,
     "products": {"camera", "camera_file", "cluster", "config", "frame", "storage", "capture", "color", "depth"},
+    "pages": {"color", "depth"},  # pages of maps and points, of whatever is put on them
     "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth"},
     "reconstruction": {"camera", "products", "storage", "capture", "color", "depth"},
     # It shows the model, and the picture focused elsewhere.
-    "viewer": {"camera", "products", "storage", "capture", "color", "depth", "effects", "reconstruction"},
+    "viewer": {"camera", "products", "storage", "capture", "color", "depth", "effects", "reconstruction",
+               "pages", "camera_file", "config"},
     # It calibrates with its report, measures and refocuses, behind the checks of the viewer.
     "app": BELOW_LEAVES | {"effects", "evaluation", "viewer"} | {"__init__"},  # the last for the version
-    "evaluation": BELOW_LEAVES | {"effects", "reconstruction"},  # the paper's Figures 14 and 15 show them
-    "cli": BELOW_LEAVES | {"compile_ahead", "config_file", "effects", "reconstruction", "viewer", "evaluation", "app"}
-           | {"__init__"},
+    "evaluation": BELOW_LEAVES | {"effects", "reconstruction", "pages"},  # the paper's Figures 14 and 15 show them
+    "cli": BELOW_LEAVES | {"compile_ahead", "config_file", "effects", "reconstruction", "viewer", "evaluation", "pages"}
+           | {"app", "__init__"},
     "tasks": BELOW_LEAVES | {"effects", "evaluation"},  # whole tasks in one call, for Python
     "__main__": {"cli"},
     # Public names, each imported when it is first used.
@@ -73,6 +77,7 @@ EXECUTIONS = ("chromaperture.disparity.cpu", "chromaperture.disparity.stages")
 MAY_IMPORT_CPU = {
     "disparity/execution.py",  # chooses between them
 }
+# Besides disparity/gpu/, whose shaders take their constants and tables from the readable stages.
 MAY_IMPORT_EXECUTIONS = MAY_IMPORT_CPU | {
     # What both executions share, defined where the readable one explains it:
     "disparity/accurate.py",  # the place between two layers
@@ -95,7 +100,8 @@ ONE_WAY = {
     "ThreadPool": "threads.py",
 }
 OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "fsspec", "mcap", "mcap_ros2",
-            "imageio", "xarray", "starlette", "uvicorn", "cryptography", "segno"}  # fmt: skip
+            "imageio", "xarray", "OpenEXR", "pxr", "foxglove", "picamera2", "wgpu", "starlette", "uvicorn",
+            "cryptography", "segno"}  # fmt: skip
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pyyaml": "yaml"}
 
@@ -211,7 +217,8 @@ def test_the_execution_is_chosen_in_one_place():
     cpu, _ = EXECUTIONS
     found = {where: executions_imported(text, package_of(where)) for where, text in SOURCES.items()}
     importers = {where for where, modules in found.items() if modules}
-    outside = {where for where in importers if not where.startswith(("disparity/cpu/", "disparity/stages/"))}
+    executions = ("disparity/cpu/", "disparity/stages/", "disparity/gpu/")
+    outside = {where for where in importers if not where.startswith(executions)}
     assert outside == MAY_IMPORT_EXECUTIONS
     assert {where for where, modules in found.items() if modules & set(EXECUTIONS)} == {"disparity/execution.py"}
     of_cpu = {where for where, modules in found.items() if any(module.startswith(cpu) for module in modules)}

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from chromaperture.storage import write_color_png, write_depth_png, write_float_tiff
     from chromaperture.tasks import all_in_focus, calibrate, refocus
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # The module of every public name; the same as above, where type checkers read it (tests/test_python.py).
 _MODULES = {

@@ -6,12 +6,14 @@ import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
 
 from chromaperture.camera_alignment import ChannelAlignment
+from chromaperture.camera_crop import cut_out, in_whole_frame
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, label_maps, noise_model
 from chromaperture.camera_memory import check_camera_memory
@@ -24,6 +26,8 @@ from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field_bands import field_to_depth
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.gpu.conversion_stage import Conversion
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, on_device
 from chromaperture.disparity.result import Disparity, Method
 from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.errors import CaptureWarning
@@ -44,15 +48,23 @@ class CodedApertureCamera:
         Searches the calibration's working range at real-time quality when absent.
     execution : {"numba", "numpy"}
         Of the matcher: compiled, or readable and slow.
+    device : str
+        ``cpu``; ``gpu`` or ``gpu:NAME``, see `chromaperture info --devices`; ``auto``: a GPU where there is one.
     """
 
     def __init__(
-        self, calibration: Calibration, config: Config | None = None, *, execution: ExecutionName = "numba"
+        self,
+        calibration: Calibration,
+        config: Config | None = None,
+        *,
+        execution: ExecutionName = "numba",
+        device: str = "cpu",
     ) -> None:
         self.calibration = calibration
         self.config = config or default_config(calibration)
         self.execution: ExecutionName = execution
-        self.method = scaled_method(calibration, self.config, execution)
+        self.device = device
+        self.method = scaled_method(calibration, self.config, execution, device)
         self.alignment = ChannelAlignment(calibration, self.config)
         self._at_sizes: dict[tuple[int, int], CodedApertureCamera] = {}
 
@@ -86,26 +98,35 @@ class CodedApertureCamera:
         -----
         CaptureWarning
             The image is of another size than this camera's, see `at_size`.
+
+        Notes
+        -----
+        With ``config.crop_origin_px`` the image is a part of the frame, of any size; so is the result.
         """
-        sensor = self.calibration.sensor
         if isinstance(image, str | Path):
             with stage("read"):
                 image = self.read(image)
-        size_px = image.shape[1::-1]
-        if size_px != (sensor.width_px, sensor.height_px) and np.ndim(image) == 3 and self.shows_frame_at(size_px):
+        frame_px, size_px, origin_px = self._frame_px, image.shape[1::-1], self.config.crop_origin_px
+        if size_px != frame_px and origin_px is None and np.ndim(image) == 3 and self.shows_frame_at(size_px):
             warnings.warn(self.scaled_note(size_px), CaptureWarning, stacklevel=2)
             return self.at_size(*size_px).measure(image, stage=stage)
         with stage("check"):
-            image = check_capture(image, sensor.width_px, sensor.height_px)
+            image = check_capture(image, *(frame_px if origin_px is None else size_px))
             check_camera_memory("the photograph", self.calibration, self.config)
+            known, image = (image, image) if origin_px is None else in_whole_frame(image, origin_px, frame_px)
         with stage("disparity"):  # Eq. (1) and section 3.1
-            disparity = self.method.match(image)
+            disparity, millimetres = self._matched(known)
         with stage("depth"):  # Eq. (10)
-            depth_mm, sigma_mm = self.millimetres(disparity)
+            depth_mm, sigma_mm = millimetres or self.millimetres(disparity)
         with stage("color"):  # section 5.1
             color = self.alignment.align(image, disparity.value_px)
         maps = (depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color)
-        return DepthFrame(*maps, image, self.calibration, self.config)
+        frame = DepthFrame(*maps, image, self.calibration, self.config)
+        return frame if origin_px is None else cut_out(frame, origin_px, size_px)
+
+    @property
+    def _frame_px(self) -> tuple[int, int]:
+        return self.calibration.sensor.width_px, self.calibration.sensor.height_px
 
     def read(
         self, path: str | Path, *, black_level: float | None = None, white_level: float | None = None
@@ -125,13 +146,13 @@ class CodedApertureCamera:
         levels = (sensor.black_level, sensor.white_level) if self.calibration.is_calibrated else None
         check_camera_memory(Path(path).name, self.calibration, self.config)
         is_known = self.calibration.is_calibrated
-        decoded = decode(path, size_px=(sensor.width_px, sensor.height_px), any_scale=is_known)
+        size_px = self._frame_px if self.config.crop_origin_px is None else None
+        decoded = decode(path, size_px=size_px, any_scale=is_known)
         return linearise(decoded, black_level=black_level, white_level=white_level, camera_levels=levels)
 
     def shows_frame_at(self, size_px: tuple[int, int]) -> bool:
         """Whether photographs of a size, width and height, have the aspect of this calibrated camera's."""
-        sensor = self.calibration.sensor
-        return self.calibration.is_calibrated and same_frame((sensor.width_px, sensor.height_px), size_px)
+        return self.calibration.is_calibrated and same_frame(self._frame_px, size_px)
 
     def at_size(self, width_px: int, height_px: int) -> CodedApertureCamera:
         """Return this camera for photographs of another size, which show the whole frame in other pixels.
@@ -145,7 +166,7 @@ class CodedApertureCamera:
             The size has another aspect.
         """
         size = (width_px, height_px)
-        if size == (self.calibration.sensor.width_px, self.calibration.sensor.height_px):
+        if size == self._frame_px:
             return self
         if size not in self._at_sizes:
             calibration = resized(self.calibration, width_px, height_px)
@@ -154,7 +175,9 @@ class CodedApertureCamera:
                 config = replace(self.config, scale=max(1, round(scale)))
             else:
                 config = default_config(calibration, self.config.quality)
-            self._at_sizes = {size: CodedApertureCamera(calibration, config, execution=self.execution)}
+            self._at_sizes = {
+                size: CodedApertureCamera(calibration, config, execution=self.execution, device=self.device)
+            }
         return self._at_sizes[size]
 
     def scaled_note(self, size_px: tuple[int, int]) -> str:
@@ -162,7 +185,8 @@ class CodedApertureCamera:
         sensor = self.calibration.sensor
         return (
             f"a photograph of {size_px[0]}x{size_px[1]} px by a camera calibrated at {sensor.width_px}x"
-            f"{sensor.height_px}: taken for the whole frame in other pixels; of a crop every distance is wrong"
+            f"{sensor.height_px}: taken for the whole frame in other pixels; of a part of it every distance is wrong "
+            "without --crop-origin"
         )
 
     def millimetres(self, disparity: Disparity) -> tuple[np.ndarray, np.ndarray]:
@@ -177,11 +201,37 @@ class CodedApertureCamera:
         model = cast(DepthModel, self.depth_model)
         return disparity_to_depth(pixels, model, sigma_px=disparity.sigma_px, max_depth_mm=most_mm)
 
+    def _matched(self, image: np.ndarray) -> tuple[Disparity, tuple[np.ndarray, np.ndarray] | None]:
+        """Return the disparity, and depth with its standard deviation where the device converted it, too."""
+        if not isinstance(self.method, DeviceMethod):
+            return self.method.match(image), None
+        found = self.method.measure(image, self._conversion)
+        if found.depth_mm is None or found.sigma_mm is None:
+            return found.disparity, None
+        return found.disparity, (found.depth_mm, found.sigma_mm)
+
+    @cached_property
+    def _conversion(self) -> Conversion | None:
+        """The curves of all pixels for the device; None where there are none, or too many for it to keep."""
+        sensor = self.calibration.sensor
+        if self.depth_model is None or sensor.width_px * sensor.height_px > _WHOLE_PX:
+            return None
+        fields, curve = self.depth_model.tables
+        parts = (fields.infinity_px, fields.scale_px_mm, fields.pupil_mm, *fields.covariance)
+        return Conversion(parts, curve, self.config.depth.max_depth_mm)
+
     def __repr__(self) -> str:
         return f"CodedApertureCamera({self.calibration.title}, quality {self.config.quality})"
 
+    def _repr_html_(self) -> str:
+        from chromaperture.frame.notebook import camera_html
 
-def scaled_method(calibration: Calibration, config: Config, execution: ExecutionName = "numba") -> Method:
+        return camera_html(self.calibration, self.config.quality)
+
+
+def scaled_method(
+    calibration: Calibration, config: Config, execution: ExecutionName = "numba", device: str = "cpu"
+) -> Method:
     """Compose the method that a configuration describes, for photographs of a camera's full size.
 
     Parameters
@@ -190,6 +240,8 @@ def scaled_method(calibration: Calibration, config: Config, execution: Execution
     config : Config
         At a ``scale`` above 1 the method is that of the camera of reduced pictures.
     execution : {"numba", "numpy"}
+    device : str
+        As `CodedApertureCamera`.
     """
     working = at_scale(calibration, config.scale)
     method = method_for(
@@ -201,6 +253,8 @@ def scaled_method(calibration: Calibration, config: Config, execution: Execution
         noise=noise_model(working),
         execution=execution,
     )
+    if device != "cpu":
+        method = on_device(method, device, lambda text: warnings.warn(text, CaptureWarning, stacklevel=4))
     if config.scale == 1:
         return method
     size_px = (working.sensor.width_px, working.sensor.height_px)
@@ -213,6 +267,7 @@ def load_camera(
     quality: Quality = "real-time",
     scale: int | Literal["auto"] = "auto",
     execution: ExecutionName = "numba",
+    device: str = "auto",
 ) -> CodedApertureCamera:
     """Open a camera file; raises InputError when it is missing, damaged or of a newer format.
 
@@ -223,6 +278,15 @@ def load_camera(
     scale : int or "auto"
         Match pictures reduced to 1 / scale; ``auto`` takes what the blur allows, see `camera_scale.working_scale`.
     execution : {"numba", "numpy"}
+    device : str
+        ``auto``: a GPU where there is one, never software, and the CPU from where it fails on; ``cpu``; ``gpu`` or
+        ``gpu:NAME``, whose failures are errors. Quality accurate of a camera without blur in its file runs on the CPU.
+
+    Raises
+    ------
+    MissingDependencyError
+        A GPU was asked for and the extra ``gpu`` is not installed.
     """
     calibration = Calibration.load(path)
-    return CodedApertureCamera(calibration, default_config(calibration, quality, scale=scale), execution=execution)
+    config = default_config(calibration, quality, scale=scale)
+    return CodedApertureCamera(calibration, config, execution=execution, device=device)

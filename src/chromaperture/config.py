@@ -26,7 +26,7 @@ from chromaperture.stage_config import (
 )
 
 # Px of half disparity for a px of blur. Planes gain 0.02 to 0.09 of the pixels within 2 % for designs of 0.20 to 0.42;
-# for cy_open (0.09), where errors of the blur count four times, they lose 0.04 of them (docs/evaluation.md).
+# for cy_open (0.09), where errors of the blur count four times, they lose 0.04 of them (docs/measurements.md).
 _LEAST_REACH_OF_PLANES = 0.15
 
 Quality = Literal["paper", "real-time", "accurate"]
@@ -223,15 +223,20 @@ class Config:
     depth : DepthConfig
     scale : int
         Working scale, see `chromaperture.camera_scale.working_scale`.
+    crop_origin_px : (int, int), optional
+        Photographs show a part of the sensor: column and row of its first pixel. None: they show the whole frame.
     """
 
     quality: Quality = "real-time"
     matcher: MatcherConfig = RealTimeConfig()
     depth: DepthConfig = DepthConfig()
     scale: int = 1
+    crop_origin_px: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         require(self.scale >= 1, f"a working scale is 1, 1/2, 1/3 ...; got 1/{self.scale}")
+        origin = self.crop_origin_px
+        require(origin is None or min(origin) >= 0, f"a part of the frame begins at a pixel of it, not at {origin}")
 
 
 def preset(quality: Quality) -> MatcherConfig:

@@ -11,7 +11,7 @@ LEAST_REACH_OF_PAIRS = 0.15  # as `PlanesConfig`: of bench50's designs the open 
 
 @dataclass(frozen=True)
 class SpectralConfig:
-    """Evidence of all channels together: ``disparity/spectral_evidence.py``. docs/evaluation.md has what each gains.
+    """Evidence of all channels together: ``disparity/spectral_evidence.py``. docs/measurements.md has what each gains.
 
     Attributes
     ----------
@@ -52,6 +52,6 @@ class SpectralConfig:
 
         Where views lie close together blur tells more than parallax. Where they lie far apart the pairs alone are
         exact, and their small windows know edges: a weak dose (gain 1, cap 0.15) adds 0.01 to the fractions within 2 %
-        and 5 %, and half of the time (docs/evaluation.md).
+        and 5 %, and half of the time (docs/measurements.md).
         """
         return cls() if reach < LEAST_REACH_OF_PAIRS else cls(gain=0.0)

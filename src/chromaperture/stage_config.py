@@ -207,7 +207,7 @@ class CrossFilterConfig:
         too few periods, and slow changes of colour look like displacement.
     band_weights : tuple of float
     window_sigma_px : float
-        Gaussian window of the correlation. 8 px instead of 4: docs/evaluation.md, "window of 8 px".
+        Gaussian window of the correlation. 8 px instead of 4: docs/measurements.md, "window of 8 px".
     damping : float
         eps of ``blur_evidence.py``, against noise where the blur leaves no signal.
     noise_margin : float

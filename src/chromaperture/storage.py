@@ -227,12 +227,16 @@ def write_color_png(path: str | Path, color: np.ndarray) -> None:
 
 def write_png(path: str | Path, picture: np.ndarray) -> None:
     """Write a grey (H, W) or RGB (H, W, 3) picture of uint8 or uint16 as PNG."""
-    path = Path(path)
+    Path(path).write_bytes(png_bytes(picture))  # unlike `cv2.imwrite`, raises when the disk is full
+
+
+def png_bytes(picture: np.ndarray) -> bytes:
+    """Return the content of a PNG file of a grey (H, W) or RGB (H, W, 3) picture of uint8 or uint16."""
     stored = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if picture.ndim == 3 else np.ascontiguousarray(picture)
     ok, encoded = cv2.imencode(".png", stored, _PNG)
     if not ok:
-        raise InputError(f"cannot encode {path.name}")
-    path.write_bytes(encoded.data)  # unlike `cv2.imwrite`, raises when the disk is full
+        raise InputError(f"cannot encode a picture of shape {picture.shape} as PNG")
+    return encoded.tobytes()
 
 
 def write_json(path: Path, value: Any) -> None:

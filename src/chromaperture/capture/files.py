@@ -178,6 +178,22 @@ def decode(path: str | Path, *, size_px: tuple[int, int] | None = None, any_scal
     return Decoded(_colour(_decode(path, size_px, any_scale), path))
 
 
+def read_samples(path: str | Path) -> np.ndarray:
+    """Read a PNG, TIFF, PPM or JPEG file as it is stored, whatever it shows: a map, a mask, a picture.
+
+    Returns
+    -------
+    (H, W) or (H, W, S) array
+        Channels in the order R, G, B.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged or too large.
+    """
+    return _decode(Path(path), None, False)
+
+
 def _read(path: Path) -> bytes:
     data = read_bytes(path, most_bytes=MOST_FILE_BYTES)
     if not data:

@@ -14,6 +14,7 @@ from urllib.parse import parse_qsl
 from chromaperture.capture.aravis import AravisCamera, aravis_cameras
 from chromaperture.capture.folder import FolderSource
 from chromaperture.capture.gphoto import TetheredCamera, tethered_cameras
+from chromaperture.capture.picamera import PiCamera, pi_cameras
 from chromaperture.capture.playback import played
 from chromaperture.capture.recording import ReplaySource
 from chromaperture.capture.simulated import SimulatedSource
@@ -23,7 +24,7 @@ from chromaperture.capture.video import VIDEOS, VideoSource
 from chromaperture.capture.webcam import Webcam, webcams
 from chromaperture.errors import InputError, MissingDependencyError
 
-_DEVICES: dict[str, Callable[..., Any]] = {"webcam": Webcam, "aravis": AravisCamera}
+_DEVICES: dict[str, Callable[..., Any]] = {"webcam": Webcam, "aravis": AravisCamera, "picamera2": PiCamera}
 _FILES: dict[str, Callable[..., FileSource]] = {
     "gphoto2": TetheredCamera,
     "replay": ReplaySource,
@@ -43,9 +44,9 @@ def open_source(
     Parameters
     ----------
     spec : str
-        ``webcam:0``, ``aravis:SERIAL``, ``gphoto2``, ``simulate:FOLDER``, ``replay:FOLDER``, or the path of a folder,
-        a glob, a picture or a video. Settings may follow: ``webcam:0?exposure_us=5000&gain=2``, ``folder?fps=5``. All
-        but cameras deliver frame by frame, or like a live camera with ``speed=1`` or ``loop=1``.
+        ``webcam:0``, ``aravis:SERIAL``, ``picamera2:0``, ``gphoto2``, ``simulate:FOLDER``, ``replay:FOLDER``, or the
+        path of a folder, a glob, a picture or a video. Settings may follow: ``webcam:0?exposure_us=5000&gain=2``,
+        ``folder?fps=5``. All but cameras deliver frame by frame, or like a live camera with ``speed=1`` or ``loop=1``.
     listener : callable, optional
         Called with every `Event`, possibly from another thread; default: Python's logging.
     camera_levels : (float, float), optional
@@ -86,7 +87,7 @@ def open_source(
 def _device(kind: str, where: str, settings: dict[str, Any], listener: Listener | None) -> Source:
     device = _DEVICES[kind]
     chosen = _checked(kind, device, settings)
-    place = where or ("0" if kind == "webcam" else "")
+    place = where or ("" if kind == "aravis" else "0")
     name = f"{kind}:{place}" if place else kind
     return LiveSource(name, lambda: device(place, **chosen), listener=listener)
 
@@ -160,6 +161,7 @@ def connected_sources() -> list[Connected]:
         "webcam": webcams,
         "aravis": aravis_cameras,
         "gphoto2": tethered_cameras,
+        "picamera2": pi_cameras,
     }
     kinds = []
     for kind, cameras in ways.items():

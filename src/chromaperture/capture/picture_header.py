@@ -81,7 +81,7 @@ def other_size(width: int, height: int, size_px: tuple[int, int]) -> str:
     advice = (
         "it looks rotated: turn it back, the filters in the lens did not turn with it"
         if rotated
-        else "give an original of that size or of its aspect, or calibrate at this one"
+        else "give an original of that size or of its aspect, or say with --crop-origin where this part of it begins"
     )
     return f"the image is {width}x{height} px but the camera was calibrated at {size_px[0]}x{size_px[1]}; {advice}"
 

@@ -14,7 +14,9 @@ import typer
 from chromaperture.cli.options import (
     BlackLevel,
     CameraOrDesign,
+    CropOrigin,
     Design,
+    Device,
     Json,
     MaxRelativeSigma,
     Quality,
@@ -23,6 +25,7 @@ from chromaperture.cli.options import (
     WhiteLevel,
     working_scale,
 )
+from chromaperture.cli.options import crop_origin as crop_from
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.errors import CaptureWarning, InputError
 
@@ -48,13 +51,16 @@ def depth(
     ] = None,
     quality: Quality = "real-time",
     scale: Scale = "auto",
+    crop_origin: CropOrigin = None,
+    device: Device = "auto",
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
     write: Annotated[
         str | None,
         typer.Option(
-            help="Files to write: depth, sigma, disparity, depth-png, color, ply, preview, json; default all.",
+            help="Files to write: depth, sigma, disparity, depth-png, color, ply, preview, json, which is the default; "
+            "gdepth, dynamic-depth, exr, glb, usdz for other programs (docs/formats.md).",
             metavar="NAME,...",
         ),
     ] = None,
@@ -102,7 +108,12 @@ def depth(
         raise InputError("give photographs, folders of them, or a list of them with --files-from")
     refuse_common_results(names, out)
     chosen_outputs(write, is_calibrated=camera is not None)  # before the work
-    settings: dict[str, Any] = {"quality": quality, "config": config, "scale": working_scale(scale)}
+    if device not in ("auto", "cpu") and (cluster is not None or jobs > 1):
+        raise InputError("--cluster and --jobs measure on CPUs: leave --device out, or measure one at a time")
+    settings: dict[str, Any] = {
+        "quality": quality, "config": config, "scale": working_scale(scale), "crop_origin_px": crop_from(crop_origin),
+        "device": device,
+    }  # fmt: skip
     options: dict[str, Any] = {
         "write": write, "black_level": black_level, "white_level": white_level,
         "max_relative_sigma": max_relative_sigma, "inspect": partial(check_film, refuse=not anyway),
@@ -114,7 +125,7 @@ def depth(
 
         if camera is None or design is not None:
             raise InputError("--cluster measures depth: give the camera file with --camera, and no --design")
-        opened = camera_for(Path(names[0]), camera, None, **settings)
+        opened = camera_for(Path(names[0]), camera, None, **settings | {"device": "cpu"})
         recipe = recipe_for(camera, opened, out=out, again=again, **options)
         measure_archive(names, recipe, cluster, json=json, quiet=quiet)
         return

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.options import BlackLevel, Camera, MaxRelativeSigma, Quality, Quiet, WhiteLevel
+from chromaperture.cli.options import BlackLevel, Camera, Device, MaxRelativeSigma, Quality, Quiet, WhiteLevel
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
+from chromaperture.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from chromaperture.products.rectified import View
+
+_FORMATS = ("tum", "mcap", "colmap", "nerfstudio", "open3d")
+_POSED = ("colmap", "nerfstudio")
 
 
 def export(
@@ -23,7 +30,19 @@ def export(
         Path, typer.Argument(help="NAME.mcap for ROS 2, else a new folder in the TUM RGB-D layout.", metavar="OUT")
     ],
     camera: Camera,
+    format: Annotated[
+        str | None,
+        typer.Option(
+            help="tum, mcap, open3d (RGB-D folder), colmap or nerfstudio (with poses); default by the name OUT.",
+            autocompletion=lambda: list(_FORMATS),
+        ),
+    ] = None,
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(help="Poses for colmap and nerfstudio, TUM format; default: tracked, as 'reconstruct' does."),
+    ] = None,
     quality: Quality = "real-time",
+    device: Device = "auto",
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
@@ -31,16 +50,23 @@ def export(
 ) -> None:
     """Measure a sequence and write colour, depth, its error bar and confidence, undistorted, for other programs.
 
-    Example: chromaperture export replay:session/walk walk.mcap --camera camera.asdf
+    chromaperture export replay:session/walk walk.mcap --camera camera.asdf
+
+    chromaperture export replay:session/walk walk --camera camera.asdf --format nerfstudio
     """
     from chromaperture.cli.console import compile_kernels, progress
     from chromaperture.cli.setup import camera_for
     from chromaperture.cli.streams import open_stream
-    from chromaperture.products.mcap import write_mcap
     from chromaperture.products.rectified import undistorter
-    from chromaperture.products.tum import write_tum
 
-    eye = camera_for(out, camera, None, quality=quality, config=None)
+    chosen = format or ("mcap" if out.suffix == ".mcap" else "tum")
+    if chosen not in _FORMATS:
+        raise InputError(f"unknown format {chosen!r}: choose {', '.join(_FORMATS)}")
+    if trajectory is not None and chosen not in _POSED:
+        raise InputError(f"{chosen} holds no poses; give --trajectory with {' or '.join(_POSED)}")
+    eye = camera_for(out, camera, None, quality=quality, config=None, device=device)
+    matrix = eye.calibration.lens.camera_matrix
+    write, see = _writer(chosen, matrix, trajectory)
     to_view = undistorter(eye)
     compile_kernels(quality, quiet=quiet)
     stream = open_stream(source, calibration=eye.calibration, black_level=black_level, white_level=white_level)
@@ -48,11 +74,37 @@ def export(
 
         def views() -> Iterator[View]:
             for number, frame in enumerate(stream):
-                yield to_view(eye.measure(frame.image), frame.time_s, frame.index)
+                view = to_view(eye.measure(frame.image), frame.time_s, frame.index)
+                see(view)
+                yield view
                 update(f"frame {frame.index}", number + 1, 0)
 
-        write = write_mcap if out.suffix == ".mcap" else write_tum
-        matrix = eye.calibration.lens.camera_matrix
         count = write(out, views(), camera_matrix=matrix, max_relative_sigma=max_relative_sigma)
     if not quiet:
         typer.echo(f"Wrote {count} frames to {out}")
+
+
+def _writer(
+    chosen: str, matrix: np.ndarray, trajectory: Path | None
+) -> tuple[Callable[..., int], Callable[[View], None]]:
+    """Return the function that writes a format, and what sees every view before; missing extras are said here."""
+    if chosen == "tum":
+        from chromaperture.products.tum import write_tum
+
+        return write_tum, lambda view: None
+    if chosen == "mcap":
+        from chromaperture.products.mcap import write_mcap
+
+        return write_mcap, lambda view: None
+    from chromaperture.products.posed_sequence import read_trajectory, write_posed
+
+    form: Any = chosen
+    if chosen == "open3d":
+        return partial(write_posed, form=form), lambda view: None
+    if trajectory is not None:
+        return partial(write_posed, form=form, poses=read_trajectory(trajectory)), lambda view: None
+    from chromaperture.cli.console import say_warning
+    from chromaperture.reconstruction.poses import Tracker
+
+    tracker = Tracker(matrix, listener=say_warning)
+    return partial(write_posed, form=form, poses=tracker.poses), tracker.see

@@ -1,4 +1,4 @@
-"""``chromaperture info``."""
+"""``chromaperture info``: of a camera file, or of the devices that can measure."""
 
 from __future__ import annotations
 
@@ -8,16 +8,30 @@ from typing import Annotated, Any
 import typer
 
 from chromaperture.cli.options import Json, Quiet
+from chromaperture.errors import InputError
 
 _LEFT_OUT = ("boards", "files")  # of the provenance: long lists, which --json prints
 
 
 def info(
-    camera: Annotated[Path, typer.Argument(help="Camera file.", metavar="CAMERA.asdf")],
+    camera: Annotated[Path | None, typer.Argument(help="Camera file.", metavar="CAMERA.asdf")] = None,
+    devices: Annotated[
+        bool, typer.Option("--devices", help="List what --device of the commands that measure can name.")
+    ] = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show the content of a camera file: lens, focus, baseline, aperture, how it was calibrated."""
+    """Show the content of a camera file: lens, focus, baseline, aperture, how it was calibrated.
+
+    chromaperture info camera.asdf
+
+    chromaperture info --devices
+    """
+    if devices:
+        _show_devices(json=json, quiet=quiet)
+        return
+    if camera is None:
+        raise InputError("give a camera file, or --devices")
     from rich.markup import escape
 
     from chromaperture.camera_file import Calibration
@@ -34,6 +48,37 @@ def info(
                 rows.add_row(name, escape(as_text(value)))
         out.print(rows)
         out.print("Boards and hashes of all files: --json", markup=False)
+
+
+def _show_devices(*, json: bool, quiet: bool) -> None:
+    """List the CPU and the adapters, and which of them --device auto takes."""
+    from rich.markup import escape
+
+    from chromaperture.cli.console import out, print_json, table
+    from chromaperture.disparity.gpu.device import adapters, has_extra
+    from chromaperture.disparity.gpu.gpu_method import chosen_device
+    from chromaperture.threads import thread_count
+
+    found = adapters()
+    chosen = chosen_device("auto")
+    taken = "cpu" if chosen is None else f"gpu:{chosen.info.name}"
+    if json:
+        print_json({"auto": taken, "threads": thread_count(), "adapters": [a._asdict() for a in found]})
+        return
+    if quiet:
+        return
+    rows = table("Devices", "--device", "kind", "driver", "largest array", left=3)
+    rows.add_row("cpu", f"{thread_count()} threads", "Numba", "-")
+    for adapter in found:
+        kind = "software, for tests" if adapter.is_software else adapter.kind
+        driver = f"{adapter.backend}, {adapter.driver}" if adapter.driver else adapter.backend
+        rows.add_row(escape(f"gpu:{adapter.name}"), kind, escape(driver), f"{adapter.largest_array_mb} MB")
+    out.print(rows)
+    if not has_extra():
+        out.print("GPUs need the extra: pip install 'chromaperture[gpu]'", markup=False)
+    elif not found:
+        out.print("No GPU: no driver for Vulkan, Metal or Direct3D 12 was found", markup=False)
+    out.print(f"auto takes {taken}", markup=False)
 
 
 def as_text(value: Any) -> str:

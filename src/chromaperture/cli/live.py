@@ -7,13 +7,14 @@ import math
 import socket
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
 from chromaperture.cli.options import (
     BlackLevel,
     Camera,
+    Device,
     Json,
     MaxRelativeSigma,
     MemoryMb,
@@ -28,6 +29,8 @@ from chromaperture.viewer.free_space import RESERVE_BYTES
 from chromaperture.viewer.watchdog import WATCHDOG_S, Watchdog
 
 if TYPE_CHECKING:
+    from chromaperture.camera import CodedApertureCamera
+    from chromaperture.products.foxglove_stream import FoxgloveStream
     from chromaperture.viewer.loop import LiveLoop
     from chromaperture.viewer.page import LivePage
 
@@ -37,6 +40,7 @@ def live(
     camera: Camera,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of snapshots and recordings.")] = Path("live"),
     quality: Quality = "real-time",
+    device: Device = "auto",
     host: Annotated[
         str,
         typer.Option(
@@ -46,6 +50,17 @@ def live(
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port; the next free one is taken.")] = 8080,
     page: Annotated[bool, typer.Option("--page/--no-page", help="Serve the page; without it, only measure.")] = True,
+    stream: Annotated[
+        str | None,
+        typer.Option(
+            help="Stream to robotics tools (Foxglove's protocol) from HOST:PORT, such as 127.0.0.1:8765, or into a new "
+            "file NAME.mcap. Whoever reaches the address sees the pictures: it has no token.",
+            metavar="ADDRESS",
+        ),
+    ] = None,
+    stream_depth: Annotated[
+        str, typer.Option(help="Depth in the stream, by REP 118: 16UC1 in mm, or 32FC1 in m.")
+    ] = "16UC1",
     model: Annotated[bool, typer.Option("--model/--no-model", help="Track the camera and build a 3D model.")] = True,
     seconds: Seconds = None,
     voxel_mm: VoxelMm = None,
@@ -71,13 +86,13 @@ def live(
     from chromaperture.cli.streams import open_stream
     from chromaperture.reconstruction.settings import ReconstructionConfig
     from chromaperture.viewer.access import is_every_address, viser
-    from chromaperture.viewer.loop import LiveLoop
+    from chromaperture.viewer.loop import FUSE_EVERY, LiveLoop
     from chromaperture.viewer.page import LivePage
 
     if page:
         viser()  # before the work: the extra may be missing
-    config = ReconstructionConfig(voxel_mm=voxel_mm, memory_mb=memory_mb)
-    eye = camera_for(out, camera, None, quality=quality, config=None)
+    config = ReconstructionConfig(voxel_mm=voxel_mm, memory_mb=memory_mb, fuse_every=FUSE_EVERY)
+    eye = camera_for(out, camera, None, quality=quality, config=None, device=device)
     compile_kernels(quality, quiet=quiet)
     began = time.monotonic()
     levels = {"black_level": black_level, "white_level": white_level}
@@ -86,13 +101,14 @@ def live(
     def say(line: str) -> None:
         (loops[0].say_rarely if loops else say_warning)(line)
 
-    stream = open_stream(source, calibration=eye.calibration, say=say, **levels)
+    stream_to: Any = None if stream is None else _foxglove(stream, eye, stream_depth, max_relative_sigma)
+    frames = open_stream(source, calibration=eye.calibration, say=say, **levels)
     watchdog = Watchdog(watchdog_seconds, listener=say)
     with watchdog, contextlib.ExitStack() as opened:
         with watchdog.stage("source"):  # a driver may hang at once
-            opened.enter_context(stream)
+            opened.enter_context(frames)
         loop = LiveLoop(
-            stream,
+            frames,
             eye,
             track=model,
             config=config,
@@ -108,6 +124,12 @@ def live(
             if is_every_address(host):
                 elsewhere = shown.access.url(shown.server.get_port(), host=socket.gethostname())
                 typer.echo(f"From other machines: {elsewhere}", err=json or quiet)
+        if stream_to is not None:
+            from chromaperture.viewer.streaming import Streaming
+
+            opened.enter_context(stream_to)
+            opened.enter_context(Streaming(loop, stream_to))
+            typer.echo(f"Streaming to {stream_to.url}", err=json or quiet)
         _run(loop, shown, began + (math.inf if seconds is None else seconds))
     if loop.failure is not None:
         raise loop.failure
@@ -115,6 +137,18 @@ def live(
         print_json({"seconds": time.monotonic() - began, "stages": loop.figures()})
     elif not quiet:
         _print_stages(loop.figures())
+
+
+def _foxglove(target: str, eye: CodedApertureCamera, depth: str, max_relative_sigma: float) -> FoxgloveStream:
+    """Open a stream; what is missing or wrong is said before the work."""
+    from chromaperture.products.foxglove_stream import FoxgloveStream
+
+    return FoxgloveStream(
+        target,
+        camera_matrix=eye.calibration.lens.camera_matrix,
+        depth_encoding=cast(Any, depth),
+        max_relative_sigma=max_relative_sigma,
+    )
 
 
 def _run(loop: LiveLoop, page: LivePage | None, end: float) -> None:

@@ -27,7 +27,7 @@ app = typer.Typer(
 )
 _COMMANDS = (
     "demo", "depth", "calibrate", "info", "check", "board", "apertures", "refocus", "transparency", "simulate",
-    "sources", "record", "export", "evaluate", "reconstruct", "live", "serve",
+    "sources", "record", "export", "evaluate", "reconstruct", "live", "serve", "view", "compare",
 )  # fmt: skip
 for name in _COMMANDS:  # each is a function in a module of its own name
     app.command()(getattr(importlib.import_module(f"chromaperture.cli.{name}"), name))

@@ -39,11 +39,25 @@ Quality = Annotated[
         autocompletion=lambda: ["paper", "real-time", "accurate"],
     ),
 ]
+Device = Annotated[
+    str,
+    typer.Option(
+        help="auto, a GPU where there is one; cpu; gpu; or gpu:NAME, of 'chromaperture info --devices'.",
+        autocompletion=lambda: ["auto", "cpu", "gpu"],
+    ),
+]
 Scale = Annotated[
     str,
     typer.Option(
         help="Working scale: auto, what the blur allows; or 1, 1/2, 1/4 ... of the photograph's pixels.",
         autocompletion=lambda: ["auto", "1", "1/2", "1/4", "1/8"],
+    ),
+]
+CropOrigin = Annotated[
+    str | None,
+    typer.Option(
+        help="Photographs show a part of the sensor: column and row of its first pixel in the camera file's frame.",
+        metavar="X,Y",
     ),
 ]
 # One sentence for all commands: without a camera file, as in `transparency`, the format's levels are what is left.
@@ -94,6 +108,16 @@ def working_scale(text: str) -> int | Literal["auto"]:
     if not found:
         raise InputError(f"--scale {text!r} is not understood: give auto, 1, or a fraction such as 1/4")
     return int(found[1] or 1)
+
+
+def crop_origin(text: str | None) -> tuple[int, int] | None:
+    """Read the column and row of a pixel, such as 1200,800; raises InputError."""
+    if text is None:
+        return None
+    place = re.fullmatch(r"\s*(\d{1,6})\s*,\s*(\d{1,6})\s*", text)
+    if not place:
+        raise InputError(f"--crop-origin {text!r} is not understood: give column and row, such as 1200,800")
+    return int(place[1]), int(place[2])
 
 
 def inner_corners(text: str) -> tuple[int, int]:

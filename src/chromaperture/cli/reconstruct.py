@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from chromaperture.cli.options import BlackLevel, Camera, Frames, Json, MemoryMb, Quiet, VoxelMm, WhiteLevel
+from chromaperture.cli.options import BlackLevel, Camera, Device, Frames, Json, MemoryMb, Quiet, VoxelMm, WhiteLevel
 from chromaperture.errors import InputError
 
 
@@ -21,6 +21,7 @@ def reconstruct(
     quality: Annotated[
         str | None, typer.Option(help="paper, real-time or accurate; default accurate where the camera file has it.")
     ] = None,
+    device: Device = "auto",
     frames: Frames = None,
     voxel_mm: VoxelMm = None,
     memory_mb: MemoryMb = 512,
@@ -52,7 +53,7 @@ def reconstruct(
     if not calibration.is_calibrated:
         raise InputError("a 3D model needs a calibrated camera; make one with 'chromaperture calibrate'")
     quality = quality or ("accurate" if "accurate" in calibration.depth else "real-time")
-    eye = camera_for(out, camera, None, quality=quality, config=None)
+    eye = camera_for(out, camera, None, quality=quality, config=None, device=device)
     compile_kernels(quality, quiet=quiet)
     stream = open_stream(source, calibration=eye.calibration, black_level=black_level, white_level=white_level)
     with stream, progress(quiet=quiet) as update:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.options import BlackLevel, CameraOrDesign, Design, Json, Quality, Quiet, WhiteLevel
+from chromaperture.cli.options import BlackLevel, CameraOrDesign, Design, Device, Json, Quality, Quiet, WhiteLevel
 from chromaperture.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def refocus(
         Path | None, typer.Option("--out", "-o", help="Picture to write; default PHOTO.refocus.png.", metavar="FILE")
     ] = None,
     quality: Quality = "accurate",
+    device: Device = "auto",
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     json: Json = False,
@@ -81,7 +82,7 @@ def refocus(
     _check(request)  # before the minute of work
     if quality == "accurate" and camera is None:
         quality = "real-time"  # the accurate one needs a calibration
-    eye = camera_for(photo, camera, design, quality=quality, config=None)
+    eye = camera_for(photo, camera, design, quality=quality, config=None, device=device)
     if eye.shows_frame_at(size := image_size(photo)):  # also of another size than the calibration's
         eye = eye.at_size(*size)
     pupil = pupil_strength(eye, f_number, strength)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, cast
 
@@ -22,6 +23,8 @@ def camera_for(
     quality: str,
     config: Path | None,
     scale: int | Literal["auto"] = "auto",
+    crop_origin_px: tuple[int, int] | None = None,
+    device: str = "auto",
 ) -> CodedApertureCamera:
     """Open the camera file, or make an uncalibrated camera of the image's size for a design."""
     if (camera is None) == (design is None):
@@ -31,5 +34,7 @@ def camera_for(
     else:
         width, height = image_size(image)
         calibration = Calibration.uncalibrated(cast(str, design), width_px=width, height_px=height)
-    settings = default_config(calibration, cast(Quality, quality), scale=scale)
-    return CodedApertureCamera(calibration, settings if config is None else with_file(settings, config))
+    if crop_origin_px is not None and camera is None:
+        raise InputError("--crop-origin is a place in the frame of a calibrated camera: give its file with --camera")
+    settings = replace(default_config(calibration, cast(Quality, quality), scale=scale), crop_origin_px=crop_origin_px)
+    return CodedApertureCamera(calibration, settings if config is None else with_file(settings, config), device=device)

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 
 import cv2
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
+from chromaperture.color.nearest_known import fill_from_nearest
 from chromaperture.color.shift_kernels import shift_along_rows
 from chromaperture.color.unmixing import view_reach
 from chromaperture.color.visibility import fill_hidden, visible_from
@@ -50,8 +50,7 @@ def fill_unknown(values: np.ndarray, *, step: int = 1) -> np.ndarray:
         return np.zeros_like(values)
     if not unknown.any():
         return values
-    rows, columns = distance_transform_edt(unknown, return_distances=False, return_indices=True)
-    return values[rows, columns]
+    return fill_from_nearest(values)
 
 
 def align_channels(

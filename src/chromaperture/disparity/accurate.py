@@ -82,7 +82,10 @@ class AccurateMethod:
             likelihood, views.guide, labels_px, config=self.config.surface, planes=self.config.planes, run=self.run,
             known_within_px=sigma_of_range(labels_px),
         )  # fmt: skip
+        return self.of_labels(surface, image, usable, labels_px)
 
+    def of_labels(self, surface: Surface, image: np.ndarray, usable: np.ndarray, labels_px: np.ndarray) -> Disparity:
+        """Return the disparity of a surface of labels; image and where it is usable as `clipped_filled` has them."""
         at_pixels = Surface(
             self.label_map.disparity(surface.disparity_px), self.label_map.scale * surface.sigma_px, surface.peak
         )
@@ -150,11 +153,34 @@ def optimised_surface(
     if explained_by is not None:
         disparity = where_they_agree(explained_by.label_px, disparity, np.hypot(sigma, step))
     sigma = run.posterior_sigma(disparity, cost, labels_px, temperature=config.temperature * config.paths)
-    inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
-    known = inside & (sigma < known_within_px)
-    edge_share, bias = (1.0, 0.0) if explained_by is None else (EDGE_SHARE_OF_PLANES, BIAS_OF_PLANES * step)
-    sigma = np.hypot(np.hypot(sigma, bias), edge_share * local_range(disparity, EDGE_REACH_PX))
-
     layer = np.clip(np.rint((disparity - labels_px[0]) / step).astype(np.intp), 0, len(labels_px) - 1)
     explained = -np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0])
-    return Surface(np.where(known, disparity, np.nan).astype(np.float32), sigma, np.sqrt(explained))
+    surface = Surface(disparity, sigma, np.sqrt(explained))
+    extent = local_range(disparity, EDGE_REACH_PX)
+    return judged(surface, extent, labels_px, of_planes=explained_by is not None, known_within_px=known_within_px)
+
+
+def judged(
+    surface: Surface, extent_px: np.ndarray, labels_px: np.ndarray, *, of_planes: bool, known_within_px: float
+) -> Surface:
+    """Widen the error bar of a surface by what its posterior does not see, and leave out what is unknown.
+
+    Parameters
+    ----------
+    surface : Surface
+        Without NaN; its error bar is that of the posterior.
+    extent_px : (H, W) float, px
+        `local_range` of the surface.
+    labels_px : (N,) float, px
+    of_planes : bool
+        Whether planes explain it.
+    known_within_px : float, px
+        As `optimised_surface`.
+    """
+    step = float(labels_px[1] - labels_px[0])
+    disparity, sigma = surface.disparity_px, surface.sigma_px
+    inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
+    known = inside & (sigma < known_within_px)
+    edge_share, bias = (EDGE_SHARE_OF_PLANES, BIAS_OF_PLANES * step) if of_planes else (1.0, 0.0)
+    sigma = np.hypot(np.hypot(sigma, bias), edge_share * extent_px)
+    return Surface(np.where(known, disparity, np.nan).astype(np.float32), sigma, surface.peak)

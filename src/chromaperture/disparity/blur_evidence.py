@@ -32,14 +32,16 @@ from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
 from chromaperture.errors import InputError
 from chromaperture.optics.lens_blur import LensBlur, Rays
 from chromaperture.stage_config import CrossFilterConfig
-from chromaperture.threads import in_parallel, parallel_map
+from chromaperture.threads import each_band, parallel_map
 
-_MAX_CORRELATION2 = 0.999  # 3.5 nats a band at most: a perfect agreement must not outweigh the whole neighbourhood
+# 3.5 nats a band at most: a perfect agreement must not outweigh the whole neighbourhood
+MAX_CORRELATION2_OF_BANDS = 0.999
 SPACING_PX = round(2 * SAMPLING_PX)  # of the evidence: windows of sigma 4 px leave nothing finer
 # Blur, px at the pupil's edge, up to which every layer is computed: half of them would move walls of sharp texture by
 # 0.013 px of half disparity (2.2 px of blur), of less sharp texture by 0.003 px (3.4 px).
-_SHARP_PX = 4.0
-_BANDS_MARGIN_PX = 10  # three sigmas of the coarsest band
+SHARP_PX = 4.0
+_ROWS = 4  # whose correlations are explained at once: 5 MB at 720 columns stay in the cache; chosen by hand
+BANDS_MARGIN_PX = 10  # three sigmas of the coarsest band
 
 
 @dataclass(frozen=True)
@@ -70,16 +72,16 @@ class BlurEvidence:
         step = layers_px[1] - layers_px[0]
         layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
         between = layers_px[1::2]
-        sharp = np.abs(between) < _SHARP_PX * self.blur.reach
+        sharp = np.abs(between) < SHARP_PX * self.blur.reach
         computed = self._correlations(image, np.concatenate([layers_px[::2], between[sharp]]))
         likelihood = np.empty((*computed.shape[2:4], len(layers_px)), np.float32)
 
-        def rows(_: int, top: int, bottom: int) -> None:
-            correlation = with_midpoints(computed[:, :, top:bottom, :, : len(between) + 1])
-            correlation[..., 1::2][..., sharp] = computed[:, :, top:bottom, :, len(between) + 1 :]
-            likelihood[top:bottom] = self._explained(correlation)
+        def explain(rows: slice) -> None:
+            correlation = with_midpoints(computed[:, :, rows, :, : len(between) + 1])
+            correlation[..., 1::2][..., sharp] = computed[:, :, rows, :, len(between) + 1 :]
+            likelihood[rows] = self._explained(correlation)
 
-        in_parallel(rows, len(likelihood))
+        each_band(explain, len(likelihood), rows_a_band=_ROWS)
         return self.run.read_at_labels(
             likelihood, layers_px, labels_px, self.label_map,
             factors=sum(self.config.band_weights), shape=image.shape[:2], spacing_px=SPACING_PX,
@@ -107,7 +109,7 @@ class BlurEvidence:
         return self._explained(self._correlations(image, layers_px))
 
     @property
-    def _pairs(self) -> tuple[tuple[int, int], ...]:
+    def all_pairs(self) -> tuple[tuple[int, int], ...]:
         """Primary and, where they count, secondary pairs of channels."""
         return self.blur.pairs + (self.blur.other_pairs if self.config.fallback_weight > 0 else ())
 
@@ -126,30 +128,28 @@ class BlurEvidence:
         blur = self.blur
         noise_variance = self.noise.variance(image) if self.noise.is_known else None
         image = np.where(np.isfinite(image), image, np.float32(0))
+        self.check_size(image)
         height, width = image.shape[:2]
-        if (width, height) != (blur.width_px, blur.height_px):
-            raise InputError(
-                f"the camera's blur was fitted for {blur.width_px} x {blur.height_px} px, the image has "
-                f"{width} x {height}"
-            )
-        margin = 2 * float(np.abs(layers_px).max()) / blur.reach + _BANDS_MARGIN_PX  # both blurs, and the bands
+        margin = 2 * float(np.abs(layers_px).max()) / blur.reach + BANDS_MARGIN_PX  # both blurs, and the bands
         nodes = Nodes(height, width, margin_px=margin)
         spectra = nodes.spectra(
             np.ascontiguousarray(image, np.float32), noise_variance, noise_margin=self.config.noise_margin
         )
-        low_pass = _gaussian(nodes.size, _finest(self.config) / SAMPLING_PX)  # the same at all depths, hence done once
-        channels = tuple(sorted({k for pair in self._pairs for k in pair}))
+        low_pass = _gaussian(
+            nodes.size, finest_px(self.config) / SAMPLING_PX
+        )  # the same at all depths, hence done once
+        channels = tuple(sorted({k for pair in self.all_pairs for k in pair}))
         tiles = [
             _Tile(
                 place,
                 weight,
                 blur.rays(*place, channels),
-                [(a * low_pass, b * low_pass) for a, b in (spectrum.pair(*pair) for pair in self._pairs)],
+                [(a * low_pass, b * low_pass) for a, b in (spectrum.pair(*pair) for pair in self.all_pairs)],
             )
             for place, weight, spectrum in zip(nodes.places, nodes.weights, spectra, strict=True)
         ]
         at_infinity, scale = blur.reference
-        shape = (len(self._pairs), len(self.config.bands_px), -(-height // SPACING_PX), -(-width // SPACING_PX))
+        shape = (len(self.all_pairs), len(self.config.bands_px), -(-height // SPACING_PX), -(-width // SPACING_PX))
         correlation = np.empty((*shape, len(layers_px)), np.float32)
 
         def fill(layer: int) -> None:
@@ -161,18 +161,27 @@ class BlurEvidence:
         parallel_map(fill, range(len(layers_px)))
         return correlation
 
+    def check_size(self, image: np.ndarray) -> None:
+        """Raise InputError where the image is not of the blur's size."""
+        (height, width), blur = image.shape[:2], self.blur
+        if (width, height) != (blur.width_px, blur.height_px):
+            raise InputError(
+                f"the camera's blur was fitted for {blur.width_px} x {blur.height_px} px, the image has "
+                f"{width} x {height}"
+            )
+
     def _cross_filtered(
         self, channels: tuple[int, ...], nodes: Nodes, tiles: Sequence[_Tile], inverse_mm: float
     ) -> np.ndarray:
         """P and Q of every pair of channels, at one distance; (pairs, H, W, 2) float32 of samples."""
-        canvas = nodes.canvas(len(self._pairs))
+        canvas = nodes.canvas(len(self.all_pairs))
         inner = nodes.in_tile()
         for tile in tiles:
             transfers = self.blur.transfer_of(
                 tile.rays, inverse_mm, nodes.size_px, samples=nodes.size, transform=self.run.point_transforms
             )
             transfer = dict(zip(channels, transfers, strict=True))
-            for i, ((a, b), views) in enumerate(zip(self._pairs, tile.pairs, strict=True)):
+            for i, ((a, b), views) in enumerate(zip(self.all_pairs, tile.pairs, strict=True)):
                 filtered = self.run.cross_filter(views, (transfer[a], transfer[b]), self.config.damping)
                 canvas[i, *nodes.on_canvas(tile.place)] += filtered[inner, inner] * tile.weight
         return nodes.in_frame(canvas)
@@ -203,7 +212,7 @@ def with_midpoints(volume: np.ndarray) -> np.ndarray:
 
 def _nats(correlation: np.ndarray, weights: Sequence[float]) -> np.ndarray:
     """Log-likelihood of correlations (pairs, bands, ...) against uncorrelated pictures; (pairs, ...) float32."""
-    explained = np.minimum(np.maximum(correlation, 0) ** 2, np.float32(_MAX_CORRELATION2))
+    explained = np.minimum(np.maximum(correlation, 0) ** 2, np.float32(MAX_CORRELATION2_OF_BANDS))
     bands = np.moveaxis(explained, 1, 0)
     return np.asarray(sum(np.float32(-0.5 * w) * np.log1p(-band) for w, band in zip(weights, bands, strict=True)))
 
@@ -227,13 +236,14 @@ def _window(product: np.ndarray, sigma_px: float) -> np.ndarray:
 
 def _bands(picture: np.ndarray, config: CrossFilterConfig) -> list[np.ndarray]:
     """Differences of Gaussians of pictures that have passed the finest of them; (H, W, 2) float32 each."""
-    finest = _finest(config)
+    finest = finest_px(config)
     sigmas = {sigma for band in config.bands_px for sigma in band}
     smooth = {s: _smooth(picture, math.sqrt(s**2 - finest**2)) if s > finest else picture for s in sigmas}
     return [smooth[fine] - smooth[coarse] for fine, coarse in config.bands_px]
 
 
-def _finest(config: CrossFilterConfig) -> float:
+def finest_px(config: CrossFilterConfig) -> float:
+    """Return the sigma of the finest Gaussian of all bands, which is applied once to all depths alike."""
     return min(fine for fine, _ in config.bands_px)
 
 

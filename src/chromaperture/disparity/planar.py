@@ -11,20 +11,21 @@ H. Isack, Y. Boykov: Energy-based geometric multi-model fitting. IJCV 97, 2012. 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from chromaperture.disparity.execution import Execution
-from chromaperture.disparity.plane_edges import edges_by_guide
+from chromaperture.disparity.plane_edges import Beliefs, edges_by_guide
 from chromaperture.disparity.plane_fit import Volume, candidates
 from chromaperture.disparity.plane_merging import merged_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig
 
-AGREEMENT_SIGMAS = 2.0  # docs/evaluation.md has 1, 1.5, 2, 3 and none
+AGREEMENT_SIGMAS = 2.0  # docs/measurements.md has 1, 1.5, 2, 3 and none
 AGREEMENT_WINDOW_PX = 9  # two sigmas of the correlation window and the pixel: neighbours decide alike
 
 
@@ -79,34 +80,77 @@ def planes_of_surface(
     Planes or None
         None where planes are switched off or no plane was found.
     """
-    size, step = config.block_px, float(labels_px[1] - labels_px[0])
+    size = config.block_px
     if config.rounds == 0 or min(label_px.shape) < 2 * size:
         return None
     pixels = Volume(likelihood, labels_px, PlaneCosts(config.slope_penalty, config.outside_penalty), run)
     planes = candidates(label_px, sigma_px, pixels, config.tiles_px)
     if not len(planes):
         return None
-    # A block stands for size^2 pixels; its px is size px wide, so slopes between blocks are size times as large.
-    costs = PlaneCosts(config.slope_penalty, config.outside_penalty * size**2)
+    costs = block_costs(config)
     blocks = Volume(block_sums(likelihood, size), labels_px, costs, run)
+    links = links_of_blocks(guide, config=config, surface=surface)
+
+    def choose(planes: np.ndarray) -> np.ndarray:
+        cost = run.plane_costs(blocks.likelihood, planes, labels_px, costs)
+        return np.asarray(run.potts_beliefs(cost, links, sweeps=config.sweeps).argmin(axis=2))
+
+    return fitting_planes(planes, blocks, guide, choose, config=config, beliefs=run.potts_beliefs)
+
+
+def block_costs(config: PlanesConfig) -> PlaneCosts:
+    """Return what a plane costs a block.
+
+    A block stands for size^2 pixels; its px is size px wide, so slopes between blocks are size times as large.
+    """
+    return PlaneCosts(config.slope_penalty, config.outside_penalty * config.block_px**2)
+
+
+def links_of_blocks(guide: np.ndarray, *, config: PlanesConfig, surface: SurfaceConfig) -> np.ndarray:
+    """Return what a border between two blocks costs; (2, H // size, W // size), nats."""
     weights = edge_weights(guide, edge_range=surface.edge_range, floor=surface.edge_floor)
-    links = config.boundary_penalty * size * block_links(weights, size)
+    return np.asarray(config.boundary_penalty * config.block_px * block_links(weights, config.block_px))
+
+
+def fitting_planes(
+    planes: np.ndarray,
+    blocks: Volume,
+    guide: np.ndarray,
+    choose: Callable[[np.ndarray], np.ndarray],
+    *,
+    config: PlanesConfig,
+    beliefs: Beliefs,
+) -> Planes:
+    """Let blocks choose planes, join planes, and let blocks choose again.
+
+    Parameters
+    ----------
+    planes : (K, 3) float
+        Candidates.
+    blocks : Volume
+        Sums of blocks.
+    guide : (H, W) float
+    choose : callable
+        From planes of blocks to the best choice of every block.
+    config : PlanesConfig
+    beliefs : callable
+        `stages.potts_beliefs`.
+    """
+    size, step = config.block_px, blocks.step_px
     planes = _scaled(planes, size)
     for left in range(config.rounds - 1, -1, -1):
-        cost = run.plane_costs(blocks.likelihood, planes, labels_px, costs)
-        choice = run.potts_beliefs(cost, links, sweeps=config.sweeps).argmin(axis=2)
+        choice = choose(planes)
         if left == 0 or len(planes) == 1:
             break
         planes, choice = merged_planes(choice, planes, blocks, config=config, border=-(-config.border_px // size))
     planes = _scaled(planes, 1 / size)
-    height, width = label_px.shape
-    rows, columns = (
-        np.minimum(np.arange(n) // size, m - 1) for n, m in zip((height, width), choice.shape, strict=True)
-    )
+    rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(guide.shape, choice.shape, strict=True))
     found = Planes(planes, choice[rows[:, None], columns])
     if config.edge_band_px == 0:
         return found
-    choice = edges_by_guide(found.choice, planes, guide, reach_px=config.edge_band_px, apart_px=1.5 * step, run=run)
+    choice = edges_by_guide(
+        found.choice, planes, guide, reach_px=config.edge_band_px, apart_px=1.5 * step, beliefs=beliefs
+    )
     return Planes(planes, choice)
 
 

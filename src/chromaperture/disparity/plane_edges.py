@@ -7,11 +7,20 @@ evidence counts: the border lies where the picture changes most.
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import cv2
 import numpy as np
 
-from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.plane_merging import neighbouring_pairs
+
+
+class Beliefs(Protocol):
+    """`stages.potts_beliefs`."""
+
+    def __call__(self, cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
+        """Cost of every choice at every pixel, with the best of all others; (H, W, K)."""
+
 
 OUTWARD_PX = 3  # by which a near plane may also grow
 STEEPNESS = 4.0  # a border on the steepest edge in reach costs exp(-4) of one on an even guide
@@ -24,7 +33,7 @@ _SWEEPS = 10
 
 
 def edges_by_guide(
-    choice: np.ndarray, planes: np.ndarray, guide: np.ndarray, *, reach_px: int, apart_px: float, run: Execution
+    choice: np.ndarray, planes: np.ndarray, guide: np.ndarray, *, reach_px: int, apart_px: float, beliefs: Beliefs
 ) -> np.ndarray:
     """Move the borders of near planes to the guide's edges.
 
@@ -38,7 +47,8 @@ def edges_by_guide(
         Width of the band inside a near plane's border.
     apart_px : float
         Labels by which two planes must differ for one to be near.
-    run : Execution
+    beliefs : callable
+        `stages.potts_beliefs`.
 
     Returns
     -------
@@ -54,8 +64,8 @@ def edges_by_guide(
     if not (possible.sum(axis=2) > 1).any():
         return choice
     cost = np.where(possible, 0, _FORBIDDEN).astype(np.float32)
-    beliefs = run.potts_beliefs(cost, _links(guide, reach_px)[:, ::GRID, ::GRID], sweeps=_SWEEPS)
-    moved = np.where(possible, beliefs, np.inf).argmin(axis=2)
+    believed = beliefs(cost, _links(guide, reach_px)[:, ::GRID, ::GRID], sweeps=_SWEEPS)
+    moved = np.where(possible, believed, np.inf).argmin(axis=2)
     rows, columns = np.arange(height) // GRID, np.arange(width) // GRID
     free = (possible.sum(axis=2) > 1)[rows[:, None], columns]
     return np.where(free, used[moved[rows[:, None], columns]], choice)

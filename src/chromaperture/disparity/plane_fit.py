@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,10 +19,10 @@ PLANES_OF_A_TILE = 2
 REACH = 2  # labels to either side in a difference of log-likelihoods
 MOST_POINTS = 4000  # of a fit; more change a plane by less than its standard deviation
 _ROUNDS = 4  # of least squares on the inliers
-_NEWTON_STEPS = 6
-_SHORTENED = (1.0, 0.5, 0.25)
-_CONDITION = 1e-3  # of the largest eigenvalue: directions that the evidence says nothing of move little
-_GAINED = 1e-5  # share of the value below which another step is not worth it
+NEWTON_STEPS = 6
+SHORTENED = (1.0, 0.5, 0.25)
+CONDITION = 1e-3  # of the largest eigenvalue: directions that the evidence says nothing of move little
+GAINED = 1e-5  # share of the value below which another step is not worth it
 
 
 class Candidate(NamedTuple):
@@ -55,6 +56,15 @@ class Volume(NamedTuple):
         return float(self.labels_px[1] - self.labels_px[0])
 
 
+class Proposal(NamedTuple):
+    """A plane through points that agree on it, (P,) int each, of a square tile."""
+
+    plane: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    size_px: int
+
+
 def candidates(label_px: np.ndarray, sigma_px: np.ndarray, volume: Volume, tiles_px: tuple[int, ...]) -> np.ndarray:
     """Fit planes to tiles of several sizes, and refine each by the volume.
 
@@ -70,8 +80,15 @@ def candidates(label_px: np.ndarray, sigma_px: np.ndarray, volume: Volume, tiles
     -------
     (K, 3) float64
     """
+    found = proposals(label_px, sigma_px, volume.step_px, tiles_px)
+    planes = parallel_map(lambda i: refined(found[i].plane, found[i].x, found[i].y, volume), range(len(found)))
+    return distinct_of(found, planes, volume.step_px)
+
+
+def proposals(label_px: np.ndarray, sigma_px: np.ndarray, step_px: float, tiles_px: tuple[int, ...]) -> list[Proposal]:
+    """Fit planes to tiles of a first surface; see `candidates`."""
     height, width = label_px.shape
-    weight = 1 / (np.square(sigma_px, dtype=float) + (volume.step_px / 2) ** 2)
+    weight = 1 / (np.square(sigma_px, dtype=float) + (step_px / 2) ** 2)
     tiles = [
         (size, top, left)
         for size in tiles_px
@@ -79,7 +96,7 @@ def candidates(label_px: np.ndarray, sigma_px: np.ndarray, volume: Volume, tiles
         for left in range(0, max(1, width - size // 2), size)
     ]
 
-    def of_tile(i: int) -> list[Candidate]:
+    def of_tile(i: int) -> list[Proposal]:
         size, top, left = tiles[i]
         every = max(1, size // SAMPLES_ACROSS)
         y, x = (
@@ -87,12 +104,19 @@ def candidates(label_px: np.ndarray, sigma_px: np.ndarray, volume: Volume, tiles
         )
         rng = np.random.default_rng(i)
         return [
-            Candidate(refined(plane, x[inliers], y[inliers], volume), x[inliers].mean(), y[inliers].mean(), size)
-            for inliers, plane in _planes_of_points(x, y, label_px[y, x], weight[y, x], volume.step_px, rng)
+            Proposal(plane, x[inliers], y[inliers], size)
+            for inliers, plane in _planes_of_points(x, y, label_px[y, x], weight[y, x], step_px, rng)
         ]
 
-    found = parallel_map(of_tile, range(len(tiles)))
-    return distinct([candidate for part in found for candidate in part], 0.7 * volume.step_px)
+    return [proposal for part in parallel_map(of_tile, range(len(tiles))) for proposal in part]
+
+
+def distinct_of(found: list[Proposal], planes: Sequence[np.ndarray], step_px: float) -> np.ndarray:
+    """Drop refined planes that agree with one of a larger tile; (K, 3)."""
+    each = [
+        Candidate(plane, part.x.mean(), part.y.mean(), part.size_px) for plane, part in zip(planes, found, strict=True)
+    ]
+    return distinct(each, 0.7 * step_px)
 
 
 def distinct(found: list[Candidate], tolerance_px: float) -> np.ndarray:
@@ -177,7 +201,7 @@ def log_likelihood(plane: np.ndarray, x: np.ndarray, y: np.ndarray, volume: Volu
 
 
 def refined(
-    plane: np.ndarray, x: np.ndarray, y: np.ndarray, volume: Volume, *, steps: int = _NEWTON_STEPS, even: bool = False
+    plane: np.ndarray, x: np.ndarray, y: np.ndarray, volume: Volume, *, steps: int = NEWTON_STEPS, even: bool = False
 ) -> np.ndarray:
     """Move a plane to the most likely place near it, by Newton's method with shortened steps.
 
@@ -212,15 +236,15 @@ def refined(
         if even:
             uphill[:2], bend[:2, 2], bend[2, :2], bend[:2, :2] = 0, 0, 0, np.eye(2)
         size, axes = np.linalg.eigh(bend)
-        size = np.maximum(size, _CONDITION * max(size[-1], 1e-9)) if not even else np.maximum(size, 1e-9)
+        size = np.maximum(size, CONDITION * max(size[-1], 1e-9)) if not even else np.maximum(size, 1e-9)
         move = centred @ (axes @ ((axes.T @ uphill) / size))
         before = value
-        for shorter in _SHORTENED:
+        for shorter in SHORTENED:
             trial = value_of(plane + shorter * move)
             if trial[0] > value:
                 plane, (value, gradient, hessian) = plane + shorter * move, trial
                 break
-        if value - before <= _GAINED * abs(value):
+        if value - before <= GAINED * abs(value):
             break
     return plane
 

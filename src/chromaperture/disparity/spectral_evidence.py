@@ -57,14 +57,22 @@ class SpectralEvidence:
     def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
         """Return nats a pixel; (H, W, N) float32. Without known noise the pairs alone: faint detail would be noise."""
         likelihood = self.pairs.at(image, layers_px, labels_px)
+        if self.is_used(layers_px):
+            _add_enlarged(self.of_windows(image, layers_px, labels_px), self.config.stride_px, likelihood)
+        return likelihood
+
+    def is_used(self, layers_px: np.ndarray) -> bool:
+        """Whether all channels together count beside their pairs."""
+        enough = len(layers_px[::EVERY_LAYER]) >= LEAST_LAYERS
+        return self.config.gain != 0 and self.pairs.noise.is_known and enough
+
+    def of_windows(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
+        """Return what labels earn in windows around every ``stride_px``-th pixel; (h, w, N) float32, nats a pixel."""
         few_px = layers_px[::EVERY_LAYER]
-        if self.config.gain == 0 or not self.pairs.noise.is_known or len(few_px) < LEAST_LAYERS:
-            return likelihood
         rows, columns = (np.arange(0, n, self.config.stride_px) for n in image.shape[:2])
         at_windows = self.at_windows(image, few_px, rows, columns)
         at_windows = _at_labels(at_windows, few_px, labels_px, self.pairs.label_map, rows, columns)
-        _add_enlarged(_tempered(at_windows, self.config), self.config.stride_px, likelihood)
-        return likelihood
+        return _tempered(at_windows, self.config)
 
     def at_windows(self, image: np.ndarray, layers_px: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Compute the log-likelihood of every layer in windows around pixels; (len(rows), len(columns), D), nats a px.

@@ -17,12 +17,12 @@ from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids, channel_transmission
 from chromaperture.stage_config import ViewsConfig
 
-_FILL_SIGMA_PX = 6.0  # of the mean that replaces unusable pixels, px of the halved picture; chosen by hand
-_USABLE = 0.99  # fraction of a halved pixel that must be usable: below, a saturated neighbour's edge is in it
-_GUIDE_SIGMA_PX = 1.0  # noise of the guide would break the links between pixels; chosen by hand
+FILL_SIGMA_PX = 6.0  # of the mean that replaces unusable pixels, px of the halved picture; chosen by hand
+USABLE = 0.99  # fraction of a halved pixel that must be usable: below, a saturated neighbour's edge is in it
+GUIDE_SIGMA_PX = 1.0  # noise of the guide would break the links between pixels; chosen by hand
 _CLIPPED_REACH_PX = 3  # about clipped pixels: demosaicing and the sensor spread their light; chosen by hand
 _PERCENTILE_SAMPLES = 20_000  # of the guide, from which its percentiles are taken; chosen by hand
-_CONSTANT = 1e-6  # RMS of a view, of full scale, below which it has no texture: a thousandth of a 10-bit step
+CONSTANT = 1e-6  # RMS of a view, of full scale, below which it has no texture: a thousandth of a 10-bit step
 _LEAST_PRESMOOTH_PX = 0.3  # below, the pixel's own area smooths the noise
 
 
@@ -241,10 +241,7 @@ def mixed(image: np.ndarray, space: ViewSpace) -> tuple[list[np.ndarray], np.nda
     finite = np.isfinite(_mix(image, np.ones(3)))  # a sum with a NaN or an infinity in it is not finite
     mask = finite & (brightest < SATURATION)
     if not mask.any():
-        raise InputError(
-            "no usable pixel: the whole image is saturated or not finite; lower the exposure, or check "
-            "--black-level and --white-level"
-        )
+        raise no_usable_pixel()
     if not finite.all():
         image = np.where(finite[..., None], image, np.float32(np.mean(image[mask])))
     return [_mix(image, row) for row in space.rows], _mix(image, space.guide_rgb), mask
@@ -263,12 +260,9 @@ def smoothed_views(
     planes = np.empty((len(views), *mask.shape), np.float32)  # one plane a view: fast to smooth and to match
     for plane, view in zip(planes, views, strict=True):
         smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
-    if min(cv2.norm(plane) for plane in planes) < _CONSTANT * math.sqrt(mask.size):  # they have no mean
-        raise InputError(
-            "the image is constant in at least one view of the aperture: nothing to match. A lens cap, an even "
-            "wall, a grey-scale file and a wrong aperture design look like this"
-        )
-    guide = smooth(guide, _GUIDE_SIGMA_PX)
+    if min(cv2.norm(plane) for plane in planes) < CONSTANT * math.sqrt(mask.size):  # they have no mean
+        raise constant_view()
+    guide = smooth(guide, GUIDE_SIGMA_PX)
     guide *= _guide_scale(guide, config)
     return Views(np.moveaxis(planes, 0, -1), np.asarray(directions, float), guide, mask.astype(np.float32), noise)
 
@@ -288,13 +282,13 @@ def halved(
 def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
     """Halve views, unusable pixels replaced by the mean around them: their bright edges would outweigh all texture."""
     fraction = cv2.pyrDown(mask)
-    usable = fraction > _USABLE
-    around = cv2.GaussianBlur(fraction, (0, 0), _FILL_SIGMA_PX)
+    usable = fraction > USABLE
+    around = cv2.GaussianBlur(fraction, (0, 0), FILL_SIGMA_PX)
     small = []
     for view in views:
         mean = cv2.mean(view, (mask > 0).astype(np.uint8))[0]
         part = cv2.pyrDown((view - np.float32(mean)) * mask)
-        fill = cv2.GaussianBlur(part, (0, 0), _FILL_SIGMA_PX) / (around + np.float32(1e-3))  # 1e-3: no division by 0
+        fill = cv2.GaussianBlur(part, (0, 0), FILL_SIGMA_PX) / (around + np.float32(1e-3))  # 1e-3: no division by 0
         small.append(np.where(usable, part, fill) + np.float32(mean))
     return small, usable
 
@@ -328,7 +322,7 @@ def clipped_filled(image: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, n
         return image, usable
     mean = image[kept].mean(axis=0)
     rest = np.where(kept[..., None], image - mean, np.float32(0))
-    sigma = 2 * _FILL_SIGMA_PX  # that is px of the halved picture
+    sigma = 2 * FILL_SIGMA_PX  # that is px of the halved picture
     around = cv2.GaussianBlur(usable, (0, 0), sigma)[..., None] + np.float32(1e-3)  # 1e-3: no division by 0
     fill = cv2.GaussianBlur(rest, (0, 0), sigma) / around
     return np.where(replaced[..., None], mean + fill, image).astype(np.float32), usable
@@ -348,9 +342,30 @@ def smooth(image: np.ndarray, sigma_px: float, *, out: np.ndarray | None = None)
 
 def _guide_scale(guide: np.ndarray, config: ViewsConfig) -> np.float32:
     """Return the factor that brings a guide to units of ``guide_range``."""
-    sparse = max(1, round(math.sqrt(guide.size / _PERCENTILE_SAMPLES)))
+    sparse = percentile_spacing(guide.size)
     low, high = np.percentile(guide[::sparse, ::sparse], (1, 99))
     return np.float32(1 / (max(float(high - low), 1e-6) * config.guide_range))  # 1e-6: an even guide
+
+
+def percentile_spacing(pixels: int) -> int:
+    """Return the px between the samples of a guide from which its percentiles are taken."""
+    return max(1, round(math.sqrt(pixels / _PERCENTILE_SAMPLES)))
+
+
+def no_usable_pixel() -> InputError:
+    """Return the error of a picture without usable pixels."""
+    return InputError(
+        "no usable pixel: the whole image is saturated or not finite; lower the exposure, or check "
+        "--black-level and --white-level"
+    )
+
+
+def constant_view() -> InputError:
+    """Return the error of a picture without texture."""
+    return InputError(
+        "the image is constant in at least one view of the aperture: nothing to match. A lens cap, an even "
+        "wall, a grey-scale file and a wrong aperture design look like this"
+    )
 
 
 def _mix(image: np.ndarray, weights: np.ndarray) -> np.ndarray:

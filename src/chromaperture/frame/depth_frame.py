@@ -18,6 +18,10 @@ from chromaperture.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from chromaperture.frame.points_view import PointsView
+
+MOST_POINTS = 50_000  # that a notebook shows: 1.5 MB in its file, and smooth on a telephone
+
 
 @dataclass(frozen=True, repr=False)
 class DepthFrame:
@@ -96,9 +100,10 @@ class DepthFrame:
         target : str or Path
             ``results/photo`` writes ``results/photo.depth.tiff`` and so on; a folder that exists gets ``frame.*``.
         write : str or iterable of str, optional
-            Which, such as ``"depth,sigma"``; see `OUTPUTS`. All that the camera can give when absent.
+            Which, such as ``"depth,sigma"``; see `OUTPUTS`. When absent, all that the camera can give, but the formats
+            of other programs (``gdepth``, ``dynamic-depth``, ``exr``, ``glb``, ``usdz``).
         max_relative_sigma : float
-            Largest sigma / depth in what carries no error bar: ``depth-png`` and ``ply``.
+            Largest sigma / depth in what carries no error bar, such as ``depth-png`` and ``ply``.
 
         Returns
         -------
@@ -109,6 +114,8 @@ class DepthFrame:
         ------
         InputError
             An unknown name, depth in mm of a camera without calibration, or a folder that cannot be written.
+        MissingDependencyError
+            ``exr`` or ``usdz`` without its extra.
         """
         from chromaperture.frame.frame_files import save
 
@@ -119,6 +126,32 @@ class DepthFrame:
         from chromaperture.frame.figure import show
 
         return show(self)
+
+    def show_points(
+        self, *, max_relative_sigma: float = MAX_RELATIVE_SIGMA, most_points: int = MOST_POINTS, height_px: int = 400
+    ) -> PointsView:
+        """Return the points as a notebook shows them: turned with the mouse, without a server; needs ``viewer``.
+
+        Parameters
+        ----------
+        max_relative_sigma : float
+            Largest sigma / depth, see `within_error`.
+        most_points : int
+            Of more points, evenly chosen ones are shown; 15 bytes each stay in the notebook.
+        height_px : int
+            Height of the view.
+
+        Raises
+        ------
+        InputError
+            As `points`.
+        MissingDependencyError
+            The extra ``viewer`` is not installed.
+        """
+        from chromaperture.frame.points_view import points_view
+
+        cloud = self.points(max_relative_sigma=max_relative_sigma)
+        return points_view(cloud, most_points=most_points, height_px=height_px)
 
     def to_open3d(self, *, max_relative_sigma: float = MAX_RELATIVE_SIGMA) -> Any:
         """Return the points as ``open3d.geometry.PointCloud``, in metres; needs the extra ``reconstruct``."""

@@ -17,10 +17,21 @@ from chromaperture.threads import parallel_map
 
 @dataclass(frozen=True)
 class Output:
-    """One kind of file: how its name ends, and whether it needs depth in mm."""
+    """One kind of file.
+
+    Attributes
+    ----------
+    suffix : str
+        How its name ends.
+    needs_depth : bool
+        Whether it needs depth in mm.
+    by_default : bool
+        Whether it is written where nobody says what to write.
+    """
 
     suffix: str
     needs_depth: bool = False
+    by_default: bool = True
 
 
 OUTPUTS = {
@@ -32,6 +43,12 @@ OUTPUTS = {
     "ply": Output(".ply", needs_depth=True),
     "preview": Output(".preview.png"),
     "json": Output(".json"),
+    # Formats of other programs, docs/formats.md:
+    "gdepth": Output(".gdepth.jpg", needs_depth=True, by_default=False),
+    "dynamic-depth": Output(".dynamic-depth.jpg", needs_depth=True, by_default=False),
+    "exr": Output(".exr", needs_depth=True, by_default=False),
+    "glb": Output(".glb", needs_depth=True, by_default=False),
+    "usdz": Output(".usdz", needs_depth=True, by_default=False),
 }
 
 
@@ -41,7 +58,8 @@ def chosen_outputs(write: str | Iterable[str] | None, *, is_calibrated: bool = T
     Parameters
     ----------
     write : str or iterable of str, optional
-        Names, in one text with commas between them or one by one; all that the camera can give when None.
+        Names, in one text with commas between them or one by one; when None, all that the camera can give of those
+        written by default.
     is_calibrated : bool
         Whether the camera gives depth in mm.
 
@@ -49,10 +67,12 @@ def chosen_outputs(write: str | Iterable[str] | None, *, is_calibrated: bool = T
     ------
     InputError
         An unknown name, none, or one that needs depth in mm.
+    MissingDependencyError
+        An output needs an extra that is not installed.
     """
     possible = [name for name, output in OUTPUTS.items() if is_calibrated or not output.needs_depth]
     if write is None:
-        return tuple(possible)
+        return tuple(name for name in possible if OUTPUTS[name].by_default)
     names = [name.strip() for name in (write.split(",") if isinstance(write, str) else write)]
     unknown = [name for name in names if name not in OUTPUTS]
     if unknown or not names:
@@ -62,6 +82,14 @@ def chosen_outputs(write: str | Iterable[str] | None, *, is_calibrated: bool = T
         raise InputError(
             f"{', '.join(impossible)} cannot be written without a calibrated camera; choose from {', '.join(possible)}"
         )
+    if "exr" in names:
+        from chromaperture.formats.depth_exr import openexr
+
+        openexr()  # before the work: the extra may be missing
+    if "usdz" in names:
+        from chromaperture.formats.depth_usdz import usd
+
+        usd()
     return tuple(name for name in OUTPUTS if name in names)
 
 
@@ -88,7 +116,7 @@ def write_maps(
     outputs : iterable of str
         From `chosen_outputs`.
     max_relative_sigma : float
-        Largest sigma / depth of ``depth-png`` and ``ply``; the TIFF files are whole.
+        Largest sigma / depth of what carries no error bar; the TIFF and EXR files are whole.
     title, caption : str
         Of the preview.
     depth_range_mm : (float, float), optional
@@ -115,6 +143,10 @@ def write_maps(
 
                 texts = {"title": title or stem, "caption": caption}
                 write_preview(path, frame.image, frame, depth_range_mm=depth_range_mm, **texts)
+            case _:
+                from chromaperture.frame.other_formats import write_format
+
+                write_format(name, path, frame, max_relative_sigma=max_relative_sigma)
 
     jobs = [(name, target(stem + OUTPUTS[name].suffix)) for name in outputs if name != "json"]
     parallel_map(write, jobs)

@@ -100,8 +100,7 @@ def write_mcap(
         image = writer.register_msgdef("sensor_msgs/msg/Image", _IMAGE)
         info = writer.register_msgdef("sensor_msgs/msg/CameraInfo", _CAMERA_INFO)
         for frame in frames:
-            nanoseconds = round(frame.time_s * 1e9)
-            sec, nanosec = divmod(nanoseconds, 10**9)
+            sec, nanosec = divmod(frame.time_ns, 10**9)
             header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": _FRAME}
             z_mm = within_error(frame.z_mm, frame.sigma_mm, max_relative_sigma)
             known = np.isfinite(z_mm) & (z_mm > 0) & (z_mm < 65535)
@@ -119,7 +118,7 @@ def write_mcap(
                 for name, schema, message in messages:
                     topic = f"/camera/{part}/{name}"
                     writer.write_message(
-                        topic, schema, message, log_time=nanoseconds, publish_time=nanoseconds, sequence=count
+                        topic, schema, message, log_time=frame.time_ns, publish_time=frame.time_ns, sequence=count
                     )
             count += 1
         writer.finish()

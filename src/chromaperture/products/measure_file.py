@@ -233,8 +233,8 @@ def write_maps(
     frame_files.write_maps(target, stem, frame, maps, max_relative_sigma=max_relative_sigma)
 
 
-def points(camera: CodedApertureCamera, depth_mm: np.ndarray, color: np.ndarray) -> PointCloud:
-    """Return the points of a depth map of this camera, see `depth_to_points`."""
+def points(camera: CodedApertureCamera, depth_mm: np.ndarray, color: np.ndarray, *, step: int = 1) -> PointCloud:
+    """Return the points of a depth map of this camera, of every so many rows and columns; see `depth_to_points`."""
     lens, delta = camera.calibration.lens, camera.calibration.depth[camera.config.quality].sensor_to_pupil_mm
-    matrix, distortion = lens.camera_matrix, lens.distortion
+    matrix, distortion = np.diag([1 / step, 1 / step, 1]) @ lens.camera_matrix, lens.distortion
     return depth_to_points(depth_mm, color, camera_matrix=matrix, distortion=distortion, sensor_to_pupil_mm=delta)

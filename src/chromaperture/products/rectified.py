@@ -36,6 +36,17 @@ class View:
     index: int = 0
     confidence: np.ndarray | None = None
 
+    @property
+    def time_ns(self) -> int:
+        """The time in nanoseconds; ``time_s * 1e9`` would be rounded to 256 of them."""
+        return nanoseconds(self.time_s)
+
+
+def nanoseconds(time_s: float) -> int:
+    """Return seconds as whole nanoseconds, as exactly as the seconds are known."""
+    whole, part = divmod(time_s, 1.0)
+    return int(whole) * 10**9 + round(part * 1e9)
+
 
 def undistorter(camera: CodedApertureCamera) -> Callable[[DepthFrame, float, int], View]:
     """Return a function that converts a measured frame, its time and number to a View; raises InputError."""

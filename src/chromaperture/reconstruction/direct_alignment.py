@@ -20,9 +20,12 @@ _UNKNOWNS = 8  # three of translation, three of rotation, gain, offset
 _TUKEY = 4.685  # standard deviations at which Tukey's biweight falls to 0: 95 % efficient for Gaussian errors
 _AGREES, _DIFFERS = 1, 2  # distance of a point: within the outlier limit, or not
 # Chosen by hand; not tuned.
-_MAX_POINTS, _MIN_POINTS = 8_000, 50  # of a scale: bounds its time; fewer do not determine eight unknowns robustly
+_MIN_POINTS = 50  # of a scale: fewer do not determine eight unknowns robustly
 _LEVELS, _MIN_SIDE_PX = 4, 40  # scales of the pyramid, each half as large, and the least side of the coarsest
-_ROUNDS, _CONVERGED_PX = 12, 0.02  # Gauss-Newton steps of a scale; a smaller step ends them
+# Points of a scale: so many pixels of the largest gradients, evenly thinned. Twice as many points take twice the time
+# and err as much (docs/reconstruction.md); fewer candidates lie on few strong edges, which may be an occluder's.
+_CANDIDATES, _MAX_POINTS = 16_000, 4_000
+_ROUNDS, _CONVERGED_PX = 12, 0.05  # Gauss-Newton steps of a scale; a smaller step ends them
 _START_SIGMA, _MIN_SIGMA = 20.0, 0.5  # grey levels: standard deviation before the first round, and of rounding alone
 _MAX_SLOPE = 0.02  # change of distance per px, of the distance, above which its gradient is that of an edge
 _DAMPING = 1e-4  # added to the diagonal of the normal equations, scaled to 1
@@ -75,8 +78,8 @@ def select_points(level: Level) -> np.ndarray:
     known = np.isfinite(level.z_mm)
     known[[0, -1]] = known[:, [0, -1]] = False
     slope = np.hypot(level.grad_x, level.grad_y)
-    if known.sum() > _MAX_POINTS:
-        known &= slope >= np.quantile(slope[known], max(0.5, 1 - 2 * _MAX_POINTS / known.sum()))
+    if known.sum() > _CANDIDATES / 2:
+        known &= slope >= np.quantile(slope[known], max(0.5, 1 - _CANDIDATES / known.sum()))
     rows, columns = np.nonzero(known)
     step = max(1, math.ceil(len(rows) / _MAX_POINTS))
     rows, columns = rows[::step], columns[::step]
@@ -265,7 +268,7 @@ def normal_equations(points, level, motion, brightness, grey_sigma, depth_weight
         j[3], j[4], j[5] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
         j[6], j[7] = -points[n, 3], -1.0
         ratio = abs(r) / grey_sigma
-        # An occluder of unknown distance is a one-sided outlier: its weight must fall to 0 (docs/reconstruction.md).
+        # An occluder of unknown distance is a one-sided outlier: its weight must fall to 0 (docs/measurements.md).
         weight = (1.0 - (ratio / _TUKEY) ** 2) ** 2 / (grey_sigma * grey_sigma) if ratio < _TUKEY else 0.0
         _add(total, j, weight, r, _UNKNOWNS)
         if not abs(apart) <= outlier_mm:  # unknown, or another surface

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from chromaperture.products.rectified import View
+from chromaperture.reconstruction.camera_matrix import scaled
 from chromaperture.reconstruction.clean_views import cleaned
 from chromaperture.reconstruction.motion import ConstantVelocity
 from chromaperture.reconstruction.settings import ReconstructionConfig
@@ -18,7 +19,6 @@ from chromaperture.reconstruction.tracking import (
     PreparedView,
     Track,
     prepare,
-    scaled,
     track,
     turn_deg,
 )
@@ -29,7 +29,8 @@ _MAX_KEYFRAMES = 300  # of a submap
 _KEYFRAME_DISTANCE = 0.2  # picture widths: a view farther from every keyframe becomes one
 _GOOD_SCORE, _POOR_SCORE = 0.65, 0.3  # of `Track`: from which no other guess is tried; below which all are
 _CANDIDATES = 3  # most similar keyframes tried for a lost frame
-_REFRESH = 4  # views fused until the keyframe takes its distances from the model again
+_REFRESH = 4  # frames followed until the keyframe takes its distances from the model again
+_CAST_PX = 2  # px of the keyframe a ray: about 1.5 voxels; docs/reconstruction.md: a ray for every px gains nothing
 _VOXELS_OF_DISTANCE, _MIN_VOXEL_MM, _MAX_VOXEL_MM = 200, 0.5, 50.0  # default edge: 1/200 of the distance, in limits
 _JOIN_CORRELATION, _JOIN_OVERLAP = 0.75, 0.5  # stricter than in tracking, which has a prior
 _JOIN_EVERY = 3  # frames between two searches in older submaps
@@ -59,12 +60,12 @@ class Submap:
     root: int = 0  # the submap that it was joined to, itself at first
     to_root: np.ndarray = field(default_factory=lambda: np.eye(4))  # its pose in that one's frame, (4, 4) float64
 
-    def surface(self) -> Mesh:
+    def surface(self, *, ordered: bool = True) -> Mesh:
         """Return the mesh in the submap's own frame."""
         if self.mesh is not None:
             return self.mesh
         assert self.volume is not None
-        return self.volume.mesh()
+        return self.volume.mesh(ordered=ordered)
 
 
 class Reconstruction:
@@ -93,7 +94,7 @@ class Reconstruction:
         self._pose, self._motion = np.eye(4), ConstantVelocity(np.eye(4), 0.0)
         self._reported_full = False
         self._active: Keyframe | None = None
-        self._fused = 0
+        self._followed = self._cast_at = 0  # frames tracked, and how many when distances were last cast
         self._join_candidate: tuple[int, np.ndarray] | None = None
 
     @property
@@ -133,9 +134,9 @@ class Reconstruction:
         """Return one mesh for every world frame, in the order of `roots`, each of all its submaps; empty ones too."""
         return [self.mesh(root) for root in self.roots]
 
-    def mesh(self, root: int) -> Mesh:
-        """Return the mesh of all submaps joined to one."""
-        return joined([(s.surface(), s.to_root) for s in self.submaps if s.root == root])
+    def mesh(self, root: int, *, ordered: bool = True) -> Mesh:
+        """Return the mesh of all submaps joined to one; not ``ordered``, its vertices come as in no other run."""
+        return joined([(s.surface(ordered=ordered), s.to_root) for s in self.submaps if s.root == root])
 
     def _begin(self, view: View, prepared: PreparedView) -> Placed:
         known = np.isfinite(view.z_mm)
@@ -216,15 +217,18 @@ class Reconstruction:
     def _fuse(self, view: View, prepared: PreparedView, submap: Submap) -> None:
         volume = submap.volume
         assert volume is not None
+        self._followed += 1
+        is_far = all(key.distance_to(self._pose, prepared.median_mm) > _KEYFRAME_DISTANCE for key in submap.keyframes)
+        if not is_far and self._followed % self.config.fuse_every:
+            return
         volume.integrate(view, self.camera_matrix, self._pose)
-        self._fused += 1
         if volume.full and not self._reported_full:
             self._reported_full = True
             self.listener(
                 f"frame {view.index}: the volume is full ({self.config.memory_mb} MB); new surface is NOT added. "
                 "Use --memory-mb or a larger --voxel-mm"
             )
-        if all(key.distance_to(self._pose, prepared.median_mm) > _KEYFRAME_DISTANCE for key in submap.keyframes):
+        if is_far:
             submap.keyframes.append(prepared.keyframe(self._pose))
             del submap.keyframes[1 : 1 + max(0, len(submap.keyframes) - _MAX_KEYFRAMES)]
 
@@ -232,15 +236,15 @@ class Reconstruction:
         """Return the oldest keyframe close to a pose: the older, the less it has drifted."""
         close = (key for key in submap.keyframes if key.distance_to(pose, prepared.median_mm) <= _KEYFRAME_DISTANCE)
         chosen = next(close, None) or self._nearest(pose, prepared, submap)
-        if chosen is not self._active or self._fused >= _REFRESH:
+        if chosen is not self._active or self._followed - self._cast_at >= _REFRESH:
             if self._active is not None:
                 self._active.free_points()
-            self._active, self._fused = chosen, 0
+            self._active, self._cast_at = chosen, self._followed
             assert submap.volume is not None
             # The model's distances: frames are tracked against it, not against one measurement.
             matrix = scaled(self.camera_matrix, self.config.tracking_scale)
-            z_mm = submap.volume.ray_cast(matrix, chosen.pose, chosen.grey.shape[1], chosen.grey.shape[0])
-            chosen.set_distances(np.where(z_mm > 0, z_mm, np.float32(np.nan)))
+            height, width = chosen.grey.shape
+            chosen.set_distances(submap.volume.ray_cast(matrix, chosen.pose, width, height, reduced=_CAST_PX))
         return chosen
 
     def _nearest(self, pose: np.ndarray, prepared: PreparedView, submap: Submap) -> Keyframe:

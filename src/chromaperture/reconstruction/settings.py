@@ -20,7 +20,7 @@ class ReconstructionConfig:
     max_distance_mm : float
         Farther points are removed.
     max_relative_sigma : float
-        Pixels whose standard deviation exceeds this fraction of their distance are removed. docs/reconstruction.md:
+        Pixels whose standard deviation exceeds this fraction of their distance are removed. docs/measurements.md:
         narrower limits do not help.
     edge_jump : float
         Relative step of distance within ``edge_px`` from which a pixel is a flying one.
@@ -34,7 +34,7 @@ class ReconstructionConfig:
         Points farther from the model are outliers; at 2 m, proportional to the distance beyond.
     depth_weight : float
         Weight of a pixel's distance relative to its brightness in tracking; far below 1 because errors of
-        neighbours are correlated. docs/reconstruction.md: other weights do not help.
+        neighbours are correlated. docs/measurements.md: other weights do not help.
     min_overlap : float
         Fraction of the keyframe's points that must be visible at their distance, else the frame is lost.
     min_correlation : float
@@ -43,6 +43,8 @@ class ReconstructionConfig:
         Largest difference between the estimated pose and its guess, else the frame is lost.
     submap_after : int
         Frames lost in a row after which a new submap begins.
+    fuse_every : int
+        Of frames that follow each other one in so many is fused; a new keyframe is in any case. All are tracked.
     """
 
     voxel_mm: float | None = None
@@ -60,6 +62,7 @@ class ReconstructionConfig:
     max_step_mm: float = 300.0
     max_turn_deg: float = 20.0
     submap_after: int = 10
+    fuse_every: int = 1
 
     def __post_init__(self) -> None:
         if self.voxel_mm is not None and not 0.1 <= self.voxel_mm <= 1000:
@@ -68,5 +71,6 @@ class ReconstructionConfig:
         for name in (*lengths, "max_relative_sigma", "edge_jump", "depth_weight"):
             if not getattr(self, name) > 0:
                 raise InputError(f"{name} must be positive, got {getattr(self, name):g}")
-        if self.memory_mb < 16 or self.tracking_scale < 1 or self.edge_px < 0 or self.submap_after < 1:
-            raise InputError("memory_mb must be at least 16, tracking_scale and submap_after at least 1")
+        counts = (self.tracking_scale, self.submap_after, self.fuse_every)
+        if self.memory_mb < 16 or self.edge_px < 0 or min(counts) < 1:
+            raise InputError("memory_mb must be at least 16, tracking_scale, submap_after and fuse_every at least 1")

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from chromaperture.products.rectified import View
+from chromaperture.reconstruction.camera_matrix import scaled
 from chromaperture.reconstruction.direct_alignment import Level, align, pyramid, select_points
 from chromaperture.reconstruction.settings import ReconstructionConfig
 
@@ -147,11 +148,3 @@ def shrunk(view: View, scale: int) -> View:
     color = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
     z_mm, sigma_mm = (np.ascontiguousarray(m[rows, columns]) for m in (view.z_mm, view.sigma_mm))
     return View(color, z_mm, sigma_mm, view.time_s, view.index)
-
-
-def scaled(camera_matrix: np.ndarray, scale: int) -> np.ndarray:
-    """Return the camera matrix of the reduced picture, whose pixel centres lie at (scale - 1) / 2 of the full one's."""
-    matrix = np.array(camera_matrix, float)
-    matrix[:2] /= scale
-    matrix[:2, 2] -= (scale - 1) / (2 * scale)
-    return matrix

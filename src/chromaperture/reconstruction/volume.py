@@ -12,12 +12,12 @@ import numpy as np
 
 from chromaperture.errors import MissingDependencyError
 from chromaperture.products.rectified import View
+from chromaperture.reconstruction.camera_matrix import scaled
 from chromaperture.reconstruction.fusion_kernels import Pixels, Voxels, clear_faint, fuse, holds_surface
+from chromaperture.reconstruction.ray_casting import EDGE, cast_rays, enlarged_distances, table_of
 from chromaperture.threads import in_parallel
 
-EDGE = 16  # voxels along a block
 BLOCK_BYTES = EDGE**3 * 4 * 5  # tsdf, weight, three colours
-_RANGE_PX = 8  # cell in which Open3D bounds rays; it reads past the last whole one, so pictures are cast in whole cells
 # Chosen by hand; not tuned. Weight 1 is a pixel of the first view's median standard deviation.
 _KNOWN_WEIGHT = 0.01  # from which a voxel is used by a ray
 _MESH_WEIGHT = 1.5  # from which the mesh has a surface
@@ -156,32 +156,27 @@ class Volume:
         tsdf, weight, color = (self.grid.attribute(name).numpy() for name in ("tsdf", "weight", "color"))
         return Voxels(tsdf[..., 0], weight[..., 0], color)
 
-    def ray_cast(self, camera_matrix: np.ndarray, camera_to_world: np.ndarray, width: int, height: int) -> np.ndarray:
-        """Return the distances of the model in a camera's picture; (height, width) float32 mm, 0 unknown."""
-        keys = self.grid.hashmap().key_tensor()[self.grid.hashmap().active_buf_indices().to(self._core.int64)]
-        if len(keys) == 0:
-            return np.zeros((height, width), np.float32)
-        cast = self.grid.ray_cast(
-            keys, *self._camera(camera_matrix, camera_to_world),
-            -(-width // _RANGE_PX) * _RANGE_PX, -(-height // _RANGE_PX) * _RANGE_PX,
-            ["depth", "index", "mask", "interp_ratio"], depth_scale=1000.0, depth_min=0.05,
-            depth_max=self.max_distance_mm / 1000, weight_threshold=_KNOWN_WEIGHT,
-            trunc_voxel_multiplier=self.truncation_voxels, range_map_down_factor=_RANGE_PX,
+    def ray_cast(
+        self, camera_matrix: np.ndarray, camera_to_world: np.ndarray, width: int, height: int, *, reduced: int = 1
+    ) -> np.ndarray:
+        """Return the distances of the model in a camera's picture; (height, width) float32 mm, NaN unknown.
+
+        A ray is cast for every square of ``reduced`` px; distances between are interpolated, see `enlarged_distances`.
+        """
+        table = self.grid.hashmap()
+        slots = table.active_buf_indices().numpy().astype(np.int64)
+        voxels = self._voxels()
+        z_mm = cast_rays(
+            (voxels.tsdf, voxels.weight), table_of(table.key_tensor().numpy()[slots], slots),
+            scaled(camera_matrix, reduced), np.asarray(camera_to_world, float),
+            (-(-height // reduced), -(-width // reduced)),
+            voxel_mm=self.voxel_mm, truncation_mm=self.voxel_mm * self.truncation_voxels,
+            max_distance_mm=self.max_distance_mm, min_weight=_KNOWN_WEIGHT,
         )  # fmt: skip
-        z_mm = cast["depth"].numpy()[..., 0]
-        z_mm = np.where(z_mm > 0, z_mm + self._remainder_mm(cast), 0).astype(np.float32)
-        return z_mm[:height, :width].copy()
+        return z_mm if reduced == 1 else enlarged_distances(z_mm, reduced, (height, width))
 
-    def _remainder_mm(self, cast: Any) -> np.ndarray:
-        """Return the distance from a ray cast's points to the surface: Open3D's stop about a voxel behind it."""
-        tsdf = self.grid.attribute("tsdf").numpy().reshape(-1)
-        weight = np.where(cast["mask"].numpy(), cast["interp_ratio"].numpy(), 0.0)
-        distance = np.einsum("hwn,hwn->hw", tsdf[cast["index"].numpy()], weight) / np.maximum(weight.sum(axis=2), 1e-6)
-        remainder_mm = distance * self.truncation_voxels * self.voxel_mm
-        return remainder_mm.clip(-2 * self.voxel_mm, 2 * self.voxel_mm)
-
-    def mesh(self, *, min_weight: float = _MESH_WEIGHT) -> Mesh:
-        """Extract the surface where voxels have that weight."""
+    def mesh(self, *, min_weight: float = _MESH_WEIGHT, ordered: bool = True) -> Mesh:
+        """Extract the surface where voxels have that weight, see `in_order`."""
         empty = Mesh(np.empty((0, 3), np.float32), np.empty((0, 3), np.int32), np.empty((0, 3), np.uint8))
         if self.blocks == 0:
             return empty
@@ -190,7 +185,8 @@ class Volume:
             return empty
         colors = np.rint(np.clip(found.vertex.colors.numpy(), 0.0, 1.0) * 255).astype(np.uint8)
         vertices = (found.vertex.positions.numpy() * 1000).astype(np.float32)
-        return in_order(Mesh(vertices, found.triangle.indices.numpy().astype(np.int32), colors))
+        mesh = Mesh(vertices, found.triangle.indices.numpy().astype(np.int32), colors)
+        return in_order(mesh) if ordered else mesh
 
     def _blocks_of(self, z_mm: np.ndarray, camera_matrix: np.ndarray, camera_to_world: np.ndarray) -> np.ndarray:
         image = self._o3d.t.geometry.Image(self._core.Tensor(np.nan_to_num(z_mm).astype(np.float32)))

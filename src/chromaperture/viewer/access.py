@@ -27,7 +27,7 @@ _CONTENT = (
     "style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; font-src 'self' data:; "
     "connect-src 'self' blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-_HEADERS = {
+HEADERS = {
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
@@ -189,7 +189,7 @@ def _checked(access: Access) -> Iterator[Callable[[], bool]]:
             else:
                 response = process_request(connection, Request(access.inner_path(request.path), headers))
             if response is not None:
-                for name, value in _HEADERS.items():
+                for name, value in HEADERS.items():
                     response.headers[name] = value
             return response
 

@@ -74,11 +74,11 @@ class LiveScene:
     def _draw_points(self, measured: DepthFrame, turn: np.ndarray, shift: np.ndarray) -> None:
         depth = measured.depth_mm
         step = max(1, round((depth.size / _POINTS) ** 0.5))
-        thin = np.full_like(depth, np.nan)
+        thinned = (slice(None, None, step),) * 2
         c = self._loop.config  # pixels between two surfaces are removed, as in the model
-        flying = near_steps(depth, jump=c.edge_jump, reach_px=c.edge_px)
-        thin[::step, ::step] = np.where(flying, np.float32(np.nan), depth)[::step, ::step]
-        cloud = camera_points(self._loop.camera, thin, measured.color)
+        flying = near_steps(depth, jump=c.edge_jump, reach_px=c.edge_px)[thinned]
+        thin = np.where(flying, np.float32(np.nan), depth[thinned])
+        cloud = camera_points(self._loop.camera, thin, measured.color[thinned], step=step)
         points = (cloud.points_mm @ turn.T + shift) / 1000
         between_m = step / self._loop.camera.calibration.lens.camera_matrix[0, 0] * median_distance(thin) / 1000
         size = _POINT_OVERLAP * between_m if len(points) else 0.004  # m, of no point

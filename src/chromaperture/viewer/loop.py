@@ -35,6 +35,9 @@ from chromaperture.viewer.trail import Trail
 from chromaperture.viewer.watchdog import Watchdog
 
 STAGES = ("capture", "depth", "tracking", "view")
+_PATIENCE_S = 0.5  # of depth with tracking: then the page goes on without a model; longer than a mesh takes; by hand
+FUSE_EVERY = 2  # frames of a camera lie close together: docs/reconstruction.md
+_MESH_REST = 10.0  # pause after a mesh in units of its duration, while nothing is tracked; by hand
 _JOIN_S = 30.0  # for all stages together when the loop ends, then for a recording: a slow frame and disk; by hand
 
 
@@ -74,6 +77,8 @@ class LiveLoop:
     ----------
     latest : str
         The last message for the user.
+    to_stream : Slot, optional
+        Receives every measurement, beside the page; set before the loop runs.
     """
 
     def __init__(
@@ -101,10 +106,15 @@ class LiveLoop:
         self.trail = Trail()
         self.mesh: Mesh | None = None
         self.model: Reconstruction | None = None
-        self.track, self.config, self._mesh_every_s = track, config or ReconstructionConfig(), mesh_every_s
+        self.track, self.config, self._mesh_every_s = (
+            track,
+            config or ReconstructionConfig(fuse_every=FUSE_EVERY),
+            mesh_every_s,
+        )
         self._leave = threading.Event()
         self._to_depth, self._to_track = Slot[tuple[float, Frame]](), Slot[Measured]()
         self.to_view = Slot[Measured]()
+        self.to_stream: Slot[Measured] | None = None
         self._to_disk: Slot[Frame] | None = None
         self._recorder: threading.Thread | None = None
         self._starting = threading.Lock()  # two clicks at once start one recording
@@ -129,6 +139,8 @@ class LiveLoop:
         self._leave.set()
         for slot in (self._to_depth, self._to_track, self.to_view):
             slot.close(drop=True)
+        if self.to_stream is not None:
+            self.to_stream.close()
         self.stop_recording()
         with contextlib.suppress(Exception):
             self.source.__exit__(None, None, None)  # wakes a stage waiting for a frame
@@ -243,7 +255,11 @@ class LiveLoop:
 
     def _depth(self) -> None:
         tidied = time.monotonic()
-        while (item := self._to_depth.take()) is not None:
+        while True:
+            if self.track:  # a frame measured while another waits would be left out, and its work lost
+                self._to_track.wait_taken(_PATIENCE_S)
+            if (item := self._to_depth.take()) is None:
+                break
             start = time.monotonic()
             if start - tidied > self._tidy_every_s:
                 tidy()
@@ -260,6 +276,8 @@ class LiveLoop:
             now = time.monotonic()
             self.meters["depth"].record(now - start, now - arrived)
             self.to_view.put(measured)
+            if self.to_stream is not None:
+                self.to_stream.put(measured, patient=not self.source.live)
             if self.track:
                 self._to_track.put(measured, patient=not self.source.live)
         self._to_track.close()
@@ -270,7 +288,7 @@ class LiveLoop:
         model = Reconstruction(self.camera.calibration.lens.camera_matrix, self.config, listener=self.say_rarely)
         self.model = model
         to_view = undistorter(self.camera)
-        meshed, root = time.monotonic(), 0
+        next_mesh, root = time.monotonic() + self._mesh_every_s, 0
         while (item := self._to_track.take()) is not None:
             start = time.monotonic()
             with self.watchdog.stage("track"):
@@ -286,10 +304,13 @@ class LiveLoop:
                     root, self.trail = placed.submap, Trail()
                 if placed.pose is not None:
                     self.trail.add(placed.pose[:3, 3])
-                if self.want_mesh.is_set() and start - meshed > self._mesh_every_s and model.current is not None:
-                    self.mesh, meshed = model.mesh(model.current.root), start
+                if self.want_mesh.is_set() and start > next_mesh and model.current is not None:
+                    began = time.monotonic()
+                    self.mesh = model.mesh(model.current.root, ordered=False)
                     self.want_mesh.clear()
                     trim_memory()
+                    taken = time.monotonic() - began
+                    next_mesh = start + max(self._mesh_every_s, _MESH_REST * taken)
             now = time.monotonic()
             self.meters["tracking"].record(now - start, now - item.arrived)
         if model.current is not None:
@@ -298,6 +319,8 @@ class LiveLoop:
 
     def _finish(self) -> None:
         self.to_view.close()
+        if self.to_stream is not None:
+            self.to_stream.close()
         self.over.set()
 
 

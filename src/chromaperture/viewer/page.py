@@ -30,6 +30,7 @@ from chromaperture.viewer.probe import probe_html, values_html
 # Chosen by hand: the page must leave the processor to depth and tracking.
 _REFOCUS_REST = 3.0  # pause after a refocused picture, in units of its duration
 _MIN_PERIOD_S = 0.1  # shortest interval of two pages
+_REST = 2.0  # pause after a page, in units of its duration: on a busy machine it yields to depth and tracking
 # CSS pixels, chosen by hand: at 1400 x 900 both panels show all they hold, and the scene has half of the width.
 _PICTURES_WIDTH, _CONTROLS_WIDTH = 400, 320
 _STATE_EVERY_S = 1.0  # pause between two states of a page without frames, chosen by hand: it counts seconds
@@ -182,7 +183,7 @@ class LivePage:
                 self.loop.want_mesh.set()
             now = time.monotonic()
             meter.record(now - start, now - item.arrived)
-            time.sleep(max(0.0, _MIN_PERIOD_S - (now - start)))
+            time.sleep(max(_REST * (now - start), _MIN_PERIOD_S - (now - start)))
 
     def _report(self, error: Exception) -> None:
         line = f"this frame could not be drawn: {_line(error)}"
@@ -215,7 +216,7 @@ class LivePage:
         self.confidence.image = confidence_picture(measured.confidence[half, half])
         # Not cut at the error bar, which is shown beside it.
         self.values.content = values_html(measured.depth_mm[half, half], measured.sigma_mm[half, half])
-        self._depth_line = depth_line(depth, measured.sigma_mm)
+        self._depth_line = depth_line(depth[half, half], measured.sigma_mm[half, half])
         self._show_state()
         with self.server.atomic():
             self.scene.draw(shown)

@@ -42,6 +42,11 @@ class Slot(Generic[T]):
         with self._change:
             return self._change.wait_for(lambda: self._item is not None or self._closed, timeout_s)
 
+    def wait_taken(self, timeout_s: float) -> bool:
+        """Wait so long at most until the item was taken, or the end; whether `put` would replace nothing."""
+        with self._change:
+            return self._change.wait_for(lambda: self._item is None or self._closed, timeout_s)
+
     def __len__(self) -> int:
         return int(self._item is not None)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from chromaperture.disparity.stages.paths import LEAST_UNEXPLAINED
 
-_TANGENTS = 2  # iterations; chosen by hand
+TANGENTS = 2  # iterations; chosen by hand
 
 
 def between_layers(
@@ -43,7 +43,7 @@ def between_layers(
     left, right = np.exp(2 * (here - before)), np.exp(2 * (here - after))  # as multiples of the layer's own
     slope, bend = (right - left) / 2, np.maximum((left + right) / 2 - 1, 0)
     offset = np.zeros(slope.shape, np.float32)
-    for _ in range(_TANGENTS):
+    for _ in range(TANGENTS):
         unexplained = np.maximum(1 + offset * (slope + offset * bend), np.float32(LEAST_UNEXPLAINED))
         pull, stiffness = _averaged(slope / unexplained, sigma_px), _averaged(2 * bend / unexplained, sigma_px)
         offset = np.clip(-pull / np.maximum(stiffness, np.float32(1e-9)), -0.5, 0.5)

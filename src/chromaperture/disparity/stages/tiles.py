@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -19,9 +20,9 @@ import scipy.fft
 from chromaperture.optics.lens_blur import low_frequencies
 from chromaperture.threads import parallel_map
 
-_BACKGROUND_PX = 30.0  # smoother parts are shading: no period fits into a tile, only its border effects; chosen by hand
+BACKGROUND_PX = 30.0  # smoother parts are shading: no period fits into a tile, only its border effects; chosen by hand
 SAMPLING_PX = 1.5  # distance of two samples of a tile
-_LAG_PX = 8.0  # of the lag window: it resolves spectra to 1 / (2 pi 8) = a fiftieth of a cycle a px
+LAG_PX = 8.0  # of the lag window: it resolves spectra to 1 / (2 pi 8) = a fiftieth of a cycle a px
 # Of the nodes, along the width: a surface of focus that is curved by 2.5 px of blur errs by 0.02 px between them
 # (docs/equations.md, "Layers and fields").
 _SPACINGS = 9
@@ -30,12 +31,12 @@ _LEAST_SPACING_PX = 40.0  # of the nodes; closer ones would only filter the same
 
 def without_shading(image: np.ndarray) -> np.ndarray:
     """Subtract the parts that vary slowly over the picture; (H, W, 3) float32."""
-    return np.asarray(image - cv2.GaussianBlur(image, (0, 0), _BACKGROUND_PX))
+    return np.asarray(image - cv2.GaussianBlur(image, (0, 0), BACKGROUND_PX))
 
 
 def high_pass(frequency: np.ndarray) -> np.ndarray:
     """Gain of `without_shading` at frequencies in cycles a px."""
-    return np.asarray(-np.expm1(-((2 * np.pi * frequency * _BACKGROUND_PX) ** 2) / 2))
+    return np.asarray(-np.expm1(-((2 * np.pi * frequency * BACKGROUND_PX) ** 2) / 2))
 
 
 def signal_fraction(spectrum: np.ndarray, noise_power: np.ndarray, *, sampling_px: float = 1.0) -> np.ndarray:
@@ -58,7 +59,7 @@ def signal_fraction(spectrum: np.ndarray, noise_power: np.ndarray, *, sampling_p
     """
     size = spectrum.shape[1]
     lag2 = np.minimum(np.arange(size), size - np.arange(size)).astype(np.float32) ** 2
-    window = np.exp(-(lag2[:, None] + lag2) / np.float32(2 * (_LAG_PX / sampling_px) ** 2))
+    window = np.exp(-(lag2[:, None] + lag2) / np.float32(2 * (LAG_PX / sampling_px) ** 2))
     power = scipy.fft.rfft2(scipy.fft.irfft2(np.abs(spectrum) ** 2, s=(size, size)) * window).real
     noise = np.asarray(noise_power, np.float32)[:, None, None]
     return np.asarray(np.clip(1 - noise / np.maximum(power, noise + np.float32(1e-30)), 0, 1))
@@ -75,6 +76,19 @@ class TileSpectrum:
         """Return two channels, both without the frequencies that are noise in either: they must stay comparable."""
         both = np.minimum(self.signal[a], self.signal[b])
         return self.channels[a] * both, self.channels[b] * both
+
+
+class NodeAxis(NamedTuple):
+    """Nodes along one axis: where the part of each tile that is no margin begins, and the weights of its samples.
+
+    Attributes
+    ----------
+    starts : (N,) int
+    weights : (N, 2 half) float64
+    """
+
+    starts: np.ndarray
+    weights: np.ndarray
 
 
 class Nodes:
@@ -101,6 +115,8 @@ class Nodes:
         (x, y) of every node, px.
     weights : list of (2 half, 2 half, 2) float32
         For P and Q alike.
+    down, across : NodeAxis
+        Of which the weights are products.
     """
 
     def __init__(self, height_px: int, width_px: int, *, margin_px: float) -> None:
@@ -113,14 +129,19 @@ class Nodes:
         self.size = 4 * scipy.fft.next_fast_len(math.ceil((self.half + int(margin_px / SAMPLING_PX)) / 2), real=True)
         self.places = [(float(x), float(y)) for y in rows for x in columns]
         offsets = np.arange(-self.half, self.half)
-        row_weights, column_weights = (
-            [np.clip(1 - np.abs(_middle(node) + offsets - node / SAMPLING_PX) / step, 0, 1) for node in axis]
+        self.down, self.across = (
+            NodeAxis(
+                np.array([_middle(node) - self.half for node in axis]),
+                np.stack(
+                    [np.clip(1 - np.abs(_middle(node) + offsets - node / SAMPLING_PX) / step, 0, 1) for node in axis]
+                ),
+            )
             for axis, step in zip((rows, columns), steps, strict=True)
         )
         self.weights = [
             np.repeat(np.outer(y, x)[..., None], 2, axis=-1).astype(np.float32)
-            for y in row_weights
-            for x in column_weights
+            for y in self.down.weights
+            for x in self.across.weights
         ]
 
     @property
@@ -158,28 +179,38 @@ class Nodes:
         noise_margin : float
             Noise counts as this many times its power.
         """
-        detail = self._cuts(without_shading(image))
+        detail = self.cuts(without_shading(image))
         scale = np.float32(SAMPLING_PX**2)  # a sample keeps the value of its pixel
-        noise = None
-        if noise_variance is not None:
-            noise = self._cuts(np.where(np.isfinite(noise_variance), noise_variance, 0).astype(np.float32))
+        powers = None if noise_variance is None else self.noise_powers(noise_variance, noise_margin=noise_margin)
 
         def of_tile(i: int) -> TileSpectrum:
             spectrum = low_frequencies(scipy.fft.rfft2(detail[i]), self.size) / scale
-            if noise is None:
+            if powers is None:
                 return TileSpectrum(spectrum, np.ones((3, 1, 1), np.float32))
-            # White noise has the same power at the frequencies that are kept; the spectra were scaled.
-            power = noise_margin * noise[i].sum(axis=(1, 2)) / SAMPLING_PX**4
-            return TileSpectrum(spectrum, signal_fraction(spectrum, power, sampling_px=SAMPLING_PX))
+            return TileSpectrum(spectrum, signal_fraction(spectrum, powers[i], sampling_px=SAMPLING_PX))
 
         return parallel_map(of_tile, range(len(detail)))
 
-    def _cuts(self, image: np.ndarray) -> list[np.ndarray]:
+    def noise_powers(self, noise_variance: np.ndarray, *, noise_margin: float = 1.0) -> np.ndarray:
+        """Power of the noise in the spectrum of every tile, at any frequency; (tiles, 3)."""
+        finite = np.where(np.isfinite(noise_variance), noise_variance, 0).astype(np.float32)
+        sums = np.stack([cut.sum(axis=(1, 2)) for cut in self.cuts(finite)])
+        # White noise has the same power at the frequencies that are kept; the spectra were scaled.
+        return np.asarray(noise_margin * sums / SAMPLING_PX**4)
+
+    @property
+    def corners_px(self) -> list[tuple[int, int]]:
+        """First pixel (x, y) of every tile; beyond the frame the picture is mirrored."""
+        pad = self.size_px // 2
+        return [(round(_middle(x) * SAMPLING_PX) - pad, round(_middle(y) * SAMPLING_PX) - pad) for x, y in self.places]
+
+    def cuts(self, image: np.ndarray) -> list[np.ndarray]:
         """Return the tiles of an image, (3, n, n) px each."""
         size, pad = self.size_px, self.size_px // 2
         padded = cv2.copyMakeBorder(image, pad, pad, pad, pad, cv2.BORDER_REFLECT_101)
-        corners = [tuple(round(_middle(n) * SAMPLING_PX) for n in place) for place in self.places]
-        return [padded[y : y + size, x : x + size].transpose(2, 0, 1) for x, y in corners]
+        return [
+            padded[y + pad : y + pad + size, x + pad : x + pad + size].transpose(2, 0, 1) for x, y in self.corners_px
+        ]
 
 
 def _middle(place_px: float) -> int:

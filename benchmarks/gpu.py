@@ -1,0 +1,170 @@
+"""The matcher on a device (WGSL) against the compiled one (Numba), and what every stage moves and computes.
+
+    python benchmarks/gpu.py [--device gpu] [--quality real-time] [--design cy_halves] [--size 1280x720] [--json]
+
+Nothing is timed before its output has been compared with the CPU's: a dispatch that failed is fast. Times of stages
+are the device's own timestamps. On a rasteriser in software both share the same cores: only the ratio says something.
+
+Bytes are those of the arrays that a stage binds, each once: what it must move if no cache kept anything from one stage
+to the next and nothing was read twice. Operations are additions, multiplications, comparisons and square roots of the
+inner loops, counted in the sources. The larger of bytes over the memory's bandwidth and operations over the arithmetic
+rate is the least time that a device of these could take; `--bandwidth` and `--rate` give them (an H200: 4800 GB/s,
+60 TFLOP/s by its data sheet).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from matcher import scene
+
+from chromaperture.config import PaperConfig, RealTimeConfig
+from chromaperture.disparity.estimate import method_for
+from chromaperture.disparity.gpu.device import Chain, Dispatch
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, on_device
+from chromaperture.optics.aperture import design_named
+from chromaperture.threads import limited_threads, thread_count
+
+ROUNDS = 6
+AGREEING_PX, LEAST_AGREEING = 0.02, 0.97  # Numba decides otherwise where two layers are as good
+
+
+def capture(design: str, width: int, height: int) -> np.ndarray:
+    """The scene of `matcher.py` as the sensor sees it, (H, W, 3)."""
+    from chromaperture.color.unmixing import ideal_unmixing, view_directions
+
+    aperture = design_named(design)
+    views, _, _ = scene(view_directions(aperture), shape=(height, width))
+    image = np.stack(views, -1) @ np.linalg.pinv(ideal_unmixing(aperture)).T
+    return (0.9 / image.max() * image).astype(np.float32)
+
+
+def operations(dispatch: Dispatch) -> float:
+    """Operations of a stage's inner loops."""
+    c: Mapping[str, Any] = dispatch.constants
+    invocations = 64.0 * dispatch.groups[0] * dispatch.groups[1]
+    repeated = (c["block"] + c["reach"]) / c["block"] if "block" in c else 1.0
+    views = c.get("view_count", 0)
+    pairs = 3 if views == 3 else 1
+    per: dict[str, Callable[[], float]] = {
+        "light": lambda: 8 * c["pixels"],
+        "views": lambda: 24 * invocations,
+        "halve_rows": lambda: 5 * (24 + 2 * (c["view_count"] + 2)) * invocations,
+        "halve_columns": lambda: 10 * invocations,
+        "blur": lambda: 0.0 if c["sparse"] else 2 * len(c["taps"]) * invocations,  # next to nothing is unusable
+        "variance": lambda: 3 * c["view_count"] * c["pixels"],
+        "guide_scale": lambda: 4 * 4 * 3 * c["sparse_count"],
+        "sample_y": lambda: 8 * invocations,
+        "sample_x": lambda: 8 * invocations,
+        "windows_x": lambda: c["block"] * (2 * repeated * 6 + 6) * invocations,
+        "windows_y": lambda: c["block"] * (2 * repeated * 8 + 8) * invocations,
+        "products_x": lambda: c["block"] * (2 * repeated * (3 * views + 4 * pairs) + 6 * pairs) * invocations,
+        "correlation": lambda: c["block"] * (2 * repeated * (3 * views + 6 * pairs) + 8 * pairs) * invocations,
+        "likelihood": lambda: (22 if c["labelled"] else 7) * invocations,
+        "four_paths": lambda: 9 * c["width"] * c["height"] * c["pitch"],
+        "path_winner": lambda: 17 * c["width"] * c["height"] * c["pitch"],
+        "links": lambda: 10 * invocations,
+        "smoothing": lambda: 12 * c["width"] * c["height"] * c["map_count"],
+        "surface": lambda: 2 * 15 * 5 * invocations,
+        "surface_range": lambda: 2 * 15 * invocations,
+        "enlarge": lambda: 40 * invocations,
+        "weigh": lambda: invocations,
+        "running_winner": lambda: 4 * c["pixels"] * c["layer_count"],
+        "peak": lambda: 30 * invocations,
+    }
+    return per.get(dispatch.stage, lambda: 0.0)()
+
+
+def stages_of(chain: Chain, image: np.ndarray, *, bandwidth: float, rate: float) -> dict[str, dict[str, float]]:
+    """Dispatches, bytes, operations, the model's time and the measured one of every stage."""
+    times = chain.stage_times_ms({"image": image}) if chain.device.timestamps else [("", 0.0)] * len(chain.dispatches)
+    found: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    for dispatch, (_, ms) in zip(chain.dispatches, times, strict=True):
+        row = found[dispatch.stage]
+        moved = 4 * sum(array.size for array in {a.name: a for a in dispatch.arrays}.values())
+        computed = operations(dispatch)
+        row["dispatches"] += 1
+        row["mbytes"] += moved / 1e6
+        row["mops"] += computed / 1e6
+        row["model_ms"] += 1e3 * max(moved / bandwidth, computed / rate)
+        row["ms"] += ms
+    return found
+
+
+def benchmark(device: str, quality: str, design: str, size: tuple[int, int], bandwidth: float, rate: float) -> dict:
+    width, height = size
+    image = capture(design, width, height)
+    on_cpu = method_for(PaperConfig() if quality == "paper" else RealTimeConfig(), aperture=design)
+    both = on_device(on_cpu, device, lambda note: None)
+    if not isinstance(both, DeviceMethod):
+        raise SystemExit(f"--device {device} is the CPU here: see 'chromaperture info --devices'")
+    found, expected = both.on_gpu.match(image).value_px, on_cpu.match(image).value_px
+    unknown = np.isnan(found) & np.isnan(expected)
+    agreeing = float(((np.abs(found - expected) < AGREEING_PX) | unknown).mean())
+    if agreeing < LEAST_AGREEING:
+        raise SystemExit(f"only {agreeing:.1%} of the pixels agree with the CPU: nothing is timed")
+    best: dict[str, float] = {}
+    with limited_threads(thread_count()):
+        for _ in range(ROUNDS):
+            for name, work in (("device", both.on_gpu.match), ("numba", on_cpu.match)):
+                wall, cpu = time.perf_counter(), time.process_time()
+                work(image)
+                for kind, taken in (("wall", time.perf_counter() - wall), ("cpu", time.process_time() - cpu)):
+                    key = f"{name}_{kind}_ms"
+                    best[key] = min(best.get(key, float("inf")), 1e3 * taken)
+    chain = both.on_gpu._chain
+    assert chain is not None
+    stages = stages_of(chain, image, bandwidth=bandwidth, rate=rate)
+    info = chain.device.info
+    return {
+        "device": info.name, "software": info.is_software,
+        "quality": quality, "design": design, "size": f"{width}x{height}",
+        "share_within_0.02_px_of_numba": round(agreeing, 4),
+        "ratio_to_numba_wall": round(best["device_wall_ms"] / best["numba_wall_ms"], 2),
+        "ratio_to_numba_cpu": round(best["device_cpu_ms"] / best["numba_cpu_ms"], 2),
+        **{name: round(ms, 1) for name, ms in best.items()},
+        "mbytes_up": round(image.nbytes / 1e6, 1), "mbytes_down": round(3 * found.nbytes / 1e6, 1),
+        "device_mbytes": round(chain.device_bytes / 1e6, 1), "dispatches": len(chain.dispatches),
+        "stages": {name: {k: round(v, 3) for k, v in row.items()} for name, row in stages.items()},
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--device", default="gpu")
+    parser.add_argument("--quality", default="real-time", choices=("real-time", "paper"))
+    parser.add_argument("--design", default="cy_halves")
+    parser.add_argument("--size", default="1280x720")
+    parser.add_argument("--bandwidth", type=float, default=4800.0, help="of the model's memory, GB/s")
+    parser.add_argument("--rate", type=float, default=60.0, help="of the model's arithmetic, TFLOP/s")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    width, height = (int(side) for side in arguments.size.split("x"))
+    result = benchmark(
+        arguments.device, arguments.quality, arguments.design, (width, height),
+        1e9 * arguments.bandwidth, 1e12 * arguments.rate,
+    )  # fmt: skip
+    if arguments.json:
+        print(json.dumps(result, indent=2))
+        return
+    stages = result.pop("stages")
+    print("\n".join(f"{name:32s} {value}" for name, value in result.items()))
+    print(f"\n{'stage':16s} {'dispatches':>10s} {'MB':>9s} {'Mop':>9s} {'model ms':>9s} {'measured ms':>12s}")
+    total: dict[str, float] = defaultdict(float)
+    for name, row in [*stages.items(), ("sum", total)]:
+        print(
+            f"{name:16s} {row['dispatches']:10.0f} {row['mbytes']:9.1f} {row['mops']:9.1f} {row['model_ms']:9.4f} "
+            f"{row['ms']:12.2f}"
+        )
+        for key, value in row.items():
+            total[key] += value if name != "sum" else 0
+
+
+if __name__ == "__main__":
+    main()

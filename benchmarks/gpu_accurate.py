@@ -1,0 +1,174 @@
+"""Quality "accurate" on a device: what every stage moves and computes, and, where there is a device, how long it takes.
+
+    python benchmarks/gpu_accurate.py [--sample still_life_cy_halves] [--size 720x480] [--device gpu] [--json]
+
+Without ``--device`` nothing is computed: the chains are composed for the size and their dispatches counted, as
+`benchmarks/gpu.py` counts them (bytes: arrays that a stage binds, each once; operations: those of the inner loops, at
+most). The larger of bytes over bandwidth and operations over the arithmetic rate is the least time that a device of
+these could take; it leaves out that a path is as many steps one after the other as it has pixels. With ``--device`` the
+depth is compared with the CPU's before anything is timed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections import defaultdict
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.disparity.gpu.accurate_chain import AccurateChain
+from chromaperture.disparity.gpu.device import AdapterInfo, Chain, Device, Dispatch, open_device
+from chromaperture.products.samples import open_sample
+
+LEAST_AGREEING, DEPTH_TOLERANCE = 0.995, 1e-3
+
+
+def counting_device() -> Device:
+    """A device that makes nothing: arrays and stages of any size can be composed on it."""
+    pipeline = SimpleNamespace(get_bind_group_layout=lambda group: None)
+    handle = SimpleNamespace(
+        create_buffer=lambda *, size, **_: SimpleNamespace(size=size),
+        create_shader_module=lambda **_: None,
+        create_compute_pipeline=lambda **_: pipeline,
+        create_bind_group=lambda **_: None,
+        queue=SimpleNamespace(write_buffer=lambda *_: None),
+    )
+    return Device(AdapterInfo("counting", "CPU", "none", "", 0, False), handle, False, False, 1 << 40)
+
+
+def operations(dispatch: Dispatch) -> float:
+    """Operations of a stage's inner loops."""
+    c: dict[str, Any] = dict(dispatch.constants)
+    pixels = c.get("width", 0) * c.get("height", 0)
+    entries = pixels * c.get("count", 0)
+
+    def transforms() -> float:
+        return 5.0 * c["lines"] * c["span"] * math.log2(c["span"])
+
+    def taps() -> float:
+        return 2.0 * c["reach"] + 1
+
+    per = {
+        "gaussian_line": lambda: 2 * taps() * pixels * c["planes"] * c["parts"],
+        "tile_rows": transforms,
+        "tile_columns": transforms,
+        "tile_smoothing": lambda: 2 * taps() * c["pictures"] * c["size"] * (c["size"] // 2 + 1),
+        "point_rows": lambda: c["pictures"] * c["layers_of_round"] * (4.0 * c["side"] ** 2 * c["kept"] + 40 * c["points"]),
+        "point_columns": lambda: 8.0 * c["pictures"] * c["layers_of_round"] * c["side"] * c["kept"] ** 2,
+        "cross_rows": lambda: transforms() + 40.0 * c["lines"] * c["span"],
+        "cross_columns": transforms,
+        "tiles_joined": lambda: 20.0 * pixels * c["layers_of_round"] * c["pair_count"],
+        "bands_rows": lambda: 8 * taps() * pixels * c["pictures"] * c["bands"],
+        "bands_columns": lambda: 8 * taps() * pixels * c["pictures"] * c["bands"],
+        "band_products": lambda: 30 * 6.0 * pixels / 4 * c["planes"],
+        "band_correlation": lambda: 4.0 * pixels * c["bands"] * c["layers_of_round"] * c["pair_count"],
+        "pair_evidence": lambda: 16.0 * c["samples"] * c["count"] * c["pairs"] * c["bands"],
+        "labels_read": lambda: pixels * (8.0 * c["layers"] + 45 * c["count"]),
+        "windows_added": lambda: 8.0 * entries,
+        "volume_paths": lambda: 15.0 * entries,
+        "volume_winner": lambda: 3.0 * entries,
+        "layer_tangents": lambda: 8.0 * pixels,
+        "layer_offsets": lambda: 6.0 * pixels,
+        "coupling_target": lambda: 60.0 * pixels,  # some six layers a pixel
+        "coupling_steps": lambda: 28.0 * c["steps"] * (32 / (32 - 2 * c["steps"])) ** 2 * pixels,
+        "volume_posterior": lambda: 8.0 * entries,
+        "block_sums": lambda: 1.0 * entries,
+        "planes_apart": lambda: 6.0 * pixels,
+        "planes_taken": lambda: 81.0 * pixels,
+        "range_line": lambda: 2 * taps() * pixels,
+        "surface_results": lambda: 6.0 * pixels,
+    }
+    return float(per.get(dispatch.stage, lambda: 0.0)())
+
+
+def counted(chains: dict[str, Chain], *, bandwidth: float, rate: float) -> dict[str, dict[str, float]]:
+    """Dispatches, bytes, operations and the model's time of every stage."""
+    found: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    for chain in chains.values():
+        for dispatch in chain.dispatches:
+            row = found[dispatch.stage]
+            moved = 4 * sum(array.size for array in {a.name: a for a in dispatch.arrays}.values())
+            computed = operations(dispatch)
+            row["dispatches"] += 1
+            row["mbytes"] += moved / 1e6
+            row["mops"] += computed / 1e6
+            row["model_ms"] += 1e3 * max(moved / bandwidth, computed / rate)
+    return found
+
+
+def composed(camera: CodedApertureCamera, device: Device) -> tuple[AccurateChain, dict[str, Chain]]:
+    chain = AccurateChain(camera.method, device)
+    return chain, {"first": chain.first, "last": chain.last[chain.uses_planes]}
+
+
+def timed(camera: CodedApertureCamera, image: np.ndarray, device: str) -> dict[str, Any]:
+    """Whole calls beside Numba's, after the depth has been compared."""
+    chain = AccurateChain(camera.method, open_device(device))
+    depths = [camera.millimetres(match(image))[0] for match in (chain.match, camera.method.match)]
+    known = np.isfinite(depths[1])
+    close = np.where(known, np.abs(depths[0] - depths[1]) <= DEPTH_TOLERANCE * depths[1], np.isnan(depths[0]))
+    if close.mean() < LEAST_AGREEING:
+        raise SystemExit(f"only {close.mean():.2%} of the depths agree with the CPU: nothing is timed")
+    found: dict[str, Any] = {"device": chain.device.info.name, "software": chain.device.info.is_software}
+    found["share_within_0.1_percent"] = round(float(close.mean()), 5)
+    for name, match in (("device", chain.match), ("numba", camera.method.match)):
+        wall, cpu = time.perf_counter(), time.process_time()
+        match(image)
+        found[f"{name}_wall_ms"] = round(1e3 * (time.perf_counter() - wall), 1)
+        found[f"{name}_cpu_ms"] = round(1e3 * (time.process_time() - cpu), 1)
+    found["ratio_to_numba_cpu"] = round(found["device_cpu_ms"] / found["numba_cpu_ms"], 2)
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sample", default="still_life_cy_halves")
+    parser.add_argument("--size", default="720x480")
+    parser.add_argument("--device", help="run there, too")
+    parser.add_argument("--bandwidth", type=float, default=4800.0, help="of the model's memory, GB/s")
+    parser.add_argument("--rate", type=float, default=60.0, help="of the model's arithmetic, TFLOP/s")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    width, height = (int(side) for side in arguments.size.split("x"))
+    camera, image = open_sample(arguments.sample, quality="accurate")
+    if (width, height) != image.shape[1::-1]:
+        camera, image = camera.at_size(width, height), cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    chain, chains = composed(camera, counting_device())
+    stages = counted(chains, bandwidth=1e9 * arguments.bandwidth, rate=1e12 * arguments.rate)
+    largest = max((array for part in chains.values() for array in part.arrays.values()), key=lambda a: a.size)
+    result: dict[str, Any] = {
+        "sample": arguments.sample, "size": arguments.size, "labels": chain.grid.layers,
+        "layers_computed": len(chain.plan.computed_px), "tiles": len(chain.plan.nodes.places),
+        "tile_samples": chain.plan.nodes.size, "pairs": len(chain.plan.source.all_pairs),
+        "planes": chain.uses_planes, "dispatches": sum(len(part.dispatches) for part in chains.values()),
+        "device_mbytes": round(sum(part.device_bytes for part in chains.values()) / 1e6),
+        "largest_array": f"{largest.name}: {4 * largest.size / 1e6:.0f} MB",
+        "mbytes_up": round(4 * 5 * width * height / 1e6, 1), "mbytes_down": round(16 * width * height / 1e6, 1),
+    }  # fmt: skip
+    if chain.blocks is not None:
+        result["mbytes_down_between"] = round(4 * (5 * width * height + chain.blocks.size) / 1e6, 1)
+        result["mbytes_up_between"] = round(4 * width * height / 1e6, 1)
+    if arguments.device:
+        result |= timed(camera, image, arguments.device)
+    if arguments.json:
+        print(json.dumps(result | {"stages": stages}, indent=2))
+        return
+    print("\n".join(f"{name:26s} {value}" for name, value in result.items()))
+    print(f"\n{'stage':18s} {'dispatches':>10s} {'MB':>10s} {'Mop':>10s} {'model ms':>9s}")
+    total: dict[str, float] = defaultdict(float)
+    for name, row in sorted(stages.items(), key=lambda item: -item[1]["model_ms"]):
+        print(f"{name:18s} {row['dispatches']:10.0f} {row['mbytes']:10.1f} {row['mops']:10.1f} {row['model_ms']:9.3f}")
+        for key, value in row.items():
+            total[key] += value
+    print(f"{'sum':18s} {total['dispatches']:10.0f} {total['mbytes']:10.1f} {total['mops']:10.1f} {total['model_ms']:9.3f}")
+
+
+if __name__ == "__main__":
+    main()

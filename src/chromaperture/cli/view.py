@@ -1,0 +1,65 @@
+"""``chromaperture view``."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from chromaperture.cli.options import Quality, Quiet, Seconds
+
+if TYPE_CHECKING:
+    from chromaperture.pages.map_page import Page
+
+
+def view(
+    file: Annotated[
+        Path, typer.Argument(help="Any file that 'depth' wrote, a map (TIFF, PNG, .npy), a PLY, or a camera file.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Write the page here, one file to keep or send; serve nothing.")
+    ] = None,
+    quality: Quality = "real-time",
+    port: Annotated[int, typer.Option(help="Port on 127.0.0.1; the next free one is taken.")] = 8080,
+    seconds: Seconds = None,
+    quiet: Quiet = False,
+) -> None:
+    """Show a result in the browser: maps with the values under the cursor, colour, points.
+
+    chromaperture view results/photo.depth.tiff
+
+    chromaperture view camera.asdf --out camera.html
+    """
+    from chromaperture.pages.map_page import render
+    from chromaperture.storage import staged
+    from chromaperture.viewer.serve_page import PageServer
+
+    text = render(page_of(file, quality))
+    if out is not None:
+        with staged(out.parent) as stage:
+            stage.path(out.name).write_text(text, encoding="utf-8")
+        if not quiet:
+            typer.echo(f"Wrote {out}")
+        return
+    end = time.monotonic() + (math.inf if seconds is None else seconds)
+    with PageServer(text, port=port) as server:
+        typer.echo(f"Look at {server.url}; Ctrl-C ends it", err=quiet)  # without its token nobody can open the page
+        try:
+            while time.monotonic() < end:
+                time.sleep(min(0.5, max(0.0, end - time.monotonic())))
+        except KeyboardInterrupt:
+            pass  # the usual way to stop
+
+
+def page_of(file: Path, quality: str) -> Page:
+    """Return the page of a result or a camera; raises InputError where the file is neither."""
+    from chromaperture.camera_file import Calibration
+    from chromaperture.products.result_files import read_result
+    from chromaperture.viewer.result_page import camera_page, result_page
+
+    if file.suffix == ".asdf":
+        return camera_page(Calibration.load(file), file.name, quality=quality)
+    return result_page(read_result(file))

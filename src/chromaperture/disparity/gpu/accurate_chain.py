@@ -1,0 +1,215 @@
+"""Quality "accurate" on a device, for a camera whose blur is known.
+
+The photograph goes up once and three maps come down at the end. In between, where planes explain the surface, the first
+surface, its error bar and the sums of blocks of the volume come down, and planes go up; see ``plane_stages.py`` for
+what the CPU does with them. The volume itself never leaves the device.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from chromaperture.disparity.accurate import EDGE_REACH_PX, AccurateMethod, judged, with_halves
+from chromaperture.disparity.blur_evidence import BlurEvidence
+from chromaperture.disparity.error_bar import sigma_of_range
+from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError
+from chromaperture.disparity.gpu.evidence_plan import EvidencePlan, grid_of, plan_evidence
+from chromaperture.disparity.gpu.evidence_stages import add_evidence, add_labels
+from chromaperture.disparity.gpu.plane_stages import BlockChoice, PlaneChoice, refined_planes
+from chromaperture.disparity.gpu.surface_stages import (
+    Grid,
+    SurfaceArrays,
+    add_block_sums,
+    add_paths,
+    add_posterior,
+    add_results,
+    add_start,
+    add_taken_planes,
+    add_variation,
+    groups_for,
+    surface_arrays,
+)
+from chromaperture.disparity.planar import Planes, block_costs, fitting_planes, links_of_blocks
+from chromaperture.disparity.plane_fit import Volume, distinct_of, proposals
+from chromaperture.disparity.result import Disparity
+from chromaperture.disparity.spectral_evidence import SpectralEvidence
+from chromaperture.disparity.views import clipped_filled, filtered_views
+from chromaperture.disparity.winner import Surface
+from chromaperture.errors import OutOfMemoryError
+
+
+def pairs_of(method: AccurateMethod) -> BlurEvidence | None:
+    """Return the evidence that runs on a device: that of pairs of channels; None where the blur is not known."""
+    evidence = method.evidence
+    if isinstance(evidence, SpectralEvidence):
+        return evidence.pairs
+    return evidence if isinstance(evidence, BlurEvidence) else None
+
+
+@dataclass
+class AccurateChain:
+    """The chains of one camera: to the first surface, and from there to the results.
+
+    Attributes
+    ----------
+    method : AccurateMethod
+        With evidence from the camera's blur.
+    device : Device
+    plan : EvidencePlan
+    grid : Grid
+    labels_px : (N,) float64, px
+    """
+
+    method: AccurateMethod
+    device: Device
+    plan: EvidencePlan = field(init=False)
+    grid: Grid = field(init=False)
+    labels_px: np.ndarray = field(init=False)
+    first: Chain = field(init=False)
+    last: dict[bool, Chain] = field(init=False)  # by whether planes explain the surface
+    blocks: Array | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        pairs, config = pairs_of(self.method), self.method.config
+        assert pairs is not None
+        self.labels_px = with_halves(config.layers.values_px)
+        self.plan = plan_evidence(pairs, config.layers.values_px)
+        self.grid = grid_of(self.plan, self.labels_px)
+        self.first = chain = Chain(self.device)
+        image, noise, usable = (
+            chain.array(name, size)
+            for name, size in (
+                ("image", 3 * self.grid.pixels),
+                ("noise", 3 * len(self.plan.nodes.places)),
+                ("usable", self.grid.pixels),
+            )
+        )
+        unexplained = add_evidence(chain, self.plan, image, noise)
+        arrays = surface_arrays(chain, self.grid, config.surface)
+        add_labels(chain, self.plan, unexplained, usable, arrays.likelihood, self.labels_px)
+        if self.uses_windows:
+            self._add_windows(chain, usable, arrays.likelihood)
+        add_paths(chain, arrays.likelihood, arrays.guide, arrays.cost, self.grid, self.labels_px, config=config.surface)
+        add_start(chain, arrays, self.grid, config=config.surface)
+        add_variation(chain, arrays, self.grid, self.labels_px, config=config.surface)
+        add_posterior(chain, arrays.surface, arrays.cost, arrays.sigma, self.grid, config=config.surface)
+        self.blocks = add_block_sums(chain, arrays, self.grid, config.planes.block_px) if self.uses_planes else None
+        self.last = {of_planes: self._last_chain(arrays, of_planes) for of_planes in (False, True)}
+
+    @property
+    def uses_planes(self) -> bool:
+        """As `planes_of_surface` decides."""
+        config = self.method.config.planes
+        return config.rounds > 0 and min(self.grid.height, self.grid.width) >= 2 * config.block_px
+
+    @property
+    def uses_windows(self) -> bool:
+        """Whether windows of all channels together are evidence, too; they are computed on the CPU."""
+        evidence = self.method.evidence
+        return isinstance(evidence, SpectralEvidence) and evidence.is_used(self.method.config.layers.values_px)
+
+    def _add_windows(self, chain: Chain, usable: Array, likelihood: Array) -> None:
+        evidence = self.method.evidence
+        assert isinstance(evidence, SpectralEvidence)
+        stride = evidence.config.stride_px
+        rows, columns = -(-self.grid.height // stride), -(-self.grid.width // stride)
+        windows = chain.array("windows", rows * columns * self.grid.layers)
+        chain.add(
+            "windows_added", [windows, usable, likelihood], groups=groups_for(self.grid.pixels, 1),
+            height=self.grid.height, width=self.grid.width, count=self.grid.layers, window_rows=rows,
+            window_columns=columns, stride=stride,
+        )  # fmt: skip
+
+    def _last_chain(self, arrays: SurfaceArrays, of_planes: bool) -> Chain:
+        chain, config = Chain(self.device), self.method.config.surface
+        if of_planes:
+            add_taken_planes(chain, arrays, self.grid)
+            add_posterior(chain, arrays.surface, arrays.cost, arrays.sigma, self.grid, config=config)
+        add_results(chain, arrays, self.grid, reach_px=EDGE_REACH_PX)
+        return chain
+
+    def match(self, image: np.ndarray) -> Disparity:
+        """Return the disparity of an image (H, W, 3), as `AccurateMethod.match`."""
+        method, pairs = self.method, self.plan.source
+        views = filtered_views(image, method.space, config=method.config.views)
+        image, usable = clipped_filled(image, views.mask)
+        pairs.check_size(image)
+        finite = np.where(np.isfinite(image), image, np.float32(0))
+        noise = np.zeros((len(self.plan.nodes.places), 3))
+        if pairs.noise.is_known:
+            noise = self.plan.nodes.noise_powers(pairs.noise.variance(image), noise_margin=pairs.config.noise_margin)
+        inputs = {"image": finite, "noise": noise, "usable": usable, "guide": views.guide}
+        if isinstance(method.evidence, SpectralEvidence) and self.uses_windows:
+            inputs["windows"] = method.evidence.of_windows(image, method.config.layers.values_px, self.labels_px)
+        found = self._planes(inputs, views.guide)
+        of_planes = found is not None
+        step = float(self.labels_px[1] - self.labels_px[0])
+        more = {} if found is None else {"plane_labels": (found.label_px - self.labels_px[0]) / step}
+        results = self.last[of_planes].run(more, ["results"])["results"].reshape(*usable.shape, 4)
+        disparity, sigma, extent = self.labels_px[0] + step * results[..., 0], step * results[..., 1], results[..., 2]
+        surface = judged(
+            Surface(disparity, sigma, results[..., 3]), step * extent, self.labels_px,
+            of_planes=of_planes, known_within_px=sigma_of_range(self.labels_px),
+        )  # fmt: skip
+        return method.of_labels(surface, image, usable, self.labels_px)
+
+    def _planes(self, inputs: dict[str, np.ndarray], guide: np.ndarray) -> Planes | None:
+        """Run the first chain, and explain its surface by planes, as `planes_of_surface`."""
+        config, step = self.method.config.planes, float(self.labels_px[1] - self.labels_px[0])
+        if self.blocks is None:
+            self.first.run(inputs, ["round"])
+            return None
+        got = self.first.run(inputs, ["surface", "sigma", "blocks"])
+        shape = self.grid.height, self.grid.width
+        label = self.labels_px[0] + step * got["surface"].reshape(*shape, 4)[..., 0]
+        found = proposals(label, step * got["sigma"].reshape(shape), step, config.tiles_px)
+        likelihood = self.first.arrays["likelihood"]
+        planes = refined_planes(
+            self.device, likelihood, self.grid, found, self.labels_px, slope_penalty=config.slope_penalty
+        )
+        planes = distinct_of(found, list(planes), step)
+        if not len(planes):
+            return None
+        blocks = Grid(shape[0] // config.block_px, shape[1] // config.block_px, self.grid.layers)
+        sums = got["blocks"].reshape(blocks)
+        costs = block_costs(config)
+        links = links_of_blocks(guide, config=config, surface=self.method.config.surface)
+        chooser = BlockChoice(self.device, self.blocks, blocks, len(planes), config.sweeps, self.labels_px, costs)
+
+        def beliefs(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
+            return PlaneChoice(self.device, cost.shape[:2], cost.shape[2], sweeps).beliefs_of(cost, links)
+
+        volume = Volume(sums, self.labels_px, costs, self.method.run)
+        return fitting_planes(
+            planes, volume, guide, lambda some: chooser.choose(some, links), config=config, beliefs=beliefs
+        )
+
+
+@dataclass
+class AccurateOnDevice:
+    """A method whose chains are made at the first photograph and kept; for one thread at a time, safe from several.
+
+    Attributes
+    ----------
+    method : AccurateMethod
+    device : Device
+    """
+
+    method: AccurateMethod
+    device: Device
+    _chain: AccurateChain | None = None
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def match(self, image: np.ndarray) -> Disparity:
+        """Return the disparity of an image (H, W, 3); raises DeviceError, OutOfMemoryError besides InputError."""
+        with self._lock:
+            try:
+                if self._chain is None:
+                    self._chain = AccurateChain(self.method, self.device)
+                return self._chain.match(image)
+            except (DeviceError, OutOfMemoryError):
+                self._chain = None  # gives its memory back
+                raise

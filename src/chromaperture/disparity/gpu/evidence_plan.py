@@ -1,0 +1,134 @@
+"""Sizes and constants of the evidence from the camera's blur on a device: of one camera and one set of layers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from chromaperture.disparity.blur_evidence import BANDS_MARGIN_PX, SHARP_PX, SPACING_PX, BlurEvidence, finest_px
+from chromaperture.disparity.gpu.device import DeviceError
+from chromaperture.disparity.gpu.surface_stages import Grid, gaussian_taps
+from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
+
+MOST_TRANSFORMED = 1024  # complex numbers of a line: two of them fill 16 KB of shared memory
+ROUND_BYTES = 1 << 28  # of the arrays that a round of layers works on; chosen by hand
+
+
+@dataclass(frozen=True)
+class EvidencePlan:
+    """Sizes and constants of the evidence for one camera and one set of layers.
+
+    Attributes
+    ----------
+    source : BlurEvidence
+    layers_px : (D,) float, px
+        An odd number; see `BlurEvidence.at`.
+    computed_px : (E,) float, px
+        Those whose correlations are computed: every second one, then the others where blur is narrow.
+    places : (D,) int32
+        Where a layer is among these, -1 where it is interpolated.
+    nodes : Nodes
+    channels : tuple of int
+        That the pairs use.
+    """
+
+    source: BlurEvidence
+    layers_px: np.ndarray
+    computed_px: np.ndarray
+    places: np.ndarray
+    nodes: Nodes
+    channels: tuple[int, ...]
+
+    @property
+    def samples(self) -> tuple[int, int]:
+        """Height and width of the evidence."""
+        blur = self.source.blur
+        return -(-blur.height_px // SPACING_PX), -(-blur.width_px // SPACING_PX)
+
+    @property
+    def factors(self) -> float:
+        """See `stages.read_at_labels`."""
+        return float(sum(self.source.config.band_weights))
+
+
+def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
+    """Choose layers and tiles; raises DeviceError where a tile is too large for the device."""
+    step = layers_px[1] - layers_px[0]
+    layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
+    between = layers_px[1::2]
+    sharp = np.abs(between) < SHARP_PX * source.blur.reach
+    computed = np.concatenate([layers_px[::2], between[sharp]])
+    places = np.full(len(layers_px), -1, np.int32)
+    evens = (len(layers_px) + 1) // 2
+    places[::2] = np.arange(evens)
+    places[1::2][sharp] = evens + np.arange(int(sharp.sum()))
+    margin = 2 * float(np.abs(layers_px).max()) / source.blur.reach + BANDS_MARGIN_PX
+    nodes = Nodes(source.blur.height_px, source.blur.width_px, margin_px=margin)
+    if nodes.size_px > MOST_TRANSFORMED:
+        raise DeviceError(
+            f"tiles of {nodes.size_px} px are too large for the GPU, at most {MOST_TRANSFORMED}: "
+            "use --device cpu, or a smaller --scale"
+        )
+    channels = tuple(sorted({k for pair in source.all_pairs for k in pair}))
+    return EvidencePlan(source, layers_px, computed, places, nodes, channels)
+
+
+class RoundSizes:
+    """Sizes of what a round of layers works on."""
+
+    def __init__(self, plan: EvidencePlan) -> None:
+        nodes, source = plan.nodes, plan.source
+        self.size, self.columns, self.kept = nodes.size, nodes.size // 2 + 1, nodes.size // 2
+        self.tiles, self.middle = len(nodes.places), 2 * nodes.half
+        self.pairs, self.bands = len(source.all_pairs), len(source.config.bands_px)
+        self.pictures = self.tiles * len(plan.channels)
+        at_infinity, scale = source.blur.reference
+        inverse = (at_infinity - plan.computed_px) / scale
+        self.defocus = source.blur.model.scale_px_mm * inverse
+        self.rays = [source.blur.rays(*place, plan.channels) for place in nodes.places]
+        self.reach = self._reach(source.blur.pupil.points)
+        self.side = 2 * int(self.reach.max()) + 2
+        self.band_taps, self.band_reach = _band_taps(plan)
+        height, width = nodes.shape
+        frame, small = self.pairs * height * width, self.pairs * -(-height // 2) * -(-width // 2)
+        self.arrays = dict(  # numbers a layer
+            point_rows=2 * self.pictures * self.side * self.kept,
+            transfers=2 * self.pictures * self.size * self.columns,
+            cross_rows=2 * self.tiles * self.pairs * self.size * self.middle,
+            tile_views=2 * self.tiles * self.pairs * self.middle**2,
+            joined=2 * frame,
+            smooth_rows=4 * self.bands * frame,
+            band_views=2 * self.bands * frame,
+            products=3 * self.bands * small,
+            product_rows=3 * self.bands * small,
+        )
+        most = ROUND_BYTES // (4 * sum(self.arrays.values()))
+        rounds = math.ceil(len(plan.computed_px) / max(1, most))
+        self.layers = math.ceil(len(plan.computed_px) / rounds)
+
+    def _reach(self, points: np.ndarray) -> np.ndarray:
+        """Px from the chief ray that light reaches at every layer."""
+        at_infinity = np.stack([rays.at_infinity_px for rays in self.rays])
+        lit = np.stack([rays.light for rays in self.rays])[..., None] > 0
+        return np.array([math.ceil(np.abs((at_infinity - d * points) * lit).max()) for d in self.defocus])
+
+
+def _band_taps(plan: EvidencePlan) -> tuple[np.ndarray, int]:
+    """Taps of both Gaussians of every band, (bands, 2, 2 reach + 1), after the finest of all."""
+    config = plan.source.config
+    finest = finest_px(config)
+
+    def taps_of(sigma: float) -> np.ndarray:
+        return gaussian_taps(math.sqrt(sigma**2 - finest**2) / SAMPLING_PX) if sigma > finest else np.ones(1)
+
+    each = [taps_of(sigma) for band in config.bands_px for sigma in band]
+    reach = max(len(taps) // 2 for taps in each)
+    wide = [np.pad(taps, reach - len(taps) // 2) for taps in each]
+    return np.array(wide, np.float32).reshape(-1, 2, 2 * reach + 1), reach
+
+
+def grid_of(plan: EvidencePlan, labels_px: np.ndarray) -> Grid:
+    """Return the size of the volume that labels make."""
+    return Grid(plan.source.blur.height_px, plan.source.blur.width_px, len(labels_px))

@@ -1,0 +1,304 @@
+"""Evidence from the camera's blur on a device: from a photograph to the unexplained fractions of every layer.
+
+``blur_evidence.py`` explains what is computed. Tiles are transformed in shared memory, row by row and column by
+column. Transfer functions are not: traced rays fall into a square as small as the blur, whose rows and columns are
+transformed directly, at the frequencies that the samples have and no others. Layers go through in rounds, as many at a
+time as a quarter of a gigabyte holds; what a round works on is used again by the next.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import scipy.fft
+
+from chromaperture.disparity.blur_evidence import MAX_CORRELATION2_OF_BANDS, SPACING_PX, finest_px
+from chromaperture.disparity.gpu.device import Array, Chain, DeviceError
+from chromaperture.disparity.gpu.evidence_plan import MOST_TRANSFORMED, EvidencePlan, RoundSizes
+from chromaperture.disparity.gpu.surface_stages import add_gaussian, gaussian_taps, groups_for
+from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.stages.paths import EDGE_LAYERS, LEAST_UNEXPLAINED
+from chromaperture.disparity.stages.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis
+
+MOST_PASSES = 6  # of `fourier.wgsl`
+CELLS = 4096  # pixels of a point-spread function in 16 KB of shared memory
+_NEGLIGIBLE = 1e-8  # of a window's transform
+
+
+def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -> Array:
+    """Append all stages from a photograph to the unexplained fraction of every layer, (samples, D).
+
+    Parameters
+    ----------
+    chain : Chain
+    plan : EvidencePlan
+    image : Array
+        (H, W, 3), linear RGB, finite.
+    noise : Array
+        (tiles, 3), `Nodes.noise_powers`; 0 where noise is not known.
+    """
+    spectra, signal = _add_spectra(chain, plan, image, noise)
+    correlation = _add_correlations(chain, plan, spectra, signal)
+    config, pairs = plan.source.config, plan.source.all_pairs
+    samples = plan.samples[0] * plan.samples[1]
+    unexplained = chain.array("unexplained", samples * len(plan.layers_px))
+    chain.add(
+        "pair_evidence", [correlation, chain.constant("places", plan.places), unexplained],
+        groups=groups_for(samples, 1), samples=samples, count=len(plan.layers_px), computed=len(plan.computed_px),
+        pairs=len(pairs), primary_pairs=len(plan.source.blur.pairs), bands=len(config.bands_px),
+        weights=[float(w) for w in config.band_weights], most_correlation2=MAX_CORRELATION2_OF_BANDS,
+        fallback_weight=float(config.fallback_weight), fallback_nats=float(config.fallback_nats),
+        factors=plan.factors,
+    )  # fmt: skip
+    return unexplained
+
+
+def add_labels(
+    chain: Chain, plan: EvidencePlan, unexplained: Array, usable: Array, likelihood: Array, labels_px: np.ndarray
+) -> None:
+    """Append `stages.read_at_labels`, at the pixels of the photograph and 0 where these are not usable."""
+    layers_px, source = plan.layers_px, plan.source
+    step = float(layers_px[1] - layers_px[0])
+    height, width = source.blur.height_px, source.blur.width_px
+    chain.add(
+        "labels_read", [unexplained, _label_map(chain, source.label_map, layers_px), usable, likelihood],
+        groups=groups_for(height * width, 1), height=height, width=width, count=len(labels_px), layers=len(layers_px),
+        spacing=SPACING_PX, sample_height=plan.samples[0], sample_width=plan.samples[1],
+        one_map=source.label_map.is_identity, first_label=float((labels_px[0] - layers_px[0]) / step),
+        label_step=float((labels_px[1] - labels_px[0]) / step), factors=plan.factors,
+        least_unexplained=LEAST_UNEXPLAINED, edge_layers=EDGE_LAYERS,
+    )  # fmt: skip
+
+
+def _label_map(chain: Chain, label_map: LabelMap, layers_px: np.ndarray) -> Array:
+    """Offset and scale of a label at every pixel, in layers from the first."""
+    step = float(layers_px[1] - layers_px[0])
+    begin = (label_map.offset_px + (label_map.scale - 1) * layers_px[0]) / step
+    return chain.constant("label_map", np.stack(np.broadcast_arrays(begin, label_map.scale), axis=-1))
+
+
+def add_transform(
+    chain: Chain, stage: str, arrays: list[Array], span: int, lines: int, *, backwards: bool, **constants: Any
+) -> None:
+    """Append transforms of so many lines of ``span`` numbers; ``arrays`` follow the table of factors."""
+    radices = _radices(span)
+    chain.add(
+        stage, [_factors(chain, span), *arrays], groups=groups_for(lines, MOST_TRANSFORMED // span),
+        uses=("indexing", "fourier"), span=span, lines=lines, passes=len(radices),
+        radices=sum(radix << 3 * i for i, radix in enumerate(radices)),
+        backwards=backwards, **constants,
+    )  # fmt: skip
+
+
+def _radices(span: int) -> list[int]:
+    """Cut a length into factors of 4, 2, 3 and 5; raises DeviceError where there are others."""
+    found = []
+    for radix in (4, 2, 3, 5):
+        while span % radix == 0:
+            found.append(radix)
+            span //= radix
+    if span != 1 or len(found) > MOST_PASSES:
+        raise DeviceError("a tile's side has too many or too large factors for the GPU; use --device cpu")
+    return found
+
+
+def _factors(chain: Chain, span: int) -> Array:
+    """Return exp(-2 pi i k / span), made once."""
+    name = f"factors_{span}"
+    if name not in chain.arrays:
+        turn = -2j * np.pi * np.arange(span) / span
+        chain.constant(name, np.exp(turn).astype(np.complex64).view(np.float32))
+    return chain.arrays[name]
+
+
+def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -> tuple[Array, Array]:
+    """Append `Nodes.spectra`: spectra of the tiles, (tiles, 3, n, n / 2 + 1), and the fraction that is no noise."""
+    nodes, blur = plan.nodes, plan.source.blur
+    size, size_px, tiles = nodes.size, nodes.size_px, len(nodes.places)
+    kept, columns, pictures = size // 2, size // 2 + 1, 3 * tiles
+    shading, between = (chain.array(name, image.size) for name in ("shading", "shading_rows"))
+    frame = blur.height_px, blur.width_px
+    add_gaussian(chain, shading, between, frame, gaussian_taps(BACKGROUND_PX), parts=3, source=image)
+    corners = chain.constant("corners", np.array(nodes.corners_px, np.int32))
+    rows = chain.array("tile_rows", 2 * pictures * size_px * kept)
+    add_transform(
+        chain, "tile_rows", [image, shading, corners, rows], size_px, pictures * size_px, backwards=False,
+        height=blur.height_px, width=blur.width_px, kept=kept,
+    )  # fmt: skip
+    spectra, power, signal = (
+        chain.array(name, parts * pictures * size * columns)
+        for name, parts in (("spectra", 2), ("power", 2), ("signal", 1))
+    )
+    add_transform(
+        chain, "tile_columns", [rows, spectra], size_px, pictures * kept, backwards=False,
+        size=size, kept=kept, gain=1 / SAMPLING_PX**2,
+    )  # fmt: skip
+    # The autocorrelation under a lag window is the power averaged with the window's transform.
+    lags = np.minimum(np.arange(size), size - np.arange(size))
+    window = scipy.fft.fft(np.exp(-(lags**2) / (2 * (LAG_PX / SAMPLING_PX) ** 2))).real / size
+    reach = int(np.flatnonzero(window[: size // 2] > _NEGLIGIBLE * window[0]).max())
+    taps = chain.constant("lag_taps", np.concatenate([window[reach:0:-1], window[: reach + 1]]))
+    between = chain.array("power_columns", 2 * pictures * size * columns)
+    for before, after, along_x in ((spectra, between, False), (between, power, True)):
+        chain.add(
+            "tile_smoothing", [before, taps, after], groups=groups_for(pictures * size * columns), uses=("indexing",),
+            pictures=pictures, size=size, reach=reach, along_x=along_x, is_spectrum=not along_x,
+        )  # fmt: skip
+    chain.add(
+        "tile_signal", [power, noise, signal], groups=groups_for(pictures * size * columns), uses=("indexing",),
+        pictures=pictures, frequencies=size * columns,
+    )  # fmt: skip
+    return spectra, signal
+
+
+def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: Array) -> Array:
+    """Append what all layers need, in rounds; correlations (pairs, bands, h, w, E)."""
+    sizes = RoundSizes(plan)
+    layers, round_ = sizes.layers, chain.array("evidence_round", 1, np.uint32)
+    made = {name: chain.array(name, layers * size) for name, size in sizes.arrays.items()}
+    rays, pupil, defocus = _rays(chain, plan, sizes)
+    samples = plan.samples[0] * plan.samples[1]
+    pairs, config = plan.source.all_pairs, plan.source.config
+    bands, count = len(config.bands_px), len(plan.computed_px)
+    correlation = chain.array("correlation", len(pairs) * bands * samples * count)
+    low_pass = np.exp(-((2 * np.pi * scipy.fft.fftfreq(sizes.size) * finest_px(config) / SAMPLING_PX) ** 2) / 2)
+    constants = dict(
+        low_pass=chain.constant("low_pass", low_pass),
+        across=_near_nodes(chain, "across", plan.nodes.across, plan.nodes.shape[1]),
+        down=_near_nodes(chain, "down", plan.nodes.down, plan.nodes.shape[0]),
+        starts=chain.constant(
+            "starts", np.concatenate([plan.nodes.across.starts, plan.nodes.down.starts]).astype(np.float32)
+        ),
+        band_taps=chain.constant("band_taps", sizes.band_taps),
+    )
+    chain.add("count_up", [round_], groups=(1,), to_zero=True)
+    for i in range(math.ceil(count / layers)):
+        if i > 0:
+            chain.add("count_up", [round_], groups=(1,), to_zero=False)
+        _add_transfers(chain, plan, sizes, made, (rays, pupil, defocus, round_))
+        _add_views(chain, plan, sizes, made, (spectra, signal), constants)
+        _add_windows(chain, plan, sizes, made, constants["band_taps"], round_, correlation)
+    return correlation
+
+
+def _rays(chain: Chain, plan: EvidencePlan, sizes: RoundSizes) -> tuple[Array, Array, Array]:
+    """Send traced rays up: of every tile and channel, and what a layer adds to them."""
+    blank = np.zeros((*np.shape(sizes.rays[0].light), 1))
+    rays = np.stack([np.concatenate([r.at_infinity_px, r.light[..., None], blank], axis=-1) for r in sizes.rays])
+    return (
+        chain.constant("rays", rays),
+        chain.constant("pupil", plan.source.blur.pupil.points),
+        chain.constant("defocus", np.stack([sizes.defocus, sizes.reach], axis=-1)),
+    )
+
+
+def _near_nodes(chain: Chain, name: str, axis: NodeAxis, count: int) -> Array:
+    """First of two nodes around every sample, and the weights of both."""
+    weights = np.zeros((len(axis.starts) + 1, count), np.float32)
+    for i, (start, of_tile) in enumerate(zip(axis.starts, axis.weights, strict=True)):
+        inside = np.arange(max(0, start), min(count, start + len(of_tile)))
+        weights[i, inside] = of_tile[inside - start]
+    first = (weights > 0).argmax(axis=0)
+    near = np.stack([first, np.zeros(count), *(weights[first + i, np.arange(count)] for i in (0, 1))], axis=-1)
+    return chain.constant(name, near)
+
+
+def _add_transfers(
+    chain: Chain, plan: EvidencePlan, sizes: RoundSizes, made: dict[str, Array], inputs: tuple[Array, ...]
+) -> None:
+    """Append `LensBlur.transfer_of` for all tiles, channels and layers of a round."""
+    rays, pupil, defocus, round_ = inputs
+    factors = _factors(chain, plan.nodes.size_px)
+    rows_of_group = CELLS // sizes.side
+    if rows_of_group == 0:
+        raise DeviceError(f"a blur of {sizes.side} px is too wide for the GPU, at most {CELLS}: use --device cpu")
+    same = dict(
+        tile_px=plan.nodes.size_px, pictures=sizes.pictures, side=sizes.side, kept=sizes.kept,
+        layers_of_round=sizes.layers, layer_count=len(plan.computed_px),
+    )  # fmt: skip
+    chain.add(
+        "point_rows", [factors, rays, pupil, defocus, round_, made["point_rows"]],
+        groups=(sizes.pictures, sizes.side / rows_of_group, sizes.layers),
+        points=len(plan.source.blur.pupil.points), rows_of_group=rows_of_group, cells=rows_of_group * sizes.side,
+        **same,
+    )  # fmt: skip
+    chain.add(
+        "point_columns", [factors, defocus, round_, made["point_rows"], made["transfers"]],
+        groups=(sizes.kept**2 / 64, sizes.pictures, sizes.layers), size=sizes.size, **same,
+    )  # fmt: skip
+
+
+def _add_views(
+    chain: Chain,
+    plan: EvidencePlan,
+    sizes: RoundSizes,
+    made: dict[str, Array],
+    spectra: tuple[Array, Array],
+    constants: dict[str, Array],
+) -> None:
+    """Append P and Q of the frame, for all pairs and layers of a round."""
+    pictures = sizes.layers * sizes.tiles * sizes.pairs
+    place_of = plan.channels.index
+    numbers = [n for a, b in plan.source.all_pairs for n in (a, b, place_of(a), place_of(b))]
+    pairs = sum(n << 2 * i for i, n in enumerate(numbers))
+    add_transform(
+        chain, "cross_rows", [*spectra, made["transfers"], constants["low_pass"], made["cross_rows"]],
+        sizes.size, pictures * sizes.size, backwards=True, tiles=sizes.tiles, channels=len(plan.channels),
+        pair_count=sizes.pairs, pairs=pairs, middle=sizes.middle, damping=float(plan.source.config.damping),
+    )  # fmt: skip
+    add_transform(
+        chain, "cross_columns", [made["cross_rows"], made["tile_views"]],
+        sizes.size, pictures * sizes.middle, backwards=True, middle=sizes.middle,
+    )  # fmt: skip
+    height, width = plan.nodes.shape
+    chain.add(
+        "tiles_joined",
+        [made["tile_views"], constants["across"], constants["down"], constants["starts"], made["joined"]],
+        groups=groups_for(sizes.layers * sizes.pairs * height * width), uses=("indexing",), height=height, width=width,
+        layers_of_round=sizes.layers, pair_count=sizes.pairs, tiles=sizes.tiles, middle=sizes.middle,
+        node_columns=len(plan.nodes.across.starts),
+    )  # fmt: skip
+
+
+def _add_windows(
+    chain: Chain,
+    plan: EvidencePlan,
+    sizes: RoundSizes,
+    made: dict[str, Array],
+    band_taps: Array,
+    round_: Array,
+    correlation: Array,
+) -> None:
+    """Append the bands of P and Q, and their correlations in windows around every second sample."""
+    height, width = plan.nodes.shape
+    small = -(-height // 2), -(-width // 2)
+    pictures, config = sizes.layers * sizes.pairs, plan.source.config
+    planes = sizes.bands * pictures
+    for stage, before, after in (("rows", "joined", "smooth_rows"), ("columns", "smooth_rows", "band_views")):
+        chain.add(
+            f"bands_{stage}", [made[before], band_taps, made[after]], groups=groups_for(planes * height * width),
+            uses=("indexing",), height=height, width=width, pictures=pictures, bands=sizes.bands,
+            reach=sizes.band_reach,
+        )  # fmt: skip
+    chain.add(
+        "band_products", [made["band_views"], made["products"]], groups=groups_for(planes * small[0] * small[1]),
+        uses=("indexing",), height=height, width=width, planes=planes,
+    )  # fmt: skip
+    rest_px = math.sqrt(max(config.window_sigma_px**2 - SAMPLING_PX**2, 0.01))  # as `blur_evidence`
+    add_gaussian(
+        chain,
+        made["products"],
+        made["product_rows"],
+        small,
+        gaussian_taps(rest_px / 2 / SAMPLING_PX),
+        parts=3,
+        planes=planes,
+    )
+    chain.add(
+        "band_correlation", [made["products"], round_, correlation],
+        groups=groups_for(planes * small[0] * small[1]), uses=("indexing",), height=small[0], width=small[1],
+        bands=sizes.bands, layers_of_round=sizes.layers, pair_count=sizes.pairs, layer_count=len(plan.computed_px),
+        kept_height=plan.samples[0], kept_width=plan.samples[1],
+    )  # fmt: skip

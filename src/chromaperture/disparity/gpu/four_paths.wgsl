@@ -1,0 +1,43 @@
+// Path costs along one of four directions: 0 right, 1 left, 2 down, 3 up. A pixel of path cost c adds to its neighbour
+// on the path m = min(c, min c + e jump) - min c, which is left in 16 bits of the jump for `path_winner.wgsl`. The four
+// dispatches write to arrays of their own, so that a device may run them side by side.
+
+@group(0) @binding(0) var<storage, read> likelihood: array<vec4f>;  // (h, w, pitch / 4)
+@group(0) @binding(1) var<storage, read> guide: array<f32>;  // planes; the guide is the one behind K others
+@group(0) @binding(2) var<storage, read> stats: array<f32>;
+@group(0) @binding(3) var<storage, read_write> costs: array<vec2u>;  // (h, w, pitch / 4)
+
+const vectors = pitch / 4u / lanes;  // of an invocation
+
+@compute @workgroup_size(64)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let line_count = select(width, height, direction < 2u);
+    let steps = select(height, width, direction < 2u);
+    lane_here = local;
+    let line = group.x * (64u / lanes) + local / lanes;
+    let lane = local % lanes;
+    let used = line < line_count;
+    let here = min(line, line_count - 1u);
+    var cost: array<vec4f, vectors>;
+    var least = 0.0;
+    var before_guide = 0.0;
+    let edge = stats[GUIDE_SCALE] / edge_range;
+    for (var s = 0u; s < steps; s++) {
+        let along = select(s, steps - 1u - s, (direction & 1u) == 1u);
+        let pixel = select(along * width + here, here * width + along, direction < 2u);
+        let own_guide = guide[guide_plane + pixel];
+        let link = edge_floor + (1.0 - edge_floor) * exp(-abs(own_guide - before_guide) * edge);
+        let limit = select(least + link * jump, 0.0, s == 0u);
+        before_guide = own_guide;
+        var lowest = vec4f(1.0e30);
+        for (var v = 0u; v < vectors; v++) {
+            let at = pixel * (pitch / 4u) + v * lanes + lane;
+            let incoming = select(min(cost[v], vec4f(limit)) - least, vec4f(), s == 0u);
+            let packed = vec2u(pack2x16unorm(incoming.xy / jump), pack2x16unorm(incoming.zw / jump));
+            if (used) { costs[at] = packed; }
+            cost[v] = incoming - likelihood[at];
+            lowest = min(lowest, cost[v]);
+        }
+        least = least_of_lanes(min(min(lowest.x, lowest.y), min(lowest.z, lowest.w)));
+    }
+}

@@ -1,0 +1,195 @@
+"""A method on a device: chains for the sizes of picture it has seen, and the way back to the CPU."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from chromaperture.config import MatcherConfig, PaperConfig, RealTimeConfig
+from chromaperture.disparity.accurate import AccurateMethod
+from chromaperture.disparity.gpu.accurate_chain import AccurateOnDevice, pairs_of
+from chromaperture.disparity.gpu.conversion_stage import Conversion, add_conversion
+from chromaperture.disparity.gpu.device import Chain, Device, DeviceError, adapters, open_device
+from chromaperture.disparity.gpu.paper_chain import add_paper, runs_on_device
+from chromaperture.disparity.gpu.real_time_chain import add_real_time
+from chromaperture.disparity.gpu.view_stages import check_stats
+from chromaperture.disparity.labels import IDENTITY, LabelMap
+from chromaperture.disparity.paper import PaperMethod
+from chromaperture.disparity.real_time import RealTimeMethod
+from chromaperture.disparity.result import Disparity, Method
+from chromaperture.disparity.views import ViewSpace
+from chromaperture.errors import CaptureWarning, InputError, OutOfMemoryError
+
+_MAPS = ("disparity", "sigma", "confidence")
+_MILLIMETRES = ("depth_mm", "sigma_mm")
+
+
+class Measured(NamedTuple):
+    """Disparity, and where a conversion was given depth and its standard deviation, (H, W) float32, mm."""
+
+    disparity: Disparity
+    depth_mm: np.ndarray | None = None
+    sigma_mm: np.ndarray | None = None
+
+
+@dataclass
+class GpuMethod:
+    """A method whose stages run on a device; not for two threads at a time but safe from them.
+
+    Attributes
+    ----------
+    config : MatcherConfig
+        `RealTimeConfig` or `PaperConfig`.
+    space : ViewSpace
+    label_map : LabelMap
+    device : Device
+    """
+
+    config: MatcherConfig
+    space: ViewSpace
+    label_map: LabelMap
+    device: Device
+    _chain: Chain | None = None
+    _key: tuple[object, ...] = ()
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def match(self, image: np.ndarray) -> Disparity:
+        """Return the disparity of an image (H, W, 3); raises DeviceError, OutOfMemoryError besides InputError."""
+        return self.measure(image).disparity
+
+    def measure(self, image: np.ndarray, conversion: Conversion | None = None) -> Measured:
+        """Return the disparity, and with a conversion the depth, of an image (H, W, 3)."""
+        size = (image.shape[0], image.shape[1])
+        outputs = [*_MAPS, "stats", *(_MILLIMETRES if conversion is not None else ())]
+        with self._lock:
+            try:
+                found = self._composed(size, conversion).run({"image": image}, outputs)
+            except (DeviceError, OutOfMemoryError):
+                self._chain = None  # gives its memory back
+                raise
+        check_stats(found["stats"], len(self.space.rows))
+        maps = {name: found[name].reshape(size) for name in outputs if name != "stats"}
+        disparity = Disparity(*(maps[name] for name in _MAPS))
+        return Measured(disparity, *(maps[name] for name in _MILLIMETRES if name in maps))
+
+    def _composed(self, size: tuple[int, int], conversion: Conversion | None) -> Chain:
+        """Return the chain for a size, kept until another is needed."""
+        key = (size, conversion)
+        if self._chain is None or self._key[0] != size or self._key[1] is not conversion:
+            self._chain = None
+            chain = Chain(self.device)
+            image = chain.array("image", 3 * size[0] * size[1])
+            if isinstance(self.config, RealTimeConfig):
+                add_real_time(chain, image, size, self.config, self.space, self.label_map)
+            elif isinstance(self.config, PaperConfig):
+                add_paper(chain, image, size, self.config, self.space)
+            else:
+                raise TypeError(type(self.config).__name__)
+            if conversion is not None:
+                add_conversion(chain, chain.arrays["disparity"], chain.arrays["sigma"], conversion)
+            self._chain, self._key = chain, key
+        return self._chain
+
+
+@dataclass
+class DeviceMethod:
+    """A method on a device as long as that works, else on the CPU.
+
+    Attributes
+    ----------
+    on_gpu : GpuMethod or AccurateOnDevice
+    on_cpu : Method
+        Takes over, with one warning, where ``may_fall_back``.
+    may_fall_back : bool
+        Whether nobody asked for the device by name: then an error of the device is not the caller's concern.
+    """
+
+    on_gpu: GpuMethod | AccurateOnDevice
+    on_cpu: Method
+    may_fall_back: bool
+    has_failed: bool = False
+
+    def match(self, image: np.ndarray) -> Disparity:
+        """Return the disparity of an image (H, W, 3)."""
+        return self.measure(image).disparity
+
+    def measure(self, image: np.ndarray, conversion: Conversion | None = None) -> Measured:
+        """Return the disparity of an image, and its depth where the device made it."""
+        if self.has_failed:
+            return Measured(self.on_cpu.match(image))
+        try:
+            if isinstance(self.on_gpu, AccurateOnDevice):  # its depth is converted on the CPU
+                return Measured(self.on_gpu.match(image))
+            return self.on_gpu.measure(image, conversion)
+        except (DeviceError, OutOfMemoryError) as error:
+            if not self.may_fall_back:
+                raise
+            self.has_failed = True
+            warnings.warn(f"{error}; measuring on the CPU from here on", CaptureWarning, stacklevel=3)
+            return Measured(self.on_cpu.match(image))
+
+
+def chosen_device(choice: str) -> Device | None:
+    """Return the device of ``auto``, ``cpu``, ``gpu`` or ``gpu:NAME``; None is the CPU.
+
+    ``auto`` takes a real device where there is one, never a rasteriser in software. Raises DeviceError and
+    MissingDependencyError for the last two only.
+    """
+    if choice == "cpu":
+        return None
+    if choice == "gpu" or choice.startswith("gpu:"):
+        return open_device(choice)
+    if choice != "auto":
+        raise InputError(
+            f"unknown device {choice!r}: choose auto, cpu, gpu or gpu:NAME, see 'chromaperture info --devices'"
+        )
+    found = adapters()
+    if not found or found[0].is_software:
+        return None
+    try:
+        return open_device("gpu")
+    except DeviceError as error:
+        warnings.warn(f"{error}; measuring on the CPU", CaptureWarning, stacklevel=3)
+        return None
+
+
+def on_device(method: Method, choice: str, note: Callable[[str], None]) -> Method:
+    """Return a method on the device of a choice, where the device can run it.
+
+    Parameters
+    ----------
+    method : Method
+        For the CPU.
+    choice : str
+        As `chosen_device`.
+    note : callable
+        Called with one line where a device was asked for and the CPU is taken, or the device is software.
+    """
+    asked_for = choice not in ("auto", "cpu")
+    on_gpu: Callable[[Device], GpuMethod | AccurateOnDevice]
+    if isinstance(method, PaperMethod) and runs_on_device(method.config):
+        on_gpu = partial(GpuMethod, method.config, method.space, IDENTITY)
+    elif isinstance(method, RealTimeMethod):
+        on_gpu = partial(GpuMethod, method.config, method.space, method.label_map)
+    elif isinstance(method, AccurateMethod) and pairs_of(method) is not None:
+        on_gpu = partial(AccurateOnDevice, method)
+    else:
+        if asked_for:
+            chosen_device(choice)  # a device that does not exist is refused all the same
+            note(
+                "quality accurate without the camera's blur, and scores debiased or weighted by texture, run on the "
+                "CPU: no GPU stages yet"
+            )
+        return method
+    device = chosen_device(choice)
+    if device is None:
+        return method
+    if device.info.is_software:
+        note(f"{device.info.name} is software: slower than --device cpu, with the same results")
+    return DeviceMethod(on_gpu(device), method, not asked_for)

@@ -1,0 +1,21 @@
+// Offset from the nearest layer at which averaged tangents are least, half a layer at most, and the start of the
+// variation there.
+
+@group(0) @binding(0) var<storage, read> winner: array<vec4f>;
+@group(0) @binding(1) var<storage, read> averaged: array<vec2f>;
+@group(0) @binding(2) var<storage, read_write> offset: array<f32>;
+@group(0) @binding(3) var<storage, read_write> variation: array<vec4f>;  // u and its extrapolation, layers; dual
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32
+) {
+    let pixel = invocation_of(group, groups, local, 64u);
+    if (pixel >= width * height) { return; }
+    let pull = averaged[pixel];
+    let o = clamp(-pull.x / max(pull.y, 1.0e-9), -0.5, 0.5);  // 1e-9: even evidence
+    offset[pixel] = o;
+    let u = winner[pixel].x + o;
+    variation[pixel] = vec4f(u, u, 0.0, 0.0);
+}

@@ -1,0 +1,65 @@
+// What all pairs and bands of a sample earn at every layer, as the unexplained fraction exp(-2 l / factors), in which
+// `labels_read.wgsl` interpolates. A workgroup has one sample. See `blur_evidence.py`.
+
+@group(0) @binding(0) var<storage, read> correlation: array<f32>;  // (pairs, bands, samples, computed)
+// (count,): where a layer's correlation is; odd ones may lie between even ones: -1
+@group(0) @binding(1) var<storage, read> places: array<i32>;
+@group(0) @binding(2) var<storage, read_write> unexplained: array<f32>;  // (samples, count)
+
+const evens = (count + 1u) / 2u;
+
+var<workgroup> most: array<f32, 64>;
+
+fn even_layer(first: u32, k: i32) -> f32 {
+    let last = i32(evens) - 1i;
+    if (k < 0i) { return 2.0 * correlation[first] - correlation[first + u32(min(-k, last))]; }
+    if (k > last) { return 2.0 * correlation[first + u32(last)] - correlation[first + u32(max(2i * last - k, 0i))]; }
+    return correlation[first + u32(k)];
+}
+
+fn at_layer(first: u32, layer: u32) -> f32 {
+    if (places[layer] >= 0i) { return correlation[first + u32(places[layer])]; }
+    // A polynomial through six even layers, half way between two.
+    let k = i32(layer / 2u);
+    let far = even_layer(first, k - 2i) + even_layer(first, k + 3i);
+    let near = even_layer(first, k - 1i) + even_layer(first, k + 2i);
+    return (3.0 * far - 25.0 * near + 150.0 * (even_layer(first, k) + even_layer(first, k + 1i))) / 256.0;
+}
+
+fn nats(from_pair: u32, to_pair: u32, sample: u32, layer: u32) -> f32 {
+    var sum = 0.0;
+    for (var pair = from_pair; pair < to_pair; pair++) {
+        for (var band = 0u; band < bands; band++) {
+            let rho = max(at_layer(((pair * bands + band) * samples + sample) * computed, layer), 0.0);
+            sum -= 0.5 * weights[band] * log(1.0 - min(rho * rho, most_correlation2));
+        }
+    }
+    return sum / f32(to_pair - from_pair);
+}
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32
+) {
+    let sample = group.x + group.y * groups.x;
+    if (sample >= samples) { return; }
+    var likelihood: array<f32, (count + 63u) / 64u>;
+    var best = 0.0;  // no log-likelihood is below 0
+    for (var layer = local; layer < count; layer += 64u) {
+        likelihood[layer / 64u] = nats(0u, primary_pairs, sample, layer);
+        best = max(best, likelihood[layer / 64u]);
+    }
+    most[local] = best;
+    workgroupBarrier();
+    for (var half = 32u; half > 0u; half /= 2u) {
+        if (local < half) { most[local] = max(most[local], most[local + half]); }
+        workgroupBarrier();
+    }
+    let weight = fallback_weight * exp(-most[0] / fallback_nats);
+    for (var layer = local; layer < count; layer += 64u) {
+        var found = likelihood[layer / 64u];
+        if (pairs > primary_pairs) { found += weight * nats(primary_pairs, pairs, sample, layer); }
+        unexplained[sample * count + layer] = exp(-2.0 / factors * found);
+    }
+}

@@ -1,0 +1,70 @@
+"""Quality "paper" as one chain on the device: ``paper.py``, stage by stage, in WGSL.
+
+Layers go through the filter in the chunks that ``correlation_stages.py`` makes of them, and only the best so far is
+kept: the volume never exists as a whole.
+"""
+
+from __future__ import annotations
+
+from chromaperture.config import PaperConfig
+from chromaperture.disparity.error_bar import (
+    CONFIDENCE_SCALE_PX,
+    MAX_SIGMA_PX,
+    effective_samples,
+    noise_correlation_factor,
+    sigma_of_range,
+)
+from chromaperture.disparity.gpu.correlation_stages import add_correlation
+from chromaperture.disparity.gpu.device import Array, Chain
+from chromaperture.disparity.gpu.real_time_chain import add_links, add_recursions
+from chromaperture.disparity.gpu.view_stages import SHARED, add_views, invocations
+from chromaperture.disparity.stages.bilateral import even_link
+from chromaperture.disparity.stages.correlation import MIN_WEIGHT
+from chromaperture.disparity.views import ViewSpace
+
+
+def runs_on_device(config: PaperConfig) -> bool:
+    """Whether the device has what the settings ask for: neither debiasing nor weights by texture."""
+    return not (config.correlation.noise_debiasing or config.bilateral.texture_weighting)
+
+
+def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperConfig, space: ViewSpace) -> None:
+    """Add all stages from the image to ``disparity``, ``sigma`` and ``confidence``, (H, W) each.
+
+    Parameters
+    ----------
+    chain : Chain
+    image : Array
+        (H, W, 3) float32.
+    size : (int, int)
+        H, W.
+    config : PaperConfig
+        For which `runs_on_device`.
+    space : ViewSpace
+    """
+    planes = add_views(chain, image, size, space, config.views)
+    layers_px = config.layers.values_px
+    first, step = float(layers_px[0]), float(layers_px[1] - layers_px[0])
+    even = even_link(config.bilateral.sigma_px)
+    best, maps = chain.array("best", 5 * planes.pixels), None
+    links = add_links(chain, planes, best, even=even, edge_range=1.0, by_layer=False)
+    for score, chunk in add_correlation(chain, planes, layers_px, space.directions, config.correlation, chunked=True):
+        maps = maps or chain.array("weighted", planes.pixels * (chunk.size + 1))  # the first chunk is the largest
+        chain.add(
+            "weigh", [score, planes.planes, maps], groups=invocations(planes.pixels * (chunk.size + 1)), uses=SHARED,
+            pixels=planes.pixels, layer_count=chunk.size, view_count=planes.view_count, least_weight=MIN_WEIGHT,
+        )  # fmt: skip
+        add_recursions(chain, planes, maps, links, map_count=chunk.size + 1, gain=1 - even, own=0.0)
+        chain.add(
+            "running_winner", [maps, best], groups=invocations(planes.pixels), uses=SHARED,
+            pixels=planes.pixels, layer_count=chunk.size, first_layer=chunk.first,
+        )  # fmt: skip
+    samples = effective_samples(config.correlation.window_decay)
+    samples /= noise_correlation_factor(config.views.presmooth_sigma_px)
+    outputs = [chain.array(name, planes.pixels) for name in ("disparity", "sigma", "confidence")]
+    chain.add(
+        "peak", [best, *outputs], groups=invocations(planes.pixels), uses=("shared", "finishing"),
+        pixels=planes.pixels, view_count=planes.view_count, total_layers=len(layers_px), first_px=first, step_px=step,
+        samples=float(samples), sigma_scale=config.sigma_scale, range_sigma_px=sigma_of_range(layers_px),
+        max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX,
+    )  # fmt: skip

@@ -1,0 +1,56 @@
+// Point-spread functions from traced rays, and the Fourier transforms of their rows. A workgroup adds the rays of one
+// tile, channel and layer to the four pixels around each, as whole numbers in shared memory (`cells` pixels: some rows),
+// and transforms those rows at the frequencies that the samples of a tile have.
+
+@group(0) @binding(0) var<storage, read> factors: array<vec2f>;  // (tile_px,)
+@group(0) @binding(1) var<storage, read> rays: array<vec4f>;  // (tiles, channels, points): x, y at infinity, px; light
+@group(0) @binding(2) var<storage, read> pupil: array<vec2f>;  // (points,)
+@group(0) @binding(3) var<storage, read> layers: array<vec2f>;  // (layers,): defocus at the pupil's edge, reach, px
+@group(0) @binding(4) var<storage, read> round: array<u32>;
+@group(0) @binding(5) var<storage, read_write> rows: array<vec2f>;  // (layers of a round, tiles, channels, side, kept)
+
+const ONE = 1073741824.0f;  // 2^30: all light of a point falls into one pixel at the most
+
+var<workgroup> light: array<atomic<u32>, cells>;
+
+@compute @workgroup_size(128)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let layer = min(round[0] * layers_of_round + group.z, layer_count - 1u);
+    let reach = u32(layers[layer].y);
+    let used = 2u * reach + 2u;  // pixels from -reach to reach + 1
+    let top = group.y * rows_of_group;
+    if (top >= used) { return; }
+    let picture = group.x;
+    for (var i = local; i < cells; i += 128u) { atomicStore(&light[i], 0u); }
+    workgroupBarrier();
+    for (var j = local; j < points; j += 128u) {
+        let ray = rays[picture * points + j];
+        let place = ray.xy - layers[layer].x * pupil[j];
+        let corner = floor(place);
+        let share = place - corner;
+        let at = vec2i(corner) + i32(reach);
+        for (var k = 0u; k < 4u; k++) {
+            let pixel = at + vec2i(i32(k & 1u), i32(k >> 1u));
+            let row = pixel.y - i32(top);
+            if (row >= 0i && row < i32(rows_of_group) && pixel.x >= 0i && pixel.x < i32(used)) {
+                let along = select(1.0 - share.x, share.x, (k & 1u) == 1u);
+                let down = select(1.0 - share.y, share.y, k > 1u);
+                atomicAdd(&light[u32(row) * side + u32(pixel.x)], u32(ray.z * along * down * ONE + 0.5));
+            }
+        }
+    }
+    workgroupBarrier();
+    let count = min(rows_of_group, used - top);
+    for (var i = local; i < count * kept; i += 128u) {
+        let frequency = i % kept;
+        let row = i / kept;
+        var at = (tile_px - frequency * reach % tile_px) % tile_px;
+        var sum = vec2f();
+        for (var x = 0u; x < used; x++) {
+            sum += f32(atomicLoad(&light[row * side + x])) * factors[at];
+            at += frequency;
+            at = select(at, at - tile_px, at >= tile_px);
+        }
+        rows[(((group.z * pictures) + picture) * side + top + row) * kept + frequency] = sum / ONE;
+    }
+}

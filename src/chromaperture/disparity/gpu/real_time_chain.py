@@ -1,0 +1,177 @@
+"""Quality "real-time" as one chain on the device: ``real_time.py``, stage by stage, in WGSL."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from chromaperture.color.image import DARK
+from chromaperture.config import RealTimeConfig
+from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, LIGHT_WINDOW_PX, MAX_SIGMA_PX, sigma_of_range
+from chromaperture.disparity.gpu.correlation_stages import add_correlation
+from chromaperture.disparity.gpu.device import MOST_GROUPS, Array, Chain
+from chromaperture.disparity.gpu.view_stages import SHARED, Planes, add_halved_views, invocations
+from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.real_time import (
+    EDGE_REACH_PX,
+    EDGE_SHARE,
+    LEAST_INFORMATION,
+    LEAST_UNEXPLAINED,
+    POSTERIOR_SHARE,
+)
+from chromaperture.disparity.stages.bilateral import even_link
+from chromaperture.disparity.stages.enlarge import JUMP_PX
+from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
+from chromaperture.disparity.views import ViewSpace
+
+_CLOSED = 1e4  # nats; cost of layers that only fill the last vector
+_LANES = 4  # invocations that share a path
+
+
+def add_real_time(
+    chain: Chain, image: Array, size: tuple[int, int], config: RealTimeConfig, space: ViewSpace, label_map: LabelMap
+) -> None:
+    """Add all stages from the image to ``disparity``, ``sigma`` and ``confidence``, (H, W) each.
+
+    Parameters
+    ----------
+    chain : Chain
+    image : Array
+        (H, W, 3) float32.
+    size : (int, int)
+        H, W.
+    config : RealTimeConfig
+    space : ViewSpace
+    label_map : LabelMap
+        (H, W), or `IDENTITY`.
+    """
+    height, width = size
+    planes = add_halved_views(chain, image, size, space, config.views)
+    layers_px = config.layers.values_px / 2  # of the halved picture
+    pitch = 4 * _LANES * -(-len(layers_px) // (4 * _LANES))
+    volume = planes.pixels * pitch
+    labels = chain.constant("labels", np.stack([np.asarray(part, np.float32) for part in label_map]))
+    chunks = list(add_correlation(chain, planes, layers_px, space.directions, config.correlation, pitch=pitch))
+    score = chunks[-1][0]
+    of_labels: dict[str, Any] = {"labelled": not label_map.is_identity, "full_width": width, "full_height": height}
+    of_layers: dict[str, Any] = {"layer_count": len(layers_px), "pitch": pitch}
+    first, step = float(layers_px[0]), float(layers_px[1] - layers_px[0])
+    frame: dict[str, Any] = {"width": planes.width, "height": planes.height}
+    likelihood = chain.array("likelihood", volume)
+    chain.add(
+        "likelihood", [score, labels, planes.planes, likelihood], groups=invocations(volume // 4), uses=SHARED,
+        view_count=planes.view_count, first_px=first, step_px=step, least_determinant=LEAST_DETERMINANT, closed=_CLOSED,
+        **frame, **of_layers, **of_labels,
+    )  # fmt: skip
+    winner, places = _add_paths(chain, planes, likelihood, config, of_layers)
+    smoothed = _add_smoothing_along_surface(chain, planes, winner, places, config)
+
+    ranges, surface = chain.array("ranges", 2 * planes.pixels), chain.array("surface", 3 * planes.pixels)
+    between: dict[str, Any] = {"first_px": first, "step_px": step, "reach": EDGE_REACH_PX, **frame, **of_labels}
+    chain.add("surface", [smoothed, labels, ranges], groups=invocations(planes.pixels), uses=SHARED, **between)
+    chain.add(
+        "surface_range", [ranges, smoothed, winner, labels, surface], groups=invocations(planes.pixels), uses=SHARED,
+        layer_count=len(layers_px), widest_px=sigma_of_range(layers_px), posterior_share=POSTERIOR_SHARE,
+        edge_share=EDGE_SHARE, **between,
+    )  # fmt: skip
+
+    lacking, cells = add_two_views(chain, image, size, space.rows)
+    assert planes.full_guide is not None
+    moved = float(np.linalg.norm(space.directions, axis=1).mean())  # px of the views a px of disparity
+    outputs = [chain.array(name, height * width, np.float32) for name in ("disparity", "sigma", "confidence")]
+    chain.add(
+        "enlarge", [surface, planes.full_guide, planes.stats, labels, lacking, *outputs],
+        groups=invocations(height * width), uses=("shared", "finishing"),
+        width=width, height=height, half_width=planes.width, half_height=planes.height, jump_px=JUMP_PX,
+        labelled=not label_map.is_identity, range_sigma_px=sigma_of_range(config.layers.values_px),
+        floor_px=config.floor_px / moved, max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells,
+    )  # fmt: skip
+
+
+def _add_paths(
+    chain: Chain, planes: Planes, likelihood: Array, config: RealTimeConfig, of_layers: dict[str, Any]
+) -> tuple[Array, Array]:
+    """Add the four paths and the best layer; return it, and the places between the layers."""
+    paths = config.paths
+    size: dict[str, Any] = {"width": planes.width, "height": planes.height}
+    pitch = of_layers["pitch"]
+    # Costs of two layers share 32 bits.
+    costs = [
+        chain.array(name, planes.pixels * pitch // 2, np.uint32)
+        for name in ("rightward", "leftward", "downward", "upward")
+    ]
+    exchange, lanes = "lanes_quad", _LANES
+    if not chain.device.subgroups:  # barriers of a rasteriser in software take three times as long as the paths
+        exchange, lanes = ("lanes_single", 1) if chain.device.info.is_software else ("lanes_shared", _LANES)
+    for direction, cost in enumerate(costs):
+        lines = planes.height if direction < 2 else planes.width
+        chain.add(
+            "four_paths", [likelihood, planes.planes, planes.stats, cost],
+            groups=(-(-lines // (64 // lanes)),), uses=("shared", exchange), direction=direction,
+            guide_plane=planes.view_count * planes.pixels, pitch=pitch, jump=paths.jump_penalty,
+            edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
+        )  # fmt: skip
+    winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
+    chain.add(
+        "path_winner", [likelihood, *costs, winner, places], groups=invocations(planes.pixels), uses=SHARED,
+        view_count=planes.view_count, jump=paths.jump_penalty, temperature=paths.temperature,
+        least_unexplained=LEAST_UNEXPLAINED, least_information=LEAST_INFORMATION, **size, **of_layers,
+    )  # fmt: skip
+    return winner, places
+
+
+def _add_smoothing_along_surface(
+    chain: Chain, planes: Planes, winner: Array, places: Array, config: RealTimeConfig
+) -> Array:
+    links = add_links(
+        chain, planes, winner, even=even_link(config.smoothing_sigma_px), edge_range=config.smoothing_edge_range,
+        by_layer=True,
+    )  # fmt: skip
+    return add_recursions(chain, planes, places, links, map_count=2, gain=1.0, own=1.0)
+
+
+def add_links(chain: Chain, planes: Planes, layers: Array, *, even: float, edge_range: float, by_layer: bool) -> Array:
+    """Add the weights of the links between neighbours, (2, h, w); ``layers`` is read only where ``by_layer``."""
+    links = chain.array("links", 2 * planes.pixels)
+    chain.add(
+        "links", [planes.planes, planes.stats, layers, links], groups=invocations(planes.pixels), uses=SHARED,
+        width=planes.width, height=planes.height, guide_plane=planes.view_count * planes.pixels,
+        even_link=even, edge_range=edge_range, by_layer=by_layer,
+    )  # fmt: skip
+    return links
+
+
+def add_recursions(
+    chain: Chain, planes: Planes, maps: Array, links: Array, *, map_count: int, gain: float, own: float
+) -> Array:
+    """Add the recursions of ``smoothing.wgsl`` along x, then along y; return the sums, in place of the maps."""
+    between = chain.arrays.get(f"{maps.name}_x") or chain.array(f"{maps.name}_x", maps.size)
+    for along_x, source, target in ((True, maps, between), (False, between, maps)):
+        lines = (planes.height if along_x else planes.width) * map_count
+        groups = -(-lines // 8)
+        across = min(groups, MOST_GROUPS)
+        chain.add(
+            "smoothing", [source, links, target], groups=(across, -(-groups // across)), uses=SHARED,
+            width=planes.width, height=planes.height, map_count=map_count, along_x=along_x, gain=gain, own=own,
+        )  # fmt: skip
+    return maps
+
+
+def add_two_views(chain: Chain, image: Array, size: tuple[int, int], rows: np.ndarray) -> tuple[Array, dict[str, Any]]:
+    """Add `error_bar.without_two_views`; return the map of its squares and their numbers along x and y."""
+    height, width = size
+    side = LIGHT_WINDOW_PX
+    spacing, first_y, first_x = side // 2, min(side // 4, height - 1), min(side // 4, width - 1)
+    samples_x, samples_y = math.ceil((width - first_x) / spacing), math.ceil((height - first_y) / spacing)
+    cells: dict[str, Any] = {"cells_x": max(1, width // side), "cells_y": max(1, height // side)}
+    lacking = chain.array("lacking", cells["cells_x"] * cells["cells_y"])
+    red, green, blue = (float(matched) for matched in np.any(rows, axis=0))
+    chain.add(
+        "two_views", [image, lacking], groups=invocations(lacking.size), uses=SHARED,
+        width=width, spacing=spacing, first_x=first_x, first_y=first_y, samples_x=samples_x, samples_y=samples_y,
+        per_cell_x=samples_x / cells["cells_x"], per_cell_y=samples_y / cells["cells_y"], dark=DARK,
+        matched_red=red, matched_green=green, matched_blue=blue, **cells,
+    )  # fmt: skip
+    return lacking, cells

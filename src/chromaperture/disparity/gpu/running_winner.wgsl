@@ -1,0 +1,44 @@
+// The best layer so far, from one chunk of filtered scores after the other, with the scores before and after it. Where
+// it is an end of the range the disparity is unknown, and nobody reads the score beyond.
+
+@group(0) @binding(0) var<storage, read> maps: array<f32>;  // (h, w, C + 1): scores times weights, weights
+@group(0) @binding(1) var<storage, read_write> best: array<f32>;  // (5, h, w): layer, before, at, after, last score
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32
+) {
+    let i = invocation(group, groups, local);
+    if (i >= pixels) { return; }
+    var layer = -2.0;
+    var before = 0.0;
+    var at = -1.0e30;
+    var after = 0.0;
+    var last = 0.0;
+    if (first_layer > 0u) {
+        layer = best[i];
+        before = best[pixels + i];
+        at = best[2u * pixels + i];
+        after = best[3u * pixels + i];
+        last = best[4u * pixels + i];
+    }
+    let start = i * (layer_count + 1u);
+    let weight = maps[start + layer_count];
+    for (var c = 0u; c < layer_count; c++) {
+        let here = maps[start + c] / weight;
+        let number = f32(first_layer + c);
+        if (number == layer + 1.0) { after = here; }
+        if (here > at) {
+            layer = number;
+            before = last;
+            at = here;
+        }
+        last = here;
+    }
+    best[i] = layer;
+    best[pixels + i] = before;
+    best[2u * pixels + i] = at;
+    best[3u * pixels + i] = after;
+    best[4u * pixels + i] = last;
+}

@@ -1,0 +1,39 @@
+// The surface of the halved picture: disparity, sigma, peak, in px of the full one. Unknown where the best layer is an
+// end of the range and where it is known no better than the range.
+
+@group(0) @binding(0) var<storage, read> ranges: array<vec2f>;  // (h, w): lowest and highest disparity along x
+@group(0) @binding(1) var<storage, read> places: array<vec2f>;  // (h, w)
+@group(0) @binding(2) var<storage, read> winner: array<f32>;  // (3, h, w): layer, likelihood there, sigma in layers
+@group(0) @binding(3) var<storage, read> labels: array<f32>;  // (2, H, W) or (2, 1, 1)
+@group(0) @binding(4) var<storage, read_write> surface: array<f32>;  // (3, h, w)
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32
+) {
+    let i = invocation(group, groups, local);
+    if (i >= width * height) { return; }
+    let x = i % width;
+    let y = i / width;
+    var low = 1.0e30;
+    var high = -1.0e30;
+    for (var at = inside(i32(y) - i32(reach), height); at <= inside(i32(y) + i32(reach), height); at++) {
+        let here = ranges[at * width + x];
+        low = min(low, here.x);
+        high = max(high, here.y);
+    }
+    var offset = 0.0;
+    var scale = 1.0;
+    if (labelled) {
+        offset = labels[2u * y * full_width + 2u * x] / 2.0;
+        scale = labels[full_width * full_height + 2u * y * full_width + 2u * x];
+    }
+    let disparity = offset + scale * (first_px + step_px * places[i].y / places[i].x);
+    let posterior = step_px * winner[2u * width * height + i];
+    let known = winner[i] > 0.0 && winner[i] < f32(layer_count - 1u) && posterior < widest_px;
+    let sigma = min(length(vec2f(posterior_share * scale * posterior, edge_share * (high - low))), scale * widest_px);
+    surface[i] = select(UNKNOWN, 2.0 * disparity, known);
+    surface[width * height + i] = 2.0 * sigma;
+    surface[2u * width * height + i] = sqrt(max(1.0 - exp(-2.0 * winner[width * height + i]), 0.0));
+}

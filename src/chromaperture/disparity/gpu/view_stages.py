@@ -1,0 +1,222 @@
+"""Views, guide and mask on the device: the stages of ``views.py``, in WGSL."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from chromaperture.color.image import SATURATION
+from chromaperture.disparity.gpu.device import MOST_GROUPS, Array, Chain
+from chromaperture.disparity.views import (
+    CONSTANT,
+    FILL_SIGMA_PX,
+    GUIDE_SIGMA_PX,
+    USABLE,
+    ViewSpace,
+    constant_view,
+    no_usable_pixel,
+    percentile_spacing,
+)
+from chromaperture.stage_config import ViewsConfig
+
+SHARED = ("shared",)
+_GROUP = 64  # invocations of a workgroup
+_PARTS = 256  # most workgroups that sum a picture up; one workgroup sums their sums
+_STATS = 16  # numbers of `shared.wgsl`'s `stats`
+_USABLE_AT, _VARIANCE_AT = 4, 8
+
+
+class Planes(NamedTuple):
+    """What is matched, on the device.
+
+    Attributes
+    ----------
+    planes : Array
+        (K + 2, h, w): views, guide, mask.
+    stats : Array
+        See ``shared.wgsl``.
+    full_guide : Array or None
+        (H, W), of a halved picture.
+    width, height, view_count : int
+        Of the planes.
+    """
+
+    planes: Array
+    stats: Array
+    full_guide: Array | None
+    width: int
+    height: int
+    view_count: int
+
+    @property
+    def pixels(self) -> int:
+        """Of a plane."""
+        return self.width * self.height
+
+
+def invocations(count: int) -> tuple[int, int]:
+    """Workgroups along x and y for so many invocations, which ``shared.wgsl`` numbers."""
+    groups = -(-count // _GROUP)
+    across = min(groups, MOST_GROUPS)
+    return across, -(-groups // across)
+
+
+def add_views(chain: Chain, image: Array, size: tuple[int, int], space: ViewSpace, config: ViewsConfig) -> Planes:
+    """Add the views at full resolution, as `views.filtered_views`; ``size`` is (height, width)."""
+    height, width = size
+    stats = _add_light(chain, image, height * width)
+    count = len(space.rows)
+    raw, smoothed = (chain.array(name, (count + 2) * height * width) for name in ("planes_raw", "planes"))
+    mixing = _mixing(space, width, height)
+    chain.add("views", [image, stats, raw], groups=invocations(width * height), uses=("shared", "mixing"), **mixing)
+    planes = Planes(smoothed, stats, None, width, height, count)
+    _add_smoothing(chain, raw, planes, config)
+    return planes
+
+
+def add_halved_views(
+    chain: Chain, image: Array, size: tuple[int, int], space: ViewSpace, config: ViewsConfig
+) -> Planes:
+    """Add the views of the halved picture, as `views.halved_views`; ``size`` is (height, width) of the full one."""
+    height, width = size
+    half_height, half_width = -(-height // 2), -(-width // 2)
+    stats = _add_light(chain, image, height * width)
+    count = len(space.rows)
+    plane = half_height * half_width
+    tall = chain.array("planes_tall", (count + 2) * height * half_width)
+    full_guide = chain.array("full_guide", height * width)
+    raw, smoothed = (chain.array(name, (count + 2) * plane) for name in ("planes_raw", "planes"))
+    mixing = _mixing(space, width, height) | {"half_width": half_width}
+    chain.add(
+        "halve_rows", [image, stats, tall, full_guide],
+        groups=invocations(half_width * height), uses=("shared", "mixing"), **mixing,
+    )  # fmt: skip
+    chain.add(
+        "halve_columns", [tall, raw], groups=invocations((count + 2) * plane), uses=SHARED,
+        width=half_width, height=half_height, tall_height=height, plane_count=count + 2,
+    )  # fmt: skip
+    planes = Planes(smoothed, stats, full_guide, half_width, half_height, count)
+    # Of all planes, though only views and usable share are read: the guide between them is as cheap.
+    taps = _gaussian(FILL_SIGMA_PX, 2 * round(4 * FILL_SIGMA_PX) + 1)
+    bands: dict[str, Any] = {"band_height": len(taps) // 2, "band_count": -(-half_height // (len(taps) // 2))}
+    unusable = chain.array("unusable", bands["band_count"] * half_width, np.uint32)
+    chain.add(
+        "unusable", [raw, unusable], groups=invocations(unusable.size), uses=SHARED,
+        width=half_width, height=half_height, view_count=count, usable_share=USABLE, **bands,
+    )  # fmt: skip
+    around = _add_blur(chain, raw, planes, taps, first=0, count=count + 2, sparse=(unusable, bands))
+    chain.add(
+        "fill", [around, raw], groups=invocations(plane), uses=SHARED,
+        plane=plane, view_count=count, usable_share=USABLE,
+    )  # fmt: skip
+    _add_smoothing(chain, raw, planes, config)
+    _add_guide_scale(chain, full_guide, stats, (height, width), config, first=0, slot=1)
+    return planes
+
+
+def check_stats(stats: np.ndarray, view_count: int) -> None:
+    """Raise InputError where the picture had nothing to match, as `views.mixed` and `views.smoothed_views`."""
+    if stats[_USABLE_AT] == 0:
+        raise no_usable_pixel()
+    if min(stats[_VARIANCE_AT : _VARIANCE_AT + view_count]) < CONSTANT**2:
+        raise constant_view()
+
+
+def _add_light(chain: Chain, image: Array, pixels: int) -> Array:
+    parts = min(_PARTS, -(-pixels // 256))
+    stats, sums = chain.array("stats", _STATS), chain.array("light_parts", 4 * parts)
+    numbers: dict[str, Any] = {"pixels": pixels, "part_count": parts, "saturation": SATURATION}
+    chain.add("light", [image, sums], groups=(parts,), uses=("shared", "light_reduction"), **numbers)
+    chain.add("light_sum", [sums, stats], groups=(1,), uses=("shared", "light_reduction"), **numbers)
+    return stats
+
+
+def _mixing(space: ViewSpace, width: int, height: int) -> dict[str, Any]:
+    return {
+        "width": width, "height": height, "view_count": len(space.rows), "saturation": SATURATION,
+        "rows": np.ravel(space.rows), "guide_rgb": np.ravel(space.guide_rgb),
+    }  # fmt: skip
+
+
+def _add_smoothing(chain: Chain, raw: Array, planes: Planes, config: ViewsConfig) -> None:
+    """Smooth views and guide, copy the mask; then the views' variance and the guide's unit."""
+    count = planes.view_count
+    taps = _smoothing_taps(config.presmooth_sigma_px)
+    _add_blur(chain, raw, planes, taps, first=0, count=count)
+    taps = _smoothing_taps(GUIDE_SIGMA_PX)
+    _add_blur(chain, raw, planes, taps, first=count, count=1)
+    _add_pass(chain, raw, planes.planes, planes, [1.0], first=count + 1, count=1, along_x=False)
+    parts = min(_PARTS, -(-planes.pixels // 256))
+    sums = chain.array("variance_parts", 6 * parts)
+    numbers: dict[str, Any] = {"pixels": planes.pixels, "part_count": parts, "view_count": count}
+    chain.add("variance", [planes.planes, sums], groups=(parts,), uses=("shared", "variance_reduction"), **numbers)
+    chain.add("variance_sum", [sums, planes.stats], groups=(1,), uses=("shared", "variance_reduction"), **numbers)
+    _add_guide_scale(
+        chain, planes.planes, planes.stats, (planes.height, planes.width), config, first=count * planes.pixels, slot=0
+    )
+
+
+def _add_guide_scale(
+    chain: Chain, guide: Array, stats: Array, size: tuple[int, int], config: ViewsConfig, *, first: int, slot: int
+) -> None:
+    height, width = size
+    sparse = percentile_spacing(height * width)
+    across, down = -(-width // sparse), -(-height // sparse)
+    low, high = (share * (across * down - 1) for share in (0.01, 0.99))  # places among the sorted, as NumPy's
+    chain.add(
+        "guide_scale", [guide, stats], groups=(1,), uses=SHARED,
+        first=first, width=width, sparse=sparse, sparse_width=across, sparse_count=across * down,
+        low_place=low, high_place=high, slot=slot, guide_range=config.guide_range,
+    )  # fmt: skip
+
+
+def _add_blur(
+    chain: Chain,
+    raw: Array,
+    planes: Planes,
+    taps: list[float],
+    *,
+    first: int,
+    count: int,
+    sparse: tuple[Array, dict[str, Any]] | None = None,
+) -> Array:
+    """Add a Gaussian of some planes, into `planes`; ``sparse``: at unusable pixels only, into an array of its own."""
+    between = chain.arrays.get("planes_between") or chain.array("planes_between", raw.size)
+    after = planes.planes if sparse is None else chain.array("planes_blurred", raw.size)
+    for along_x, source, target in ((True, raw, between), (False, between, after)):
+        _add_pass(chain, source, target, planes, taps, first=first, count=count, along_x=along_x, sparse=sparse)
+    return after
+
+
+def _add_pass(
+    chain: Chain,
+    source: Array,
+    target: Array,
+    planes: Planes,
+    taps: list[float],
+    *,
+    first: int,
+    count: int,
+    along_x: bool,
+    sparse: tuple[Array, dict[str, Any]] | None = None,
+) -> None:
+    """Add one direction of a Gaussian; its border is that of the CPU's."""
+    nowhere = chain.arrays.get("no_unusable") or chain.array("no_unusable", 1, np.uint32)
+    unusable, bands = sparse or (nowhere, {"band_height": 1, "band_count": 1})
+    chain.add(
+        "blur", [source, unusable, target], groups=invocations(count * planes.pixels), uses=SHARED,
+        width=planes.width, height=planes.height, first_plane=first, plane_count=count, along_x=along_x,
+        replicate=sparse is None, sparse=sparse is not None, **bands, reach=len(taps) // 2, taps=taps,
+    )  # fmt: skip
+
+
+def _smoothing_taps(sigma_px: float) -> list[float]:
+    """Weights of `views.smooth`."""
+    return [1.0] if sigma_px == 0 else _gaussian(sigma_px, 2 * math.ceil(4 * sigma_px) + 1)
+
+
+def _gaussian(sigma_px: float, size: int) -> list[float]:
+    return [float(tap) for tap in cv2.getGaussianKernel(size, sigma_px, cv2.CV_64F)[:, 0]]

@@ -1,0 +1,88 @@
+// Costs of all paths of one direction (dx, dy) through a volume of log-likelihoods, added to `total`; see
+// `stages/paths.py`. A path is walked by `lanes` invocations, each of which holds `own_layers` neighbouring layers.
+// The least of L(q, e) + slope |d - e| over e is a scan up and one down the layers of an invocation; what comes from
+// other invocations travels through shared memory together with the least cost, with one barrier a pixel.
+
+@group(0) @binding(0) var<storage, read> likelihood: array<f32>;  // (h, w, count) nats
+@group(0) @binding(1) var<storage, read> guide: array<f32>;  // (h, w), in units of guide_range
+@group(0) @binding(2) var<storage, read_write> total: array<f32>;  // (h, w, count)
+
+const paths = 64u / lanes;  // of a workgroup
+const NEVER = 1.0e30f;  // cost of layers beyond the last
+
+// Of the last layer, of the first, and the least: for this pixel and, at the other half, for the next one.
+var<workgroup> ends: array<vec3f, 128>;
+
+fn line_length(line: u32) -> u32 {
+    let start = line_start(line);
+    return min(select(width - start.x, 0xffffffu, dx == 0.0), select(height - start.y, 0xffffffu, dy == 0.0));
+}
+
+// First pixel as if both steps were positive: diagonals are counted from the lower left corner on.
+fn line_start(line: u32) -> vec2u {
+    if (dy == 0.0) { return vec2u(0u, line); }
+    if (dx == 0.0) { return vec2u(line, 0u); }
+    let along = i32(line) - i32(height - 1u);
+    return vec2u(u32(max(along, 0i)), u32(max(-along, 0i)));
+}
+
+@compute @workgroup_size(64)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    let first = group.x * paths;
+    var steps = 0u;
+    for (var i = first; i < min(first + paths, lines); i++) { steps = max(steps, line_length(i)); }
+    let line = min(first + local / lanes, lines - 1u);
+    let used = first + local / lanes < lines;
+    let length = line_length(line);
+    let start = line_start(line);
+    let lane = local % lanes;
+    let begin = lane * own_layers;
+    var cost: array<f32, own_layers>;
+    for (var r = 0u; r < own_layers; r++) { cost[r] = select(0.0, NEVER, begin + r >= count); }
+    var least = 0.0;
+    var before = 0.0;
+    for (var s = 0u; s < steps; s++) {
+        let along = min(s, length - 1u);
+        let flat = vec2u(select(along, 0u, dx == 0.0), select(along, 0u, dy == 0.0)) + start;
+        let x = select(flat.x, width - 1u - flat.x, dx < 0.0);
+        let y = select(flat.y, height - 1u - flat.y, dy < 0.0);
+        let pixel = y * width + x;
+        let value = guide[pixel];
+        let link = select(edge_floor + (1.0 - edge_floor) * exp(-abs(value - before) / edge_range), 1.0, s == 0u);
+        before = value;
+        let bend = slope * link;
+        for (var r = 1u; r < own_layers; r++) { cost[r] = min(cost[r], cost[r - 1u] + bend); }
+        for (var r = own_layers - 1u; r > 0u; r--) { cost[r - 1u] = min(cost[r - 1u], cost[r] + bend); }
+        let half = (s & 1u) * 64u;
+        ends[half + local] = vec3f(cost[own_layers - 1u], cost[0], least);
+        workgroupBarrier();
+        var lowest = least;
+        for (var k = 0u; k < lanes; k++) { lowest = min(lowest, ends[half + local - lane + k].z); }
+        var below = NEVER;  // of the layer before the first
+        var above = NEVER;  // of the layer behind the last
+        for (var k = 1u; k <= reach; k++) {
+            let further = bend * f32((k - 1u) * own_layers);
+            if (lane >= k) { below = min(below, ends[half + local - k].x + further); }
+            if (lane + k < lanes) { above = min(above, ends[half + local + k].y + further); }
+        }
+        let limit = lowest + jump * link;
+        let at = pixel * count + begin;
+        let counts = used && s < length;
+        least = NEVER;
+        for (var r = 0u; r < own_layers; r++) {
+            if (begin + r >= count) {
+                cost[r] = NEVER;  // the scans have reached it
+            } else {
+                let gain = likelihood[at + r];
+                let from_below = below + bend * f32(r + 1u);
+                let from_above = above + bend * f32(own_layers - r);
+                let last = min(min(cost[r], limit), min(from_below, from_above)) - lowest - gain;
+                cost[r] = last;
+                least = min(least, last);
+                if (counts) {
+                    if (starts_total) { total[at + r] = own * gain + last; } else { total[at + r] += last; }
+                }
+            }
+        }
+    }
+}

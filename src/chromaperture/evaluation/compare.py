@@ -1,0 +1,270 @@
+"""Two depth maps, or two cameras, side by side: how far apart they are, and whether their error bars say so."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from scipy.special import erf
+
+from chromaperture.camera_file import Calibration
+from chromaperture.config import Quality
+from chromaperture.depth.conversion import depth_and_sigma, depth_to_disparity
+from chromaperture.errors import InputError
+from chromaperture.products.result_files import StoredDepth
+
+SHARES_PERCENT = (1, 2, 5)
+_MAD = 0.6745  # median of |x| of a normal distribution of standard deviation 1
+_GRID, _DISTANCES = 33, 24  # a side, of positions in the frame, and distances; chosen by hand, 0.1 s
+
+
+@dataclass(frozen=True)
+class DepthComparison:
+    """Two maps of one size, B against A.
+
+    Attributes
+    ----------
+    a, b : StoredDepth
+    difference_mm, difference_percent : (H, W) float32
+        B - A, and the same of A; NaN where either is unknown.
+    in_sigmas : (H, W) float32, optional
+        B - A in units of the error bars that there are, combined as independent; None where there are none.
+    figures : dict
+        Of `chromaperture compare --json`.
+    """
+
+    a: StoredDepth
+    b: StoredDepth
+    difference_mm: np.ndarray
+    difference_percent: np.ndarray
+    in_sigmas: np.ndarray | None
+    figures: dict[str, Any]
+
+
+def compare_depth(a: StoredDepth, b: StoredDepth) -> DepthComparison:
+    """Compare two depth maps of the same view; A is what shares and percentages refer to.
+
+    Parameters
+    ----------
+    a, b : StoredDepth
+        (H, W) each; depth in mm.
+
+    Returns
+    -------
+    DepthComparison
+
+    Raises
+    ------
+    InputError
+        Their sizes differ, or no pixel is known in both.
+    """
+    if a.depth_mm.shape != b.depth_mm.shape:
+        sizes = " and ".join(f"{m.depth_mm.shape[1]}x{m.depth_mm.shape[0]}" for m in (a, b))
+        raise InputError(f"the maps have different sizes, {sizes} px; compare maps of one view at one size")
+    in_a, in_b = (np.isfinite(m.depth_mm) & (m.depth_mm > 0) for m in (a, b))
+    both = in_a & in_b
+    if not both.any():
+        raise InputError("no pixel has a depth in both maps; compare maps of the same view")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        difference = np.where(both, b.depth_mm - a.depth_mm, np.float32(np.nan)).astype(np.float32)
+        percent = (100 * difference / a.depth_mm).astype(np.float32)
+    sigmas = [(name, m.sigma_mm) for name, m in (("a", a), ("b", b)) if m.sigma_mm is not None]
+    in_sigmas = None
+    if sigmas:
+        variance = np.sum([np.square(s, dtype=np.float64) for _, s in sigmas], axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            in_sigmas = np.where(variance > 0, difference / np.sqrt(variance), np.nan).astype(np.float32)
+    figures = {
+        "kind": "depth",
+        "a": a.name,
+        "b": b.name,
+        "width_px": a.depth_mm.shape[1],
+        "height_px": a.depth_mm.shape[0],
+        "known_share": {"a": float(in_a.mean()), "b": float(in_b.mean()), "both": float(both.mean())},
+        "difference_mm": _spread(difference[both]),
+        "difference_percent": _spread(percent[both]),
+        "within": _shares(percent, in_a, both),
+        "error_bars": _honesty(in_sigmas, "".join(name for name, _ in sigmas)),
+        "by_distance": _by_distance(a.depth_mm, percent, in_sigmas, in_a, both),
+    }
+    return DepthComparison(a, b, difference, percent, in_sigmas, figures)
+
+
+def _spread(values: np.ndarray) -> dict[str, float]:
+    low, middle, high = np.percentile(values, (5, 50, 95))
+    return {
+        "percentile_5": float(low),
+        "median": float(middle),
+        "percentile_95": float(high),
+        "median_absolute": float(np.median(np.abs(values))),
+    }
+
+
+def _shares(percent: np.ndarray, in_a: np.ndarray, both: np.ndarray) -> dict[str, Any]:
+    """Shares of all pixels known in A (those unknown in B are not within anything), and of those known in both."""
+    with np.errstate(invalid="ignore"):
+        near = {limit: np.abs(percent) <= limit for limit in SHARES_PERCENT}
+    return {
+        f"{limit}_percent": {
+            "of_known_in_a": float(inside[in_a].mean()),
+            "of_known_in_both": float(inside[both].mean()),
+        }
+        for limit, inside in near.items()
+    }
+
+
+def _honesty(in_sigmas: np.ndarray | None, of: str) -> dict[str, Any] | None:
+    """Shares of differences within 1, 2 and 3 error bars, and of a normal distribution; None without error bars."""
+    if in_sigmas is None:
+        return None
+    known = np.abs(in_sigmas[np.isfinite(in_sigmas)].astype(np.float64))
+    if not known.size:
+        return None
+    shares = {
+        f"within_{k}_sigma": {"share": float((known <= k).mean()), "normal": float(erf(k / np.sqrt(2)))}
+        for k in (1, 2, 3)
+    }
+    ratio = float(np.median(known) / _MAD)
+    return {"of": {"ab": "both", "a": "a", "b": "b"}[of], "pixels": int(known.size), "spread_in_sigmas": ratio} | shares
+
+
+def _by_distance(
+    depth_mm: np.ndarray, percent: np.ndarray, in_sigmas: np.ndarray | None, in_a: np.ndarray, both: np.ndarray
+) -> list[dict[str, Any]]:
+    """Return the same figures for the nearest to the farthest quarter of the pixels of A."""
+    edges = np.unique(np.percentile(depth_mm[in_a], (0, 25, 50, 75, 100)))
+    rows = []
+    for low, high in itertools.pairwise(edges):
+        last = high == edges[-1]
+        with np.errstate(invalid="ignore"):
+            here = in_a & (depth_mm >= low) & ((depth_mm <= high) if last else (depth_mm < high))
+        matched = here & both
+        if not here.any():
+            continue
+        row: dict[str, Any] = {"from_mm": float(low), "to_mm": float(high), "pixels": int(here.sum())}
+        row["median_percent"] = float(np.median(percent[matched])) if matched.any() else None
+        row |= {f"within_{n}_percent_of_known_in_a": float((np.abs(percent[matched]) <= n).sum() / here.sum())
+                for n in SHARES_PERCENT}  # fmt: skip
+        if in_sigmas is not None:
+            known = np.abs(in_sigmas[matched])
+            known = known[np.isfinite(known)]
+            row["spread_in_sigmas"] = float(np.median(known) / _MAD) if known.size else None
+        rows.append(row)
+    return rows
+
+
+@dataclass(frozen=True)
+class CameraComparison:
+    """Two cameras of one design: which depth B reads where A reads another.
+
+    Attributes
+    ----------
+    names : (str, str)
+    quality : str
+    distances_mm : (D,) float
+        As camera A has them, evenly in 1 / distance over the range of both.
+    difference_percent : (D, G, G) float
+        What B makes of A's disparity, less A's depth, % of it; over a grid of positions, corner to corner.
+    sigma_percent : (D, G, G) float
+        Error bar of the calibrations, both together.
+    aspect : float
+        Width of the frame over its height.
+    figures : dict
+    """
+
+    names: tuple[str, str]
+    quality: str
+    distances_mm: np.ndarray
+    difference_percent: np.ndarray
+    sigma_percent: np.ndarray
+    aspect: float
+    figures: dict[str, Any]
+
+
+_COMPARED = ("design", "width_px", "height_px", "focal_length_mm", "f_number", "pixel_pitch_mm", "sensor_to_pupil_mm",
+             "in_focus_mm", "baseline_mm", "infinity_disparity_px", "scale_px_mm", "near_mm", "far_mm")  # fmt: skip
+
+
+def compare_cameras(
+    a: Calibration, b: Calibration, *, names: tuple[str, str] = ("A", "B"), quality: str = "real-time"
+) -> CameraComparison:
+    """Compare what two camera files make of the same disparity, over the frame and over the distances of both.
+
+    Parameters
+    ----------
+    a, b : Calibration
+        Calibrated, of one design and one aspect; other pixels are scaled.
+    names : (str, str)
+    quality : str
+        Whose curves are compared.
+
+    Returns
+    -------
+    CameraComparison
+
+    Raises
+    ------
+    InputError
+        A camera without depth, other designs or aspects, or ranges without a common distance.
+    """
+    for name, camera in zip(names, (a, b), strict=True):
+        if not camera.is_calibrated or quality not in camera.depth:
+            raise InputError(f"{name} has no depth curve of quality {quality}; calibrate it, or choose --quality")
+    if a.design != b.design:
+        raise InputError(
+            f"the cameras have different designs, {a.design} and {b.design}, whose disparities are not the same "
+            "quantity; compare depth maps that they measured"
+        )
+    ratio = b.sensor.width_px / a.sensor.width_px
+    if abs(b.sensor.height_px / a.sensor.height_px / ratio - 1) > 0.01:  # 1 %: sizes are rounded to whole pixels
+        raise InputError("the frames of the cameras have different aspects; compare cameras of one sensor")
+    near, far = max(a.near_mm, b.near_mm), min(a.far_mm, b.far_mm)
+    if not near < far:
+        raise InputError("the ranges of the cameras have no distance in common; calibrate one of them again")
+    distances = 1 / np.linspace(1 / near, 1 / min(far, 1e6), _DISTANCES)
+    curves = []
+    for camera in (a, b):
+        width, height = camera.sensor.width_px, camera.sensor.height_px
+        x, y = np.meshgrid(np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID))
+        curves.append(camera.depth[cast(Quality, quality)].at(x, y, width, height))
+    found = np.empty((3, _DISTANCES, _GRID, _GRID))
+    for i, distance in enumerate(distances):
+        disparity = depth_to_disparity(np.full((_GRID, _GRID), distance), curves[0])
+        exact = np.zeros_like(disparity)
+        _, sigma_a = depth_and_sigma(disparity, exact, curves[0], max_depth_mm=1e7)
+        depth_b, sigma_b = depth_and_sigma(disparity * ratio, exact, curves[1], max_depth_mm=1e7)
+        found[:, i] = depth_b, sigma_a, sigma_b
+    depth_b, sigma_a, sigma_b = found
+    percent = 100 * (depth_b / distances[:, None, None] - 1)
+    sigma = 100 * np.hypot(sigma_a, sigma_b) / distances[:, None, None]
+    known = np.isfinite(percent)
+    if not known.any():
+        raise InputError("camera B gives no depth for the disparities of camera A; they focus at other distances")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        in_sigmas = np.where(sigma > 0, percent / sigma, np.nan)
+    tables = [camera.summary() for camera in (a, b)]
+    figures = {
+        "kind": "camera",
+        "a": names[0],
+        "b": names[1],
+        "quality": quality,
+        "parameters": {name: {"a": tables[0][name], "b": tables[1][name]} for name in _COMPARED},
+        "from_mm": near,
+        "to_mm": float(distances[-1]),
+        "difference_percent": _spread(percent[known]),
+        "within": {f"{n}_percent": {"of_frame_and_distances": float((np.abs(percent) <= n).mean())}
+                   for n in SHARES_PERCENT},
+        "error_bars": _honesty(in_sigmas, "ab"),
+        "by_distance": [
+            {
+                "distance_mm": float(distance),
+                "median_percent": float(np.nanmedian(row)) if np.isfinite(row).any() else None,
+                "largest_percent": float(np.nanmax(np.abs(row))) if np.isfinite(row).any() else None,
+                "calibration_sigma_percent": float(np.nanmedian(bar)) if np.isfinite(bar).any() else None,
+            }
+            for distance, row, bar in zip(distances, percent, sigma, strict=True)
+        ],
+    }  # fmt: skip
+    return CameraComparison(names, quality, distances, percent, sigma, a.sensor.width_px / a.sensor.height_px, figures)

@@ -1,0 +1,247 @@
+"""A sequence with the pose of every frame, for COLMAP, for Nerfstudio, and Open3D's RGB-D folders.
+
+Pictures are undistorted views of a pinhole in the entrance pupil, as `undistorter` makes them; lengths are in metres,
+as those programs and viewers have them, and stand so in every file.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
+from chromaperture.errors import InputError
+from chromaperture.products.rectified import View
+from chromaperture.storage import staged, write_depth_png, write_png
+from chromaperture.validation import read_bytes
+
+Form = Literal["colmap", "nerfstudio", "open3d"]
+Poses = Mapping[int, np.ndarray]
+_POINTS_A_FRAME = 2000  # in the cloud that begins a reconstruction or splats; chosen by hand
+_HALF_PIXEL = 0.5  # COLMAP and Nerfstudio: the centre of the first pixel is at 0.5; here at 0
+_MOST_TRAJECTORY_BYTES = 50_000_000  # half a million frames
+_TIME_DIGITS = 6  # of a trajectory file
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What is needed of a frame once its pictures are written."""
+
+    index: int
+    name: str
+    time_s: float
+    pixels: np.ndarray  # (N, 2) float64, px, the centre of the first pixel is 0
+    points_mm: np.ndarray  # (N, 3) float64, camera frame
+    colors: np.ndarray  # (N, 3) uint8
+
+
+def write_posed(
+    folder: str | Path,
+    frames: Iterable[View],
+    *,
+    form: Form,
+    camera_matrix: np.ndarray,
+    poses: Callable[[list[tuple[int, float]]], Poses] | None = None,
+    max_relative_sigma: float = MAX_RELATIVE_SIGMA,
+) -> int:
+    """Write a sequence; the folder appears when it is complete.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Must not exist.
+    frames : iterable of View
+    form : {"colmap", "nerfstudio", "open3d"}
+        ``colmap``: images/, depth_mm/ and the text model sparse/0; ``nerfstudio``: images/, depth_mm/, transforms.json
+        and points_m.ply; ``open3d``: color/, depth/ and camera_intrinsic.json, for which no poses are needed.
+    camera_matrix : (3, 3) float, px
+    poses : callable, optional
+        Called when all frames have been seen, with their (index, time_s); returns the (4, 4) pose of each, camera to
+        world, mm, by its index. Frames without one are left out.
+    max_relative_sigma : float
+        Largest sigma / depth of the depth and the points; see `within_error`.
+
+    Returns
+    -------
+    int
+        Frames written.
+
+    Raises
+    ------
+    InputError
+        The folder exists or cannot be written, the disk is full, or no frame has a pose.
+    """
+    folder = Path(folder)
+    if folder.exists():
+        raise InputError(f"{folder} exists already; choose another name")
+    parts = ("color", "depth") if form == "open3d" else ("images", "depth_mm")
+    kept: list[_Kept] = []
+    size = (0, 0)
+    with staged(folder.parent) as stage:
+        private = stage.path(folder.name)
+        for part in parts:
+            (private / part).mkdir(parents=True)
+        for frame in frames:
+            name = f"{len(kept):06d}.png"
+            z_mm = within_error(frame.z_mm, frame.sigma_mm, max_relative_sigma)
+            write_png(private / parts[0] / name, frame.color)
+            write_depth_png(private / parts[1] / name, z_mm)
+            kept.append(_kept(frame, z_mm, name, camera_matrix))
+            size = (z_mm.shape[1], z_mm.shape[0])
+        if not kept:
+            raise InputError("the source held no frame; nothing was written")
+        if form == "open3d":
+            _write_open3d(private, size, camera_matrix)
+            return len(kept)
+        found = poses([(frame.index, frame.time_s) for frame in kept]) if poses is not None else {}
+        placed = [(frame, found[frame.index]) for frame in kept if frame.index in found]
+        if not placed:
+            raise InputError("no frame has a pose; give a trajectory of this sequence with --trajectory")
+        for lost in kept:
+            if lost.index not in found:
+                for part in parts:
+                    (private / part / lost.name).unlink()
+        (_write_colmap if form == "colmap" else _write_nerfstudio)(private, placed, size, camera_matrix)
+    return len(placed)
+
+
+def _kept(frame: View, z_mm: np.ndarray, name: str, matrix: np.ndarray) -> _Kept:
+    """Choose points of a frame, evenly over its known pixels."""
+    v, u = np.nonzero(np.isfinite(z_mm) & (z_mm > 0))
+    some = np.linspace(0, len(v) - 1, min(_POINTS_A_FRAME, len(v))).astype(int)
+    v, u = v[some], u[some]
+    z = z_mm[v, u].astype(np.float64)
+    points = np.stack([(u - matrix[0, 2]) / matrix[0, 0] * z, (v - matrix[1, 2]) / matrix[1, 1] * z, z], axis=1)
+    pixels = np.stack([u, v], axis=1).astype(np.float64)
+    return _Kept(frame.index, name, frame.time_s, pixels, points, frame.color[v, u])
+
+
+def _world_m(frame: _Kept, pose: np.ndarray) -> np.ndarray:
+    return np.asarray((frame.points_mm @ pose[:3, :3].T + pose[:3, 3]) / 1000)
+
+
+def _write_colmap(
+    folder: Path, placed: list[tuple[_Kept, np.ndarray]], size: tuple[int, int], matrix: np.ndarray
+) -> None:
+    """Write the text model: cameras, images with the pixels of their points, points."""
+    model = folder / "sparse" / "0"
+    model.mkdir(parents=True)
+    fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2] + _HALF_PIXEL, matrix[1, 2] + _HALF_PIXEL
+    (model / "cameras.txt").write_text(
+        "# CAMERA_ID MODEL WIDTH HEIGHT fx fy cx cy (px)\n"
+        f"1 PINHOLE {size[0]} {size[1]} {fx:.6f} {fy:.6f} {cx:.6f} {cy:.6f}\n",
+        encoding="ascii",
+    )
+    images = [
+        "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME (world to camera, m); then POINTS2D[] as (X, Y, POINT3D_ID)"
+    ]
+    points = [
+        "# POINT3D_ID X Y Z (m) R G B ERROR TRACK[] as (IMAGE_ID, POINT2D_IDX); depth of one view each, not matched"
+    ]
+    number = 1
+    for image, (frame, pose) in enumerate(placed, start=1):
+        to_camera = np.linalg.inv(pose)
+        x, y, z, w = Rotation.from_matrix(to_camera[:3, :3]).as_quat()
+        numbers = " ".join(f"{value:.9f}" for value in (w, x, y, z, *(to_camera[:3, 3] / 1000)))
+        images.append(f"{image} {numbers} 1 {frame.name}")
+        seen = []
+        for i, (at, pixel, rgb) in enumerate(zip(_world_m(frame, pose), frame.pixels, frame.colors, strict=True)):
+            seen.append(f"{pixel[0] + _HALF_PIXEL:g} {pixel[1] + _HALF_PIXEL:g} {number}")
+            place = " ".join(f"{value:.6f}" for value in at)
+            points.append(f"{number} {place} {rgb[0]} {rgb[1]} {rgb[2]} 0 {image} {i}")
+            number += 1
+        images.append(" ".join(seen))
+    (model / "images.txt").write_text("\n".join(images) + "\n", encoding="ascii")
+    (model / "points3D.txt").write_text("\n".join(points) + "\n", encoding="ascii")
+
+
+def _write_nerfstudio(
+    folder: Path, placed: list[tuple[_Kept, np.ndarray]], size: tuple[int, int], matrix: np.ndarray
+) -> None:
+    """Write transforms.json: poses camera to world, x right, y up, z backward, m; depth pictures in mm."""
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    frames = []
+    for frame, pose in placed:
+        transform = pose @ flip
+        transform[:3, 3] /= 1000
+        frames.append({
+            "file_path": f"images/{frame.name}",
+            "depth_file_path": f"depth_mm/{frame.name}",
+            "transform_matrix": transform.tolist(),
+        })  # fmt: skip
+    tree = {
+        "camera_model": "OPENCV",
+        "w": size[0],
+        "h": size[1],
+        "fl_x": float(matrix[0, 0]),
+        "fl_y": float(matrix[1, 1]),
+        "cx": float(matrix[0, 2]) + _HALF_PIXEL,
+        "cy": float(matrix[1, 2]) + _HALF_PIXEL,
+        **dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0),
+        "depth_unit_scale_factor": 0.001,
+        "ply_file_path": "points_m.ply",
+        "frames": frames,
+    }
+    (folder / "transforms.json").write_text(json.dumps(tree, indent=1) + "\n", encoding="ascii")
+    points = np.concatenate([_world_m(frame, pose) for frame, pose in placed])
+    colors = np.concatenate([frame.colors for frame, _ in placed])
+    vertices = np.empty(len(points), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    vertices["xyz"], vertices["rgb"] = points, colors
+    header = ["ply", "format binary_little_endian 1.0", "comment unit: m; world of transforms.json",
+              f"element vertex {len(points)}", *(f"property float {n}" for n in "xyz"),
+              *(f"property uchar {n}" for n in ("red", "green", "blue")), "end_header\n"]  # fmt: skip
+    (folder / "points_m.ply").write_bytes("\n".join(header).encode("ascii") + vertices.tobytes())
+
+
+def _write_open3d(folder: Path, size: tuple[int, int], matrix: np.ndarray) -> None:
+    """Write the pinhole as Open3D reads it: the matrix column by column; depth pictures are in mm, its default."""
+    tree = {"width": size[0], "height": size[1], "intrinsic_matrix": np.asarray(matrix, float).T.ravel().tolist()}
+    (folder / "camera_intrinsic.json").write_text(json.dumps(tree, indent=1) + "\n", encoding="ascii")
+
+
+def read_trajectory(path: str | Path) -> Callable[[list[tuple[int, float]]], dict[int, np.ndarray]]:
+    """Read a trajectory in the TUM format, such as ``trajectory.txt`` of ``chromaperture reconstruct``.
+
+    Lines are ``time tx ty tz qx qy qz qw``: s and m, camera to world. Only the lines before a second "# submap", which
+    has an origin of its own, are taken.
+
+    Returns
+    -------
+    callable
+        From (index, time_s) of frames to their poses, (4, 4), mm; for `write_posed`.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a line is no pose.
+    """
+    path = Path(path)
+    poses: dict[float, np.ndarray] = {}
+    for number, line in enumerate(
+        read_bytes(path, most_bytes=_MOST_TRAJECTORY_BYTES).decode("ascii", "replace").splitlines(), 1
+    ):
+        if line.startswith("# submap"):
+            break
+        if line.startswith("#") or not line.strip():
+            continue
+        try:
+            values = [float(word) for word in line.split()]
+            pose = np.eye(4)
+            pose[:3, :3] = Rotation.from_quat(values[4:]).as_matrix()
+            pose[:3, 3] = 1000 * np.array(values[1:4])
+            if len(values) != 8 or not np.isfinite(pose).all():
+                raise ValueError
+        except ValueError:
+            raise InputError(
+                f"{path.name}, line {number}: a pose is time tx ty tz qx qy qz qw; give a trajectory in the TUM format"
+            ) from None
+        poses[round(values[0], _TIME_DIGITS)] = pose
+    return lambda frames: {
+        index: poses[time] for index, time_s in frames if (time := round(time_s, _TIME_DIGITS)) in poses
+    }

@@ -1,0 +1,272 @@
+"""Measuring on a device: the same answer as the CPU, or one clear line, and the choice of the device."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tifffile
+
+from chromaperture.camera import CodedApertureCamera, load_camera
+from chromaperture.camera_matching import default_config
+from chromaperture.config import PaperConfig, RealTimeConfig
+from chromaperture.depth.conversion import DepthModel
+from chromaperture.disparity.estimate import method_for
+from chromaperture.disparity.gpu import device as device_file
+from chromaperture.disparity.gpu.device import AdapterInfo, DeviceError, adapters, open_device
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, GpuMethod, chosen_device, on_device
+from chromaperture.disparity.labels import IDENTITY
+from chromaperture.errors import (
+    CaptureWarning,
+    ChromapertureError,
+    InputError,
+    MissingDependencyError,
+    OutOfMemoryError,
+)
+from devices import EXPECTED, needs_device
+from worlds import INFINITY_PX, PUPIL_MM, SCALE_PX_MM, halves_camera, wavy_capture
+
+SHAPE = (60, 84)
+REAL_TIME = RealTimeConfig().with_range(-4.0, 4.0)
+NO_GPU = AdapterInfo("rasteriser", "CPU", "Vulkan", "", 128, False)
+extra = pytest.mark.extra("gpu", "wgpu")
+
+
+def camera_on(device: str, quality="real-time") -> CodedApertureCamera:
+    model = DepthModel(INFINITY_PX, SCALE_PX_MM, PUPIL_MM, np.diag([1e-4, 25.0, 0.25]))
+    calibration = halves_camera(model, SHAPE[1], SHAPE[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CaptureWarning)  # the device is software
+        return CodedApertureCamera(calibration, default_config(calibration, quality), device=device)
+
+
+def silent(note: str) -> None:
+    pass
+
+
+def device_of_its_own():
+    """A device that a test may destroy."""
+    return device_file._opened(*device_file._found_adapters()[0])
+
+
+def real_time() -> tuple:
+    method = method_for(REAL_TIME, aperture="cy_halves", execution="numpy")
+    return method, wavy_capture("cy_halves", shape=SHAPE)
+
+
+@extra
+def test_a_driver_is_there_where_one_was_installed():
+    if not os.environ.get(EXPECTED):
+        pytest.skip(f"{EXPECTED} is not set: nobody promised a driver")
+    assert adapters()
+
+
+@extra
+@needs_device
+@pytest.mark.parametrize(("quality", "least"), [("paper", 0.995), ("real-time", 0.995)])
+def test_depth_is_that_of_the_readable_stages(quality, least):
+    """0.1 % of the depth for 99.5 % of the pixels."""
+    image = wavy_capture("cy_halves", shape=SHAPE)
+    expected = CodedApertureCamera(camera_on("cpu").calibration, camera_on("cpu", quality).config, execution="numpy")
+    frame, oracle = camera_on("gpu", quality).measure(image), expected.measure(image)
+    compiled = camera_on("cpu", quality).measure(image)
+
+    def agreeing(found, other):
+        known = np.isfinite(found.depth_mm) & np.isfinite(other.depth_mm)
+        near = np.zeros(known.shape, bool)
+        near[known] = np.abs(found.depth_mm[known] / other.depth_mm[known] - 1) < 1e-3
+        return (near | (np.isnan(found.depth_mm) & np.isnan(other.depth_mm))).mean()
+
+    assert agreeing(frame, oracle) > least
+    # Numba keeps scores and costs in 16 bits, and decides differently where two layers are as good.
+    assert agreeing(frame, compiled) > agreeing(oracle, compiled) - 0.01
+    both = np.isfinite(frame.sigma_mm) & np.isfinite(oracle.sigma_mm)
+    assert np.quantile(np.abs(frame.sigma_mm[both] / oracle.sigma_mm[both] - 1), 0.99) < 0.05
+    assert np.quantile(np.abs(frame.color - oracle.color), 0.99) < 1e-3
+
+
+@extra
+@needs_device
+@pytest.mark.parametrize("shape", [(8, 9), (9, 40), (33, 1), (1, 33), (1, 1)])
+@pytest.mark.parametrize("config", [REAL_TIME, PaperConfig().with_range(-2.0, 2.0)], ids=["real-time", "paper"])
+def test_small_odd_and_narrow_pictures(shape, config, rng):
+    image = rng.uniform(0.1, 0.9, (*shape, 3)).astype(np.float32)
+    method = method_for(config, aperture="cy_halves", execution="numpy")
+    device_method = GpuMethod(config, method.space, IDENTITY, open_device("gpu"))
+    if shape == (1, 1):  # one pixel has no texture
+        for each in (method, device_method):
+            with pytest.raises(InputError, match="constant"):
+                each.match(image)
+        return
+    expected, found = method.match(image), device_method.match(image)
+    np.testing.assert_array_equal(np.isfinite(found.value_px), np.isfinite(expected.value_px))
+    known = np.isfinite(found.value_px)
+    if known.any():  # white noise has as many ties as peaks, and few pixels
+        assert np.median(np.abs(found.value_px - expected.value_px)[known]) < 1e-3
+
+
+@extra
+@needs_device
+@pytest.mark.parametrize(
+    ("fill", "words"), [(np.nan, "no usable pixel"), (1.0, "no usable pixel"), (0.4, "the image is constant")]
+)
+def test_a_picture_without_anything_to_match_is_refused_as_on_the_cpu(fill, words):
+    method, _ = real_time()
+    image = np.full((*SHAPE, 3), fill, np.float32)
+    for each in (method, on_device(method, "gpu", silent)):
+        with pytest.raises(InputError, match=words):
+            each.match(image)
+
+
+@extra
+@needs_device
+def test_two_frames_are_under_way_at_a_time_and_keep_their_order():
+    method, image = real_time()
+    whole = GpuMethod(REAL_TIME, method.space, IDENTITY, open_device("gpu"))
+    chain = whole._composed(SHAPE, None)
+    other = wavy_capture("cy_halves", shape=SHAPE, seed=8)
+    one_by_one = [chain.run({"image": each}, ["disparity"])["disparity"] for each in (image, other)]
+    tickets = [chain.start({"image": each}, ["disparity"]) for each in (image, other)]
+    for ticket, expected in zip(tickets, one_by_one, strict=True):
+        np.testing.assert_array_equal(chain.finish(ticket)["disparity"], expected)
+    assert not np.array_equal(*one_by_one, equal_nan=True)
+
+
+@extra
+@needs_device
+def test_a_device_lost_in_mid_stream_is_an_error_or_the_cpu_once():
+    method, image = real_time()
+    expected = method.match(image)
+    for may_fall_back in (False, True):
+        device = device_of_its_own()
+        on_both = DeviceMethod(GpuMethod(REAL_TIME, method.space, IDENTITY, device), method, may_fall_back)
+        before = on_both.match(image)
+        device.handle.destroy()
+        if not may_fall_back:
+            with pytest.raises(DeviceError, match="was lost while it worked; use --device cpu"):
+                on_both.match(image)
+            continue
+        with pytest.warns(CaptureWarning, match="on the CPU from here on"):
+            found = on_both.match(image)
+        np.testing.assert_array_equal(found.value_px, expected.value_px)
+        np.testing.assert_array_equal(on_both.match(image).value_px, expected.value_px)  # without another warning
+        assert np.isfinite(before.value_px).any()
+
+
+@extra
+@needs_device
+def test_too_little_device_memory_is_an_error_or_the_cpu():
+    method, image = real_time()
+    small = replace(open_device("gpu"), largest_bytes=100_000)
+    on_gpu = GpuMethod(REAL_TIME, method.space, IDENTITY, small)
+    with pytest.raises(OutOfMemoryError, match="larger than the device's 0 MB; use --device cpu, or --scale"):
+        DeviceMethod(on_gpu, method, may_fall_back=False).match(image)
+    with pytest.warns(CaptureWarning, match="on the CPU from here on"):
+        found = DeviceMethod(on_gpu, method, may_fall_back=True).match(image)
+    np.testing.assert_array_equal(found.value_px, method.match(image).value_px)
+
+
+@extra
+@needs_device
+def test_two_processes_share_a_device(tmp_path):
+    method, image = real_time()
+    np.save(tmp_path / "image.npy", image)
+    program = (
+        "import sys, numpy as np\n"
+        "from chromaperture.config import RealTimeConfig\n"
+        "from chromaperture.disparity.estimate import method_for\n"
+        "from chromaperture.disparity.gpu.gpu_method import on_device\n"
+        "method = method_for(RealTimeConfig().with_range(-4.0, 4.0), aperture='cy_halves', execution='numpy')\n"
+        "found = on_device(method, 'gpu', lambda note: None).match(np.load(sys.argv[1] + '/image.npy'))\n"
+        "np.save(sys.argv[1] + '/found.npy', found.value_px)\n"
+    )
+    other = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)])
+    found = on_device(method, "gpu", silent).match(image)
+    assert other.wait(300) == 0
+    np.testing.assert_array_equal(np.load(tmp_path / "found.npy"), found.value_px)
+
+
+@extra
+@needs_device
+def test_info_lists_the_devices_and_depth_measures_on_one(run, tmp_path):
+    found = json.loads(run("info", "--devices", "--json").stdout)
+    assert [a["name"] for a in found["adapters"]] == [a.name for a in adapters()]
+    if all(a.is_software for a in adapters()):
+        assert found["auto"] == "cpu"
+    tifffile.imwrite(tmp_path / "photo.tiff", wavy_capture("cy_halves", shape=SHAPE), photometric="rgb")
+    name = adapters()[0].name.split()[0].upper()
+    result = run("depth", tmp_path / "photo.tiff", "--design", "cy_halves", "--device", f"gpu:{name}", "--quiet")
+    assert result.returncode == 0, result.stderr
+    assert ("is software" in result.stderr) == adapters()[0].is_software
+    assert np.isfinite(tifffile.imread(tmp_path / "photo.disparity.tiff")).mean() > 0.5
+    refused = run("depth", tmp_path / "photo.tiff", "--design", "cy_halves", "--device", "gpu:nosuch")
+    assert refused.returncode == 2
+    assert "no GPU named 'nosuch': this machine has" in refused.stderr
+
+
+@extra
+@needs_device
+def test_what_the_device_cannot_run_runs_on_the_cpu_and_says_so():
+    with pytest.warns(CaptureWarning, match="run on the CPU"):
+        method = camera_with_accurate("gpu").method
+    assert not isinstance(method, DeviceMethod)
+
+
+def camera_with_accurate(device: str) -> CodedApertureCamera:
+    calibration = camera_on("cpu").calibration
+    return CodedApertureCamera(calibration, default_config(calibration, "accurate"), device=device)
+
+
+# ---- without a device
+
+
+def test_auto_never_takes_software(monkeypatch):
+    monkeypatch.setattr(device_file, "_found_adapters", lambda: [(NO_GPU, None)])
+    assert chosen_device("auto") is None
+    assert chosen_device("cpu") is None
+
+
+def test_auto_takes_the_first_real_device(monkeypatch):
+    asked = []
+    real = NO_GPU._replace(name="Real", kind="IntegratedGPU")
+    monkeypatch.setattr(device_file, "_found_adapters", lambda: [(real, None), (NO_GPU, None)])
+    monkeypatch.setattr("chromaperture.disparity.gpu.gpu_method.open_device", asked.append)
+    chosen_device("auto")
+    assert asked == ["gpu"]
+
+
+@extra
+def test_a_machine_without_a_driver(monkeypatch):
+    monkeypatch.setattr(device_file, "_found_adapters", list)
+    assert chosen_device("auto") is None
+    open_device.cache_clear()
+    with pytest.raises(DeviceError, match="no GPU found: install a Vulkan driver"):
+        open_device("gpu")
+
+
+def test_without_the_extra_only_auto_and_cpu_work(monkeypatch):
+    monkeypatch.setitem(sys.modules, "wgpu", None)
+    for cached in (device_file._wgpu, device_file._found_adapters, open_device):
+        cached.cache_clear()
+    assert adapters() == []
+    assert chosen_device("auto") is None
+    with pytest.raises(MissingDependencyError, match=r"pip install 'chromaperture\[gpu\]'"):
+        open_device("gpu")
+    device_file._found_adapters.cache_clear()  # found none
+
+
+def test_an_unknown_device_is_refused(run, tmp_path):
+    tifffile.imwrite(tmp_path / "photo.tiff", wavy_capture("cy_halves", shape=SHAPE), photometric="rgb")
+    result = run("depth", tmp_path / "photo.tiff", "--design", "cy_halves", "--device", "tpu")
+    assert result.returncode == 2
+    assert "unknown device 'tpu': choose auto, cpu, gpu or gpu:NAME" in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["photo.tiff"]
+    assert run("info").returncode == 2
+    with pytest.raises(ChromapertureError):
+        load_camera(tmp_path / "none.asdf", device="gpu")

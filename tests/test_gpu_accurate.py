@@ -1,0 +1,68 @@
+"""Quality "accurate" as a whole on a GPU: the same depth as on the CPU."""
+
+import cv2
+import numpy as np
+import pytest
+
+from chromaperture.disparity.gpu.accurate_chain import AccurateChain, AccurateOnDevice
+from chromaperture.errors import InputError
+from chromaperture.products.samples import open_sample
+from test_gpu_surface import any_device
+
+pytestmark = pytest.mark.extra("gpu", "wgpu")
+
+
+def small(name, width, height):
+    """A bundled capture and its camera in fewer pixels: software devices are slow."""
+    camera, image = open_sample(name, quality="accurate")
+    return camera.at_size(width, height), cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def share_within(camera, found, expected, *, relative):
+    """Share of the pixels whose depths differ by less, and that are known in both or in neither."""
+    a, b = (camera.millimetres(disparity)[0] for disparity in (found, expected))
+    known = np.isfinite(b)
+    return (np.where(known, np.abs(a - b) <= relative * np.abs(b), np.isnan(a))).mean()
+
+
+# cy_halves is explained by planes; cy_open has too little parallax for them, and evidence of all channels together.
+@pytest.mark.parametrize("name", ["still_life_cy_halves", "still_life_cy_open"])
+def test_the_depth_is_that_of_the_cpu(name):
+    camera, image = small(name, 120, 80)
+    chain = AccurateChain(camera.method, any_device())
+    image = image.copy()
+    if name.endswith("halves"):
+        image[10:16, 20:26] = 1.0  # clipped: filled from around, and no evidence
+    expected, found = camera.method.match(image), chain.match(image)
+    assert chain.uses_planes == name.endswith("halves")
+    assert chain.uses_windows == name.endswith("open")
+    assert share_within(camera, found, expected, relative=1e-3) > 0.995
+    np.testing.assert_array_equal(np.isfinite(found.sigma_px), np.isfinite(found.value_px))
+    known = np.isfinite(expected.sigma_px) & np.isfinite(found.sigma_px)
+    # Where planes meet, a pixel given to the other one has another error bar.
+    assert (np.abs(found.sigma_px / expected.sigma_px - 1) < 0.01)[known].mean() > 0.99
+    again = chain.match(image)
+    np.testing.assert_array_equal(again.value_px, found.value_px)  # nothing is left of the last photograph
+
+
+def test_a_picture_of_another_size_is_refused():
+    camera, image = small("still_life_cy_halves", 60, 40)
+    with pytest.raises(InputError, match="60 x 40"):
+        AccurateOnDevice(camera.method, any_device()).match(image[:30])
+
+
+def test_the_camera_measures_on_the_device():
+    from chromaperture.camera import CodedApertureCamera
+    from chromaperture.disparity.gpu.gpu_method import DeviceMethod
+    from chromaperture.errors import CaptureWarning
+
+    camera, image = small("still_life_cy_halves", 60, 40)
+    if any_device().info.is_software:
+        with pytest.warns(CaptureWarning, match="is software"):
+            on_gpu = CodedApertureCamera(camera.calibration, camera.config, device="gpu")
+    else:
+        on_gpu = CodedApertureCamera(camera.calibration, camera.config, device="gpu")
+    assert isinstance(on_gpu.method, DeviceMethod)
+    found, expected = on_gpu.method.match(image), camera.method.match(image)
+    assert np.isfinite(expected.value_px).mean() > 0.9
+    assert share_within(camera, found, expected, relative=1e-3) > 0.995

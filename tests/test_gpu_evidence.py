@@ -1,0 +1,111 @@
+"""Evidence from the camera's blur on a GPU agrees with the CPU's, stage by stage."""
+
+import numpy as np
+import pytest
+
+from chromaperture.disparity.blur_evidence import BlurEvidence
+from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.labels import IDENTITY, LabelMap
+from chromaperture.disparity.result import ESTIMATED_NOISE, NoiseModel
+from chromaperture.optics.lens_blur import BlurModel
+from chromaperture.stage_config import CrossFilterConfig
+from test_gpu_surface import any_device
+from worlds import blurred, lens_blur
+
+pytestmark = pytest.mark.extra("gpu", "wgpu")
+
+LENS = BlurModel(6.0, 12000.0, axial_red_px=-0.2, axial_blue_px=0.3, spherical_px=-0.8, coma_px=0.3)
+
+
+class Case:
+    """A picture, its evidence on the CPU, and the chain that computes it on a device."""
+
+    def __init__(self, design, shape, noise, label_map, *, half_range=5):
+        from chromaperture.disparity.gpu.device import Chain
+        from chromaperture.disparity.gpu.evidence_plan import plan_evidence
+        from chromaperture.disparity.gpu.evidence_stages import add_evidence, add_labels
+
+        height, width = shape
+        self.blur = lens_blur(LENS, width, height, design)
+        rng = np.random.default_rng(3)
+        pattern = 0.5 + rng.normal(0, 0.15, (256, 256))
+        at_infinity, scale = self.blur.reference
+        image = blurred(pattern, self.blur, (at_infinity - 1.2 * self.blur.reach) / scale)
+        self.image = (image + rng.normal(0, 0.004, image.shape)).astype(np.float32)
+        variance = np.full_like(self.image, 0.004**2)
+        model = NoiseModel(lambda _: variance, is_known=True) if noise else ESTIMATED_NOISE
+        self.source = BlurEvidence(CrossFilterConfig(), self.blur, label_map, model, execution_named("numpy"))
+        self.layers = np.arange(-half_range, half_range + 1) * 0.9 * self.blur.reach
+        self.labels = np.linspace(self.layers[0], self.layers[-1], 4 * half_range + 1)
+        self.plan = plan_evidence(self.source, self.layers)
+        self.chain = Chain(any_device())
+        size, tiles = self.image.size, len(self.plan.nodes.places)
+        arrays = [self.chain.array(name, n) for name, n in (("image", size), ("noise", 3 * tiles))]
+        unexplained = add_evidence(self.chain, self.plan, *arrays)
+        usable = self.chain.array("usable", size // 3)
+        likelihood = self.chain.array("likelihood", size // 3 * len(self.labels))
+        add_labels(self.chain, self.plan, unexplained, usable, likelihood, self.labels)
+        self.powers = self.plan.nodes.noise_powers(variance) if noise else np.zeros((tiles, 3))
+        self.usable = rng.random((height, width)) > 0.1
+
+    def run(self, *outputs):
+        inputs = {"image": self.image, "noise": self.powers, "usable": self.usable}
+        return self.chain.run(inputs, list(outputs))
+
+
+def bent(shape):
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    return LabelMap((0.002 * x - 0.1).astype(np.float32), (1 + 0.001 * y).astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("design", "shape", "noise", "label_map"),
+    [
+        ("cy_halves", (70, 97), True, bent((70, 97))),
+        ("cmy_circles", (64, 81), False, IDENTITY),
+        ("rgb_squares", (53, 41), True, IDENTITY),
+    ],
+)
+def test_evidence_agrees(design, shape, noise, label_map):
+    case = Case(design, shape, noise, label_map)
+    found = case.run("spectra", "signal", "correlation", "likelihood")
+    tiles = case.plan.nodes.spectra(case.image, case.source.noise.variance(case.image) if noise else None)
+    spectra = np.stack([tile.channels for tile in tiles])
+    # Transforms in single precision: 1e-6 of the largest.
+    got = found["spectra"].view(np.complex64).reshape(spectra.shape)
+    np.testing.assert_allclose(got, spectra, atol=1e-5 * np.abs(spectra).max())
+    if noise:
+        signal = np.stack([tile.signal for tile in tiles])
+        # Where the power is a millionth of the largest, its own rounding counts: the highest frequencies.
+        np.testing.assert_allclose(found["signal"].reshape(signal.shape), signal, atol=1e-3)
+    correlation = case.source._correlations(case.image, case.plan.computed_px)
+    np.testing.assert_allclose(found["correlation"].reshape(correlation.shape), correlation, atol=1e-4)
+    expected = case.source.at(case.image, case.layers, case.labels) * case.usable[..., None]
+    # Near its limit of 0.999 the squared correlation's logarithm enlarges a difference 500 times.
+    np.testing.assert_allclose(found["likelihood"].reshape(expected.shape), expected, atol=5e-3)
+    assert np.abs(found["likelihood"].reshape(expected.shape) - expected).mean() < 2e-5
+
+
+def test_layers_in_rounds_are_the_same(monkeypatch):
+    """Where memory holds few layers at once, they go through one after the other."""
+    from chromaperture.disparity.gpu import evidence_plan
+
+    whole = Case("cy_halves", (40, 44), True, IDENTITY).run("correlation")["correlation"]
+    sizes = []
+    for budget in (1 << 24, 1):
+        monkeypatch.setattr(evidence_plan, "ROUND_BYTES", budget)
+        case = Case("cy_halves", (40, 44), True, IDENTITY)
+        sizes.append(len(case.chain.dispatches))
+        np.testing.assert_allclose(case.run("correlation")["correlation"], whole, atol=1e-5)
+    assert sizes[0] < sizes[1]
+
+
+def test_tiles_that_are_too_large_are_refused():
+    from chromaperture.disparity.gpu.device import DeviceError
+    from chromaperture.disparity.gpu.evidence_plan import plan_evidence
+
+    source = BlurEvidence(
+        CrossFilterConfig(), lens_blur(LENS, 6000, 4000), IDENTITY, ESTIMATED_NOISE, execution_named("numpy")
+    )
+    with pytest.raises(DeviceError, match="too large for the GPU"):
+        plan_evidence(source, np.linspace(-3, 3, 21))

@@ -1,0 +1,256 @@
+"""Every stage in WGSL against the readable one (``stages/``), on whatever device there is: the same shader files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from chromaperture.config import PaperConfig, RealTimeConfig
+from chromaperture.depth.conversion import DepthModel, depth_and_sigma
+from chromaperture.disparity import stages
+from chromaperture.disparity.error_bar import without_two_views
+from chromaperture.disparity.estimate import method_for
+from chromaperture.disparity.gpu import correlation_stages
+from chromaperture.disparity.gpu.conversion_stage import Conversion, add_conversion
+from chromaperture.disparity.gpu.device import Chain, open_device
+from chromaperture.disparity.gpu.paper_chain import add_paper
+from chromaperture.disparity.gpu.real_time_chain import add_real_time
+from chromaperture.disparity.labels import IDENTITY, LabelMap
+from chromaperture.disparity.real_time import halved_surface, place_by_correlation
+from chromaperture.disparity.stages.correlation import exponential_window
+from chromaperture.disparity.views import filtered_views, halved_views
+from chromaperture.disparity.winner import PathWinner, Surface
+from devices import needs_device
+from worlds import wavy_capture
+
+pytestmark = [pytest.mark.extra("gpu", "wgpu"), needs_device]
+
+SHAPE = (45, 61)  # odd, and larger than any filter reaches; each size is compiled anew, which takes seconds
+REAL_TIME, PAPER = RealTimeConfig().with_range(-4.0, 4.0), PaperConfig().with_range(-4.0, 4.0)
+DESIGNS = ("cy_halves", "rgb_squares")  # two views, three views
+
+# 32 bits: views are sums of 25 products of order 1.
+VIEW_TOLERANCE = 1e-6
+# A window leaves out 1e-6 of its weights. Where it holds a thousandth of the view's variance, and what is left out has
+# all of it, that is 1e-3 of the score.
+SCORE_TOLERANCE = 1e-3
+EVEN = 1e-3
+# Four path costs in 1 / 65535 of 14 nats, and the logarithm of the correlation at 0.99, whose error counts 50 times.
+TIE_NATS = 0.02
+OTHER_WINNERS = 0.005
+
+
+class Ran(NamedTuple):
+    """What a chain left in its arrays."""
+
+    arrays: dict[str, np.ndarray]
+    height: int
+    width: int
+
+    def map(self, name: str, count: int, index: int = 0) -> np.ndarray:
+        return self.arrays[name].reshape(-1, self.height, self.width)[index : index + count]
+
+    def layers(self, name: str) -> np.ndarray:
+        return self.arrays[name].reshape(self.height, self.width, -1)
+
+
+def labels_of(shape: tuple[int, int]) -> LabelMap:
+    """A lens that bends a flat wall by half a px and more at the right."""
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
+    return LabelMap(0.6 * (x / shape[1]) ** 2 - 0.2 * y / shape[0], 1 + 0.1 * x / shape[1])
+
+
+@cache
+def real_time_chain(design: str, labelled: bool, shape: tuple[int, int] = SHAPE) -> tuple[Chain, LabelMap]:
+    chain = Chain(open_device("gpu"))
+    label_map = labels_of(shape) if labelled else IDENTITY
+    image = chain.array("image", 3 * shape[0] * shape[1])
+    add_real_time(chain, image, shape, REAL_TIME, method_of(design).space, label_map)
+    return chain, label_map
+
+
+def method_of(design: str, config=REAL_TIME):
+    return method_for(config, aperture=design, execution="numpy")
+
+
+def run(chain: Chain, image: np.ndarray, shape: tuple[int, int], names: list[str]) -> Ran:
+    return Ran(chain.run({"image": image}, names), *shape)
+
+
+def halved(shape: tuple[int, int]) -> tuple[int, int]:
+    return -(-shape[0] // 2), -(-shape[1] // 2)
+
+
+@st.composite
+def pictures(draw, shape=SHAPE, design=None):
+    """A capture with or without clipped and unknown pixels, anywhere."""
+    design = design or draw(st.sampled_from(DESIGNS))
+    image = wavy_capture(design, shape=shape, seed=draw(st.integers(0, 10_000)), saturated=draw(st.booleans()))
+    for value in draw(st.lists(st.sampled_from([np.nan, np.inf, -np.inf, 1.0, -0.01]), max_size=3)):
+        y, x = draw(st.integers(0, shape[0] - 1)), draw(st.integers(0, shape[1] - 1))
+        image[y, x, draw(st.integers(0, 2))] = value
+    return design, image
+
+
+@settings(max_examples=15, deadline=None)
+@given(pictures())
+def test_halved_views_guide_and_mask(case):
+    design, image = case
+    chain, _ = real_time_chain(design, False)
+    views, full_guide = halved_views(image, method_of(design).space, config=REAL_TIME.views)
+    found = run(chain, image, halved(SHAPE), ["planes", "stats", "full_guide"])
+    count = views.pictures.shape[2]
+    planes = np.moveaxis(found.map("planes", count), 0, -1)
+    planes = planes - planes.mean(axis=(0, 1)) + views.pictures.mean(axis=(0, 1))  # windows do not see the mean
+    assert np.abs(planes - views.pictures).max() < VIEW_TOLERANCE
+    np.testing.assert_array_equal(found.map("planes", 1, count + 1)[0], views.mask)
+    scale, full_scale = found.arrays["stats"][12:14]
+    # In units of guide_range a guide is of order 10, and its percentiles carry the guide's own rounding.
+    np.testing.assert_allclose(found.map("planes", 1, count)[0] * scale, views.guide, rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(found.arrays["full_guide"].reshape(SHAPE) * full_scale, full_guide, rtol=1e-5, atol=1e-4)
+
+
+@settings(max_examples=15, deadline=None)
+@given(pictures(), st.booleans())
+def test_scores_paths_and_the_surface_behind_them(case, labelled):
+    design, image = case
+    chain, label_map = real_time_chain(design, labelled)
+    space, half = method_of(design).space, halved(SHAPE)
+    views, guide = halved_views(image, space, config=REAL_TIME.views)
+    names = ["score", "likelihood", "winner", "places", "surface", "disparity", "sigma", "confidence", "lacking"]
+    found = run(chain, image, half, names)
+    layers_px = REAL_TIME.layers.values_px / 2
+    layer_count, count = len(layers_px), len(space.rows)
+
+    score = stages.correlate(views, layers_px, config=REAL_TIME.correlation)
+    own = views.pictures.astype(np.float64)
+    mean_square, mean = (exponential_window(maps, REAL_TIME.correlation.window_decay) for maps in (own**2, own))
+    textured = ((mean_square - mean**2) > EVEN * own.var(axis=(0, 1))).all(axis=2)
+    error = np.abs(found.layers("score")[..., :layer_count] - score)[textured]
+    assert np.quantile(error, 0.999) < SCORE_TOLERANCE
+
+    # From here on each stage gets what the device made before it, so that a layer that flips counts once.
+    small_map = label_map if label_map.is_identity else label_map.halved()
+    likelihood = found.layers("likelihood")[..., :layer_count].astype(np.float64)
+    settings_ = {"correlation": REAL_TIME.correlation, "paths": REAL_TIME.paths}
+    expected = stages.four_path_winner(views, layers_px, small_map, **settings_)
+    layer, at, sigma_layers = found.map("winner", 3)
+    same = layer == expected.layer
+    tied = np.abs(np.take_along_axis(likelihood, layer.astype(int)[..., None], 2)[..., 0] - expected.at) < TIE_NATS
+    assert (same | tied).mean() > 1 - OTHER_WINNERS
+    assert np.quantile(np.abs(at - expected.at)[same & textured], 0.99) < TIE_NATS
+    step = layers_px[1] - layers_px[0]
+    assert np.quantile(np.abs(step * sigma_layers - expected.sigma_px)[same], 0.99) < 0.01  # px; half a layer is 0.06
+
+    inside = np.clip(layer.astype(int), 1, layer_count - 2)
+    around = [np.take_along_axis(likelihood, (inside + o)[..., None], 2)[..., 0] for o in (-1, 0, 1)]
+    winner = PathWinner(layer, *(part.astype(np.float32) for part in around), (step * sigma_layers).astype(np.float32))
+    place, weight = place_by_correlation(winner, layer_count, view_count=count)
+    even = views.guide / np.float32(REAL_TIME.smoothing_edge_range)
+    sums = stages.smooth_along_surface((weight, place * weight), even, layer, sigma_px=REAL_TIME.smoothing_sigma_px)
+    smoothed = found.arrays["places"].reshape(*half, 2)
+    # Sums of a thousand terms, each a place of up to 32 layers.
+    np.testing.assert_allclose(smoothed[..., 1] / smoothed[..., 0], sums[1] / sums[0], atol=2e-3)
+
+    places = (smoothed[..., 1] / smoothed[..., 0]).astype(np.float32)
+    surface = halved_surface(winner, places, layers_px, small_map)
+    disparity, sigma, peak = found.map("surface", 3)
+    disparity = np.where(disparity > 1e38, np.nan, disparity)
+    np.testing.assert_allclose(disparity / 2, surface.disparity_px, atol=1e-5)
+    np.testing.assert_allclose(sigma / 2, surface.sigma_px, atol=1e-5)
+    np.testing.assert_allclose(peak, surface.peak, atol=1e-3)  # the root of 1 - exp(-2 l) is steep at 0
+
+    wide = stages.enlarge(Surface(disparity, sigma, peak), guide)
+    found_px = found.arrays["disparity"].reshape(SHAPE)
+    np.testing.assert_array_equal(np.isnan(found_px), np.isnan(wide.disparity_px))
+    # Two surfaces: a weight of 0.5 takes either.
+    assert np.nanquantile(np.abs(found_px - wide.disparity_px), 0.999) < 1e-3
+    lacking = found.arrays["lacking"].reshape(max(1, SHAPE[0] // 8), max(1, SHAPE[1] // 8))
+    known = np.where(np.isneginf(image), np.nan, image)  # the mean of minus infinity counts as dark on the CPU
+    expected_lacking = without_two_views(known, space.rows)[4::8, 4::8][: lacking.shape[0], : lacking.shape[1]]
+    np.testing.assert_array_equal(lacking > 0, expected_lacking)
+
+
+@settings(max_examples=10, deadline=None)
+@given(pictures())
+def test_paper_as_a_whole(case):
+    design, image = case
+    chain, method = paper_chain(design), method_of(design, PAPER)
+    views = filtered_views(image, method.space, config=PAPER.views)
+    kept = {"correlation": PAPER.correlation, "bilateral": PAPER.bilateral}
+    winner = stages.bilateral_winner(views, PAPER.layers.values_px, **kept)
+    expected = method.match(image)
+    found = run(chain, image, SHAPE, ["disparity", "sigma", "confidence"])
+    disparity, sigma, confidence = (found.arrays[name].reshape(SHAPE) for name in ("disparity", "sigma", "confidence"))
+    assert (np.isnan(disparity) == np.isnan(expected.value_px)).mean() > 0.999
+    both = np.isfinite(disparity) & np.isfinite(expected.value_px)
+    peaked = both & (winner.curvature > 0.01)  # 1/px^2: flatter tops place their vertex by rounding
+    assert np.quantile(np.abs(disparity - expected.value_px)[peaked], 0.999) < 2e-3
+    assert np.quantile((np.abs(sigma - expected.sigma_px) / expected.sigma_px)[peaked], 0.99) < 0.01
+    assert np.quantile(np.abs(confidence - expected.confidence)[peaked], 0.99) < 0.01
+
+
+@cache
+def paper_chain(design: str) -> Chain:
+    chain = Chain(open_device("gpu"))
+    add_paper(chain, chain.array("image", 3 * SHAPE[0] * SHAPE[1]), SHAPE, PAPER, method_of(design, PAPER).space)
+    return chain
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+def test_chunks_of_layers_change_nothing(design, monkeypatch):
+    image = wavy_capture(design, shape=SHAPE)
+    whole = run(paper_chain(design), image, SHAPE, ["disparity"]).arrays["disparity"]
+    monkeypatch.setattr(correlation_stages, "_CHUNK_BYTES", 8 * 60 * 80 * 4)  # some four entries, with what is padded
+    chain = Chain(open_device("gpu"))
+    add_paper(chain, chain.array("image", image.size), SHAPE, PAPER, method_of(design, PAPER).space)
+    assert len(chain.dispatches) > len(paper_chain(design).dispatches)
+    np.testing.assert_array_equal(run(chain, image, SHAPE, ["disparity"]).arrays["disparity"], whole)
+
+
+def test_paths_need_no_subgroups():
+    image = wavy_capture("cy_halves", shape=SHAPE)
+    device = open_device("gpu")
+    if not device.subgroups:
+        pytest.skip("this device has no subgroups: the form with them is NOT tested")
+    names = ["winner", "places"]
+    quad = real_time_chain("cy_halves", False)[0].run({"image": image}, names)
+    for software in (True, False):  # one invocation a path, and four that share memory
+        info = device.info._replace(kind="CPU" if software else "DiscreteGPU")
+        chain = Chain(replace(device, info=info, subgroups=False))
+        add_real_time(chain, chain.array("image", image.size), SHAPE, REAL_TIME, method_of("cy_halves").space, IDENTITY)
+        for name, values in chain.run({"image": image}, names).items():
+            np.testing.assert_array_equal(values, quad[name])
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([(1, 1), SHAPE]))
+def test_conversion_to_depth(seed, field_shape):
+    rng = np.random.default_rng(seed)
+    disparity = rng.uniform(-6, 5, SHAPE).astype(np.float32)
+    sigma = rng.uniform(0.01, 0.3, SHAPE).astype(np.float32)
+    disparity[rng.uniform(size=SHAPE) < 0.1] = np.nan
+    root = rng.normal(size=(3, 3)) * (1e-3, 5.0, 0.5)
+    a, b = 4.3 + rng.normal(0, 0.02, field_shape), 8200 + rng.normal(0, 10, field_shape)
+    a, b = (part if part.size > 1 else float(part[0, 0]) for part in (a, b))
+    model = DepthModel(a, b, 52.0, root.T @ root)
+    expected, expected_sigma = depth_and_sigma(disparity, sigma, model, max_depth_mm=20_000)
+    fields, curve = model.tables
+    chain = Chain(open_device("gpu"))
+    arrays = [chain.array(name, disparity.size) for name in ("disparity", "sigma")]
+    parts = (fields.infinity_px, fields.scale_px_mm, fields.pupil_mm, *fields.covariance)
+    add_conversion(chain, *arrays, Conversion(parts, curve, 20_000))
+    found = chain.run({"disparity": disparity, "sigma": sigma}, ["depth_mm", "sigma_mm"])
+    near_limit = np.abs(expected - 20_000) < 20  # and there one of the two may call it too far
+    depth = found["depth_mm"].reshape(SHAPE)
+    assert (np.isnan(depth) == np.isnan(expected))[~near_limit].all()
+    both = np.isfinite(depth) & np.isfinite(expected)
+    np.testing.assert_allclose(depth[both], expected[both], rtol=2e-4)  # A - d in 32 bits where 0.4 px are left of 4
+    # Covariances that nearly cancel in 32 bits.
+    np.testing.assert_allclose(found["sigma_mm"].reshape(SHAPE)[both], expected_sigma[both], rtol=5e-3)

@@ -1,0 +1,243 @@
+"""Streams for robots, received and decoded without our code: MCAP by mcap's readers, WebSocket by its protocol."""
+
+from __future__ import annotations
+
+import base64
+import json
+import socket
+import struct
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from chromaperture.errors import InputError
+from chromaperture.products.foxglove_stream import FoxgloveStream, address, encoded_depth
+from chromaperture.products.mcap import write_mcap
+from chromaperture.products.rectified import View
+from chromaperture.products.samples import sample_camera, sample_image
+
+MATRIX = np.array([[500.0, 0, 4], [0, 501, 3], [0, 0, 1]])
+TOPICS = {"/camera/camera_info": "CameraCalibration", "/camera/depth/points": "PointCloud", "/tf": "FrameTransform"}
+TOPICS |= {f"/camera/{part}/image_rect": "RawImage" for part in ("color", "depth", "sigma", "confidence")}
+SAMPLE = "still_life_cy_halves"
+
+
+def view(time_s=1.75e9 + 0.125):
+    z = np.full((6, 8), 1234.4, np.float32)
+    z[0, :2] = np.nan, 70_000
+    sigma = 0.01 * z
+    sigma[0, 3] = 0.11 * z[0, 3]  # more than the tenth that is sent
+    color = np.random.default_rng(0).integers(0, 256, (6, 8, 3)).astype(np.uint8)
+    confidence = np.linspace(0, 1, z.size, dtype=np.float32).reshape(z.shape)
+    return View(color, z, sigma, time_s, 0, confidence)
+
+
+def pose():
+    made = np.eye(4)
+    made[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # a quarter of a turn about z
+    made[:3, 3] = 100, -200, 300
+    return made
+
+
+def check_messages(found, expected, encoding="16UC1"):
+    """Decoded messages by their topics against the view that was sent."""
+    pixels = {part: found[f"/camera/{part}/image_rect"] for part in ("color", "depth", "sigma", "confidence")}
+    assert [pixels[p].encoding for p in pixels] == ["rgb8", encoding, "32FC1", "32FC1"]
+    np.testing.assert_array_equal(np.frombuffer(pixels["color"].data, np.uint8).reshape(6, 8, 3), expected.color)
+    depth = np.frombuffer(pixels["depth"].data, {"16UC1": "<u2", "32FC1": "<f4"}[encoding]).reshape(6, 8)
+    unknown = [depth[0, 0], depth[0, 3]]
+    if encoding == "16UC1":
+        assert (unknown, depth[0, 1], depth[3, 3]) == ([0, 0], 0, 1234)  # mm; beyond 65 m is unknown
+    else:
+        assert np.isnan(unknown).all()
+        assert depth[3, 3] == np.float32(1.2344)  # m
+    np.testing.assert_array_equal(np.frombuffer(pixels["sigma"].data, "<f4").reshape(6, 8), expected.sigma_mm / 1000)
+    assert (pixels["depth"].step, pixels["color"].step) == (depth.itemsize * 8, 24)
+    stamp = pixels["depth"].timestamp
+    assert (stamp.seconds, stamp.nanos) == (1_750_000_000, 125_000_000)
+    info = found["/camera/camera_info"]
+    np.testing.assert_array_equal(np.reshape(info.K, (3, 3)), MATRIX)
+    np.testing.assert_array_equal(np.reshape(info.P, (3, 4))[:, :3], MATRIX)
+    cloud = found["/camera/depth/points"]
+    layout = {"names": [f.name for f in cloud.fields], "offsets": [f.offset for f in cloud.fields]}
+    layout |= {"formats": [{1: "u1", 7: "<f4"}[f.type] for f in cloud.fields], "itemsize": cloud.point_stride}
+    points = np.frombuffer(cloud.data, np.dtype(layout))
+    assert len(points) == 48 - 2  # without the unknown and the uncertain one
+    at = points[-1]  # row 5, column 7
+    assert at["z"] == np.float32(1.2344)
+    np.testing.assert_allclose([at["x"], at["y"]], [3 / 500 * 1.2344, 2 / 501 * 1.2344], rtol=1e-6)
+    assert [at["red"], at["green"], at["blue"], at["alpha"]] == [*expected.color[5, 7], 255]
+    transform = found["/tf"]
+    assert (transform.parent_frame_id, transform.child_frame_id) == ("world", pixels["depth"].frame_id)
+    assert (transform.translation.x, transform.translation.y, transform.translation.z) == (0.1, -0.2, 0.3)
+    assert (transform.rotation.z, transform.rotation.w) == (pytest.approx(0.5**0.5), pytest.approx(0.5**0.5))
+
+
+@pytest.mark.extra("stream", "foxglove")
+@pytest.mark.extra("readers", "mcap_protobuf")
+@pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
+def test_a_recorded_stream_is_read_by_mcap(tmp_path, encoding):
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    path = tmp_path / "a.mcap"
+    with FoxgloveStream(str(path), camera_matrix=MATRIX, depth_encoding=encoding) as stream:
+        stream.send(view())
+        stream.send_pose(pose(), view().time_s)
+    found, times = {}, set()
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
+            found[channel.topic] = decoded
+            times.add(message.log_time)
+            assert schema.name == f"foxglove.{TOPICS[channel.topic]}"
+    assert (set(found), times) == (set(TOPICS), {1_750_000_000_125_000_000})
+    check_messages(found, view(), encoding)
+    with pytest.raises(InputError, match="exists"):
+        FoxgloveStream(str(path), camera_matrix=MATRIX)
+    with FoxgloveStream(str(tmp_path / "none.mcap"), camera_matrix=MATRIX):
+        pass
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def receive(url, wanted, seconds=30.0):
+    """Messages of a server by the Foxglove WebSocket protocol (foxglove.sdk.v1); decoded with what it advertises."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+    from websockets.sync.client import connect
+
+    found, channels = {}, {}
+    with connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None, open_timeout=seconds) as socket_:
+        end = time.monotonic() + seconds
+        while set(wanted) - set(found) and time.monotonic() < end:
+            message = socket_.recv(timeout=max(0.1, end - time.monotonic()))
+            if isinstance(message, str):
+                tree = json.loads(message)
+                if tree["op"] == "serverInfo":
+                    assert tree["name"] == "chromaperture"
+                if tree["op"] == "advertise":
+                    channels |= {c["id"]: c for c in tree["channels"]}
+                    wishes = [{"id": c["id"], "channelId": c["id"]} for c in tree["channels"]]
+                    socket_.send(json.dumps({"op": "subscribe", "subscriptions": wishes}))
+            elif message[0] == 1:  # data of a subscription: its number, time in ns, payload
+                number, _ = struct.unpack("<IQ", message[1:13])
+                channel = channels[number]
+                assert (channel["encoding"], channel["schemaEncoding"]) == ("protobuf", "protobuf")
+                files = descriptor_pb2.FileDescriptorSet.FromString(base64.b64decode(channel["schema"]))
+                pool = descriptor_pool.DescriptorPool()
+                for file in files.file:
+                    pool.Add(file)
+                kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(channel["schemaName"]))
+                found[channel["topic"]] = kind.FromString(message[13:])
+    return found
+
+
+@pytest.mark.extra("stream", "foxglove")
+@pytest.mark.extra("readers", "websockets")
+@pytest.mark.extra("readers", "google.protobuf")
+def test_a_client_of_the_protocol_receives_what_was_sent():
+    with FoxgloveStream("127.0.0.1:0", camera_matrix=MATRIX) as stream:
+        over = threading.Event()
+
+        def send():
+            while not over.wait(0.1):
+                stream.send(view())
+                stream.send_pose(pose(), view().time_s)
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        try:
+            found = receive(stream.url, TOPICS)
+        finally:
+            over.set()
+            sender.join()
+        port = int(stream.url.rsplit(":", 1)[1])
+        second = FoxgloveStream(f"127.0.0.1:{port}", camera_matrix=MATRIX)
+        with pytest.raises(InputError, match="cannot stream"), second:
+            pass
+    assert set(found) == set(TOPICS)
+    check_messages(found, view())
+
+
+@pytest.mark.extra("stream", "foxglove")
+@pytest.mark.extra("readers", "websockets")
+@pytest.mark.extra("readers", "google.protobuf")
+@pytest.mark.slow
+def test_the_live_command_streams_what_it_measures(run, tmp_path):
+    image, camera = sample_image(SAMPLE), sample_camera(SAMPLE)
+    assert run("record", image, "--out", tmp_path / "walk", "-q").returncode == 0
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    found = {}
+
+    def client():
+        end = time.monotonic() + 60
+        while time.monotonic() < end and not found:
+            try:
+                found.update(receive(f"ws://127.0.0.1:{port}", set(TOPICS) - {"/tf"}, 60))
+            except OSError:
+                time.sleep(0.2)  # not started yet
+
+    listener = threading.Thread(target=client)
+    listener.start()
+    result = run("live", f"replay:{tmp_path / 'walk'}?loop=1&speed=5", "--camera", camera, "--no-page", "--no-model",
+                 "--stream", f"127.0.0.1:{port}", "--seconds", 8, "--out", tmp_path / "out")  # fmt: skip
+    listener.join()
+    assert result.returncode == 0, result.stderr
+    assert f"ws://127.0.0.1:{port}" in result.stdout
+    depth = found["/camera/depth/image_rect"]
+    assert (depth.width, depth.height, depth.encoding) == (720, 480, "16UC1")
+    mm = np.frombuffer(depth.data, "<u2")
+    assert 1000 < np.median(mm[mm > 0]) < 3000
+
+
+def test_depth_is_encoded_as_rep_118_says():
+    z = np.array([[np.nan, -1, 0, 0.6, 1234.5001, 65534.4, 65536, np.inf]], np.float32)
+    np.testing.assert_array_equal(encoded_depth(z, "16UC1"), [[0, 0, 0, 1, 1235, 65534, 0, 0]])
+    metres = encoded_depth(z, "32FC1")
+    assert metres.dtype == np.dtype("<f4")
+    np.testing.assert_array_equal(metres, z / 1000)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [("127.0.0.1:9000", ("127.0.0.1", 9000)), ("0.0.0.0", ("0.0.0.0", 8765)), ("[::1]:70", ("::1", 70)),
+     ("robot.local", ("robot.local", 8765))],
+)  # fmt: skip
+def test_addresses(text, found):
+    assert address(text) == found
+
+
+@pytest.mark.parametrize("text", ["", "a:b", "127.0.0.1:99999", "::1:80", "http://a:80", "a b"])
+def test_wrong_addresses_are_refused(text):
+    with pytest.raises(InputError, match="--stream"):
+        address(text)
+
+
+@pytest.mark.extra("ros", "mcap")
+@pytest.mark.extra("readers", "rosbags")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_exported_messages_are_those_of_ros(tmp_path):
+    """Decoded by another library with ROS's own definitions, not with those in the file."""
+    from mcap.reader import make_reader
+    from rosbags.typesys import Stores, get_typestore
+
+    path, expected = tmp_path / "a.mcap", view()
+    write_mcap(path, [expected], camera_matrix=MATRIX)
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    found = {}
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            assert channel.message_encoding == "cdr"
+            found[channel.topic] = store.deserialize_cdr(message.data, schema.name)
+    depth, info = found["/camera/depth/image_rect"], found["/camera/depth/camera_info"]
+    assert (depth.encoding, depth.height, depth.width, depth.is_bigendian) == ("16UC1", 6, 8, 0)
+    assert depth.data.view("<u2").reshape(6, 8)[3, 3] == 1234
+    assert (depth.header.stamp.sec, depth.header.stamp.nanosec) == (1_750_000_000, 125_000_000)
+    assert depth.header.frame_id == "camera_optical_frame"
+    np.testing.assert_array_equal(info.k.reshape(3, 3), MATRIX)
+    assert info.distortion_model == "plumb_bob"
+    np.testing.assert_array_equal(found["/camera/color/image_rect"].data.reshape(6, 8, 3), expected.color)
+    np.testing.assert_array_equal(found["/camera/sigma/image_rect"].data.view("<f4"), expected.sigma_mm.ravel() / 1000)
