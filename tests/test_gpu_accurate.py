@@ -76,7 +76,7 @@ def test_the_camera_measures_on_the_device():
 def test_shifted_views_are_evidence_on_the_device_too(design):
     """A camera whose blur is not known: two view spaces of two views, or one of three."""
     image = wavy_capture(design, shape=(44, 60))
-    # NumPy's, because Numba keeps scores in 16 bits: planes through this wavy surface are chosen otherwise by that much.
+    # NumPy's: Numba keeps scores in 16 bits, and planes through this wavy surface are chosen otherwise by that much.
     method = method_for(
         AccurateConfig().with_range(-2.0, 2.0), aperture=design, label_maps=[IDENTITY, IDENTITY], execution="numpy"
     )
