@@ -376,9 +376,14 @@ def test_the_devices_camera_photographs_for_the_assistant(page_at):
     begin(page, "by-camera", FACTS)
     page.click("#shot-camera")
     page.wait_for_selector(".preview video")
-    page.click("text=Check only")  # the sample shows no board
+    page.click("#shot-watch")  # live: the sample shows no board
     page.wait_for_selector(".checks:has-text('no board of 9 x 6 inner corners')", timeout=60_000)
-    assert "only checked" not in page.inner_text("#calibrate")
+    assert page.inner_text("#checks").startswith("Not yet")
+    with page.expect_response(re.compile("/shots")):  # again by itself
+        pass
+    page.click("#shot-camera")  # a photograph without a board is not kept
+    page.wait_for_selector("#checks:has-text('Not kept')", timeout=60_000)
+    assert page.locator(".shots li").count() == 0
 
 
 def test_facts_that_make_no_sense_are_one_sentence(page_at):

@@ -109,7 +109,7 @@ def test_a_photograph_is_measured_refocused_and_saved(app):
     assert chroma[1] < 0.2 * chroma[0]
     status, packed, _ = call(app, "GET", f"{where}/files")
     names = zipfile.ZipFile(io.BytesIO(packed)).namelist()
-    assert sorted(names) == sorted(NAME + output.suffix for output in OUTPUTS.values())
+    assert sorted(names) == sorted(NAME + end for end in (".png", *(output.suffix for output in OUTPUTS.values())))
     assert [p.name for p in app.folder.iterdir() if p.name.startswith((".", "tmp"))] == []  # nothing is left behind
 
 

@@ -54,6 +54,7 @@ class Photo:
     measured: MeasuredFile
     camera: CodedApertureCamera
     notes: list[str]
+    original: bytes  # the file as it was sent
     sharp: dict[str, SharpPicture] = field(default_factory=dict)
 
 
@@ -187,7 +188,7 @@ class Workbench:
         with heard() as notes:
             measured = measure_only(path, eye, out=self.folder / "photos", listener=stage)
         height, width = measured.frame.disparity_px.shape
-        photo = Photo(measured, eye.at_size(width, height), notes())
+        photo = Photo(measured, eye.at_size(width, height), notes(), path.read_bytes())
         key = secrets.token_urlsafe(9)
         self._photos[key] = photo
         while len(self._photos) > _KEPT_PHOTOS:
@@ -248,8 +249,8 @@ class Workbench:
         focus = Focus(_radius_at(picture.radius_px, at), strength)
         return linear_to_srgb_bytes(apply_background(picture.color, picture.radius_px, focus, background))
 
-    def photo_files(self, key: str, original: Path | None = None) -> bytes:
-        """Return the files of a photograph, as ``chromaperture depth`` writes them, in one ZIP archive."""
+    def photo_files(self, key: str) -> bytes:
+        """Return a photograph and its files, as ``chromaperture depth`` writes them, in one ZIP archive."""
         photo = self.photo(key)
         require_space(self.folder, 100 * photo.measured.frame.disparity_px.size, self.reserve_bytes)
         packed = io.BytesIO()
@@ -260,8 +261,7 @@ class Workbench:
                 for path in names:
                     if path.is_file():
                         archive.write(path, path.name)
-                if original is not None:
-                    archive.write(original, original.name)
+                archive.writestr(photo.measured.path.name, photo.original)
         return packed.getvalue()
 
 

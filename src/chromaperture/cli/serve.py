@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Annotated
 
@@ -71,4 +72,5 @@ def serve(
             )
 
     pair = None if trusted is None else (trusted.certificate, trusted.key)
-    make_server(application, host=host, port=port, certificate=pair, ready=ready).run()
+    with contextlib.suppress(KeyboardInterrupt):  # the usual way to stop
+        make_server(application, host=host, port=port, certificate=pair, ready=ready).run()

@@ -6,7 +6,8 @@ import { distanceChart, forecastChart, frameChart, tiltChart } from "./charts.js
 
 const root = () => document.getElementById("calibrate");
 const KEPT = "chromaperture-session";  // which session was open, in the browser's storage
-let session = null, camera = null, result = null, job = null, polling = null;
+const LIVE_MS = 700;  // between two live checks, beside the time that they take
+let session = null, camera = null, result = null, job = null, polling = null, watching = false;
 
 export function startAssistant() {
   document.addEventListener("tab", ({ detail }) => { if (detail === "calibrate") attempt(enter); else closeCamera(); });
@@ -89,14 +90,14 @@ function draw() {
     for (const one of files) await send(one, one.name, options(), "good");
   }));
   const shoot = make("button", { id: "shot-camera", text: camera ? "Photograph" : "Use this device's camera", onclick: () => attempt(() => shutter(options())) });
-  const look = camera ? make("button", { text: "Check only", onclick: () => attempt(async () => send(await photograph(), "frame.png", options(), "")) }) : null;
+  const look = camera ? make("button", { id: "shot-watch", text: "Check live", "aria-pressed": String(watching), onclick: () => { watching = !watching; look.setAttribute("aria-pressed", String(watching)); if (watching) attempt(() => watch(options)); } }) : null;
 
   const guide = make("section", { class: "card next", "aria-labelledby": "next-title" },
     make("h2", { id: "next-title", text: "Next" }), make("p", { class: "what", text: next.text }), make("p", { text: next.why }),
     camera ? make("div", { class: "preview" }, camera.video) : null,
     make("div", { class: "row" }, make("label", { class: "choice" }, kind), make("label", { class: "choice short" }, ruler, "mm from the sensor"), make("label", { class: "choice" }, sheet)),
     make("div", { class: "row" }, make("label", { class: `button${camera ? "" : " main"}` }, "Open photographs", file), shoot, look),
-    checksOf(result));
+    make("div", { id: "checks" }, checksOf(result)));
   const panels = make("section", { class: "card", "aria-label": "What is there" },
     make("div", { class: "panels" },
       make("div", {}, make("h3", { text: `Distances: ${session.boards_mm.length}` }), distanceChart(session.boards_mm, session.facts, next.kind === "board" ? next.ruler_mm : null)),
@@ -132,12 +133,13 @@ function checksOf(found) {
   const list = make("ul", { class: "checks" }, ...found.checks.map((check) => make("li", { class: state[check.verdict] },
     make("span", {}, make("span", { class: "unseen", text: words[check.verdict] }), `${check.name}: ${check.finding}`),
     check.advice ? make("span", { class: "advice", text: check.advice }) : null)));
-  const head = found.kept ? `Kept as ${found.kept}.` : found.usable ? "It is good, and was only checked." : "Not kept: see what is marked.";
+  const head = found.kept ? `Kept as ${found.kept}.` : found.retry ? "Not kept: see what is marked." : found.usable ? "All is well; nothing is kept by a live check." : "Not yet: see what is marked.";
   const insist = found.kept || !found.retry ? null : make("button", { text: "Keep it all the same", onclick: () => attempt(() => send(...found.retry, "always")) });
   return make("div", { role: "status", "aria-live": "polite" }, make("p", { text: head }), list, insist);
 }
 
 async function send(data, name, options, keep) {
+  watching = false;
   say("Checking…", { plain: true });
   const where = query({ ...options, name, keep });
   const found = await (await ask(`api/sessions/${session.name}/shots${where}`, { method: "POST", body: data })).json();
@@ -188,6 +190,19 @@ function closeCamera() {
   if (!camera) return;
   for (const track of camera.stream.getTracks()) track.stop();
   camera = null;
+  watching = false;
+}
+
+// Checks what the camera sees, again and again, and keeps nothing: to turn film, board and light until all is well.
+async function watch(options) {
+  while (watching && camera) {
+    const where = query({ ...options(), name: "frame.png" });
+    const found = await (await ask(`api/sessions/${session.name}/shots${where}`, { method: "POST", body: await photograph() })).json();
+    if (!watching || !camera) return;
+    session = found.state;  // the first photograph sets the size
+    document.getElementById("checks")?.replaceChildren(checksOf(found));
+    await new Promise((resolve) => setTimeout(resolve, LIVE_MS));
+  }
 }
 
 // ---- the calibration

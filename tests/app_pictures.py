@@ -1,0 +1,106 @@
+"""Photograph the app's page for docs/app.md: ``python tests/app_pictures.py docs/images``."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import cv2
+from playwright.sync_api import sync_playwright
+
+from apps import DESKTOP, FACTS, PHONE, chromium, render_session, served, write_y4m
+from chromaperture.products.samples import open_sample, sample_camera, sample_image
+from test_app_page import begin, put
+
+SAMPLE = "still_life_cy_halves"
+
+
+def main(out: Path) -> None:
+    with tempfile.TemporaryDirectory() as name, sync_playwright() as driver:
+        folder = Path(name)
+        _, image = open_sample(SAMPLE)
+        write_y4m(folder / "scene.y4m", cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST))
+        render_session(folder / "boards")
+        with (
+            served(folder / "app", camera=sample_camera(SAMPLE)) as app,
+            chromium(driver, camera=folder / "scene.y4m") as browser,
+        ):
+            for size, label in ((PHONE, "phone"), (DESKTOP, "desktop")):
+                # Sharper than a phone of that width in CSS px, and still a small file.
+                context = browser.new_context(viewport=size, device_scale_factor=1.5 if size is PHONE else 1)
+                context.grant_permissions(["camera"])
+                page = context.new_page()
+                page.goto(app.url)
+                page.wait_for_selector("#camera option[value=cy_halves]", state="attached")
+                if size is PHONE:
+                    live(page, out / "app-live.png")
+                photo(page, out / f"app-photo-{label}.png")
+                if size is DESKTOP:
+                    assistant(page, folder / "boards", out)
+                else:
+                    page.click("#tab-calibrate")
+                    page.wait_for_selector("input[name=name]")
+                context.close()
+            page = browser.new_page(viewport=PHONE, device_scale_factor=1.5)
+            page.goto(app.url)
+            page.click("#tab-calibrate")
+            page.click("text=bench")
+            page.wait_for_selector("#shot-file", state="attached")
+            time.sleep(0.5)
+            page.screenshot(path=out / "app-assistant-phone.png")
+
+
+def touch(page, viewer: str, x: float, y: float) -> None:
+    box = page.locator(f"{viewer} .stage canvas").bounding_box()
+    page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+    time.sleep(0.3)
+
+
+def live(page, path: Path) -> None:
+    page.click("#live-start")
+    page.wait_for_selector("#live-speed:has-text('frames/s')", timeout=60_000)
+    time.sleep(6)
+    touch(page, "#live-viewer", 0.6, 0.62)
+    page.screenshot(path=path)
+    page.click("#live-start")
+
+
+def photo(page, path: Path) -> None:
+    page.click("#tab-photo")
+    page.set_input_files("#photo-open", str(sample_image(SAMPLE)))
+    page.wait_for_selector("#photo-tools:not([hidden])", timeout=60_000)
+    page.locator("#photo-viewer [data-view=picture]").click()
+    page.evaluate("() => { const f = document.getElementById('f-number'); f.value = -1.5; "
+                  "f.dispatchEvent(new Event('input')); }")  # fmt: skip
+    touch(page, "#photo-viewer", 0.38, 0.62)
+    time.sleep(4)
+    page.screenshot(path=path)
+
+
+def assistant(page, boards: Path, out: Path) -> None:
+    begin(page, "bench", FACTS)
+    for at in (2000, 1000, 3000, 1500):
+        put(page, "board", boards / "board" / f"{at}.png", ruler_mm=at)
+    for i in range(3):
+        put(page, "tilt", boards / "tilt" / f"{i:02d}.png")
+    page.select_option("#shot-kind", "board")
+    page.fill("#shot-ruler", "2900")
+    page.set_input_files("#shot-file", str(boards / "board" / "2500.png"))
+    page.wait_for_selector("text=Not kept")
+    page.screenshot(path=out / "app-assistant.png", full_page=True)
+    put(page, "board", boards / "board" / "2500.png", ruler_mm=2500)
+    for i in (3, 4):
+        put(page, "tilt", boards / "tilt" / f"{i:02d}.png")
+    for sheet in ("open", "cy_halves", "sheet_c", "sheet_y"):
+        put(page, "white", boards / "white" / f"{sheet}.png", sheet=sheet)
+    page.uncheck("#lens-blur")
+    page.click("#calibrate-start")
+    page.wait_for_selector("#calibrated", timeout=300_000)
+    time.sleep(1)
+    page.screenshot(path=out / "app-calibrated.png", full_page=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
