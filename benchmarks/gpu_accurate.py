@@ -23,8 +23,10 @@ import cv2
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_matching import default_config
 from chromaperture.disparity.gpu.accurate_chain import AccurateChain
 from chromaperture.disparity.gpu.device import AdapterInfo, Chain, Device, Dispatch, open_device
+from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.products.samples import open_sample
 
 LEAST_AGREEING, DEPTH_TOLERANCE = 0.995, 1e-3
@@ -60,7 +62,9 @@ def operations(dispatch: Dispatch) -> float:
         "tile_rows": transforms,
         "tile_columns": transforms,
         "tile_smoothing": lambda: 2 * taps() * c["pictures"] * c["size"] * (c["size"] // 2 + 1),
-        "point_rows": lambda: c["pictures"] * c["layers_of_round"] * (4.0 * c["side"] ** 2 * c["kept"] + 40 * c["points"]),
+        "point_rows": lambda: (
+            c["pictures"] * c["layers_of_round"] * (4.0 * c["side"] ** 2 * c["kept"] + 40 * c["points"])
+        ),
         "point_columns": lambda: 8.0 * c["pictures"] * c["layers_of_round"] * c["side"] * c["kept"] ** 2,
         "cross_rows": lambda: transforms() + 40.0 * c["lines"] * c["span"],
         "cross_columns": transforms,
@@ -104,13 +108,18 @@ def counted(chains: dict[str, Chain], *, bandwidth: float, rate: float) -> dict[
 
 
 def composed(camera: CodedApertureCamera, device: Device) -> tuple[AccurateChain, dict[str, Chain]]:
-    chain = AccurateChain(camera.method, device)
+    method = camera.method.method if isinstance(camera.method, ScaledMethod) else camera.method
+    sensor = camera.calibration.sensor
+    shape = sensor.height_px, sensor.width_px
+    if isinstance(camera.method, ScaledMethod):
+        shape = camera.method.size_px[::-1]
+    chain = AccurateChain(method, device, shape)
     return chain, {"first": chain.first, "last": chain.last[chain.uses_planes]}
 
 
 def timed(camera: CodedApertureCamera, image: np.ndarray, device: str) -> dict[str, Any]:
     """Whole calls beside Numba's, after the depth has been compared."""
-    chain = AccurateChain(camera.method, open_device(device))
+    chain = AccurateChain(camera.method, open_device(device), image.shape[:2])
     depths = [camera.millimetres(match(image))[0] for match in (chain.match, camera.method.match)]
     known = np.isfinite(depths[1])
     close = np.where(known, np.abs(depths[0] - depths[1]) <= DEPTH_TOLERANCE * depths[1], np.isnan(depths[0]))
@@ -131,6 +140,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sample", default="still_life_cy_halves")
     parser.add_argument("--size", default="720x480")
+    parser.add_argument(
+        "--scale", type=int, help="match pictures reduced to 1 / scale; else the camera's working scale"
+    )
     parser.add_argument("--device", help="run there, too")
     parser.add_argument("--bandwidth", type=float, default=4800.0, help="of the model's memory, GB/s")
     parser.add_argument("--rate", type=float, default=60.0, help="of the model's arithmetic, TFLOP/s")
@@ -140,21 +152,26 @@ def main() -> None:
     camera, image = open_sample(arguments.sample, quality="accurate")
     if (width, height) != image.shape[1::-1]:
         camera, image = camera.at_size(width, height), cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    if arguments.scale:
+        config = default_config(camera.calibration, "accurate", scale=arguments.scale)
+        camera = CodedApertureCamera(camera.calibration, config)
     chain, chains = composed(camera, counting_device())
     stages = counted(chains, bandwidth=1e9 * arguments.bandwidth, rate=1e12 * arguments.rate)
     largest = max((array for part in chains.values() for array in part.arrays.values()), key=lambda a: a.size)
     result: dict[str, Any] = {
-        "sample": arguments.sample, "size": arguments.size, "labels": chain.grid.layers,
+        "sample": arguments.sample, "size": arguments.size, "scale": camera.config.scale,
+        "matched": f"{chain.grid.width}x{chain.grid.height}", "labels": chain.grid.layers,
         "layers_computed": len(chain.plan.computed_px), "tiles": len(chain.plan.nodes.places),
         "tile_samples": chain.plan.nodes.size, "pairs": len(chain.plan.source.all_pairs),
         "planes": chain.uses_planes, "dispatches": sum(len(part.dispatches) for part in chains.values()),
         "device_mbytes": round(sum(part.device_bytes for part in chains.values()) / 1e6),
         "largest_array": f"{largest.name}: {4 * largest.size / 1e6:.0f} MB",
-        "mbytes_up": round(4 * 5 * width * height / 1e6, 1), "mbytes_down": round(16 * width * height / 1e6, 1),
+        "mbytes_up": round(20 * chain.grid.pixels / 1e6, 1),
+        "mbytes_down": round(16 * chain.grid.pixels / 1e6, 1),
     }  # fmt: skip
     if chain.blocks is not None:
-        result["mbytes_down_between"] = round(4 * (5 * width * height + chain.blocks.size) / 1e6, 1)
-        result["mbytes_up_between"] = round(4 * width * height / 1e6, 1)
+        result["mbytes_down_between"] = round(4 * (5 * chain.grid.pixels + chain.blocks.size) / 1e6, 1)
+        result["mbytes_up_between"] = round(4 * chain.grid.pixels / 1e6, 1)
     if arguments.device:
         result |= timed(camera, image, arguments.device)
     if arguments.json:
@@ -167,7 +184,8 @@ def main() -> None:
         print(f"{name:18s} {row['dispatches']:10.0f} {row['mbytes']:10.1f} {row['mops']:10.1f} {row['model_ms']:9.3f}")
         for key, value in row.items():
             total[key] += value
-    print(f"{'sum':18s} {total['dispatches']:10.0f} {total['mbytes']:10.1f} {total['mops']:10.1f} {total['model_ms']:9.3f}")
+    sums = (total["dispatches"], total["mbytes"], total["mops"], total["model_ms"])
+    print("{:18s} {:10.0f} {:10.1f} {:10.1f} {:9.3f}".format("sum", *sums))
 
 
 if __name__ == "__main__":

@@ -28,6 +28,19 @@ _FILE = re.compile(r"(?<![`\w/])`((?:\w+/)*\w+)\.py`((?:[ \n,]+`[\w.]+`)*)(?!`)"
 _NAME = re.compile(r"`([\w.]+)`")
 _CONTENTS = re.compile(r"^```\{toctree\}\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 OTHER_PAGES = "@other-pages@"  # in a list of contents: all pages that no list names
+REFERENCE = "@reference@"  # in a list of contents: the pages of the reference, in the order of the light
+IN_ORDER = [
+    "optics",
+    "capture",
+    "color",
+    "disparity",
+    "depth",
+    "calibration",
+    "frame",
+    "products",
+    "effects",
+    "reconstruction",
+]
 _BAR = re.compile(
     r"(?<![`|\\])\|(?=[^`]*(?:`[^`]*`[^`]*)*$)"
 )  # |x| in a docstring; reStructuredText has another meaning
@@ -70,10 +83,20 @@ def other_pages(folder: Path) -> list[str]:
     return [page for page in texts if page not in named | {"index"}]
 
 
+def reference_pages(folder: Path) -> list[str]:
+    """Return the pages of the reference: parts in the order of the light, others, single modules."""
+    parts = {path.stem for path in (folder / "reference").glob("*.rst")}
+    last = [*sorted(parts - {*IN_ORDER, "root"}), "root"]
+    return [f"reference/{part}" for part in [*(part for part in IN_ORDER if part in parts), *last]]
+
+
 def _page_read(app: Any, page: str, source: list[str]) -> None:
     path = Path(app.env.doc2path(page))
     if path.suffix == ".md" and path.parent == Path(app.srcdir):
-        source[0] = linked(source[0].replace(OTHER_PAGES, "\n".join(other_pages(path.parent))))
+        lists = {OTHER_PAGES: other_pages, REFERENCE: reference_pages}
+        for marker, pages in lists.items():
+            source[0] = source[0].replace(marker, "\n".join(pages(path.parent)))
+        source[0] = linked(source[0])
 
 
 def _docstring_read(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:

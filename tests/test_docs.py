@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
 from pathlib import Path
 
 import pytest
+
+import chromaperture
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "chromaperture"
@@ -42,3 +45,24 @@ def test_every_equation_of_the_paper_has_a_row():
     named = {n for first, last in rows for n in range(int(first), int(last or first) + 1)}
     assert named == set(range(1, 12))
     assert len(PAIRS.findall(text)) >= 10  # the search above has something to find
+
+
+def test_the_site_runs_every_example():
+    conf = (ROOT / "docs" / "conf.py").read_text(encoding="utf-8")
+    named = re.findall(r'^    "(\w+\.py)",$', conf, flags=re.MULTILINE)
+    assert sorted(named) == sorted(path.name for path in (ROOT / "examples" / "gallery").glob("*.py"))
+
+
+def test_the_site_runs_every_notebook_and_none_keeps_what_it_printed():
+    listed = (ROOT / "docs" / "notebooks.md").read_text(encoding="utf-8")
+    notebooks = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+    assert len(notebooks) >= 3
+    for notebook in notebooks:
+        assert f"notebooks/{notebook.stem}" in listed
+        cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+        assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)
+
+
+def test_every_public_name_is_in_the_reference():
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    assert [name for name in chromaperture.__all__ if not re.search(rf"\b{name}\b", page)] == []

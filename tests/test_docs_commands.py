@@ -20,6 +20,9 @@ import typer
 from chromaperture.cli.main import app, main
 
 ROOT = Path(__file__).parents[1]
+# Pages whose commands are within sentences only, and what is no page but names commands.
+OTHERS = [ROOT / name for name in ("CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md")]
+OTHERS += [*sorted((ROOT / "examples" / "gallery").glob("*.py")), *sorted((ROOT / "examples" / "notebooks").glob("*"))]
 PAGES = {page.name: page for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))}
 FIRST = "how-to-calibrate.md"  # makes the session and the camera file that the other pages begin with
 # A command by its beginning, and what is added so that it takes seconds: pictures and ray counts are smaller.
@@ -58,6 +61,7 @@ BLOCK = re.compile(r"^```(?:sh|bash)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"^    (\S.*)$", re.MULTILINE)
 # Not `chromaperture --install-completion`: to check it is to change the shell of whoever runs the tests.
 INLINE = re.compile(r"`(chromaperture (?!--)[^`]+)`")
+SCRIPT = re.compile(r"python ((?:benchmarks|examples|tests)/[\w/]+\.py)([^`\n]*)")
 
 
 class Outcome(NamedTuple):
@@ -194,6 +198,22 @@ def test_the_commands_within_sentences_exist_and_take_these_options(name, tmp_pa
     for match in INLINE.finditer(PAGES[name].read_text(encoding="utf-8")):
         command = " ".join(match[1].split())
         check_options(words(command, tmp_path), whole=False)
+
+
+@pytest.mark.parametrize("path", OTHERS, ids=lambda path: path.name)
+def test_the_commands_of_other_files_exist_and_take_these_options(path, tmp_path):
+    for match in INLINE.finditer(path.read_text(encoding="utf-8")):
+        command = " ".join(match[1].replace("\\n", "").split())
+        check_options(words(command, tmp_path), whole=False)
+
+
+@pytest.mark.parametrize("path", [*PAGES.values(), *OTHERS], ids=lambda path: path.name)
+def test_scripts_that_are_named_exist_and_know_these_options(path):
+    for script, rest in SCRIPT.findall(path.read_text(encoding="utf-8")):
+        assert (ROOT / script).is_file(), script
+        source = (ROOT / script).read_text(encoding="utf-8")
+        for option in re.findall(r"(?<!\S)--[a-z][\w-]*", rest.partition("#")[0]):
+            assert option in source, f"{script} {option}"
 
 
 def test_no_exception_outlives_its_command(tmp_path):

@@ -324,6 +324,15 @@ def test_exr_holds_depth_error_bar_and_confidence(tmp_path, run):
     np.testing.assert_allclose(channels["Z"] + header["sensor_to_pupil_mm"], depth, rtol=1e-6)
     np.testing.assert_array_equal(channels["sigma_mm"], sigma)
     assert header["focal_length_x_px"] == pytest.approx(1664.8, abs=0.1)
+    # Our own reader, for `view` and `compare`.
+    alone = shutil.copy(tmp_path / f"{SAMPLE}.exr", tmp_path / "alone.exr")
+    compared = run("compare", tmp_path / f"{SAMPLE}.depth.tiff", alone, "--json")
+    assert json.loads(compared.stdout)["difference_mm"]["median_absolute"] < 1e-3
+    assert run("view", alone, "--out", tmp_path / "page.html").returncode == 0
+    assert "confidence" in (tmp_path / "page.html").read_text()
+    (tmp_path / "bad.exr").write_bytes((tmp_path / "alone.exr").read_bytes()[:-1000])
+    result = run("view", tmp_path / "bad.exr")
+    assert (result.returncode, result.stderr.count("error: bad.exr is damaged")) == (2, 1)  # OpenEXR prints, too
 
 
 def test_formats_come_only_where_they_are_named(tmp_path, run):

@@ -314,6 +314,22 @@ def test_what_hides_a_place_and_has_no_distance_does_not_pull():
         assert np.linalg.norm((found.pose - pose_at(k))[:3, 3]) < 2.0
 
 
+def test_points_of_uncertain_distance_count_less_where_their_place_in_the_picture_is_uncertain():
+    config = ReconstructionConfig(tracking_scale=1)
+    first, then = photograph(pose_at(0)), photograph(pose_at(6.0))
+    wrong = np.zeros(SIZE, bool)
+    wrong[:, : SIZE[1] // 2] = True  # half of the keyframe is measured a fifteenth too near, and says so or not
+    z_mm = np.where(wrong, first.z_mm * np.float32(14 / 15), first.z_mm)
+    errors = []
+    for said in (0.14, 0.002):
+        sigma_mm = np.where(wrong, np.float32(said), np.float32(0.002)) * z_mm
+        spoilt = View(first.color, z_mm, sigma_mm.astype(np.float32))
+        keyframe = prepare(spoilt, MATRIX, config).keyframe(pose_at(0))
+        found = track(prepare(then, MATRIX, config), keyframe, pose_at(5.5), config=config)
+        errors.append(float(np.linalg.norm((found.pose - pose_at(6.0))[:3, 3])))
+    assert errors[0] < 0.7 * errors[1]
+
+
 def test_a_camera_is_found_where_light_has_changed_and_nothing_is_fused():
     config = ReconstructionConfig(tracking_scale=1)
     first, then = photograph(pose_at(0)), photograph(pose_at(2.0))

@@ -55,7 +55,8 @@ ALLOWED: dict[str, set[str]] = {
     "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "camera_crop",
                "config", "frame"} | STAGES,
     "calibration": {"optics", "spectral_config", "camera_matching", "camera_scale", "camera_file", "config"} | STAGES,
-    "products": {"camera", "camera_file", "cluster", "config", "frame", "storage", "capture", "color", "depth"},
+    "products": {"camera", "camera_file", "cluster", "config", "formats", "frame", "storage", "capture", "color",
+                 "depth"},
     "pages": {"color", "depth"},  # pages of maps and points, of whatever is put on them
     "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth"},
     "reconstruction": {"camera", "products", "storage", "capture", "color", "depth"},

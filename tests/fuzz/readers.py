@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import shutil
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -23,10 +24,13 @@ from chromaperture.capture.files import image_size, read_image
 from chromaperture.capture.open import open_source
 from chromaperture.config import AccurateConfig, Config, preset
 from chromaperture.config_file import with_file
+from chromaperture.depth.pointcloud import PointCloud, write_ply
 from chromaperture.optics.aperture_file import load_aperture
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.scene import load_scene
+from chromaperture.products.posed_sequence import read_trajectory
+from chromaperture.products.result_files import read_depth, read_result
 
 DATA = Path(__file__).parents[1] / "data"
 CORPUS = Path(__file__).parent / "corpus"
@@ -108,10 +112,28 @@ def _with_each_config(path: Path) -> None:
         raise error
 
 
+def _points() -> list[bytes]:
+    points = np.random.default_rng(0).normal(size=(20, 3)).astype(np.float32)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "points.ply"
+        write_ply(path, PointCloud(points, _picture().reshape(-1, 3)[:20].astype(np.uint8)))
+        return [path.read_bytes()]
+
+
+def _maps(kind: str) -> list[bytes]:
+    memory, values = io.BytesIO(), _picture()[..., 0].astype(np.float32)
+    if kind == "npy":
+        np.save(memory, values)
+    else:
+        tifffile.imwrite(memory, values, metadata=None)
+    return [memory.getvalue()]
+
+
 def _files(*paths: Path) -> Callable[[], list[bytes]]:
     return lambda: [path.read_bytes() for path in paths]
 
 
+_TRAJECTORY = b"# s, m\n0.5 0.1 0.2 0.3 0 0 0 1\n1 0 0 0 0 0 1 1\n"
 READERS = {
     reader.name: reader
     for reader in (
@@ -129,6 +151,10 @@ READERS = {
         Reader("frame", "frames/00000000.tiff", _replay,
                _files(DATA / "recordings" / "format_2" / "frames" / "00000000.tiff"), False, _copy_recording),
         Reader("picture", "photo.png", _read_picture, _pictures("PNG", "JPEG", "BMP", "WEBP", "PPM", "deep PPM")),
+        Reader("map", "photo.depth.tiff", read_depth, lambda: _maps("tiff")),
+        Reader("array", "map.npy", read_depth, lambda: _maps("npy")),
+        Reader("points", "points.ply", read_result, _points),
+        Reader("trajectory", "t.txt", read_trajectory, lambda: [_TRAJECTORY], True),
         Reader("tiff", "photo.tiff", _read_picture, _pictures("deep TIFF", "packed TIFF", "TIFF")),
     )
 }  # fmt: skip

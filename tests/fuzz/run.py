@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 INSTRUMENTED = ["chromaperture." + module for module in (
     "validation", "asdf_input", "camera_tree", "camera_file", "config_file", "capture.files", "capture.tiff",
     "capture.picture_header", "capture.recording", "capture.recording_index", "calibration.session",
-    "depth.field_file", "optics.svg", "optics.aperture_file", "optics.prescription",
+    "depth.field_file", "optics.svg", "optics.aperture_file", "optics.prescription", "products.result_files",
+    "products.posed_sequence",
 )] + ["svgelements", "tifffile", "tomllib"]  # fmt: skip
 SLOW_S = 5.0  # for one file; all of the corpus are read in well under a second
 IN_MEMORY = "/dev/shm"  # files are written here, where there is such a folder

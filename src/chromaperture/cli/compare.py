@@ -58,7 +58,7 @@ def _maps(a: Path, b: Path) -> tuple[dict[str, Any], Page]:
 
     first, second = read_depth(a), read_depth(b)
     if first.name == second.name:  # of two folders: say which
-        first, second = read_depth(a, name=str(a)), read_depth(b, name=str(b))
+        first, second = (read_depth(path, name=_with_folder(path)) for path in (a, b))
     found = compare_depth(first, second)
     beside = picture_beside(b)
     return found.figures, depth_page(found, picture=picture_beside(a) if beside is None else beside)
@@ -69,6 +69,11 @@ def _cameras(a: Path, b: Path, quality: str) -> tuple[dict[str, Any], Page]:
     from chromaperture.evaluation.compare import compare_cameras
     from chromaperture.evaluation.compare_page import camera_page
 
-    names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
+    names = (a.name, b.name) if a.name != b.name else (_with_folder(a), _with_folder(b))
     found = compare_cameras(Calibration.load(a), Calibration.load(b), names=names, quality=quality)
     return found.figures, camera_page(found)
+
+
+def _with_folder(path: Path) -> str:
+    """Return a file's name with its folder's, to tell it from one of the same name."""
+    return f"{path.resolve().parent.name}/{path.name}"

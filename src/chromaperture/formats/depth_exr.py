@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.errors import MissingDependencyError
+from chromaperture.errors import InputError, MissingDependencyError
 
 
 def openexr() -> Any:
@@ -66,3 +66,29 @@ def write_exr(
         "principal_point_y_px": float(camera_matrix[1, 2]),
     }
     exr.File(header, channels).write(str(path))
+
+
+def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Read depth from the sensor plane, its error bar (mm) and confidence of a file that `write_exr` wrote.
+
+    Returns
+    -------
+    (H, W) float32 each, NaN unknown
+
+    Raises
+    ------
+    MissingDependencyError
+        The extra ``exr`` is not installed.
+    InputError
+        The file is damaged, or another program's.
+    """
+    exr, path = openexr(), Path(path)
+    try:
+        with exr.File(str(path), separate_channels=True) as file:
+            to_pupil_mm = float(file.header()["sensor_to_pupil_mm"])
+            z, sigma, confidence = (
+                np.array(file.channels()[name].pixels, np.float32) for name in ("Z", "sigma_mm", "confidence")
+            )
+    except Exception:  # OpenEXR raises anything on a damaged file
+        raise InputError(f"{path.name} is damaged or was not written by chromaperture; write it again") from None
+    return z + np.float32(to_pupil_mm), sigma, confidence

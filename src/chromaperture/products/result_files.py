@@ -11,6 +11,7 @@ import numpy as np
 from chromaperture.capture.files import read_samples
 from chromaperture.depth.pointcloud import PointCloud
 from chromaperture.errors import InputError
+from chromaperture.formats.depth_exr import read_exr
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.validation import MOST_PIXELS, read_bytes
 
@@ -46,7 +47,8 @@ class StoredResult:
     ----------
     name : str
     maps : dict of str to (H, W) float32
-        By their names in `OUTPUTS` (``depth``, ``sigma``, ``disparity``), or ``map`` of a file of another name.
+        By their names in `OUTPUTS` (``depth``, ``sigma``, ``disparity``), ``confidence`` of an EXR file, or ``map`` of
+        a file of another name.
     picture : (H, W, 3) uint8, optional
         sRGB.
     cloud : PointCloud, optional
@@ -78,8 +80,8 @@ def read_depth(path: str | Path, *, name: str | None = None) -> StoredDepth:
     Parameters
     ----------
     path : str or Path
-        Float TIFF or NumPy array in mm, NaN unknown; or 16-bit PNG in whole mm, 0 unknown. Of other results of
-        ``chromaperture depth`` the depth map beside them is taken.
+        Float TIFF or NumPy array in mm, NaN unknown; 16-bit PNG in whole mm, 0 unknown; or our EXR. Of other results
+        of ``chromaperture depth`` the depth map beside them is taken.
     name : str, optional
         How it is called in messages and on pages; that of the file when absent.
 
@@ -90,6 +92,9 @@ def read_depth(path: str | Path, *, name: str | None = None) -> StoredDepth:
     """
     path = Path(path)
     stem, output = stem_and_output(path)
+    if output == "exr":
+        values, bar, _ = read_exr(path)
+        return StoredDepth(name or path.name, values, bar)
     if output not in (None, "depth", "depth-png"):
         path = path.with_name(stem + OUTPUTS["depth"].suffix)
     depth = _map(path)
@@ -131,6 +136,8 @@ def read_result(path: str | Path) -> StoredResult:
     maps: dict[str, np.ndarray] = {name: _map(found[name]) for name in ("depth", "sigma", "disparity") if name in found}
     if "depth" not in maps and "depth-png" in found:
         maps["depth"] = _map(found["depth-png"])
+    if output == "exr" and "depth" not in maps:
+        maps["depth"], maps["sigma"], maps["confidence"] = read_exr(path)
     picture = _picture(found["color"]) if "color" in found else None
     cloud = read_ply(found["ply"]) if "ply" in found else None
     if not maps and picture is None and cloud is None:
@@ -157,9 +164,10 @@ def _map(path: Path) -> np.ndarray:
 
 def _array(path: Path) -> np.ndarray:
     """Read a NumPy file without running what is in it."""
-    read_bytes(path, most_bytes=_MOST_BYTES)  # says in one line what cannot be read
-    try:
-        return np.asarray(np.load(path, allow_pickle=False))
+    if not path.is_file():
+        raise InputError(f"{path} is no file; give a map that 'numpy.save' wrote")
+    try:  # mapped: a header that declares more than the file holds is refused before memory is taken
+        return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
     except Exception:  # NumPy raises anything on a damaged file
         raise InputError(f"{path.name} is damaged or no NumPy array; save it again with numpy.save") from None
 

@@ -27,6 +27,9 @@ _LEVELS, _MIN_SIDE_PX = 4, 40  # scales of the pyramid, each half as large, and 
 _CANDIDATES, _MAX_POINTS = 16_000, 4_000
 _ROUNDS, _CONVERGED_PX = 12, 0.05  # Gauss-Newton steps of a scale; a smaller step ends them
 _START_SIGMA, _MIN_SIGMA = 20.0, 0.5  # grey levels: standard deviation before the first round, and of rounding alone
+# Error of a keyframe's distances, which are the model's, over that of its own view: the mean of some four views. With
+# 1 fast motion errs less and slow motion more, with 0 the reverse (docs/reconstruction.md).
+_MODEL_SHARE = 0.5
 _MAX_SLOPE = 0.02  # change of distance per px, of the distance, above which its gradient is that of an edge
 _DAMPING = 1e-4  # added to the diagonal of the normal equations, scaled to 1
 _CONDITION = 1e-7  # least eigenvalue of the scaled normal equations; below, the motion is undetermined
@@ -74,7 +77,7 @@ def pyramid(grey: np.ndarray, z_mm: np.ndarray, sigma_mm: np.ndarray, matrix: np
 
 
 def select_points(level: Level) -> np.ndarray:
-    """Return the points with the largest gradients: X (mm), grey, its gradients; (N, 6) float32."""
+    """Return the points with the largest gradients: X (mm), grey, its gradients, sigma / Z; (N, 7) float32."""
     known = np.isfinite(level.z_mm)
     known[[0, -1]] = known[:, [0, -1]] = False
     slope = np.hypot(level.grad_x, level.grad_y)
@@ -86,7 +89,8 @@ def select_points(level: Level) -> np.ndarray:
     z = level.z_mm[rows, columns]
     m = level.matrix
     x, y = (columns - m[0, 2]) / m[0, 0] * z, (rows - m[1, 2]) / m[1, 1] * z
-    parts = (x, y, z, level.grey[rows, columns], level.grad_x[rows, columns], level.grad_y[rows, columns])
+    sigma = _MODEL_SHARE * level.sigma_mm[rows, columns] / z
+    parts = (x, y, z, level.grey[rows, columns], level.grad_x[rows, columns], level.grad_y[rows, columns], sigma)
     return np.ascontiguousarray(np.stack(parts, axis=1), np.float32)
 
 
@@ -97,7 +101,7 @@ def align(
 
     Parameters
     ----------
-    points : list of (N, 6) float32
+    points : list of (N, 7) float32
         `select_points` of the keyframe's levels, the finest first.
     camera : list of Level
     motion : (4, 4) float
@@ -267,9 +271,12 @@ def normal_equations(points, level, motion, brightness, grey_sigma, depth_weight
         j[0], j[1], j[2] = gx, gy, gz
         j[3], j[4], j[5] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
         j[6], j[7] = -points[n, 3], -1.0
-        ratio = abs(r) / grey_sigma
+        # Where the point's own distance errs by its sigma its image moves, and with it the grey there.
+        along = points[n, 6] * (gx * (x - motion[0, 3]) + gy * (y - motion[1, 3]) + gz * (z - motion[2, 3]))
+        noise = np.sqrt(grey_sigma * grey_sigma + along * along)
+        ratio = abs(r) / noise
         # An occluder of unknown distance is a one-sided outlier: its weight must fall to 0 (docs/measurements.md).
-        weight = (1.0 - (ratio / _TUKEY) ** 2) ** 2 / (grey_sigma * grey_sigma) if ratio < _TUKEY else 0.0
+        weight = (1.0 - (ratio / _TUKEY) ** 2) ** 2 / (noise * noise) if ratio < _TUKEY else 0.0
         _add(total, j, weight, r, _UNKNOWNS)
         if not abs(apart) <= outlier_mm:  # unknown, or another surface
             close[n] = _DIFFERS if apart > outlier_mm else 0

@@ -34,7 +34,7 @@ class ReconstructionConfig:
         Points farther from the model are outliers; at 2 m, proportional to the distance beyond.
     depth_weight : float
         Weight of a pixel's distance relative to its brightness in tracking; far below 1 because errors of
-        neighbours are correlated. docs/measurements.md: other weights do not help.
+        neighbours are correlated. docs/measurements.md compares weights.
     min_overlap : float
         Fraction of the keyframe's points that must be visible at their distance, else the frame is lost.
     min_correlation : float

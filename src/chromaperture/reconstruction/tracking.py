@@ -43,6 +43,7 @@ class Keyframe:
     thumbnail: np.ndarray  # (30, 40) float32
     grey: np.ndarray  # (H, W) uint8
     z_mm: np.ndarray  # (H, W) float32, NaN unknown
+    sigma_mm: np.ndarray  # (H, W) float32, of the view's own distances
     matrix: np.ndarray  # (3, 3) float64, of the reduced picture
     _points: list[np.ndarray] | None = field(default=None, repr=False)
 
@@ -50,7 +51,7 @@ class Keyframe:
     def points(self) -> list[np.ndarray]:
         """Points to align, the finest scale first."""
         if self._points is None:
-            levels = pyramid(self.grey.astype(np.float32), self.z_mm, self.z_mm, self.matrix)
+            levels = pyramid(self.grey.astype(np.float32), self.z_mm, self.sigma_mm, self.matrix)
             self._points = [select_points(level) for level in levels]
         return self._points
 
@@ -85,7 +86,9 @@ class PreparedView:
         """Make a keyframe of the view."""
         fine = self.levels[0]
         grey = np.rint(fine.grey).astype(np.uint8)
-        return Keyframe(pose.copy(), self.thumbnail, grey, fine.z_mm.copy(), fine.matrix)
+        known = np.isfinite(fine.sigma_mm)
+        sigma_mm = np.where(known, fine.sigma_mm, np.median(fine.sigma_mm[known])).astype(np.float32)
+        return Keyframe(pose.copy(), self.thumbnail, grey, fine.z_mm.copy(), sigma_mm, fine.matrix)
 
 
 def prepare(view: View, camera_matrix: np.ndarray, config: ReconstructionConfig) -> PreparedView:

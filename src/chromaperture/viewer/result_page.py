@@ -26,6 +26,7 @@ def result_page(result: StoredResult) -> Page:
         ("depth", "depth from the sensor plane", "mm", DISTANCE, 1),
         ("sigma", "error bar (one standard deviation)", "mm", ERROR, 1),
         ("disparity", "disparity (0 in focus, + beyond)", "px", DISTANCE, 3),
+        ("confidence", "confidence", "", OTHER, 3),
         ("map", "values", "", OTHER, 3),
     ):
         if name in maps:

@@ -205,9 +205,8 @@ class Chain:
         with device_errors(self.device.info.name):
             layout = pipeline.get_bind_group_layout(0)
             bindings = self.device.handle.create_bind_group(layout=layout, entries=entries)
-        self.dispatches.append(
-            Dispatch(stage, source, pipeline, bindings, (count[0], count[1], count[2]), tuple(arrays), constants)
-        )
+        size = (count[0], count[1], count[2])
+        self.dispatches.append(Dispatch(stage, source, pipeline, bindings, size, tuple(arrays), constants))
 
     def run(self, inputs: Mapping[str, np.ndarray], outputs: Sequence[str]) -> dict[str, np.ndarray]:
         """Send the inputs, run all stages and return the outputs, flat; raises DeviceError, OutOfMemoryError."""
@@ -391,10 +390,10 @@ def device_errors(name: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if not type(error).__name__.startswith("GPU") and not isinstance(error, RuntimeError):
+        kind, said = type(error).__name__, " ".join(str(error).split())
+        if not kind.startswith("GPU") and not isinstance(error, RuntimeError):
             raise
-        said = " ".join(str(error).split())
-        if "out of memory" in said.lower() or type(error).__name__ == "GPUOutOfMemoryError":
+        if "out of memory" in said.lower() or kind == "GPUOutOfMemoryError":
             raise OutOfMemoryError(f"{name}: not enough device memory; use --device cpu, or --scale 1/2") from error
         if "lost" in said.lower():
             raise DeviceError(f"{name} was lost while it worked; use --device cpu, or start again") from error

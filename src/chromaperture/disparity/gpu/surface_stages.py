@@ -136,7 +136,8 @@ def add_gaussian(
     for before, after, along_x in ((source or values, between, True), (between, values, False)):
         chain.add(
             "gaussian_line", [before, filter_taps, after], groups=groups_for(planes * height * width * parts),
-            uses=("indexing",), height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2, along_x=along_x,
+            uses=("indexing",), height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2,
+            along_x=along_x,
         )  # fmt: skip
 
 
