@@ -1,14 +1,18 @@
 """Quality "accurate" as a whole on a GPU: the same depth as on the CPU."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
+from chromaperture.camera import CodedApertureCamera
 from chromaperture.config import AccurateConfig
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.gpu.accurate_chain import AccurateChain, AccurateOnDevice
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod
 from chromaperture.disparity.labels import IDENTITY
-from chromaperture.errors import InputError
+from chromaperture.errors import CaptureWarning, InputError, OutOfMemoryError
 from chromaperture.products.samples import open_sample
 from test_gpu_surface import any_device
 from worlds import wavy_capture
@@ -37,6 +41,7 @@ def test_the_depth_is_that_of_the_cpu(name):
     image = image.copy()
     if name.endswith("halves"):
         image[10:16, 20:26] = 1.0  # clipped: filled from around, and no evidence
+        image[40:43, 70:74] = np.nan
     expected, found = camera.method.match(image), chain.match(image)
     assert chain.uses_planes == name.endswith("halves")
     assert chain.uses_windows == name.endswith("open")
@@ -56,10 +61,6 @@ def test_a_picture_of_another_size_is_refused():
 
 
 def test_the_camera_measures_on_the_device():
-    from chromaperture.camera import CodedApertureCamera
-    from chromaperture.disparity.gpu.gpu_method import DeviceMethod
-    from chromaperture.errors import CaptureWarning
-
     camera, image = small("still_life_cy_halves", 60, 40)
     if any_device().info.is_software:
         with pytest.warns(CaptureWarning, match="is software"):
@@ -86,3 +87,27 @@ def test_shifted_views_are_evidence_on_the_device_too(design):
     assert np.isfinite(expected).mean() > 0.7
     assert (np.isnan(expected) == np.isnan(found)).mean() > 0.995
     assert (np.abs(found - expected) < 1e-3)[np.isfinite(expected)].mean() > 0.995
+
+
+@pytest.mark.parametrize("shape", [(5, 61), (1, 40)])
+def test_narrow_pictures_with_unknown_pixels_are_measured_alike(shape):
+    height, width = shape
+    image = wavy_capture("cy_halves", saturated=False)[:height, :width].copy()
+    image[height // 2, 10:13] = np.nan
+    method = method_for(
+        AccurateConfig().with_range(-2.0, 2.0), aperture="cy_halves", label_maps=[IDENTITY, IDENTITY], execution="numpy"
+    )
+    expected, found = method.match(image), AccurateOnDevice(method, any_device()).match(image)
+    np.testing.assert_allclose(found.value_px, expected.value_px, atol=1e-3)
+    np.testing.assert_allclose(found.sigma_px, expected.sigma_px, rtol=0.01)
+
+
+def test_too_little_memory_is_one_clear_error_and_the_cpus_work_with_auto():
+    camera, image = small("still_life_cy_halves", 60, 40)
+    poor = replace(any_device(), largest_bytes=100_000)
+    on_gpu = AccurateOnDevice(camera.method, poor)
+    with pytest.raises(OutOfMemoryError, match="use --device cpu, or --scale 1/2"):
+        on_gpu.match(image)
+    with pytest.warns(CaptureWarning, match="measuring on the CPU"):
+        found = DeviceMethod(on_gpu, camera.method, may_fall_back=True).match(image)
+    np.testing.assert_array_equal(found.value_px, camera.method.match(image).value_px)
