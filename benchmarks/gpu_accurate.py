@@ -109,13 +109,17 @@ def counted(chains: dict[str, Chain], *, bandwidth: float, rate: float) -> dict[
 
 def composed(camera: CodedApertureCamera, device: Device) -> tuple[AccurateChain, dict[str, Chain]]:
     method = camera.method.method if isinstance(camera.method, ScaledMethod) else camera.method
-    chain = AccurateChain(method, device)
+    sensor = camera.calibration.sensor
+    shape = sensor.height_px, sensor.width_px
+    if isinstance(camera.method, ScaledMethod):
+        shape = camera.method.size_px[::-1]
+    chain = AccurateChain(method, device, shape)
     return chain, {"first": chain.first, "last": chain.last[chain.uses_planes]}
 
 
 def timed(camera: CodedApertureCamera, image: np.ndarray, device: str) -> dict[str, Any]:
     """Whole calls beside Numba's, after the depth has been compared."""
-    chain = AccurateChain(camera.method, open_device(device))
+    chain = AccurateChain(camera.method, open_device(device), image.shape[:2])
     depths = [camera.millimetres(match(image))[0] for match in (chain.match, camera.method.match)]
     known = np.isfinite(depths[1])
     close = np.where(known, np.abs(depths[0] - depths[1]) <= DEPTH_TOLERANCE * depths[1], np.isnan(depths[0]))

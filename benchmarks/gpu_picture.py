@@ -6,7 +6,7 @@ python benchmarks/gpu_picture.py [--out docs/images/gpu.svg]
 from __future__ import annotations
 
 import argparse
-import itertools
+from itertools import pairwise
 
 import matplotlib
 
@@ -40,14 +40,14 @@ def main() -> None:
             axes.text(x + WIDTH / 2, y + HEIGHT / 2, name, ha="center", va="center", fontsize=8)
     first, second, third = places
     way = [*first, *second[::-1], *third]
-    for (x, y), (to_x, to_y) in itertools.pairwise(way):
+    for (x, y), (to_x, to_y) in pairwise(way):
         if y == to_y:
             ahead = to_x > x
             ends = (x + WIDTH * ahead, y + HEIGHT / 2), (to_x + WIDTH * (not ahead), to_y + HEIGHT / 2)
         else:
             ends = (x + WIDTH / 2, y), (to_x + WIDTH / 2, to_y + HEIGHT)
-        look = {"arrowstyle": "-|>", "mutation_scale": 10, "color": "#555555", "shrinkA": 3, "shrinkB": 3}
-        axes.add_patch(FancyArrowPatch(*ends, **look))
+        style = {"arrowstyle": "-|>", "mutation_scale": 10, "color": "#555555", "shrinkA": 3, "shrinkB": 3}
+        axes.add_patch(FancyArrowPatch(*ends, **style))
     axes.text(WIDTH + GAP_X / 2, first[0][1] + HEIGHT + 0.1, "up: 12 bytes a pixel", ha="center", fontsize=8)
     axes.text(4 * (WIDTH + GAP_X) - GAP_X / 2, third[0][1] - 0.22, "down: 20 bytes a pixel", ha="center", fontsize=8)
     axes.set_xlim(-0.1, 5 * (WIDTH + GAP_X))

@@ -247,6 +247,13 @@ def test_a_photograph_of_another_camera_is_one_sentence(page_at, tmp_path):
     says(page, "damaged")
 
 
+def test_a_file_that_is_too_large_is_not_sent(page_at):
+    page = page_at(PHONE, script="Object.defineProperty(Blob.prototype, 'size', { get: () => 2 ** 30 });")
+    page.click("#tab-photo")
+    page.set_input_files("#photo-open", {"name": "x.png", "mimeType": "image/png", "buffer": b"x"})
+    says(page, "larger than 256 MB")
+
+
 # ---- the page itself
 
 

@@ -25,7 +25,7 @@ from chromaperture.app.server import safe_name, static_files
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.errors import CaptureWarning
-from chromaperture.frame.frame_files import OUTPUTS
+from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
 from chromaperture.products.samples import open_sample, sample_camera, sample_image
 
 pytestmark = pytest.mark.extra("serve", "starlette")
@@ -109,7 +109,7 @@ def test_a_photograph_is_measured_refocused_and_saved(app):
     assert chroma[1] < 0.2 * chroma[0]
     status, packed, _ = call(app, "GET", f"{where}/files")
     names = zipfile.ZipFile(io.BytesIO(packed)).namelist()
-    assert sorted(names) == sorted(NAME + end for end in (".png", *(output.suffix for output in OUTPUTS.values())))
+    assert sorted(names) == sorted(NAME + end for end in (".png", *(OUTPUTS[n].suffix for n in chosen_outputs(None))))
     assert [p.name for p in app.folder.iterdir() if p.name.startswith((".", "tmp"))] == []  # nothing is left behind
 
 

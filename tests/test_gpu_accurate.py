@@ -4,10 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
+from chromaperture.config import AccurateConfig
+from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.gpu.accurate_chain import AccurateChain, AccurateOnDevice
+from chromaperture.disparity.labels import IDENTITY
 from chromaperture.errors import InputError
 from chromaperture.products.samples import open_sample
 from test_gpu_surface import any_device
+from worlds import wavy_capture
 
 pytestmark = pytest.mark.extra("gpu", "wgpu")
 
@@ -29,7 +33,7 @@ def share_within(camera, found, expected, *, relative):
 @pytest.mark.parametrize("name", ["still_life_cy_halves", "still_life_cy_open"])
 def test_the_depth_is_that_of_the_cpu(name):
     camera, image = small(name, 120, 80)
-    chain = AccurateChain(camera.method, any_device())
+    chain = AccurateChain(camera.method, any_device(), image.shape[:2])
     image = image.copy()
     if name.endswith("halves"):
         image[10:16, 20:26] = 1.0  # clipped: filled from around, and no evidence
@@ -66,3 +70,19 @@ def test_the_camera_measures_on_the_device():
     found, expected = on_gpu.method.match(image), camera.method.match(image)
     assert np.isfinite(expected.value_px).mean() > 0.9
     assert share_within(camera, found, expected, relative=1e-3) > 0.995
+
+
+@pytest.mark.parametrize("design", ["cy_halves", "rgb_squares"])
+def test_shifted_views_are_evidence_on_the_device_too(design):
+    """A camera whose blur is not known: two view spaces of two views, or one of three."""
+    image = wavy_capture(design, shape=(44, 60))
+    # NumPy's: Numba keeps scores in 16 bits, and planes through this wavy surface are chosen otherwise by that much.
+    method = method_for(
+        AccurateConfig().with_range(-2.0, 2.0), aperture=design, label_maps=[IDENTITY, IDENTITY], execution="numpy"
+    )
+    assert len(method.evidence.spaces) == (2 if design == "cy_halves" else 1)
+    expected = method.match(image).value_px
+    found = AccurateOnDevice(method, any_device()).match(image).value_px
+    assert np.isfinite(expected).mean() > 0.7
+    assert (np.isnan(expected) == np.isnan(found)).mean() > 0.995
+    assert (np.abs(found - expected) < 1e-3)[np.isfinite(expected)].mean() > 0.995

@@ -280,7 +280,7 @@ def load_camera(
     execution : {"numba", "numpy"}
     device : str
         ``auto``: a GPU where there is one, never software, and the CPU from where it fails on; ``cpu``; ``gpu`` or
-        ``gpu:NAME``, whose failures are errors. Quality accurate of a camera without blur in its file runs on the CPU.
+        ``gpu:NAME``, whose failures are errors.
 
     Raises
     ------

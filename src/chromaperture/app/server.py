@@ -8,6 +8,7 @@ import time
 from collections.abc import Awaitable, Callable
 from functools import cache, partial
 from importlib import resources
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -88,11 +89,9 @@ class Answers:
         """Return what the page needs to know at its start."""
         from starlette.responses import JSONResponse
 
-        from chromaperture import __version__
-
         cameras = await self.desk.run(self.workbench.describe_cameras)
         return JSONResponse({
-            "version": __version__,
+            "version": version("chromaperture"),
             "cameras": cameras,
             "designs": {name: design.title for name, design in DESIGNS.items() if design.views},
             "folder": str(self.workbench.folder),

@@ -2,9 +2,12 @@
 
 export class Sentence extends Error {}
 
+export const MOST_BYTES = 256 * 2 ** 20;  // of a file, as the server takes; it cuts larger ones off
+
 const NO_ANSWER = "The computer that measures does not answer. Start “chromaperture serve” there, in the same network; nothing here is lost.";
 
 export async function ask(path, options = {}) {
+  if (options.body?.size > MOST_BYTES) throw new Sentence("This file is larger than 256 MB. Choose a smaller one.");
   let answer;
   try {
     answer = await fetch(path, options);

@@ -1,5 +1,5 @@
 // The calibration assistant: what to photograph next and why, checks of each photograph, and the calibration itself.
-import { ask, askJson, attempt, make, query, say } from "./api.js";
+import { Sentence, ask, askJson, attempt, make, query, say } from "./api.js";
 import { about, keepHere, loadCameras } from "./cameras.js";
 import { grab, openCamera } from "./capture.js";
 import { distanceChart, forecastChart, frameChart, tiltChart } from "./charts.js";
@@ -181,7 +181,7 @@ async function photograph() {
   if (!width) {  // half of what the camera gives: 2 x 2 pixels averaged have all their colours
     [width, height] = [video.videoWidth >> 1, video.videoHeight >> 1];
   } else if (Math.abs(width / height - video.videoWidth / video.videoHeight) > 0.01) {
-    throw new Error(`the camera gives ${video.videoWidth} x ${video.videoHeight}, the session has ${width} x ${height}: hold the device as at the beginning`);
+    throw new Sentence(`The camera gives ${video.videoWidth} x ${video.videoHeight} pixels, and the session has ${width} x ${height}: hold the device as at the beginning.`);
   }
   return grab(video, width, height, "image/png");
 }

@@ -4,7 +4,6 @@ import { chosenCamera } from "./cameras.js";
 import { unpack } from "./frame.js";
 import { Viewer } from "./viewer.js";
 
-const MOST_BYTES = 256 * 2 ** 20;  // as the server takes
 const $ = (id) => document.getElementById(id);
 let viewer, photo = null, at = null, waiting = null;
 
@@ -28,7 +27,6 @@ const showNumber = () => { $("f-value").textContent = photo?.f_number ? `f/${fNu
 async function measure(file) {
   const camera = chosenCamera();
   if (!camera) return say("Choose a camera file first, or make one: “Calibrate”.");
-  if (file.size > MOST_BYTES) return say(`${file.name} is larger than 256 MB. Choose a smaller file.`);
   const quality = $("photo-quality").value;
   say(quality === "accurate" ? `Measuring ${file.name}; the best quality takes some 12 seconds a megapixel.` : `Measuring ${file.name}.`, { plain: true });
   $("photo-tools").hidden = true;

@@ -1,4 +1,4 @@
-"""Quality "accurate" on a device, for a camera whose blur is known.
+"""Quality "accurate" on a device.
 
 The photograph goes up once and three maps come down at the end. In between, where planes explain the surface, the first
 surface, its error bar and the sums of blocks of the volume come down, and planes go up; see ``plane_stages.py`` for
@@ -14,10 +14,11 @@ import numpy as np
 
 from chromaperture.disparity.accurate import EDGE_REACH_PX, AccurateMethod, judged, with_halves
 from chromaperture.disparity.blur_evidence import BlurEvidence
+from chromaperture.disparity.correlation_evidence import CorrelationEvidence
 from chromaperture.disparity.error_bar import sigma_of_range
 from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError
-from chromaperture.disparity.gpu.evidence_plan import EvidencePlan, grid_of, plan_evidence
-from chromaperture.disparity.gpu.evidence_stages import add_evidence, add_labels
+from chromaperture.disparity.gpu.evidence_plan import EvidencePlan, plan_evidence
+from chromaperture.disparity.gpu.evidence_stages import add_evidence, add_labels, add_views_evidence
 from chromaperture.disparity.gpu.plane_stages import BlockChoice, PlaneChoice, refined_planes
 from chromaperture.disparity.gpu.surface_stages import (
     Grid,
@@ -42,7 +43,7 @@ from chromaperture.errors import OutOfMemoryError
 
 
 def pairs_of(method: AccurateMethod) -> BlurEvidence | None:
-    """Return the evidence that runs on a device: that of pairs of channels; None where the blur is not known."""
+    """Return the evidence of pairs of channels; None where the blur is not known."""
     evidence = method.evidence
     if isinstance(evidence, SpectralEvidence):
         return evidence.pairs
@@ -56,16 +57,19 @@ class AccurateChain:
     Attributes
     ----------
     method : AccurateMethod
-        With evidence from the camera's blur.
     device : Device
-    plan : EvidencePlan
+    shape : (int, int)
+        Height and width of its photographs.
+    plan : EvidencePlan or None
+        None where the blur is not known: evidence is that of shifted views.
     grid : Grid
     labels_px : (N,) float64, px
     """
 
     method: AccurateMethod
     device: Device
-    plan: EvidencePlan = field(init=False)
+    shape: tuple[int, int]
+    plan: EvidencePlan | None = field(init=False)
     grid: Grid = field(init=False)
     labels_px: np.ndarray = field(init=False)
     first: Chain = field(init=False)
@@ -73,31 +77,34 @@ class AccurateChain:
     blocks: Array | None = field(init=False)
 
     def __post_init__(self) -> None:
-        pairs, config = pairs_of(self.method), self.method.config
-        assert pairs is not None
+        config = self.method.config
         self.labels_px = with_halves(config.layers.values_px)
-        self.plan = plan_evidence(pairs, config.layers.values_px)
-        self.grid = grid_of(self.plan, self.labels_px)
+        self.grid = Grid(*self.shape, len(self.labels_px))
+        pairs = pairs_of(self.method)
+        self.plan = None if pairs is None else plan_evidence(pairs, config.layers.values_px)
         self.first = chain = Chain(self.device)
-        image, noise, usable = (
-            chain.array(name, size)
-            for name, size in (
-                ("image", 3 * self.grid.pixels),
-                ("noise", 3 * len(self.plan.nodes.places)),
-                ("usable", self.grid.pixels),
-            )
-        )
-        unexplained = add_evidence(chain, self.plan, image, noise)
         arrays = surface_arrays(chain, self.grid, config.surface)
-        add_labels(chain, self.plan, unexplained, usable, arrays.likelihood, self.labels_px)
-        if self.uses_windows:
-            self._add_windows(chain, usable, arrays.likelihood)
+        self._add_evidence(chain, arrays.likelihood)
         add_paths(chain, arrays.likelihood, arrays.guide, arrays.cost, self.grid, self.labels_px, config=config.surface)
         add_start(chain, arrays, self.grid, config=config.surface)
         add_variation(chain, arrays, self.grid, self.labels_px, config=config.surface)
         add_posterior(chain, arrays.surface, arrays.cost, arrays.sigma, self.grid, config=config.surface)
         self.blocks = add_block_sums(chain, arrays, self.grid, config.planes.block_px) if self.uses_planes else None
         self.last = {of_planes: self._last_chain(arrays, of_planes) for of_planes in (False, True)}
+
+    def _add_evidence(self, chain: Chain, likelihood: Array) -> None:
+        image, usable = (chain.array(name, n * self.grid.pixels) for name, n in (("image", 3), ("usable", 1)))
+        layers_px = self.method.config.layers.values_px
+        if self.plan is not None:
+            noise = chain.array("noise", 3 * len(self.plan.nodes.places))
+            unexplained = add_evidence(chain, self.plan, image, noise)
+            add_labels(chain, self.plan, unexplained, usable, likelihood, self.labels_px)
+            if self.uses_windows:
+                self._add_windows(chain, usable, likelihood)
+        else:
+            source = self.method.evidence
+            assert isinstance(source, CorrelationEvidence)
+            add_views_evidence(chain, source, self.shape, (image, usable, likelihood), layers_px, self.labels_px)
 
     @property
     def uses_planes(self) -> bool:
@@ -133,15 +140,17 @@ class AccurateChain:
 
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3), as `AccurateMethod.match`."""
-        method, pairs = self.method, self.plan.source
+        method = self.method
         views = filtered_views(image, method.space, config=method.config.views)
         image, usable = clipped_filled(image, views.mask)
-        pairs.check_size(image)
-        finite = np.where(np.isfinite(image), image, np.float32(0))
-        noise = np.zeros((len(self.plan.nodes.places), 3))
-        if pairs.noise.is_known:
-            noise = self.plan.nodes.noise_powers(pairs.noise.variance(image), noise_margin=pairs.config.noise_margin)
-        inputs = {"image": finite, "noise": noise, "usable": usable, "guide": views.guide}
+        inputs = {"image": image, "usable": usable, "guide": views.guide}
+        if self.plan is not None:
+            pairs = self.plan.source
+            inputs["image"] = np.where(np.isfinite(image), image, np.float32(0))
+            inputs["noise"] = np.zeros((len(self.plan.nodes.places), 3))
+            if pairs.noise.is_known:
+                margin = pairs.config.noise_margin
+                inputs["noise"] = self.plan.nodes.noise_powers(pairs.noise.variance(image), noise_margin=margin)
         if isinstance(method.evidence, SpectralEvidence) and self.uses_windows:
             inputs["windows"] = method.evidence.of_windows(image, method.config.layers.values_px, self.labels_px)
         found = self._planes(inputs, views.guide)
@@ -206,9 +215,14 @@ class AccurateOnDevice:
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3); raises DeviceError, OutOfMemoryError besides InputError."""
         with self._lock:
+            shape = image.shape[0], image.shape[1]
+            pairs = pairs_of(self.method)
+            if pairs is not None:
+                pairs.check_size(image)
             try:
-                if self._chain is None:
-                    self._chain = AccurateChain(self.method, self.device)
+                if self._chain is None or self._chain.shape != shape:
+                    self._chain = None  # gives its memory back before the next takes its own
+                    self._chain = AccurateChain(self.method, self.device, shape)
                 return self._chain.match(image)
             except (DeviceError, OutOfMemoryError):
                 self._chain = None  # gives its memory back

@@ -9,7 +9,7 @@ import numpy as np
 
 from chromaperture.disparity.blur_evidence import BANDS_MARGIN_PX, SHARP_PX, SPACING_PX, BlurEvidence, finest_px
 from chromaperture.disparity.gpu.device import DeviceError
-from chromaperture.disparity.gpu.surface_stages import Grid, gaussian_taps
+from chromaperture.disparity.gpu.surface_stages import gaussian_taps
 from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
 
 MOST_TRANSFORMED = 1024  # complex numbers of a line: two of them fill 16 KB of shared memory
@@ -127,8 +127,3 @@ def _band_taps(plan: EvidencePlan) -> tuple[np.ndarray, int]:
     reach = max(len(taps) // 2 for taps in each)
     wide = [np.pad(taps, reach - len(taps) // 2) for taps in each]
     return np.array(wide, np.float32).reshape(-1, 2, 2 * reach + 1), reach
-
-
-def grid_of(plan: EvidencePlan, labels_px: np.ndarray) -> Grid:
-    """Return the size of the volume that labels make."""
-    return Grid(plan.source.blur.height_px, plan.source.blur.width_px, len(labels_px))

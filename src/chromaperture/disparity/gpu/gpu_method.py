@@ -13,7 +13,7 @@ import numpy as np
 
 from chromaperture.config import MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.disparity.accurate import AccurateMethod
-from chromaperture.disparity.gpu.accurate_chain import AccurateOnDevice, pairs_of
+from chromaperture.disparity.gpu.accurate_chain import AccurateOnDevice
 from chromaperture.disparity.gpu.conversion_stage import Conversion, add_conversion
 from chromaperture.disparity.gpu.device import Chain, Device, DeviceError, adapters, open_device
 from chromaperture.disparity.gpu.paper_chain import add_paper, runs_on_device
@@ -177,15 +177,12 @@ def on_device(method: Method, choice: str, note: Callable[[str], None]) -> Metho
         on_gpu = partial(GpuMethod, method.config, method.space, IDENTITY)
     elif isinstance(method, RealTimeMethod):
         on_gpu = partial(GpuMethod, method.config, method.space, method.label_map)
-    elif isinstance(method, AccurateMethod) and pairs_of(method) is not None:
+    elif isinstance(method, AccurateMethod):
         on_gpu = partial(AccurateOnDevice, method)
     else:
         if asked_for:
             chosen_device(choice)  # a device that does not exist is refused all the same
-            note(
-                "quality accurate without the camera's blur, and scores debiased or weighted by texture, run on the "
-                "CPU: no GPU stages yet"
-            )
+            note("scores debiased or weighted by texture run on the CPU: the GPU has no such stages")
         return method
     device = chosen_device(choice)
     if device is None:

@@ -1,12 +1,20 @@
 // Log-likelihoods at the pixels and labels of a map: linear between samples, by a polynomial through six layers; see
 // `stages/paths.py`, read_at_labels. A workgroup has one pixel.
 
-@group(0) @binding(0) var<storage, read> unexplained: array<f32>;  // (samples, layers)
+// (samples, layers): unexplained fractions, or the scores of two or three views
+@group(0) @binding(0) var<storage, read> unexplained: array<f32>;
 @group(0) @binding(1) var<storage, read> label_map: array<vec2f>;  // (h, w) or (1,): offset and scale, in layers
 @group(0) @binding(2) var<storage, read> usable: array<f32>;  // (h, w)
 @group(0) @binding(3) var<storage, read_write> likelihood: array<f32>;  // (h, w, count) nats
 
 var<workgroup> ladder: array<f32, layers + 4u>;
+
+fn fraction(at: u32) -> f32 {
+    let value = unexplained[at];
+    if (views_of_score == 2u) { return 1.0 - min(max(value, 0.0) * max(value, 0.0), most_correlation2); }
+    if (views_of_score == 3u) { return max(1.0 - max(value, 0.0), sqrt(1.0 - most_correlation2)); }
+    return value;
+}
 
 @compute @workgroup_size(64)
 fn main(
@@ -23,10 +31,10 @@ fn main(
     let below = min(above + 1u, sample_height - 1u);
     let part = vec2f(vec2u(x, y) - spacing * vec2u(left, above)) / f32(spacing);
     for (var k = local; k < layers; k += 64u) {
-        let upper_left = unexplained[(above * sample_width + left) * layers + k];
-        let upper_right = unexplained[(above * sample_width + right) * layers + k];
-        let lower_left = unexplained[(below * sample_width + left) * layers + k];
-        let lower_right = unexplained[(below * sample_width + right) * layers + k];
+        let upper_left = fraction((above * sample_width + left) * layers + k);
+        let upper_right = fraction((above * sample_width + right) * layers + k);
+        let lower_left = fraction((below * sample_width + left) * layers + k);
+        let lower_right = fraction((below * sample_width + right) * layers + k);
         ladder[k + 2u] = (1.0 - part.x) * ((1.0 - part.y) * upper_left + part.y * lower_left)
             + part.x * ((1.0 - part.y) * upper_right + part.y * lower_right);
     }
@@ -55,6 +63,7 @@ fn main(
         let value = max(between + beside + outer, least);
         let inside = place > -edge_layers && place < f32(layers - 1u) + edge_layers;
         let found = select(0.0, max(-factors / 2.0 * log(value), 0.0), inside);
-        likelihood[pixel * count + n] = found * usable[pixel];
+        let before = select(likelihood[pixel * count + n], 0.0, is_first);
+        likelihood[pixel * count + n] = before + found * usable[pixel] * weight;
     }
 }
