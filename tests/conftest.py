@@ -14,13 +14,21 @@ from chromaperture.cli.main import main
 from worlds import write_board_session
 
 
+def is_installed(module: str) -> bool:
+    """Whether a module can be imported; also of a package that is missing as a whole."""
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:
+        return False
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Skip the tests of an optional extra whose module is not installed; mark all but the slow ones as quick."""
     for item in items:
         if item.get_closest_marker("slow") is None:
             item.add_marker(pytest.mark.quick)
         for name, module in (marker.args for marker in item.iter_markers("extra")):
-            if importlib.util.find_spec(module) is None:
+            if not is_installed(module):
                 item.add_marker(pytest.mark.skip(reason=f"the extra '{name}' is not installed: this is NOT tested"))
 
 
