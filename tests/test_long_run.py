@@ -352,12 +352,12 @@ def test_the_memory_of_notices_is_bounded():
 def test_old_submaps_take_no_more_memory_than_the_model():
     def submap(number: int) -> Submap:
         key = Keyframe(np.eye(4), np.zeros((30, 40), np.float32), np.zeros((60, 80), np.uint8),
-                       np.zeros((60, 80), np.float32), np.eye(3))  # fmt: skip
+                       np.zeros((60, 80), np.float32), np.zeros((60, 80), np.float32), np.eye(3))  # fmt: skip
         mesh = Mesh(np.zeros((300, 3), np.float32), np.zeros((100, 3), np.int32), np.zeros((300, 3), np.uint8))
         return Submap(None, mesh, [key], root=number)
 
     model, said = SimpleNamespace(submaps=[submap(number) for number in range(50)]), []
-    one = 30 * 40 * 4 + 60 * 80 * 5 + 300 * 12 + 100 * 12 + 300 * 3
+    one = 30 * 40 * 4 + 60 * 80 * 9 + 300 * 12 + 100 * 12 + 300 * 3
     forget_old(model, 3 * one, listener=said.append)
     assert [bool(each.keyframes) for each in model.submaps] == [False] * 46 + [True] * 4  # the last one grows
     assert [len(each.surface().vertices_mm) for each in model.submaps] == [0] * 46 + [300] * 4

@@ -15,6 +15,7 @@ from mcap_ros2.reader import read_ros2_messages
 from mcap_ros2.writer import Writer
 
 import chromaperture as cap
+from chromaperture.color.color_maps import DISTANCE
 
 folder = Path(tempfile.mkdtemp())
 camera, photograph = cap.open_sample("still_life_cy_halves")
@@ -88,5 +89,5 @@ depth = next(iter(read_ros2_messages(folder / "depth.mcap", topics=["/camera/dep
 z_mm = np.frombuffer(depth.data, "<u2").reshape(depth.height, depth.width).astype(float)
 z_mm[z_mm == 0] = np.nan
 figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
-figure.colorbar(axes.imshow(z_mm, cmap="turbo_r"), label=f"mm ({depth.encoding})")
+figure.colorbar(axes.imshow(z_mm, cmap=DISTANCE), label=f"mm ({depth.encoding})")
 axes.axis("off")

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from chromaperture.reconstruction.fusion import Reconstruction, Submap
+from chromaperture.reconstruction.tracking import Keyframe
 from chromaperture.reconstruction.volume import Mesh
 
 
@@ -36,4 +37,8 @@ def forget_old(model: Reconstruction, most_bytes: int, *, listener: Callable[[st
 def _bytes_of(submap: Submap) -> int:
     mesh = submap.mesh
     vertices = 0 if mesh is None else mesh.vertices_mm.nbytes + mesh.triangles.nbytes + mesh.colors.nbytes
-    return vertices + sum(key.thumbnail.nbytes + key.grey.nbytes + key.z_mm.nbytes for key in submap.keyframes)
+    return vertices + sum(_keyframe_bytes(key) for key in submap.keyframes)
+
+
+def _keyframe_bytes(key: Keyframe) -> int:
+    return sum(array.nbytes for array in (key.thumbnail, key.grey, key.z_mm, key.sigma_mm))
