@@ -472,9 +472,10 @@ def test_a_camera_that_does_not_move_is_found_where_it_was(tmp_path, monkeypatch
     camera = str(sample_camera("still_life_cy_halves"))
     command = ["reconstruct", str(folder), "-c", camera, "-o", str(out), "--quality", "real-time", "--json"]
     monkeypatch.setattr(sys, "argv", ["chromaperture", *command])
-    with pytest.raises(SystemExit) as left:
+    try:  # typer ends without an exception or with one, by its version
         main()
-    assert left.value.code in (0, None)
+    except SystemExit as end:
+        assert not end.code
     report = json.loads(capsys.readouterr().out)
     assert report["frames_tracked"] == 2
     assert report == json.loads((out / "report.json").read_text())
