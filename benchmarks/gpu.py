@@ -86,15 +86,18 @@ def stages_of(chain: Chain, image: np.ndarray, *, bandwidth: float, rate: float)
     times = chain.stage_times_ms({"image": image}) if chain.device.timestamps else [("", 0.0)] * len(chain.dispatches)
     found: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     for dispatch, (_, ms) in zip(chain.dispatches, times, strict=True):
-        row = found[dispatch.stage]
-        moved = 4 * sum(array.size for array in {a.name: a for a in dispatch.arrays}.values())
-        computed = operations(dispatch)
-        row["dispatches"] += 1
-        row["mbytes"] += moved / 1e6
-        row["mops"] += computed / 1e6
-        row["model_ms"] += 1e3 * max(moved / bandwidth, computed / rate)
-        row["ms"] += ms
+        count(found[dispatch.stage], dispatch, operations(dispatch), bandwidth=bandwidth, rate=rate)
+        found[dispatch.stage]["ms"] += ms
     return found
+
+
+def count(row: dict[str, float], dispatch: Any, computed: float, *, bandwidth: float, rate: float) -> None:
+    """Add a dispatch to the figures of its stage: each array is moved once, and the slower of two limits counts."""
+    moved = 4 * sum(array.size for array in {a.name: a for a in dispatch.arrays}.values())
+    row["dispatches"] += 1
+    row["mbytes"] += moved / 1e6
+    row["mops"] += computed / 1e6
+    row["model_ms"] += 1e3 * max(moved / bandwidth, computed / rate)
 
 
 def benchmark(device: str, quality: str, design: str, size: tuple[int, int], bandwidth: float, rate: float) -> dict:

@@ -21,6 +21,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from gpu import count
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_matching import default_config
@@ -97,13 +98,7 @@ def counted(chains: dict[str, Chain], *, bandwidth: float, rate: float) -> dict[
     found: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     for chain in chains.values():
         for dispatch in chain.dispatches:
-            row = found[dispatch.stage]
-            moved = 4 * sum(array.size for array in {a.name: a for a in dispatch.arrays}.values())
-            computed = operations(dispatch)
-            row["dispatches"] += 1
-            row["mbytes"] += moved / 1e6
-            row["mops"] += computed / 1e6
-            row["model_ms"] += 1e3 * max(moved / bandwidth, computed / rate)
+            count(found[dispatch.stage], dispatch, operations(dispatch), bandwidth=bandwidth, rate=rate)
     return found
 
 

@@ -76,10 +76,6 @@ def _after_header(jpeg: bytes) -> int:
     return at
 
 
-def _is_header(start: bytes) -> bool:
-    return start.startswith(b"\xff\xe0") or (start.startswith(b"\xff\xe1") and start[4:] == b"Exif\0\0")
-
-
 def _description(properties: Mapping[Property, str], inner_xml: str) -> str:
     namespaces = {(prefix, namespace) for namespace, prefix, _ in properties}
     declared = "".join(f" xmlns:{prefix}={quoteattr(namespace)}" for prefix, namespace in sorted(namespaces))

@@ -30,9 +30,9 @@ from chromaperture.disparity.gpu.surface_stages import (
     add_start,
     add_taken_planes,
     add_variation,
-    groups_for,
     surface_arrays,
 )
+from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.planar import Planes, block_costs, fitting_planes, links_of_blocks
 from chromaperture.disparity.plane_fit import Volume, distinct_of, proposals
 from chromaperture.disparity.result import Disparity

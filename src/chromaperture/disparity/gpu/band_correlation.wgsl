@@ -9,7 +9,7 @@ fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32
 ) {
-    let i = invocation_of(group, groups, local, 64u);
+    let i = invocation(group, groups, local);
     if (i >= bands * layers_of_round * pair_count * width * height) { return; }
     let pixel = i % (width * height);
     let pair = i / (width * height) % pair_count;

@@ -8,7 +8,7 @@ fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32
 ) {
-    let i = invocation_of(group, groups, local, 64u);
+    let i = invocation(group, groups, local);
     let small_width = (width + 1u) / 2u;
     let small_height = (height + 1u) / 2u;
     if (i >= planes * small_width * small_height) { return; }
@@ -18,10 +18,10 @@ fn main(
     let taps = array<f32, 5>(0.0625, 0.25, 0.375, 0.25, 0.0625);
     var sum = vec3f();
     for (var j = 0u; j < 5u; j++) {
-        let row = plane + reflected(i32(2u * y + j) - 2i, height) * width;
+        let row = plane + mirrored(i32(2u * y + j) - 2i, height) * width;
         var along = vec3f();
         for (var k = 0u; k < 5u; k++) {
-            let here = band_views[row + reflected(i32(2u * x + k) - 2i, width)];
+            let here = band_views[row + mirrored(i32(2u * x + k) - 2i, width)];
             along += taps[k] * vec3f(here.x * here.y, here * here);
         }
         sum += taps[j] * along;

@@ -9,7 +9,7 @@ fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32
 ) {
-    let i = invocation_of(group, groups, local, 64u);
+    let i = invocation(group, groups, local);
     if (i >= bands * pictures * width * height) { return; }
     let band = i / (pictures * width * height);
     let x = i % width;
@@ -17,7 +17,7 @@ fn main(
     var fine = vec2f();
     var coarse = vec2f();
     for (var k = 0u; k < 2u * reach + 1u; k++) {
-        let here = joined[row + reflected(i32(x + k) - i32(reach), width)];
+        let here = joined[row + mirrored(i32(x + k) - i32(reach), width)];
         fine += taps[2u * band * (2u * reach + 1u) + k] * here;
         coarse += taps[(2u * band + 1u) * (2u * reach + 1u) + k] * here;
     }

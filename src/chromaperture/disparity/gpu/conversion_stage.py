@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from chromaperture.disparity.gpu.device import Array, Chain
-from chromaperture.disparity.gpu.view_stages import SHARED, invocations
+from chromaperture.disparity.gpu.view_stages import SHARED
+from chromaperture.disparity.gpu.workgroups import groups_for
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def add_conversion(chain: Chain, disparity: Array, sigma: Array, conversion: Con
     chain.add(
         "conversion",
         [disparity, sigma, chain.constant("fields", np.concatenate(parts)), chain.constant("curve", table), *outputs],
-        groups=invocations(disparity.size), uses=SHARED,
+        groups=groups_for(disparity.size), uses=SHARED,
         pixels=disparity.size, field_at=[float(start) for start in starts],
         field_is_map=[float(part.size > 1) for part in parts], table_count=count,
         first_px=float(curve.first_px), last_px=float(curve.last_px), per_px=(count - 1) / span if count else 0.0,

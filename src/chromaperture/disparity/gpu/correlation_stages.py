@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from chromaperture.disparity.gpu.device import Array, Chain
-from chromaperture.disparity.gpu.view_stages import SHARED, Planes, invocations
+from chromaperture.disparity.gpu.view_stages import SHARED, Planes
+from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.stages.correlation import RELATIVE_EPSILON, SAMPLING, padding
 from chromaperture.stage_config import CorrelationConfig
 
@@ -135,35 +136,35 @@ def add_correlation(
         places = chain.constant(f"places{number}", chunk.places)
         chain.add(
             "sample_y", [planes.planes, taps_y, samples_y],
-            groups=invocations(tall * planes.width * phases), uses=SHARED,
+            groups=groups_for(tall * planes.width * phases), uses=SHARED,
             width=planes.width, height=planes.height, pad_y=pad_y, phase_count=phases,
         )  # fmt: skip
         chain.add(
-            "sample_x", [samples_y, taps_x, samples], groups=invocations(tall * wide * entries), uses=SHARED,
+            "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * wide * entries), uses=SHARED,
             phase_count=phases, entry_count=entries, **size,
         )  # fmt: skip
         frame: dict[str, Any] = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
         chain.add(
             "windows_x",
             [samples, windows],
-            groups=invocations(tall * -(-wide // _BLOCK) * entries),
+            groups=groups_for(tall * -(-wide // _BLOCK) * entries),
             uses=SHARED,
             **frame,
         )
         chain.add(
             "windows_y", [windows, taps_x, taps_y, planes.stats, gains],
-            groups=invocations(wide * -(-tall // _BLOCK) * entries), uses=SHARED,
+            groups=groups_for(wide * -(-tall // _BLOCK) * entries), uses=SHARED,
             relative_epsilon=RELATIVE_EPSILON, **frame,
         )  # fmt: skip
         layers: dict[str, Any] = {"layer_count": chunk.size, "entry_count": entries, **size, **window}
         layers["view_count"] = planes.view_count
         chain.add(
             "products_x", [samples, places, covariances],
-            groups=invocations(tall * -(-planes.width // _BLOCK) * chunk.size), uses=("shared", pairs), **layers,
+            groups=groups_for(tall * -(-planes.width // _BLOCK) * chunk.size), uses=(*SHARED, pairs), **layers,
         )  # fmt: skip
         chain.add(
             "correlation", [covariances, places, windows, gains, volume],
-            groups=invocations(planes.width * -(-planes.height // _BLOCK) * chunk.size), uses=("shared", pairs),
+            groups=groups_for(planes.width * -(-planes.height // _BLOCK) * chunk.size), uses=(*SHARED, pairs),
             pitch=pitch or chunk.size, first_layer=chunk.first if pitch else 0, **layers,
         )  # fmt: skip
         yield volume, chunk

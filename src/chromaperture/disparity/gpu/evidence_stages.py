@@ -19,8 +19,9 @@ from chromaperture.disparity.correlation_evidence import MAX_CORRELATION2, Corre
 from chromaperture.disparity.gpu.correlation_stages import add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain, DeviceError
 from chromaperture.disparity.gpu.evidence_plan import MOST_TRANSFORMED, EvidencePlan, RoundSizes
-from chromaperture.disparity.gpu.surface_stages import add_gaussian, gaussian_taps, groups_for
+from chromaperture.disparity.gpu.surface_stages import add_gaussian, gaussian_taps
 from chromaperture.disparity.gpu.view_stages import add_views
+from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.paths import EDGE_LAYERS, LEAST_UNEXPLAINED
 from chromaperture.disparity.stages.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis

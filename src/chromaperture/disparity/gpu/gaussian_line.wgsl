@@ -9,7 +9,7 @@ fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32
 ) {
-    let i = invocation_of(group, groups, local, 64u);
+    let i = invocation(group, groups, local);
     if (i >= planes * width * height * parts) { return; }
     let part = i % parts;
     let x = (i / parts) % width;
@@ -18,8 +18,8 @@ fn main(
     var sum = 0.0;
     for (var k = 0u; k < 2u * reach + 1u; k++) {
         let step = i32(k) - i32(reach);
-        let column = select(x, reflected(i32(x) + step, width), along_x);
-        let row = select(reflected(i32(y) + step, height), y, along_x);
+        let column = select(x, mirrored(i32(x) + step, width), along_x);
+        let row = select(mirrored(i32(y) + step, height), y, along_x);
         sum += taps[k] * before[(plane + row * width + column) * parts + part];
     }
     after[i] = sum;

@@ -11,7 +11,7 @@ fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32
 ) {
-    let pixel = invocation_of(group, groups, local, 64u);
+    let pixel = invocation(group, groups, local);
     if (pixel >= width * height) { return; }
     let pull = averaged[pixel];
     let o = clamp(-pull.x / max(pull.y, 1.0e-9), -0.5, 0.5);  // 1e-9: even evidence

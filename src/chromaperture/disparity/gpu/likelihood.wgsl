@@ -15,13 +15,9 @@ fn main(
     let pixel = i / (pitch / 4u);
     let first_layer = 4u * (i % (pitch / 4u));
     let start = pixel * pitch;
-    var begin = 0.0;
-    var scale = 1.0;
-    if (labelled) {
-        let at = 2u * (pixel / width) * full_width + 2u * (pixel % width);
-        scale = labels[full_width * full_height + at];
-        begin = (labels[at] / 2.0 + (scale - 1.0) * first_px) / step_px;  // of the halved picture
-    }
+    let label = half_label(pixel % width, pixel / width);
+    let scale = label.y;
+    let begin = (label.x + (scale - 1.0) * first_px) / step_px;
     var values = vec4f();
     for (var j = 0u; j < 4u; j++) {
         let layer = first_layer + j;

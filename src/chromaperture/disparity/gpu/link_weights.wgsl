@@ -12,7 +12,7 @@ fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32
 ) {
-    let pixel = invocation_of(group, groups, local, 64u);
+    let pixel = invocation(group, groups, local);
     if (pixel >= width * height) { return; }
     let here = guide[pixel];
     var found = vec2f(1.0);

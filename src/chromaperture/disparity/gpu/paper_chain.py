@@ -17,7 +17,8 @@ from chromaperture.disparity.error_bar import (
 from chromaperture.disparity.gpu.correlation_stages import add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.real_time_chain import add_links, add_recursions
-from chromaperture.disparity.gpu.view_stages import SHARED, add_views, invocations
+from chromaperture.disparity.gpu.view_stages import SHARED, add_views
+from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.stages.bilateral import even_link
 from chromaperture.disparity.stages.correlation import MIN_WEIGHT
 from chromaperture.disparity.views import ViewSpace
@@ -51,19 +52,19 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
     for score, chunk in add_correlation(chain, planes, layers_px, space.directions, config.correlation, chunked=True):
         maps = maps or chain.array("weighted", planes.pixels * (chunk.size + 1))  # the first chunk is the largest
         chain.add(
-            "weigh", [score, planes.planes, maps], groups=invocations(planes.pixels * (chunk.size + 1)), uses=SHARED,
+            "weigh", [score, planes.planes, maps], groups=groups_for(planes.pixels * (chunk.size + 1)), uses=SHARED,
             pixels=planes.pixels, layer_count=chunk.size, view_count=planes.view_count, least_weight=MIN_WEIGHT,
         )  # fmt: skip
         add_recursions(chain, planes, maps, links, map_count=chunk.size + 1, gain=1 - even, own=0.0)
         chain.add(
-            "running_winner", [maps, best], groups=invocations(planes.pixels), uses=SHARED,
+            "running_winner", [maps, best], groups=groups_for(planes.pixels), uses=SHARED,
             pixels=planes.pixels, layer_count=chunk.size, first_layer=chunk.first,
         )  # fmt: skip
     samples = effective_samples(config.correlation.window_decay)
     samples /= noise_correlation_factor(config.views.presmooth_sigma_px)
     outputs = [chain.array(name, planes.pixels) for name in ("disparity", "sigma", "confidence")]
     chain.add(
-        "peak", [best, *outputs], groups=invocations(planes.pixels), uses=("shared", "finishing"),
+        "peak", [best, *outputs], groups=groups_for(planes.pixels), uses=(*SHARED, "finishing"),
         pixels=planes.pixels, view_count=planes.view_count, total_layers=len(layers_px), first_px=first, step_px=step,
         samples=float(samples), sigma_scale=config.sigma_scale, range_sigma_px=sigma_of_range(layers_px),
         max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX,

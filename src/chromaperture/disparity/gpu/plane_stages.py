@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.disparity.gpu.device import Array, Chain, Device
-from chromaperture.disparity.gpu.surface_stages import Grid, groups_for
+from chromaperture.disparity.gpu.surface_stages import Grid
+from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.plane_fit import CONDITION, GAINED, NEWTON_STEPS, REACH, Proposal
 from chromaperture.disparity.stages.planes import PlaneCosts
 

@@ -10,7 +10,7 @@ fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32
 ) {
-    let pixel = invocation_of(group, groups, local, 64u);
+    let pixel = invocation(group, groups, local);
     if (pixel >= width * height) { return; }
     let limit = sigmas * length(vec2f(sigma[pixel], 1.0));
     apart[pixel] = select(0.0, 1.0, abs(plane_labels[pixel] - surface[pixel].x) > limit);

@@ -12,7 +12,8 @@ from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, LIGHT_WINDOW_PX, MAX_SIGMA_PX, sigma_of_range
 from chromaperture.disparity.gpu.correlation_stages import add_correlation
 from chromaperture.disparity.gpu.device import MOST_GROUPS, Array, Chain
-from chromaperture.disparity.gpu.view_stages import SHARED, Planes, add_halved_views, invocations
+from chromaperture.disparity.gpu.view_stages import SHARED, Planes, add_halved_views
+from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.real_time import (
     EDGE_REACH_PX,
@@ -26,6 +27,7 @@ from chromaperture.disparity.stages.enlarge import JUMP_PX
 from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
 from chromaperture.disparity.views import ViewSpace
 
+LABELLED = (*SHARED, "half_labels")  # functions of the stages that follow equal depth
 _CLOSED = 1e4  # nats; cost of layers that only fill the last vector
 _LANES = 4  # invocations that share a path
 
@@ -61,7 +63,7 @@ def add_real_time(
     frame: dict[str, Any] = {"width": planes.width, "height": planes.height}
     likelihood = chain.array("likelihood", volume)
     chain.add(
-        "likelihood", [score, labels, planes.planes, likelihood], groups=invocations(volume // 4), uses=SHARED,
+        "likelihood", [score, labels, planes.planes, likelihood], groups=groups_for(volume // 4), uses=LABELLED,
         view_count=planes.view_count, first_px=first, step_px=step, least_determinant=LEAST_DETERMINANT, closed=_CLOSED,
         **frame, **of_layers, **of_labels,
     )  # fmt: skip
@@ -70,9 +72,9 @@ def add_real_time(
 
     ranges, surface = chain.array("ranges", 2 * planes.pixels), chain.array("surface", 3 * planes.pixels)
     between: dict[str, Any] = {"first_px": first, "step_px": step, "reach": EDGE_REACH_PX, **frame, **of_labels}
-    chain.add("surface", [smoothed, labels, ranges], groups=invocations(planes.pixels), uses=SHARED, **between)
+    chain.add("surface", [smoothed, labels, ranges], groups=groups_for(planes.pixels), uses=LABELLED, **between)
     chain.add(
-        "surface_range", [ranges, smoothed, winner, labels, surface], groups=invocations(planes.pixels), uses=SHARED,
+        "surface_range", [ranges, smoothed, winner, labels, surface], groups=groups_for(planes.pixels), uses=LABELLED,
         layer_count=len(layers_px), widest_px=sigma_of_range(layers_px), posterior_share=POSTERIOR_SHARE,
         edge_share=EDGE_SHARE, **between,
     )  # fmt: skip
@@ -83,7 +85,7 @@ def add_real_time(
     outputs = [chain.array(name, height * width, np.float32) for name in ("disparity", "sigma", "confidence")]
     chain.add(
         "enlarge", [surface, planes.full_guide, planes.stats, labels, lacking, *outputs],
-        groups=invocations(height * width), uses=("shared", "finishing"),
+        groups=groups_for(height * width), uses=(*SHARED, "finishing"),
         width=width, height=height, half_width=planes.width, half_height=planes.height, jump_px=JUMP_PX,
         labelled=not label_map.is_identity, range_sigma_px=sigma_of_range(config.layers.values_px),
         floor_px=config.floor_px / moved, max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells,
@@ -109,13 +111,13 @@ def _add_paths(
         lines = planes.height if direction < 2 else planes.width
         chain.add(
             "four_paths", [likelihood, planes.planes, planes.stats, cost],
-            groups=(-(-lines // (64 // lanes)),), uses=("shared", exchange), direction=direction,
+            groups=(-(-lines // (64 // lanes)),), uses=(*SHARED, exchange), direction=direction,
             guide_plane=planes.view_count * planes.pixels, pitch=pitch, jump=paths.jump_penalty,
             edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
         )  # fmt: skip
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(
-        "path_winner", [likelihood, *costs, winner, places], groups=invocations(planes.pixels), uses=SHARED,
+        "path_winner", [likelihood, *costs, winner, places], groups=groups_for(planes.pixels), uses=SHARED,
         view_count=planes.view_count, jump=paths.jump_penalty, temperature=paths.temperature,
         least_unexplained=LEAST_UNEXPLAINED, least_information=LEAST_INFORMATION, **size, **of_layers,
     )  # fmt: skip
@@ -136,7 +138,7 @@ def add_links(chain: Chain, planes: Planes, layers: Array, *, even: float, edge_
     """Add the weights of the links between neighbours, (2, h, w); ``layers`` is read only where ``by_layer``."""
     links = chain.array("links", 2 * planes.pixels)
     chain.add(
-        "links", [planes.planes, planes.stats, layers, links], groups=invocations(planes.pixels), uses=SHARED,
+        "links", [planes.planes, planes.stats, layers, links], groups=groups_for(planes.pixels), uses=SHARED,
         width=planes.width, height=planes.height, guide_plane=planes.view_count * planes.pixels,
         even_link=even, edge_range=edge_range, by_layer=by_layer,
     )  # fmt: skip
@@ -169,7 +171,7 @@ def add_two_views(chain: Chain, image: Array, size: tuple[int, int], rows: np.nd
     lacking = chain.array("lacking", cells["cells_x"] * cells["cells_y"])
     red, green, blue = (float(matched) for matched in np.any(rows, axis=0))
     chain.add(
-        "two_views", [image, lacking], groups=invocations(lacking.size), uses=SHARED,
+        "two_views", [image, lacking], groups=groups_for(lacking.size), uses=SHARED,
         width=width, spacing=spacing, first_x=first_x, first_y=first_y, samples_x=samples_x, samples_y=samples_y,
         per_cell_x=samples_x / cells["cells_x"], per_cell_y=samples_y / cells["cells_y"], dark=DARK,
         matched_red=red, matched_green=green, matched_blue=blue, **cells,

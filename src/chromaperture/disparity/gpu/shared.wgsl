@@ -1,4 +1,4 @@
-// What several stages use: the number of an invocation, coordinates inside the picture, unknown values.
+// What several stages use: places in `stats`, coordinates inside the picture, unknown values.
 
 const UNKNOWN = 3.0e38f;  // stands for NaN on the device, where arithmetic may assume that there is none
 const NAN_BITS = 0x7fc00000u;
@@ -11,21 +11,8 @@ const UNUSABLE = 5u;
 const VARIANCE = 8u;  // of each view
 const GUIDE_SCALE = 12u;  // to units of guide_range: of the matched guide, then of the full one
 
-fn invocation(group: vec3u, groups: vec3u, local: u32) -> u32 {
-    return (group.x + group.y * groups.x) * 64u + local;
-}
-
 fn inside(at: i32, count: u32) -> u32 {
     return u32(clamp(at, 0i, i32(count) - 1i));
-}
-
-// Mirrored at the border, whose pixel is not repeated. A loop and no remainder: that takes one division a lane.
-fn mirrored(at: i32, count: u32) -> u32 {
-    let last = i32(count) - 1i;
-    if (last == 0i) { return 0u; }
-    var place = abs(at);
-    while (place > last) { place = abs(2i * last - place); }
-    return u32(place);
 }
 
 fn is_finite(value: f32) -> bool {

@@ -7,13 +7,8 @@
 
 fn disparity_at(x: u32, y: u32) -> f32 {
     let sums = places[y * width + x];
-    var offset = 0.0;
-    var scale = 1.0;
-    if (labelled) {
-        offset = labels[2u * y * full_width + 2u * x] / 2.0;
-        scale = labels[full_width * full_height + 2u * y * full_width + 2u * x];
-    }
-    return offset + scale * (first_px + step_px * sums.y / sums.x);
+    let label = half_label(x, y);
+    return label.x + label.y * (first_px + step_px * sums.y / sums.x);
 }
 
 @compute @workgroup_size(64)

@@ -23,13 +23,9 @@ fn main(
         low = min(low, here.x);
         high = max(high, here.y);
     }
-    var offset = 0.0;
-    var scale = 1.0;
-    if (labelled) {
-        offset = labels[2u * y * full_width + 2u * x] / 2.0;
-        scale = labels[full_width * full_height + 2u * y * full_width + 2u * x];
-    }
-    let disparity = offset + scale * (first_px + step_px * places[i].y / places[i].x);
+    let label = half_label(x, y);
+    let scale = label.y;
+    let disparity = label.x + scale * (first_px + step_px * places[i].y / places[i].x);
     let posterior = step_px * winner[2u * width * height + i];
     let known = winner[i] > 0.0 && winner[i] < f32(layer_count - 1u) && posterior < widest_px;
     let sigma = min(length(vec2f(posterior_share * scale * posterior, edge_share * (high - low))), scale * widest_px);

@@ -14,18 +14,17 @@ import cv2
 import numpy as np
 
 from chromaperture.disparity.gpu.device import Array, Chain, DeviceError
+from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
 from chromaperture.disparity.planar import AGREEMENT_SIGMAS, AGREEMENT_WINDOW_PX
 from chromaperture.disparity.stages.between_layers import TANGENTS
 from chromaperture.disparity.stages.paths import LEAST_UNEXPLAINED, LINES, penalties_of
 from chromaperture.disparity.stages.variation import OPERATOR_NORM_SQUARED
 from chromaperture.stage_config import SurfaceConfig
 
-GROUP = 64  # invocations of a workgroup of the stages that have one for every pixel
 LANES = 8  # invocations of a path: 9 to 17 layers each for 65 to 129; a subgroup of 8 or more holds whole paths
 MOST_LAYERS = 512  # of a path: 64 in the registers of each of 8 invocations
 SQUARE_PX = 32  # of `coupling_steps.wgsl`, as far as 16 KB of shared memory reach
 _MOST_STEPS = 5  # iterations in shared memory: of 32 x 32 px loaded 22 x 22 are stored
-_WIDE = 32_768  # workgroups along x of a dispatch that needs more than one axis holds
 
 
 class Grid(NamedTuple):
@@ -44,12 +43,6 @@ class Grid(NamedTuple):
     def size(self) -> int:
         """Entries of the volume."""
         return self.height * self.width * self.layers
-
-
-def groups_for(invocations: int, size: int = GROUP) -> tuple[int, int]:
-    """Workgroups along x and y for so many invocations, as `invocation_of` in ``indexing.wgsl`` counts them."""
-    groups = max(1, math.ceil(invocations / size))
-    return min(groups, _WIDE), math.ceil(groups / _WIDE)
 
 
 def per_pixel(chain: Chain, stage: str, arrays: list[Array], grid: Grid, **constants: Any) -> None:

@@ -14,8 +14,8 @@ fn main(
     for (var i = local; i < lines_of_group * span; i += 128u) {
         let row = min(first + i / span, lines - 1u);
         let tile = row / (3u * span);
-        let x = reflected(corners[2u * tile] + i32(i % span), width);
-        let y = reflected(corners[2u * tile + 1u] + i32(row % span), height);
+        let x = mirrored(corners[2u * tile] + i32(i % span), width);
+        let y = mirrored(corners[2u * tile + 1u] + i32(row % span), height);
         let at = (y * width + x) * 3u + row / span % 3u;
         line[i] = vec2f(image[at] - shading[at], 0.0);
     }

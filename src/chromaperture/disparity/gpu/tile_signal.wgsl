@@ -9,7 +9,7 @@ fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32
 ) {
-    let i = invocation_of(group, groups, local, 64u);
+    let i = invocation(group, groups, local);
     if (i >= pictures * frequencies) { return; }
     let least = noise[i / frequencies];
     signal_share[i] = clamp(1.0 - least / max(power[i].x, least + 1.0e-30), 0.0, 1.0);  // 1e-30: no division by 0

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from chromaperture.color.image import SATURATION
-from chromaperture.disparity.gpu.device import MOST_GROUPS, Array, Chain
+from chromaperture.disparity.gpu.device import Array, Chain
+from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.views import (
     CONSTANT,
     FILL_SIGMA_PX,
@@ -22,8 +23,7 @@ from chromaperture.disparity.views import (
 )
 from chromaperture.stage_config import ViewsConfig
 
-SHARED = ("shared",)
-_GROUP = 64  # invocations of a workgroup
+SHARED = ("indexing", "shared")
 _PARTS = 256  # most workgroups that sum a picture up; one workgroup sums their sums
 _STATS = 16  # numbers of `shared.wgsl`'s `stats`
 _USABLE_AT, _VARIANCE_AT = 4, 8
@@ -57,13 +57,6 @@ class Planes(NamedTuple):
         return self.width * self.height
 
 
-def invocations(count: int) -> tuple[int, int]:
-    """Workgroups along x and y for so many invocations, which ``shared.wgsl`` numbers."""
-    groups = -(-count // _GROUP)
-    across = min(groups, MOST_GROUPS)
-    return across, -(-groups // across)
-
-
 def add_views(chain: Chain, image: Array, size: tuple[int, int], space: ViewSpace, config: ViewsConfig) -> Planes:
     """Add the views at full resolution, as `views.filtered_views`; ``size`` is (height, width)."""
     height, width = size
@@ -71,7 +64,7 @@ def add_views(chain: Chain, image: Array, size: tuple[int, int], space: ViewSpac
     count = len(space.rows)
     raw, smoothed = (chain.array(name, (count + 2) * height * width) for name in ("planes_raw", "planes"))
     mixing = _mixing(space, width, height)
-    chain.add("views", [image, stats, raw], groups=invocations(width * height), uses=("shared", "mixing"), **mixing)
+    chain.add("views", [image, stats, raw], groups=groups_for(width * height), uses=(*SHARED, "mixing"), **mixing)
     planes = Planes(smoothed, stats, None, width, height, count)
     _add_smoothing(chain, raw, planes, config)
     return planes
@@ -92,10 +85,10 @@ def add_halved_views(
     mixing = _mixing(space, width, height) | {"half_width": half_width}
     chain.add(
         "halve_rows", [image, stats, tall, full_guide],
-        groups=invocations(half_width * height), uses=("shared", "mixing"), **mixing,
+        groups=groups_for(half_width * height), uses=(*SHARED, "mixing"), **mixing,
     )  # fmt: skip
     chain.add(
-        "halve_columns", [tall, raw], groups=invocations((count + 2) * plane), uses=SHARED,
+        "halve_columns", [tall, raw], groups=groups_for((count + 2) * plane), uses=SHARED,
         width=half_width, height=half_height, tall_height=height, plane_count=count + 2,
     )  # fmt: skip
     planes = Planes(smoothed, stats, full_guide, half_width, half_height, count)
@@ -104,12 +97,12 @@ def add_halved_views(
     bands: dict[str, Any] = {"band_height": len(taps) // 2, "band_count": -(-half_height // (len(taps) // 2))}
     unusable = chain.array("unusable", bands["band_count"] * half_width, np.uint32)
     chain.add(
-        "unusable", [raw, unusable], groups=invocations(unusable.size), uses=SHARED,
+        "unusable", [raw, unusable], groups=groups_for(unusable.size), uses=SHARED,
         width=half_width, height=half_height, view_count=count, usable_share=USABLE, **bands,
     )  # fmt: skip
     around = _add_blur(chain, raw, planes, taps, first=0, count=count + 2, sparse=(unusable, bands))
     chain.add(
-        "fill", [around, raw], groups=invocations(plane), uses=SHARED,
+        "fill", [around, raw], groups=groups_for(plane), uses=SHARED,
         plane=plane, view_count=count, usable_share=USABLE,
     )  # fmt: skip
     _add_smoothing(chain, raw, planes, config)
@@ -129,8 +122,8 @@ def _add_light(chain: Chain, image: Array, pixels: int) -> Array:
     parts = min(_PARTS, -(-pixels // 256))
     stats, sums = chain.array("stats", _STATS), chain.array("light_parts", 4 * parts)
     numbers: dict[str, Any] = {"pixels": pixels, "part_count": parts, "saturation": SATURATION}
-    chain.add("light", [image, sums], groups=(parts,), uses=("shared", "light_reduction"), **numbers)
-    chain.add("light_sum", [sums, stats], groups=(1,), uses=("shared", "light_reduction"), **numbers)
+    chain.add("light", [image, sums], groups=(parts,), uses=(*SHARED, "light_reduction"), **numbers)
+    chain.add("light_sum", [sums, stats], groups=(1,), uses=(*SHARED, "light_reduction"), **numbers)
     return stats
 
 
@@ -152,8 +145,8 @@ def _add_smoothing(chain: Chain, raw: Array, planes: Planes, config: ViewsConfig
     parts = min(_PARTS, -(-planes.pixels // 256))
     sums = chain.array("variance_parts", 6 * parts)
     numbers: dict[str, Any] = {"pixels": planes.pixels, "part_count": parts, "view_count": count}
-    chain.add("variance", [planes.planes, sums], groups=(parts,), uses=("shared", "variance_reduction"), **numbers)
-    chain.add("variance_sum", [sums, planes.stats], groups=(1,), uses=("shared", "variance_reduction"), **numbers)
+    chain.add("variance", [planes.planes, sums], groups=(parts,), uses=(*SHARED, "variance_reduction"), **numbers)
+    chain.add("variance_sum", [sums, planes.stats], groups=(1,), uses=(*SHARED, "variance_reduction"), **numbers)
     _add_guide_scale(
         chain, planes.planes, planes.stats, (planes.height, planes.width), config, first=count * planes.pixels, slot=0
     )
@@ -207,7 +200,7 @@ def _add_pass(
     nowhere = chain.arrays.get("no_unusable") or chain.array("no_unusable", 1, np.uint32)
     unusable, bands = sparse or (nowhere, {"band_height": 1, "band_count": 1})
     chain.add(
-        "blur", [source, unusable, target], groups=invocations(count * planes.pixels), uses=SHARED,
+        "blur", [source, unusable, target], groups=groups_for(count * planes.pixels), uses=SHARED,
         width=planes.width, height=planes.height, first_plane=first, plane_count=count, along_x=along_x,
         replicate=sparse is None, sparse=sparse is not None, **bands, reach=len(taps) // 2, taps=taps,
     )  # fmt: skip
