@@ -1,4 +1,4 @@
-"""The calibration assistant: each photograph is judged at once, and what it foretells comes true."""
+"""The calibration assistant: each photograph is judged at once, and what it predicts comes true."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def test_a_deleted_photograph_is_gone_and_only_that(tmp_path, filled):
     assert (folder / "session.toml").exists()
 
 
-# ---- what is foretold
+# ---- what is predicted
 
 
 def test_the_advised_board_takes_most_off_the_error_bar(filled):
@@ -243,8 +243,8 @@ def test_the_forecast_is_the_covariance_that_the_calibration_finds(rendered, fil
     z = distance - float(model.sensor_to_pupil_mm)
     rows = np.stack([np.ones(9), -1 / z, -float(model.scale_px_mm) / z**2], axis=1)
     found = np.sqrt(np.einsum("ni,ij,nj->n", rows, np.asarray(model.covariance), rows)) / np.abs(rows[:, 2])
-    foretold = curve_sigma(type(lens)(**{**vars(lens), "board_sigma_px": 0.05}), BOARDS_MM, 5, distance)
-    ratio = foretold / found
+    predicted = curve_sigma(type(lens)(**{**vars(lens), "board_sigma_px": 0.05}), BOARDS_MM, 5, distance)
+    ratio = predicted / found
     assert 0.5 < ratio.min() < ratio.max() < 2
 
 

@@ -24,14 +24,14 @@ CELLS = (6, 4)  # of the frame, in which corners are counted; chosen by hand
 FEWEST_BOARDS, ENOUGH_BOARDS = 5, 12  # for fields over the frame (`CalibrationConfig.min_field_boards`); a good dozen
 FEWEST_TILTS, ENOUGH_TILTS = 4, 8  # `chessboard.MIN_VIEWS`; a dozen is best
 _WORTHWHILE = 0.05  # part of the error bar that a board must take off to be asked for; chosen by hand
-_CURVE_BOARDS = 3  # from which the boards' own curve foretells the next one's disparity
-_SIDE = 0.05  # of the focus distance: clearly off the focus
-_SAME = 0.02  # of the distance: the same place again
+_CURVE_BOARDS = 3  # from which the boards' own curve predicts the next one's disparity: it has two unknowns
+_SIDE = 0.05  # of the focus distance: clearly off the focus; chosen by hand
+_SAME = 0.02  # of the distance: the same place again; chosen by hand
 _LEANS = {
     "left": "its left edge towards you", "right": "its right edge towards you", "top": "its top towards you",
     "bottom": "its bottom towards you",
 }  # fmt: skip
-_LEAN_DEG = 10.0  # from which a lean counts
+_LEAN_DEG = 10.0  # from which a lean counts; chosen by hand
 
 
 def check_shot(
@@ -132,12 +132,12 @@ def state(folder: SessionFolder) -> dict[str, Any]:
     session, boards = folder.session(), folder.rulers_mm()
     tilts, have = folder.of_kind("tilt"), {Path(s.file).stem for s in folder.of_kind("white")}
     sheets = [{"name": n, "through": through, "have": n in have} for n, through in sheets_of(folder).items()]
-    foretold, gain = None, None
+    predicted, gain = None, None
     if session is not None:
         lens = lens_of(folder, session)
         scatter = [r.pixel_sigma_px for r in readings(folder, session, "board")]
         pixel = [sigma for sigma in scatter if np.isfinite(sigma)]
-        foretold = forecast(lens, boards, len(tilts), pixel_sigma_px=float(np.median(pixel)) if pixel else 0.0)
+        predicted = forecast(lens, boards, len(tilts), pixel_sigma_px=float(np.median(pixel)) if pixel else 0.0)
         gain = best_gain(lens, boards, len(tilts), candidates(folder))
     cells = frame_cells(folder, session)
     return {
@@ -150,7 +150,7 @@ def state(folder: SessionFolder) -> dict[str, Any]:
         "covered": float((cells > 0).mean()),
         "boards_mm": boards,
         "leans": [list(shot.reading.lean_deg) for shot in tilts],
-        "forecast": None if foretold is None else _rows(foretold),
+        "forecast": None if predicted is None else _rows(predicted),
         "gain": None if gain is None else vars(gain),
         "next": advice(folder, cells, gain),
         "ready": len(boards) >= FEWEST_BOARDS and len(tilts) >= FEWEST_TILTS,
@@ -263,10 +263,10 @@ def shown_check(check: Check) -> dict[str, str]:
     return {"name": check.name, "verdict": check.verdict, "finding": check.finding, "advice": check.advice}
 
 
-def _rows(foretold: Forecast) -> dict[str, list[float]]:
+def _rows(predicted: Forecast) -> dict[str, list[float]]:
     return {
-        "distance_mm": foretold.distance_mm.tolist(),
-        "pixel_mm": foretold.pixel_mm.tolist(),
-        "calibration_mm": foretold.calibration_mm.tolist(),
-        "total_mm": foretold.total_mm.tolist(),
+        "distance_mm": predicted.distance_mm.tolist(),
+        "pixel_mm": predicted.pixel_mm.tolist(),
+        "calibration_mm": predicted.calibration_mm.tolist(),
+        "total_mm": predicted.total_mm.tolist(),
     }

@@ -11,9 +11,9 @@ from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.pupil_samples import pupil_samples
 
 _REACH = 0.42  # of a square, to either side of an edge: beyond lies the blur of the next edge; chosen by hand
-_SAMPLES = 61  # of a profile, more than the px it covers
-_FEWEST = 4  # edges of one direction
-_CELLS = 32  # across the pupil
+_SAMPLES = 61  # of a profile, more than the px it covers; chosen by hand
+_FEWEST = 4  # edges of one direction; chosen by hand
+_CELLS = 32  # across the pupil; chosen by hand
 GREEN = 1  # the channel in which corners are found
 
 

@@ -27,7 +27,7 @@ BOARD_SIGMA_PX = 0.05  # of a board's median disparity, at first: `calibration/r
 _CORNER_SIGMA_PX = 0.03  # of a corner, `calibration/place_boards.py`
 _FEWEST_TILTS = 4  # below, boards have no poses: `calibration/chessboard.py`
 _DISTANCES = 25  # over the range; chosen by hand
-_BOUND_DISTANCES = 7  # at which the bound of a pixel is computed, 10 ms each
+_BOUND_DISTANCES = 7  # at which the bound of a pixel is computed, 10 ms each; chosen by hand
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class Forecast:
-    """The error bar foretold; (N,) arrays, one standard deviation.
+    """The predicted error bar; (N,) arrays, one standard deviation.
 
     Attributes
     ----------

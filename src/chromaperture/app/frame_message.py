@@ -14,7 +14,7 @@ from chromaperture.frame.preview import depth_scale, error_scale, exposed, fitte
 
 MOST_COUNT = 65535  # of a map: 0 is unknown, so the steps of 8 m are 0.12 mm
 LARGEST_PX = (1600, 1600)  # of the maps in a page; the files that are saved have every pixel
-_JPEG_QUALITY = 90  # of the colour picture, for the eye only
+_JPEG_QUALITY = 90  # of the colour picture, for the eye only; chosen by hand
 
 
 def pack_frame(frame: DepthFrame, facts: dict[str, Any]) -> bytes:

@@ -10,7 +10,7 @@ import numpy as np
 from chromaperture.storage import write_png
 
 _DARK, _CYAN, _YELLOW, _MIDDLE = (20, 22, 26), (60, 200, 216), (233, 196, 106), (232, 230, 227)  # sRGB
-_FINE = 4  # samples of a pixel's side
+_FINE = 4  # samples of a pixel's side; chosen by hand
 ICONS = {"icon-192.png": (192, 0.80), "icon-512.png": (512, 0.80), "icon-maskable-512.png": (512, 0.60)}
 
 

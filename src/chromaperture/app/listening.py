@@ -12,8 +12,8 @@ from chromaperture.app.certificate import NEEDS_EXTRA
 from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.viewer.access import require_host
 
-_MOST_CONNECTIONS = 64  # at a time; a browser opens six
-_IDLE_S = 15  # seconds for the header of a request, and between requests
+_MOST_CONNECTIONS = 64  # at a time; a browser opens six; chosen by hand
+_IDLE_S = 15  # seconds for the header of a request, and between requests; chosen by hand
 
 
 def make_server(

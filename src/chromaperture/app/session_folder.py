@@ -28,7 +28,7 @@ from chromaperture.storage import staged, to_json
 from chromaperture.validation import Name, Table, checked, read_text
 
 MOST_SHOTS = 300  # of a session; thirty boards are the most that docs/calibration-session.md asks for
-_MOST_JSON_BYTES = 16 * 2**20
+_MOST_JSON_BYTES = 16 * 2**20  # of assistant.json; chosen by hand
 _STATE = "assistant.json"  # beside session.toml; `calibrate` does not read it
 
 Kind = Literal["board", "tilt", "white"]

@@ -46,7 +46,7 @@ export function tiltChart(leans) {
   return picture(240, 160, `${leans.length} leaning boards`, ...items);
 }
 
-// The error bar foretold: of one pixel, of the calibration, of both.
+// The predicted error bar: of one pixel, of the calibration, of both.
 export function forecastChart(forecast, boards) {
   const W = 560, H = 250, left = 52, bottom = 36, [first, last] = [forecast.distance_mm[0], forecast.distance_mm.at(-1)];
   const share = (name) => forecast[name].map((mm, i) => 100 * mm / forecast.distance_mm[i]);
