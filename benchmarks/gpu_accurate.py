@@ -83,7 +83,8 @@ def operations(dispatch: Dispatch) -> float:
         "layer_offsets": lambda: 6.0 * pixels,
         "coupling_target": lambda: 60.0 * pixels,  # some six layers a pixel
         "coupling_steps": lambda: 28.0 * c["steps"] * (32 / (32 - 2 * c["steps"])) ** 2 * pixels,
-        "volume_posterior": lambda: 8.0 * entries,
+        "volume_posterior": lambda: 10.0 * entries,
+        "surface_sigma": lambda: 4.0 * pixels,
         "block_sums": lambda: 1.0 * entries,
         "planes_apart": lambda: 6.0 * pixels,
         "planes_taken": lambda: 81.0 * pixels,

@@ -98,15 +98,17 @@ def test_a_surface_at_the_end_of_the_range_is_unknown():
 
 
 @pytest.mark.parametrize("run", [stages, cpu])
-def test_posterior_sigma_of_a_quadratic_cost_is_that_of_a_gaussian(run):
+def test_the_posterior_of_a_quadratic_cost_is_that_of_a_gaussian(run):
     """exp(-(d - m)^2 / 2 s^2) on fine layers has the standard deviation s; the map's own error adds."""
     layers = np.arange(-4, 4.01, 0.1)
     middle, sigma = 0.03, 0.6
     cost = np.tile((layers - middle) ** 2 / (2 * sigma**2) * 7.0, (3, 4, 1)).astype(np.float32)
-    sigma_px = run.posterior_sigma(np.full((3, 4), middle), cost, layers, temperature=7.0)
+    posterior = run.posterior(cost, layers, temperature=7.0)
+    np.testing.assert_allclose(posterior.mean_px, middle, atol=1e-6)  # float32 layers of up to 4 px
+    sigma_px = posterior.sigma_px(np.full((3, 4), middle))
     # Sum over layers for the integral; beyond the last, at 6 sigma, nothing is left.
     np.testing.assert_allclose(sigma_px, sigma, rtol=1e-4)
-    moved = run.posterior_sigma(np.full((3, 4), middle + 0.8), cost, layers, temperature=7.0)
+    moved = posterior.sigma_px(np.full((3, 4), middle + 0.8))
     np.testing.assert_allclose(moved, np.hypot(sigma, 0.8), rtol=1e-4)  # as above
 
 
@@ -116,7 +118,7 @@ def test_a_rival_far_away_widens_the_posterior(run):
     alone = np.minimum(8 * (layers - 1) ** 2, 20.0)
     rival = np.minimum(alone, 8 * (layers + 1.5) ** 2 + 1)
     cost = np.stack([alone, rival])[None].astype(np.float32)
-    without, with_rival = run.posterior_sigma(np.ones((1, 2)), cost, layers, temperature=2.0)[0]
+    without, with_rival = run.posterior(cost, layers, temperature=2.0).sigma_px(np.ones((1, 2)))[0]
     assert without < 0.4  # 0.36 is found; one parabola has sqrt(2 / 16)
     assert with_rival > 1.0  # 1.6 is found: the rival lies 2.5 px off
 

@@ -82,7 +82,7 @@ def surface_of(likelihood, guide, layers, config):
     add_paths(chain, a.likelihood, a.guide, a.cost, grid, layers, config=config)
     add_start(chain, a, grid, config=config)
     add_variation(chain, a, grid, layers, config=config)
-    add_posterior(chain, a.surface, a.cost, a.sigma, grid, config=config)
+    add_posterior(chain, a, grid, config=config)
     got = chain.run({"likelihood": likelihood, "guide": guide}, ["surface", "sigma", "winner", "offset"])
     shape = likelihood.shape[:2]
     step = layers[1] - layers[0]
@@ -107,8 +107,8 @@ def test_the_surface_and_its_error_bar_agree(rng, height, width, count):
     assert (np.abs(start - first) < 1e-3 * step).mean() > 0.99
     varied = stages.coupled_variation(first, likelihood, guide, layers, config=config)
     assert (np.abs(surface - varied) < 0.01 * step).mean() > 0.99
-    posterior = stages.posterior_sigma(surface, cost, layers, temperature=config.temperature * config.paths)
-    np.testing.assert_allclose(sigma, posterior, rtol=2e-3, atol=1e-4)
+    posterior = stages.posterior(cost, layers, temperature=config.temperature * config.paths)
+    np.testing.assert_allclose(sigma, posterior.sigma_px(surface), rtol=2e-3, atol=1e-4)
 
 
 def test_iterations_do_not_depend_on_the_squares(rng):

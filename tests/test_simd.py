@@ -63,6 +63,15 @@ def test_logarithm():
     np.testing.assert_allclose(applied(v.logarithm, values), np.log(values), atol=3e-5)
 
 
+def test_exponential():
+    values = np.array([0.0, -1e-6, -0.3, -0.7, -1.0, -20.5, -86.0, -500.0], np.float32)
+    # The polynomial is good to 2e-7, float32 exponents of up to 124 to 4e-6; the last is the least normal float.
+    expected = np.maximum(np.exp(values.astype(float)), np.finfo(np.float32).tiny)
+    np.testing.assert_allclose(applied(v.exponential, values), expected, rtol=1e-5)
+    least = applied(v.exponential, np.full(8, -np.inf, np.float32))
+    np.testing.assert_allclose(least, np.finfo(np.float32).tiny, rtol=1e-5)  # as above
+
+
 def test_largest_lane_of_four_vectors():
     rows = np.stack([A, B, C, -A])
     work = njit(_largest)

@@ -146,13 +146,14 @@ def optimised_surface(
     start = np.where(np.isfinite(paths.disparity_px), paths.disparity_px, labels_px[cost.argmin(axis=2)])
     start = between_layers(start, likelihood, labels_px, sigma_px=config.interpolation_sigma_px)
     disparity = run.coupled_variation(start, likelihood, guide, labels_px, config=config)
-    sigma = run.posterior_sigma(disparity, cost, labels_px, temperature=config.temperature * config.paths)
+    posterior = run.posterior(cost, labels_px, temperature=config.temperature * config.paths)
+    sigma = posterior.sigma_px(disparity)
     explained_by = planes_of_surface(
         disparity, sigma, likelihood, guide, labels_px, config=planes, surface=config, run=run
     )
     if explained_by is not None:
         disparity = where_they_agree(explained_by.label_px, disparity, np.hypot(sigma, step))
-    sigma = run.posterior_sigma(disparity, cost, labels_px, temperature=config.temperature * config.paths)
+        sigma = posterior.sigma_px(disparity)
     layer = np.clip(np.rint((disparity - labels_px[0]) / step).astype(np.intp), 0, len(labels_px) - 1)
     explained = -np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0])
     surface = Surface(disparity, sigma, np.sqrt(explained))

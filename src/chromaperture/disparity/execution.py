@@ -13,6 +13,7 @@ import numpy as np
 
 from chromaperture.config import ExecutionName
 from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.stages.paths import Posterior
 from chromaperture.disparity.stages.planes import PlaneCosts, PlaneSums
 from chromaperture.disparity.stages.upsample import Coarse
 from chromaperture.disparity.stages.variation import Problem, State, Steps
@@ -109,10 +110,8 @@ class Execution(Protocol):
     ) -> np.ndarray:
         """Refine a disparity map by total variation coupled to the volume; (H, W)."""
 
-    def posterior_sigma(
-        self, disparity_px: np.ndarray, cost: np.ndarray, layers_px: np.ndarray, *, temperature: float
-    ) -> np.ndarray:
-        """Return the root mean square distance of the layers from a map by their cost; (H, W)."""
+    def posterior(self, cost: np.ndarray, layers_px: np.ndarray, *, temperature: float) -> Posterior:
+        """Return mean and variance of the layers of every pixel by their cost."""
 
     def plane_costs(
         self, likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarray, costs: PlaneCosts

@@ -5,7 +5,7 @@ from chromaperture.disparity.cpu.correlation import correlate, texture_weights
 from chromaperture.disparity.cpu.cross_filter import cross_filter
 from chromaperture.disparity.cpu.enlarge import enlarge
 from chromaperture.disparity.cpu.four_paths import four_path_winner
-from chromaperture.disparity.cpu.paths import aggregate_paths, posterior_sigma, read_at_labels
+from chromaperture.disparity.cpu.paths import aggregate_paths, posterior, read_at_labels
 from chromaperture.disparity.cpu.planes import plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.cpu.smoothing import smooth_along_surface
 from chromaperture.disparity.cpu.spectral_likelihood import spectral_likelihood
@@ -25,7 +25,7 @@ __all__ = [
     "plane_costs",
     "plane_sums",
     "point_transforms",
-    "posterior_sigma",
+    "posterior",
     "potts_beliefs",
     "read_at_labels",
     "smooth_along_surface",

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from chromaperture.compilation import compiled
+from chromaperture.disparity.cpu.paths import FAST
 
 
 def cross_filter(
@@ -16,27 +17,35 @@ def cross_filter(
 ) -> np.ndarray:
     """Compute P and Q, as `stages.cross_filter`; (n, n, 2) float32."""
     size = len(spectra[0])
-    both = np.empty((size, size), np.complex64)
-    _cross_filter(*spectra, *transfers, np.float32(damping), both)
-    packed = both.view(np.float32).reshape(size, size, 2)
-    return np.asarray(cv2.dft(packed, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE))
+    both = np.empty((size, 2 * size), np.float32)
+    parts = (part.view(np.float32) for part in (*spectra, *transfers))  # as pairs of floats: loops over them are vectors
+    _cross_filter(*parts, np.float32(damping), both)
+    return np.asarray(cv2.dft(both.reshape(size, size, 2), flags=cv2.DFT_INVERSE | cv2.DFT_SCALE))
 
 
-@compiled(fastmath={"contract", "arcp", "nsz", "afn"}, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def _cross_filter(view_a, view_b, transfer_a, transfer_b, damping, both):  # type: ignore[no-untyped-def]
     """Spectrum of P + i Q from halves of spectra: at -w it is P* + i Q*."""
     size = both.shape[0]
     columns = size // 2 + 1
-    gain = np.empty(columns, np.float32)
+    p_real, p_imaginary, q_real, q_imaginary = np.empty((4, columns), np.float32)
     for y in range(size):
-        mirrored = size - y if y > 0 else 0
+        a, b, of_a, of_b = view_a[y], view_b[y], transfer_a[y], transfer_b[y]
         for x in range(columns):
-            a, b = transfer_a[y, x], transfer_b[y, x]
-            power = (a.real * a.real + a.imag * a.imag + b.real * b.real + b.imag * b.imag) * np.float32(0.5)
-            gain[x] = np.float32(1) / np.sqrt(power + damping)
+            ha, ia, hb, ib = of_a[2 * x], of_a[2 * x + 1], of_b[2 * x], of_b[2 * x + 1]
+            power = (ha * ha + ia * ia + hb * hb + ib * ib) * np.float32(0.5)
+            gain = np.float32(1) / np.sqrt(power + damping)
+            ar, ai, br, bi = a[2 * x] * gain, a[2 * x + 1] * gain, b[2 * x] * gain, b[2 * x + 1] * gain
+            p_real[x] = ar * hb - ai * ib
+            p_imaginary[x] = ar * ib + ai * hb
+            q_real[x] = br * ha - bi * ia
+            q_imaginary[x] = br * ia + bi * ha
+        here = both[y]
         for x in range(columns):
-            p = view_a[y, x] * transfer_b[y, x] * gain[x]
-            q = view_b[y, x] * transfer_a[y, x] * gain[x]
-            both[y, x] = complex(p.real - q.imag, p.imag + q.real)
-            if x > 0 and size - x >= columns:
-                both[mirrored, size - x] = complex(p.real + q.imag, q.real - p.imag)
+            here[2 * x] = p_real[x] - q_imaginary[x]
+            here[2 * x + 1] = p_imaginary[x] + q_real[x]
+        mirrored = both[size - y if y > 0 else 0]
+        for x in range(columns, size):
+            k = size - x
+            mirrored[2 * x] = p_real[k] + q_imaginary[k]
+            mirrored[2 * x + 1] = q_real[k] - p_imaginary[k]

@@ -14,7 +14,7 @@ import numpy as np
 from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.labels import LabelMap
-from chromaperture.disparity.stages.paths import EDGE_LAYERS, LEAST_UNEXPLAINED, LINES, penalties_of
+from chromaperture.disparity.stages.paths import EDGE_LAYERS, LEAST_UNEXPLAINED, LINES, Posterior, penalties_of
 from chromaperture.stage_config import SurfaceConfig
 from chromaperture.threads import in_parallel
 
@@ -50,18 +50,20 @@ def aggregate_paths(
     return total
 
 
-def posterior_sigma(
-    disparity_px: np.ndarray, cost: np.ndarray, layers_px: np.ndarray, *, temperature: float
-) -> np.ndarray:
-    """Return the root mean square distance of the layers, as `stages.posterior_sigma`; (H, W) float32, px."""
-    out, layers = np.empty(disparity_px.shape, np.float32), layers_px.astype(np.float32)
-    disparity = np.asarray(disparity_px, np.float32)
+def posterior(cost: np.ndarray, layers_px: np.ndarray, *, temperature: float) -> Posterior:
+    """Return mean and variance of the layers, as `stages.posterior`."""
+    cost = np.ascontiguousarray(cost, np.float32)
+    mean, variance = np.empty((2, *cost.shape[:2]), np.float32)
 
     def rows(_: int, top: int, bottom: int) -> None:
-        _posterior_sigma(disparity[top:bottom], cost[top:bottom], layers, np.float32(temperature), out[top:bottom])
+        _posterior(cost[top:bottom], np.float32(temperature), mean[top:bottom], variance[top:bottom])
 
-    in_parallel(rows, len(out))
-    return out
+    in_parallel(rows, len(cost))
+    step = np.float32(layers_px[1] - layers_px[0] if len(layers_px) > 1 else 1)
+    mean *= step
+    mean += np.float32(layers_px[0])
+    variance *= step * step
+    return Posterior(mean, variance)
 
 
 def read_at_labels(
@@ -187,22 +189,37 @@ def _walk(likelihood, guide, x, y, dx, dy, count, penalties, shifts, rows, own, 
 
 
 @compiled(fastmath=FAST, error_model="numpy")
-def _posterior_sigma(disparity, cost, layers, temperature, out):  # type: ignore[no-untyped-def]
+def _posterior(cost, temperature, mean, variance):  # type: ignore[no-untyped-def]
+    """Mean and variance in layers."""
     height, width, count = cost.shape
+    padded = (count + v.LANES - 1) // v.LANES * v.LANES
+    values = np.full(padded, np.float32(np.inf), np.float32)  # costs, then how probable they are
+    layers = np.arange(padded).astype(np.float32)
+    colder = v.broadcast(np.float32(-1) / temperature)
     for y in range(height):
         for x in range(width):
-            least = cost[y, x, 0]
-            for k in range(1, count):
-                least = min(least, cost[y, x, k])
-            mass, moment = np.float32(0), np.float32(0)
+            lowest = v.broadcast(np.float32(np.inf))
             for k in range(count):
-                above = (cost[y, x, k] - least) / temperature
-                if above < np.float32(20):  # e^-20 is below float32's resolution of the sum
-                    probable = np.exp(-above)
-                    away = layers[k] - disparity[y, x]
-                    mass += probable
-                    moment += probable * away * away
-            out[y, x] = np.sqrt(moment / mass)
+                values[k] = cost[y, x, k]
+            for k in range(count, padded):
+                values[k] = np.float32(np.inf)
+            for k in range(0, padded, v.LANES):
+                lowest = v.smaller(lowest, v.load(values, k))
+            lowest = v.least_lane(lowest)
+            mass, sums = v.broadcast(np.float32(0)), v.broadcast(np.float32(0))
+            for k in range(0, padded, v.LANES):
+                probable = v.exponential(v.mul(v.sub(v.load(values, k), lowest), colder))
+                v.store(values, k, probable)
+                mass = v.add(mass, probable)
+                sums = v.fma(probable, v.load(layers, k), sums)
+            mass = v.sum_lanes(mass)
+            middle = v.div(v.sum_lanes(sums), mass)
+            spread = v.broadcast(np.float32(0))
+            for k in range(0, padded, v.LANES):
+                away = v.sub(v.load(layers, k), middle)
+                spread = v.fma(v.mul(v.load(values, k), away), away, spread)
+            mean[y, x] = v.lane(middle, 0)
+            variance[y, x] = v.lane(v.div(v.sum_lanes(spread), mass), 0)
 
 
 @compiled(fastmath={"contract"}, error_model="numpy")

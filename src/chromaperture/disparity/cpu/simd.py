@@ -33,6 +33,14 @@ _LOGARITHM = (
     .coef[::-1]
     .tolist()
 )
+# The same of 2^t, |t| <= 1/2; good to 2e-7.
+_POWER = (
+    np.polynomial.chebyshev.Chebyshev.interpolate(np.exp2, 5, domain=[-0.5, 0.5])
+    .convert(kind=np.polynomial.Polynomial)
+    .coef[::-1]
+    .tolist()
+)
+_LEAST_EXPONENT = -126.0  # of a normal float
 _ROUNDER = 1.5 * 2**23  # added to a small float it leaves the rounded integer in the low bits
 
 
@@ -157,6 +165,20 @@ def _logarithm(builder, a):
     return _multiply_add(builder, exponent, _constant(math.log(2)), value)
 
 
+def _exponential(builder, a):
+    """e to the power of floats of at most 0; what is below the least normal float becomes it."""
+    power = _larger(builder, builder.fmul(a, _constant(1 / math.log(2))), _constant(_LEAST_EXPONENT))
+    # Not by adding a large number: kernels that may reassociate would take it off again.
+    rint = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_FLOATS, [_FLOATS]), f"llvm.rint.v{LANES}f32")
+    whole = builder.call(rint, [power])
+    t = builder.fsub(power, whole)
+    value = _constant(_POWER[0])
+    for coefficient in _POWER[1:]:
+        value = _multiply_add(builder, value, t, _constant(coefficient))
+    exponent = builder.shl(builder.fptosi(whole, _INTS), ir.Constant(_INTS, [23] * LANES))
+    return builder.bitcast(builder.add(builder.bitcast(value, _INTS), exponent), _FLOATS)
+
+
 def _interleaved(lanes):
     return _operation(2, lambda builder, a, b: _shuffle(builder, a, b, lanes))
 
@@ -173,6 +195,7 @@ swapped = _operation(1, lambda builder, a: _shuffle(builder, a, a, [4, 5, 6, 7, 
 least_lane = _operation(1, _over_lanes(_smaller))  # to all lanes
 sum_lanes = _operation(1, _over_lanes(lambda builder, a, b: builder.fadd(a, b)))  # to all lanes
 logarithm = _operation(1, _logarithm)
+exponential = _operation(1, _exponential)  # of numbers of at most 0
 smaller = _operation(2, _smaller)
 larger = _operation(2, _larger)
 tagged = _operation(3, _tagged)  # (value's bits & keep) | tag

@@ -27,6 +27,7 @@ from chromaperture.disparity.gpu.surface_stages import (
     add_paths,
     add_posterior,
     add_results,
+    add_sigma,
     add_start,
     add_taken_planes,
     add_variation,
@@ -88,7 +89,7 @@ class AccurateChain:
         add_paths(chain, arrays.likelihood, arrays.guide, arrays.cost, self.grid, self.labels_px, config=config.surface)
         add_start(chain, arrays, self.grid, config=config.surface)
         add_variation(chain, arrays, self.grid, self.labels_px, config=config.surface)
-        add_posterior(chain, arrays.surface, arrays.cost, arrays.sigma, self.grid, config=config.surface)
+        add_posterior(chain, arrays, self.grid, config=config.surface)
         self.blocks = add_block_sums(chain, arrays, self.grid, config.planes.block_px) if self.uses_planes else None
         self.last = {of_planes: self._last_chain(arrays, of_planes) for of_planes in (False, True)}
 
@@ -131,10 +132,10 @@ class AccurateChain:
         )  # fmt: skip
 
     def _last_chain(self, arrays: SurfaceArrays, of_planes: bool) -> Chain:
-        chain, config = Chain(self.device), self.method.config.surface
+        chain = Chain(self.device)
         if of_planes:
             add_taken_planes(chain, arrays, self.grid)
-            add_posterior(chain, arrays.surface, arrays.cost, arrays.sigma, self.grid, config=config)
+            add_sigma(chain, arrays, self.grid)
         add_results(chain, arrays, self.grid, reach_px=EDGE_REACH_PX)
         return chain
 

@@ -154,6 +154,7 @@ class SurfaceArrays(NamedTuple):
     goal: Array  # (h, w)
     surface: Array  # (h, w, 4): layer, extrapolated, dual
     other: Array  # (h, w, 4): the iterations go to and fro
+    posterior: Array  # (h, w, 2): mean and variance
     sigma: Array  # (h, w)
     couplings: Array  # (rounds,)
     round: Array  # (1,)
@@ -164,7 +165,7 @@ def surface_arrays(chain: Chain, grid: Grid, config: SurfaceConfig) -> SurfaceAr
     pixels = grid.pixels
     sizes = dict(
         likelihood=grid.size, guide=pixels, cost=grid.size, winner=4 * pixels, offset=pixels, tangents=2 * pixels,
-        averages=2 * pixels, links=2 * pixels, goal=pixels, surface=4 * pixels, other=4 * pixels, sigma=pixels,
+        averages=2 * pixels, links=2 * pixels, goal=pixels, surface=4 * pixels, other=4 * pixels, posterior=2 * pixels, sigma=pixels,
     )  # fmt: skip
     made = {name: chain.array(name, size) for name, size in sizes.items()}
     rounds = np.geomspace(*config.coupling_layers2, max(1, config.coupling_rounds))
@@ -219,14 +220,18 @@ def _even_parts(iterations: int) -> list[int]:
     return [iterations // dispatches + (i < iterations % dispatches) for i in range(dispatches)]
 
 
-def add_posterior(
-    chain: Chain, surface: Array, cost: Array, sigma: Array, grid: Grid, *, config: SurfaceConfig
-) -> None:
-    """Append `stages.posterior_sigma`, in layers."""
+def add_posterior(chain: Chain, a: SurfaceArrays, grid: Grid, *, config: SurfaceConfig) -> None:
+    """Append `stages.posterior`, in layers, and the error bar of the surface."""
     per_pixel(
-        chain, "volume_posterior", [surface, cost, sigma], grid,
+        chain, "volume_posterior", [a.cost, a.posterior], grid,
         count=grid.layers, temperature=config.temperature * config.paths,
     )  # fmt: skip
+    add_sigma(chain, a, grid)
+
+
+def add_sigma(chain: Chain, a: SurfaceArrays, grid: Grid) -> None:
+    """Append the error bar that the posterior gives the surface, `Posterior.sigma_px`."""
+    per_pixel(chain, "surface_sigma", [a.surface, a.posterior, a.sigma], grid)
 
 
 def add_block_sums(chain: Chain, a: SurfaceArrays, grid: Grid, size: int) -> Array:

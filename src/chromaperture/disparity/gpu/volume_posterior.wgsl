@@ -1,8 +1,8 @@
-// Root mean square distance of the layers from a map, each as probable as exp(-cost / temperature); layers.
+// Mean and variance of the layers, each as probable as exp(-cost / temperature); layers. Moments are taken about the
+// layer of least cost: about the first, float32 would lose a narrow variance.
 
-@group(0) @binding(0) var<storage, read> surface: array<vec4f>;  // (h, w): layer first
-@group(0) @binding(1) var<storage, read> cost: array<f32>;  // (h, w, count)
-@group(0) @binding(2) var<storage, read_write> sigma: array<f32>;  // (h, w)
+@group(0) @binding(0) var<storage, read> cost: array<f32>;  // (h, w, count)
+@group(0) @binding(1) var<storage, read_write> posterior: array<vec2f>;  // (h, w)
 
 @compute @workgroup_size(64)
 fn main(
@@ -12,16 +12,16 @@ fn main(
     let pixel = invocation(group, groups, local);
     if (pixel >= width * height) { return; }
     let at = pixel * count;
-    var least = cost[at];
-    for (var k = 1u; k < count; k++) { least = min(least, cost[at + k]); }
-    let u = surface[pixel].x;
+    var best = 0u;
+    for (var k = 1u; k < count; k++) { best = select(best, k, cost[at + k] < cost[at + best]); }
     var mass = 0.0;
-    var moment = 0.0;
+    var moments = vec2f();
     for (var k = 0u; k < count; k++) {
-        let probable = exp(-(cost[at + k] - least) / temperature);
-        let away = f32(k) - u;
+        let probable = exp(-(cost[at + k] - cost[at + best]) / temperature);
+        let away = f32(k) - f32(best);
         mass += probable;
-        moment += probable * away * away;
+        moments += probable * vec2f(away, away * away);
     }
-    sigma[pixel] = sqrt(moment / mass);
+    moments /= mass;
+    posterior[pixel] = vec2f(f32(best) + moments.x, max(moments.y - moments.x * moments.x, 0.0));
 }

@@ -5,7 +5,7 @@ from chromaperture.disparity.stages.correlation import correlate, texture_weight
 from chromaperture.disparity.stages.cross_filter import cross_filter
 from chromaperture.disparity.stages.enlarge import enlarge
 from chromaperture.disparity.stages.four_paths import four_path_winner
-from chromaperture.disparity.stages.paths import aggregate_paths, posterior_sigma, read_at_labels
+from chromaperture.disparity.stages.paths import aggregate_paths, posterior, read_at_labels
 from chromaperture.disparity.stages.planes import plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.stages.smoothing import smooth_along_surface
 from chromaperture.disparity.stages.spectral_likelihood import spectral_likelihood
@@ -27,7 +27,7 @@ __all__ = [
     "plane_costs",
     "plane_sums",
     "point_transforms",
-    "posterior_sigma",
+    "posterior",
     "potts_beliefs",
     "read_at_labels",
     "smooth_along_surface",

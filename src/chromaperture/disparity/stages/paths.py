@@ -43,6 +43,27 @@ class PathPenalties(NamedTuple):
         return float(self.edge_floor + (1 - self.edge_floor) * np.exp(-abs(here - there) / self.edge_range))
 
 
+class Posterior(NamedTuple):
+    """Mean and variance of the layers of every pixel by their costs.
+
+    Attributes
+    ----------
+    mean_px : (H, W) float32, px
+    variance_px2 : (H, W) float32, px^2
+    """
+
+    mean_px: np.ndarray
+    variance_px2: np.ndarray
+
+    def sigma_px(self, disparity_px: np.ndarray) -> np.ndarray:
+        """Return the root mean square distance of the layers from a map (H, W); (H, W) float32, px.
+
+        A broad minimum widens it, and so does a rival far away: both kinds of error are in one number.
+        """
+        away = np.asarray(disparity_px, np.float32) - self.mean_px
+        return np.sqrt(self.variance_px2 + away * away)
+
+
 def penalties_of(config: SurfaceConfig, layers_px: np.ndarray) -> PathPenalties:
     """Return the penalties between layers of a distance; nats."""
     step_px = float(layers_px[1] - layers_px[0])
@@ -96,16 +117,11 @@ def path_costs(likelihood: np.ndarray, guide: np.ndarray, penalties: PathPenalti
     return total
 
 
-def posterior_sigma(
-    disparity_px: np.ndarray, cost: np.ndarray, layers_px: np.ndarray, *, temperature: float
-) -> np.ndarray:
-    """Return the root mean square distance of the layers from a map, each as probable as exp(-cost / temperature).
-
-    A broad minimum widens it, and so does a rival far away: both kinds of error are in one number.
+def posterior(cost: np.ndarray, layers_px: np.ndarray, *, temperature: float) -> Posterior:
+    """Return mean and variance of the layers, each as probable as exp(-cost / temperature).
 
     Parameters
     ----------
-    disparity_px : (H, W) float, px
     cost : (H, W, D) float
         From `aggregate_paths`.
     layers_px : (D,) float, px
@@ -114,11 +130,13 @@ def posterior_sigma(
 
     Returns
     -------
-    (H, W) float32, px
+    Posterior
     """
     probable = np.exp(-(cost - cost.min(axis=2, keepdims=True)) / temperature)
-    away = (layers_px - disparity_px[..., None]) ** 2
-    return np.sqrt((probable * away).sum(axis=2) / probable.sum(axis=2)).astype(np.float32)
+    probable /= probable.sum(axis=2, keepdims=True)
+    mean = probable @ layers_px
+    variance = (probable * (layers_px - mean[..., None]) ** 2).sum(axis=2)
+    return Posterior(mean.astype(np.float32), variance.astype(np.float32))
 
 
 def read_at_labels(
