@@ -11,7 +11,7 @@ import tifffile
 
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.depth.error_limit import within_error
-from chromaperture.depth.pointcloud import PointCloud, depth_to_points, write_ply
+from chromaperture.depth.pointcloud import PointCloud, depth_to_points, write_depth_ply, write_ply
 from chromaperture.errors import InputError
 from chromaperture.storage import staged, to_json, write_color_png, write_depth_png, write_float_tiff
 
@@ -188,3 +188,20 @@ def test_empty_cloud_is_a_valid_file(tmp_path):
     )
     write_ply(tmp_path / "c.ply", cloud)
     assert b"element vertex 0\n" in (tmp_path / "c.ply").read_bytes()
+
+
+def test_points_written_in_bands_are_those_written_at_once(tmp_path, rng):
+    depth = rng.uniform(900, 4000, (150, 700)).astype(np.float32)  # two bands
+    depth[rng.random(depth.shape) < 0.3] = np.nan
+    depth[40:110] = np.nan  # rows without points
+    srgb = rng.integers(0, 256, (*depth.shape, 3)).astype(np.uint8)
+    rays = dict(
+        camera_matrix=np.array([[900.0, 0, 350], [0, 900, 75], [0, 0, 1]]),
+        distortion=np.array([0.05, 0, 0, 0, 0]), sensor_to_pupil_mm=12.0,
+    )  # fmt: skip
+    write_ply(tmp_path / "a.ply", depth_to_points(depth, srgb, **rays))
+    for values, name in ((depth, "b.ply"), (np.full_like(depth, np.nan), "none.ply")):
+        write_depth_ply(tmp_path / name, values, srgb, **rays)
+    assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
+    write_ply(tmp_path / "0.ply", PointCloud(np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)))
+    assert (tmp_path / "none.ply").read_bytes() == (tmp_path / "0.ply").read_bytes()

@@ -242,14 +242,14 @@ def test_no_more_than_two_measurements_are_in_memory(run, tmp_path, monkeypatch)
 
 
 def test_a_disk_that_fills_up_beside_a_measurement_is_one_line(run, tmp_path, monkeypatch):
-    images, write = photographs(tmp_path / "in"), frame_files.write_ply
+    images, write = photographs(tmp_path / "in"), frame_files.write_depth_ply
 
-    def full(path, cloud):
+    def full(path, *maps, **rays):
         if path.name == "p1.ply":
             raise OSError(28, "No space left on device")
-        write(path, cloud)
+        write(path, *maps, **rays)
 
-    monkeypatch.setattr(frame_files, "write_ply", full)
+    monkeypatch.setattr(frame_files, "write_depth_ply", full)
     options = ("--camera", cap.sample_camera(SAMPLE), "--out", tmp_path / "out", "--write", "depth,ply,json")
     done = run("depth", *images, *options, "-q")
     assert done.returncode == 1

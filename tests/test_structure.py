@@ -39,7 +39,8 @@ ALLOWED: dict[str, set[str]] = {
     "capture": {"optics", "color"},
     "disparity": {"optics", "color", "config", "stage_config", "spectral_config"},
     "depth": {"color", "config"},  # works on any disparity map, however it was made
-    "storage": {"color"},
+    "png_encoding": set(),
+    "storage": {"color", "png_encoding"},
     "asdf_input": set(),
     "camera_tree": set(),
     "cluster": set(),
@@ -49,7 +50,7 @@ ALLOWED: dict[str, set[str]] = {
     "camera_memory": {"camera_file", "camera_scale", "config"},
     "camera_matching": {"camera_file", "camera_scale", "color", "config", "disparity"},
     "camera_alignment": {"camera_file", "camera_scale", "color", "config", "depth"},
-    "formats": {"storage"},  # arrays in, files of other programs out
+    "formats": {"storage", "png_encoding"},  # arrays in, files of other programs out
     "frame": {"camera_file", "config", "storage", "color", "depth", "formats"},  # the result, and what is made of it
     "camera_crop": {"camera_file", "frame"},
     "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "camera_crop",

@@ -225,6 +225,12 @@ def _decode(path: Path, size_px: tuple[int, int] | None, any_scale: bool) -> np.
         if _is_deep(data):
             if data.startswith(b"P"):
                 return _deep_pnm(data, picture)
+            if data.startswith(PNG_MARK):
+                from chromaperture.capture.deep_png import decode_rgb16  # compiling starts here, not at import
+
+                found = decode_rgb16(data)
+                if found is not None:
+                    return found
             counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
             if counts is None:
                 raise InputError(_damaged(path))

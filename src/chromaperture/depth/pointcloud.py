@@ -10,11 +10,12 @@ import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.pointcloud_kernels import back_project
-from chromaperture.threads import in_parallel
+from chromaperture.threads import each_band, in_parallel
 
 # Rays are linear between pixels so far apart, to within 0.002 px for a wide lens (focal length 500 px, k1 = 0.1).
 _PITCH_PX = 4
 _VERTICES = 1 << 16  # written at once; chosen by hand
+_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])  # PLY has no padding
 
 
 @dataclass(frozen=True, repr=False)
@@ -41,7 +42,7 @@ def depth_to_points(
     Parameters
     ----------
     depth_mm : (H, W) float, mm from the sensor plane, NaN unknown
-    color : (H, W, 3) float, linear RGB
+    color : (H, W, 3) float, linear RGB, or uint8, sRGB
     camera_matrix : (3, 3) float, px
     distortion : (5,) float
         OpenCV's k1, k2, p1, p2, k3.
@@ -54,12 +55,12 @@ def depth_to_points(
         In the order of the pixels, row by row.
     """
     depth = np.ascontiguousarray(depth_mm, np.float32)
-    before = np.concatenate([[0], np.cumsum([np.count_nonzero(np.isfinite(row)) for row in depth])])  # in rows above
+    before = _points_above(depth)
     points, colors = np.empty((before[-1], 3), np.float32), np.empty((before[-1], 3), np.uint8)
     if not len(points):
         return PointCloud(points, colors)
     rays = _grid_of_rays(depth.shape, np.asarray(camera_matrix, float), np.asarray(distortion, float))
-    srgb, delta = linear_to_srgb_bytes(color), float(sensor_to_pupil_mm)
+    srgb, delta = color if color.dtype == np.uint8 else linear_to_srgb_bytes(color), float(sensor_to_pupil_mm)
 
     def rows(thread: int, first: int, last: int) -> None:
         back_project(depth, rays, _PITCH_PX, delta, srgb, before, points, colors, first, last)
@@ -75,23 +76,70 @@ def _grid_of_rays(shape: tuple[int, ...], matrix: np.ndarray, distortion: np.nda
     return cv2.undistortPoints(pixels.reshape(-1, 1, 2), matrix, distortion).reshape(pixels.shape)
 
 
+def _points_above(depth: np.ndarray) -> np.ndarray:
+    """Points in the rows above each row, and of all; (H + 1,) int64."""
+    counts = np.zeros(len(depth) + 1, np.int64)
+
+    def count(band: slice) -> None:
+        counts[band.start + 1 : band.stop + 1] = np.isfinite(depth[band]).sum(axis=1)
+
+    each_band(count, len(depth))
+    return np.cumsum(counts)
+
+
+def write_depth_ply(
+    path: str | Path,
+    depth_mm: np.ndarray,
+    srgb: np.ndarray,
+    *,
+    camera_matrix: np.ndarray,
+    distortion: np.ndarray,
+    sensor_to_pupil_mm: float,
+) -> None:
+    """Write the points of a depth map as `write_ply` does, without all of them in memory.
+
+    Parameters are those of `depth_to_points`; ``srgb`` is (H, W, 3) uint8. Bands of rows are written by several threads
+    at once, each where it belongs.
+    """
+    depth, path = np.ascontiguousarray(depth_mm, np.float32), Path(path)
+    before = _points_above(depth)
+    rays = _grid_of_rays(depth.shape, np.asarray(camera_matrix, float), np.asarray(distortion, float))
+    header, delta = _ply_header(int(before[-1])), float(sensor_to_pupil_mm)
+    with path.open("wb") as file:
+        file.write(header)
+
+    def write(band: slice) -> None:
+        first, last = before[band.start], before[band.stop]
+        points, colors = np.empty((last - first, 3), np.float32), np.empty((last - first, 3), np.uint8)
+        back_project(depth, rays, _PITCH_PX, delta, srgb, before - first, points, colors, band.start, band.stop)
+        vertices = np.empty(last - first, _VERTEX)
+        vertices["xyz"], vertices["rgb"] = points, colors
+        with path.open("r+b") as file:
+            file.seek(len(header) + _VERTEX.itemsize * int(first))
+            file.write(vertices.data)
+
+    each_band(write, len(depth), rows_a_band=max(1, _VERTICES // max(1, depth.shape[1])))
+
+
 def write_ply(path: str | Path, cloud: PointCloud) -> None:
     """Write a binary PLY with positions in mm and 8-bit colours."""
-    names = [f"property float {n}" for n in "xyz"] + [f"property uchar {n}" for n in ("red", "green", "blue")]
-    header = "\n".join(
-        [
-            "ply",
-            "format binary_little_endian 1.0",
-            "comment unit: mm; origin at the entrance pupil, x right, y down, z forward",
-            f"element vertex {len(cloud.points_mm)}",
-            *names,
-            "end_header\n",
-        ]
-    )
-    vertices = np.empty(_VERTICES, dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])  # PLY has no padding
+    vertices = np.empty(_VERTICES, _VERTEX)
     with Path(path).open("wb") as file:
-        file.write(header.encode("ascii"))
+        file.write(_ply_header(len(cloud.points_mm)))
         for start in range(0, len(cloud.points_mm), _VERTICES):
             points, colors = cloud.points_mm[start : start + _VERTICES], cloud.colors[start : start + _VERTICES]
             vertices["xyz"][: len(points)], vertices["rgb"][: len(points)] = points, colors
             file.write(vertices[: len(points)].data)
+
+
+def _ply_header(count: int) -> bytes:
+    names = [f"property float {n}" for n in "xyz"] + [f"property uchar {n}" for n in ("red", "green", "blue")]
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment unit: mm; origin at the entrance pupil, x right, y down, z forward",
+        f"element vertex {count}",
+        *names,
+        "end_header\n",
+    ]
+    return "\n".join(lines).encode("ascii")

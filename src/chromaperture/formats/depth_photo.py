@@ -18,7 +18,7 @@ from PIL import Image
 
 from chromaperture.errors import InputError
 from chromaperture.formats.jpeg_xmp import with_xmp
-from chromaperture.storage import png_bytes
+from chromaperture.png_encoding import encode_png
 
 Form = Literal["inverse", "linear"]
 _NAMES = {"inverse": "RangeInverse", "linear": "RangeLinear"}
@@ -111,8 +111,8 @@ def gdepth_jpeg(color: np.ndarray, depth: EncodedDepth) -> bytes:
         "Software": _SOFTWARE,
         "ImageWidth": str(color.shape[1]),
         "ImageHeight": str(color.shape[0]),
-        "Data": base64.b64encode(png_bytes(depth.levels)).decode("ascii"),
-        "Confidence": base64.b64encode(png_bytes(depth.confidence)).decode("ascii"),
+        "Data": base64.b64encode(encode_png(depth.levels)).decode("ascii"),
+        "Confidence": base64.b64encode(encode_png(depth.confidence)).decode("ascii"),
     }
     large = frozenset((_GDEPTH, "GDepth", name) for name in ("Data", "Confidence"))
     return with_xmp(_jpeg(color), {(_GDEPTH, "GDepth", name): value for name, value in values.items()}, large=large)
@@ -128,7 +128,7 @@ def dynamic_depth_jpeg(color: np.ndarray, depth: EncodedDepth, *, camera_matrix:
     camera_matrix : (3, 3) float, px
         Written in px, as phones do; the distortion of the lens is left out.
     """
-    items = [("android/depthmap", png_bytes(depth.levels)), ("android/confidencemap", png_bytes(depth.confidence))]
+    items = [("android/depthmap", encode_png(depth.levels)), ("android/confidencemap", encode_png(depth.confidence))]
     return with_xmp(_jpeg(color), {}, inner_xml=_dynamic_xml(color.shape, depth, camera_matrix, items)) + b"".join(
         content for _, content in items
     )

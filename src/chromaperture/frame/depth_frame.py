@@ -75,16 +75,19 @@ class DepthFrame:
         InputError
             The frame has no depth in mm, or was put together without its camera.
         """
+        certain = within_error(self.depth_mm, self.sigma_mm, max_relative_sigma)
+        return depth_to_points(certain, self.color, **self.rays())
+
+    def rays(self) -> dict[str, Any]:
+        """Return the parameters of `depth_to_points` that say where the rays of the pixels run; raises InputError."""
         if self.calibration is None or self.config is None or not self.calibration.is_calibrated:
             raise InputError("points need a frame of a calibrated camera; make one with 'chromaperture calibrate'")
         lens, depth = self.calibration.lens, self.calibration.depth[self.config.quality]
-        return depth_to_points(
-            within_error(self.depth_mm, self.sigma_mm, max_relative_sigma),
-            self.color,
-            camera_matrix=lens.camera_matrix,
-            distortion=lens.distortion,
-            sensor_to_pupil_mm=depth.sensor_to_pupil_mm,
-        )
+        return {
+            "camera_matrix": lens.camera_matrix,
+            "distortion": lens.distortion,
+            "sensor_to_pupil_mm": depth.sensor_to_pupil_mm,
+        }
 
     def save(
         self,

@@ -6,8 +6,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
-from chromaperture.depth.pointcloud import write_ply
+from chromaperture.depth.pointcloud import write_depth_ply
 from chromaperture.errors import InputError
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.summary import summarise
@@ -123,6 +126,14 @@ def write_maps(
         Ends of the preview's colour bar.
     """
 
+    wanted = set(outputs)
+    nothing = np.empty(0, np.uint8)
+    # What two files have in common.
+    srgb = linear_to_srgb_bytes(frame.color) if wanted & {"color", "ply"} else nothing
+    certain_mm = nothing
+    if wanted & {"depth-png", "ply"}:
+        certain_mm = within_error(frame.depth_mm, frame.sigma_mm, max_relative_sigma)
+
     def write(job: tuple[str, Path]) -> None:
         name, path = job
         match name:
@@ -133,11 +144,11 @@ def write_maps(
             case "disparity":
                 write_float_tiff(path, frame.disparity_px)
             case "depth-png":
-                write_depth_png(path, within_error(frame.depth_mm, frame.sigma_mm, max_relative_sigma))
+                write_depth_png(path, certain_mm)
             case "color":
-                write_color_png(path, frame.color)
+                write_color_png(path, srgb)
             case "ply":
-                write_ply(path, frame.points(max_relative_sigma=max_relative_sigma))
+                write_depth_ply(path, certain_mm, srgb, **frame.rays())
             case "preview":
                 from chromaperture.frame.preview import write_preview
 
@@ -148,7 +159,7 @@ def write_maps(
 
                 write_format(name, path, frame, max_relative_sigma=max_relative_sigma)
 
-    jobs = [(name, target(stem + OUTPUTS[name].suffix)) for name in outputs if name != "json"]
+    jobs = [(name, target(stem + OUTPUTS[name].suffix)) for name in OUTPUTS if name in wanted and name != "json"]
     parallel_map(write, jobs)
 
 

@@ -1,0 +1,84 @@
+"""PNG files: what is encoded is decoded by other libraries, and what these encode by us."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from chromaperture import read_image
+from chromaperture.capture.deep_png import decode_rgb16
+from chromaperture.errors import InputError
+from chromaperture.png_encoding import encode_png
+
+SHAPES = [(1, 1, 3), (7, 5), (7, 5, 3), (300, 2000, 3), (700, 1300), (1, 900_000), (1000, 1, 3)]  # of 1 to 8 strips
+FILTERS = {
+    "none": cv2.IMWRITE_PNG_FILTER_NONE,
+    "left": cv2.IMWRITE_PNG_FILTER_SUB,
+    "above": cv2.IMWRITE_PNG_FILTER_UP,
+    "mean": cv2.IMWRITE_PNG_FILTER_AVG,
+    "nearest": cv2.IMWRITE_PNG_FILTER_PAETH,
+    "all": cv2.IMWRITE_PNG_ALL_FILTERS,
+}
+
+
+def walk(rng, shape):
+    """Counts that overflow now and then, but are mostly like their neighbours."""
+    return np.cumsum(rng.integers(-900, 900, shape), axis=1).astype(np.uint16)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_other_libraries_read_what_is_encoded(rng, shape, kind):
+    picture = rng.integers(0, np.iinfo(kind).max, shape, endpoint=True).astype(kind)
+    picture[: shape[0] // 2] = 3  # even rows: runs
+    data = encode_png(picture)
+    found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(found if picture.ndim == 2 else found[..., ::-1], picture)
+    Image.open(io.BytesIO(data)).verify()  # all checksums of the chunks
+    if kind is np.uint8:
+        np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(data))), picture)
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 3), (65, 3, 3), (64, 40, 3), (200, 77, 3)])
+@pytest.mark.parametrize("name", FILTERS)
+def test_every_filter_is_undone(rng, shape, name):
+    counts = walk(rng, shape)
+    coded = cv2.imencode(".png", counts[..., ::-1], [cv2.IMWRITE_PNG_FILTER, FILTERS[name]])[1].tobytes()
+    np.testing.assert_array_equal(decode_rgb16(coded), counts)
+    np.testing.assert_array_equal(decode_rgb16(encode_png(counts)), counts)
+
+
+def test_other_kinds_are_left_to_others(rng):
+    assert decode_rgb16(encode_png(walk(rng, (4, 5)))) is None  # grey
+    assert decode_rgb16(encode_png(walk(rng, (4, 5, 3)).astype(np.uint8))) is None
+    alpha = cv2.imencode(".png", walk(rng, (4, 5, 4)))[1].tobytes()
+    assert decode_rgb16(alpha) is None
+
+
+def png_of(rows: bytes, width: int, height: int) -> bytes:
+    def chunk(name, content):
+        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
+
+    header = struct.pack(">IIBBBBB", width, height, 16, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        zlib.compress(bytes(25 * 3)),  # a row too few
+        zlib.compress(b"\x05" + bytes(24) + bytes(25 * 3)),  # no such filter
+        b"\x78\x01" + b"\xff" * 40,  # no deflate stream
+        zlib.compress(bytes(25 * 4))[:-8],  # cut off
+    ],
+)
+def test_damaged_rows_are_one_line(tmp_path, rows):
+    (tmp_path / "a.png").write_bytes(png_of(rows, 4, 4))
+    with pytest.raises(InputError, match=r"^a\.png is damaged"):
+        read_image(tmp_path / "a.png")
