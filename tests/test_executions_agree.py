@@ -29,7 +29,7 @@ from chromaperture.disparity.stages.paths import PathPenalties, path_costs
 from chromaperture.disparity.stages.variation import Problem, State, step_sizes
 from chromaperture.disparity.total_variation import make_problem, smooth_disparity
 from chromaperture.disparity.views import Views, filtered_views, halved_views
-from chromaperture.disparity.winner import Surface
+from chromaperture.disparity.winner import PathWinner, Surface
 from chromaperture.errors import InputError
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.stage_config import (
@@ -361,6 +361,26 @@ def assert_real_time_agrees(image, design, config=REAL_TIME, label_map=IDENTITY)
     same = (apart < DISPARITY_TOLERANCE_PX) | (np.isnan(fast.value_px) & np.isnan(slow.value_px))
     assert np.mean(~same) <= OTHER_WINNERS
     assert np.mean(np.abs(fast.sigma_px - slow.sigma_px)[same] > 0.02) <= OTHER_WINNERS  # as in a path winner
+
+
+@pytest.mark.parametrize("shape", [(1, 7), (1, 8), (5, 13), (16, 16)])
+@pytest.mark.parametrize("view_count", [2, 3])
+@pytest.mark.parametrize("labelled", [False, True])
+def test_places_and_surfaces_agree(rng, shape, view_count, labelled):
+    layers_px = np.arange(9) * 0.25 - 1
+    likelihoods = rng.exponential(0.5, (3, *shape)).astype(np.float32) * (rng.random(shape) > 0.1)
+    winner = PathWinner(
+        rng.integers(0, 9, shape).astype(np.float32), *likelihoods, rng.uniform(0, 0.9, shape).astype(np.float32)
+    )
+    labels = LabelMap(*rng.uniform(0.5, 1, (2, *shape)).astype(np.float32)) if labelled else IDENTITY
+    fast, slow = (run.place_by_correlation(winner, 9, view_count=view_count) for run in (FAST, SLOW))
+    # Float32: where all three correlations are alike, their rounding, 1e-7, is divided by their bend.
+    settled = slow[1] > 2e-4
+    np.testing.assert_allclose(fast[0][settled], slow[0][settled], atol=2e-3)
+    np.testing.assert_allclose(fast[1], slow[1], rtol=1e-3, atol=1e-5)
+    surfaces = (run.halved_surface(winner, slow[0], layers_px, labels) for run in (FAST, SLOW))
+    for one, other in zip(*surfaces, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5)  # float32; the root of 1 - exp(-2 l) at 0
 
 
 @pytest.mark.parametrize("design", ALL_DESIGNS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import shutil
+import subprocess
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -16,9 +17,11 @@ from PIL import Image
 import chromaperture as cap
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.calibration.session import read_session
+from chromaperture.calibration.white_sheets import measure_white_sheets
 from chromaperture.camera_file import Calibration
 from chromaperture.capture import raw as raw_files
-from chromaperture.capture.exif import read_model, turn_of
+from chromaperture.capture.exif import read_model, read_noise_profile, turn_of
 from chromaperture.capture.files import decode, read_image
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 from worlds import INFINITY_PX, PUPIL_MM, SCALE_PX_MM, mosaic_of, write_dng
@@ -119,6 +122,55 @@ def test_a_file_of_another_camera_is_named(tmp_path):
         cap.measure_file(tmp_path / "a.dng", camera, out=tmp_path, write="depth")
     write_dng(tmp_path / "a.dng", mosaic_of(counts), model="Test 5", black=(16,), white=1016)
     cap.measure_file(tmp_path / "a.dng", camera, out=tmp_path, write="depth")  # without a warning, which is an error
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ((2e-4, 3e-7), (2e-4, 3e-7)),
+        ((1e-4, 1e-7, 2e-4, 3e-7, 3e-4, 5e-7), (2e-4, 3e-7)),  # of each colour
+        ((), None),
+        ((0.0, 1e-7), None),
+        ((2e-4, float("nan")), None),
+        ((2e-4, 3e-7, 1e-4), None),
+    ],
+)
+def test_the_noise_of_a_file_is_read(tmp_path, values, expected):
+    write_dng(tmp_path / "a.dng", even_light("RGGB"), noise_profile=values)
+    found = read_noise_profile(tmp_path / "a.dng")
+    assert found == (None if expected is None else pytest.approx(expected))
+    assert read_noise_profile(tmp_path / "missing.dng") is None
+
+
+def test_another_program_reads_the_noise_that_the_tests_write(tmp_path):
+    exiftool = shutil.which("exiftool") or pytest.skip("exiftool is not installed: this is NOT tested")
+    write_dng(tmp_path / "a.dng", even_light("RGGB"), noise_profile=(2e-4, 3e-7))
+    text = subprocess.run([exiftool, "-s3", "-NoiseProfile", tmp_path / "a.dng"], capture_output=True, text=True)
+    assert [float(number) for number in text.stdout.split()] == pytest.approx([2e-4, 3e-7])
+
+
+@needs_rawpy
+def test_without_sheets_the_noise_is_that_of_the_file(session, tmp_path):
+    """A file's variance is S light + O: a full well of 1 / S electrons, and a read noise of its root of O times that."""
+    folder = tmp_path / "session"
+    shutil.copytree(session, folder)
+    text = (folder / "session.toml").read_text()
+    kept = [line for line in text.splitlines() if not line.startswith(("full_well", "read_noise"))]
+    (folder / "session.toml").write_text("\n".join(kept) + "\n")
+    for picture in folder.rglob("*.png"):
+        counts = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)[..., ::-1]
+        write_dng(
+            picture.with_suffix(".dng"), mosaic_of(counts), black=(100,), white=60100,
+            noise_profile=(1 / 5000, (4 / 5000) ** 2),
+        )  # fmt: skip
+        picture.unlink()
+    table = (folder / "distances.csv").read_text().replace(".png", ".dng")
+    (folder / "distances.csv").write_text(table)
+    shutil.rmtree(folder / "white")
+    found = measure_white_sheets(read_session(folder))
+    assert found.sensor.full_well_electrons == pytest.approx(5000.0)
+    assert found.sensor.read_noise_electrons == pytest.approx(4.0)
+    assert "noise of the DNG's NoiseProfile: full well 5000 electrons, read noise 4.0" in found.notes
 
 
 @pytest.mark.slow

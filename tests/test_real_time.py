@@ -11,7 +11,7 @@ from chromaperture.color.unmixing import ideal_unmixing, view_reach
 from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.labels import IDENTITY, LabelMap
-from chromaperture.disparity.real_time import EDGE_REACH_PX, EDGE_SHARE, halved_surface, place_by_correlation
+from chromaperture.disparity.stages.place import EDGE_REACH_PX, EDGE_SHARE, halved_surface, place_by_correlation
 from chromaperture.disparity.views import channel_space
 from chromaperture.disparity.winner import PathWinner
 from chromaperture.optics.aperture import DESIGNS, centroids, made_of

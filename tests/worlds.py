@@ -240,6 +240,7 @@ def write_dng(
     orientation: int = 1,
     active_area: tuple[int, int, int, int] | None = None,
     model: str = "Test",
+    noise_profile: tuple[float, ...] = (),
 ) -> None:
     """Write an uncompressed DNG (Adobe's specification 1.4) of a mosaic (H, W) uint16.
 
@@ -259,6 +260,8 @@ def write_dng(
         tags.append((50714, "H", 1, black[0], False))
     else:
         tags += [(50713, "H", 2, (2, 2), False), (50714, "H", 4, black, False)]
+    if noise_profile:
+        tags.append((51041, "d", len(noise_profile), noise_profile, False))
     if active_area is not None:
         tags.append((50829, "I", 4, active_area, False))
     tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags, metadata=None, software=False)

@@ -32,6 +32,14 @@ def needed_bytes(calibration: Calibration, config: Config, *, scale: int | None 
     return _PROGRAM_BYTES + _PIXEL_BYTES * pixels + pixels / scale**2 * (each + each_layer * layers)
 
 
+def fitting_jobs(calibration: Calibration, config: Config, jobs: int) -> int:
+    """Return how many photographs at a time there is memory for, 1 at least and at most ``jobs``.
+
+    Where there is none for a single one, `check_camera_memory` refuses it.
+    """
+    return max(1, min(jobs, int(min(available_bytes() / needed_bytes(calibration, config), jobs))))
+
+
 def check_camera_memory(what: str, calibration: Calibration, config: Config) -> None:
     """Check that there is memory for a photograph.
 

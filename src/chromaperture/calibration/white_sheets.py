@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import numpy as np
 
 from chromaperture.calibration.session import SHEETS, Session
 from chromaperture.camera_file import CameraSensor, Film
+from chromaperture.capture.exif import read_noise_profile
 from chromaperture.color.film import completed_film
 from chromaperture.color.noise import fit_photon_noise, noise_samples
 from chromaperture.color.unmixing import ideal_unmixing
@@ -62,17 +65,41 @@ def _film(session: Session) -> tuple[Film, list[str]]:
 
 
 def _sensor_with_noise(session: Session) -> tuple[CameraSensor, list[str]]:
-    """Return the sensor with the noise that the session states, else that of the sheets or the boards; and notes."""
+    """Return the sensor with its noise, and notes.
+
+    It is what the session states, else what the sheets show, else what a DNG file says, else what the boards show.
+    """
     sensor = session.sensor
     if sensor.full_well_electrons is not None and sensor.read_noise_electrons is not None:
         return sensor, []
     boards = list(session.boards)
-    paths = list(session.sheets.values()) or boards[:: max(1, len(boards) // _NOISE_BOARDS)]
-    samples = [noise_samples(session.read(path)) for path in paths]
-    found = fit_photon_noise(*(np.concatenate(part) for part in zip(*samples, strict=True)))
+    found, source = None, ""
+    if session.sheets:
+        found, source = _measured_noise(session, list(session.sheets.values())), "measured on the white sheets"
+    if found is None:
+        found, source = _stated_noise(session, [*session.sheets.values(), *boards[:1]]), "of the DNG's NoiseProfile"
+    if found is None and not session.sheets:
+        found = _measured_noise(session, boards[:: max(1, len(boards) // _NOISE_BOARDS)])
+        source = "measured on the boards, whose finest texture counts as noise"
     if found is None:
         return sensor, ["the photographs do not show how noise grows with light: it is estimated in every photograph"]
     full_well, read_noise = found
-    source = "the white sheets" if session.sheets else "the boards, whose finest texture counts as noise"
-    note = f"noise measured on {source}: full well {full_well:.0f} electrons, read noise {read_noise:.1f}"
+    note = f"noise {source}: full well {full_well:.0f} electrons, read noise {read_noise:.1f}"
     return dataclasses.replace(sensor, full_well_electrons=full_well, read_noise_electrons=read_noise), [note]
+
+
+def _measured_noise(session: Session, paths: Sequence[Path]) -> tuple[float, float] | None:
+    """Full well and read noise, electrons, that photographs show."""
+    samples = [noise_samples(session.read(path)) for path in paths]
+    return fit_photon_noise(*(np.concatenate(part) for part in zip(*samples, strict=True))) if samples else None
+
+
+def _stated_noise(session: Session, paths: Sequence[Path]) -> tuple[float, float] | None:
+    """Full well and read noise, electrons, of the pixels that are read, as a DNG file has them."""
+    profile = next((found for found in map(read_noise_profile, paths) if found is not None), None)
+    if profile is None:
+        return None
+    slope, offset = profile
+    full_px, read_px = math.prod(session.photograph_size_px), session.sensor.width_px * session.sensor.height_px
+    full_well = 1 / slope  # variance is light over it
+    return full_well * full_px / read_px, math.sqrt(offset * full_px / read_px) * full_well

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tifffile
 from PIL import Image
 
@@ -18,7 +19,7 @@ from chromaperture.validation import MOST_FILE_BYTES, read_bytes
 _JPEG = b"\xff\xd8"  # the first bytes of the file
 # Tags of the EXIF standard.
 _EXIF_IFD = 0x8769
-_MODEL, _ORIENTATION = 0x0110, 0x0112
+_MODEL, _ORIENTATION, _NOISE_PROFILE = 0x0110, 0x0112, 51041
 _TURNS = {3: 180, 6: 90, 8: 270}  # codes of an orientation, degrees clockwise; others are mirrored, or upright
 _FNUMBER, _SUBJECT_DISTANCE, _FOCAL_LENGTH = 0x829D, 0x9206, 0x920A
 
@@ -52,6 +53,25 @@ def read_model(path: str | Path) -> str | None:
     return name or None
 
 
+def read_noise_profile(path: str | Path) -> tuple[float, float] | None:
+    """Read the noise of a DNG file's photosites: slope and offset of the variance over light, 1 = white level.
+
+    The tag has a pair for all colours, or one for each, whose means are returned (DNG specification 1.4, NoiseProfile).
+
+    Returns
+    -------
+    slope, offset : float
+        None where the file has no such tag, or one that makes no sense.
+    """
+    values = _tag(path, _NOISE_PROFILE)
+    if values is None or np.size(values) < 2 or np.size(values) % 2:
+        return None
+    pairs = np.reshape(np.asarray(values, float), (-1, 2))
+    slope, offset = pairs.mean(axis=0)
+    valid = np.isfinite(pairs).all() and (pairs[:, 0] > 0).all() and (pairs[:, 1] >= 0).all()
+    return (float(slope), float(offset)) if valid else None
+
+
 def turn_of(path: str | Path) -> int:
     """Return by how many degrees, clockwise, a photograph is to be turned to stand upright: 0, 90, 180 or 270."""
     if not is_raw(Path(path)):
@@ -68,8 +88,10 @@ def _tag(path: str | Path, code: int) -> Any:
             begin = file.read(4)
         if begin in TIFF_MARKS:
             with tifffile.TiffFile(path) as picture:
-                found = picture.pages.first.tags.get(code)
-                return None if found is None else found.value
+                first = picture.pages.first
+                # A DNG's mosaic may lie behind a small picture, with tags of its own.
+                found = (page.tags.get(code) for page in (first, *(first.pages or ())))
+                return next((tag.value for tag in found if tag is not None), None)
         return _header(path).get(code) if begin.startswith(_JPEG) else None
     except Exception:  # decoders raise anything; errors of the picture itself are reported by `read_image`
         return None

@@ -81,7 +81,7 @@ def depth(
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Of several: measure those whose results exist, too.")] = False,
     jobs: Annotated[
-        int, typer.Option("--jobs", "-j", min=1, help="Photographs at a time; each needs the memory of one.")
+        int, typer.Option("--jobs", "-j", min=1, help="Photographs at a time, as many as there is memory for.")
     ] = 1,
     json: Json = False,
     quiet: Quiet = False,
@@ -141,12 +141,30 @@ def depth(
         made_by = recipe_for(camera, camera_of(paths[0]), out=where, again=again, **options)
         if len(paths) == 1:  # measured in any case, and no more is written than what was asked for
             made_by = replace(made_by, again=True, outputs=chosen_outputs(write))
+    if jobs > 1 and len(paths) > 1 and camera is not None:
+        jobs = jobs_in_memory(camera_of(paths[0]), jobs)
     compile_kernels(quality, quiet=quiet)
     note = "No calibration: disparity in px only. Depth in mm needs a camera file (--camera)."
     measure_batch(
         paths, camera_of, recipe=made_by, jobs=jobs, json=json, quiet=quiet, note=note if camera is None else "",
         out=None if out is None else as_path(out), **options,
     )  # fmt: skip
+
+
+def jobs_in_memory(camera: CodedApertureCamera, jobs: int) -> int:
+    """Return how many photographs at a time have memory; warns where these are fewer than asked for."""
+    from chromaperture.camera_memory import fitting_jobs, needed_bytes
+
+    fitting = fitting_jobs(camera.calibration, camera.config, jobs)
+    if fitting < jobs:
+        each = needed_bytes(camera.calibration, camera.config) / 1e9
+        warnings.warn(
+            f"--jobs {jobs}: there is memory for {fitting} at a time, {each:.1f} GB each, so {fitting} at a time are "
+            "measured; close other programs, or match at a coarser --scale",
+            CaptureWarning,
+            stacklevel=2,
+        )
+    return fitting
 
 
 def refuse_common_results(names: Sequence[str], out: str | None) -> None:

@@ -48,6 +48,16 @@ class Execution(Protocol):
     ) -> PathWinner:
         """Correlate the views and find the best layer of every pixel along four paths."""
 
+    def place_by_correlation(
+        self, winner: PathWinner, layer_count: int, *, view_count: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Find the place between the layers by a pixel's own correlations, and its information."""
+
+    def halved_surface(
+        self, winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap
+    ) -> Surface:
+        """Return the surface of the halved picture."""
+
     def smooth_along_surface(
         self, maps: Sequence[np.ndarray], guide: np.ndarray, layer: np.ndarray, *, sigma_px: float
     ) -> list[np.ndarray]:

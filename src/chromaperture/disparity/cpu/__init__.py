@@ -6,6 +6,7 @@ from chromaperture.disparity.cpu.cross_filter import cross_filter
 from chromaperture.disparity.cpu.enlarge import enlarge
 from chromaperture.disparity.cpu.four_paths import four_path_winner
 from chromaperture.disparity.cpu.paths import aggregate_paths, posterior, read_at_labels
+from chromaperture.disparity.cpu.place import halved_surface, place_by_correlation
 from chromaperture.disparity.cpu.planes import plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.cpu.smoothing import smooth_along_surface
 from chromaperture.disparity.cpu.spectral_likelihood import spectral_likelihood
@@ -21,7 +22,9 @@ __all__ = [
     "cross_filter",
     "enlarge",
     "four_path_winner",
+    "halved_surface",
     "iterate_variation",
+    "place_by_correlation",
     "plane_costs",
     "plane_sums",
     "point_transforms",

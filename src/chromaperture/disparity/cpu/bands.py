@@ -45,7 +45,8 @@ def score_band(pictures, plan, band, scratch, volume, maps):
     sample_rows += -sample_rows % GROUP
     sample(pictures, samplings, first_sample, sample_rows, scratch)
     standardise(pictures, plan, band, first_sample, sample_rows, scratch, maps.weights)
-    for y in range(top, bottom):
+    layer_count, pair_count = len(layers.ceiling), len(layers.pairs)
+    for y in range(bottom if numbers.plain else top, bottom):
         _weigh_row(pictures.mask[y], numbers.min_weight, len(pictures.views), maps.weights[y])
         _links_along_x(pictures.guide[y], numbers.even_link, maps.links[y])
         _filter_weights(maps.weights[y], numbers.even_link, maps.links[y], scratch.line, maps.filtered[y])
@@ -57,7 +58,6 @@ def score_band(pictures, plan, band, scratch, volume, maps):
 
     padded = width + 2 * pad_x
     row_size = padded * v.LANES
-    layer_count, pair_count = len(layers.ceiling), len(layers.pairs)
     slabs = layer_count // v.LANES
     windows = (len(samplings.owner) + 3) // 4  # carried by `standardise`
     ring_size = (last - first + 1) * row_size
@@ -106,14 +106,21 @@ def score_band(pictures, plan, band, scratch, volume, maps):
         for row in range(bottom - 1, top - 1, -1):
             locate_row(samplings, layers, lane0, row, first_sample, pad_x, padded, scratch, places)
             at = (row - first + 1) * row_size
+            at_volume, stride = (row * slabs + slab) * BLOCK * v.LANES, height * slabs * BLOCK * v.LANES
             if pair_count == 1:
-                score_two(pictures, layers, numbers, row, lane0, pad_x, padded, at, places, scratch, maps)
+                score_two(
+                    pictures, layers, numbers, row, lane0, pad_x, padded, at, places, scratch, maps,
+                    volume, at_volume, stride,
+                )  # fmt: skip
             else:
-                score_three(pictures, layers, numbers, row, lane0, pad_x, padded, at, ring_size, places, scratch, maps)
-            _filter_back(
-                scratch.scores, maps.links[row], maps.scale[row], numbers.even_link,
-                volume, (row * slabs + slab) * BLOCK * v.LANES, height * slabs * BLOCK * v.LANES,
-            )  # fmt: skip
+                score_three(
+                    pictures, layers, numbers, row, lane0, pad_x, padded, at, ring_size, places, scratch, maps,
+                    volume, at_volume, stride,
+                )  # fmt: skip
+            if not numbers.plain:
+                _filter_back(
+                    scratch.scores, maps.links[row], maps.scale[row], numbers.even_link, volume, at_volume, stride
+                )
     v.fence()
 
 

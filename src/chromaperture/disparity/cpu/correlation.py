@@ -69,7 +69,7 @@ def filtered_scores(
     memory: Workspace,
     *,
     config: CorrelationConfig,
-    even_link: float = 0.0,
+    even_link: float | None = None,
     texture_weighting: bool = True,
 ) -> tuple[np.ndarray, layout.RowMaps]:
     """Score all layers and filter the scores along x.
@@ -81,8 +81,9 @@ def filtered_scores(
         None at all: only the weights are computed.
     memory : Workspace
     config : CorrelationConfig
-    even_link : float
-        Link weight of the filter on an even guide; 0 leaves the scores as they are, and the weights cancel.
+    even_link : float, optional
+        Link weight of the filter on an even guide. When absent nothing is filtered, and of the maps only the signal
+        fractions are computed, where there are no layers.
     texture_weighting : bool
         Weight the scores by texture against noise before they are filtered.
 
@@ -93,7 +94,7 @@ def filtered_scores(
     """
     height, width = views.mask.shape
     noise = _noise_planes(views)
-    plan = _plan(views, layers_px, config, np.float32(even_link), texture_weighting)
+    plan = _plan(views, layers_px, config, even_link, texture_weighting)
     least = 2 * plan.pad_y + 8  # rows of the smallest band
     run_rows = _equal_parts(height, most=max(_BAND_ROWS, _RUN_HALOS * plan.halo, least))
     band_rows = _equal_parts(run_rows, most=max(_BAND_ROWS, least))
@@ -190,7 +191,7 @@ class _Entries:
 
 
 def _plan(
-    views: Views, layers_px: np.ndarray, config: CorrelationConfig, even_link: np.float32, texture_weighting: bool
+    views: Views, layers_px: np.ndarray, config: CorrelationConfig, even_link: float | None, texture_weighting: bool
 ) -> layout.Plan:
     """Choose the sub-pixel phases at which the views are sampled, where they are kept, and how layers find them."""
     directions, pairs = views.directions, view_pairs(len(views.directions))
@@ -236,7 +237,8 @@ def _plan(
         decay=np.float32(config.window_decay),
         debias=np.float32(config.noise_debiasing),
         weighting=texture_weighting,
-        even_link=even_link,
+        even_link=np.float32(even_link or 0),
+        plain=even_link is None and count > 0,
         epsilon=_variance_floor(_planes(views.pictures)),
         min_fraction=np.float32(MIN_VARIANCE_FRACTION),
         min_weight=np.float32(MIN_WEIGHT),

@@ -91,6 +91,7 @@ class Numbers(NamedTuple):
     debias: np.float32
     weighting: bool
     even_link: np.float32  # link weight on an even guide
+    plain: bool  # scores are not filtered: their weights would cancel
     epsilon: np.ndarray  # (K,)
     min_fraction: np.float32
     min_weight: np.float32

@@ -6,9 +6,12 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.compilation import compiled, inlined
+from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.paths import FAST
 from chromaperture.disparity.stages.planes import PlaneCosts, PlaneSums
 from chromaperture.threads import in_parallel
+
+_NEVER = np.float32(1e30)  # nats; cost of the lanes beyond the last choice
 
 
 def plane_costs(likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarray, costs: PlaneCosts) -> np.ndarray:
@@ -40,14 +43,16 @@ def plane_sums(
 
 def potts_beliefs(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
     """Min-sum belief propagation on the pixel grid, as `stages.potts_beliefs`; (H, W, K) float32."""
-    cost, links = (np.ascontiguousarray(part, np.float32) for part in (cost, links))
-    beliefs = cost.copy()  # the cost and all four messages
-    messages = np.zeros((4, *cost.shape), np.float32)
-    height, width = cost.shape[:2]
+    height, width, count = cost.shape
+    padded = -(-count // v.LANES) * v.LANES
+    beliefs = np.full((height, width, padded), _NEVER, np.float32)  # the cost and all four messages
+    beliefs[..., :count] = cost
+    messages = np.zeros((4, height, width, padded), np.float32)
+    links = np.ascontiguousarray(links, np.float32)
     for _ in range(sweeps):
         in_parallel(lambda _, first, last: _along_rows(beliefs, messages, links[0], first, last), height)
         in_parallel(lambda _, first, last: _along_columns(beliefs, messages, links[1], first, last), width)
-    return beliefs
+    return np.ascontiguousarray(beliefs[..., :count])
 
 
 @compiled(fastmath=FAST)
@@ -93,33 +98,45 @@ def _plane_sums(likelihood, xs, ys, a, b, c, reach, sums):
 
 
 @inlined(fastmath=FAST)
-def _send(beliefs, to, back, y, x, y_next, x_next, penalty):
-    """Renew one message; beliefs hold the cost and all messages, so the one from the receiver is taken off."""
-    least = np.float32(np.inf)
-    for k in range(beliefs.shape[2]):
-        least = min(least, beliefs[y, x, k] - back[y, x, k])
-    for k in range(beliefs.shape[2]):
-        message = min(beliefs[y, x, k] - back[y, x, k] - least, penalty)
-        beliefs[y_next, x_next, k] += message - to[y_next, x_next, k]
-        to[y_next, x_next, k] = message
+def _send(beliefs, to, back, here, there, count, penalty):
+    """Renew one message; beliefs hold the cost and all messages, so the one from the receiver is taken off.
+
+    Arrays are flat, ``count`` whole vectors a pixel.
+    """
+    least, most = v.broadcast(np.float32(np.inf)), v.broadcast(penalty)
+    for k in range(0, count, v.LANES):
+        least = v.smaller(least, v.sub(v.load(beliefs, here + k), v.load(back, here + k)))
+    least = v.least_lane(least)
+    for k in range(0, count, v.LANES):
+        message = v.sub(v.sub(v.load(beliefs, here + k), v.load(back, here + k)), least)
+        message = v.smaller(message, most)
+        change = v.sub(message, v.load(to, there + k))
+        v.store(beliefs, there + k, v.add(v.load(beliefs, there + k), change))
+        v.store(to, there + k, message)
 
 
 @compiled(fastmath=FAST)
 def _along_rows(beliefs, messages, links, first, last):
-    width = beliefs.shape[1]
+    width, count = beliefs.shape[1:]
+    values, right, left = beliefs.reshape(-1), messages[0].reshape(-1), messages[1].reshape(-1)
     for y in range(first, last):
+        at = y * width * count
         for x in range(width - 1):
-            _send(beliefs, messages[0], messages[1], y, x, y, x + 1, links[y, x])
+            _send(values, right, left, at + x * count, at + (x + 1) * count, count, links[y, x])
         for x in range(width - 1, 0, -1):
-            _send(beliefs, messages[1], messages[0], y, x, y, x - 1, links[y, x - 1])
+            _send(values, left, right, at + x * count, at + (x - 1) * count, count, links[y, x - 1])
 
 
 @compiled(fastmath=FAST)
 def _along_columns(beliefs, messages, links, first, last):
-    height = beliefs.shape[0]
+    height, width, count = beliefs.shape
+    values, down, up = beliefs.reshape(-1), messages[2].reshape(-1), messages[3].reshape(-1)
+    row = width * count
     for y in range(height - 1):
         for x in range(first, last):
-            _send(beliefs, messages[2], messages[3], y, x, y + 1, x, links[y, x])
+            at = y * row + x * count
+            _send(values, down, up, at, at + row, count, links[y, x])
     for y in range(height - 1, 0, -1):
         for x in range(first, last):
-            _send(beliefs, messages[3], messages[2], y, x, y - 1, x, links[y - 1, x])
+            at = y * row + x * count
+            _send(values, up, down, at, at - row, count, links[y - 1, x])

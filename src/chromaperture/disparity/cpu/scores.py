@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.disparity.cpu import simd as v
-from chromaperture.disparity.cpu.layout import ONE, ZERO, inner
+from chromaperture.disparity.cpu.layout import BLOCK, ONE, SCORE_SCALE, ZERO, inner
 from chromaperture.disparity.cpu.samples import transpose_rows
 
 
@@ -32,8 +32,13 @@ def locate_row(samplings, layers, slab, row, first_sample, pad_x, padded, scratc
 
 
 @inner
-def score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, scratch, maps):
-    """Correlation of two views for one row of eight layers, weighted and filtered rightwards."""
+def score_two(
+    pictures, layers, numbers, row, slab, pad_x, padded, at, places, scratch, maps, volume, at_volume, stride
+):
+    """Correlation of two views for one row of eight layers, weighted and filtered rightwards.
+
+    Where nothing is filtered (``plain``) it goes to the volume at once; ``stride`` leads from block to block.
+    """
     width = pictures.mask.shape[1]
     covariance = pictures.covariance[0, row if pictures.covariance.shape[1] > 1 else 0]
     even = len(covariance) == 1
@@ -50,6 +55,7 @@ def score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, s
     noise = v.mul(overlap, v.broadcast_at(covariance, 0))
     ceiling, floor = v.load(layers.ceiling, slab), v.broadcast(-ONE)
     weights, links = maps.weights[row], maps.links[row]
+    plain, unit = numbers.plain, v.broadcast(SCORE_SCALE)
     border_gain = v.broadcast(ONE / (ONE - numbers.even_link))
     ahead = v.broadcast(ZERO)
     at += pad_x * v.LANES
@@ -63,14 +69,20 @@ def score_two(pictures, layers, numbers, row, slab, pad_x, padded, at, places, s
         both = v.mul(v.load(gain0, i0), v.load(gain1, i1))
         means = v.mul(v.load(mean0, i0 + m0), v.load(mean1, i1 + m1))
         score = v.sub(v.mul(v.sub(v.mul(window, window_gain), noise), both), means)
-        weighted = v.mul(v.smaller(v.larger(score, floor), ceiling), v.broadcast_at(weights, x))
-        ahead = v.fma(v.broadcast_at(links, x), ahead, weighted) if x > 0 else v.mul(border_gain, weighted)
-        v.store(scores, x * v.LANES, ahead)
+        score = v.smaller(v.larger(score, floor), ceiling)
+        if plain:
+            v.store_shorts(volume, at_volume + (x // BLOCK) * stride + (x % BLOCK) * v.LANES, v.mul(score, unit))
+        else:
+            weighted = v.mul(score, v.broadcast_at(weights, x))
+            ahead = v.fma(v.broadcast_at(links, x), ahead, weighted) if x > 0 else v.mul(border_gain, weighted)
+            v.store(scores, x * v.LANES, ahead)
         i0, i1, at, at_state = i0 + step0, i1 + step1, at + v.LANES, at_state + v.LANES
 
 
 @inner
-def score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_size, places, scratch, maps):
+def score_three(
+    pictures, layers, numbers, row, slab, pad_x, padded, at, ring_size, places, scratch, maps, volume, at_volume, stride
+):
     """1 - sqrt(det) of the correlation matrix of three views, weighted and filtered as in `score_two`."""
     width = pictures.mask.shape[1]
     covariance = pictures.covariance[:, row if pictures.covariance.shape[1] > 1 else 0]
@@ -90,6 +102,7 @@ def score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_si
     overlap12 = v.load(layers.overlap, slab + 2 * count)
     ceiling, floor, one, nothing = v.load(layers.ceiling, slab), v.broadcast(-ONE), v.broadcast(ONE), v.broadcast(ZERO)
     weights, links = maps.weights[row], maps.links[row]
+    plain, unit = numbers.plain, v.broadcast(SCORE_SCALE)
     border_gain = v.broadcast(ONE / (ONE - numbers.even_link))
     ahead = v.broadcast(ZERO)
     at += pad_x * v.LANES
@@ -114,7 +127,11 @@ def score_three(pictures, layers, numbers, row, slab, pad_x, padded, at, ring_si
         bc = v.mul(b, c)
         determinant = v.fnma(a, v.sub(v.sub(a, bc), bc), v.fnma(b, b, v.fnma(c, c, one)))
         score = v.sub(one, v.root(v.larger(determinant, nothing)))
-        weighted = v.mul(v.smaller(score, ceiling), v.broadcast_at(weights, x))
-        ahead = v.fma(v.broadcast_at(links, x), ahead, weighted) if x > 0 else v.mul(border_gain, weighted)
-        v.store(scores, x * v.LANES, ahead)
+        score = v.smaller(score, ceiling)
+        if plain:
+            v.store_shorts(volume, at_volume + (x // BLOCK) * stride + (x % BLOCK) * v.LANES, v.mul(score, unit))
+        else:
+            weighted = v.mul(score, v.broadcast_at(weights, x))
+            ahead = v.fma(v.broadcast_at(links, x), ahead, weighted) if x > 0 else v.mul(border_gain, weighted)
+            v.store(scores, x * v.LANES, ahead)
         i0, i1, i2, at, at_state = i0 + step0, i1 + step1, i2 + step2, at + v.LANES, at_state + v.LANES

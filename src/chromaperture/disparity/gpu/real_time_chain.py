@@ -15,7 +15,7 @@ from chromaperture.disparity.gpu.device import MOST_GROUPS, Array, Chain
 from chromaperture.disparity.gpu.view_stages import SHARED, Planes, add_halved_views
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.labels import LabelMap
-from chromaperture.disparity.real_time import (
+from chromaperture.disparity.stages.place import (
     EDGE_REACH_PX,
     EDGE_SHARE,
     LEAST_INFORMATION,

@@ -6,6 +6,7 @@ from chromaperture.disparity.stages.cross_filter import cross_filter
 from chromaperture.disparity.stages.enlarge import enlarge
 from chromaperture.disparity.stages.four_paths import four_path_winner
 from chromaperture.disparity.stages.paths import aggregate_paths, posterior, read_at_labels
+from chromaperture.disparity.stages.place import halved_surface, place_by_correlation
 from chromaperture.disparity.stages.planes import plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.stages.smoothing import smooth_along_surface
 from chromaperture.disparity.stages.spectral_likelihood import spectral_likelihood
@@ -23,7 +24,9 @@ __all__ = [
     "cross_filter",
     "enlarge",
     "four_path_winner",
+    "halved_surface",
     "iterate_variation",
+    "place_by_correlation",
     "plane_costs",
     "plane_sums",
     "point_transforms",

@@ -1,0 +1,117 @@
+# mypy: disallow-untyped-defs=False
+"""Place between the layers and error bar of quality "real-time", compiled; ``stages/place.py`` explains them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from chromaperture.disparity import stages
+from chromaperture.disparity.cpu import simd as v
+from chromaperture.disparity.cpu.layout import ONE, ZERO, inner, kernel
+from chromaperture.disparity.error_bar import local_range, sigma_of_range
+from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.stages.place import (
+    EDGE_REACH_PX,
+    EDGE_SHARE,
+    LEAST_INFORMATION,
+    LEAST_UNEXPLAINED,
+    POSTERIOR_SHARE,
+)
+from chromaperture.disparity.winner import PathWinner, Surface
+from chromaperture.threads import in_parallel
+
+_INFORMATION, _UNEXPLAINED = np.float32(LEAST_INFORMATION), np.float32(LEAST_UNEXPLAINED)
+_POSTERIOR, _EDGE = np.float32(POSTERIOR_SHARE), np.float32(EDGE_SHARE)
+_FLAT = np.float32(1e-9)  # a flat top has no vertex
+_TWO, _QUARTER = np.float32(2), np.float32(0.25)
+
+
+def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the place between the layers and its information, as `stages.place_by_correlation`."""
+    shape = winner.layer.shape
+    if winner.layer.size < v.LANES:
+        return stages.place_by_correlation(winner, layer_count, view_count=view_count)
+    maps = [
+        np.ascontiguousarray(part, np.float32).reshape(-1)
+        for part in (winner.layer, winner.before, winner.at, winner.after)
+    ]
+    place, information = np.empty((2, winner.layer.size), np.float32)
+
+    def some(_: int, first: int, last: int) -> None:
+        parts = (part[first * v.LANES :] for part in (*maps, place, information))
+        _place(*parts, last - first, layer_count, view_count == 2)
+
+    in_parallel(some, len(place) // v.LANES)
+    end = len(place) - v.LANES  # the last vector overlaps the one before
+    _place(*(part[end:] for part in (*maps, place, information)), 1, layer_count, view_count == 2)
+    return place.reshape(shape), information.reshape(shape)
+
+
+def halved_surface(winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap) -> Surface:
+    """Return the surface of the halved picture, as `stages.halved_surface`."""
+    first, step = np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0])
+    disparity = np.asarray(label_map.disparity(first + step * place), np.float32)
+    extent = local_range(disparity, EDGE_REACH_PX)
+    scale = np.ascontiguousarray(np.broadcast_to(np.asarray(label_map.scale, np.float32), disparity.shape))
+    parts = [np.ascontiguousarray(part, np.float32) for part in (winner.layer, winner.sigma_px, winner.at)]
+    out = Surface(disparity, *np.empty((2, *disparity.shape), np.float32))
+    last, widest = np.float32(len(layers_px) - 1), np.float32(sigma_of_range(layers_px))
+
+    def rows(_: int, top: int, bottom: int) -> None:
+        band = slice(top, bottom)
+        _finish(*(part[band] for part in (*parts, extent, scale)), last, widest, *(part[band] for part in out))
+
+    in_parallel(rows, len(disparity))
+    return out
+
+
+@kernel
+def _place(layer, before, at, after, place, information, count, layers, two_views):
+    """So many vectors."""
+    one, two, floor, flat = v.broadcast(ONE), v.broadcast(_TWO), v.broadcast(ZERO), v.broadcast(_FLAT)
+    first, last = v.broadcast(ONE), v.broadcast(np.float32(layers - 2))
+    for i in range(0, count * v.LANES, v.LANES):
+        low, middle, high = (
+            _correlation(v.load(before, i), two_views),
+            _correlation(v.load(at, i), two_views),
+            _correlation(v.load(after, i), two_views),
+        )
+        bend = v.larger(v.sub(v.sub(v.add(middle, middle), low), high), floor)
+        rise = v.sub(high, low)
+        offset = v.larger(v.smaller(v.div(rise, v.fma(two, bend, flat)), one), v.broadcast(-ONE))
+        peak = v.smaller(v.fma(v.mul(offset, rise), v.broadcast(_QUARTER), middle), one)
+        left = v.fnma(peak, peak, one) if two_views else v.sub(one, peak)
+        found = v.div(v.mul(bend, peak), v.add(left, v.broadcast(_UNEXPLAINED)))
+        v.store(information, i, v.add(found, v.broadcast(_INFORMATION)))
+        v.store(place, i, v.add(v.smaller(v.larger(v.load(layer, i), first), last), offset))
+
+
+@inner
+def _correlation(likelihood, two_views):
+    """Correlation of a log-likelihood."""
+    less = v.sub(v.broadcast(ZERO), likelihood)
+    if two_views:
+        explained = v.sub(v.broadcast(ONE), v.exponential(v.add(less, less)))
+        return v.root(v.larger(explained, v.broadcast(ZERO)))
+    return v.sub(v.broadcast(ONE), v.exponential(less))
+
+
+@kernel
+def _finish(layer, posterior, at, extent, scale, last, widest, disparity, sigma, peak):
+    """Error bar and peak; the disparity becomes NaN where it is not known."""
+    width = layer.shape[1]
+    padded = (width + v.LANES - 1) // v.LANES * v.LANES
+    row = np.zeros(padded, np.float32)
+    for y in range(len(layer)):
+        for x in range(width):
+            own, edge = _POSTERIOR * scale[y, x] * posterior[y, x], _EDGE * extent[y, x]
+            sigma[y, x] = min(np.sqrt(own * own + edge * edge), scale[y, x] * widest)
+            known = layer[y, x] > ZERO and layer[y, x] < last and posterior[y, x] < widest
+            disparity[y, x] = disparity[y, x] if known else np.float32(np.nan)
+        for x in range(width):
+            row[x] = -_TWO * at[y, x]
+        for x in range(0, padded, v.LANES):
+            explained = v.sub(v.broadcast(ONE), v.exponential(v.load(row, x)))
+            v.store(row, x, v.root(v.larger(explained, v.broadcast(ZERO))))
+        for x in range(width):
+            peak[y, x] = row[x]

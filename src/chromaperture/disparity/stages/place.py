@@ -1,0 +1,64 @@
+"""Where between two layers a pixel of quality "real-time" lies, and its error bar, in plain NumPy.
+
+The oracle of ``cpu/place.py``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from chromaperture.disparity.error_bar import local_range, sigma_of_range
+from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.winner import PathWinner, Surface
+
+# Of the error bar, fitted to simulated captures of four designs (`benchmarks/bench50.py --deciles`): a posterior of
+# summed costs is too wide as it is; next to depth edges a pixel may belong to either side.
+POSTERIOR_SHARE = 0.6
+EDGE_SHARE, EDGE_REACH_PX = 0.5, 7  # of the range of the disparity within so many px of the halved picture
+LEAST_INFORMATION = 1e-4  # where correlations have no peak the place is that of the layer
+LEAST_UNEXPLAINED = 3e-3  # by the best correlation; keeps the information of noiseless pictures finite
+
+
+def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the place that a pixel's own correlations have near its layer, and its information.
+
+    The correlations, not the costs: summed costs have been cut off at the penalties and hold little between the layers.
+    At its peak a correlation rho earns information rho rho'' / (1 - rho^2) a sample. Taken at the layer instead it
+    would be least for peaks between the layers, and averages over neighbours would be biased to the layers.
+
+    Parameters
+    ----------
+    winner : PathWinner
+    layer_count : int
+    view_count : {2, 3}
+
+    Returns
+    -------
+    place, information : two (H, W) float32; the place in layers
+    """
+    inside = np.clip(winner.layer, 1, layer_count - 2)
+    around = (winner.before, winner.at, winner.after)
+    unexplained = [np.exp(np.float32(-view_count if view_count == 2 else -1) * part) for part in around]
+    low, middle, high = (np.sqrt(np.maximum(1 - u, 0)) if view_count == 2 else 1 - u for u in unexplained)
+    bend = np.maximum(2 * middle - low - high, 0)
+    offset = np.clip((high - low) / (2 * bend + 1e-9), -1, 1)  # 1e-9: a flat top has no vertex
+    peak = np.minimum(middle + offset * (high - low) / 4, 1)
+    left = 1 - peak**2 if view_count == 2 else 1 - peak
+    information = bend * peak / (left + LEAST_UNEXPLAINED) + LEAST_INFORMATION
+    return (inside + offset).astype(np.float32), information.astype(np.float32)
+
+
+def halved_surface(winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap) -> Surface:
+    """Return the surface of the halved picture in its own px.
+
+    It is unknown where the best layer is an end of the range and where it is known no better than the range.
+    """
+    first, step = np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0])
+    widest = np.float32(sigma_of_range(layers_px))
+    known = (winner.layer > 0) & (winner.layer < len(layers_px) - 1) & (winner.sigma_px < widest)
+    disparity = np.asarray(label_map.disparity(first + step * place), np.float32)
+    posterior = np.float32(POSTERIOR_SHARE) * label_map.scale * winner.sigma_px
+    at_edge = np.float32(EDGE_SHARE) * local_range(disparity, EDGE_REACH_PX)
+    sigma = np.minimum(np.hypot(posterior, at_edge), label_map.scale * widest)
+    peak = np.sqrt(np.maximum(1 - np.exp(-2 * winner.at), 0)).astype(np.float32)
+    return Surface(np.where(known, disparity, np.float32(np.nan)), sigma.astype(np.float32), peak)
