@@ -16,7 +16,7 @@ better. Frequencies that hold only noise are therefore left out beforehand, at a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -68,17 +68,20 @@ class BlurEvidence:
         """Return nats a pixel; (H, W, N).
 
         Where blur is wide, correlations are computed at every second layer, and interpolated: see `with_midpoints`.
+        Those of secondary pairs are everywhere: they change half as fast with the layer.
         """
         step = layers_px[1] - layers_px[0]
         layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
         between = layers_px[1::2]
         sharp = np.abs(between) < SHARP_PX * self.blur.reach
-        computed = self._correlations(image, np.concatenate([layers_px[::2], between[sharp]]))
+        evens, primary = len(between) + 1, len(self.blur.pairs)
+        layers_of = {pair: evens for pair in self.all_pairs[primary:]}
+        computed = self._correlations(image, np.concatenate([layers_px[::2], between[sharp]]), layers_of)
         likelihood = np.empty((*computed.shape[2:4], len(layers_px)), np.float32)
 
         def explain(rows: slice) -> None:
-            correlation = with_midpoints(computed[:, :, rows, :, : len(between) + 1])
-            correlation[..., 1::2][..., sharp] = computed[:, :, rows, :, len(between) + 1 :]
+            correlation = with_midpoints(computed[:, :, rows, :, :evens])
+            correlation[:primary, ..., 1::2][..., sharp] = computed[:primary, :, rows, :, evens:]
             likelihood[rows] = self._explained(correlation)
 
         each_band(explain, len(likelihood), rows_a_band=_ROWS)
@@ -123,8 +126,13 @@ class BlurEvidence:
             likelihood += np.float32(self.config.fallback_weight) * weight * evidence[primary:].mean(axis=0)
         return np.asarray(likelihood)
 
-    def _correlations(self, image: np.ndarray, layers_px: np.ndarray) -> np.ndarray:
-        """Correlation of P and Q of every pair of channels, in every band; (pairs, bands, H / 3, W / 3, D) float32."""
+    def _correlations(
+        self, image: np.ndarray, layers_px: np.ndarray, layers_of: Mapping[tuple[int, int], int] | None = None
+    ) -> np.ndarray:
+        """Correlation of P and Q of every pair of channels, in every band; (pairs, bands, H / 3, W / 3, D) float32.
+
+        ``layers_of`` has pairs for which only so many of the first layers are computed; others hold nothing.
+        """
         blur = self.blur
         noise_variance = self.noise.variance(image) if self.noise.is_known else None
         image = np.where(np.isfinite(image), image, np.float32(0))
@@ -138,25 +146,26 @@ class BlurEvidence:
         low_pass = _gaussian(
             nodes.size, finest_px(self.config) / SAMPLING_PX
         )  # the same at all depths, hence done once
-        channels = tuple(sorted({k for pair in self.all_pairs for k in pair}))
         tiles = [
             _Tile(
                 place,
                 weight,
-                blur.rays(*place, channels),
+                blur.rays(*place),
                 [(a * low_pass, b * low_pass) for a, b in (spectrum.pair(*pair) for pair in self.all_pairs)],
             )
             for place, weight, spectrum in zip(nodes.places, nodes.weights, spectra, strict=True)
         ]
         at_infinity, scale = blur.reference
         shape = (len(self.all_pairs), len(self.config.bands_px), -(-height // SPACING_PX), -(-width // SPACING_PX))
-        correlation = np.empty((*shape, len(layers_px)), np.float32)
+        correlation, most = np.empty((*shape, len(layers_px)), np.float32), layers_of or {}
 
         def fill(layer: int) -> None:
             inverse_mm = (at_infinity - layers_px[layer]) / scale
-            views = self._cross_filtered(channels, nodes, tiles, inverse_mm)
-            for of_pair, both in zip(correlation[..., layer], views, strict=True):
-                _correlate(both, self.config, of_pair)
+            pairs = [i for i, pair in enumerate(self.all_pairs) if layer < most.get(pair, len(layers_px))]
+            used = tuple(sorted({k for i in pairs for k in self.all_pairs[i]}))
+            views = self._cross_filtered(used, pairs, nodes, tiles, inverse_mm)
+            for i, both in zip(pairs, views, strict=True):
+                _correlate(both, self.config, correlation[i, ..., layer])
 
         parallel_map(fill, range(len(layers_px)))
         return correlation
@@ -171,19 +180,21 @@ class BlurEvidence:
             )
 
     def _cross_filtered(
-        self, channels: tuple[int, ...], nodes: Nodes, tiles: Sequence[_Tile], inverse_mm: float
+        self, channels: tuple[int, ...], pairs: Sequence[int], nodes: Nodes, tiles: Sequence[_Tile], inverse_mm: float
     ) -> np.ndarray:
-        """P and Q of every pair of channels, at one distance; (pairs, H, W, 2) float32 of samples."""
-        canvas = nodes.canvas(len(self.all_pairs))
+        """P and Q of pairs of channels, numbers of `all_pairs`, at one distance; (pairs, H, W, 2) float32 of samples."""
+        canvas = nodes.canvas(len(pairs))
         inner = nodes.in_tile()
         for tile in tiles:
+            rays = Rays(*(part[list(channels)] for part in tile.rays))
             transfers = self.blur.transfer_of(
-                tile.rays, inverse_mm, nodes.size_px, samples=nodes.size, transform=self.run.point_transforms
+                rays, inverse_mm, nodes.size_px, samples=nodes.size, transform=self.run.point_transforms
             )
             transfer = dict(zip(channels, transfers, strict=True))
-            for i, ((a, b), views) in enumerate(zip(self.all_pairs, tile.pairs, strict=True)):
-                filtered = self.run.cross_filter(views, (transfer[a], transfer[b]), self.config.damping)
-                canvas[i, *nodes.on_canvas(tile.place)] += filtered[inner, inner] * tile.weight
+            for part, i in zip(canvas, pairs, strict=True):
+                a, b = self.all_pairs[i]
+                filtered = self.run.cross_filter(tile.pairs[i], (transfer[a], transfer[b]), self.config.damping)
+                part[nodes.on_canvas(tile.place)] += filtered[inner, inner] * tile.weight
         return nodes.in_frame(canvas)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.disparity import stages
 from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.layout import ONE, ZERO, inner, kernel
 from chromaperture.disparity.error_bar import local_range, sigma_of_range
@@ -17,6 +16,7 @@ from chromaperture.disparity.stages.place import (
     LEAST_UNEXPLAINED,
     POSTERIOR_SHARE,
 )
+from chromaperture.disparity.stages.place import place_by_correlation as readable_place
 from chromaperture.disparity.winner import PathWinner, Surface
 from chromaperture.threads import in_parallel
 
@@ -30,7 +30,7 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
     """Return the place between the layers and its information, as `stages.place_by_correlation`."""
     shape = winner.layer.shape
     if winner.layer.size < v.LANES:
-        return stages.place_by_correlation(winner, layer_count, view_count=view_count)
+        return readable_place(winner, layer_count, view_count=view_count)
     maps = [
         np.ascontiguousarray(part, np.float32).reshape(-1)
         for part in (winner.layer, winner.before, winner.at, winner.after)

@@ -17,8 +17,9 @@ fn even_layer(first: u32, k: i32) -> f32 {
     return correlation[first + u32(k)];
 }
 
-fn at_layer(first: u32, layer: u32) -> f32 {
-    if (places[layer] >= 0i) { return correlation[first + u32(places[layer])]; }
+fn at_layer(first: u32, layer: u32, is_primary: bool) -> f32 {
+    // Secondary pairs are interpolated at all odd layers.
+    if (places[layer] >= 0i && (is_primary || layer % 2u == 0u)) { return correlation[first + u32(places[layer])]; }
     // A polynomial through six even layers, half way between two.
     let k = i32(layer / 2u);
     let far = even_layer(first, k - 2i) + even_layer(first, k + 3i);
@@ -30,7 +31,7 @@ fn nats(from_pair: u32, to_pair: u32, sample: u32, layer: u32) -> f32 {
     var sum = 0.0;
     for (var pair = from_pair; pair < to_pair; pair++) {
         for (var band = 0u; band < bands; band++) {
-            let rho = max(at_layer(((pair * bands + band) * samples + sample) * computed, layer), 0.0);
+            let rho = max(at_layer(((pair * bands + band) * samples + sample) * computed, layer, pair < primary_pairs), 0.0);
             sum -= 0.5 * weights[band] * log(1.0 - min(rho * rho, most_correlation2));
         }
     }
