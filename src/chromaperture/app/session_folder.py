@@ -149,6 +149,11 @@ class SessionFolder:
         assert session is not None
         return session
 
+    def use_levels(self, black: float, white: float) -> None:
+        """State the counts of black and white before the first photograph: of cameras that deliver linear light."""
+        self.facts = self.facts.model_copy(update={"black_level": float(black), "white_level": float(white)})
+        self._write(self.size_px, self.shots, ".png")
+
     def keep(self, photograph: Path, kind: Kind, reading: Reading, checks: Sequence[Check], *, sheet: str = "") -> Shot:
         """Move a photograph into the folder; raises InputError when there are too many or it is of another kind."""
         if len(self.shots) >= MOST_SHOTS:
