@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from dataclasses import replace
@@ -74,7 +75,7 @@ class CameraFeed:
             if leaving is not None:
                 leaving.join(timeout=self.wait_s)
             with self._state:
-                self._wanted = self._count + 1
+                self._wanted, self._asked_s = self._count + 1, math.inf  # not idle while somebody waits
                 if self._thread is None or not self._thread.is_alive():
                     self._begin()
                 self._state.notify_all()
@@ -147,9 +148,9 @@ class CameraFeed:
     def _release_when_idle(self) -> None:
         while True:
             with self._state:
-                if self._state.wait_for(lambda: self._leave, timeout=max(self._rest_s(), 0.01)):
+                if self._state.wait_for(lambda: self._leave, timeout=min(max(self._rest_s(), 0.01), self.idle_s)):
                     return
-                if self._rest_s() > 0 or self._wanted > self._count:  # somebody waits for a picture
+                if self._rest_s() > 0:
                     continue
                 self._leave, source = True, self._source
                 self._state.notify_all()
