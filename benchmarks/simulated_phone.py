@@ -3,8 +3,8 @@
     python benchmarks/simulated_phone.py --out FOLDER [--work FOLDER] [--only everything nothing] [--small]
 
 The package's 4 mm lens (``phone_4``) with the film 0.5 mm before its stop, between front lens and cover glass as in the
-paper's prototype. Light is rendered ray by ray at 1280x720; noise, tone curve, 4:2:0 colours and 8 bits are put on it as
-`optics/video_signal.py` does, and the page's halving. The session is filled by the assistant's own checks, calibrated
+paper's prototype. Light is rendered ray by ray at 1280x720; `optics/video_signal.py` puts noise, tone curve, 4:2:0
+colours and 8 bits on it, and the page's halving. The session is filled by the assistant's own checks, calibrated
 by its job, and planes at other distances are measured with the camera file it made, as ``api/frames`` measures.
 
 Each loss is taken alone and left out alone. Writes ``phone.json`` and ``phone.png``; light is kept in ``--work``, and
@@ -15,13 +15,14 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from phone_picture import QUALITIES, draw, print_tables
 
 from chromaperture.app.assistant import check_shot, sheets_of
 from chromaperture.app.calibration_job import CalibrationJob
@@ -44,7 +45,6 @@ from chromaperture.optics.simulated_session import wall
 from chromaperture.optics.video_signal import VideoSignal, drawn_smaller, video_frame
 from chromaperture.robust import MAD_TO_SIGMA
 
-QUALITIES = ("real-time", "accurate")
 WHITE = 0.9  # of full scale, of the brightest paper
 RULER_MM = 0.3  # largest error of a distance: a caliper's, at these distances
 TINY = 1e-6  # light is kept in counts of 16 bits of its brightest value
@@ -181,8 +181,8 @@ class Light:
         at, footprint = float(rest), (float(rest) - camera.sensor_to_pupil_mm) / camera.focal_px
         # The texture of the bound: 1/f, its contrast over 512 px of what is measured, in texels of a video pixel.
         side = -(-int(1.4 * phone.width_px) // 1024) * 1024  # wider than the frame where the plane leans
-        grey = np.concatenate([textures.noise((1024, 1024), exponent=1.0, seed=int(at) + k) for k in range(side // 1024)],
-                              axis=1)  # fmt: skip
+        tiles = [textures.noise((1024, 1024), exponent=1.0, seed=int(at) + k) for k in range(side // 1024)]
+        grey = np.concatenate(tiles, axis=1)
         picture = np.repeat(grey[..., None], 3, axis=2)
         return [plane(picture, center_mm=(0, 0, at), width_mm=side * footprint, tilt_deg=(*phone.plane_leans_deg, 0))]
 
@@ -342,68 +342,6 @@ def run_variant(phone: Phone, losses: Losses, work: Path, *, lens_blur: bool) ->
     job_said = json.loads((folder / "job.json").read_text())
     rows = list(measure_planes(shutter, bench, "phone"))
     return {"losses": {k: v for k, v in asdict(losses).items() if k != "options"}, "rows": rows, **job_said}
-
-
-# ---- the table and the figure
-
-
-def rms(rows: list[dict[str, Any]], quality: str, key: str) -> float:
-    """Root mean square of a figure over the distances."""
-    values = np.array([row[key] for row in rows if row["quality"] == quality])
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def print_tables(results: dict[str, Any], bound: dict[float, float], show: Callable[[str], None] = print) -> None:
-    """Print both tables in Markdown."""
-    whole = results.get("everything")
-    if whole:
-        show("\n| distance, mm | bound | real-time: bias, spread, stated | accurate: bias, spread, stated |")
-        show("| --- | --- | --- | --- |")
-        for at, limit in bound.items():
-            cells = [next(r for r in whole["rows"] if r["distance_mm"] == at and r["quality"] == q) for q in QUALITIES]
-            texts = [f"{r['middle_bias']:+.1%}, {r['middle_spread']:.1%}, {r['middle_stated']:.1%}" for r in cells]
-            show(f"| {at:g} | {limit:.2%} | {texts[0]} | {texts[1]} |")
-    show("\n| | real-time: bias, spread, within 5 % | accurate: bias, spread, within 5 % |")
-    show("| --- | --- | --- |")
-    for name, result in results.items():
-        texts = []
-        for q in QUALITIES:
-            inside = np.mean([row["frame_in_5"] for row in result["rows"] if row["quality"] == q])
-            bias, spread = (rms(result["rows"], q, f"frame_{k}") for k in ("bias", "spread"))
-            texts.append(f"{bias:.2%}, {spread:.2%}, {inside:.0%}")
-        show(f"| {name} | {texts[0]} | {texts[1]} |")
-
-
-def draw(results: dict[str, Any], bound: dict[float, float], path: Path) -> None:
-    """Draw bias and spread by distance, and what each loss costs."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), width_ratios=(1, 1.15), layout="constrained")
-    whole = results["everything"]["rows"]
-    for quality, color in zip(QUALITIES, ("#1f77b4", "#d1495b"), strict=True):
-        rows = [r for r in whole if r["quality"] == quality]
-        at = [r["distance_mm"] for r in rows]
-        left.plot(at, [100 * r["middle_spread"] for r in rows], "o-", color=color, label=f"{quality}: spread")
-        left.plot(at, [100 * abs(r["middle_bias"]) for r in rows], "s--", color=color, mfc="white",
-                  label=f"{quality}: bias, without its sign")  # fmt: skip
-    left.plot(list(bound), [100 * v for v in bound.values()], "k:", label="Cramer-Rao bound of a window")
-    left.set(xlabel="distance, mm", ylabel="% of the distance", title="Everything on, middle of the frame", ylim=(0, None))
-    left.legend(fontsize=8)
-    names = [n for n in results if n in {v.name for v in VARIANTS}]
-    y = np.arange(len(names))[::-1]
-    for quality, color, shift in zip(QUALITIES, ("#1f77b4", "#d1495b"), (0.2, -0.2), strict=True):
-        both = [100 * np.hypot(rms(results[n]["rows"], quality, "frame_bias"), rms(results[n]["rows"], quality, "frame_spread"))
-                for n in names]  # fmt: skip
-        right.barh(y + shift, both, 0.38, color=color, label=quality)
-    right.set_yticks(y, names, fontsize=8)
-    right.set(xlabel="bias and spread together, % of the distance (whole frame, all distances)")
-    right.legend(fontsize=8)
-    for axes in (left, right):
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=110)
 
 
 def main() -> None:

@@ -224,7 +224,8 @@ def test_the_finding_is_reported_stored_and_widens_the_error_bar(tmp_path, rng, 
     from chromaperture.app.session_folder import SessionFolder
 
     session = started(tmp_path)
-    assert "nothing can be said of one alone" in words(put(session, tmp_path, sheet(rng), 8.0, curve=curve))["tone curve"].finding
+    alone = words(put(session, tmp_path, sheet(rng), 8.0, curve=curve))["tone curve"]
+    assert "nothing can be said of one alone" in alone.finding
     found = put(session, tmp_path, sheet(rng) / RATIO, 8.0 / RATIO, curve=curve)
     again = SessionFolder(session.folder)
     assert again.tone_error == pytest.approx(session.tone_error)

@@ -308,7 +308,7 @@ def _exposures(folder: SessionFolder) -> dict[str, Any]:
     if taken:
         text = "The same paper, nothing moved, at a quarter or a half of the exposure"
     return {"kind": "tone", "text": text, "why": "Files of 8 bits have a tone curve that cannot be switched off. Two "
-            "exposures tell whether it is the one that is assumed; the error bars allow for what is found."}  # fmt: skip
+            "exposures tell whether it is the assumed one; the error bars allow for what is found."}  # fmt: skip
 
 
 def _shown(shot: Any) -> dict[str, Any]:

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from chromaperture.app.assistant import check_shot, shown_check, state
+from chromaperture.app.calibration_job import CalibrationJob
 from chromaperture.app.camera_answers import CameraAnswers
 from chromaperture.app.camera_feed import write_frame
-from chromaperture.app.calibration_job import CalibrationJob
 from chromaperture.app.session_folder import Kind, SessionFolder
 from chromaperture.app.workbench import NAME, Workbench
 from chromaperture.errors import InputError

@@ -83,7 +83,9 @@ class CameraFeed:
                 if self._count >= self._wanted and self._frame is not None:
                     return self._frame
                 failure, self._failure = self._failure, ""
-                raise InputError(failure or f"{self.name} gives no picture{self._event}; is it connected and switched on?")
+                raise InputError(
+                    failure or f"{self.name} gives no picture{self._event}; is it connected and switched on?"
+                )
         finally:
             with self._state:
                 self._wanted, self._asked_s = self._count, time.monotonic()
@@ -211,4 +213,4 @@ def _levels(encoding: Encoding) -> tuple[float, float]:
     """Return the levels of linear frames: the sensor's, of which superpixels hold twice, or wider ones."""
     factor = 1 if encoding.channel_offsets_px == CENTRED else 2
     black, white = encoding.black_level / factor, encoding.white_level / factor
-    return (black, white) if white - black >= _LEAST_SPAN and 0 <= black and white <= 65535 else _WIDE
+    return (black, white) if white - black >= _LEAST_SPAN and black >= 0 and white <= 65535 else _WIDE

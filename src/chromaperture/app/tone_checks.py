@@ -1,4 +1,4 @@
-"""Check two photographs of the same sheet at two exposures: is the tone curve the one that was assumed?"""
+"""Check two photographs of one sheet at two exposures, to tell whether its tone curve is the one assumed."""
 
 from __future__ import annotations
 
@@ -62,12 +62,14 @@ def check_tone(
     ratio = max(first.exposure, second.exposure) / min(first.exposure, second.exposure)
     if ratio < LEAST_RATIO:
         finding = f"both photographs have the same exposure, to a factor of {ratio:.2f}"
-        return [Check("tone curve", "warn", finding, "take one at a half or a quarter of the other's exposure time")], None
+        return [
+            Check("tone curve", "warn", finding, "take one at a half or a quarter of the other's exposure time")
+        ], None
     shorter, longer = (first, second) if first.exposure < second.exposure else (second, first)
     try:
         curve = measure_tone(shorter.image, longer.image, ratio)
-    except InputError as error:
-        return [Check("tone curve", "warn", str(error), "photograph the sheet again")], None
+    except InputError as reason:
+        return [Check("tone curve", "warn", str(reason), "photograph the sheet again")], None
     middle, error = float(np.median(curve.exponent)), curve.error
     figures = {"exposure_ratio": ratio, "exponent": middle, "exponent_error": error, "scatter": curve.scatter,
                "lowest_level": float(curve.level.min()), "highest_level": float(curve.level.max())}  # fmt: skip
@@ -82,7 +84,9 @@ def check_tone(
         return [Check("tone curve", "warn", finding, advice, figures)], None
     if error > _IMPOSSIBLE:
         finding = f"the exposures differ by a factor of {ratio:.2g}, the pictures by {brighter:.2g}"
-        return [Check("tone curve", "warn", finding, "correct the exposure times: no curve is that wrong", figures)], None
+        return [
+            Check("tone curve", "warn", finding, "correct the exposure times: no curve is that wrong", figures)
+        ], None
     span = f"from {curve.level.min():.0%} to {curve.level.max():.0%} of full scale"
     cost = disparity_error(design, error)
     if error <= _AS_ASSUMED:

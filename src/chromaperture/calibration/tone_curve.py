@@ -79,7 +79,7 @@ def measure_tone(shorter: np.ndarray, longer: np.ndarray, exposure_ratio: float)
         raise InputError("the two exposures have different sizes; take both with the same settings")
     if not exposure_ratio >= LEAST_RATIO:
         raise InputError(
-            f"the exposures differ by a factor of {exposure_ratio:.2f} only; take one at a half or a quarter of the other"
+            f"the exposures differ by a factor of {exposure_ratio:.2f} only; take one at half or a quarter of the other"
         )
     low, high = _blocks(shorter), _blocks(longer)
     usable = (low > _DARKEST) & np.isfinite(high) & (high > 0)

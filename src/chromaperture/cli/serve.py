@@ -23,8 +23,8 @@ def serve(
         list[str] | None,
         typer.Option(
             "--source",
-            help="Camera of this computer for the assistant, repeatable: webcam:0, aravis:SERIAL, gphoto2, replay:FOLDER, "
-            "a video. Pages can use only these.",
+            help="Camera of this computer for the assistant, repeatable: webcam:0, aravis:SERIAL, gphoto2, "
+            "replay:FOLDER, a video. Pages can use only these.",
         ),
     ] = None,
     lan: Annotated[
