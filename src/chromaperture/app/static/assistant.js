@@ -84,6 +84,7 @@ function draw() {
   const fit = () => { ruler.parentElement.hidden = kind.value !== "board"; sheet.parentElement.hidden = kind.value !== "white"; time.parentElement.hidden = kind.value !== "tone"; };
   kind.addEventListener("change", fit);
   if (LABELS[next.kind]) kind.value = next.kind;
+  if (session.shots.at(-1)?.kind === "tone" && session.tone_error === null) kind.value = "tone";  // its second exposure
   if (next.ruler_mm) ruler.value = next.ruler_mm;
   if (next.sheet) sheet.value = next.sheet;
   const file = make("input", { id: "shot-file", type: "file", multiple: true, class: "unseen", accept: "image/*,.dng,.arw,.cr2,.cr3,.nef,.orf,.raf,.rw2,.tif,.tiff" });
