@@ -18,7 +18,8 @@ export function startPhoto() {
   });
   for (const id of ["f-number", "background", "sharpen"]) $(id).addEventListener("input", () => { showNumber(); viewer.show("picture"); refocus(); });
   viewer.buttons.at(-1).addEventListener("click", () => { if (!viewer.picture) refocus(); });
-  $("photo-save").addEventListener("click", () => attempt(save));
+  $("photo-save").addEventListener("click", () => attempt(() => save("photo-save", "files")));
+  $("photo-embed").addEventListener("click", () => attempt(() => save("photo-embed", "embedded")));
 }
 
 const fNumber = () => photo.f_number * 2 ** (Number($("f-number").value) / 2);  // a step of 1 is a stop
@@ -64,15 +65,15 @@ async function refocus() {
   if (again) refocus();
 }
 
-async function save() {
-  $("photo-save").disabled = true;
+async function save(button, what) {
+  $(button).disabled = true;
   try {
-    const answer = await ask(`api/photos/${photo.photo}/files`);
+    const answer = await ask(`api/photos/${photo.photo}/${what}`);
     const name = /filename="([^"]+)"/.exec(answer.headers.get("content-disposition"))?.[1] ?? "photograph.zip";
     const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(await answer.blob()), download: name });
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
   } finally {
-    $("photo-save").disabled = false;
+    $(button).disabled = false;
   }
 }
