@@ -17,14 +17,17 @@ import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
+from chromaperture.app.device_plan import light_of_counts, make_plan
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
+from chromaperture.camera_scale import reduced_size
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.config import QUALITIES
@@ -44,6 +47,8 @@ _MOST_CAMERAS = 200  # files that the page may add; chosen by hand
 _MOST_CAMERA_BYTES = 64 * 2**20  # of a camera file; that of 24 megapixels has 0.1 MB
 _KEPT_PHOTOS = 3  # measured photographs for tap-to-focus; 24 megapixels take 1 GB each
 _KEPT_EYES = 4  # cameras at a quality and a size, with their curves
+_KEPT_PLANS = 4  # of 2.4 MB for 720x480
+_MOST_PLAN_PX = 4_000_000  # up to here cameras keep the curves of all pixels, see `CodedApertureCamera.conversion`
 _WHITE = 0.95  # of the screen, for the brightest 0.2 % of a refocused picture; as `chromaperture refocus`
 
 
@@ -86,6 +91,8 @@ class Workbench:
             Calibration.load(camera)
         self._eyes: OrderedDict[tuple[Any, ...], CodedApertureCamera] = OrderedDict()
         self._photos: OrderedDict[str, Photo] = OrderedDict()
+        self._about: dict[tuple[Path, int], dict[str, Any]] = {}
+        self._plans: OrderedDict[tuple[Any, ...], bytes] = OrderedDict()
 
     # ---- cameras
 
@@ -131,7 +138,10 @@ class Workbench:
 
     def describe_cameras(self) -> list[dict[str, Any]]:
         """Return for each camera what the page shows; a damaged file has ``error`` instead."""
-        return [{"name": name, **_described(path)} for name, path in self.camera_paths().items()]
+        paths = self.camera_paths()
+        keys = {name: (path, path.stat().st_mtime_ns) for name, path in paths.items()}
+        self._about = {key: self._about.get(key) or _described(key[0]) for key in keys.values()}
+        return [{"name": name, **self._about[key]} for name, key in keys.items()]
 
     def eye(self, name: str, quality: str) -> CodedApertureCamera:
         """Return a camera at a quality, opened once for all frames; raises InputError."""
@@ -146,6 +156,31 @@ class Workbench:
                 self._eyes.popitem(last=False)
         self._eyes.move_to_end(key)
         return self._eyes[key]
+
+    def plan(self, name: str, size_px: tuple[int, int], exchange: str) -> bytes:
+        """Return the plan by which a browser measures frames of a size, see `make_plan`; raises InputError."""
+        path = self.camera_path(name)
+        key = (path, path.stat().st_mtime_ns, size_px, exchange)
+        if key not in self._plans:
+            if min(size_px) < 1 or math.prod(size_px) > _MOST_PLAN_PX:
+                raise InputError("a browser measures frames of up to 4 megapixels; the computer measures this one")
+            eye = self.eye(name, "real-time")
+            sensor = eye.calibration.sensor
+            frame_px = sensor.width_px, sensor.height_px
+            if size_px != frame_px and not eye.calibration.is_calibrated:
+                raise InputError("a camera that was never calibrated measures frames of its own size only")
+            with heard() as notes:
+                light_of_counts(eye.calibration)
+            is_other = size_px != reduced_size(frame_px, round(frame_px[0] / size_px[0]) or 1)
+            said = [*notes(), *([eye.scaled_note(size_px)] if is_other else [])]
+            about = {"name": name, **_described(path)}
+            facts = {"camera": about, "version": version("chromaperture"), "notes": said}
+            packed = make_plan(eye.at_size(*size_px), exchange, facts)
+            self._plans[key] = packed
+            while len(self._plans) > _KEPT_PLANS:
+                self._plans.popitem(last=False)
+        self._plans.move_to_end(key)
+        return self._plans[key]
 
     # ---- measuring
 
@@ -275,6 +310,7 @@ def _described(path: Path) -> dict[str, Any]:
         "title": calibration.title,
         "width": sensor.width_px,
         "height": sensor.height_px,
+        "working_px": reduced_size((sensor.width_px, sensor.height_px), default_config(calibration).scale),
         "near_mm": calibration.near_mm,
         "far_mm": calibration.far_mm,
         "f_number": calibration.lens.f_number,
