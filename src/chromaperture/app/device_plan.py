@@ -14,6 +14,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from chromaperture.app.notes import heard
 from chromaperture.app.packed_arrays import pack_array
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_alignment import channel_shifts
@@ -25,12 +26,7 @@ from chromaperture.color.image import DARK
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.depth.pointcloud import RAY_PITCH_PX, grid_of_rays
 from chromaperture.disparity.gpu.conversion_stage import add_conversion
-from chromaperture.disparity.gpu.picture_stages import (
-    add_colored_maps,
-    add_light_of_counts,
-    add_sparse_maps,
-    row_pitch,
-)
+from chromaperture.disparity.gpu.picture_stages import add_colored_maps, add_light_of_counts, add_sparse_maps, row_pitch
 from chromaperture.disparity.gpu.planned_chain import Exchange, PlannedChain
 from chromaperture.disparity.gpu.real_time_chain import add_real_time
 from chromaperture.disparity.real_time import RealTimeMethod
@@ -74,7 +70,8 @@ def make_plan(camera: CodedApertureCamera, exchange: str, facts: dict[str, Any])
         raise InputError("this frame has too many pixels for a browser; the computer measures it")
     calibration = camera.calibration
     chain, size = PlannedChain(exchange), (calibration.sensor.height_px, calibration.sensor.width_px)  # type: ignore[arg-type]
-    image = add_light_of_counts(chain, size, light_of_counts(calibration))
+    light, notes = light_of_counts(calibration)
+    image = add_light_of_counts(chain, size, light)
     add_real_time(chain, image, size, method.config, method.space, method.label_map)
     maps = ("disparity", "sigma")
     if camera.conversion is not None:
@@ -94,6 +91,7 @@ def make_plan(camera: CodedApertureCamera, exchange: str, facts: dict[str, Any])
     ]
     blobs = _Blobs()
     text = facts | {
+        "notes": [*notes, *facts.get("notes", [])],
         "plan": FORMAT, "exchange": exchange, "width": size[1], "height": size[0], "pitch": row_pitch(size[1]),
         "sources": sources, "measure": steps[:measure_count], "draw": steps[measure_count:],
         "arrays": {
@@ -103,18 +101,30 @@ def make_plan(camera: CodedApertureCamera, exchange: str, facts: dict[str, Any])
         "maps": maps, "sparse": sparse, "unit": "px" if limit is None else "mm", "most_relative": limit,
         "checks": _checks(len(method.space.rows), size[0] * size[1]),
         "colors": {name: table.tolist() for name, table in zip(("depth", "sigma"), color_tables(), strict=True)},
-        "points": _points(camera, size, blobs),
+        "points": _points(camera, blobs),
     }  # fmt: skip
-    packed = zlib.compress(json.dumps(text, allow_nan=False).encode())
-    return struct.pack("<I", len(packed)) + packed + b"".join(blobs.parts)
+    return blobs.message(text)
 
 
-def light_of_counts(calibration: Calibration) -> np.ndarray:
-    """Return the linear light of the 256 counts of a picture of 8 bits, (256,) float32, as its file is read."""
+def make_points(camera: CodedApertureCamera) -> bytes:
+    """Return what makes points of the maps of a camera's size, as a message like `make_plan`'s."""
+    blobs = _Blobs()
+    return blobs.message({"points": _points(camera, blobs)})
+
+
+def light_of_counts(calibration: Calibration) -> tuple[np.ndarray, list[str]]:
+    """Return the linear light of the 256 counts of a picture of 8 bits as its file is read, and notes about it.
+
+    Returns
+    -------
+    (256,) float32, and a list of sentences
+    """
     counts = np.repeat(np.arange(256, dtype=np.uint8)[:, None, None], 3, axis=2)
     sensor = calibration.sensor
     levels = (sensor.black_level, sensor.white_level) if calibration.is_calibrated else None
-    return np.ascontiguousarray(linearise(Decoded(counts), camera_levels=levels)[:, 0, 0])
+    with heard() as notes:
+        light = linearise(Decoded(counts), camera_levels=levels)
+    return np.ascontiguousarray(light[:, 0, 0]), notes()
 
 
 @cache
@@ -139,6 +149,11 @@ class _Blobs:
         self.parts.append(packed)
         return {"kind": kind, "at": at, "bytes": len(packed), "size": int(values.size)}
 
+    def message(self, text: dict[str, Any]) -> bytes:
+        """Return the text and the arrays as one message."""
+        packed = zlib.compress(json.dumps(text, allow_nan=False).encode())
+        return struct.pack("<I", len(packed)) + packed + b"".join(self.parts)
+
 
 def _checks(view_count: int, pixels: int) -> list[dict[str, Any]]:
     """Return what must hold of the numbers in ``stats``, and what to say where it does not."""
@@ -150,14 +165,15 @@ def _checks(view_count: int, pixels: int) -> list[dict[str, Any]]:
     return [{"at": at, "least": least, "says": str(error)} for at, least, error in checks]
 
 
-def _points(camera: CodedApertureCamera, size: tuple[int, int], blobs: _Blobs) -> dict[str, Any] | None:
+def _points(camera: CodedApertureCamera, blobs: _Blobs) -> dict[str, Any] | None:
     """Return what makes points of depth, as `depth_to_points`; None for a camera that was never calibrated."""
     if not camera.calibration.is_calibrated:
         return None
-    lens = camera.calibration.lens
+    lens, sensor = camera.calibration.lens, camera.calibration.sensor
+    size = (sensor.height_px, sensor.width_px)
     rays = grid_of_rays(size, np.asarray(lens.camera_matrix, float), np.asarray(lens.distortion, float))
     pupil_mm = float(camera.calibration.depth[camera.config.quality].sensor_to_pupil_mm)
     return {
         "rays": blobs.put(rays.astype(np.float32)), "rows": rays.shape[0], "columns": rays.shape[1],
-        "pitch_px": RAY_PITCH_PX, "sensor_to_pupil_mm": pupil_mm,
+        "pitch_px": RAY_PITCH_PX, "sensor_to_pupil_mm": pupil_mm, "most_relative": MAX_RELATIVE_SIGMA,
     }  # fmt: skip

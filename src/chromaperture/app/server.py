@@ -130,6 +130,15 @@ class Answers:
         packed = await self.desk.run(partial(self.workbench.plan, request.path_params["name"], size, exchange))
         return Response(packed, media_type="application/octet-stream")
 
+    async def points(self, request: Any) -> Any:
+        """Return what makes points of the maps of a camera."""
+        from starlette.responses import Response
+
+        asked = request.query_params
+        size, quality = (whole(asked, "width"), whole(asked, "height")), asked.get("quality", "real-time")
+        packed = await self.desk.run(partial(self.workbench.points, request.path_params["name"], size, quality))
+        return Response(packed, media_type="application/octet-stream")
+
     async def frame(self, request: Any) -> Any:
         """Measure one frame of the page's camera."""
         from starlette.responses import Response
@@ -314,6 +323,7 @@ def make_app(workbench: Workbench, access: Access, *, certificate: Path | None =
         ("POST", "/api/cameras", answers.add_camera),
         ("GET", "/api/cameras/{name}", answers.camera),
         ("GET", "/api/cameras/{name}/plan", answers.plan),
+        ("GET", "/api/cameras/{name}/points", answers.points),
         ("POST", "/api/frames", answers.frame),
         ("POST", "/api/photos", answers.photo),
         ("GET", "/api/photos/{photo}/refocused", answers.refocus),

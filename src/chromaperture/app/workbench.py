@@ -5,17 +5,15 @@ Everything here is called by one thread at a time: the matcher uses all cores al
 
 from __future__ import annotations
 
-import contextlib
 import io
 import itertools
 import math
 import re
 import secrets
 import tempfile
-import warnings
 import zipfile
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -23,7 +21,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from chromaperture.app.device_plan import light_of_counts, make_plan
+from chromaperture.app.device_plan import make_plan, make_points
+from chromaperture.app.notes import heard
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
@@ -36,7 +35,7 @@ from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.refocusing import Focus
 from chromaperture.effects.restore import SharpPicture, restore
 from chromaperture.effects.transfer_functions import radius_per_disparity
-from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.errors import InputError
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.products.measure_file import MeasuredFile, measure_only
 from chromaperture.storage import staged
@@ -169,10 +168,8 @@ class Workbench:
             frame_px = sensor.width_px, sensor.height_px
             if size_px != frame_px and not eye.calibration.is_calibrated:
                 raise InputError("a camera that was never calibrated measures frames of its own size only")
-            with heard() as notes:
-                light_of_counts(eye.calibration)
             is_other = size_px != reduced_size(frame_px, round(frame_px[0] / size_px[0]) or 1)
-            said = [*notes(), *([eye.scaled_note(size_px)] if is_other else [])]
+            said = [eye.scaled_note(size_px)] if is_other else []
             about = {"name": name, **_described(path)}
             facts = {"camera": about, "version": version("chromaperture"), "notes": said}
             packed = make_plan(eye.at_size(*size_px), exchange, facts)
@@ -181,6 +178,13 @@ class Workbench:
                 self._plans.popitem(last=False)
         self._plans.move_to_end(key)
         return self._plans[key]
+
+    def points(self, name: str, size_px: tuple[int, int], quality: str) -> bytes:
+        """Return what makes points of maps of a size, see `make_points`; raises InputError."""
+        eye = self.eye(name, quality)
+        if min(size_px) < 1 or math.prod(size_px) > _MOST_PLAN_PX or not eye.calibration.is_calibrated:
+            raise InputError("points are made of the maps of a calibrated camera, of up to 4 megapixels")
+        return make_points(eye.at_size(*size_px))
 
     # ---- measuring
 
@@ -336,11 +340,3 @@ def _radius_at(radius_px: np.ndarray, at: tuple[float, float] | None) -> float:
     height, width = radius_px.shape
     x, y = (min(int(v * n), n - 1) for v, n in zip(at, (width, height), strict=True))
     return float(np.median(radius_px[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4]))
-
-
-@contextlib.contextmanager
-def heard() -> Iterator[Callable[[], list[str]]]:
-    """Collect the sentences of warnings about captures; what is yielded returns them."""
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always")
-        yield lambda: list(dict.fromkeys(str(w.message) for w in found if issubclass(w.category, CaptureWarning)))

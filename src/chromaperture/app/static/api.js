@@ -13,7 +13,7 @@ export async function ask(path, options = {}) {
     answer = await fetch(path, options);
   } catch (error) {
     if (error.name === "AbortError") throw error;
-    throw new Sentence(NO_ANSWER);
+    throw Object.assign(new Sentence(NO_ANSWER), { isNoAnswer: true });
   }
   if (answer.ok) return answer;
   const text = await answer.text();

@@ -19,7 +19,7 @@ fn level(value: u32) -> u32 {
 fn mixed(one: u32, other: u32) -> u32 {
     var found = 0xff000000u;
     for (var bit = 0u; bit < 24u; bit += 8u) {
-        found |= (((one >> bit & 255u) + 3u * (other >> bit & 255u)) >> 2u) << bit;
+        found |= ((((one >> bit) & 255u) + 3u * ((other >> bit) & 255u)) >> 2u) << bit;
     }
     return found;
 }
@@ -48,6 +48,6 @@ fn main(
         picture[at] = colors[257u + level(sigma[i])];
     } else {
         let rgb = aligned(i) / look[3];
-        picture[at] = encoded(rgb.x) | encoded(rgb.y) << 8u | encoded(rgb.z) << 16u | 0xff000000u;
+        picture[at] = encoded(rgb.x) | (encoded(rgb.y) << 8u) | (encoded(rgb.z) << 16u) | 0xff000000u;
     }
 }

@@ -20,7 +20,7 @@ fn main(
     for (var v = 0u; v < side; v++) {
         for (var u = 0u; u < side; u++) {
             let packed = counts[first + v * form[1] + u];
-            let rgb = vec3f(light[packed & 255u], light[packed >> 8u & 255u], light[packed >> 16u & 255u]);
+            let rgb = vec3f(light[packed & 255u], light[(packed >> 8u) & 255u], light[(packed >> 16u) & 255u]);
             sum += rgb;
             most = max(most, max(max(rgb.x, rgb.y), rgb.z));
         }
