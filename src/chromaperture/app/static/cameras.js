@@ -12,7 +12,8 @@ export const chosenCamera = () => known.find((camera) => camera.name === $("came
 
 export async function loadCameras(choose) {
   try {
-    about = await askJson("api/about");
+    const kept = await keptDescriptions();
+    about = await askJson("api/about", kept.length ? { signal: AbortSignal.timeout(PATIENCE_MS) } : {});
     known = about.cameras;
   } catch (error) {
     if (!error.isNoAnswer) throw error;
@@ -29,6 +30,7 @@ export async function loadCameras(choose) {
   if (choose) $("camera").dispatchEvent(new Event("change"));
 }
 
+const PATIENCE_MS = 10_000;  // chosen by hand: a computer that is gone answers nothing for minutes
 const MOST_PIXELS = 1_000_000;  // of a frame of Live: three bytes each are sent, or 260 held on the device
 
 // Width and height of the frames that Live measures.

@@ -21,7 +21,7 @@ export async function measurerFor(camera, width, height) {
           last?.close();
           last = null;
           showMode("preparing this device");
-          last = Object.assign(await new DeviceMeasurer(gpu, await planFor(camera.name, width, height, gpu.exchange)).prepare(), { key });
+          last = Object.assign(await new DeviceMeasurer(gpu, await planFor(camera.name, width, height, gpu.exchange, { isAlone: camera.isKeptOnly })).prepare(), { key });
         }
         showMode(last.mode);
         return last;

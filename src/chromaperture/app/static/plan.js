@@ -30,16 +30,17 @@ const keyOf = (name, width, height, exchange) => [name, width, height, exchange]
 const loaded = new Map();  // of this visit: the computer is asked once
 
 // The plan for a camera and a size of frame: the computer's where it answers, so that nothing gets old; else the kept one.
-export async function planFor(name, width, height, exchange, { mustKeep = false } = {}) {
+export async function planFor(name, width, height, exchange, { mustKeep = false, isAlone = false } = {}) {
   const key = keyOf(name, width, height, exchange);
   if (loaded.has(key) && !mustKeep) return loaded.get(key);
-  let buffer;
-  try {
+  const fromHere = async () => (await keptPlans()).find((plan) => plan.key === key)?.buffer;
+  let buffer = isAlone ? await fromHere() : undefined;  // without the computer
+  if (!buffer) try {
     buffer = await (await ask(`api/cameras/${encodeURIComponent(name)}/plan` + query({ width, height, exchange }))).arrayBuffer();
     await keepPlan({ key, name, width, height, exchange, buffer, about: (await unpackMessage(buffer)).camera }).catch((error) => { if (mustKeep) throw error; console.info("this plan is not kept:", error.message); });
   } catch (error) {
     if (!error.isNoAnswer) throw error;
-    buffer = (await keptPlans()).find((plan) => plan.key === key)?.buffer;
+    buffer = await fromHere();
     if (!buffer) throw error;
   }
   const plan = await unpackMessage(buffer);

@@ -17,15 +17,16 @@ self.addEventListener("fetch", (event) => {
   event.respondWith(newest(event.request));
 });
 
+const PATIENCE_MS = 3000;  // chosen by hand: an address that has gone from the network answers nothing for minutes
+
 // The server's file where it answers, so that nothing gets old; the kept one where it does not.
 async function newest(request) {
-  const cache = await caches.open(NAME);
+  const cache = await caches.open(NAME), kept = await cache.match(request, { ignoreSearch: true });
   try {
-    const answer = await fetch(request);
+    const answer = await fetch(request, kept ? { signal: AbortSignal.timeout(PATIENCE_MS) } : {});
     if (answer.ok) await cache.put(request, answer.clone()).catch(() => {});
     return answer;
   } catch (error) {
-    const kept = await cache.match(request, { ignoreSearch: true });
     if (kept) return kept;
     throw error;
   }

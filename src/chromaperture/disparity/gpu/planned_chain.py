@@ -15,6 +15,9 @@ from chromaperture.disparity.gpu.workgroups import dispatch_size
 Exchange = Literal["quad", "shared", "single"]
 
 
+_LARGEST_BYTES = 128 * 2**20  # of an array: what every device with WebGPU takes, its default limit
+
+
 class PlannedChain(Chain):
     """A chain of a device that is elsewhere; `Chain.run` and `Chain.start` do not work.
 
@@ -31,8 +34,8 @@ class PlannedChain(Chain):
 
     def __init__(self, exchange: Exchange) -> None:
         kind = "CPU" if exchange == "single" else "Unknown"
-        info = AdapterInfo("a browser's device", kind, "WebGPU", "", 0, exchange == "quad")
-        super().__init__(Device(info, None, exchange == "quad", False, 0))
+        info = AdapterInfo("a browser's device", kind, "WebGPU", "", _LARGEST_BYTES // 1_000_000, exchange == "quad")
+        super().__init__(Device(info, None, exchange == "quad", False, _LARGEST_BYTES))
         self.values: dict[str, np.ndarray] = {}
 
     def array(self, name: str, size: int, dtype: type = np.float32) -> Array:
