@@ -31,7 +31,7 @@ export async function loadCameras(choose) {
 }
 
 const PATIENCE_MS = 10_000;  // chosen by hand: a computer that is gone answers nothing for minutes
-const MOST_PIXELS = 1_000_000;  // of a frame of Live: three bytes each are sent, or 260 held on the device
+const MOST_PIXELS = 1_000_000;  // of a frame of Live: three bytes each are sent, or 300 held on the device
 
 // Width and height of the frames that Live measures.
 export function liveSize({ width, height }) {

@@ -121,9 +121,12 @@ export class Viewer {
     if (!this.point || !this.frame) return;
     const [x, y] = this.point, { width, height } = this.frame.facts;
     const reading = (this.readings = (this.readings ?? 0) + 1);
-    let found;
-    try { found = await this.frame.readAt(Math.floor(x * width), Math.floor(y * height)); } catch { return; }  // of a device that was lost: said by who measures
+    this.reading.setAttribute("aria-busy", "true");
+    // Null of a device that was lost, which is said by who measures.
+    const found = await Promise.resolve(this.frame.readAt(Math.floor(x * width), Math.floor(y * height))).catch(() => null);
     if (reading !== this.readings) return;
+    this.reading.removeAttribute("aria-busy");
+    if (!found) return;
     const { depth, sigma, unit } = found;
     const text = Number.isNaN(depth) ? "unknown here" : `${round(depth)} ± ${Number(sigma.toPrecision(2))} ${unit}`;
     if (this.reading.textContent !== text) this.reading.textContent = text;
