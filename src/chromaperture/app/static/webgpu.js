@@ -161,6 +161,7 @@ export class DeviceMeasurer {
       to = 0;
       return parts.map((part) => whole.slice(to, (to += part.size)));
     } catch (error) {
+      await Promise.race([device.lost, new Promise((resolve) => setTimeout(resolve, 500))]);  // it is said a moment later
       throw this.#trouble(`the graphics device failed (${error.message})`);
     } finally {
       staging.destroy();
