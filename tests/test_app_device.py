@@ -8,6 +8,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+import tifffile
 
 from apps import DESKTOP, PHONE, WEBGPU, chromium, served, write_y4m
 from chromaperture.app.device_plan import light_of_counts
@@ -310,6 +311,15 @@ def test_it_measures_without_the_computer(browser, small, tmp_path):
     add_probe(page, tmp_path / "p.png")
     depth_mm, sigma_mm, _, _ = measured(page, "#probe")
     assert_measured_as_by_python(depth_mm, sigma_mm, light_of_counts(small[2].calibration)[0][small[1]], small[2])
+    downloads = []
+    page.on("download", lambda download: downloads.append(download))
+    page.click("#photo-save")
+    says(page, "depth and error bar are saved")
+    page.wait_for_timeout(500)
+    saved = {download.suggested_filename: tifffile.imread(download.path()) for download in downloads}
+    assert set(saved) == {"p.depth.tiff", "p.sigma.tiff"}
+    np.testing.assert_array_equal(saved["p.depth.tiff"], depth_mm)
+    np.testing.assert_array_equal(saved["p.sigma.tiff"], sigma_mm)
     page.locator("#photo-viewer [data-view=points]").click()
     page.wait_for_selector("#photo-viewer .turned canvas[aria-label*=points]")
     page.click("#tab-live")
@@ -373,6 +383,34 @@ def test_a_device_that_is_too_small_leaves_it_to_the_computer(page_at):
     page.click("#live-start")
     page.wait_for_selector("#live-speed:has-text('frames/s')")
     mode(page, "too little memory for frames of 360 x 240")
+
+
+def test_frames_go_up_by_a_canvas_where_the_device_copies_no_videos(page_at, small):
+    page = page_at(script="""
+        GPUQueue.prototype.copyExternalImageToTexture = () => { throw new TypeError("no such source"); };
+    """)
+    page.click("#live-start")
+    page.wait_for_selector("#live-speed:has-text('frames/s')")
+    mode(page, "Measured on this device")
+    expected = small[2].measure(light_of_counts(small[2].calibration)[0][small[1]])
+    x, y = PLACES[0]
+    depth, sigma = reading(page, "#live-viewer", x, y)
+    window = expected.depth_mm[round(y * HEIGHT) - 4 :, round(x * WIDTH) - 4 :][:9, :9]
+    assert np.nanmin(window) - 0.3 * sigma <= depth <= np.nanmax(window) + 0.3 * sigma
+
+
+def test_a_photograph_stays_while_live_measures_with_the_same_arrays(page_at, small, tmp_path):
+    page = page_at()
+    nearer = np.roll(small[1], WIDTH // 2, axis=1)
+    open_photo(page, save_png(tmp_path / "p.png", nearer))
+    before = reading(page, "#photo-viewer", *PLACES[0])
+    page.click("#tab-live")
+    page.click("#live-start")
+    page.wait_for_selector("#live-speed:has-text('frames/s')")
+    live = reading(page, "#live-viewer", *PLACES[0])
+    page.click("#tab-photo")
+    assert reading(page, "#photo-viewer", *PLACES[0]) == before
+    assert before != live
 
 
 def test_a_turned_phone_and_a_page_in_the_background_pause(page_at):

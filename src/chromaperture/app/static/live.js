@@ -27,6 +27,7 @@ export function stop() {
   $("live-start").textContent = "Start the camera";
   $("live-speed").textContent = "";
   running = null;
+  viewer.hold();
 }
 
 async function start() {

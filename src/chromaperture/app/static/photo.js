@@ -4,6 +4,7 @@ import { chosenCamera } from "./cameras.js";
 import { unpack } from "./frame.js";
 import { measurerFor, showMode } from "./measurers.js";
 import { readPicture } from "./photo_file.js";
+import { floatTiff } from "./tiff.js";
 import { Viewer } from "./viewer.js";
 import { DeviceMeasurer, DeviceTrouble } from "./webgpu.js";
 
@@ -33,7 +34,7 @@ async function measure(file) {
   const quality = $("photo-quality").value;
   say(quality === "accurate" ? `Measuring ${file.name}; the best quality takes some 12 seconds a megapixel.` : `Measuring ${file.name}.`, { plain: true });
   $("photo-tools").hidden = true;
-  const frame = (quality === "real-time" ? await byDevice(camera, file) : null) ?? await byComputer(camera, file, quality);
+  const frame = (quality === "real-time" && $("where").value !== "computer" ? await byDevice(camera, file) : null) ?? await byComputer(camera, file, quality);
   photo = { ...frame.facts, f_number: frame.facts.f_number ?? camera.f_number, file, camera, quality };
   at = null;
   viewer.picture = undefined;
@@ -46,18 +47,18 @@ async function measure(file) {
   say(photo.notes.map((note) => note[0].toUpperCase() + note.slice(1) + ".").join(" "), { plain: true });
 }
 
-// Null where this device does not measure: it was not chosen, cannot, or the file is none that a browser decodes.
+// Null where this device does not measure: it cannot, or the file is none that a browser decodes.
 async function byDevice(camera, file) {
-  if ($("where").value === "computer") return null;
+  showMode("");
   const picture = await readPicture(file);
-  if (!picture) return null;
+  if (!picture) { showMode("measured by the computer: a browser does not read such files as they are stored"); return null; }
   const { bitmap, notes } = picture, other = Math.abs(bitmap.width * camera.height - bitmap.height * camera.width) > Math.max(bitmap.width, bitmap.height, camera.width, camera.height);
   if (other) throw new Sentence(`${file.name} has ${bitmap.width}x${bitmap.height} px but the camera was calibrated at ${camera.width}x${camera.height}: use its photographs as they come, or choose the camera file of this camera.`);
   try {
     const reduced = Math.max(1, Math.round(bitmap.width / camera.working_px[0]));
     const measurer = await measurerFor(camera, Math.round(bitmap.width / reduced), Math.round(bitmap.height / reduced));
     if (!(measurer instanceof DeviceMeasurer)) return null;
-    const began = performance.now(), frame = await measurer.measure(bitmap);
+    const began = performance.now(), frame = await (await measurer.measure(bitmap)).still();
     Object.assign(frame.facts, { seconds: (performance.now() - began) / 1000, notes: [...frame.facts.notes, ...notes] });
     return frame;
   } catch (error) {
@@ -110,10 +111,19 @@ async function save() {
   try {
     const answer = await ask(`api/photos/${await sent(photo)}/files`);
     const name = /filename="([^"]+)"/.exec(answer.headers.get("content-disposition"))?.[1] ?? "photograph.zip";
-    const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(await answer.blob()), download: name });
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
+    download(await answer.blob(), name);
+  } catch (error) {
+    if (!error.isNoAnswer || photo.photo) throw error;
+    const { depth, sigma } = viewer.frame, stem = photo.file.name.replace(/\.[^.]*$/, "");
+    for (const [name, values] of Object.entries({ depth, sigma })) download(floatTiff(values, photo.width, photo.height), `${stem}.${name}.tiff`);
+    say("The computer does not answer: depth and error bar are saved, as TIFF files; colours and points are its work.", { plain: true });
   } finally {
     $("photo-save").disabled = false;
   }
+}
+
+function download(blob, name) {
+  const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }

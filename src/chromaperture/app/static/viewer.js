@@ -47,6 +47,9 @@ export class Viewer {
     this.draw();
   }
 
+  // Keeps what is shown, when the device that holds it measures something else.
+  hold() { this.frame?.still?.().then((still) => this.setFrame(still)).catch(() => {}); }
+
   setPicture(bitmap) { this.picture = bitmap; this.draw(); }
 
   clear() { this.frame = this.picture = undefined; this.canvas.hidden = this.scale.hidden = true; this.empty.hidden = false; this.reading.hidden = this.mark.hidden = true; }

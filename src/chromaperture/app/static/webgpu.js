@@ -1,7 +1,7 @@
 // Runs a plan (plan.js) on the graphics device of this browser. Which shaders run over which arrays is the plan's matter.
 import { Sentence } from "./api.js";
 import { grab } from "./capture.js";
-import { medianAt } from "./frame.js";
+import { medianAt, StillFrame } from "./frame.js";
 import { unpackGeometry } from "./plan.js";
 
 // The device cannot go on; a computer may.
@@ -200,6 +200,7 @@ export class DeviceMeasurer {
     this.texture?.destroy();
     this.context?.unconfigure();
     this.buffers = {};
+    this.isClosed = true;
   }
 }
 
@@ -223,13 +224,17 @@ class DeviceFrame {
 
   #look(view) { const { low, high } = this.facts[view] ?? { low: 0, high: 1 }; return [VIEWS[view], low, high, this.white]; }
 
+  get isGone() { return this.measurer.gpu.isLost || this.measurer.isClosed; }
+
   draw(context, view) {
+    if (this.isGone) return;  // what was drawn last stays
     const { width, height } = this.facts;
     context.drawImage(this.measurer.drawn(this.#look(view)), 0, 0, width, height);
   }
 
   // Depth and error bar at a place; only what lies about it leaves the device.
   async readAt(x, y) {
+    if (this.isGone) return null;
     const { width, height, depth: { unit } } = this.facts, [left, top] = [Math.max(x - READ, 0), Math.max(y - READ, 0)];
     const [across, down] = [Math.min(x + READ, width - 1) - left + 1, Math.min(y + READ, height - 1) - top + 1];
     const rows = (name) => Array.from({ length: down }, (_, v) => ({ name, offset: 4 * ((top + v) * width + left), size: 4 * across }));
@@ -242,8 +247,17 @@ class DeviceFrame {
 
   async maps() {
     const { measurer } = this, { plan } = measurer;
-    const [depth, sigma] = await measurer.readParts(plan.maps.map((name) => ({ name, offset: 0, size: 4 * plan.arrays[name].size })));
-    return { depth: new Float32Array(depth), sigma: new Float32Array(sigma), color: await measurer.drawnBytes(this.#look("color")) };
+    const whole = plan.maps.map((name) => ({ name, offset: 0, size: 4 * plan.arrays[name].size }));
+    // Both are asked for at once: the device's arrays may be the next frame's a moment later.
+    const [[depth, sigma], color] = await Promise.all([measurer.readParts(whole), measurer.drawnBytes(this.#look("color"))]);
+    return { depth: new Float32Array(depth), sigma: new Float32Array(sigma), color };
+  }
+
+  // The same frame with its maps read back: it stays when the device measures another.
+  async still() {
+    const { width, height } = this.facts, { depth, sigma, color } = await this.maps();
+    const bitmap = await createImageBitmap(new ImageData(color, width, height));
+    return new StillFrame(this.facts, { depth, sigma, bitmap }, { geometry: () => this.geometry(), colors: this.colors });
   }
 
   close() {}
