@@ -19,7 +19,8 @@ export async function ask(path, options = {}) {
   const text = await answer.text();
   let line = text.trim();
   try { line = JSON.parse(text).error ?? line; } catch { /* a line already */ }
-  throw new Sentence(line ? line[0].toUpperCase() + line.slice(1) + (/[.!?]$/.test(line) ? "" : ".") : `The computer answers with error ${answer.status}.`);
+  const said = line ? line[0].toUpperCase() + line.slice(1) + (/[.!?]$/.test(line) ? "" : ".") : `The computer answers with error ${answer.status}.`;
+  throw Object.assign(new Sentence(said), { status: answer.status });
 }
 
 export const askJson = async (path, options) => (await ask(path, options)).json();

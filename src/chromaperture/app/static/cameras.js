@@ -57,7 +57,7 @@ export async function keepHere(name) {
   await keepCamera(name, data);
   await showKept();
   const gpu = await openDevice().catch(() => null), camera = known.find((one) => one.name === name);
-  if (gpu && camera) for (const size of new Set([liveSize(camera).join(" "), camera.working_px.join(" ")])) await planFor(name, ...size.split(" ").map(Number), gpu.exchange, { mustKeep: true });
+  if (gpu && camera) for (const size of new Set([liveSize(camera).join(" "), camera.working_px.join(" ")])) await planFor(name, ...size.split(" ").map(Number), gpu.exchange, { mustKeep: true }).catch((error) => { if (error.status !== 400) throw error; });  // frames that only the computer measures
 }
 
 async function showKept() {

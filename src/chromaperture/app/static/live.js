@@ -45,7 +45,7 @@ async function start() {
   track.addEventListener("ended", () => { if (!run.over) { stop(); say("The camera was taken away: another app uses it, or it was unplugged. Start it again."); } });
   $("live-start").textContent = "Stop";
   $("live-hint").textContent = `Touch the picture to read a distance. ${locked.length ? `Held: ${locked.join(", ")}.` : "This browser cannot hold focus or exposure; see that they stay as calibrated."}`;
-  attempt(() => loop(run, video, camera, width, height));
+  attempt(() => loop(run, video, camera, width, height).catch((error) => { if (!run.over) stop(); throw error; }));
 }
 
 async function loop(run, video, camera, width, height) {

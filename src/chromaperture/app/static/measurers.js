@@ -28,8 +28,8 @@ export async function measurerFor(camera, width, height) {
       }
       why = ": this device has no graphics hardware for it";
     } catch (error) {
-      if (!(error instanceof DeviceTrouble)) { showMode(""); throw error; }
-      why = `: ${error.message}`;
+      if (!(error instanceof DeviceTrouble) && error.status !== 400) { showMode(""); throw error; }
+      why = `: ${error.message[0].toLowerCase()}${error.message.slice(1).replace(/\.$/, "")}`;
     }
   }
   return byComputer(camera, width, height, why);

@@ -51,7 +51,7 @@ async function measure(file) {
 async function byDevice(camera, file) {
   showMode("");
   const picture = await readPicture(file);
-  if (!picture) { showMode("measured by the computer: a browser does not read such files as they are stored"); return null; }
+  if (!picture) { showMode("measured by the computer: RAW, TIFF and 16 bits are its work"); return null; }
   const { bitmap, notes } = picture, other = Math.abs(bitmap.width * camera.height - bitmap.height * camera.width) > Math.max(bitmap.width, bitmap.height, camera.width, camera.height);
   if (other) throw new Sentence(`${file.name} has ${bitmap.width}x${bitmap.height} px but the camera was calibrated at ${camera.width}x${camera.height}: use its photographs as they come, or choose the camera file of this camera.`);
   try {

@@ -111,7 +111,8 @@ export class PointsCanvas {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     const { rays, columns, rows, pitch_px: pitch } = geometry, ray = (x, y) => { const i = 2 * (Math.min(Math.round(y / pitch), rows - 1) * columns + Math.min(Math.round(x / pitch), columns - 1)); return [rays[i], rays[i + 1]]; };
     const [left] = ray(0, height / 2), [right] = ray(width - 1, height / 2), [, top] = ray(width / 2, 0), [, bottom] = ray(width / 2, height - 1);
-    const [sy, cy, sp, cp] = [Math.sin(this.yaw), Math.cos(this.yaw), Math.sin(this.pitch), Math.cos(this.pitch)];
+    // What is near follows the finger.
+    const [sy, cy, sp, cp] = [Math.sin(-this.yaw), Math.cos(this.yaw), Math.sin(this.pitch), Math.cos(this.pitch)];
     for (const [unit, name] of ["depths", "colors", "rays"].entries()) gl.uniform1i(at[name], unit);
     gl.uniform2i(at.size, width, height);
     gl.uniform1f(at.pupil, geometry.sensor_to_pupil_mm);

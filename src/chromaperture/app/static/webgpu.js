@@ -47,6 +47,15 @@ export class DeviceMeasurer {
     if (Math.max(...sizes) > most) throw new DeviceTrouble(small);
     device.pushErrorScope("validation");
     device.pushErrorScope("out-of-memory");
+    const failed = await this.#make().then(() => null, (error) => error);
+    const [memory, wrong] = [await device.popErrorScope(), await device.popErrorScope()];
+    const trouble = memory ? new DeviceTrouble(small) : failed ?? (wrong && new DeviceTrouble(`the graphics device refuses the work (${wrong.message.split("\n")[0]})`));
+    if (trouble) { this.close(); throw trouble; }
+    return this;
+  }
+
+  async #make() {
+    const { device, plan } = this;
     const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
     for (const [name, array] of Object.entries(plan.arrays)) {
       this.buffers[name] = device.createBuffer({ label: name, size: 4 * Math.max(array.size, 4), usage });
@@ -55,13 +64,9 @@ export class DeviceMeasurer {
     const pipelines = await Promise.all(plan.sources.map((source) => this.#pipeline(source)));
     const steps = (list) => list.map(({ source, arrays, groups }) => ({ pipeline: pipelines[source], arrays, groups, bindings: this.#bindings(pipelines[source], arrays) }));
     [this.measuring, this.drawing] = [steps(plan.measure), steps(plan.draw)];
-    const [memory, wrong] = [await device.popErrorScope(), await device.popErrorScope()];
-    if (memory) { this.close(); throw new DeviceTrouble(small); }
-    if (wrong) { this.close(); throw new DeviceTrouble(`the graphics device refuses the work (${wrong.message.split("\n")[0]})`); }
     this.canvas = new OffscreenCanvas(plan.width, plan.height);
     this.context = this.canvas.getContext("webgpu");
     this.context.configure({ device, format: "rgba8unorm", usage: GPUTextureUsage.COPY_DST | GPUTextureUsage.RENDER_ATTACHMENT, alphaMode: "opaque" });
-    return this;
   }
 
   async #pipeline(source) {
