@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -450,6 +451,20 @@ def test_pictures_of_another_size(page_at, small, tmp_path):
     says(page, "remove the lens cap")
     page.set_input_files("#photo-open", save_png(tmp_path / "white.png", np.full_like(small[1], 255)))
     says(page, "saturated")
+
+
+def test_a_camera_file_of_another_frame_is_said(page_at, small, app, tmp_path):
+    calibration = small[2].calibration
+    square = replace(calibration, sensor=replace(calibration.sensor, width_px=HEIGHT, height_px=HEIGHT))
+    square.save(tmp_path / "square.asdf")
+    page = page_at()
+    page.click("#camera-menu")
+    page.set_input_files("#camera-file", str(tmp_path / "square.asdf"))
+    page.wait_for_selector("#camera option[value=square]", state="attached")
+    page.select_option("#camera", "square")
+    page.click("#live-start")
+    says(page, "another part of the frame, so distances would be wrong")
+    (app.folder / "cameras" / "square.asdf").unlink()
 
 
 def test_a_rotated_photograph_stays_as_the_sensor_delivers_it(page_at, small, tmp_path):
