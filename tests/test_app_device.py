@@ -455,16 +455,16 @@ def test_pictures_of_another_size(page_at, small, tmp_path):
 
 def test_a_camera_file_of_another_frame_is_said(page_at, small, app, tmp_path):
     calibration = small[2].calibration
-    square = replace(calibration, sensor=replace(calibration.sensor, width_px=HEIGHT, height_px=HEIGHT))
-    square.save(tmp_path / "square.asdf")
+    flat = replace(calibration, sensor=replace(calibration.sensor, height_px=HEIGHT - 40))
+    flat.save(tmp_path / "flat.asdf")
     page = page_at()
     page.click("#camera-menu")
-    page.set_input_files("#camera-file", str(tmp_path / "square.asdf"))
-    page.wait_for_selector("#camera option[value=square]", state="attached")
-    page.select_option("#camera", "square")
+    page.set_input_files("#camera-file", str(tmp_path / "flat.asdf"))
+    page.wait_for_selector("#camera option[value=flat]", state="attached")
+    page.select_option("#camera", "flat")
     page.click("#live-start")
     says(page, "another part of the frame, so distances would be wrong")
-    (app.folder / "cameras" / "square.asdf").unlink()
+    (app.folder / "cameras" / "flat.asdf").unlink()
 
 
 def test_a_rotated_photograph_stays_as_the_sensor_delivers_it(page_at, small, tmp_path):

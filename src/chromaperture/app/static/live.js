@@ -49,8 +49,7 @@ async function start() {
 }
 
 async function loop(run, video, camera, width, height) {
-  let measurer = await measurerFor(camera, width, height);
-  let between = 0, last = performance.now(), paused = "";
+  let measurer, between = 0, last = performance.now(), paused = "";
   const fresh = () => new Promise((resolve) => (video.requestVideoFrameCallback ? video.requestVideoFrameCallback(resolve) : requestAnimationFrame(resolve)));
   while (!run.over) {
     if (run.hidden) { $("live-speed").textContent = "paused in the background"; await new Promise((r) => setTimeout(r, 300)); last = performance.now(); continue; }
@@ -62,6 +61,7 @@ async function loop(run, video, camera, width, height) {
       continue;
     }
     if (paused) { say(""); paused = ""; }
+    measurer ??= await measurerFor(camera, width, height);
     await Promise.race([fresh(), new Promise((r) => setTimeout(r, 500))]);
     const began = performance.now();
     let frame;
