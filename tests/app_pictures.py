@@ -12,8 +12,9 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from apps import DESKTOP, FACTS, PHONE, chromium, render_session, served, write_y4m
+from apps import DESKTOP, FACTS, PHONE, WEBGPU, chromium, render_session, served, write_y4m
 from chromaperture.app.camera_feed import CameraFeed
+from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.optics.video_signal import bt709_curve
 from chromaperture.products.samples import open_sample, sample_camera, sample_image
 from test_app_page import begin, put
@@ -26,10 +27,11 @@ def main(out: Path) -> None:
         folder = Path(name)
         _, image = open_sample(SAMPLE)
         write_y4m(folder / "scene.y4m", cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST))
+        cv2.imwrite(str(folder / "still_life.png"), linear_to_srgb_bytes(image)[..., ::-1])
         render_session(folder / "boards")
         with (
             served(folder / "app", camera=sample_camera(SAMPLE)) as app,
-            chromium(driver, camera=folder / "scene.y4m") as browser,
+            chromium(driver, camera=folder / "scene.y4m", flags=WEBGPU) as browser,
         ):
             for size, label in ((PHONE, "phone"), (DESKTOP, "desktop")):
                 # Sharper than a phone of that width in CSS px, and still a small file.
@@ -40,6 +42,7 @@ def main(out: Path) -> None:
                 page.wait_for_selector("#camera option[value=cy_halves]", state="attached")
                 if size is PHONE:
                     live(page, out / "app-live.png")
+                    points(page, folder / "still_life.png", out / "app-points.png")
                 photo(page, out / f"app-photo-{label}.png")
                 if size is DESKTOP:
                     assistant(page, folder / "boards", out)
@@ -103,12 +106,34 @@ def touch(page, viewer: str, x: float, y: float) -> None:
 
 
 def live(page, path: Path) -> None:
+    """By the rasteriser of Chromium, which is slow."""
+    page.select_option("#where", "device")
     page.click("#live-start")
-    page.wait_for_selector("#live-speed:has-text('frames/s')", timeout=60_000)
-    time.sleep(6)
+    page.wait_for_selector("#live-speed:has-text('frames/s')", timeout=240_000)
     touch(page, "#live-viewer", 0.6, 0.62)
+    page.wait_for_selector("#live-viewer .reading:has-text('±'):not([aria-busy])", timeout=60_000)
+    time.sleep(8)
     page.screenshot(path=path)
     page.click("#live-start")
+
+
+def points(page, picture: Path, path: Path) -> None:
+    page.click("#tab-photo")
+    page.set_input_files("#photo-open", str(picture))
+    page.wait_for_selector("#photo-tools:not([hidden])", timeout=240_000)
+    page.locator("#photo-viewer [data-view=points]").click()
+    canvas = page.locator("#photo-viewer .turned canvas[aria-label*=points]")
+    canvas.wait_for()
+    box = canvas.bounding_box()
+    page.mouse.move(box["x"] + 100, box["y"] + 100)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 160, box["y"] + 115, steps=3)
+    page.mouse.up()
+    page.mouse.wheel(0, 250)
+    time.sleep(1)
+    page.screenshot(path=path)
+    page.locator("#photo-viewer [data-view=depth]").click()
+    page.select_option("#where", "auto")
 
 
 def photo(page, path: Path) -> None:

@@ -24,6 +24,11 @@ _FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-backgro
 _CAMERA = ["--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream"]
 
 
+# WebGPU by the rasteriser that Chromium brings, with canvases that it can draw into, and WebGL by the same.
+WEBGPU = ("--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--enable-features=Vulkan",
+          "--use-vulkan=swiftshader", "--use-angle=swiftshader")  # fmt: skip
+
+
 # What a photographer knows of the camera of `render_session`.
 FACTS = {
     "design": "cy_halves", "focal_length_mm": 51.6, "f_number": 2.1, "focus_mm": 2000.0, "sensor_width_mm": 22.3,

@@ -11,6 +11,7 @@ import ssl
 import time
 import warnings
 import zipfile
+import zlib
 from pathlib import Path
 
 import cv2
@@ -173,6 +174,30 @@ def test_a_portrait_photograph_is_measured_as_the_sensor_saw_it(app, tmp_path, p
     facts = unpack(message)[0]
     assert (status, facts["turn_degrees"], facts["width"]) == (200, 90, 720)
     assert any("portrait" in note for note in facts["notes"])
+
+
+@pytest.mark.parametrize(
+    ("path", "status", "reason"),
+    [
+        ("/api/cameras/cy_halves/plan?width=720&height=480&exchange=quad", 200, ""),
+        ("/api/cameras/cy_halves/points?width=720&height=480", 200, ""),
+        ("/api/cameras/other/plan?width=720&height=480&exchange=quad", 400, "no camera of that name"),
+        ("/api/cameras/cy_halves/plan?width=720&height=720&exchange=quad", 400, "does not show the same frame"),
+        ("/api/cameras/cy_halves/plan?width=-1&height=480&exchange=quad", 400, "whole number"),
+        ("/api/cameras/cy_halves/plan?width=9999999&height=9999999&exchange=quad", 400, "4 megapixels"),
+        ("/api/cameras/cy_halves/plan?width=720&height=480&exchange=other", 400, "unknown exchange"),
+        ("/api/cameras/cy_halves/points?width=720&height=480&quality=other", 400, "unknown quality"),
+        ("/api/cameras/cy_halves/points?width=9999999&height=9999999", 400, "4 megapixels"),
+    ],
+)
+def test_plans_and_what_makes_points(app, path, status, reason):
+    found, body, _ = call(app, "GET", path)
+    assert found == status
+    if status == 200:
+        length = int.from_bytes(body[:4], "little")
+        assert json.loads(zlib.decompress(body[4 : 4 + length]))["points"]["sensor_to_pupil_mm"] > 0
+    else:
+        assert reason in json.loads(body)["error"]
 
 
 # ---- what it refuses

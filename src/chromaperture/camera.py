@@ -205,14 +205,14 @@ class CodedApertureCamera:
         """Return the disparity, and depth with its standard deviation where the device converted it, too."""
         if not isinstance(self.method, DeviceMethod):
             return self.method.match(image), None
-        found = self.method.measure(image, self._conversion)
+        found = self.method.measure(image, self.conversion)
         if found.depth_mm is None or found.sigma_mm is None:
             return found.disparity, None
         return found.disparity, (found.depth_mm, found.sigma_mm)
 
     @cached_property
-    def _conversion(self) -> Conversion | None:
-        """The curves of all pixels for the device; None where there are none, or too many for it to keep."""
+    def conversion(self) -> Conversion | None:
+        """The curves of all pixels for a device; None where there are none, or too many for it to keep."""
         sensor = self.calibration.sensor
         if self.depth_model is None or sensor.width_px * sensor.height_px > _WHOLE_PX:
             return None

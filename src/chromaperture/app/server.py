@@ -18,10 +18,10 @@ from chromaperture.app.assistant_answers import AssistantAnswers
 from chromaperture.app.camera_answers import CameraAnswers
 from chromaperture.app.camera_feed import CameraFeed
 from chromaperture.app.certificate import NEEDS_EXTRA
+from chromaperture.app.device_plan import color_tables
 from chromaperture.app.frame_message import pack_frame
 from chromaperture.app.gate import Gate, Refused, save_body
 from chromaperture.app.workbench import DEPTH_INSIDE, Workbench
-from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
 from chromaperture.errors import ChromapertureError, InputError, MissingDependencyError, lacks_memory
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.optics.aperture import DESIGNS
@@ -105,7 +105,7 @@ class Answers:
         """Return the 257 colours of each map, the last for unknown pixels, so that every picture has the same."""
         from starlette.responses import JSONResponse
 
-        return JSONResponse({name: _colors(kind) for name, kind in (("depth", DISTANCE), ("sigma", ERROR))})
+        return JSONResponse({n: t.tolist() for n, t in zip(("depth", "sigma"), color_tables(), strict=True)})
 
     async def add_camera(self, request: Any) -> Any:
         """Keep a camera file."""
@@ -122,6 +122,25 @@ class Answers:
         path = self.workbench.camera_path(request.path_params["name"])
         headers = {"Content-Disposition": f'attachment; filename="{path.stem}.asdf"'}
         return Response(path.read_bytes(), media_type="application/octet-stream", headers=headers)
+
+    async def plan(self, request: Any) -> Any:
+        """Return the plan by which the page measures on its own device."""
+        from starlette.responses import Response
+
+        asked = request.query_params
+        size = (whole(asked, "width"), whole(asked, "height"))
+        exchange = asked.get("exchange", "shared")
+        packed = await self.desk.run(partial(self.workbench.plan, request.path_params["name"], size, exchange))
+        return Response(packed, media_type="application/octet-stream")
+
+    async def points(self, request: Any) -> Any:
+        """Return what makes points of the maps of a camera."""
+        from starlette.responses import Response
+
+        asked = request.query_params
+        size, quality = (whole(asked, "width"), whole(asked, "height")), asked.get("quality", "real-time")
+        packed = await self.desk.run(partial(self.workbench.points, request.path_params["name"], size, quality))
+        return Response(packed, media_type="application/octet-stream")
 
     async def frame(self, request: Any) -> Any:
         """Measure one frame of the page's camera."""
@@ -213,13 +232,6 @@ class Answers:
             return PlainTextResponse("this server needs no certificate\n", status_code=404)
         headers = {"Content-Disposition": 'attachment; filename="chromaperture.crt"'}
         return Response(self.certificate.read_bytes(), media_type="application/x-x509-ca-cert", headers=headers)
-
-
-def _colors(kind: str) -> list[list[int]]:
-    import numpy as np
-
-    levels = np.append((np.arange(256) + 0.5) / 256, np.nan)[None]
-    return [[int(part) for part in color] for color in draw_levels(levels, kind)[0]]
 
 
 class _Upload:
@@ -331,6 +343,8 @@ def make_app(
         ("GET", "/api/certificate", answers.trust),
         ("POST", "/api/cameras", answers.add_camera),
         ("GET", "/api/cameras/{name}", answers.camera),
+        ("GET", "/api/cameras/{name}/plan", answers.plan),
+        ("GET", "/api/cameras/{name}/points", answers.points),
         ("POST", "/api/frames", answers.frame),
         ("POST", "/api/photos", answers.photo),
         ("GET", "/api/photos/{photo}/refocused", answers.refocus),

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from chromaperture.app.edge_blur import edge_blur, pupil_spread
-from chromaperture.app.workbench import heard
+from chromaperture.app.notes import heard
 from chromaperture.calibration.assemble_camera import assemble_camera, nominal_depth_model
 from chromaperture.calibration.calibration_config import DEFAULT
 from chromaperture.calibration.chessboard import board_points, find_corners

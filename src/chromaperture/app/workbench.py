@@ -5,26 +5,28 @@ Everything here is called by one thread at a time: the matcher uses all cores al
 
 from __future__ import annotations
 
-import contextlib
 import io
 import itertools
 import math
 import re
 import secrets
 import tempfile
-import warnings
 import zipfile
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
+from chromaperture.app.device_plan import make_plan, make_points
+from chromaperture.app.notes import heard
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
+from chromaperture.camera_scale import reduced_size
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.config import QUALITIES
@@ -33,7 +35,7 @@ from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.refocusing import Focus
 from chromaperture.effects.restore import SharpPicture, restore
 from chromaperture.effects.transfer_functions import radius_per_disparity
-from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.errors import InputError
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.frame.other_formats import write_format
@@ -47,6 +49,8 @@ _MOST_CAMERA_BYTES = 64 * 2**20  # of a camera file; that of 24 megapixels has 0
 DEPTH_INSIDE = ("gdepth", "dynamic-depth")  # outputs that are photographs with depth inside
 _KEPT_PHOTOS = 3  # measured photographs for tap-to-focus; 24 megapixels take 1 GB each
 _KEPT_EYES = 4  # cameras at a quality and a size, with their curves
+_KEPT_PLANS = 4  # of 2.4 MB for 720x480
+_MOST_PLAN_PX = 4_000_000  # up to here cameras keep the curves of all pixels, see `CodedApertureCamera.conversion`
 _WHITE = 0.95  # of the screen, for the brightest 0.2 % of a refocused picture; as `chromaperture refocus`
 
 
@@ -89,6 +93,8 @@ class Workbench:
             Calibration.load(camera)
         self._eyes: OrderedDict[tuple[Any, ...], CodedApertureCamera] = OrderedDict()
         self._photos: OrderedDict[str, Photo] = OrderedDict()
+        self._about: dict[tuple[Path, int], dict[str, Any]] = {}
+        self._plans: OrderedDict[tuple[Any, ...], bytes] = OrderedDict()
 
     # ---- cameras
 
@@ -134,7 +140,10 @@ class Workbench:
 
     def describe_cameras(self) -> list[dict[str, Any]]:
         """Return for each camera what the page shows; a damaged file has ``error`` instead."""
-        return [{"name": name, **_described(path)} for name, path in self.camera_paths().items()]
+        paths = self.camera_paths()
+        keys = {name: (path, path.stat().st_mtime_ns) for name, path in paths.items()}
+        self._about = {key: self._about.get(key) or _described(key[0]) for key in keys.values()}
+        return [{"name": name, **self._about[key]} for name, key in keys.items()]
 
     def eye(self, name: str, quality: str) -> CodedApertureCamera:
         """Return a camera at a quality, opened once for all frames; raises InputError."""
@@ -149,6 +158,36 @@ class Workbench:
                 self._eyes.popitem(last=False)
         self._eyes.move_to_end(key)
         return self._eyes[key]
+
+    def plan(self, name: str, size_px: tuple[int, int], exchange: str) -> bytes:
+        """Return the plan by which a browser measures frames of a size, see `make_plan`; raises InputError."""
+        path = self.camera_path(name)
+        key = (path, path.stat().st_mtime_ns, size_px, exchange)
+        if key not in self._plans:
+            if min(size_px) < 1 or math.prod(size_px) > _MOST_PLAN_PX:
+                raise InputError("a browser measures frames of up to 4 megapixels; the computer measures this one")
+            eye = self.eye(name, "real-time")
+            sensor = eye.calibration.sensor
+            frame_px = sensor.width_px, sensor.height_px
+            if size_px != frame_px and not eye.calibration.is_calibrated:
+                raise InputError("a camera that was never calibrated measures frames of its own size only")
+            is_other = size_px != reduced_size(frame_px, round(frame_px[0] / size_px[0]) or 1)
+            said = [eye.scaled_note(size_px)] if is_other else []
+            about = {"name": name, **_described(path)}
+            facts = {"camera": about, "version": version("chromaperture"), "notes": said}
+            packed = make_plan(eye.at_size(*size_px), exchange, facts)
+            self._plans[key] = packed
+            while len(self._plans) > _KEPT_PLANS:
+                self._plans.popitem(last=False)
+        self._plans.move_to_end(key)
+        return self._plans[key]
+
+    def points(self, name: str, size_px: tuple[int, int], quality: str) -> bytes:
+        """Return what makes points of maps of a size, see `make_points`; raises InputError."""
+        eye = self.eye(name, quality)
+        if min(size_px) < 1 or math.prod(size_px) > _MOST_PLAN_PX or not eye.calibration.is_calibrated:
+            raise InputError("points are made of the maps of a calibrated camera, of up to 4 megapixels")
+        return make_points(eye.at_size(*size_px))
 
     # ---- measuring
 
@@ -301,6 +340,7 @@ def _described(path: Path) -> dict[str, Any]:
         "title": calibration.title,
         "width": sensor.width_px,
         "height": sensor.height_px,
+        "working_px": reduced_size((sensor.width_px, sensor.height_px), default_config(calibration).scale),
         "near_mm": calibration.near_mm,
         "far_mm": calibration.far_mm,
         "f_number": calibration.lens.f_number,
@@ -326,11 +366,3 @@ def _radius_at(radius_px: np.ndarray, at: tuple[float, float] | None) -> float:
     height, width = radius_px.shape
     x, y = (min(int(v * n), n - 1) for v, n in zip(at, (width, height), strict=True))
     return float(np.median(radius_px[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4]))
-
-
-@contextlib.contextmanager
-def heard() -> Iterator[Callable[[], list[str]]]:
-    """Collect the sentences of warnings about captures; what is yielded returns them."""
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always")
-        yield lambda: list(dict.fromkeys(str(w.message) for w in found if issubclass(w.category, CaptureWarning)))

@@ -49,12 +49,17 @@ def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarra
             f"{saturated:.0%} of the image is saturated; lower the exposure, or check --black-level and --white-level"
         )
     if np.count_nonzero(lit < DARK) > _MOST_DARK * lit.size:
-        raise InputError("the image is all black; remove the lens cap, expose longer, or check the levels")
+        raise all_black()
     if saturated > _MUCH_SATURATED:
         warnings.warn(
             f"{saturated:.0%} of the image is saturated; depth is unreliable there", CaptureWarning, stacklevel=3
         )
     return image
+
+
+def all_black() -> InputError:
+    """Return the error of a photograph without light."""
+    return InputError("the image is all black; remove the lens cap, expose longer, or check the levels")
 
 
 def _finite(image: np.ndarray) -> np.ndarray:

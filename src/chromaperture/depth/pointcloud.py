@@ -13,7 +13,7 @@ from chromaperture.depth.pointcloud_kernels import back_project
 from chromaperture.threads import each_band, in_parallel
 
 # Rays are linear between pixels so far apart, to within 0.002 px for a wide lens (focal length 500 px, k1 = 0.1).
-_PITCH_PX = 4
+RAY_PITCH_PX = 4
 _VERTICES = 1 << 16  # written at once; chosen by hand
 _VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])  # PLY has no padding
 
@@ -59,19 +59,28 @@ def depth_to_points(
     points, colors = np.empty((before[-1], 3), np.float32), np.empty((before[-1], 3), np.uint8)
     if not len(points):
         return PointCloud(points, colors)
-    rays = _grid_of_rays(depth.shape, np.asarray(camera_matrix, float), np.asarray(distortion, float))
+    rays = grid_of_rays(depth.shape, np.asarray(camera_matrix, float), np.asarray(distortion, float))
     srgb, delta = color if color.dtype == np.uint8 else linear_to_srgb_bytes(color), float(sensor_to_pupil_mm)
 
     def rows(thread: int, first: int, last: int) -> None:
-        back_project(depth, rays, _PITCH_PX, delta, srgb, before, points, colors, first, last)
+        back_project(depth, rays, RAY_PITCH_PX, delta, srgb, before, points, colors, first, last)
 
     in_parallel(rows, len(depth))
     return PointCloud(points, colors)
 
 
-def _grid_of_rays(shape: tuple[int, ...], matrix: np.ndarray, distortion: np.ndarray) -> np.ndarray:
-    """Return x and y at Z = 1 of every `_PITCH_PX`-th pixel, and of one beyond the last; (h, w, 2) float64."""
-    down, across = (np.arange(0, side + _PITCH_PX, _PITCH_PX, dtype=float) for side in shape)
+def grid_of_rays(shape: tuple[int, ...], matrix: np.ndarray, distortion: np.ndarray) -> np.ndarray:
+    """Return x and y at Z = 1 of every `RAY_PITCH_PX`-th pixel, and of one beyond the last; (h, w, 2) float64.
+
+    Parameters
+    ----------
+    shape : (H, W)
+        Of the picture.
+    matrix : (3, 3) float, px
+    distortion : (5,) float
+        OpenCV's k1, k2, p1, p2, k3.
+    """
+    down, across = (np.arange(0, side + RAY_PITCH_PX, RAY_PITCH_PX, dtype=float) for side in shape)
     pixels = np.stack(np.meshgrid(across, down), axis=-1)
     return cv2.undistortPoints(pixels.reshape(-1, 1, 2), matrix, distortion).reshape(pixels.shape)
 
@@ -103,7 +112,7 @@ def write_depth_ply(
     """
     depth, path = np.ascontiguousarray(depth_mm, np.float32), Path(path)
     before = _points_above(depth)
-    rays = _grid_of_rays(depth.shape, np.asarray(camera_matrix, float), np.asarray(distortion, float))
+    rays = grid_of_rays(depth.shape, np.asarray(camera_matrix, float), np.asarray(distortion, float))
     header, delta = _ply_header(int(before[-1])), float(sensor_to_pupil_mm)
     with path.open("wb") as file:
         file.write(header)
@@ -111,7 +120,7 @@ def write_depth_ply(
     def write(band: slice) -> None:
         first, last = before[band.start], before[band.stop]
         points, colors = np.empty((last - first, 3), np.float32), np.empty((last - first, 3), np.uint8)
-        back_project(depth, rays, _PITCH_PX, delta, srgb, before - first, points, colors, band.start, band.stop)
+        back_project(depth, rays, RAY_PITCH_PX, delta, srgb, before - first, points, colors, band.start, band.stop)
         vertices = np.empty(last - first, _VERTEX)
         vertices["xyz"], vertices["rgb"] = points, colors
         with path.open("r+b") as file:

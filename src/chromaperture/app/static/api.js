@@ -13,13 +13,14 @@ export async function ask(path, options = {}) {
     answer = await fetch(path, options);
   } catch (error) {
     if (error.name === "AbortError") throw error;
-    throw new Sentence(NO_ANSWER);
+    throw Object.assign(new Sentence(NO_ANSWER), { isNoAnswer: true });
   }
   if (answer.ok) return answer;
   const text = await answer.text();
   let line = text.trim();
   try { line = JSON.parse(text).error ?? line; } catch { /* a line already */ }
-  throw new Sentence(line ? line[0].toUpperCase() + line.slice(1) + (/[.!?]$/.test(line) ? "" : ".") : `The computer answers with error ${answer.status}.`);
+  const said = line ? line[0].toUpperCase() + line.slice(1) + (/[.!?]$/.test(line) ? "" : ".") : `The computer answers with error ${answer.status}.`;
+  throw Object.assign(new Sentence(said), { status: answer.status });
 }
 
 export const askJson = async (path, options) => (await ask(path, options)).json();

@@ -58,12 +58,13 @@ export function misfit(video, camera) {
 
 const canvas = document.createElement("canvas");
 
-// The current picture of a video in so many pixels, as ImageData or, as "image/png", as a Blob.
-export function grab(video, width, height, type) {
+// The current picture of a video, or a bitmap, in so many pixels: as ImageData, as a "canvas" or, of a type, as a Blob.
+export function grab(source, width, height, type) {
   if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
   const context = canvas.getContext("2d", { willReadFrequently: true });
   context.imageSmoothingQuality = "high";
-  context.drawImage(video, 0, 0, width, height);
+  context.drawImage(source, 0, 0, width, height);
+  if (type === "canvas") return canvas;
   if (!type) return context.getImageData(0, 0, width, height);
   return new Promise((resolve) => canvas.toBlob(resolve, type));
 }

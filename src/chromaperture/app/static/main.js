@@ -17,6 +17,7 @@ function open(tab) {
   if (tab.id !== "tab-live") stopLive();
   say("");
   history.replaceState(null, "", `#${tab.getAttribute("aria-controls")}`);
+  document.getElementById("measuring").hidden = tab.id === "tab-calibrate";
   document.dispatchEvent(new CustomEvent("tab", { detail: tab.getAttribute("aria-controls") }));
 }
 

@@ -2,7 +2,7 @@
 const NAME = "chromaperture-page";
 const FILES = [
   "./", "app.css", "api.js", "assistant.js", "cameras.js", "capture.js", "charts.js", "frame.js", "live.js", "main.js",
-  "manifest.webmanifest", "photo.js", "sources.js", "store.js", "viewer.js", "icon-192.png", "icon-512.png", "icon-maskable-512.png",
+  "manifest.webmanifest", "measurers.js", "photo.js", "photo_file.js", "plan.js", "points.js", "sources.js", "store.js", "tiff.js", "viewer.js", "webgpu.js", "icon-192.png", "icon-512.png", "icon-maskable-512.png",
 ];
 
 self.addEventListener("install", (event) => {
@@ -17,15 +17,16 @@ self.addEventListener("fetch", (event) => {
   event.respondWith(newest(event.request));
 });
 
+const PATIENCE_MS = 3000;  // chosen by hand: an address that has gone from the network answers nothing for minutes
+
 // The server's file where it answers, so that nothing gets old; the kept one where it does not.
 async function newest(request) {
-  const cache = await caches.open(NAME);
+  const cache = await caches.open(NAME), kept = await cache.match(request, { ignoreSearch: true });
   try {
-    const answer = await fetch(request);
+    const answer = await fetch(request, kept ? { signal: AbortSignal.timeout(PATIENCE_MS) } : {});
     if (answer.ok) await cache.put(request, answer.clone()).catch(() => {});
     return answer;
   } catch (error) {
-    const kept = await cache.match(request, { ignoreSearch: true });
     if (kept) return kept;
     throw error;
   }

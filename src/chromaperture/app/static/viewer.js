@@ -1,14 +1,10 @@
-// Shows a frame as depth, error bar or colour, and the distance under the finger.
-import { askJson, make } from "./api.js";
-import { readAt, valueOf } from "./frame.js";
+// Shows a frame as depth, error bar, colour or points, and the distance under the finger.
+import { askJson, attempt, make } from "./api.js";
+import { MOST_RELATIVE } from "./frame.js";
+import { PointsCanvas } from "./points.js";
 
 let tables;  // 257 colours of each map, from the server: the same as in every picture of the package
 const tablesOnce = () => (tables ??= askJson("api/colors").catch((error) => { tables = undefined; throw error; }));
-
-const MOST_RELATIVE = 0.1;  // error bar over depth, as depth/error_limit.py: beyond, colours are dark
-
-// Colours (RGBA in 32 bits) mixed, three parts of the second.
-const mix = (a, b) => [0, 8, 16].reduce((sum, bit) => sum | (((a >>> bit & 255) + 3 * (b >>> bit & 255)) >> 2) << bit, 255 << 24) >>> 0;
 
 export class Viewer {
   // views: {name: label}; "picture" shows what `setPicture` was given
@@ -17,6 +13,8 @@ export class Viewer {
     this.onpoint = onpoint;
     this.point = null;  // fractions of width and height
     this.canvas = make("canvas", { tabindex: 0, role: "img", "aria-label": "Nothing measured yet", hidden: true });
+    this.pointsCanvas = make("canvas", { tabindex: 0, role: "img" });
+    this.turned = make("div", { class: "turned", hidden: true }, this.pointsCanvas);
     this.empty = make("div", { class: "empty", text: "Nothing measured yet" });
     this.reading = make("div", { class: "reading", role: "status", "aria-live": "polite", hidden: true });
     this.mark = make("div", { class: "mark", hidden: true });
@@ -26,8 +24,9 @@ export class Viewer {
     this.scale = make("div", { class: "scale", hidden: true }, this.ends[0], this.bar, this.ends[1], this.note);
     this.buttons = Object.entries(views).map(([name, label]) =>
       make("button", { text: label, "aria-pressed": "false", "data-view": name, onclick: () => this.show(name) }));
+    this.stage = make("div", { class: "stage" }, this.canvas, this.empty, this.reading, this.mark);
     root.append(
-      make("div", { class: "stage" }, this.canvas, this.empty, this.reading, this.mark), this.scale,
+      this.stage, this.turned, this.scale,
       make("div", { class: "views", role: "group", "aria-label": "What to show" }, ...this.buttons));
     this.canvas.addEventListener("pointerdown", (event) => this.#touch(event));
     this.canvas.addEventListener("pointermove", (event) => { if (event.buttons || event.pointerType === "mouse") this.#touch(event, !event.buttons); });
@@ -42,11 +41,14 @@ export class Viewer {
   }
 
   async setFrame(frame) {
-    this.colors = await tablesOnce();
-    this.frame?.color.close?.();
+    this.colors = frame.colors ?? await tablesOnce();
+    this.frame?.close();
     this.frame = frame;
     this.draw();
   }
+
+  // Keeps what is shown, when the device that holds it measures something else.
+  hold() { this.frame?.still?.().then((still) => this.setFrame(still)).catch(() => {}); }
 
   setPicture(bitmap) { this.picture = bitmap; this.draw(); }
 
@@ -57,48 +59,42 @@ export class Viewer {
     if (!frame) return;
     const { width, height } = frame.facts;
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    canvas.hidden = false;
     this.empty.hidden = true;
-    const context = canvas.getContext("2d");
-    const isMap = this.view === "depth" || this.view === "sigma";
-    if (isMap) this.#map(context, this.view);
-    else context.drawImage(this.view === "picture" && this.picture ? this.picture : frame.color, 0, 0, width, height);
+    const isMap = this.view === "depth" || this.view === "sigma", isPoints = this.view === "points";
+    canvas.hidden = false;
+    this.stage.hidden = isPoints;
+    this.turned.hidden = !isPoints;
     this.scale.hidden = !isMap;
+    if (isPoints) { this.#points(); return; }
+    const context = canvas.getContext("2d");
+    if (this.view === "picture" && this.picture) context.drawImage(this.picture, 0, 0, width, height);
+    else frame.draw(context, this.view === "picture" ? "color" : this.view, this.colors);
+    if (isMap) this.#bar(this.view);
     canvas.setAttribute("aria-label", `${this.views[this.view]}, ${width} by ${height} pixels, ${Math.round(100 * frame.facts.fill)} % measured. Arrow keys move the place that is read.`);
     this.#read();
   }
 
-  #map(context, name) {
-    const map = this.frame.facts[name], counts = this.frame[name], colors = this.colors[name];
-    const picture = context.createImageData(this.frame.facts.width, this.frame.facts.height);
-    const lookup = this.#lookup(map, colors, name);
-    const out = new Uint32Array(picture.data.buffer);
-    if (name === "depth" && map.unit === "mm") {
-      const pale = lookup.map((color) => mix(color, lookup[0])), { sigma } = this.frame, error = this.frame.facts.sigma;
-      for (let i = 0; i < counts.length; i++) {
-        const depth = map.first + counts[i] * map.step, certain = sigma[i] && error.first + sigma[i] * error.step <= MOST_RELATIVE * depth;
-        out[i] = certain ? lookup[counts[i]] : pale[counts[i]];
-      }
-    } else for (let i = 0; i < counts.length; i++) out[i] = lookup[counts[i]];
-    context.putImageData(picture, 0, 0);
-    const bar = this.bar.getContext("2d"), strip = bar.createImageData(256, 1);
-    colors.slice(0, 256).forEach((c, i) => strip.data.set([...c, 255], 4 * i));
+  // The ends of the colours.
+  #bar(name) {
+    const map = this.frame.facts[name], bar = this.bar.getContext("2d"), strip = bar.createImageData(256, 1);
+    this.colors[name].slice(0, 256).forEach((c, i) => strip.data.set([...c, 255], 4 * i));
     bar.putImageData(strip, 0, 0);
     this.ends[0].textContent = `${round(map.low)} ${map.unit}`;
     this.ends[1].textContent = `${round(map.high)} ${map.unit}`;
     this.note.hidden = name !== "depth";
   }
 
-  // Colour of every count, little-endian RGBA.
-  #lookup(map, colors, name) {
-    const lookup = new Uint32Array(65536), pack = ([r, g, b]) => (255 << 24 | b << 16 | g << 8 | r) >>> 0;
-    const packed = colors.map(pack);
-    lookup[0] = packed[256];
-    for (let c = 1; c < 65536; c++) {
-      const level = (valueOf(map, c) - map.low) / (map.high - map.low);
-      lookup[c] = packed[Math.max(0, Math.min(255, Math.floor(level * 256)))];
-    }
-    return lookup;
+  // The newest frame's points; while one is read back, later frames pass by.
+  async #points() {
+    if (this.isReading) return;
+    this.isReading = true;
+    const { frame } = this;
+    await attempt(async () => {
+      this.points ??= new PointsCanvas(this.pointsCanvas);
+      const count = await this.points.setFrame(frame);
+      this.pointsCanvas.setAttribute("aria-label", `${count} points. Drag or arrow keys turn them, wheel or two fingers come nearer.`);
+    });
+    this.isReading = false;
   }
 
   #touch(event, hovering = false) {
@@ -124,10 +120,17 @@ export class Viewer {
     this.#read();
   }
 
-  #read() {
+  async #read() {
     if (!this.point || !this.frame) return;
     const [x, y] = this.point, { width, height } = this.frame.facts;
-    const { depth, sigma, unit } = readAt(this.frame, Math.floor(x * width), Math.floor(y * height));
+    const reading = (this.readings = (this.readings ?? 0) + 1);
+    this.reading.setAttribute("aria-busy", "true");
+    // Null of a device that was lost, which is said by who measures.
+    const found = await Promise.resolve(this.frame.readAt(Math.floor(x * width), Math.floor(y * height))).catch(() => null);
+    if (reading !== this.readings) return;
+    this.reading.removeAttribute("aria-busy");
+    if (!found) return;
+    const { depth, sigma, unit } = found;
     const text = Number.isNaN(depth) ? "unknown here" : `${round(depth)} ± ${Number(sigma.toPrecision(2))} ${unit}`;
     if (this.reading.textContent !== text) this.reading.textContent = text;
     this.reading.hidden = this.mark.hidden = false;

@@ -21,7 +21,6 @@ CPU in between: what depends on the picture (means, percentiles) stays in arrays
 from __future__ import annotations
 
 import importlib.util
-import math
 import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,10 +32,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from chromaperture.disparity.gpu.shader_text import shader
+from chromaperture.disparity.gpu.workgroups import dispatch_size
 from chromaperture.errors import InputError, MissingDependencyError, OutOfMemoryError
 
-MOST_GROUPS = 65_535  # workgroups along an axis of a dispatch: WebGPU's default limit
-MOST_BINDINGS = 8  # arrays of a stage: WebGPU's default limit
 # Real devices first; within a kind those that wgpu names first. A rasteriser in software is the last choice.
 _KINDS = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2, "Unknown": 3, "CPU": 4}
 _RAISED = ("max-storage-buffer-binding-size", "max-buffer-size")  # to all that the adapter has: default 128 MB
@@ -193,9 +191,7 @@ class Chain:
         constants
             Named constants of the shader.
         """
-        count = tuple(max(1, math.ceil(g)) for g in (*groups, 1, 1)[:3])
-        if max(count) > MOST_GROUPS or len(arrays) > MOST_BINDINGS:
-            raise InputError(f"stage {stage}: {count} workgroups, {len(arrays)} arrays; the picture is too large")
+        count = dispatch_size(stage, len(arrays), groups)
         source = shader(stage, uses, constants)
         pipeline = self.device.pipeline(source, entry)
         entries = [
@@ -205,8 +201,7 @@ class Chain:
         with device_errors(self.device.info.name):
             layout = pipeline.get_bind_group_layout(0)
             bindings = self.device.handle.create_bind_group(layout=layout, entries=entries)
-        size = (count[0], count[1], count[2])
-        self.dispatches.append(Dispatch(stage, source, pipeline, bindings, size, tuple(arrays), constants))
+        self.dispatches.append(Dispatch(stage, source, pipeline, bindings, count, tuple(arrays), constants))
 
     def run(self, inputs: Mapping[str, np.ndarray], outputs: Sequence[str]) -> dict[str, np.ndarray]:
         """Send the inputs, run all stages and return the outputs, flat; raises DeviceError, OutOfMemoryError."""

@@ -11,9 +11,9 @@ from chromaperture.color.image import DARK
 from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, LIGHT_WINDOW_PX, MAX_SIGMA_PX, sigma_of_range
 from chromaperture.disparity.gpu.correlation_stages import add_correlation
-from chromaperture.disparity.gpu.device import MOST_GROUPS, Array, Chain
+from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import SHARED, Planes, add_halved_views
-from chromaperture.disparity.gpu.workgroups import groups_for
+from chromaperture.disparity.gpu.workgroups import MOST_GROUPS, groups_for
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.place import (
     EDGE_REACH_PX,

@@ -1,0 +1,39 @@
+"""Arrays as few bytes, without loss: smooth maps of 32-bit floats to a tenth of their size."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+
+_LEVEL = 6  # of deflate; 9 takes three times as long and gains 2 % on the fields of a camera
+
+
+def pack_array(values: np.ndarray) -> bytes:
+    """Return the bits of an array of 32-bit numbers, second differences of neighbours, byte plane after byte plane.
+
+    Of a smooth map the bits of neighbours, taken for whole numbers, grow almost evenly, so that their second
+    differences are small and three of four bytes are nearly always 0. ``plan.js`` has the inverse.
+
+    Parameters
+    ----------
+    values : float32, int32 or uint32 array
+
+    Returns
+    -------
+    bytes
+        Deflated (zlib).
+    """
+    bits = np.ascontiguousarray(values).ravel().view(np.uint32)
+    twice = np.diff(np.diff(bits, prepend=np.uint32(0)), prepend=np.uint32(0)).view(np.int32)  # they wrap around
+    folded = ((twice << 1) ^ (twice >> 31)).view(np.uint32)  # small numbers of either sign become small numbers
+    planes = folded.astype("<u4").view(np.uint8).reshape(-1, 4).T
+    return zlib.compress(planes.tobytes(), _LEVEL)
+
+
+def unpack_array(data: bytes, dtype: type = np.float32) -> np.ndarray:
+    """Return what `pack_array` packed, flat."""
+    planes = np.frombuffer(zlib.decompress(data), np.uint8).reshape(4, -1)
+    folded = np.ascontiguousarray(planes.T).view("<u4").ravel().astype(np.uint32)
+    twice = (folded >> np.uint32(1)) ^ (np.uint32(0) - (folded & np.uint32(1)))
+    return np.cumsum(np.cumsum(twice, dtype=np.uint32), dtype=np.uint32).view(dtype)
