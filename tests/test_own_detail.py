@@ -34,7 +34,8 @@ def test_a_blank_wall_beside_a_print_has_no_evidence_of_its_own(rng):
     assert np.median(printed) > 0.8
     # exp(-36 / 2 / 1.5^2) of the edge's power, and its surroundings' noise, against a quarter of the window's
     assert beside.max() < 0.1
-    assert far.max() < 0.05  # noise alone
+    # Noise alone: a window of 100 px knows its power to a seventh, and a threefold surplus of that leaves .09.
+    assert far.max() < 0.1
 
 
 def test_without_known_noise_even_texture_counts_as_it_is(rng):
