@@ -4,7 +4,7 @@ A correlation window beside an edge sees the edge, and the blur of the layers sp
 evidence of blank pixels is that of their neighbours, or agreement of noise. It counts as far as the pixel has detail
 of its own, above the noise::
 
-    w = min(1, E_own / E_window) * max(0, 1 - m * N / E_window)^2
+    w = min(1, E_own / E_window) * max(0, 1 - N / E_window)^2
 
 E is the power of the detail that is correlated: in a narrow window, and in that of the correlation; N is the noise's.
 Small correlations earn nats by their square, so noise lowers them by the square of the signal's share.
@@ -20,8 +20,6 @@ import numpy as np
 from chromaperture.stage_config import CrossFilterConfig
 
 OWN_SIGMA_PX = 1.5  # of the narrow window: 2.7 times narrower than that of the correlation; chosen by hand
-# m, of a noise that is known to be no less; twice to eight times as much changed AbsRel of ray-traced rooms by .002
-NOISE_MARGIN = 1.0
 _LEAST_POWER = np.float32(1e-14)  # against division by 0
 
 
@@ -52,7 +50,7 @@ def own_detail(
         return np.asarray(own, np.float32)
     mean = np.nan_to_num(np.asarray(noise_variance, np.float32)[..., list(channels)].mean(axis=2), posinf=0, neginf=0)
     noise = _smooth(mean, config.window_sigma_px) * np.float32(_power_of_noise(fine, coarse))
-    signal = np.maximum(0, 1 - np.float32(NOISE_MARGIN) * noise / window)
+    signal = np.maximum(0, 1 - noise / window)
     return np.asarray(own * signal**2, np.float32)
 
 

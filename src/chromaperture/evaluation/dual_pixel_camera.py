@@ -42,8 +42,8 @@ from chromaperture.robust import huber_weights, robust_sigma
 SENSOR_WIDTH_MM = 36.0  # full frame
 FOCUS_MM = 1000.0  # from the sensor, as the set states
 NEAR_MM, FAR_MM = 350.0, 12_000.0  # where depth is searched: the lens's closest focus, and beyond the set's rooms
-# By which the focus of a photograph differs from that of the boards, 1/m: of the casual scenes' medians, whose root mean
-# square is .04 with the truth's own error; boxes took no part.
+# By which the focus of a photograph differs from that of the boards, 1/m: of the casual scenes' medians, whose root
+# mean square is .04 with the error of their truth; boxes took no part.
 FOCUS_SIGMA = 0.03
 # Of the field that the boards bend the prescription by: a sensor or a lens that is tilted. Degree 0 leaves a scatter of
 # .025 and .015 1/m on the boards, 1 leaves .012 and .012, 2 .009 and .010.
@@ -195,7 +195,7 @@ def calibrated_by_prescription(
         scatter = [robust_sigma(value - (infinity - scale / mm)) for mm, (value, _) in layers.items()]
         field = DepthField(np.array([infinity]), np.array([scale]), 0.0, _covariance(list(boards), scatter))
     scatter = _scatter(field, layers)
-    field = _with_focus_error(field)
+    field = with_focus_error(field)
     matrix = centered_pinhole(pupil.focal_px, (width, height))
     camera = replace(
         camera,
@@ -217,7 +217,7 @@ def _scatter(field: DepthField, layers: Mapping[float, tuple[np.ndarray, np.ndar
     ]
 
 
-def _with_focus_error(field: DepthField) -> DepthField:
+def with_focus_error(field: DepthField) -> DepthField:
     """Add the error of a focus that is set anew to the covariance of A."""
     covariance = field.covariance.copy()
     covariance[0, 0] += (FOCUS_SIGMA / 1000 * float(field.scale_px_mm[0])) ** 2

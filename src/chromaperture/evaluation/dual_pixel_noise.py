@@ -25,6 +25,9 @@ _PERCENTILE = 10  # of the squares' power in a range of light: the others hold d
 _RANGES_OF_LIGHT = np.linspace(0, 1, 9) ** 2
 _LEAST_SQUARES = 30
 _NOISIEST = 3  # ranges of light whose mean counts: where rounding leaves none of the noise the measure is too small
+_TEXTURED = (
+    2.0  # times the median of all ranges of light: such a range has no flat squares; of the photographs' none is
+)
 # Red and blue share half of their noise, and green is their mean: as a pattern of all three channels, noise has 3 times
 # the power that green has. The likelihood takes channels' noise to be independent, so that each gets as much.
 _SHARED = 3.0
@@ -51,7 +54,8 @@ def noise_scale(image: np.ndarray, calibration: Calibration) -> float:
         inside = (light >= low) & (light < high)
         if inside.sum() >= _LEAST_SQUARES:
             found.append(float(np.percentile(power[inside], _PERCENTILE)))
-    return max(1.0, _SHARED * float(np.mean(sorted(found)[-_NOISIEST:]))) if found else 1.0
+    flat = [power for power in found if power <= _TEXTURED * np.median(found)]
+    return max(1.0, _SHARED * float(np.mean(sorted(flat)[-_NOISIEST:]))) if flat else 1.0
 
 
 def _squares(picture: np.ndarray) -> np.ndarray:

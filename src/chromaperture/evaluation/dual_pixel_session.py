@@ -18,6 +18,7 @@ from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.progress import Progress, silent
 from chromaperture.camera_file import Calibration
 from chromaperture.depth.field import DepthField
+from chromaperture.evaluation.dual_pixel_camera import with_focus_error
 from chromaperture.optics.aperture import DESIGNS, Aperture
 from chromaperture.optics.half_pixels import HalfPixels, half_pixel_rays
 from chromaperture.optics.lens_blur import BlurModel
@@ -122,7 +123,7 @@ def calibrated_by_session(
     matrix = centered_pinhole(pupil.focal_px, (sensor.width_px, sensor.height_px))
     known = replace(draft, blur=thin, lens=replace(draft.lens, camera_matrix=matrix))
     found = calibrate_session(folder, lens_from=known, progress=progress, keep_in=keep_in).camera
-    depth = {quality: _from_pupil(field, pupil_mm) for quality, field in found.depth.items()}
+    depth = {quality: with_focus_error(_from_pupil(field, pupil_mm)) for quality, field in found.depth.items()}
     return replace(found, sensor=sensor, depth=depth, near_mm=draft.near_mm, far_mm=draft.far_mm)
 
 
