@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from chromaperture.calibration.board_layers import measured_layers
 from chromaperture.calibration.calibrate_blur import calibrate_blur
-from chromaperture.calibration.fit_blur import fit_blur, measured_layers
+from chromaperture.calibration.fit_blur import fit_blur
 from chromaperture.camera_file import Calibration
 from chromaperture.config import AccurateConfig
 from chromaperture.depth.conversion import DepthModel

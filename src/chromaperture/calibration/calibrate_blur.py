@@ -9,10 +9,11 @@ from functools import partial
 import numpy as np
 
 from chromaperture.calibration.board_distances import BoardDistances
+from chromaperture.calibration.board_layers import measured_layers
 from chromaperture.calibration.calibration_config import DEFAULT, CalibrationConfig
 from chromaperture.calibration.choose_curve import ranked_curves
 from chromaperture.calibration.curves import Evidence
-from chromaperture.calibration.fit_blur import fit_blur, measured_layers
+from chromaperture.calibration.fit_blur import fit_blur
 from chromaperture.calibration.fit_fields import fit_depth_field
 from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.progress import Progress, reported, silent

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields
 
 import cv2
 import numpy as np
@@ -18,14 +18,9 @@ import scipy.fft
 
 from chromaperture.calibration.calibration_config import DEFAULT
 from chromaperture.calibration.progress import Progress, reported, silent
-from chromaperture.config import AccurateConfig
-from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.labels import IDENTITY
 from chromaperture.disparity.stages.tiles import without_shading
 from chromaperture.errors import InputError
-from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
-from chromaperture.spectral_config import SpectralConfig
 from chromaperture.threads import parallel_map
 
 NAMES = tuple(f.name for f in fields(BlurModel))
@@ -39,8 +34,6 @@ _LEAST_TILES = 4  # of a board
 _FINEST_PX, _COARSEST_PX = 0.8, 6.0  # sigma of the Gaussians that bound the pass band: noise, and what a core holds
 _DAMPING = 0.04  # of the roll-off sqrt(S / (S + damping)), S being the mean power transfer: as in docs/equations.md
 _LEAST_POWER = np.float32(1e-5)  # added to S, against division by 0
-_SEARCHED = (6, 15)  # layers searched to either side of the expected one; the second where cells remained unknown
-_KNOWN_CELLS = 0.9  # fraction of cells that ends the search
 _LEAST_CONTRAST = 1e-3  # standard deviation, white level = 1: less is paper without print
 _FLOOR = 0.02  # of a tile's power: residuals below are not fitted further, because the blur varies within a tile
 _PRIOR = 5e-3  # weight of the priors; strong ones stop the fit halfway from spherical aberration to defocus
@@ -111,74 +104,6 @@ def fit_blur(
         blur = _gauss_newton(blur, cut, names, rounds=rounds, tolerance=tolerance)
     before, after = (float(np.mean(_cost(b, few, _tapers(b, few)))) for b in (start, blur))
     return BlurFit(blur, after, before)
-
-
-def measured_layers(
-    image: np.ndarray,
-    inverse_mm: float,
-    blur: LensBlur,
-    *,
-    aperture: Aperture,
-    cell_px: int,
-    unmixing: np.ndarray | None = None,
-    noise_variance: np.ndarray | None = None,
-    full_well_electrons: float | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Measure the disparity of a flat board, in cells over the frame, with the matcher as the camera uses it.
-
-    Parameters
-    ----------
-    image : (H, W, 3) float32
-    inverse_mm : float, 1/mm
-        1 / z of the board, around which disparities are searched.
-    blur : LensBlur
-    aperture : Aperture
-    cell_px : int
-        Side of a cell.
-    unmixing : (K, 3) float, optional
-        Rows of M^-1.
-    noise_variance : (H, W, 3) float, optional
-        Of the image, (white level)^2.
-    full_well_electrons : float, optional
-        Of the camera's sensor: its settings depend on it.
-
-    Returns
-    -------
-    x_px, y_px : (N,) float
-        Centres of the cells.
-    layer_px : (N,) float64
-        Median of a cell; NaN where less than half of it is known.
-    """
-    height, width = image.shape[:2]
-    at_infinity, scale = blur.reference
-    # Pairs alone: the boards' speckle has no power law, which would mislead the likelihood of all channels.
-    config = replace(
-        AccurateConfig.for_blur(blur.reach, full_well_electrons=full_well_electrons), spectral=SpectralConfig(gain=0.0)
-    )
-    expected = at_infinity - scale * inverse_mm
-    rows, columns = (np.linspace(0, n, max(1, n // cell_px) + 1).astype(int) for n in (height, width))
-    for searched in _SEARCHED:
-        reach = searched * config.layers.step_px
-        seen = estimate_disparity(
-            image,
-            aperture=aperture,
-            unmixing=unmixing,
-            config=config.with_range(expected - reach, expected + reach),
-            noise_variance=noise_variance,
-            label_maps=[IDENTITY],
-            blur=blur,
-        ).value_px
-        found = np.array([[_median(cell) for cell in np.split(band, columns[1:-1], axis=1)]
-                          for band in np.split(seen, rows[1:-1], axis=0)])  # fmt: skip
-        if np.isfinite(found).mean() >= _KNOWN_CELLS:
-            break
-    y, x = np.meshgrid((rows[:-1] + rows[1:] - 1) / 2, (columns[:-1] + columns[1:] - 1) / 2, indexing="ij")
-    return x.ravel(), y.ravel(), found.ravel()
-
-
-def _median(cell: np.ndarray) -> float:
-    """Return the median of a cell; NaN where less than half of it is known."""
-    return float(np.nanmedian(cell)) if np.isfinite(cell).mean() >= 0.5 else math.nan
 
 
 def _tile_size(blur: LensBlur) -> int:
