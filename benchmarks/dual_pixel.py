@@ -4,8 +4,9 @@ FOLDER holds NAME_left.png and NAME_right.png (what the two halves of the pupil 
 (16 bit, 0 unknown), a flat board at two distances, flat_DDDD_f4_left.png and so on, and the lens's prescription. Red
 and blue are the halves' green, green is their mean: a cyan/yellow pupil whose optics and noise are real. The camera is
 calibrated by the two boards alone (``boards``), or by the prescription, with the sensor's crosstalk and the focus from
-the boards (``prescription``, quality accurate) or with the crosstalk alone (``uncorrected``). Shares are of ALL pixels
-of known truth. ``chromaperture evaluate dual-pixel`` makes tables and pictures of the same.
+the boards (``prescription``, quality accurate), with the crosstalk alone (``uncorrected``), or by `calibrate` on a
+session that is ray-traced through the prescription with that crosstalk and focus (``session``). Shares are of ALL
+pixels of known truth. ``chromaperture evaluate dual-pixel`` makes tables and pictures of the same.
 """
 
 from __future__ import annotations
@@ -17,15 +18,21 @@ from pathlib import Path
 
 import numpy as np
 
+from chromaperture.camera_file import Calibration
 from chromaperture.evaluation.dual_pixel_camera import (
+    FOCUS_MM,
+    Corrections,
     calibrated_by_boards,
     calibrated_by_prescription,
     capture,
     lens_of_json,
 )
+from chromaperture.evaluation.dual_pixel_session import calibrated_by_session, write_lens_session
 from chromaperture.evaluation.paper.dual_pixel import BOARDS_MM, correction_sentence, means, measured
+from chromaperture.optics.paraxial import focused_at, paraxial
+from chromaperture.optics.prescription import Prescription
 
-LINES = ("boards", "prescription", "uncorrected")
+LINES = ("boards", "prescription", "uncorrected", "session")
 
 
 def board_images(data: Path) -> dict[float, np.ndarray]:
@@ -38,12 +45,25 @@ def figures(data: Path, quality: str, *, spoil: Callable[[np.ndarray], np.ndarra
     return measured("boards", calibrated_by_boards(boards, quality), quality, data, spoil=spoil)
 
 
-def line(name: str, data: Path, qualities: list[str], camera_out: Path | None) -> list:
+def session_camera(lens: Prescription, draft: Calibration, found: Corrections, folder: Path) -> Calibration:
+    """Trace a session into a folder that has none yet, and calibrate it."""
+    sensor = draft.sensor
+    size = {"width_px": sensor.width_px, "height_px": sensor.height_px, "pixel_pitch_mm": sensor.pixel_pitch_mm}
+    pupil_mm = paraxial(focused_at(lens, FOCUS_MM)).sensor_to_entrance_pupil_mm
+    focus_mm = found.focus_mm + pupil_mm
+    if not (folder / "distances.csv").exists():
+        write_lens_session(folder, lens, found.halves, focus_mm=focus_mm, size=size)
+    return calibrated_by_session(folder, lens, found.halves, draft, focus_mm=focus_mm, keep_in=folder / "measured")
+
+
+def line(name: str, data: Path, qualities: list[str], camera_out: Path | None, session: Path) -> list:
     if name == "boards":
         return [scene for quality in qualities for scene in figures(data, quality)]
     lens = lens_of_json(data / "rf50mm_prescription.json")
-    camera, found = calibrated_by_prescription(lens, board_images(data), corrected=name == "prescription")
+    camera, found = calibrated_by_prescription(lens, board_images(data), corrected=name != "uncorrected")
     print(correction_sentence(found))
+    if name == "session":
+        camera = session_camera(lens, camera, found, session)
     if camera_out:
         camera.save(camera_out)
     return measured(name, camera, "accurate", data)
@@ -55,9 +75,12 @@ def main() -> None:
     parser.add_argument("--line", nargs="+", choices=LINES, default=["boards", "prescription"])
     parser.add_argument("--quality", nargs="+", default=["paper", "real-time", "accurate"], help="of the line boards")
     parser.add_argument("--camera-out", type=Path, help="camera file of the line prescription to write")
+    parser.add_argument("--session", type=Path, default=Path("traced_session"), help="folder of the line session")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    scenes = [scene for name in args.line for scene in line(name, args.data, args.quality, args.camera_out)]
+    scenes = [
+        scene for name in args.line for scene in line(name, args.data, args.quality, args.camera_out, args.session)
+    ]
     if args.json:
         rows = [{"line": s.line, "quality": s.quality, "scene": s.name, **s.scores} for s in scenes]
         found = [{"line": a, "quality": q, "scenes": kind, **v} for (a, q, kind), v in means(scenes).items()]

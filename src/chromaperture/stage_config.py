@@ -225,6 +225,7 @@ class CrossFilterConfig:
     noise_margin: float = 1.0
     fallback_weight: float = 0.5
     fallback_nats: float = 0.1
+    own_detail: bool = False
 
     def __post_init__(self) -> None:
         one_each = bool(self.bands_px) and len(self.bands_px) == len(self.band_weights)

@@ -27,6 +27,7 @@ from scipy.special import logsumexp
 
 from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.own_detail import own_detail
 from chromaperture.disparity.spectral_model import SpectralModel, Windows
 from chromaperture.disparity.stages.paths import lagrange_weights
 from chromaperture.disparity.stages.tiles import without_shading
@@ -57,9 +58,22 @@ class SpectralEvidence:
     def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
         """Return nats a pixel; (H, W, N) float32. Without known noise the pairs alone: faint detail would be noise."""
         likelihood = self.pairs.at(image, layers_px, labels_px)
+        own = self.own_detail(image)
+        if own is not None:
+            likelihood *= own[..., None]
         if self.is_used(layers_px):
             _add_enlarged(self.of_windows(image, layers_px, labels_px), self.config.stride_px, likelihood)
         return likelihood
+
+    def own_detail(self, image: np.ndarray) -> np.ndarray | None:
+        """Return how much of the pairs' evidence is a pixel's own; (H, W) float32, None where all of it counts."""
+        pairs = self.pairs
+        if not pairs.config.own_detail:
+            return None
+        variance = pairs.noise.variance(image) if pairs.noise.is_known else None
+        finite = np.where(np.isfinite(image), image, np.float32(0))
+        channels = tuple(sorted({k for pair in pairs.blur.pairs for k in pair}))
+        return own_detail(finite, variance, channels, pairs.config)
 
     def is_used(self, layers_px: np.ndarray) -> bool:
         """Whether all channels together count beside their pairs."""

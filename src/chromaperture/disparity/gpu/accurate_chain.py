@@ -99,7 +99,9 @@ class AccurateChain:
         if self.plan is not None:
             noise = chain.array("noise", 3 * len(self.plan.nodes.places))
             unexplained = add_evidence(chain, self.plan, image, noise)
-            add_labels(chain, self.plan, unexplained, usable, likelihood, self.labels_px)
+            # What counts of the pairs' evidence: nothing where the picture is not usable, else what is a pixel's own.
+            counted = chain.array("counted", self.grid.pixels)
+            add_labels(chain, self.plan, unexplained, counted, likelihood, self.labels_px)
             if self.uses_windows:
                 self._add_windows(chain, usable, likelihood)
         else:
@@ -152,6 +154,8 @@ class AccurateChain:
             if pairs.noise.is_known:
                 margin = pairs.config.noise_margin
                 inputs["noise"] = self.plan.nodes.noise_powers(pairs.noise.variance(image), noise_margin=margin)
+            own = method.evidence.own_detail(image) if isinstance(method.evidence, SpectralEvidence) else None
+            inputs["counted"] = usable if own is None else usable * own
         if isinstance(method.evidence, SpectralEvidence) and self.uses_windows:
             inputs["windows"] = method.evidence.of_windows(image, method.config.layers.values_px, self.labels_px)
         found = self._planes(inputs, views.guide)

@@ -14,9 +14,7 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
-from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
 from chromaperture.color.color_maps import DIFFERENCE, DISTANCE
 from chromaperture.config import Quality
 from chromaperture.errors import InputError
@@ -27,6 +25,7 @@ from chromaperture.evaluation.dual_pixel_camera import (
     capture,
     lens_of_json,
 )
+from chromaperture.evaluation.dual_pixel_noise import camera_for
 from chromaperture.evaluation.figures import new_figure, show_image
 from chromaperture.evaluation.paper.context import Context
 from chromaperture.evaluation.paper.exhibit import Chart, Content, CsvTable
@@ -93,9 +92,10 @@ def measured(
     line: str, calibration: Calibration, quality: Quality, folder: Path, *, spoil: Spoil = lambda image: image
 ) -> list[Scene]:
     """Measure and score every scene with a camera; ``spoil`` changes the photographs."""
-    camera, scenes = CodedApertureCamera(calibration, default_config(calibration, quality)), []
+    scenes = []
     for name in scene_names(folder):
-        frame = camera.measure(spoil(capture(folder, name)))
+        image = spoil(capture(folder, name))
+        frame = camera_for(image, calibration, quality).measure(image)
         stored = cv2.imread(str(folder / f"{name}_depth_mm.png"), cv2.IMREAD_UNCHANGED)
         if stored is None:
             raise InputError(f"cannot read the depth of {name} in {folder}")
