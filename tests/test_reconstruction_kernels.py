@@ -138,15 +138,12 @@ def test_rays_end_where_small_steps_between_voxels_find_the_surface(seed):
         expected[y, x] = first_surface(box, pose[:3, 3], slope, 1400.0, VOXEL_MM)
     both = np.isfinite(expected) & np.isfinite(found)
     assert both.mean() > 0.2
-    # Rays that graze the ball, or a border of what is known, may be a surface to one of the two only.
-    assert (np.isfinite(expected) != np.isfinite(found)).mean() < 0.1
-    # Two steps of the secant method on a bent surface, whose steps along a grazing ray are long.
+    # Rays that graze the ball, or the border of what is known, meet a surface in one of the two only, or another one.
+    assert (np.isfinite(expected) != np.isfinite(found)).mean() < 0.03
+    # Found: 2e-6 voxels in the median, 1e-3 at the 95th hundredth, where the ball bends within a step.
     gap = np.abs(expected - found)[both]
-    print(
-        seed, both.mean(), (np.isfinite(expected) != np.isfinite(found)).mean(), np.quantile(gap, (0.5, 0.9, 0.95, 1))
-    )
-    assert np.median(gap) < 0.01 * VOXEL_MM
-    assert np.quantile(gap, 0.9) < 0.1 * VOXEL_MM
+    assert np.median(gap) < 1e-4 * VOXEL_MM
+    assert np.quantile(gap, 0.95) < 0.01 * VOXEL_MM
 
 
 @settings(max_examples=20, deadline=None)
