@@ -39,12 +39,12 @@ NO_GPU = AdapterInfo("rasteriser", "CPU", "Vulkan", "", 128, False)
 extra = pytest.mark.extra("gpu", "wgpu")
 
 
-def camera_on(device: str, quality="real-time") -> CodedApertureCamera:
+def camera_on(device: str, quality="real-time", **changes) -> CodedApertureCamera:
     model = DepthModel(INFINITY_PX, SCALE_PX_MM, PUPIL_MM, np.diag([1e-4, 25.0, 0.25]))
     calibration = halves_camera(model, SHAPE[1], SHAPE[0])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CaptureWarning)  # the device is software
-        return CodedApertureCamera(calibration, default_config(calibration, quality), device=device)
+        return CodedApertureCamera(calibration, replace(default_config(calibration, quality), **changes), device=device)
 
 
 def silent(note: str) -> None:
@@ -137,6 +137,44 @@ def test_two_frames_are_under_way_at_a_time_and_keep_their_order():
     for ticket, expected in zip(tickets, one_by_one, strict=True):
         np.testing.assert_array_equal(chain.finish(ticket)["disparity"], expected)
     assert not np.array_equal(*one_by_one, equal_nan=True)
+
+
+@extra
+@needs_device
+@pytest.mark.parametrize("device", ["cpu", "gpu"])
+def test_photographs_begun_two_at_a_time_are_measured_as_one_by_one(device):
+    whole, part = camera_on(device), camera_on(device, crop_origin_px=(6, 4))
+    images = [wavy_capture("cy_halves", shape=SHAPE, seed=seed) for seed in (7, 8, 9)]
+    for camera, shown in ((whole, np.s_[:]), (part, np.s_[4:54, 6:80])):
+        assert camera.measures_ahead == (device == "gpu")
+        expected = [camera.measure(image[shown]) for image in images]
+        begun, found = [camera.begin(images[0][shown])], []
+        for image in images[1:]:
+            begun.append(camera.begin(image[shown]))
+            found.append(camera.complete(begun.pop(0)))
+        found.append(camera.complete(begun.pop()))
+        for one, other in zip(found, expected, strict=True):
+            for name in ("depth_mm", "sigma_mm", "disparity_px", "confidence", "color"):
+                np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        assert not np.array_equal(found[0].depth_mm, found[1].depth_mm, equal_nan=True)
+        with pytest.raises(InputError, match="the image is constant"):
+            camera.complete(camera.begin(np.full_like(images[0][shown], 0.4)))
+
+
+@extra
+@needs_device
+def test_a_device_lost_with_two_frames_under_way_leaves_both_to_the_cpu():
+    method, image = real_time()
+    other = wavy_capture("cy_halves", shape=SHAPE, seed=8)
+    device = device_of_its_own()
+    on_both = DeviceMethod(GpuMethod(REAL_TIME, method.space, IDENTITY, device), method, may_fall_back=True)
+    waiting = [on_both.start(each) for each in (image, other)]
+    device.handle.destroy()
+    with pytest.warns(CaptureWarning, match="on the CPU from here on") as said:
+        found = [on_both.finish(each) for each in waiting]
+    assert len(said) == 1
+    for each, one in zip((image, other), found, strict=True):
+        np.testing.assert_array_equal(one.disparity.value_px, method.match(each).value_px)
 
 
 @extra

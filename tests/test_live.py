@@ -49,6 +49,8 @@ class Running(FileSource):
 class Eye:
     """A camera whose measuring can be held up; the rest is the sample's."""
 
+    measures_ahead = False
+
     def __init__(self) -> None:
         real = load_camera(sample_camera("still_life_cy_halves"))
         self.calibration, self.config = real.calibration, real.config
@@ -61,6 +63,41 @@ class Eye:
             raise InputError("cannot measure this")
         flat = np.full(image.shape[:2], 2000.0, np.float32)
         return SimpleNamespace(depth_mm=flat, sigma_mm=flat / 100, confidence=flat / 2000, color=image)
+
+
+class Device(Eye):
+    """An eye that computes one photograph while the one before is read back."""
+
+    measures_ahead = True
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.calls, self.refused = [], {}
+        self.gate.release(10**6)
+
+    def begin(self, image: np.ndarray) -> int:
+        number = round(float(image[0, 0, 0]) * 255)
+        self.calls.append(("begin", number))
+        if self.refused.get(number) == "begin":
+            raise InputError("cannot begin this")
+        return number
+
+    def complete(self, number: int, *, meanwhile) -> SimpleNamespace:
+        time.sleep(0.01)  # a frame waits by then
+        self.calls.append(("read", number))
+        meanwhile()
+        self.calls.append(("complete", number))
+        if self.refused.get(number) == "complete":
+            raise InputError("cannot complete this")
+        return self.measure(np.zeros((4, 6, 3), np.float32))
+
+
+class Numbered(Running):
+    """Frames whose counts are their number."""
+
+    def __iter__(self):
+        for frame in super().__iter__():
+            yield Frame(np.full_like(frame.counts, frame.index), frame.encoding, frame.time_s, frame.index)
 
 
 def until(condition) -> None:
@@ -120,6 +157,36 @@ def test_frames_that_cannot_be_measured_are_said_once_and_the_loop_goes_on():
         eye.gate.release(2)
         assert loop.to_view.take() is not None
     assert sum("cannot measure" in line for line in said) == 1
+
+
+def test_a_device_begins_a_frame_while_the_cpu_finishes_the_one_before():
+    eye, source = Device(), Numbered(frames=30, shape=(4, 6))
+    source.live = False
+    seen = []
+    loop = LiveLoop(source, eye, track=False)
+    loop.to_stream = Slot()
+    with loop:
+        while (item := loop.to_stream.take()) is not None:
+            seen.append(item.frame.index)
+    assert seen == list(range(30))
+    for what in ("begin", "read", "complete"):
+        assert [number for name, number in eye.calls if name == what] == list(range(30))
+    at = {call: place for place, call in enumerate(eye.calls)}
+    ahead = [at["read", n] < at["begin", n + 1] < at["complete", n] for n in range(29)]
+    assert sum(ahead) > 20  # the others were late, on a busy machine
+
+
+def test_a_frame_that_a_device_refuses_costs_no_other():
+    eye, source, said = Device(), Numbered(frames=12, shape=(4, 6)), []
+    source.live = False
+    eye.refused = {3: "begin", 7: "complete"}
+    loop = LiveLoop(source, eye, track=False, listener=said.append)
+    loop.to_stream, seen = Slot(), []
+    with loop:
+        while (item := loop.to_stream.take()) is not None:
+            seen.append(item.frame.index)
+    assert seen == [n for n in range(12) if n not in (3, 7)]
+    assert loop.unused == 2
 
 
 def test_leaving_ends_every_thread():

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from chromaperture.depth.field_bands import field_to_depth
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.gpu.conversion_stage import Conversion
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, on_device
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Waiting, on_device
 from chromaperture.disparity.result import Disparity, Method
 from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.errors import CaptureWarning
@@ -36,6 +36,28 @@ from chromaperture.frame.depth_frame import DepthFrame
 _WHOLE_PX = 4_000_000  # pictures up to this size keep the curves of every pixel, 100 bytes each, from frame to frame
 
 StageTimer = Callable[[str], AbstractContextManager[None]]
+
+
+class Begun(NamedTuple):
+    """A photograph that a camera has begun to measure: see `CodedApertureCamera.begin`.
+
+    Attributes
+    ----------
+    camera : CodedApertureCamera
+        That measures it.
+    known, image : (H, W, 3) float32
+        The whole frame: NaN, or continued, outside of what the photograph shows.
+    size_px : (int, int)
+        Width and height of the photograph.
+    waiting : Waiting or None
+        What a device has begun.
+    """
+
+    camera: CodedApertureCamera
+    known: np.ndarray
+    image: np.ndarray
+    size_px: tuple[int, int]
+    waiting: Waiting | None = None
 
 
 class CodedApertureCamera:
@@ -106,23 +128,71 @@ class CodedApertureCamera:
         if isinstance(image, str | Path):
             with stage("read"):
                 image = self.read(image)
-        frame_px, size_px, origin_px = self._frame_px, image.shape[1::-1], self.config.crop_origin_px
-        if size_px != frame_px and origin_px is None and np.ndim(image) == 3 and self.shows_frame_at(size_px):
-            warnings.warn(self.scaled_note(size_px), CaptureWarning, stacklevel=2)
-            return self.at_size(*size_px).measure(image, stage=stage)
+        if self._is_of_another_size(image):
+            return self.at_size(*image.shape[1::-1]).measure(image, stage=stage)
         with stage("check"):
-            image = check_capture(image, *(frame_px if origin_px is None else size_px))
-            check_camera_memory("the photograph", self.calibration, self.config)
-            known, image = (image, image) if origin_px is None else in_whole_frame(image, origin_px, frame_px)
+            begun = self._checked(image)
         with stage("disparity"):  # Eq. (1) and section 3.1
-            disparity, millimetres = self._matched(known)
+            disparity, millimetres = self._matched(begun)
+        return self._completed(begun, disparity, millimetres, stage)
+
+    @property
+    def measures_ahead(self) -> bool:
+        """Whether a photograph can be computed while the one before is read back: see `begin`."""
+        return isinstance(self.method, DeviceMethod)
+
+    def begin(self, image: np.ndarray) -> Begun:
+        """Send a photograph of a stream to the device, and return at once; as `measure` otherwise.
+
+        At most two are begun and not yet completed; `complete` them in turn. On the CPU nothing happens before that.
+        """
+        if self._is_of_another_size(image):
+            return self.at_size(*image.shape[1::-1]).begin(image)
+        begun = self._checked(image)
+        if not isinstance(self.method, DeviceMethod):
+            return begun
+        return begun._replace(waiting=self.method.start(begun.known, self._conversion))
+
+    def complete(self, begun: Begun, *, meanwhile: Callable[[], None] = lambda: None) -> DepthFrame:
+        """Return the measurement of a photograph that was begun; raises as `measure`.
+
+        ``meanwhile`` is called once the device is free, before the CPU finishes the photograph: the time to begin
+        another.
+        """
+        camera = begun.camera
+        disparity, millimetres = camera._matched(begun)
+        meanwhile()
+        return camera._completed(begun, disparity, millimetres, lambda name: nullcontext())
+
+    def _is_of_another_size(self, image: np.ndarray) -> bool:
+        """Return whether the image shows the whole frame in other pixels, which is said."""
+        size_px = image.shape[1::-1]
+        if size_px == self._frame_px or self.config.crop_origin_px is not None:
+            return False
+        if np.ndim(image) != 3 or not self.shows_frame_at(size_px):
+            return False
+        warnings.warn(self.scaled_note(size_px), CaptureWarning, stacklevel=3)
+        return True
+
+    def _checked(self, image: np.ndarray) -> Begun:
+        frame_px, size_px, origin_px = self._frame_px, image.shape[1::-1], self.config.crop_origin_px
+        image = check_capture(image, *(frame_px if origin_px is None else size_px))
+        check_camera_memory("the photograph", self.calibration, self.config)
+        known, whole = (image, image) if origin_px is None else in_whole_frame(image, origin_px, frame_px)
+        return Begun(self, known, whole, (size_px[0], size_px[1]))
+
+    def _completed(
+        self, begun: Begun, disparity: Disparity, millimetres: tuple[np.ndarray, np.ndarray] | None, stage: StageTimer
+    ) -> DepthFrame:
+        """Return the measurement of a photograph whose disparity is known."""
+        image, origin_px = begun.image, self.config.crop_origin_px
         with stage("depth"):  # Eq. (10)
             depth_mm, sigma_mm = millimetres or self.millimetres(disparity)
         with stage("color"):  # section 5.1
             color = self.alignment.align(image, disparity.value_px)
         maps = (depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color)
         frame = DepthFrame(*maps, image, self.calibration, self.config)
-        return frame if origin_px is None else cut_out(frame, origin_px, size_px)
+        return frame if origin_px is None else cut_out(frame, origin_px, begun.size_px)
 
     @property
     def _frame_px(self) -> tuple[int, int]:
@@ -201,11 +271,11 @@ class CodedApertureCamera:
         model = cast(DepthModel, self.depth_model)
         return disparity_to_depth(pixels, model, sigma_px=disparity.sigma_px, max_depth_mm=most_mm)
 
-    def _matched(self, image: np.ndarray) -> tuple[Disparity, tuple[np.ndarray, np.ndarray] | None]:
+    def _matched(self, begun: Begun) -> tuple[Disparity, tuple[np.ndarray, np.ndarray] | None]:
         """Return the disparity, and depth with its standard deviation where the device converted it, too."""
         if not isinstance(self.method, DeviceMethod):
-            return self.method.match(image), None
-        found = self.method.measure(image, self.conversion)
+            return self.method.match(begun.known), None
+        found = self.method.finish(begun.waiting or self.method.start(begun.known, self.conversion))
         if found.depth_mm is None or found.sigma_mm is None:
             return found.disparity, None
         return found.disparity, (found.depth_mm, found.sigma_mm)

@@ -14,11 +14,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera, DepthFrame
+from chromaperture.camera import Begun, CodedApertureCamera, DepthFrame
 from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Frame, Source
 from chromaperture.depth.error_limit import within_error
@@ -48,6 +48,15 @@ class Measured:
     arrived: float
     frame: Frame
     measurement: DepthFrame
+
+
+class _Ahead(NamedTuple):
+    """A frame that the camera has begun to measure, and when it arrived and was begun on the monotonic clock."""
+
+    arrived: float
+    frame: Frame
+    start: float
+    begun: Begun | None  # None on the CPU, where nothing is computed ahead
 
 
 class LiveLoop:
@@ -106,11 +115,8 @@ class LiveLoop:
         self.trail = Trail()
         self.mesh: Mesh | None = None
         self.model: Reconstruction | None = None
-        self.track, self.config, self._mesh_every_s = (
-            track,
-            config or ReconstructionConfig(fuse_every=FUSE_EVERY),
-            mesh_every_s,
-        )
+        self.track, self._mesh_every_s = track, mesh_every_s
+        self.config = config or ReconstructionConfig(fuse_every=FUSE_EVERY)
         self._leave = threading.Event()
         self._to_depth, self._to_track = Slot[tuple[float, Frame]](), Slot[Measured]()
         self.to_view = Slot[Measured]()
@@ -119,8 +125,8 @@ class LiveLoop:
         self._recorder: threading.Thread | None = None
         self._starting = threading.Lock()  # two clicks at once start one recording
         self._threads: list[threading.Thread] = []
-        self.recorded = 0
-        self.unused = 0  # frames that could not be measured
+        self._ahead: _Ahead | None = None
+        self.recorded = self.unused = 0  # frames on the disk, and frames that could not be measured
         self.failure: BaseException | None = None
 
     def __enter__(self) -> Self:
@@ -258,31 +264,62 @@ class LiveLoop:
         while True:
             if self.track:  # a frame measured while another waits would be left out, and its work lost
                 self._to_track.wait_taken(_PATIENCE_S)
-            if (item := self._to_depth.take()) is None:
-                break
-            start = time.monotonic()
-            if start - tidied > self._tidy_every_s:
+            if self._ahead is None:
+                if (item := self._to_depth.take()) is None:
+                    break
+                self._ahead = self._begun(*item)
+            if time.monotonic() - tidied > self._tidy_every_s:
                 tidy()
-                tidied = start
-            arrived, frame = item
-            try:
-                with self.watchdog.stage("measure"):
-                    measurement = self.camera.measure(frame.image)
-            except Exception as error:  # of this frame, whatever it holds; the next may be in order
-                self.say_rarely(f"frame {frame.index}: {one_line(error)}")
-                self.unused += 1
-                continue
-            measured = Measured(arrived, frame, measurement)
-            now = time.monotonic()
-            self.meters["depth"].record(now - start, now - arrived)
-            self.to_view.put(measured)
-            if self.to_stream is not None:
-                self.to_stream.put(measured, patient=not self.source.live)
-            if self.track:
-                self._to_track.put(measured, patient=not self.source.live)
+                tidied = time.monotonic()
+            here, self._ahead = self._ahead, None
+            if here is not None:
+                self._complete(here)
         self._to_track.close()
         if not self.track:
             self._finish()
+
+    def _begin_waiting(self) -> None:
+        """Have the device begin the frame that waits, while what it made of the one before is read and finished.
+
+        Not while frames are tracked: tracking takes longer, and the frame would be old by then.
+        """
+        if not self.track and len(self._to_depth) and (item := self._to_depth.take()) is not None:
+            self._ahead = self._begun(*item)
+
+    def _begun(self, arrived: float, frame: Frame) -> _Ahead | None:
+        """Begin to measure a frame; None, which is said, where it cannot be."""
+        start = time.monotonic()
+        try:
+            with self.watchdog.stage("measure"):
+                begun = self.camera.begin(frame.image) if self.camera.measures_ahead else None
+                return _Ahead(arrived, frame, start, begun)
+        except Exception as error:  # of this frame, whatever it holds; the next may be in order
+            self._unused(frame, error)
+            return None
+
+    def _complete(self, here: _Ahead) -> None:
+        """Measure a frame, and hand it on."""
+        try:
+            with self.watchdog.stage("measure"):
+                if here.begun is None:
+                    measurement = self.camera.measure(here.frame.image)
+                else:
+                    measurement = self.camera.complete(here.begun, meanwhile=self._begin_waiting)
+        except Exception as error:
+            self._unused(here.frame, error)
+            return
+        measured = Measured(here.arrived, here.frame, measurement)
+        now = time.monotonic()
+        self.meters["depth"].record(now - here.start, now - here.arrived)
+        self.to_view.put(measured)
+        if self.to_stream is not None:
+            self.to_stream.put(measured, patient=not self.source.live)
+        if self.track:
+            self._to_track.put(measured, patient=not self.source.live)
+
+    def _unused(self, frame: Frame, error: Exception) -> None:
+        self.say_rarely(f"frame {frame.index}: {one_line(error)}")
+        self.unused += 1
 
     def _tracking(self) -> None:
         model = Reconstruction(self.camera.calibration.lens.camera_matrix, self.config, listener=self.say_rarely)

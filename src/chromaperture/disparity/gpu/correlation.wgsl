@@ -41,23 +41,26 @@ fn main(
     }
     var after: array<Moments, block>;
     var state = Moments();
-    for (var y = end + i32(reach); y >= first; y--) {
-        if (y < end) { after[y - first] = state; }
+    // Beyond the border of all samples that the views read, all is even.
+    let last = min(end + i32(reach), i32(tall) - 1i);
+    for (var y = last; y >= first; y--) {
         var here = Moments();
         for (var k = 0u; k < view_count; k++) {
             here.means[k] = along_x[starts[k] + inside(y + rows[k], tall) * wide * entry_count].x;
         }
         here.covariances = covariances[(inside(y + i32(pad_y), tall) * width + x) * layer_count + layer];
-        if (y == end + i32(reach)) { state = here; }
+        if (y == last) { state = here; }
+        if (y < end) { after[y - first] = state; }
         state = followed(state, here);
     }
-    for (var y = first - i32(reach); y < end; y++) {
+    let begin = max(first - i32(reach), -2i * i32(pad_y));
+    for (var y = begin; y < end; y++) {
         var here = Moments();
         for (var k = 0u; k < view_count; k++) {
             here.means[k] = along_x[starts[k] + inside(y + rows[k], tall) * wide * entry_count].x;
         }
         here.covariances = covariances[(inside(y + i32(pad_y), tall) * width + x) * layer_count + layer];
-        if (y == first - i32(reach)) { state = here; }
+        if (y == begin) { state = here; }
         state = followed(state, here);
         if (y >= first) {
             let other = after[y - first];

@@ -23,7 +23,7 @@ from chromaperture.stage_config import CorrelationConfig
 # Share of a window's weight that lies beyond the samples a block of a line starts from, where the picture counts as
 # even.
 _NEGLIGIBLE = 1e-6
-_BLOCK = 64  # columns
+_BLOCK = 64  # most px of a line that an invocation takes
 _CHUNK_BYTES = 128e6  # of the largest array of a chunk: WebGPU's default limit of a binding
 _PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
 
@@ -125,7 +125,7 @@ def add_correlation(
     covariances = _largest(chain, "covariances", [words * tall * planes.width * c.size for c in chunks])
     pairs = "pairs_two" if planes.view_count == 2 else "pairs_three"
     reach = math.ceil(math.log(_NEGLIGIBLE) / math.log(config.window_decay))
-    window: dict[str, Any] = {"decay": float(config.window_decay), "reach": reach, "block": _BLOCK}
+    window: dict[str, Any] = {"decay": float(config.window_decay), "reach": reach}
     size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_x": pad_x, "pad_y": pad_y}
     for number, chunk in enumerate(chunks):
         entries, phases = len(chunk.phases_x), len(chunk.phases_y)
@@ -144,30 +144,37 @@ def add_correlation(
             phase_count=phases, entry_count=entries, **size,
         )  # fmt: skip
         frame: dict[str, Any] = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
+        block, blocks = _even_blocks(wide)
         chain.add(
-            "windows_x",
-            [samples, windows],
-            groups=groups_for(tall * -(-wide // _BLOCK) * entries),
-            uses=SHARED,
-            **frame,
-        )
+            "windows_x", [samples, windows], groups=groups_for(tall * blocks * entries), uses=SHARED,
+            block=block, **frame,
+        )  # fmt: skip
+        block, blocks = _even_blocks(tall)
         chain.add(
             "windows_y", [windows, taps_x, taps_y, planes.stats, gains],
-            groups=groups_for(wide * -(-tall // _BLOCK) * entries), uses=SHARED,
-            relative_epsilon=RELATIVE_EPSILON, **frame,
+            groups=groups_for(wide * blocks * entries), uses=SHARED,
+            relative_epsilon=RELATIVE_EPSILON, block=block, **frame,
         )  # fmt: skip
         layers: dict[str, Any] = {"layer_count": chunk.size, "entry_count": entries, **size, **window}
         layers["view_count"] = planes.view_count
+        block, blocks = _even_blocks(planes.width)
         chain.add(
             "products_x", [samples, places, covariances],
-            groups=groups_for(tall * -(-planes.width // _BLOCK) * chunk.size), uses=(*SHARED, pairs), **layers,
+            groups=groups_for(tall * blocks * chunk.size), uses=(*SHARED, pairs), block=block, **layers,
         )  # fmt: skip
+        block, blocks = _even_blocks(planes.height)
         chain.add(
             "correlation", [covariances, places, windows, gains, volume],
-            groups=groups_for(planes.width * -(-planes.height // _BLOCK) * chunk.size), uses=(*SHARED, pairs),
-            pitch=pitch or chunk.size, first_layer=chunk.first if pitch else 0, **layers,
+            groups=groups_for(planes.width * blocks * chunk.size), uses=(*SHARED, pairs),
+            pitch=pitch or chunk.size, first_layer=chunk.first if pitch else 0, block=block, **layers,
         )  # fmt: skip
         yield volume, chunk
+
+
+def _even_blocks(pixels: int) -> tuple[int, int]:
+    """Return the length of the blocks of a line, about equal ones of at most `_BLOCK` px, and their number."""
+    blocks = -(-pixels // _BLOCK)
+    return -(-pixels // blocks), blocks
 
 
 def _largest(chain: Chain, name: str, sizes: list[int]) -> Array:

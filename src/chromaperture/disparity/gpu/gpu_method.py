@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
@@ -15,7 +16,7 @@ from chromaperture.config import MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.disparity.accurate import AccurateMethod
 from chromaperture.disparity.gpu.accurate_chain import AccurateOnDevice
 from chromaperture.disparity.gpu.conversion_stage import Conversion, add_conversion
-from chromaperture.disparity.gpu.device import Chain, Device, DeviceError, adapters, open_device
+from chromaperture.disparity.gpu.device import Chain, Device, DeviceError, Ticket, adapters, open_device
 from chromaperture.disparity.gpu.paper_chain import add_paper, runs_on_device
 from chromaperture.disparity.gpu.real_time_chain import add_real_time
 from chromaperture.disparity.gpu.view_stages import check_stats
@@ -24,7 +25,7 @@ from chromaperture.disparity.paper import PaperMethod
 from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.disparity.result import Disparity, Method
 from chromaperture.disparity.views import ViewSpace
-from chromaperture.errors import CaptureWarning, InputError, OutOfMemoryError
+from chromaperture.errors import CaptureWarning, ChromapertureError, InputError, OutOfMemoryError
 
 _MAPS = ("disparity", "sigma", "confidence")
 _MILLIMETRES = ("depth_mm", "sigma_mm")
@@ -36,6 +37,14 @@ class Measured(NamedTuple):
     disparity: Disparity
     depth_mm: np.ndarray | None = None
     sigma_mm: np.ndarray | None = None
+
+
+class Started(NamedTuple):
+    """A photograph under way: what computes it, and its (H, W)."""
+
+    chain: Chain
+    ticket: Ticket
+    size: tuple[int, int]
 
 
 @dataclass
@@ -65,18 +74,41 @@ class GpuMethod:
 
     def measure(self, image: np.ndarray, conversion: Conversion | None = None) -> Measured:
         """Return the disparity, and with a conversion the depth, of an image (H, W, 3)."""
+        with self._lock:
+            return self._finished(self._started(image, conversion))
+
+    def start(self, image: np.ndarray, conversion: Conversion | None = None) -> Started:
+        """Send an image (H, W, 3) to the device, which begins; at most two are under way, `finish` them in turn."""
+        with self._lock:
+            return self._started(image, conversion)
+
+    def finish(self, started: Started) -> Measured:
+        """Return what `measure` would have returned."""
+        with self._lock:
+            return self._finished(started)
+
+    def _started(self, image: np.ndarray, conversion: Conversion | None) -> Started:
         size = (image.shape[0], image.shape[1])
         outputs = [*_MAPS, "stats", *(_MILLIMETRES if conversion is not None else ())]
-        with self._lock:
-            try:
-                found = self._composed(size, conversion).run({"image": image}, outputs)
-            except (DeviceError, OutOfMemoryError):
-                self._chain = None  # gives its memory back
-                raise
+        with self._freed_on_failure():
+            chain = self._composed(size, conversion)
+            return Started(chain, chain.start({"image": image}, outputs), size)
+
+    def _finished(self, started: Started) -> Measured:
+        with self._freed_on_failure():
+            found = started.chain.finish(started.ticket)
         check_stats(found["stats"], len(self.space.rows))
-        maps = {name: found[name].reshape(size) for name in outputs if name != "stats"}
+        maps = {name: values.reshape(started.size) for name, values in found.items() if name != "stats"}
         disparity = Disparity(*(maps[name] for name in _MAPS))
         return Measured(disparity, *(maps[name] for name in _MILLIMETRES if name in maps))
+
+    @contextmanager
+    def _freed_on_failure(self) -> Iterator[None]:
+        try:
+            yield
+        except (DeviceError, OutOfMemoryError):
+            self._chain = None  # gives its memory back
+            raise
 
     def _composed(self, size: tuple[int, int], conversion: Conversion | None) -> Chain:
         """Return the chain for a size, kept until another is needed."""
@@ -95,6 +127,13 @@ class GpuMethod:
                 add_conversion(chain, chain.arrays["disparity"], chain.arrays["sigma"], conversion)
             self._chain, self._key = chain, key
         return self._chain
+
+
+class Waiting(NamedTuple):
+    """A photograph that is to be measured, and where the device has begun what it is doing."""
+
+    image: np.ndarray
+    started: Started | None = None
 
 
 @dataclass
@@ -121,18 +160,40 @@ class DeviceMethod:
 
     def measure(self, image: np.ndarray, conversion: Conversion | None = None) -> Measured:
         """Return the disparity of an image, and its depth where the device made it."""
-        if self.has_failed:
-            return Measured(self.on_cpu.match(image))
+        return self.finish(self.start(image, conversion))
+
+    def start(self, image: np.ndarray, conversion: Conversion | None = None) -> Waiting:
+        """Send an image (H, W, 3) to the device where it can compute while another is read back.
+
+        At most two are under way; `finish` them in turn. What runs on the CPU, or goes to the device and back in parts,
+        begins when it is finished.
+        """
+        if self.has_failed or isinstance(self.on_gpu, AccurateOnDevice):
+            return Waiting(image)
         try:
-            if isinstance(self.on_gpu, AccurateOnDevice):  # its depth is converted on the CPU
-                return Measured(self.on_gpu.match(image))
-            return self.on_gpu.measure(image, conversion)
+            return Waiting(image, self.on_gpu.start(image, conversion))
         except (DeviceError, OutOfMemoryError) as error:
-            if not self.may_fall_back:
-                raise
-            self.has_failed = True
-            warnings.warn(f"{error}; measuring on the CPU from here on", CaptureWarning, stacklevel=3)
-            return Measured(self.on_cpu.match(image))
+            self._fall_back(error)
+            return Waiting(image)
+
+    def finish(self, waiting: Waiting) -> Measured:
+        """Return what `measure` would have returned."""
+        try:
+            if waiting.started is not None and isinstance(self.on_gpu, GpuMethod):
+                return self.on_gpu.finish(waiting.started)
+            if not self.has_failed and isinstance(self.on_gpu, AccurateOnDevice):  # its depth is made on the CPU
+                return Measured(self.on_gpu.match(waiting.image))
+        except (DeviceError, OutOfMemoryError) as error:
+            self._fall_back(error)
+        return Measured(self.on_cpu.match(waiting.image))
+
+    def _fall_back(self, error: ChromapertureError) -> None:
+        """Go on with the CPU, which is said once, or raise the error."""
+        if not self.may_fall_back:
+            raise error
+        if not self.has_failed:
+            warnings.warn(f"{error}; measuring on the CPU from here on", CaptureWarning, stacklevel=4)
+        self.has_failed = True
 
 
 def chosen_device(choice: str) -> Device | None:

@@ -37,18 +37,21 @@ fn main(
     }
     var after: array<Moments, block>;
     var state = Moments();
-    for (var x = end + i32(reach); x >= first; x--) {
-        if (x < end) { after[x - first] = state; }
+    // Beyond the border of all samples that the views read, all is even.
+    let last = min(end + i32(reach), i32(wide) - 1i);
+    for (var x = last; x >= first; x--) {
         var here = Means();
         for (var k = 0u; k < view_count; k++) { here[k] = samples[starts[k] + inside(x + columns[k], wide) * entry_count]; }
-        if (x == end + i32(reach)) { state.means = here; }
+        if (x == last) { state.means = here; }
+        if (x < end) { after[x - first] = state; }
         state = followed(state, here);
     }
     state = Moments();
-    for (var x = first - i32(reach); x < end; x++) {
+    let begin = max(first - i32(reach), -2i * i32(pad_x));
+    for (var x = begin; x < end; x++) {
         var here = Means();
         for (var k = 0u; k < view_count; k++) { here[k] = samples[starts[k] + inside(x + columns[k], wide) * entry_count]; }
-        if (x == first - i32(reach)) { state.means = here; }
+        if (x == begin) { state.means = here; }
         state = followed(state, here);
         if (x >= first) {
             let other = after[x - first];

@@ -28,14 +28,17 @@ fn main(
     let row = i / (blocks * entry_count);
     let first = i32(((i / entry_count) % blocks) * block);
     let end = min(first + i32(block), i32(columns));
-    var state = vec2f(value(row, end + i32(reach), e), 0.0);
-    for (var x = end - 1i + i32(reach); x >= end; x--) { state = followed(state, value(row, x, e)); }
+    // Beyond the border all is even: nothing is gained by starting there.
+    let last = min(end + i32(reach), i32(columns) - 1i);
+    var state = vec2f(value(row, last, e), 0.0);
+    for (var x = last - 1i; x >= end; x--) { state = followed(state, value(row, x, e)); }
     for (var x = end - 1i; x >= first; x--) {
         windows[(row * columns + u32(x)) * entry_count + e] = state;  // of what comes after the pixel
         state = followed(state, value(row, x, e));
     }
-    state = vec2f(value(row, first - i32(reach), e), 0.0);
-    for (var x = first - i32(reach) + 1i; x < first; x++) { state = followed(state, value(row, x, e)); }
+    let begin = max(first - i32(reach), 0i);
+    state = vec2f(value(row, begin, e), 0.0);
+    for (var x = begin + 1i; x < first; x++) { state = followed(state, value(row, x, e)); }
     for (var x = first; x < end; x++) {
         let at = (row * columns + u32(x)) * entry_count + e;
         state = followed(state, value(row, x, e));

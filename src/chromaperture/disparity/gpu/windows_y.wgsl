@@ -31,14 +31,16 @@ fn main(
     let view = u32(views[5u * u32(phases[5u * e + 4u]) + 4u]);
     let floor_ = relative_epsilon * stats[VARIANCE + view] + 1.0e-30;
     var after: array<vec2f, block>;
-    var state = value(x, end + i32(reach), e);
-    for (var y = end - 1i + i32(reach); y >= end; y--) { state = followed(state, value(x, y, e)); }
+    let last = min(end + i32(reach), i32(row_count) - 1i);
+    var state = value(x, last, e);
+    for (var y = last - 1i; y >= end; y--) { state = followed(state, value(x, y, e)); }
     for (var y = end - 1i; y >= first; y--) {
         after[y - first] = state;
         state = followed(state, value(x, y, e));
     }
-    state = value(x, first - i32(reach), e);
-    for (var y = first - i32(reach) + 1i; y < first; y++) { state = followed(state, value(x, y, e)); }
+    let begin = max(first - i32(reach), 0i);
+    state = value(x, begin, e);
+    for (var y = begin + 1i; y < first; y++) { state = followed(state, value(x, y, e)); }
     for (var y = first; y < end; y++) {
         state = followed(state, value(x, y, e));
         let other = after[y - first];
