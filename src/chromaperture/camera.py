@@ -151,7 +151,7 @@ class CodedApertureCamera:
         begun = self._checked(image)
         if not isinstance(self.method, DeviceMethod):
             return begun
-        return begun._replace(waiting=self.method.start(begun.known, self._conversion))
+        return begun._replace(waiting=self.method.start(begun.known, self.conversion))
 
     def complete(self, begun: Begun, *, meanwhile: Callable[[], None] = lambda: None) -> DepthFrame:
         """Return the measurement of a photograph that was begun; raises as `measure`.

@@ -5,6 +5,7 @@ Everything here is called by one thread at a time: the matcher uses all cores al
 
 from __future__ import annotations
 
+import contextlib
 import io
 import itertools
 import math

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from chromaperture.disparity.result import ESTIMATED_NOISE, NoiseModel
 from chromaperture.disparity.views import clipped_filled, mixed, view_spaces
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.lens_blur import LensBlur
+from chromaperture.stage_config import CrossFilterConfig
 
 _SEARCHED = (6, 15)  # layers searched to either side of the expected one; the second where cells remained unknown
 _KNOWN_CELLS = 0.9  # fraction of cells that ends the search
@@ -70,10 +72,11 @@ def measured_layers(
     usable = mixed(image, view_spaces(aperture, unmixing, "unmixed")[0])[2]
     image, usable = clipped_filled(image, usable.astype(np.float32))
     noise = ESTIMATED_NOISE if noise_variance is None else NoiseModel(lambda _: noise_variance, is_known=True)
-    evidence = BlurEvidence(config.evidence, blur, IDENTITY, noise, execution_named(execution))
+    cross_filter = cast(CrossFilterConfig, config.evidence)  # a camera whose blur is known has no other
+    evidence = BlurEvidence(cross_filter, blur, IDENTITY, noise, execution_named(execution))
     at_infinity, scale = blur.reference
     expected, step = at_infinity - scale * inverse_mm, config.layers.step_px
-    windows = SPACING_PX**2 / (4 * math.pi * config.evidence.window_sigma_px**2)  # that a sample of the evidence counts
+    windows = SPACING_PX**2 / (4 * math.pi * cross_filter.window_sigma_px**2)  # that a sample of the evidence counts
     rows, columns = (np.linspace(0, n, max(1, n // cell_px) + 1).astype(int) for n in (height, width))
     y, x = np.meshgrid((rows[:-1] + rows[1:] - 1) / 2, (columns[:-1] + columns[1:] - 1) / 2, indexing="ij")
     cells = [
