@@ -77,9 +77,9 @@ def draw(
         parts = [[rms(changed[n], key, light=light) for key in ("shift", "scatter")] for n in names]
         right.barh(y + shift, 100 * np.hypot(*np.array(parts).T) if parts else [], 0.38, color=color, label=label)
     right.set_yticks(y, names, fontsize=8)
-    right.set(xlabel="% of the distance: shift and scatter against the same picture without any loss")
+    right.set(xlabel="shift and scatter together, % of the distance")
     right.set_title("what each loss changes, real-time, whole frame", fontsize=10)
-    right.legend(fontsize=8, loc="lower right")
+    right.legend(fontsize=8, loc="upper right")
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=110)

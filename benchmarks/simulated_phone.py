@@ -8,7 +8,7 @@ colours and 8 bits on it, and the page's halving. The session is filled by the a
 by its job, and planes at other distances are measured with the camera file it made, as ``api/frames`` measures.
 
 Each loss is taken alone and left out alone; what it changes is also told pixel by pixel. Writes ``phone.json`` and
-``phone.png``; light is kept in ``--work``, and with it the results so far, so that a second run goes on. All of it takes
+``phone.png``; light is kept in ``--work``, and with it the results so far, so that a second run goes on. It takes
 half an hour of processor time; ``--small`` two minutes.
 """
 
