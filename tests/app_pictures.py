@@ -8,10 +8,14 @@ import time
 from pathlib import Path
 
 import cv2
+import numpy as np
+from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from apps import DESKTOP, FACTS, PHONE, WEBGPU, chromium, render_session, served, write_y4m
+from chromaperture.app.camera_feed import CameraFeed
 from chromaperture.color.srgb import linear_to_srgb_bytes
+from chromaperture.optics.video_signal import bt709_curve
 from chromaperture.products.samples import open_sample, sample_camera, sample_image
 from test_app_page import begin, put
 
@@ -53,6 +57,46 @@ def main(out: Path) -> None:
             page.wait_for_selector("#shot-file", state="attached")
             time.sleep(0.5)
             page.screenshot(path=out / "app-assistant-phone.png")
+            page.close()
+        cameras_and_exposures(driver, folder, out)
+
+
+def cameras_and_exposures(driver, folder: Path, out: Path) -> None:
+    """A camera of the computer, and a sheet at two exposures through the curve of video cameras."""
+    if not (folder / "boards").is_dir():
+        render_session(folder / "boards")
+    sheet = cv2.imread(str(folder / "boards" / "white" / "open.png"), cv2.IMREAD_UNCHANGED)
+    y, x = np.mgrid[: sheet.shape[0], : sheet.shape[1]]
+    dark = np.exp(-3 * (((x / sheet.shape[1]) - 0.5) ** 2 + ((y / sheet.shape[0]) - 0.5) ** 2))[..., None]  # vignetting
+    light = np.clip((sheet[..., ::-1] - 16.0) / 1000, 0, 1) * dark
+    for name, factor in (("long", 1.0), ("short", 0.25)):
+        Image.fromarray(np.rint(255 * bt709_curve(factor * light)).astype(np.uint8)).save(folder / f"{name}.png")
+    feed = CameraFeed(f"{folder}/boards/board?black_level=16&white_level=1016&loop=1")
+    with served(folder / "other", feeds=[feed]) as app, chromium(driver) as browser:
+        page = browser.new_page(viewport=DESKTOP)
+        page.goto(app.url)
+        begin(page, "bench", FACTS)
+        page.select_option("#shot-from", index=1)
+        page.click("#shot-camera")
+        page.wait_for_selector(".preview img[src]")
+        page.fill("#shot-ruler", "2000")
+        time.sleep(1)
+        page.screenshot(path=out / "app-computer-camera.png")
+        page.close()
+        page = browser.new_page(viewport=PHONE, device_scale_factor=1.5)
+        page.goto(app.url)
+        page.click("#tab-calibrate")
+        page.click("text=Other session") if page.is_visible("text=Other session") else None
+        begin(page, "phone", {key: value for key, value in FACTS.items() if "level" not in key})
+        for i, (name, exposure_ms) in enumerate((("long", "8"), ("short", "2"))):
+            page.select_option("#shot-kind", "tone")
+            page.fill("#shot-exposure", exposure_ms)
+            page.set_input_files("#shot-file", str(folder / f"{name}.png"))
+            page.wait_for_selector(f"text=Kept as tone/0{i}")
+        page.wait_for_selector("#message", state="hidden")
+        page.evaluate("document.getElementById('tone-title').parentElement.scrollIntoView({ block: 'center' })")
+        time.sleep(0.5)
+        page.screenshot(path=out / "app-tone-phone.png")
 
 
 def touch(page, viewer: str, x: float, y: float) -> None:

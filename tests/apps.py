@@ -6,7 +6,7 @@ import contextlib
 import shutil
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -71,13 +71,15 @@ def free_port() -> int:
 
 
 @contextlib.contextmanager
-def served(folder: Path, *, camera: Path | None = None, port: int | None = None, **gate: Any) -> Iterator[App]:
+def served(
+    folder: Path, *, camera: Path | None = None, port: int | None = None, feeds: Sequence[Any] = (), **gate: Any
+) -> Iterator[App]:
     """The app on this machine; ``gate`` replaces limits of its Gate."""
     from chromaperture.app.listening import make_server
     from chromaperture.app.server import make_app
 
     access, port = Access("127.0.0.1", TOKEN, command="serve"), port or free_port()
-    application = make_app(Workbench(folder, camera, reserve_bytes=0), access)
+    application = make_app(Workbench(folder, camera, reserve_bytes=0), access, feeds=feeds)
     for name, value in gate.items():
         setattr(application, name, value)
     ready = threading.Event()
@@ -91,6 +93,8 @@ def served(folder: Path, *, camera: Path | None = None, port: int | None = None,
         server.should_exit = True
         thread.join(20)
         assert not thread.is_alive()
+        for feed in feeds:
+            feed.close()
 
 
 @contextlib.contextmanager

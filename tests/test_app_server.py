@@ -110,7 +110,14 @@ def test_a_photograph_is_measured_refocused_and_saved(app):
     assert chroma[1] < 0.2 * chroma[0]
     status, packed, _ = call(app, "GET", f"{where}/files")
     names = zipfile.ZipFile(io.BytesIO(packed)).namelist()
-    assert sorted(names) == sorted(NAME + end for end in (".png", *(OUTPUTS[n].suffix for n in chosen_outputs(None))))
+    outputs = (*chosen_outputs(None), "gdepth", "dynamic-depth")
+    assert sorted(names) == sorted(NAME + end for end in (".png", *(OUTPUTS[name].suffix for name in outputs)))
+    for name, form in (("", "gdepth"), ("?format=dynamic-depth", "dynamic-depth")):
+        status, jpeg, headers = call(app, "GET", f"{where}/embedded{name}")
+        assert (status, headers["content-type"]) == (200, "image/jpeg")
+        assert jpeg == zipfile.ZipFile(io.BytesIO(packed)).read(NAME + OUTPUTS[form].suffix)
+    status, text, _ = call(app, "GET", f"{where}/embedded?format=glb")
+    assert (status, b"not 'glb'" in text) == (400, True)
     assert [p.name for p in app.folder.iterdir() if p.name.startswith((".", "tmp"))] == []  # nothing is left behind
 
 

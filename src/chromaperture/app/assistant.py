@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,13 @@ from chromaperture.app.forecast import BOARD_SIGMA_PX, Forecast, Gain, Lens, bes
 from chromaperture.app.session_folder import Kind, SessionFolder
 from chromaperture.app.sheet_checks import check_sheet
 from chromaperture.app.shot_checks import CheckedShot, Reading, check_board, check_tilt, read_for_check
+from chromaperture.app.tone_checks import Exposed, check_exposed, check_tone
+from chromaperture.app.workbench import heard
 from chromaperture.calibration.assemble_camera import nominal_depth_model
 from chromaperture.calibration.session import Session
 from chromaperture.calibration.session_plan import PlannedSession
+from chromaperture.calibration.tone_curve import disparity_error
+from chromaperture.capture.exif import read_exposure
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.errors import InputError
@@ -35,7 +40,13 @@ _LEAN_DEG = 10.0  # from which a lean counts; chosen by hand
 
 
 def check_shot(
-    folder: SessionFolder, photograph: Path, kind: Kind, *, ruler_mm: float | None = None, sheet: str = ""
+    folder: SessionFolder,
+    photograph: Path,
+    kind: Kind,
+    *,
+    ruler_mm: float | None = None,
+    sheet: str = "",
+    exposure_ms: float | None = None,
 ) -> CheckedShot:
     """Check one photograph against the session.
 
@@ -43,25 +54,31 @@ def check_shot(
     ----------
     folder : SessionFolder
     photograph : Path
-    kind : {"board", "tilt", "white"}
+    kind : {"board", "tilt", "white", "tone"}
     ruler_mm : float, optional
         Of a board, from the sensor plane.
     sheet : str
         Of a white sheet: ``open``, the design, or a sheet's name.
+    exposure_ms : float, optional
+        Of a sheet at two exposures; what its file states where it is absent.
 
     Raises
     ------
     InputError
-        It cannot be read, or the distance or the sheet is missing.
+        It cannot be read, or the distance, the sheet or the exposure is missing.
     """
     session = folder.prepare(photograph)
     image, notes = read_for_check(session, photograph)
     if kind == "tilt":
         return check_tilt(image, session, notes=notes)
+    if kind == "tone":
+        return _check_exposure(folder, session, photograph, image, exposure_ms)
     if kind == "white":
         if sheet not in sheets_of(folder):
             raise InputError("which white sheet is this? Choose one of the list")
-        return CheckedShot(Reading(), check_sheet(image, sheet, design=session.design, clear=session.white("open")))
+        with heard():  # of 8 bits, which is said of the photograph itself
+            clear = session.white("open")
+        return CheckedShot(Reading(), check_sheet(image, sheet, design=session.design, clear=clear))
     if ruler_mm is None or not 0 < ruler_mm < 1e6:
         raise InputError("give the distance from the sensor's mark to the board, in mm")
     curve = curve_so_far(folder, session)
@@ -72,6 +89,37 @@ def check_shot(
         finding = f"there is a board at {again[0]:.0f} mm already"
         found.checks.append(Check("distance", "cannot tell", finding, "another distance tells more"))
     return found
+
+
+def _check_exposure(
+    folder: SessionFolder, session: Session, photograph: Path, image: np.ndarray, exposure_ms: float | None
+) -> CheckedShot:
+    """Check one of the photographs of a sheet at two exposures, against that whose exposure differs most."""
+    if exposure_ms is not None and not 0 < exposure_ms < 1e7:
+        raise InputError("give the exposure time in ms; 1/125 s is 8")
+    exposure = exposure_ms if exposure_ms is not None else read_exposure(photograph)
+    if exposure is None:
+        raise InputError("this file does not state its exposure time: give it in ms; 1/125 s is 8")
+    typed = exposure_ms is not None
+    reading, checks = Reading(width_px=session.sensor.width_px, exposure=exposure, is_exposure_typed=typed), []
+    others = [s for s in folder.of_kind("tone") if s.reading.exposure and s.reading.is_exposure_typed == typed]
+    checks.append(check_exposed(image))
+    if checks[0].verdict == "warn":
+        return CheckedShot(reading, checks)
+    if not others:
+        if folder.of_kind("tone"):
+            raise InputError("give the exposure times of both photographs, or of none")
+        finding = "the first exposure; nothing can be said of one alone"
+        checks.append(Check("tone curve", "cannot tell", finding, "now the same at a half or a quarter of it"))
+        return CheckedShot(reading, checks)
+    other = max(others, key=lambda s: abs(np.log(float(s.reading.exposure or 1) / exposure)))
+    before = read_for_check(session, folder.folder / other.file)[0]
+    found, curve = check_tone(Exposed(before, float(other.reading.exposure or 1)), Exposed(image, exposure),
+                              design=session.design, is_encoded=folder.is_encoded)  # fmt: skip
+    if curve is not None:
+        points = zip(curve.level.tolist(), curve.exponent.tolist(), strict=True)
+        reading = replace(reading, tone=tuple(points))
+    return CheckedShot(reading, sorted([*found, *checks], key=lambda check: check.verdict != "warn"))
 
 
 def readings(folder: SessionFolder, session: Session, kind: Kind) -> list[Reading]:
@@ -112,6 +160,7 @@ def lens_of(folder: SessionFolder, session: Session) -> Lens:
         near_mm=folder.facts.nearest_mm,
         far_mm=folder.facts.farthest_mm,
         board_sigma_px=_board_sigma(readings(folder, session, "board"), curve),
+        scale_error=disparity_error(session.design, folder.tone_error or 0.0),
     )
 
 
@@ -149,6 +198,8 @@ def state(folder: SessionFolder) -> dict[str, Any]:
         "cells": cells.tolist(),
         "covered": float((cells > 0).mean()),
         "boards_mm": boards,
+        "tone": [list(point) for shot in folder.of_kind("tone") for point in shot.reading.tone],
+        "tone_error": folder.tone_error,
         "leans": [list(shot.reading.lean_deg) for shot in tilts],
         "forecast": None if predicted is None else _rows(predicted),
         "gain": None if gain is None else vars(gain),
@@ -201,6 +252,8 @@ def advice(folder: SessionFolder, cells: np.ndarray, gain: Gain | None) -> dict[
     for name, through in sheets_of(folder).items():
         if name not in have:
             return _sheet(name, through)
+    if folder.is_encoded and folder.tone_error is None:
+        return _exposures(folder)
     if gain is not None and worth and len(boards) < ENOUGH_BOARDS:  # a calibration is possible; this is a better one
         return _gaining(gain)
     if tilts < ENOUGH_TILTS:
@@ -246,6 +299,16 @@ def _sheet(name: str, through: str) -> dict[str, Any]:
     )
     return {"kind": "white", "sheet": name, "text": f"White paper in even light, filling the frame, through {through}",
             "why": why}  # fmt: skip
+
+
+def _exposures(folder: SessionFolder) -> dict[str, Any]:
+    """Ask for a sheet at two exposures: cameras that write 8 bits have a tone curve, which is only assumed."""
+    taken = folder.of_kind("tone")
+    text = "White paper, filling the frame, exposed as bright as it may be without being too bright"
+    if taken:
+        text = "The same paper, nothing moved, at a quarter or a half of the exposure"
+    return {"kind": "tone", "text": text, "why": "Files of 8 bits have a tone curve that cannot be switched off. Two "
+            "exposures tell whether it is the assumed one; the error bars allow for what is found."}  # fmt: skip
 
 
 def _shown(shot: Any) -> dict[str, Any]:

@@ -6,11 +6,13 @@ import asyncio
 import json
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from chromaperture.app.assistant import check_shot, shown_check, state
 from chromaperture.app.calibration_job import CalibrationJob
-from chromaperture.app.session_folder import SessionFolder
+from chromaperture.app.camera_answers import CameraAnswers
+from chromaperture.app.camera_feed import write_frame
+from chromaperture.app.session_folder import Kind, SessionFolder
 from chromaperture.app.workbench import NAME, Workbench
 from chromaperture.errors import InputError
 from chromaperture.viewer.free_space import require_space
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from chromaperture.app.server import Desk
 
 _MOST_SESSIONS = 200  # chosen by hand
-_KINDS = ("board", "tilt", "white")
+_KINDS = get_args(Kind)
 # Of the report: it has its styles inside, and no script.
 _REPORT = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; base-uri 'none'"
 
@@ -31,10 +33,11 @@ class AssistantAnswers:
     ----------
     workbench : Workbench
     desk : Desk
+    cameras : CameraAnswers, optional
     """
 
-    def __init__(self, workbench: Workbench, desk: Desk) -> None:
-        self.workbench, self.desk = workbench, desk
+    def __init__(self, workbench: Workbench, desk: Desk, cameras: CameraAnswers | None = None) -> None:
+        self.workbench, self.desk, self.cameras = workbench, desk, cameras or CameraAnswers()
         self.jobs: dict[str, CalibrationJob] = {}
 
     def table(self) -> list[tuple[str, str, Any]]:
@@ -102,15 +105,23 @@ class AssistantAnswers:
         if kind not in _KINDS:
             raise InputError("a photograph is of a board, of a tilted board or of a white sheet")
         ruler = number(asked, "ruler_mm") if asked.get("ruler_mm") else None
+        exposure = number(asked, "exposure_ms") if asked.get("exposure_ms") else None
         sheet, keep = asked.get("sheet", ""), asked.get("keep", "")
         if self.is_calibrating():
             raise InputError("the computer is calibrating; photographs are taken again when it is done")
 
-        async with Upload(request, self.workbench, asked.get("name", "photo.png")) as path:
+        frame = None
+        if "source" in asked:  # of a camera of the computer; nothing is sent
+            frame = await asyncio.to_thread(self.cameras.feed(asked["source"]).shown_frame)
+            taken_us = frame.metadata.get("exposure_us")
+            exposure = exposure or (float(taken_us) / 1000 if taken_us else None)
+        async with Upload(request, self.workbench, asked.get("name", "photo.png"), is_sent=frame is None) as path:
 
             def work() -> dict[str, Any]:
                 session = _opened(folder)
-                found = check_shot(session, path, kind, ruler_mm=ruler, sheet=sheet)
+                if frame is not None:
+                    write_frame(frame, path, session)
+                found = check_shot(session, path, kind, ruler_mm=ruler, sheet=sheet, exposure_ms=exposure)
                 kept = keep == "always" or (keep == "good" and found.is_usable)
                 file = None
                 if kept:

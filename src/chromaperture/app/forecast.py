@@ -44,6 +44,7 @@ class Lens:
     far_mm: float
     # Standard deviation of a board's disparity about the curve, by the boards so far where there are enough.
     board_sigma_px: float = BOARD_SIGMA_PX
+    scale_error: float = 0.0  # relative, of all disparities: by the tone curve
 
 
 @dataclass(frozen=True)
@@ -138,6 +139,8 @@ def curve_sigma(lens: Lens, boards_mm: Sequence[float], tilts: int, distance_mm:
     covariance = np.linalg.inv(information)
     rows = _jacobian(np.asarray(distance_mm, float) - delta, b)
     variance = np.einsum("ni,ij,nj->n", rows, covariance, rows)
+    z = np.asarray(distance_mm, float) - delta
+    variance = variance + (lens.scale_error * (float(lens.model.infinity_disparity_px) - b / z)) ** 2
     return np.asarray(np.sqrt(variance) / np.abs(rows[:, 2]))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import tempfile
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from functools import cache, partial
 from importlib import resources
 from importlib.metadata import version
@@ -15,12 +15,15 @@ from typing import Any, TypeVar
 import cv2
 
 from chromaperture.app.assistant_answers import AssistantAnswers
+from chromaperture.app.camera_answers import CameraAnswers
+from chromaperture.app.camera_feed import CameraFeed
 from chromaperture.app.certificate import NEEDS_EXTRA
 from chromaperture.app.device_plan import color_tables
 from chromaperture.app.frame_message import pack_frame
 from chromaperture.app.gate import Gate, Refused, save_body
-from chromaperture.app.workbench import Workbench
+from chromaperture.app.workbench import DEPTH_INSIDE, Workbench
 from chromaperture.errors import ChromapertureError, InputError, MissingDependencyError, lacks_memory
+from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.viewer.access import Access
 from chromaperture.viewer.free_space import require_space
@@ -210,6 +213,17 @@ class Answers:
         headers = {"Content-Disposition": f'attachment; filename="{name}.zip"'}
         return Response(packed, media_type="application/zip", headers=headers)
 
+    async def embedded(self, request: Any) -> Any:
+        """Return a photograph with its depth inside."""
+        from starlette.responses import Response
+
+        key = request.path_params["photo"]
+        output = request.query_params.get("format", DEPTH_INSIDE[0])
+        content = await self.desk.run(partial(self.workbench.with_depth_inside, key, output))
+        name = self.workbench.photo(key).measured.path.stem + OUTPUTS[output].suffix
+        headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+        return Response(content, media_type="image/jpeg", headers=headers)
+
     async def trust(self, request: Any) -> Any:
         """Return the certificate, which a phone is told to trust."""
         from starlette.responses import PlainTextResponse, Response
@@ -221,10 +235,10 @@ class Answers:
 
 
 class _Upload:
-    """The body of a request in a private file, which goes afterwards."""
+    """The body of a request in a private file, which goes afterwards; only its place, where nothing is sent."""
 
-    def __init__(self, request: Any, workbench: Workbench, name: str) -> None:
-        self.request, self.workbench = request, workbench
+    def __init__(self, request: Any, workbench: Workbench, name: str, *, is_sent: bool = True) -> None:
+        self.request, self.workbench, self.is_sent = request, workbench, is_sent
         self.name = safe_name(name)
 
     async def __aenter__(self) -> Path:
@@ -233,7 +247,8 @@ class _Upload:
         self._folder = tempfile.TemporaryDirectory(dir=self.workbench.folder, prefix=".upload-")
         path = Path(self._folder.name) / self.name
         try:
-            await save_body(self.request, path)
+            if self.is_sent:
+                await save_body(self.request, path)
         except BaseException:
             self._folder.cleanup()
             raise
@@ -296,7 +311,9 @@ def said(answer: Callable[[Any], Awaitable[Any]]) -> Callable[[Any], Awaitable[A
     return with_sentence
 
 
-def make_app(workbench: Workbench, access: Access, *, certificate: Path | None = None) -> Gate:
+def make_app(
+    workbench: Workbench, access: Access, *, certificate: Path | None = None, feeds: Sequence[CameraFeed] = ()
+) -> Gate:
     """Put the server's application together, behind its checks; raises MissingDependencyError.
 
     Parameters
@@ -305,6 +322,8 @@ def make_app(workbench: Workbench, access: Access, *, certificate: Path | None =
     access : Access
     certificate : Path, optional
         Offered to phones.
+    feeds : sequence of CameraFeed
+        Cameras of the computer that the assistant may use.
     """
     try:
         from starlette.applications import Starlette
@@ -313,10 +332,12 @@ def make_app(workbench: Workbench, access: Access, *, certificate: Path | None =
         raise MissingDependencyError(NEEDS_EXTRA) from None
 
     answers = Answers(workbench, certificate)
-    assistant = AssistantAnswers(workbench, answers.desk)
+    cameras = CameraAnswers(feeds)
+    assistant = AssistantAnswers(workbench, answers.desk, cameras)
     answers.is_calibrating = assistant.is_calibrating
     table = [
         *assistant.table(),
+        *cameras.table(),
         ("GET", "/api/about", answers.about),
         ("GET", "/api/colors", answers.colors),
         ("GET", "/api/certificate", answers.trust),
@@ -328,6 +349,7 @@ def make_app(workbench: Workbench, access: Access, *, certificate: Path | None =
         ("POST", "/api/photos", answers.photo),
         ("GET", "/api/photos/{photo}/refocused", answers.refocus),
         ("GET", "/api/photos/{photo}/files", answers.photo_files),
+        ("GET", "/api/photos/{photo}/embedded", answers.embedded),
         ("GET", "/", answers.page),
         ("GET", "/{name}", answers.page),
     ]

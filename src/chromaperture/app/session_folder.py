@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field
@@ -29,9 +29,10 @@ from chromaperture.validation import Name, Table, checked, read_text
 
 MOST_SHOTS = 300  # of a session; thirty boards are the most that docs/calibration-session.md asks for
 _MOST_JSON_BYTES = 16 * 2**20  # of assistant.json; chosen by hand
+_OF_8_BITS = (".jpg", ".jpeg", ".webp", ".bmp")  # whatever is in them
 _STATE = "assistant.json"  # beside session.toml; `calibrate` does not read it
 
-Kind = Literal["board", "tilt", "white"]
+Kind = Literal["board", "tilt", "white", "tone"]
 _Length = Annotated[float, Field(gt=0, le=1e6)]  # mm
 _Count = Annotated[int, Field(gt=2, le=40)]
 
@@ -110,6 +111,17 @@ class SessionFolder:
         """Return the distances of the boards."""
         return [float(shot.reading.ruler_mm or 0) for shot in self.of_kind("board")]
 
+    @property
+    def tone_error(self) -> float | None:
+        """Root mean square of exponent - 1 of the sheets at two exposures; None before there are two."""
+        return _tone_error(self.shots)
+
+    @property
+    def is_encoded(self) -> bool:
+        """Whether its files are of 8 bits, decoded as sRGB: no levels are known, and it is no RAW file."""
+        first = next((self.folder / shot.file for shot in self.shots), None)
+        return first is not None and self.facts.white_level is None and _has_8_bits(first)
+
     # ---- photographs
 
     def prepare(self, photograph: Path) -> Session:
@@ -136,6 +148,11 @@ class SessionFolder:
         session = self.session()
         assert session is not None
         return session
+
+    def use_levels(self, black: float, white: float) -> None:
+        """State the counts of black and white before the first photograph: of cameras that deliver linear light."""
+        self.facts = self.facts.model_copy(update={"black_level": float(black), "white_level": float(white)})
+        self._write(self.size_px, self.shots, ".png")
 
     def keep(self, photograph: Path, kind: Kind, reading: Reading, checks: Sequence[Check], *, sheet: str = "") -> Shot:
         """Move a photograph into the folder; raises InputError when there are too many or it is of another kind."""
@@ -168,7 +185,7 @@ class SessionFolder:
             if not re.fullmatch(r"[a-z0-9_]+", sheet):
                 raise InputError("which white sheet is this? Choose one of the list")
             return f"white/{sheet}"
-        stem = f"{reading.ruler_mm:04.0f}" if kind == "board" else f"{len(self.of_kind('tilt')):02d}"
+        stem = f"{reading.ruler_mm:04.0f}" if kind == "board" else f"{len(self.of_kind(kind)):02d}"
         taken = {str(Path(shot.file).with_suffix("")) for shot in self.shots}
         names = (f"{kind}/{stem}{'' if i == 1 else f'-{i}'}" for i in range(1, MOST_SHOTS + 2))
         return next(name for name in names if name not in taken)
@@ -183,14 +200,17 @@ class SessionFolder:
             table.writerow([shot.file, f"{shot.reading.ruler_mm:g}"])
         with staged(self.folder) as stage:
             if size_px is not None:
-                files = plan_files(_plan(self.facts, size_px, suffix)) | {"distances.csv": rows.getvalue()}
+                plan = _plan(self.facts, size_px, suffix, _tone_error(shots))
+                files = plan_files(plan) | {"distances.csv": rows.getvalue()}
                 for name, text in files.items():
                     stage.path(name).write_text(text, encoding="utf-8")
             stage.path(_STATE).write_text(_state_text(self.facts, size_px, shots), encoding="utf-8")
         self.size_px, self.shots = size_px, shots
 
 
-def _plan(facts: Facts, size_px: tuple[int, int] | None, suffix: str) -> PlannedSession:
+def _plan(
+    facts: Facts, size_px: tuple[int, int] | None, suffix: str, tone_error: float | None = None
+) -> PlannedSession:
     """Return the plan that writes session.toml; raises InputError where the distances do not enclose the focus."""
     names = ("design", "nearest_mm", "farthest_mm", "focus_mm", "inner_corners", "square_mm", "sensor_width_mm",
              "focal_length_mm", "f_number", "black_level", "white_level")  # fmt: skip
@@ -200,7 +220,18 @@ def _plan(facts: Facts, size_px: tuple[int, int] | None, suffix: str) -> Planned
             f"the focus at {facts.focus_mm:g} mm must lie between the nearest and the farthest board "
             f"({facts.nearest_mm:g} and {facts.farthest_mm:g} mm)"
         )
-    return PlannedSession(**values, suffix=suffix, size_px=size_px)
+    return PlannedSession(**values, suffix=suffix, size_px=size_px, tone_error=tone_error)
+
+
+def _has_8_bits(path: Path) -> bool:
+    with path.open("rb") as file:
+        header = file.read(25)
+    return path.suffix.lower() in _OF_8_BITS or (header[1:4] == b"PNG" and header[-1] == 8)
+
+
+def _tone_error(shots: Sequence[Shot]) -> float | None:
+    exponents = [exponent for shot in shots for _, exponent in shot.reading.tone]
+    return float(np.sqrt(np.mean((np.array(exponents) - 1) ** 2))) if exponents else None
 
 
 def _read_state(folder: Path) -> tuple[Facts, tuple[int, int] | None, list[Shot]]:
@@ -222,13 +253,14 @@ def _state_text(facts: Facts, size_px: tuple[int, int] | None, shots: list[Shot]
 
 
 def _shot(row: dict[str, Any]) -> Shot:
-    if row["kind"] not in ("board", "tilt", "white") or not re.fullmatch(r"[a-z]+/[a-z0-9_.-]+", row["file"]):
+    if row["kind"] not in get_args(Kind) or not re.fullmatch(r"[a-z]+/[a-z0-9_.-]+", row["file"]):
         raise ValueError
     values = dict(row["reading"])
     for name in ("pose_mm", "disparity_px", "disparity_sigma_px", "pixel_sigma_px"):
         values[name] = float("nan") if values[name] is None else float(values[name])
     for name in ("lean_deg", "blur_px"):
         values[name] = tuple(float("nan") if v is None else float(v) for v in values[name])
+    values["tone"] = tuple((float(level), float(exponent)) for level, exponent in values.get("tone", ()))
     if values["corners_px"] is not None:
         values["corners_px"] = np.asarray(values["corners_px"], np.float32)
     return Shot(row["file"], row["kind"], Reading(**values), [Check(**check) for check in row["checks"]])

@@ -65,6 +65,11 @@ class Reading:
         Scatter of single pixels of disparity.
     blur_px : (float, float)
         Along x and y.
+    exposure : float or None
+        Of a sheet at two exposures: ms as typed, or time, gain and f-number together as the file states them.
+    is_exposure_typed : bool
+    tone : tuple of (level, exponent)
+        What it told together with another one, see `calibration.tone_curve.ToneCurve`; empty for the first one.
     """
 
     ruler_mm: float | None = None
@@ -76,6 +81,9 @@ class Reading:
     disparity_sigma_px: float = float("nan")
     pixel_sigma_px: float = float("nan")
     blur_px: tuple[float, float] = (float("nan"), float("nan"))
+    exposure: float | None = None
+    is_exposure_typed: bool = False
+    tone: tuple[tuple[float, float], ...] = ()
 
     def at_width(self, width_px: int) -> Reading:
         """Return the reading in px of pictures of another width."""

@@ -5,6 +5,7 @@ Everything here is called by one thread at a time: the matcher uses all cores al
 
 from __future__ import annotations
 
+import contextlib
 import io
 import itertools
 import math
@@ -37,6 +38,8 @@ from chromaperture.effects.restore import SharpPicture, restore
 from chromaperture.effects.transfer_functions import radius_per_disparity
 from chromaperture.errors import InputError
 from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.frame.frame_files import OUTPUTS
+from chromaperture.frame.other_formats import write_format
 from chromaperture.products.measure_file import MeasuredFile, measure_only
 from chromaperture.storage import staged
 from chromaperture.viewer.free_space import RESERVE_BYTES, require_space
@@ -44,6 +47,7 @@ from chromaperture.viewer.free_space import RESERVE_BYTES, require_space
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")  # of cameras and sessions: nothing that a path could be made of
 _MOST_CAMERAS = 200  # files that the page may add; chosen by hand
 _MOST_CAMERA_BYTES = 64 * 2**20  # of a camera file; that of 24 megapixels has 0.1 MB
+DEPTH_INSIDE = ("gdepth", "dynamic-depth")  # outputs that are photographs with depth inside
 _KEPT_PHOTOS = 3  # measured photographs for tap-to-focus; 24 megapixels take 1 GB each
 _KEPT_EYES = 4  # cameras at a quality and a size, with their curves
 _KEPT_PLANS = 4  # of 2.4 MB for 720x480
@@ -288,8 +292,27 @@ class Workbench:
         focus = Focus(_radius_at(picture.radius_px, at), strength)
         return linear_to_srgb_bytes(apply_background(picture.color, picture.radius_px, focus, background))
 
+    def with_depth_inside(self, key: str, output: str = DEPTH_INSIDE[0]) -> bytes:
+        """Return a photograph with its depth inside, as ``chromaperture depth --write gdepth`` writes it.
+
+        Raises
+        ------
+        InputError
+            The photograph is no longer kept, no pixel's depth is known well enough, or the format is another one.
+        """
+        photo = self.photo(key)
+        if output not in DEPTH_INSIDE:
+            raise InputError(f"a photograph with depth inside is {' or '.join(DEPTH_INSIDE)}, not {output!r}")
+        with tempfile.TemporaryDirectory(dir=self.folder) as private:
+            path = Path(private) / "photo.jpg"
+            write_format(output, path, photo.measured.frame, max_relative_sigma=photo.measured.max_relative_sigma)
+            return path.read_bytes()
+
     def photo_files(self, key: str) -> bytes:
-        """Return a photograph and its files, as ``chromaperture depth`` writes them, in one ZIP archive."""
+        """Return a photograph and its files, as ``chromaperture depth`` writes them, in one ZIP archive.
+
+        Photographs with depth inside are among them, where a pixel's depth is known well enough for that.
+        """
         photo = self.photo(key)
         require_space(self.folder, 100 * photo.measured.frame.disparity_px.size, self.reserve_bytes)
         packed = io.BytesIO()
@@ -300,6 +323,10 @@ class Workbench:
                 for path in names:
                     if path.is_file():
                         archive.write(path, path.name)
+                for output in DEPTH_INSIDE:
+                    with contextlib.suppress(InputError):
+                        content = self.with_depth_inside(key, output)
+                        archive.writestr(photo.measured.path.stem + OUTPUTS[output].suffix, content)
                 archive.writestr(photo.measured.path.name, photo.original)
         return packed.getvalue()
 

@@ -32,12 +32,14 @@ from chromaperture.calibration.provenance import origin
 from chromaperture.calibration.read_boards import BoardMeasurement, grid, measure_boards, pixel_sigma
 from chromaperture.calibration.rendered_boards import rendered_nonlinearity
 from chromaperture.calibration.session import Session, read_session
+from chromaperture.calibration.tone_curve import disparity_error
 from chromaperture.calibration.white_sheets import WhiteSheets, measure_white_sheets
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_scale import MATCHED_SIZE, resized
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.field import DepthField, degree_of
+from chromaperture.depth.field_scale_error import with_scale_error
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,7 @@ def calibrate_session(
     curves = fit_curves(evidence, config, progress=progress) if rendered else shifted
     steps = _Steps(session, config, sheets, pinhole, placed, evidence, curves, blurred)
     depth = {**with_accurate(curves), "accurate": blurred.camera.depth["accurate"]}
+    depth = {quality: with_scale_error(curve, steps.tone) for quality, curve in depth.items()}
     made_from = origin(session.folder, steps.files, config, command=command, lens_from=lens_from)
     camera = assemble_camera(
         session, sheets, placed.intrinsics, depth, config, blur=blurred.camera.blur,
@@ -155,9 +158,16 @@ class _Steps:
         return {quality: curve.fit for quality, curve in self.curves.items()}
 
     @property
+    def tone(self) -> float:
+        return _tone_error(self.session)
+
+    @property
     def notes(self) -> tuple[str, ...]:
         curves = (note for curve in self.curves.values() for note in curve.notes)
         steps = (*self.sheets.notes, *self.pinhole.notes, *self.placed.notes, *self.blurred.notes, *curves)
+        if self.tone:
+            steps = (*steps, f"decoded light grows with the power 1 +- {self.session.tone_error:.2f} of the exposure: "
+                     f"every error bar allows for {self.tone:.1%} of the disparity")  # fmt: skip
         return (*steps, *self.evidence.outliers.values(), *weaknesses(self.evidence, self.fits))
 
     @property
@@ -207,6 +217,11 @@ class _Steps:
         )
 
 
+def _tone_error(session: Session) -> float:
+    """Return the relative error of all disparities by the tone curve that the session's photographs were found with."""
+    return disparity_error(session.design, session.tone_error)
+
+
 def leave_one_out(result: CalibrationResult, board: int, qualities: Sequence[Quality] = QUALITIES) -> Calibration:
     """Return the camera as calibrated without one board, which it can then measure independently.
 
@@ -214,10 +229,12 @@ def leave_one_out(result: CalibrationResult, board: int, qualities: Sequence[Qua
     """
     evidence, camera = result.evidence.without(board), result.calibration
     fields = dict(camera.depth)
+    tone = _tone_error(result.session)
     for quality in qualities:
         if quality == "accurate" and result.layers is not None:
             fields[quality] = fit_layers(result.layers, evidence.distances, evidence.used)
         else:
             curve = WITHOUT_BLUR if quality == "accurate" else quality
             fields[quality] = fit_curve(evidence, curve, result.config).field
+        fields[quality] = with_scale_error(fields[quality], tone)
     return dataclasses.replace(camera, depth=fields)

@@ -66,6 +66,7 @@ class Session:
     boards: dict[Path, float]
     tilts: tuple[Path, ...]  # tilted boards, for the intrinsics
     full_size_px: tuple[int, int] | None = None  # width and height of the photographs; None: those of ``sensor``
+    tone_error: float = 0.0  # of the exponent by which decoded values grow with light, see `tone_curve`
 
     @property
     def photograph_size_px(self) -> tuple[int, int]:
@@ -120,7 +121,7 @@ def read_session(folder: str | Path) -> Session:
         raise InputError(f"cannot read {quoted(settings)}: there is no such file; is this a session folder?")
     table = checked(_SessionTable, read_toml(settings), where=quoted(settings))
     boards = _distances(folder)
-    full = CameraSensor(**table.sensor.model_dump(exclude={"linear"}))
+    full = CameraSensor(**table.sensor.model_dump(exclude={"linear", "tone_error"}))
     size = (full.width_px, full.height_px)
     sensor = resized_sensor(full, *reduced_size(size, _scale(full, table.lens, boards)))
     check_units(np.array([*boards.values()]), table.lens.focused_at_about_mm, where=str(folder / "distances.csv"))
@@ -137,6 +138,7 @@ def read_session(folder: str | Path) -> Session:
         boards=boards,
         tilts=tuple(photographs(folder / "tilt")),
         full_size_px=size,
+        tone_error=table.sensor.tone_error,
     )
 
 
@@ -171,6 +173,7 @@ class _SensorTable(Table):
     full_well_electrons: Positive | None = None
     read_noise_electrons: NotNegative | None = None
     linear: bool = True  # for people; counts are always taken as linear
+    tone_error: Annotated[float, Field(ge=0, lt=1)] = 0.0
 
 
 class _LensTable(Table):

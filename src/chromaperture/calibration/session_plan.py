@@ -38,6 +38,8 @@ class PlannedSession:
     sensor_width_mm, focal_length_mm, f_number : float, optional
     black_level, white_level : float, optional
         Counts of no light and of a full pixel.
+    tone_error : float, optional
+        Error of the exponent by which decoded values grow with light, where two exposures showed it.
 
     Raises
     ------
@@ -60,6 +62,7 @@ class PlannedSession:
     f_number: float | None = None
     black_level: float | None = None
     white_level: float | None = None
+    tone_error: float | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.nearest_mm < self.focus_mm < self.farthest_mm < float("inf"):
@@ -111,6 +114,8 @@ pixel_pitch_mm = {_number(pitch)}    # width of the sensor in mm / width_px
 # sRGB, and for 16-bit files that use all of 0 to 65535.
 {_optional("black_level", plan.black_level, 512)}
 {_optional("white_level", plan.white_level, 16383)}
+# By how much the exponent by which values grow with light is off 1; the error bars allow for it.
+{_optional("tone_error", plan.tone_error, 0.05)}
 
 [lens]
 nominal_focal_length_mm = {_number(plan.focal_length_mm)}    # as engraved

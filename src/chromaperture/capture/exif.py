@@ -21,6 +21,7 @@ _EXIF_IFD = 0x8769
 _MODEL, _ORIENTATION = 0x0110, 0x0112
 _TURNS = {3: 180, 6: 90, 8: 270}  # codes of an orientation, degrees clockwise; others are mirrored, or upright
 _FNUMBER, _SUBJECT_DISTANCE, _FOCAL_LENGTH = 0x829D, 0x9206, 0x920A
+_EXPOSURE_S, _SENSITIVITY = 0x829A, 0x8827
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,23 @@ def read_exif(path: str | Path) -> Exif:
         f_number=_positive(tags.get(_FNUMBER)),
         subject_distance_mm=None if distance_m is None else 1000 * distance_m,
     )
+
+
+def read_exposure(path: str | Path) -> float | None:
+    """Return the exposure that a photograph states: s, times ISO 100, over the square of the f-number; None if absent.
+
+    Only ratios of two photographs of one camera mean anything.
+    """
+    try:
+        tags = _header(path).get_ifd(_EXIF_IFD)
+    except Exception:  # decoders raise anything; errors of the picture itself are reported by `read_image`
+        return None
+    seconds = _positive(tags.get(_EXPOSURE_S))
+    sensitivity = tags.get(_SENSITIVITY)
+    gain = _positive(sensitivity[0] if isinstance(sensitivity, tuple) and sensitivity else sensitivity)
+    if seconds is None:
+        return None
+    return seconds * (gain or 100.0) / 100 / (_positive(tags.get(_FNUMBER)) or 1.0) ** 2
 
 
 def read_model(path: str | Path) -> str | None:

@@ -19,6 +19,14 @@ def serve(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of camera files, sessions and photographs.")] = Path(
         "chromaperture-app"
     ),
+    source: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--source",
+            help="Camera of this computer for the assistant, repeatable: webcam:0, aravis:SERIAL, gphoto2, "
+            "replay:FOLDER, a video. Pages can use only these.",
+        ),
+    ] = None,
     lan: Annotated[
         bool,
         typer.Option(
@@ -40,6 +48,7 @@ def serve(
 
     Example: chromaperture serve --camera camera.asdf
     """
+    from chromaperture.app.camera_feed import CameraFeed
     from chromaperture.app.certificate import kept_certificate, kept_token, own_names, qr_code, state_folder
     from chromaperture.app.listening import make_server
     from chromaperture.app.server import make_app
@@ -54,7 +63,8 @@ def serve(
     trusted = kept_certificate(state, names) if lan else None
     bench = Workbench(out, camera, reserve_bytes=int(keep_free_gb * 2**30))
     files = None if trusted is None else trusted.certificate
-    application = make_app(bench, access, certificate=files)
+    feeds = [CameraFeed(spec) for spec in source or []]
+    application = make_app(bench, access, certificate=files, feeds=feeds)
     compile_kernels("real-time", quiet=quiet)
     here = access.url(port, host="localhost" if lan else None)
 
@@ -72,5 +82,9 @@ def serve(
             )
 
     pair = None if trusted is None else (trusted.certificate, trusted.key)
-    with contextlib.suppress(KeyboardInterrupt):  # the usual way to stop
-        make_server(application, host=host, port=port, certificate=pair, ready=ready).run()
+    try:
+        with contextlib.suppress(KeyboardInterrupt):  # the usual way to stop
+            make_server(application, host=host, port=port, certificate=pair, ready=ready).run()
+    finally:
+        for feed in feeds:
+            feed.close()

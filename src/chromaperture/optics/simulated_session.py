@@ -199,10 +199,17 @@ def _in_frame(
 
 
 def wall(
-    camera: PupilCamera, center: Sequence[float], tilt_deg: Sequence[float], square_mm: float = _SQUARE_MM
+    camera: PupilCamera,
+    center: Sequence[float],
+    tilt_deg: Sequence[float],
+    square_mm: float = _SQUARE_MM,
+    reach_mm: float = 400.0,
 ) -> list[Plane]:
-    """Build a wall of grey speckle that fills the picture, with a chessboard on its middle."""
-    far = center[2] + 400.0  # mm: reach of a tilted wall
+    """Build a wall of grey speckle that fills the picture, with a chessboard on its middle.
+
+    ``reach_mm`` is by how much a tilted wall may recede; it must not reach the camera with its near side.
+    """
+    far = center[2] + reach_mm
     # Half a pixel's footprint, but no finer than print at 100 dpi.
     texel = max(0.25, 0.5 * (center[2] - camera.sensor_to_pupil_mm) / camera.focal_px)
     width = 2.0 * far * camera.width_px / camera.focal_px

@@ -2,12 +2,14 @@
 import { Sentence, ask, askJson, attempt, make, query, say } from "./api.js";
 import { about, keepHere, loadCameras } from "./cameras.js";
 import { grab, openCamera } from "./capture.js";
-import { distanceChart, forecastChart, frameChart, tiltChart } from "./charts.js";
+import { distanceChart, forecastChart, frameChart, tiltChart, toneChart } from "./charts.js";
+import { ComputerCamera } from "./sources.js";
 
 const root = () => document.getElementById("calibrate");
 const KEPT = "chromaperture-session";  // which session was open, in the browser's storage
 const LIVE_MS = 700;  // between two live checks, beside the time that they take
 let session = null, camera = null, result = null, job = null, polling = null, watching = false;
+let sources = [], chosen = -1;  // cameras of the computer; the number of one, or -1 for this device's
 
 export function startAssistant() {
   document.addEventListener("tab", ({ detail }) => { if (detail === "calibrate") attempt(enter); else closeCamera(); });
@@ -15,6 +17,7 @@ export function startAssistant() {
 
 async function enter() {
   const names = await askJson("api/sessions");
+  sources = await askJson("api/sources");
   const name = localStorage.getItem(KEPT);
   if (names.includes(name)) await open(name);
   else showStart(names);
@@ -70,33 +73,39 @@ function showStart(names) {
 
 // ---- an open session
 
-const LABELS = { board: "Board, square to the camera", tilt: "Leaning board", white: "White sheet" };
+const LABELS = { board: "Board, square to the camera", tilt: "Leaning board", white: "White sheet", tone: "Sheet at two exposures" };
 
 function draw() {
   const { next } = session;
   const kind = make("select", { id: "shot-kind", "aria-label": "What is photographed" }, ...Object.entries(LABELS).map(([value, label]) => new Option(label, value)));
   const ruler = make("input", { id: "shot-ruler", type: "number", min: 1, step: 1, inputmode: "numeric", "aria-label": "Distance from the sensor's mark to the board in mm" });
   const sheet = make("select", { id: "shot-sheet", "aria-label": "Which white sheet" }, ...session.sheets.map((one) => new Option(`${one.have ? "✓ " : ""}${one.through}`, one.name)));
-  const fit = () => { ruler.parentElement.hidden = kind.value !== "board"; sheet.parentElement.hidden = kind.value !== "white"; };
+  const time = make("input", { id: "shot-exposure", type: "number", min: 0, step: "any", inputmode: "decimal", "aria-label": "Exposure time in ms; empty where the file states it" });
+  const fit = () => { ruler.parentElement.hidden = kind.value !== "board"; sheet.parentElement.hidden = kind.value !== "white"; time.parentElement.hidden = kind.value !== "tone"; };
   kind.addEventListener("change", fit);
   if (LABELS[next.kind]) kind.value = next.kind;
+  if (session.shots.at(-1)?.kind === "tone" && session.tone_error === null) kind.value = "tone";  // its second exposure
   if (next.ruler_mm) ruler.value = next.ruler_mm;
   if (next.sheet) sheet.value = next.sheet;
   const file = make("input", { id: "shot-file", type: "file", multiple: true, class: "unseen", accept: "image/*,.dng,.arw,.cr2,.cr3,.nef,.orf,.raf,.rw2,.tif,.tiff" });
-  const options = () => ({ kind: kind.value, ruler_mm: kind.value === "board" ? ruler.value : undefined, sheet: kind.value === "white" ? sheet.value : undefined });
+  const options = () => ({ kind: kind.value, ruler_mm: kind.value === "board" ? ruler.value : undefined, sheet: kind.value === "white" ? sheet.value : undefined, exposure_ms: kind.value === "tone" ? time.value || exposureOf(camera) : undefined });
   file.addEventListener("change", () => attempt(async () => {
     const files = [...file.files];
     file.value = "";
     for (const one of files) await send(one, one.name, options(), "good");
   }));
-  const shoot = make("button", { id: "shot-camera", text: camera ? "Photograph" : "Use this device's camera", onclick: () => attempt(() => shutter(options())) });
-  const look = camera ? make("button", { id: "shot-watch", text: "Check live", "aria-pressed": String(watching), onclick: () => { watching = !watching; look.setAttribute("aria-pressed", String(watching)); if (watching) attempt(() => watch(options)); } }) : null;
+  const from = make("select", { id: "shot-from", "aria-label": "Which camera" }, new Option("This device's camera", -1), ...sources.map((source, i) => new Option(source.name, i)));
+  from.value = chosen;
+  from.addEventListener("change", () => { closeCamera(); chosen = Number(from.value); say(""); draw(); });
+  const follow = camera?.remote && (!camera.remote.live || camera.remote.failed) ? make("button", { id: "shot-next", text: camera.remote.live ? "Look again" : "Next picture", onclick: () => attempt(lookAgain) }) : null;
+  const shoot = make("button", { id: "shot-camera", text: camera ? "Photograph" : chosen < 0 ? "Use this device's camera" : "Use this camera", onclick: () => attempt(() => shutter(options())) });
+  const look = camera && camera.remote?.live !== false ? make("button", { id: "shot-watch", text: "Check live", "aria-pressed": String(watching), onclick: () => { watching = !watching; look.setAttribute("aria-pressed", String(watching)); if (watching) attempt(() => watch(options)); } }) : null;
 
   const guide = make("section", { class: "card next", "aria-labelledby": "next-title" },
     make("h2", { id: "next-title", text: "Next" }), make("p", { class: "what", text: next.text }), make("p", { text: next.why }),
-    camera ? make("div", { class: "preview" }, camera.video) : null,
-    make("div", { class: "row" }, make("label", { class: "choice" }, kind), make("label", { class: "choice short" }, ruler, "mm from the sensor"), make("label", { class: "choice" }, sheet)),
-    make("div", { class: "row" }, make("label", { class: `button${camera ? "" : " main"}` }, "Open photographs", file), shoot, look),
+    camera ? make("div", { class: "preview" }, camera.remote?.picture ?? camera.video) : null,
+    make("div", { class: "row" }, make("label", { class: "choice" }, kind), make("label", { class: "choice short" }, ruler, "mm from the sensor"), make("label", { class: "choice" }, sheet), make("label", { class: "choice short" }, time, "ms exposed")),
+    make("div", { class: "row" }, make("label", { class: `button${camera ? "" : " main"}` }, "Open photographs", file), sources.length ? make("label", { class: "choice" }, from) : null, shoot, follow, look),
     make("div", { id: "checks" }, checksOf(result)));
   const panels = make("section", { class: "card", "aria-label": "What is there" },
     make("div", { class: "panels" },
@@ -105,7 +114,7 @@ function draw() {
       make("div", {}, make("h3", { text: `Leans: ${session.leans.length}` }), tiltChart(session.leans))));
   root().replaceChildren(
     make("div", { class: "row" }, make("h2", { text: session.name }), make("button", { class: "quiet", text: "Other session", onclick: () => attempt(leave) })),
-    make("div", { class: "two" }, make("div", {}, guide, finish()), make("div", {}, panels, forecastCard(), shots())));
+    make("div", { class: "two" }, make("div", {}, guide, finish()), make("div", {}, panels, forecastCard(), toneCard(), shots())));
   fit();
 }
 
@@ -125,6 +134,13 @@ function forecastCard() {
     gain ? make("p", { text: `One more board at ${Math.round(gain.at_mm / 10) * 10} mm would take the calibration's part, at its worst, from ${percent(gain.before)} to ${percent(gain.after)} of the distance.` }) : null);
 }
 
+function toneCard() {
+  if (!session.tone.length) return null;
+  return make("section", { class: "card chart", "aria-labelledby": "tone-title" },
+    make("h2", { id: "tone-title", text: "Tone curve" }), toneChart(session.tone),
+    make("p", { text: `Decoded light grows with the power 1 ± ${session.tone_error.toFixed(2)} of the exposure; 1 is as assumed. The error bars allow for it.` }));
+}
+
 const key = (color, label) => { const mark = make("i"); mark.style.background = color; return make("span", {}, mark, label); };
 
 function checksOf(found) {
@@ -141,7 +157,7 @@ function checksOf(found) {
 async function send(data, name, options, keep) {
   watching = false;
   say("Checking…", { plain: true });
-  const where = query({ ...options, name, keep });
+  const where = query({ ...options, name, keep, source: camera?.remote && !data ? camera.remote.number : undefined });
   const found = await (await ask(`api/sessions/${session.name}/shots${where}`, { method: "POST", body: data })).json();
   result = { ...found, retry: [data, name, options] };
   session = found.state;
@@ -163,7 +179,9 @@ function shots() {
 // ---- this device's camera
 
 async function shutter(options) {
+  if (camera?.remote) return send(null, "frame.png", options, "good");
   if (camera) return send(await photograph(), "frame.png", options, "good");
+  if (chosen >= 0) return openRemote();
   const [width, height] = session.size_px ?? [1280, 720];
   const opened = await openCamera(width, height);
   const video = make("video", { playsinline: true, muted: true, "aria-label": "Picture of the camera" });
@@ -173,6 +191,40 @@ async function shutter(options) {
   await video.play();
   say(opened.locked.length ? `Held by the browser: ${opened.locked.join(", ")}.` : "This browser cannot hold focus, exposure and white balance: photographs opened as files are better, RAW best.", { plain: true });
   draw();
+}
+
+// A camera of the computer: live ones are shown at once, others when the next picture is asked for.
+async function openRemote() {
+  const remote = new ComputerCamera(chosen, sources[chosen]);
+  camera = { remote };
+  try {
+    await remote.next();
+  } catch (error) {
+    closeCamera();
+    throw error;
+  }
+  say("");
+  draw();
+  if (remote.live) play(remote);
+  return undefined;
+}
+
+const play = (remote) => remote.play(() => { if (camera?.remote === remote) draw(); });
+
+async function lookAgain() {
+  const { remote } = camera;
+  await remote.next();
+  say("");
+  if (!remote.live) return;
+  remote.failed = false;
+  draw();
+  play(remote);
+}
+
+// What the browser says of the exposure of this device's camera, ms; its unit is 100 microseconds.
+function exposureOf(opened) {
+  const tenths = opened?.track?.getSettings?.().exposureTime;
+  return tenths ? tenths / 10 : undefined;
 }
 
 async function photograph() {
@@ -188,7 +240,8 @@ async function photograph() {
 
 function closeCamera() {
   if (!camera) return;
-  for (const track of camera.stream.getTracks()) track.stop();
+  camera.remote?.close();
+  for (const track of camera.stream?.getTracks() ?? []) track.stop();
   camera = null;
   watching = false;
 }
@@ -196,8 +249,9 @@ function closeCamera() {
 // Checks what the camera sees, again and again, and keeps nothing: to turn film, board and light until all is well.
 async function watch(options) {
   while (watching && camera) {
-    const where = query({ ...options(), name: "frame.png" });
-    const found = await (await ask(`api/sessions/${session.name}/shots${where}`, { method: "POST", body: await photograph() })).json();
+    const where = query({ ...options(), name: "frame.png", source: camera.remote?.number });
+    const body = camera.remote ? null : await photograph();
+    const found = await (await ask(`api/sessions/${session.name}/shots${where}`, { method: "POST", body })).json();
     if (!watching || !camera) return;
     session = found.state;  // the first photograph sets the size
     document.getElementById("checks")?.replaceChildren(checksOf(found));

@@ -46,6 +46,21 @@ export function tiltChart(leans) {
   return picture(240, 160, `${leans.length} leaning boards`, ...items);
 }
 
+// By which power of the exposure decoded light grows, over its level; 1 is right.
+export function toneChart(points) {
+  const W = 560, H = 170, left = 52, right = 12, bottom = 34;
+  const off = Math.max(0.1, ...points.map(([, power]) => Math.abs(power - 1))) * 1.2;
+  const x = (level) => left + (W - left - right) * (1 + Math.log10(Math.max(level, 0.01)) / 2);
+  const y = (power) => 10 + (H - 10 - bottom) * (1 - (power - 1 + off) / (2 * off));
+  const items = [];
+  for (const power of [1 - off / 1.2, 1, 1 + off / 1.2]) items.push(svg("line", { x1: left, x2: W - right, y1: y(power), y2: y(power), stroke: power === 1 ? COLORS.good : COLORS.line }), text(left - 6, y(power) + 4, power.toFixed(2), { "text-anchor": "end" }));
+  for (const level of [0.01, 0.1, 1]) items.push(text(x(level), H - 12, `${100 * level} %`, { "text-anchor": level === 1 ? "end" : level === 0.01 ? "start" : "middle" }));
+  items.push(text((left + W) / 2 + 90, H - 12, "of full scale", { "text-anchor": "middle" }));
+  for (const [level, power] of points) items.push(svg("circle", { cx: x(level), cy: y(power), r: 5, fill: COLORS.accent }));
+  const powers = points.map(([, power]) => power);
+  return picture(W, H, `Powers from ${Math.min(...powers).toFixed(2)} to ${Math.max(...powers).toFixed(2)}`, ...items);
+}
+
 // The predicted error bar: of one pixel, of the calibration, of both.
 export function forecastChart(forecast, boards) {
   const W = 560, H = 250, left = 52, bottom = 36, [first, last] = [forecast.distance_mm[0], forecast.distance_mm.at(-1)];

@@ -22,7 +22,8 @@ export function startPhoto() {
   });
   for (const id of ["f-number", "background", "sharpen"]) $(id).addEventListener("input", () => { showNumber(); viewer.show("picture"); refocus(); });
   viewer.buttons.at(-1).addEventListener("click", () => { if (!viewer.picture) refocus(); });
-  $("photo-save").addEventListener("click", () => attempt(save));
+  $("photo-save").addEventListener("click", () => attempt(() => save("photo-save", "files")));
+  $("photo-embed").addEventListener("click", () => attempt(() => save("photo-embed", "embedded")));
 }
 
 const fNumber = () => photo.f_number * 2 ** (Number($("f-number").value) / 2);  // a step of 1 is a stop
@@ -106,19 +107,19 @@ async function refocus() {
   if (again) refocus();
 }
 
-async function save() {
-  $("photo-save").disabled = true;
+async function save(button, what) {
+  $(button).disabled = true;
   try {
-    const answer = await ask(`api/photos/${await sent(photo)}/files`);
+    const answer = await ask(`api/photos/${await sent(photo)}/${what}`);
     const name = /filename="([^"]+)"/.exec(answer.headers.get("content-disposition"))?.[1] ?? "photograph.zip";
     download(await answer.blob(), name);
   } catch (error) {
-    if (!error.isNoAnswer || photo.photo) throw error;
+    if (!error.isNoAnswer || photo.photo || what !== "files") throw error;
     const { depth, sigma } = viewer.frame, stem = photo.file.name.replace(/\.[^.]*$/, "");
     for (const [name, values] of Object.entries({ depth, sigma })) download(floatTiff(values, photo.width, photo.height), `${stem}.${name}.tiff`);
     say("The computer does not answer: depth and error bar are saved, as TIFF files; colours and points are its work.", { plain: true });
   } finally {
-    $("photo-save").disabled = false;
+    $(button).disabled = false;
   }
 }
 
