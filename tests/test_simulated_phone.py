@@ -115,9 +115,9 @@ def test_a_small_phone_is_calibrated_by_the_assistant_and_measures(tmp_path):
     limits = one.bounds(one.SMALL, SensorModel())
     assert all(0.001 < value < 0.02 for value in limits.values())
     lines = []
-    one.print_tables(result, limits, lines.append)
+    one.print_tables(result, limits, {}, lines.append)
     assert any(line.startswith("| 115 |") for line in lines)
-    one.draw(result, limits, tmp_path / "phone.png")
+    one.draw(result, limits, {"nothing": []}, tmp_path / "phone.png")
     assert (tmp_path / "phone.png").stat().st_size > 10_000
 
 
