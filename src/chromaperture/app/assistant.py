@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from chromaperture.app.forecast import BOARD_SIGMA_PX, Forecast, Gain, Lens, best_gain, forecast
+from chromaperture.app.notes import heard
 from chromaperture.app.session_folder import Kind, SessionFolder
 from chromaperture.app.sheet_checks import check_sheet
 from chromaperture.app.shot_checks import CheckedShot, Reading, check_board, check_tilt, read_for_check
 from chromaperture.app.tone_checks import Exposed, check_exposed, check_tone
-from chromaperture.app.workbench import heard
 from chromaperture.calibration.assemble_camera import nominal_depth_model
 from chromaperture.calibration.session import Session
 from chromaperture.calibration.session_plan import PlannedSession

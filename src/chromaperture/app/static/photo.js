@@ -114,7 +114,7 @@ async function save(button, what) {
     const name = /filename="([^"]+)"/.exec(answer.headers.get("content-disposition"))?.[1] ?? "photograph.zip";
     download(await answer.blob(), name);
   } catch (error) {
-    if (!error.isNoAnswer || photo.photo) throw error;
+    if (!error.isNoAnswer || photo.photo || what !== "files") throw error;
     const { depth, sigma } = viewer.frame, stem = photo.file.name.replace(/\.[^.]*$/, "");
     for (const [name, values] of Object.entries({ depth, sigma })) download(floatTiff(values, photo.width, photo.height), `${stem}.${name}.tiff`);
     say("The computer does not answer: depth and error bar are saved, as TIFF files; colours and points are its work.", { plain: true });
