@@ -22,8 +22,8 @@ from chromaperture.disparity.gpu.device import Chain, open_device
 from chromaperture.disparity.gpu.paper_chain import add_paper
 from chromaperture.disparity.gpu.real_time_chain import add_real_time
 from chromaperture.disparity.labels import IDENTITY, LabelMap
-from chromaperture.disparity.stages.place import halved_surface, place_by_correlation
 from chromaperture.disparity.stages.correlation import exponential_window
+from chromaperture.disparity.stages.place import halved_surface, place_by_correlation
 from chromaperture.disparity.views import filtered_views, halved_views
 from chromaperture.disparity.winner import PathWinner, Surface
 from devices import needs_device

@@ -125,7 +125,6 @@ def write_maps(
     depth_range_mm : (float, float), optional
         Ends of the preview's colour bar.
     """
-
     wanted = set(outputs)
     nothing = np.empty(0, np.uint8)
     # What two files have in common.

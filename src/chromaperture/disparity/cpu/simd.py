@@ -166,7 +166,7 @@ def _logarithm(builder, a):
 
 
 def _exponential(builder, a):
-    """e to the power of floats of at most 0; what is below the least normal float becomes it."""
+    """E to the power of floats of at most 0; what is below the least normal float becomes it."""
     power = _larger(builder, builder.fmul(a, _constant(1 / math.log(2))), _constant(_LEAST_EXPONENT))
     # Not by adding a large number: kernels that may reassociate would take it off again.
     rint = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_FLOATS, [_FLOATS]), f"llvm.rint.v{LANES}f32")

@@ -15,6 +15,9 @@ from chromaperture.disparity.gpu.device import MOST_GROUPS, Array, Chain
 from chromaperture.disparity.gpu.view_stages import SHARED, Planes, add_halved_views
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.stages.bilateral import even_link
+from chromaperture.disparity.stages.enlarge import JUMP_PX
+from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
 from chromaperture.disparity.stages.place import (
     EDGE_REACH_PX,
     EDGE_SHARE,
@@ -22,9 +25,6 @@ from chromaperture.disparity.stages.place import (
     LEAST_UNEXPLAINED,
     POSTERIOR_SHARE,
 )
-from chromaperture.disparity.stages.bilateral import even_link
-from chromaperture.disparity.stages.enlarge import JUMP_PX
-from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
 from chromaperture.disparity.views import ViewSpace
 
 LABELLED = (*SHARED, "half_labels")  # functions of the stages that follow equal depth
