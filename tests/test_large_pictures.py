@@ -13,9 +13,10 @@ from chromaperture import camera_memory, memory
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
-from chromaperture.camera_memory import needed_bytes
+from chromaperture.camera_memory import fitting_jobs, needed_bytes
 from chromaperture.camera_scale import at_scale, working_scale
 from chromaperture.capture.files import read_image
+from chromaperture.cli.depth import jobs_in_memory
 from chromaperture.cli.options import working_scale as option
 from chromaperture.cli.setup import camera_for
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
@@ -139,6 +140,19 @@ def test_a_picture_beyond_the_memory_is_refused_before_it_is_read(full, tmp_path
         match=r"photo.png, 101 megapixels at scale 1/1: not enough memory: .* 12.0 GB free; match at .*\(--scale 1/2\)",
     ):
         camera.read(tmp_path / "photo.png")  # there is no such file: nothing was opened
+
+
+@pytest.mark.parametrize(("free", "expected"), [(0.1, 1), (1.5, 1), (2.5, 2), (100, 4), (float("inf"), 4)])
+def test_no_more_photographs_at_a_time_than_there_is_memory_for(full, monkeypatch, free, expected):
+    config = default_config(full, "real-time", scale=1)
+    monkeypatch.setattr(camera_memory, "available_bytes", lambda: free * needed_bytes(full, config))
+    assert fitting_jobs(full, config, 4) == expected
+    camera = CodedApertureCamera(full, config)
+    if expected == 4:
+        assert jobs_in_memory(camera, 4) == 4
+    else:
+        with pytest.warns(CaptureWarning, match=f"--jobs 4: there is memory for {expected} at a time"):
+            assert jobs_in_memory(camera, 4) == expected
 
 
 def test_memory_is_asked_of_every_limit(monkeypatch, tmp_path):

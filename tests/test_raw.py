@@ -151,7 +151,7 @@ def test_another_program_reads_the_noise_that_the_tests_write(tmp_path):
 
 @needs_rawpy
 def test_without_sheets_the_noise_is_that_of_the_file(session, tmp_path):
-    """A file's variance is S light + O: a full well of 1 / S electrons, and a read noise of its root of O times that."""
+    """The variance is S light + O: a full well of 1 / S electrons, and a read noise of the root of O times that."""
     folder = tmp_path / "session"
     shutil.copytree(session, folder)
     text = (folder / "session.toml").read_text()

@@ -41,7 +41,7 @@ def encode_png(picture: np.ndarray) -> bytes:
         packed = deflate.compress(filtered.data)
         packed += deflate.flush(zlib.Z_FINISH if top + rows >= height else zlib.Z_SYNC_FLUSH)
         begin = b"\x78\x01" if top == 0 else b""  # a stream of zlib, of the fastest level
-        return _Strip(_chunk(b"IDAT", begin + packed), zlib.adler32(filtered), filtered.size)
+        return _Strip(_chunk(b"IDAT", begin + packed), zlib.adler32(filtered.data), filtered.size)
 
     strips = parallel_map(strip, range(0, height, rows))
     checksum = 1  # of no byte

@@ -51,14 +51,14 @@ def decode_rgb16(data: bytes) -> np.ndarray | None:
 def _bands(data: bytes, line: int, height: int) -> Iterator[tuple[int, np.ndarray]]:
     """Yield the first row and the inflated bytes, (rows, line), of one band after the other."""
     stream = zlib.decompressobj()
-    parts: list[bytes] = []
+    parts: list[bytes | bytearray] = []
     size, top = 0, 0
     for piece in _compressed(data):
         parts.append(stream.decompress(piece))
         size += len(parts[-1])
         rows = min(height - top, size // line)
         if rows == height - top or rows >= _BAND_ROWS:
-            joined = b"".join(parts)
+            joined = bytearray().join(parts)  # whose array can be written to: the kernel is compiled for such
             yield top, np.frombuffer(joined, np.uint8, rows * line).reshape(rows, line)
             top, parts = top + rows, [joined[rows * line :]]
             size = len(parts[0])

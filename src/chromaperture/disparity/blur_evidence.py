@@ -182,7 +182,7 @@ class BlurEvidence:
     def _cross_filtered(
         self, channels: tuple[int, ...], pairs: Sequence[int], nodes: Nodes, tiles: Sequence[_Tile], inverse_mm: float
     ) -> np.ndarray:
-        """P and Q of pairs of channels, numbers of `all_pairs`, at one distance; (pairs, H, W, 2) float32 of samples."""
+        """P and Q of pairs of channels, numbers of `all_pairs`, at one distance; (pairs, H, W, 2) float32 samples."""
         canvas = nodes.canvas(len(pairs))
         inner = nodes.in_tile()
         for tile in tiles:

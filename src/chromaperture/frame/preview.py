@@ -201,6 +201,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
     """Open the font that comes with Matplotlib, which has Greek and Cyrillic letters; Pillow's own has not."""
     # Found without importing Matplotlib, which takes 0.15 s.
     places = find_spec("matplotlib")
-    assert places is not None and places.origin is not None  # of the base installation
+    assert places is not None  # it belongs to the base installation
+    assert places.origin is not None
     font = Path(places.origin).parent / "mpl-data" / "fonts" / "ttf" / "DejaVuSans.ttf"
     return ImageFont.truetype(str(font), size)

@@ -18,7 +18,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from chromaperture.compilation import compiled
+from chromaperture.compilation import compiled, inlined
 
 # Direct transforms take reach * kept^2 steps, fast ones size^2 times a logarithm: both are as fast where the former is
 # 3 to 5 times size^2 (size 96 and 240, kept 49, 80 and 121).
@@ -90,7 +90,7 @@ def direct_transforms(points_px, weights, reach, cosines, sines, out):  # type: 
         _column_transforms(parts[0], parts[1], cosines, sines, out[c])
 
 
-@compiled(fastmath=_FAST)
+@inlined(fastmath=_FAST)
 def _row_transform(row, cosines, sines, real, imaginary):  # type: ignore[no-untyped-def]
     """Transform of a periodic row whose middle is its first number."""
     reach, kept = len(row) // 2, len(real)
@@ -111,7 +111,7 @@ def _row_transform(row, cosines, sines, real, imaginary):  # type: ignore[no-unt
             imaginary[f] -= odd * s[f]
 
 
-@compiled(fastmath=_FAST)
+@inlined(fastmath=_FAST)
 def _column_transforms(even, odd, cosines, sines, out):  # type: ignore[no-untyped-def]
     """Transform columns, of each frequency and its negative at once; rows of ``even`` hold real parts, then others."""
     reach, kept, samples = len(even) - 1, cosines.shape[1], out.shape[0]

@@ -18,7 +18,8 @@ def cross_filter(
     """Compute P and Q, as `stages.cross_filter`; (n, n, 2) float32."""
     size = len(spectra[0])
     both = np.empty((size, 2 * size), np.float32)
-    parts = (part.view(np.float32) for part in (*spectra, *transfers))  # as pairs of floats: loops over them are vectors
+    # As pairs of floats: loops over these become vectors.
+    parts = (part.view(np.float32) for part in (*spectra, *transfers))
     _cross_filter(*parts, np.float32(damping), both)
     return np.asarray(cv2.dft(both.reshape(size, size, 2), flags=cv2.DFT_INVERSE | cv2.DFT_SCALE))
 

@@ -52,7 +52,7 @@ def halved_surface(winner: PathWinner, place: np.ndarray, layers_px: np.ndarray,
     first, step = np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0])
     disparity = np.asarray(label_map.disparity(first + step * place), np.float32)
     extent = local_range(disparity, EDGE_REACH_PX)
-    scale = np.ascontiguousarray(np.broadcast_to(np.asarray(label_map.scale, np.float32), disparity.shape))
+    scale = np.array(np.broadcast_to(label_map.scale, disparity.shape), np.float32)
     parts = [np.ascontiguousarray(part, np.float32) for part in (winner.layer, winner.sigma_px, winner.at)]
     out = Surface(disparity, *np.empty((2, *disparity.shape), np.float32))
     last, widest = np.float32(len(layers_px) - 1), np.float32(sigma_of_range(layers_px))

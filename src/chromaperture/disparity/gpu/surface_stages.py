@@ -165,7 +165,8 @@ def surface_arrays(chain: Chain, grid: Grid, config: SurfaceConfig) -> SurfaceAr
     pixels = grid.pixels
     sizes = dict(
         likelihood=grid.size, guide=pixels, cost=grid.size, winner=4 * pixels, offset=pixels, tangents=2 * pixels,
-        averages=2 * pixels, links=2 * pixels, goal=pixels, surface=4 * pixels, other=4 * pixels, posterior=2 * pixels, sigma=pixels,
+        averages=2 * pixels, links=2 * pixels, goal=pixels, surface=4 * pixels, other=4 * pixels,
+        posterior=2 * pixels, sigma=pixels,
     )  # fmt: skip
     made = {name: chain.array(name, size) for name, size in sizes.items()}
     rounds = np.geomspace(*config.coupling_layers2, max(1, config.coupling_rounds))
