@@ -55,7 +55,7 @@ ALLOWED: dict[str, set[str]] = {
     "camera_crop": {"camera_file", "frame"},
     "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "camera_crop",
                "config", "frame"} | STAGES,
-    "calibration": {"optics", "spectral_config", "camera_matching", "camera_scale", "camera_file", "config"} | STAGES,
+    "calibration": {"optics", "stage_config", "camera_matching", "camera_scale", "camera_file", "config"} | STAGES,
     "products": {"camera", "camera_file", "cluster", "config", "formats", "frame", "storage", "capture", "color",
                  "depth"},
     "pages": {"color", "depth"},  # pages of maps and points, of whatever is put on them
