@@ -58,6 +58,11 @@ def _fast_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, samp
 @compiled()
 def splat(points_px, weights, out):  # type: ignore[no-untyped-def]
     """Add weighted points to the four pixels around them, with periodic borders."""
+    _splat(points_px, weights, out)
+
+
+@inlined()
+def _splat(points_px, weights, out):  # type: ignore[no-untyped-def]
     n = out.shape[0]
     for j in range(len(weights)):
         x, y = np.floor(points_px[j, 0]), np.floor(points_px[j, 1])
@@ -78,7 +83,7 @@ def direct_transforms(points_px, weights, reach, cosines, sines, out):  # type: 
     lines, parts = np.empty((side, 2 * kept), np.float32), np.empty((2, reach + 1, 2 * kept), np.float32)
     for c in range(len(out)):
         picture = np.zeros((side, side), np.float32)
-        splat(points_px[c], weights[c], picture)
+        _splat(points_px[c], weights[c], picture)
         for y in range(side):
             _row_transform(picture[y], cosines, sines, lines[y, :kept], lines[y, kept:])
         parts[0, 0], parts[1, 0] = lines[0], 0
