@@ -101,6 +101,21 @@ def local_range(disparity_px: np.ndarray, reach_px: int) -> np.ndarray:
     return np.asarray(cv2.dilate(surface, square) - cv2.erode(surface, square))
 
 
+def pooled_sigma(sigma_px: np.ndarray, reach_px: float) -> np.ndarray:
+    """Return the root of the mean variance in a Gaussian window; (H, W) float32, px.
+
+    Paths write their own pattern into the posterior's width, streaks along which the evidence is the same.
+
+    Parameters
+    ----------
+    sigma_px : (H, W) float, px
+    reach_px : float
+        Sigma of the window.
+    """
+    variance = np.square(sigma_px, dtype=np.float32)
+    return np.sqrt(cv2.GaussianBlur(variance, (0, 0), reach_px, borderType=cv2.BORDER_REFLECT_101))
+
+
 def without_two_views(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Return where fewer than two of the matched channels hold light; (H, W) bool.
 
