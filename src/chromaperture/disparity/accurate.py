@@ -30,8 +30,8 @@ from chromaperture.errors import InputError
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig
 
 EDGE_REACH_PX = 8  # two sigmas of the correlation window
-# Sigma of the window in which the posterior's variance is averaged. On four ray-traced scenes that no table shows, the area
-# under the risk-coverage curve is .050 without, .047, .046, .050 with 4, 8, 16 px; of the tenth with the longest
+# Sigma of the window in which the posterior's variance is averaged. On four ray-traced scenes that no table shows, the
+# area under the risk-coverage curve is .050 without, .047, .046, .050 with 4, 8, 16 px; of the tenth with the longest
 # bars .79, .86, .88, .84 of the errors lie within two.
 POOLED_PX = 8.0
 # Of the range of the disparity about a pixel, for a surface of planes, whose edges follow the picture; a place anywhere
@@ -39,8 +39,8 @@ POOLED_PX = 8.0
 # the pixels, by sigma, and 1.0 is too wide in two of them. Without planes it is too narrow:
 # of the errors on real boxes 0.46 lay within one bar, with 1.0 they were 0.53 (benchmarks/dual_pixel.py).
 EDGE_SHARE_OF_PLANES = 0.4
-# Labels by which all evidence of a plane together misses its place. On four ray-traced scenes the tenth with the shortest
-# bars has 1.0, .74, .59 of its errors within one bar and 1.0, 1.0, .90 within two with 0.3, 0.2, 0.1.
+# Labels by which all evidence of a plane together misses its place. On four ray-traced scenes the tenth with the
+# shortest bars has 1.0, .74, .59 of its errors within one bar and 1.0, 1.0, .90 within two with 0.3, 0.2, 0.1.
 BIAS_OF_PLANES = 0.2
 ALL_CHANNELS = np.eye(3)  # every pair of channels is evidence, the widest pairs first
 WITHOUT_PLANES = PlanesConfig(rounds=0)
