@@ -98,6 +98,31 @@ def served(
 
 
 @contextlib.contextmanager
+def pages(browser: Any, url: str) -> Iterator[Any]:
+    """Give a function that opens the page in a window of a size; afterwards nothing went wrong in any."""
+    contexts: list[Any] = []
+    wrong: list[str] = []
+
+    def opened(size: Any, *, camera: str | None = "cy_halves", url: str = url, script: str = "", **options: Any) -> Any:
+        context = browser.new_context(viewport=size, permissions=["camera"], **options)
+        contexts.append(context)
+        page = context.new_page()
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("console", lambda line: wrong.append(line.text) if "Security Policy" in line.text else None)
+        if script:
+            page.add_init_script(script)
+        page.goto(url)
+        if camera:
+            page.wait_for_selector(f"#camera option[value={camera}]", state="attached")
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    assert wrong == []
+
+
+@contextlib.contextmanager
 def chromium(driver: Any, *, camera: Path | None = None, flags: tuple[str, ...] = ()) -> Iterator[Any]:
     """A headless browser; its camera plays a y4m file."""
     arguments = [*_FLAGS, *flags]

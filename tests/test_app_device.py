@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from apps import DESKTOP, PHONE, WEBGPU, chromium, served, write_y4m
+from apps import DESKTOP, PHONE, WEBGPU, chromium, pages, served, write_y4m
 from chromaperture.app.device_plan import light_of_counts
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
@@ -95,27 +95,16 @@ def browser(driver, small, tmp_path_factory):
 
 @pytest.fixture
 def page_at(browser, app):
-    """A function that opens the page in a window of a size; afterwards nothing went wrong in it."""
-    contexts, wrong = [], []
+    """A function that opens the page in a window of a size and says who measures."""
+    with pages(browser, app.url) as opened:
 
-    def at(size=PHONE, *, where="device", url=app.url, script=None, camera="cy_halves"):
-        context = browser.new_context(viewport=size, permissions=["camera"])
-        contexts.append(context)
-        page = context.new_page()
-        page.set_default_timeout(TIMEOUT_MS)
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        if script:
-            page.add_init_script(script)
-        page.goto(url)
-        if camera:
-            page.wait_for_selector(f"#camera option[value={camera}]", state="attached")
-        page.select_option("#where", where)
-        return page
+        def at(size=PHONE, *, where="device", **how):
+            page = opened(size, **how)
+            page.set_default_timeout(TIMEOUT_MS)
+            page.select_option("#where", where)
+            return page
 
-    yield at
-    for context in contexts:
-        context.close()
-    assert wrong == []
+        yield at
 
 
 def save_png(path, picture):

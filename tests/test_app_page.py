@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from apps import DESKTOP, FACTS, PHONE, chromium, served, write_y4m
+from apps import DESKTOP, FACTS, PHONE, chromium, pages, served, write_y4m
 from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.srgb import linear_to_srgb_bytes
@@ -71,26 +71,8 @@ def browser(driver, tmp_path_factory):
 
 @pytest.fixture
 def page_at(browser, app):
-    """A function that opens the page in a window of a size; afterwards nothing went wrong in its console."""
-    contexts, wrong = [], []
-
-    def at(size, *, camera="cy_halves", url=app.url, script=None, **options):
-        context = browser.new_context(viewport=size, permissions=["camera"], **options)
-        contexts.append(context)
-        page = context.new_page()
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on("console", lambda line: wrong.append(line.text) if "Security Policy" in line.text else None)
-        if script:
-            page.add_init_script(script)
-        page.goto(url)
-        if camera:
-            page.wait_for_selector(f"#camera option[value={camera}]", state="attached")
-        return page
-
-    yield at
-    for context in contexts:
-        context.close()
-    assert wrong == []
+    with pages(browser, app.url) as opened:
+        yield opened
 
 
 def says(page, text):
