@@ -151,7 +151,7 @@ class CodedApertureCamera:
         begun = self._checked(image)
         if not isinstance(self.method, DeviceMethod):
             return begun
-        return begun._replace(waiting=self.method.start(begun.known, self._conversion))
+        return begun._replace(waiting=self.method.start(begun.known, self.conversion))
 
     def complete(self, begun: Begun, *, meanwhile: Callable[[], None] = lambda: None) -> DepthFrame:
         """Return the measurement of a photograph that was begun; raises as `measure`.
@@ -275,14 +275,14 @@ class CodedApertureCamera:
         """Return the disparity, and depth with its standard deviation where the device converted it, too."""
         if not isinstance(self.method, DeviceMethod):
             return self.method.match(begun.known), None
-        found = self.method.finish(begun.waiting or self.method.start(begun.known, self._conversion))
+        found = self.method.finish(begun.waiting or self.method.start(begun.known, self.conversion))
         if found.depth_mm is None or found.sigma_mm is None:
             return found.disparity, None
         return found.disparity, (found.depth_mm, found.sigma_mm)
 
     @cached_property
-    def _conversion(self) -> Conversion | None:
-        """The curves of all pixels for the device; None where there are none, or too many for it to keep."""
+    def conversion(self) -> Conversion | None:
+        """The curves of all pixels for a device; None where there are none, or too many for it to keep."""
         sensor = self.calibration.sensor
         if self.depth_model is None or sensor.width_px * sensor.height_px > _WHOLE_PX:
             return None
