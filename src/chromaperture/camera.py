@@ -314,7 +314,7 @@ def scaled_method(
         As `CodedApertureCamera`.
     """
     working = at_scale(calibration, config.scale)
-    method = method_for(
+    method: Method = method_for(
         config.matcher,
         aperture=working.aperture,
         unmixing=working.unmixing,
@@ -323,12 +323,13 @@ def scaled_method(
         noise=noise_model(working),
         execution=execution,
     )
-    if device != "cpu":
-        method = on_device(method, device, lambda text: warnings.warn(text, CaptureWarning, stacklevel=4))
-    if config.scale == 1:
+    if config.scale > 1:
+        size_px = (working.sensor.width_px, working.sensor.height_px)
+        method = ScaledMethod(method, config.matcher, size_px, working.aperture, execution_named(execution))
+    if device == "cpu":
         return method
-    size_px = (working.sensor.width_px, working.sensor.height_px)
-    return ScaledMethod(method, config.matcher, size_px, working.aperture, execution_named(execution))
+    pixels = calibration.sensor.width_px * calibration.sensor.height_px
+    return on_device(method, device, lambda text: warnings.warn(text, CaptureWarning, stacklevel=4), pixels=pixels)
 
 
 def load_camera(

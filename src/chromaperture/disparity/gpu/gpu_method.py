@@ -6,7 +6,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -16,15 +16,17 @@ from chromaperture.config import MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.disparity.accurate import AccurateMethod
 from chromaperture.disparity.gpu.accurate_chain import AccurateOnDevice
 from chromaperture.disparity.gpu.conversion_stage import Conversion, add_conversion
-from chromaperture.disparity.gpu.device import Chain, Device, DeviceError, Ticket, adapters, open_device
+from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError, Ticket, adapters, open_device
 from chromaperture.disparity.gpu.paper_chain import add_paper, runs_on_device
 from chromaperture.disparity.gpu.real_time_chain import add_real_time
 from chromaperture.disparity.gpu.view_stages import check_stats
+from chromaperture.disparity.gpu.working_stages import Reduction, add_reduced, add_upsampled
 from chromaperture.disparity.labels import IDENTITY, LabelMap
 from chromaperture.disparity.paper import PaperMethod
 from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.disparity.result import Disparity, Method
-from chromaperture.disparity.views import ViewSpace
+from chromaperture.disparity.views import ViewSpace, guide_weights
+from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.errors import CaptureWarning, ChromapertureError, InputError, OutOfMemoryError
 
 _MAPS = ("disparity", "sigma", "confidence")
@@ -58,12 +60,15 @@ class GpuMethod:
     space : ViewSpace
     label_map : LabelMap
     device : Device
+    reduction : Reduction or None
+        Where reduced pictures are matched; the other attributes are then those of their camera.
     """
 
     config: MatcherConfig
     space: ViewSpace
     label_map: LabelMap
     device: Device
+    reduction: Reduction | None = None
     _chain: Chain | None = None
     _key: tuple[object, ...] = ()
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -117,16 +122,24 @@ class GpuMethod:
             self._chain = None
             chain = Chain(self.device)
             image = chain.array("image", 3 * size[0] * size[1])
-            if isinstance(self.config, RealTimeConfig):
-                add_real_time(chain, image, size, self.config, self.space, self.label_map)
-            elif isinstance(self.config, PaperConfig):
-                add_paper(chain, image, size, self.config, self.space)
+            if self.reduction is None:
+                self._add_matching(chain, image, size)
             else:
-                raise TypeError(type(self.config).__name__)
+                small = add_reduced(chain, image, size, self.reduction)
+                self._add_matching(chain, small, self.reduction.size_px[::-1])
+                add_upsampled(chain, image, small, size, self.reduction, self.config.views.guide_range)
             if conversion is not None:
                 add_conversion(chain, chain.arrays["disparity"], chain.arrays["sigma"], conversion)
             self._chain, self._key = chain, key
         return self._chain
+
+    def _add_matching(self, chain: Chain, image: Array, size: tuple[int, int]) -> None:
+        if isinstance(self.config, RealTimeConfig):
+            add_real_time(chain, image, size, self.config, self.space, self.label_map)
+        elif isinstance(self.config, PaperConfig):
+            add_paper(chain, image, size, self.config, self.space)
+        else:
+            raise TypeError(type(self.config).__name__)
 
 
 class Waiting(NamedTuple):
@@ -220,7 +233,7 @@ def chosen_device(choice: str) -> Device | None:
         return None
 
 
-def on_device(method: Method, choice: str, note: Callable[[str], None]) -> Method:
+def on_device(method: Method, choice: str, note: Callable[[str], None], *, pixels: int = 0) -> Method:
     """Return a method on the device of a choice, where the device can run it.
 
     Parameters
@@ -231,15 +244,26 @@ def on_device(method: Method, choice: str, note: Callable[[str], None]) -> Metho
         As `chosen_device`.
     note : callable
         Called with one line where a device was asked for and the CPU is taken, or the device is software.
+    pixels : int
+        Of a photograph. Where the device has no array for it the CPU reduces it to the working scale.
     """
+    if isinstance(method, ScaledMethod):
+        matching = on_device(method.method, choice, note)
+        if not isinstance(matching, DeviceMethod):
+            return method
+        on_gpu = matching.on_gpu
+        if isinstance(on_gpu, AccurateOnDevice) or 12 * pixels > on_gpu.device.largest_bytes:  # three floats a pixel
+            return replace(method, method=matching)
+        on_gpu = replace(on_gpu, reduction=Reduction(method.size_px, guide_weights(method.aperture)))
+        return DeviceMethod(on_gpu, method, matching.may_fall_back)
     asked_for = choice not in ("auto", "cpu")
-    on_gpu: Callable[[Device], GpuMethod | AccurateOnDevice]
+    opened: Callable[[Device], GpuMethod | AccurateOnDevice]
     if isinstance(method, PaperMethod) and runs_on_device(method.config):
-        on_gpu = partial(GpuMethod, method.config, method.space, IDENTITY)
+        opened = partial(GpuMethod, method.config, method.space, IDENTITY)
     elif isinstance(method, RealTimeMethod):
-        on_gpu = partial(GpuMethod, method.config, method.space, method.label_map)
+        opened = partial(GpuMethod, method.config, method.space, method.label_map)
     elif isinstance(method, AccurateMethod):
-        on_gpu = partial(AccurateOnDevice, method)
+        opened = partial(AccurateOnDevice, method)
     else:
         if asked_for:
             chosen_device(choice)  # a device that does not exist is refused all the same
@@ -250,4 +274,4 @@ def on_device(method: Method, choice: str, note: Callable[[str], None]) -> Metho
         return method
     if device.info.is_software:
         note(f"{device.info.name} is software: slower than --device cpu, with the same results")
-    return DeviceMethod(on_gpu(device), method, not asked_for)
+    return DeviceMethod(opened(device), method, not asked_for)
