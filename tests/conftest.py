@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -30,6 +31,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for name, module in (marker.args for marker in item.iter_markers("extra")):
             if not is_installed(module):
                 item.add_marker(pytest.mark.skip(reason=f"the extra '{name}' is not installed: this is NOT tested"))
+
+
+@pytest.fixture(scope="module")
+def driver() -> Iterator[Any]:
+    """Playwright, for tests of pages."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started:
+        yield started
 
 
 @pytest.fixture

@@ -76,14 +76,6 @@ def app(tmp_path_factory, small):
 
 
 @pytest.fixture(scope="module")
-def driver():
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
 def browser(driver, small, tmp_path_factory):
     """A Chromium with WebGPU whose camera plays the sample at twice its size: what 4:2:0 loses is averaged away."""
     scene = tmp_path_factory.mktemp("camera") / "scene.y4m"

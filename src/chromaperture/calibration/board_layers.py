@@ -22,9 +22,10 @@ from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.lens_blur import LensBlur
 from chromaperture.stage_config import CrossFilterConfig
 
+# Chosen by hand, not tuned.
 _SEARCHED = (6, 15)  # layers searched to either side of the expected one; the second where cells remained unknown
 _KNOWN_CELLS = 0.9  # fraction of cells that ends the search
-_LEAST_USABLE = 0.5  # fraction of a cell's pixels
+_LEAST_USABLE = 0.5  # fraction of a cell's pixels that are not clipped
 
 
 def measured_layers(
