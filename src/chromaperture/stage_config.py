@@ -114,13 +114,19 @@ class CorrelationConfig:
     sampling : {"catmull-rom", "b-spline"}
         Cubic by which a view is read between its pixels. The first keeps detail, but at whole pixels more of it than
         between them, and draws surfaces there; the second smooths everywhere alike, by 0.58 px.
+    cell_px : {1, 2}
+        Side of the squares of pixels that share a score. 2: the window is a triangle of 5 px (``window_decay`` is not
+        used), which takes a quarter of the volume and finds more (docs/measurements.md, *Cells*).
     """
 
     window_decay: float = 0.80
     noise_debiasing: bool = False
     sampling: Literal["catmull-rom", "b-spline"] = "catmull-rom"
+    cell_px: Literal[1, 2] = 1
 
     def __post_init__(self) -> None:
+        require(self.cell_px in (1, 2), f"cell_px must be 1 or 2, is {self.cell_px!r}")
+        require(self.cell_px == 1 or not self.noise_debiasing, "noise_debiasing needs cell_px 1")
         known = self.sampling in ("catmull-rom", "b-spline")
         require(known, f"sampling must be catmull-rom or b-spline, is {self.sampling!r}")
         require(0 < self.window_decay < 1, f"window_decay must lie between 0 and 1, got {self.window_decay:g}")

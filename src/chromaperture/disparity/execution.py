@@ -54,7 +54,7 @@ class Execution(Protocol):
         """Find the place between the layers by a pixel's own correlations, and its information."""
 
     def halved_surface(
-        self, winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap
+        self, winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap, *, edge_reach: int = ...
     ) -> Surface:
         """Return the surface of the halved picture."""
 

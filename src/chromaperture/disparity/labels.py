@@ -38,6 +38,10 @@ class LabelMap(NamedTuple):
         offset, scale = (np.ascontiguousarray(part[::2, ::2], np.float32) for part in self)
         return LabelMap(offset / 2, scale)
 
+    def of_cells(self, cell_px: int) -> LabelMap:
+        """Return the map at every so manyth pixel; disparities stay as they are."""
+        return LabelMap(*(np.ascontiguousarray(part[::cell_px, ::cell_px]) for part in self))
+
 
 # A lens that shows equal depth at equal disparity all over the frame.
 IDENTITY = LabelMap(np.zeros((1, 1), np.float32), np.ones((1, 1), np.float32))

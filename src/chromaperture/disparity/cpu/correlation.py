@@ -25,6 +25,7 @@ import cv2
 import numpy as np
 
 from chromaperture.disparity.cpu import bands, layout, strips
+from chromaperture.disparity.cpu.cell_scores import cell_scores
 from chromaperture.disparity.cpu.layout import LANES, whole_vectors
 from chromaperture.disparity.cpu.workspace import Workspace, workspace
 from chromaperture.disparity.stages.correlation import (
@@ -49,9 +50,14 @@ _MOST_SAMPLES_A_PX = 8  # of an up-sampled view; finer layers are sampled one by
 
 def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig) -> np.ndarray:
     """Score every layer, as `stages.correlate`; (H, W, D) float32, rounded to 1 / 32000."""
-    out = np.empty((*views.mask.shape, len(layers_px)), np.float32)
+    height, width = views.mask.shape
+    shape = (height, width) if config.cell_px == 1 else (-(-height // 2), -(-width // 2))
+    out = np.empty((*shape, len(layers_px)), np.float32)
     with workspace() as memory:
-        volume, _ = filtered_scores(views, layers_px, memory, config=config)
+        if config.cell_px == 2:
+            volume = cell_scores(views, layers_px, memory, config=config)
+        else:
+            volume, _ = filtered_scores(views, layers_px, memory, config=config)
         in_parallel(lambda _, top, bottom: strips.unpack_scores(volume, top, bottom, out), len(out))
     return out
 

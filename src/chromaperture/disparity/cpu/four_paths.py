@@ -10,10 +10,12 @@ import cv2
 import numpy as np
 
 from chromaperture.disparity.cpu import path_costs
+from chromaperture.disparity.cpu.cell_scores import cell_scores
 from chromaperture.disparity.cpu.correlation import filtered_scores
 from chromaperture.disparity.cpu.layout import BLOCK
 from chromaperture.disparity.cpu.workspace import workspace
 from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.stages.correlation import cells_of
 from chromaperture.disparity.views import Views
 from chromaperture.disparity.winner import PathWinner
 from chromaperture.stage_config import CorrelationConfig, FourPathsConfig
@@ -24,18 +26,24 @@ def four_path_winner(
     views: Views, layers_px: np.ndarray, label_map: LabelMap, *, correlation: CorrelationConfig, paths: FourPathsConfig
 ) -> PathWinner:
     """Find the best layer of every pixel along four paths, as `stages.four_path_winner`."""
-    height, width = views.mask.shape
+    guide, mask = views.guide, views.mask
+    if correlation.cell_px == 2:
+        guide, mask = cells_of(guide), cells_of(mask)
+    height, width = mask.shape
     labels = LabelMap(*(np.ascontiguousarray(part, np.float32) for part in label_map))
-    links_x, links_y = (_links(views.guide, axis, paths) for axis in (1, 0))
+    links_x, links_y = (_links(guide, axis, paths) for axis in (1, 0))
     first, step = (np.float32(value) for value in (layers_px[0], layers_px[1] - layers_px[0]))
     settings = path_costs.Settings(
         np.float32(paths.jump_penalty), np.float32(paths.temperature), first, step, len(layers_px)
     )
-    mask = np.ascontiguousarray(views.mask, np.float32)
+    mask = np.ascontiguousarray(mask, np.float32)
     two_views = views.pictures.shape[2] == 2
     winner = PathWinner(*(np.empty((height, width), np.float32) for _ in range(5)))
     with workspace() as memory:
-        volume, _ = filtered_scores(views, layers_px, memory, config=correlation)
+        if correlation.cell_px == 2:
+            volume = cell_scores(views, layers_px, memory, config=correlation)
+        else:
+            volume, _ = filtered_scores(views, layers_px, memory, config=correlation)
         sums = memory.array("sums", volume.shape, np.int16)
 
         def along_rows(_: int, top: int, bottom: int) -> None:

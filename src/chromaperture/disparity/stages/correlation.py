@@ -19,6 +19,8 @@ Taps = Callable[[float], tuple[float, float, float, float]]
 MIN_VARIANCE_FRACTION = 0.05  # of a variance that debiasing always leaves: an estimated noise may be too high
 RELATIVE_EPSILON = 1e-6  # of a view's overall variance: even areas score 0, not noise / noise
 MIN_WEIGHT = 1e-4  # keeps the sum of weights positive where a whole line is unusable
+# Of the window of a cell, px -2 to 2 of its own: docs/measurements.md compares windows.
+CELL_TAPS = (1 / 9, 2 / 9, 3 / 9)  # at 2, 1 and 0 px
 
 
 def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig) -> np.ndarray:
@@ -33,8 +35,10 @@ def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig)
 
     Returns
     -------
-    (H, W, D) float64
+    (H, W, D) float64; (ceil(H / 2), ceil(W / 2), D) for cells of 2 px
     """
+    if config.cell_px == 2:
+        return _cell_scores(views, layers_px, config)
     height, width, view_count = views.pictures.shape
     pad = padding(layers_px, views.directions, config.sampling)
     padded = _pad(views.pictures.astype(np.float64), pad)
@@ -61,6 +65,43 @@ def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig)
         layer = rho[0] if view_count == 2 else three_view_score(*rho)
         volume[..., s] = layer[pad[1] : pad[1] + height, pad[0] : pad[0] + width]
     return volume
+
+
+def cells_of(maps: np.ndarray) -> np.ndarray:
+    """Return maps (H, W, ...) at the pixels after which cells of 2 px are named; contiguous."""
+    return np.ascontiguousarray(maps[::2, ::2])
+
+
+def _cell_scores(views: Views, layers_px: np.ndarray, config: CorrelationConfig) -> np.ndarray:
+    """Score cells: cell (x, y) is the 5 x 5 px about pixel (2 x, 2 y), weighted by `CELL_TAPS` both ways."""
+    height, width, view_count = views.pictures.shape
+    x, y = padding(layers_px, views.directions, config.sampling)
+    pad = (x + 2, y + 2)
+    padded, epsilon = _pad(views.pictures.astype(np.float64), pad), variance_floor(views.pictures)
+    inside = np.s_[pad[1] : pad[1] + height : 2, pad[0] : pad[0] + width : 2]
+    taps = np.array([*CELL_TAPS, *CELL_TAPS[1::-1]])
+
+    def window(maps: np.ndarray) -> np.ndarray:
+        for axis in (0, 1):
+            maps = sum(tap * np.roll(maps, i - 2, axis=axis) for i, tap in enumerate(taps))
+        return np.asarray(maps[inside])
+
+    volume = []
+    for d in layers_px:
+        moved = [
+            shift(padded[..., k], d * views.directions[k], taps_of=SAMPLING[config.sampling]) for k in range(view_count)
+        ]
+        means = [window(m) for m in moved]
+        gains = [
+            1 / np.sqrt(np.maximum(window(m**2) - mean**2, 0) + floor)
+            for m, mean, floor in zip(moved, means, epsilon, strict=True)
+        ]
+        rho = [
+            np.clip((window(moved[k] * moved[m]) - means[k] * means[m]) * gains[k] * gains[m], -1, 1)
+            for k, m in view_pairs(view_count)
+        ]
+        volume.append(rho[0] if view_count == 2 else three_view_score(*rho))
+    return np.stack(volume, axis=-1)
 
 
 def _noise(views: Views, config: CorrelationConfig) -> tuple[np.ndarray, np.ndarray]:

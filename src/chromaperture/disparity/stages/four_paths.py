@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.disparity.labels import LabelMap
-from chromaperture.disparity.stages.correlation import correlate
+from chromaperture.disparity.stages.correlation import cells_of, correlate
 from chromaperture.disparity.stages.paths import PathPenalties, path_costs
 from chromaperture.disparity.views import Views
 from chromaperture.disparity.winner import PathWinner
@@ -30,16 +30,19 @@ def four_path_winner(
     layers_px : (D,) float, px
         The labels that are tested.
     label_map : LabelMap
-        (h, w), or `IDENTITY`.
+        Of every score, or `IDENTITY`: (h, w), or (ceil(h / 2), ceil(w / 2)) for cells of 2 px.
     correlation : CorrelationConfig
     paths : FourPathsConfig
     """
     score = correlate(views, layers_px, config=correlation)
     if not label_map.is_identity:
         score = scores_at_labels(score, layers_px, label_map)
-    likelihood = log_likelihood(score, view_count=views.pictures.shape[2]) * views.mask[..., None]
+    guide, mask = views.guide, views.mask
+    if correlation.cell_px == 2:
+        guide, mask = cells_of(guide), cells_of(mask)
+    likelihood = log_likelihood(score, view_count=views.pictures.shape[2]) * mask[..., None]
     penalties = PathPenalties(paths.jump_penalty, paths.jump_penalty, paths.edge_range, paths.edge_floor)
-    cost = path_costs(likelihood, views.guide, penalties, paths=4)
+    cost = path_costs(likelihood, guide, penalties, paths=4)
     layer = cost.argmin(axis=2)
     inside = np.clip(layer, 1, len(layers_px) - 2)
     before, at, after = (np.take_along_axis(likelihood, (inside + o)[..., None], axis=2)[..., 0] for o in (-1, 0, 1))
