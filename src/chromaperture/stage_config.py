@@ -171,7 +171,7 @@ class FourPathsConfig:
 
     jump_penalty: float = 14.0
     edge_range: float = 0.3
-    edge_floor: float = 0.05
+    edge_floor: float = 0.1
     temperature: float = 2.2
 
     def __post_init__(self) -> None:

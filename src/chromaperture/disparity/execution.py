@@ -45,8 +45,9 @@ class Execution(Protocol):
         *,
         correlation: CorrelationConfig,
         paths: FourPathsConfig,
+        labels_px: np.ndarray | None = None,
     ) -> PathWinner:
-        """Correlate the views and find the best layer of every pixel along four paths."""
+        """Correlate the views and find the best label of every pixel along four paths."""
 
     def place_by_correlation(
         self, winner: PathWinner, layer_count: int, *, view_count: int

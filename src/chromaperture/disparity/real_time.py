@@ -11,6 +11,7 @@ from chromaperture.disparity.error_bar import confidence, sigma_of_range, surfac
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import Disparity
+from chromaperture.disparity.stages.four_paths import MOST_APART_PX, labels_between
 from chromaperture.disparity.stages.place import EDGE_REACH_PX
 from chromaperture.disparity.views import Views, ViewSpace, halved_views
 from chromaperture.disparity.winner import Surface
@@ -48,15 +49,18 @@ class RealTimeMethod:
         config, run = self.config, self.run
         cell_px = config.correlation.cell_px
         layers_px, label_map = config.layers.values_px / 2, self.label_map.halved().of_cells(cell_px)
-        winner = run.four_path_winner(views, layers_px, label_map, correlation=config.correlation, paths=config.paths)
+        labels_px = labels_between(layers_px, views.directions, most_px=MOST_APART_PX / 2)  # px of the halved picture
+        winner = run.four_path_winner(
+            views, layers_px, label_map, correlation=config.correlation, paths=config.paths, labels_px=labels_px
+        )
 
-        place, weight = run.place_by_correlation(winner, len(layers_px), view_count=views.pictures.shape[2])
+        place, weight = run.place_by_correlation(winner, len(labels_px), view_count=views.pictures.shape[2])
         even = views.guide[::cell_px, ::cell_px] / np.float32(config.smoothing_edge_range)
         sums = run.smooth_along_surface(
             (weight, place * weight), even, winner.layer, sigma_px=config.smoothing_sigma_px / cell_px
         )
         surface = run.halved_surface(
-            winner, sums[1] / sums[0], layers_px, label_map, edge_reach=-(-EDGE_REACH_PX // cell_px)
+            winner, sums[1] / sums[0], labels_px, label_map, edge_reach=-(-EDGE_REACH_PX // cell_px)
         )
         surface = Surface(2 * surface.disparity_px, 2 * surface.sigma_px, surface.peak)
         if cell_px > 1:

@@ -12,7 +12,7 @@ import numpy as np
 from chromaperture.disparity.cpu import path_costs
 from chromaperture.disparity.cpu.cell_scores import cell_scores
 from chromaperture.disparity.cpu.correlation import filtered_scores
-from chromaperture.disparity.cpu.layout import BLOCK
+from chromaperture.disparity.cpu.layout import BLOCK, whole_vectors
 from chromaperture.disparity.cpu.workspace import workspace
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.correlation import cells_of
@@ -23,18 +23,29 @@ from chromaperture.threads import in_parallel
 
 
 def four_path_winner(
-    views: Views, layers_px: np.ndarray, label_map: LabelMap, *, correlation: CorrelationConfig, paths: FourPathsConfig
+    views: Views,
+    layers_px: np.ndarray,
+    label_map: LabelMap,
+    *,
+    correlation: CorrelationConfig,
+    paths: FourPathsConfig,
+    labels_px: np.ndarray | None = None,
 ) -> PathWinner:
-    """Find the best layer of every pixel along four paths, as `stages.four_path_winner`."""
+    """Find the best label of every pixel along four paths, as `stages.four_path_winner`."""
     guide, mask = views.guide, views.mask
     if correlation.cell_px == 2:
         guide, mask = cells_of(guide), cells_of(mask)
     height, width = mask.shape
     labels = LabelMap(*(np.ascontiguousarray(part, np.float32) for part in label_map))
     links_x, links_y = (_links(guide, axis, paths) for axis in (1, 0))
-    first, step = (np.float32(value) for value in (layers_px[0], layers_px[1] - layers_px[0]))
+    labels_px = layers_px if labels_px is None else labels_px
+    first, step = (np.float32(value) for value in (labels_px[0], labels_px[1] - labels_px[0]))
     settings = path_costs.Settings(
-        np.float32(paths.jump_penalty), np.float32(paths.temperature), first, step, len(layers_px)
+        np.float32(paths.jump_penalty), np.float32(paths.temperature), first, step, len(labels_px)
+    )
+    between = labels.scale.size > 1 or len(labels_px) > len(layers_px)
+    layers = path_costs.Layers(
+        np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0]), len(layers_px), between
     )
     mask = np.ascontiguousarray(mask, np.float32)
     two_views = views.pictures.shape[2] == 2
@@ -44,13 +55,15 @@ def four_path_winner(
             volume = cell_scores(views, layers_px, memory, config=correlation)
         else:
             volume, _ = filtered_scores(views, layers_px, memory, config=correlation)
-        sums = memory.array("sums", volume.shape, np.int16)
+        size = -(-width // BLOCK) * BLOCK * height * whole_vectors(len(labels_px))
+        nats = memory.array("nats", (size,), np.int16) if between else volume
+        sums = memory.array("sums", (size,), np.int16)
 
         def along_rows(_: int, top: int, bottom: int) -> None:
-            path_costs.along_rows(volume, sums, mask, links_x, labels, settings, two_views, top, bottom)
+            path_costs.along_rows(volume, nats, sums, mask, links_x, labels, layers, settings, two_views, top, bottom)
 
         def along_columns(_: int, first_block: int, last_block: int) -> None:
-            path_costs.along_columns(volume, sums, links_y, settings, first_block, last_block, winner)
+            path_costs.along_columns(nats, sums, links_y, settings, first_block, last_block, winner)
 
         in_parallel(along_rows, height)
         in_parallel(along_columns, -(-width // BLOCK))

@@ -24,12 +24,23 @@ _CLOSED = np.float32(1e4)  # nats; cost of the lanes beyond the last layer
 _RAISED = np.float32(8)  # nats; makes all costs positive: positive floats are ordered as their bits are
 _FAR = np.float32(3e4)  # nats; beyond any sum of costs, and of those of `_CLOSED`
 _HALF = np.float32(0.5)
-_THREE, _FOUR, _FIVE = np.float32(3), np.float32(4), np.float32(5)
+_TWO, _THREE, _FOUR, _FIVE = np.float32(2), np.float32(3), np.float32(4), np.float32(5)
 _EIGHTH = np.float32(0.125)
+_BASE = 2 * v.LANES  # where a pixel's layers start in a scratch
+_STEEP = np.float32(1e6)  # a label is beyond the last layer by a millionth of a layer, or not at all
+
+
+class Layers(NamedTuple):
+    """What was scored: the first layer and their distance, px; ``between``: labels lie between them."""
+
+    first: np.float32
+    step: np.float32
+    count: int
+    between: bool
 
 
 class Settings(NamedTuple):
-    """Penalty and temperature, nats; the first layer and their distance, px; float32 but for the count."""
+    """Penalty and temperature, nats; the first label and their distance, px; float32 but for the count."""
 
     jump: np.float32
     temperature: np.float32
@@ -65,15 +76,17 @@ class Decision(NamedTuple):
 
 
 @kernel
-def along_rows(volume, sums, mask, links, labels, settings, two_views, top, bottom):
-    """Turn scores into log-likelihoods and add up the path costs along x.
+def along_rows(scores, volume, sums, mask, links, labels, layers, settings, two_views, top, bottom):
+    """Turn scores of layers into log-likelihoods of labels and add up the path costs along x.
 
     Parameters
     ----------
-    volume : (blocks, H, slabs, BLOCK, 8) int16, flat; scores, then log-likelihoods
+    scores : (blocks, H, slabs, BLOCK, 8) int16, flat
+    volume : of the labels; written: log-likelihoods; the scores' own memory unless labels lie between the layers
     sums : like volume; written: the costs of both paths
     mask, links : (H, W) float32
     labels : LabelMap, (H, W) float32 or (1, 1)
+    layers : Layers
     settings : Settings
     two_views : bool
     top, bottom : int; the rows from ``top`` to before ``bottom``
@@ -81,14 +94,21 @@ def along_rows(volume, sums, mask, links, labels, settings, two_views, top, bott
     height, width = mask.shape
     lines = _lines(volume, sums, settings, GROUP)
     slabs = lines.slabs
-    scores, at_labels = np.zeros(slabs * v.LANES + 3, np.float32), np.empty(slabs * v.LANES, np.float32)
+    own = (layers.count + v.LANES - 1) // v.LANES * v.LANES
+    here = np.zeros(own + _BASE + 2 * v.LANES, np.float32)
+    for i in range(v.LANES):
+        here[i] = np.float32(i)
+    at_labels = np.zeros((own + v.LANES) * max(1, np.int64(np.rint(layers.step / settings.step))), np.float32)
+    many = labels.scale.size > 1
     for row in range(top, bottom, GROUP):
         rows = min(GROUP, bottom - row)
         for j in range(rows):
             y = row + j
-            if labels.scale.size > 1:
-                _read_at_labels(lines, labels.offset_px[y], labels.scale[y], y, height, settings, scores, at_labels)
-            _likelihoods(lines, mask[y], y, height, two_views)
+            if layers.between:
+                _read_at_labels(scores, lines, labels, y if many else 0, many, mask[y], y, height, layers, settings,
+                                here, at_labels, two_views)  # fmt: skip
+            else:
+                _likelihoods(lines, mask[y], y, height, two_views)
         _start(lines, rows)
         for x in range(width):
             for j in range(rows):
@@ -195,48 +215,101 @@ def _start(lines, count):
 
 @inner
 def _likelihoods(lines, mask, y, height, two_views):
-    """One row of scores to log-likelihoods, nats: -ln(1 - s^2) / 2 of two views, -ln(1 - s) of three."""
+    """One row of scores to log-likelihoods in place: -ln(1 - s^2) / 2 of two views, -ln(1 - s) of three, nats."""
     volume, slabs = lines.volume, lines.slabs
-    one, nothing, limit = v.broadcast(ONE), v.broadcast(ZERO), v.broadcast(_LEAST_DETERMINANT)
     unit, nats = v.broadcast(ONE / SCORE_SCALE), -_HALF * _NATS
     for x in range(len(mask)):
         factor = v.broadcast(nats * mask[x])
         at = _address(y, x, height, slabs)
         for i in range(at, at + slabs * BLOCK * v.LANES, BLOCK * v.LANES):
-            score = v.larger(v.mul(v.load_shorts(volume, i), unit), nothing)
-            if two_views:
-                determinant = v.fnma(score, score, one)
-            else:
-                determinant = v.sub(one, score)
-                determinant = v.mul(determinant, determinant)
-            v.put_shorts(volume, i, v.mul(factor, v.logarithm(v.larger(determinant, limit))))
+            v.put_shorts(volume, i, v.mul(factor, _log_unexplained(v.mul(v.load_shorts(volume, i), unit), two_views)))
 
 
 @inner
-def _read_at_labels(lines, offset, scale, y, height, settings, scores, at_labels):
-    """Interpolate one row of scores at the labels of a map, by cubics through four layers; 0 beyond them."""
-    volume, slabs, count = lines.volume, lines.slabs, settings.layers
-    for x in range(len(offset)):
+def _log_unexplained(score, two_views):
+    """Logarithm of the determinant of the views' correlations."""
+    one = v.broadcast(ONE)
+    score = v.larger(score, v.broadcast(ZERO))
+    if two_views:
+        determinant = v.fnma(score, score, one)
+    else:
+        determinant = v.sub(one, score)
+        determinant = v.mul(determinant, determinant)
+    return v.logarithm(v.larger(determinant, v.broadcast(_LEAST_DETERMINANT)))
+
+
+@inner
+def _read_at_labels(scores, lines, labels, map_row, many, mask, y, height, layers, settings, here, at_labels, two_views):
+    """One row of scores to log-likelihoods of labels, interpolated by cubics through four layers; 0 beyond them.
+
+    ``here`` holds lane numbers, then from `_BASE` on a pixel's layers, at its end room for a vector.
+    """
+    volume, slabs, count = lines.volume, lines.slabs, layers.count
+    own_slabs = (count + v.LANES - 1) // v.LANES
+    nats, unit = -_HALF * _NATS, v.broadcast(ONE / SCORE_SCALE)
+    parts = np.int64(np.rint(layers.step / settings.step))
+    for x in range(len(mask)):
+        at = _address(y, x, height, own_slabs)
+        for s in range(own_slabs):
+            v.store(here, _BASE + s * v.LANES, v.mul(unit, v.load_shorts(scores, at + s * BLOCK * v.LANES)))
+        here[_BASE - 1] = here[_BASE]
+        here[_BASE + count] = here[_BASE + count - 1]
+        column = x if many else 0
+        offset, scale = labels.offset_px[map_row, column], labels.scale[map_row, column]
+        begin = (offset + scale * settings.first - layers.first) / layers.step
+        part = scale / np.float32(parts)
+        for k in range(0, count, v.LANES):
+            if parts == 1:
+                v.store(at_labels, k, _read_eight(here, begin, scale, k, count))
+            elif parts == 2:
+                even, odd = _read_eight(here, begin, scale, k, count), _read_eight(here, begin + part, scale, k, count)
+                v.store(at_labels, 2 * k, v.shuffled_low(even, odd))
+                v.store(at_labels, 2 * k + v.LANES, v.shuffled_high(even, odd))
+            else:
+                for n in range(parts):
+                    eight = _read_eight(here, begin + np.float32(n) * part, scale, k, count)
+                    for i in range(v.LANES):
+                        v.put_lane(at_labels, (k + i) * parts + n, eight, i)
+        factor = v.broadcast(nats * mask[x])
         at = _address(y, x, height, slabs)
         for s in range(slabs):
-            v.store(scores, s * v.LANES + 1, v.load_shorts(volume, at + s * BLOCK * v.LANES))
-        scores[0] = scores[1]
-        scores[count + 1] = scores[count]
-        begin = (offset[x] + (scale[x] - ONE) * settings.first) / settings.step
-        for k in range(count):
-            place = begin + scale[x] * np.float32(k)
-            below = min(max(int(place), 0), count - 2)
-            t = place - np.float32(below)
-            before, low = v.get(scores, below), v.get(scores, below + 1)
-            high, after = v.get(scores, below + 2), v.get(scores, below + 3)
-            third = _THREE * (low - high) + after - before  # Catmull and Rom's cubic
-            second = before + before - _FIVE * low + _FOUR * high - after
-            value = low + _HALF * t * (high - before + t * (second + t * third))
-            at_labels[k] = value if ZERO <= t <= ONE else ZERO
-        for k in range(count, slabs * v.LANES):
-            at_labels[k] = ZERO
-        for s in range(slabs):
-            v.put_shorts(volume, at + s * BLOCK * v.LANES, v.load(at_labels, s * v.LANES))
+            logarithm = _log_unexplained(v.load(at_labels, s * v.LANES), two_views)
+            v.put_shorts(volume, at + s * BLOCK * v.LANES, v.mul(factor, logarithm))
+
+
+@inner
+def _read_eight(here, begin, scale, first, count):
+    """Scores at eight places a ``scale`` apart, from ``begin + first * scale``; places and layers count from 0."""
+    low = begin + scale * np.float32(first)
+    high = begin + scale * np.float32(first + v.LANES - 1)
+    ahead = np.floor(low) - np.float32(first)
+    if low >= ZERO and high < np.float32(count) and np.floor(high) - np.float32(first + v.LANES - 1) == ahead:
+        # The layers below the eight places are neighbours.
+        at = _BASE + first + np.int64(ahead)
+        t = v.fma(v.load(here, 0), v.broadcast(scale - ONE), v.broadcast(low - np.floor(low)))
+        before, middle, after, later = v.load(here, at - 1), v.load(here, at), v.load(here, at + 1), v.load(here, at + 2)
+        two, three, four, five = v.broadcast(_TWO), v.broadcast(_THREE), v.broadcast(_FOUR), v.broadcast(_FIVE)
+        third = v.fma(three, v.sub(middle, after), v.sub(later, before))  # Catmull and Rom's cubic
+        second = v.sub(v.fma(four, after, v.fnma(five, middle, v.mul(two, before))), later)
+        slope = v.fma(t, v.fma(t, third, second), v.sub(after, before))
+        value = v.fma(v.mul(v.broadcast(_HALF), t), slope, middle)
+        if high <= np.float32(count - 1):
+            return value
+        room = v.fnma(v.broadcast(scale), v.load(here, 0), v.broadcast(np.float32(count - 1) - low))
+        inside = v.fma(room, v.broadcast(_STEEP), v.broadcast(ONE))  # 1 up to the last layer, 0 beyond
+        return v.mul(value, v.larger(v.smaller(inside, v.broadcast(ONE)), v.broadcast(ZERO)))
+    spill = len(here) - v.LANES
+    for i in range(v.LANES):
+        place = low + scale * np.float32(i)
+        below = min(max(np.int64(place), 0), count - 2)
+        t = place - np.float32(below)
+        at = _BASE + below
+        before, middle, after, later = here[at - 1], here[at], here[at + 1], here[at + 2]
+        third = _THREE * (middle - after) + later - before
+        second = before + before - _FIVE * middle + _FOUR * after - later
+        value = middle + _HALF * t * (after - before + t * (second + t * third))
+        v.put(here, spill + i, value if ZERO <= t <= ONE and place >= ZERO else ZERO)
+    return v.load(here, spill)
 
 
 @inner

@@ -210,6 +210,9 @@ pairs_low = _interleaved([0, 1, 8, 9, 4, 5, 12, 13])
 pairs_high = _interleaved([2, 3, 10, 11, 6, 7, 14, 15])
 halves_low = _interleaved([0, 1, 2, 3, 8, 9, 10, 11])
 halves_high = _interleaved([4, 5, 6, 7, 12, 13, 14, 15])
+# Two vectors shuffled like cards: what comes first, and the rest.
+shuffled_low = _interleaved([0, 8, 1, 9, 2, 10, 3, 11])
+shuffled_high = _interleaved([4, 12, 5, 13, 6, 14, 7, 15])
 
 
 @intrinsic
