@@ -6,9 +6,15 @@ the lens; with labels of equal depth the wall is constant.
 
 from __future__ import annotations
 
+import math
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+
+# Px by which the views farthest apart move between two labels at most. Correlations have a cusp where views agree, which
+# labels farther apart miss: docs/measurements.md, *Cells*.
+MOST_APART_PX = 0.5
 
 
 class LabelMap(NamedTuple):
@@ -66,3 +72,25 @@ def label_map(
     scale = scale_px_mm / reference[1]
     offset = infinity_disparity_px - scale * reference[0]
     return LabelMap(offset.astype(np.float32), scale.astype(np.float32))
+
+
+def labels_between(layers_px: np.ndarray, directions: np.ndarray, *, most_px: float = MOST_APART_PX) -> np.ndarray:
+    """Return the labels to choose among: the layers, and so many between two of them that the views move little.
+
+    Parameters
+    ----------
+    layers_px : (D,) float, px
+        Equally spaced.
+    directions : (K, 2) float
+        Displacement of each view per px of disparity.
+    most_px : float
+        By which two views move between two labels at most.
+
+    Returns
+    -------
+    (N,) float64, px; every n-th is a layer
+    """
+    apart = max(float(np.linalg.norm(a - b)) for a, b in combinations(np.asarray(directions), 2))
+    step = layers_px[1] - layers_px[0]
+    parts = max(1, math.ceil(apart * step / most_px - 1e-6))  # 1e-6: what fits but for rounding fits
+    return np.asarray(layers_px[0] + step / parts * np.arange(parts * (len(layers_px) - 1) + 1))

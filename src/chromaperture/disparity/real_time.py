@@ -9,10 +9,8 @@ import numpy as np
 from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.error_bar import confidence, sigma_of_range, surface_sigma, widened, without_two_views
 from chromaperture.disparity.execution import Execution
-from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.labels import MOST_APART_PX, LabelMap, labels_between
 from chromaperture.disparity.result import Disparity
-from chromaperture.disparity.stages.four_paths import MOST_APART_PX, labels_between
-from chromaperture.disparity.stages.place import EDGE_REACH_PX
 from chromaperture.disparity.views import Views, ViewSpace, halved_views
 from chromaperture.disparity.winner import Surface
 
@@ -59,9 +57,7 @@ class RealTimeMethod:
         sums = run.smooth_along_surface(
             (weight, place * weight), even, winner.layer, sigma_px=config.smoothing_sigma_px / cell_px
         )
-        surface = run.halved_surface(
-            winner, sums[1] / sums[0], labels_px, label_map, edge_reach=-(-EDGE_REACH_PX // cell_px)
-        )
+        surface = run.halved_surface(winner, sums[1] / sums[0], labels_px, label_map, cell_px=cell_px)
         surface = Surface(2 * surface.disparity_px, 2 * surface.sigma_px, surface.peak)
         if cell_px > 1:
             surface = run.enlarge(surface, views.guide)

@@ -48,12 +48,12 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
 
 
 def halved_surface(
-    winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap, *, edge_reach: int = EDGE_REACH_PX
+    winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap, *, cell_px: int = 1
 ) -> Surface:
     """Return the surface of the halved picture, as `stages.halved_surface`."""
     first, step = np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0])
     disparity = np.asarray(label_map.disparity(first + step * place), np.float32)
-    extent = local_range(disparity, edge_reach)
+    extent = local_range(disparity, -(-EDGE_REACH_PX // cell_px))
     scale = np.array(np.broadcast_to(label_map.scale, disparity.shape), np.float32)
     parts = [np.ascontiguousarray(part, np.float32) for part in (winner.layer, winner.sigma_px, winner.at)]
     out = Surface(disparity, *np.empty((2, *disparity.shape), np.float32))

@@ -10,14 +10,19 @@ import numpy as np
 from chromaperture.color.image import DARK
 from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, LIGHT_WINDOW_PX, MAX_SIGMA_PX, sigma_of_range
+from chromaperture.disparity.gpu.cell_stages import (
+    add_cell_planes,
+    add_cell_scores,
+    add_enlarged_cells,
+    add_label_likelihood,
+)
 from chromaperture.disparity.gpu.correlation_stages import add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain
-from chromaperture.disparity.gpu.view_stages import SHARED, Planes, add_halved_views
+from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes, add_halved_views
 from chromaperture.disparity.gpu.workgroups import MOST_GROUPS, groups_for
-from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.labels import MOST_APART_PX, LabelMap, labels_between
 from chromaperture.disparity.stages.bilateral import even_link
 from chromaperture.disparity.stages.enlarge import JUMP_PX
-from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
 from chromaperture.disparity.stages.place import (
     EDGE_REACH_PX,
     EDGE_SHARE,
@@ -28,7 +33,6 @@ from chromaperture.disparity.stages.place import (
 from chromaperture.disparity.views import ViewSpace
 
 LABELLED = (*SHARED, "half_labels")  # functions of the stages that follow equal depth
-_CLOSED = 1e4  # nats; cost of layers that only fill the last vector
 _LANES = 4  # invocations that share a path
 
 
@@ -50,43 +54,50 @@ def add_real_time(
         (H, W), or `IDENTITY`.
     """
     height, width = size
-    planes = add_halved_views(chain, image, size, space, config.views)
+    whole = add_halved_views(chain, image, size, space, config.views)
+    cell_px = config.correlation.cell_px
+    planes = whole if cell_px == 1 else add_cell_planes(chain, whole)
     layers_px = config.layers.values_px / 2  # of the halved picture
-    pitch = 4 * _LANES * -(-len(layers_px) // (4 * _LANES))
-    volume = planes.pixels * pitch
+    labels_px = labels_between(layers_px, space.directions, most_px=MOST_APART_PX / 2)
+    pitch = 4 * _LANES * -(-len(labels_px) // (4 * _LANES))
     labels = chain.constant("labels", np.stack([np.asarray(part, np.float32) for part in label_map]))
-    chunks = list(add_correlation(chain, planes, layers_px, space.directions, config.correlation, pitch=pitch))
-    score = chunks[-1][0]
-    of_labels: dict[str, Any] = {"labelled": not label_map.is_identity, "full_width": width, "full_height": height}
-    of_layers: dict[str, Any] = {"layer_count": len(layers_px), "pitch": pitch}
-    first, step = float(layers_px[0]), float(layers_px[1] - layers_px[0])
+    of_labels: dict[str, Any] = {
+        "labelled": not label_map.is_identity, "full_width": width, "full_height": height, "label_spacing": 2 * cell_px
+    }  # fmt: skip
+    of_layers: dict[str, Any] = {"layer_count": len(labels_px), "pitch": pitch}
+    first, step = float(labels_px[0]), float(labels_px[1] - labels_px[0])
     frame: dict[str, Any] = {"width": planes.width, "height": planes.height}
-    likelihood = chain.array("likelihood", volume)
-    chain.add(
-        "likelihood", [score, labels, planes.planes, likelihood], groups=groups_for(volume // 4), uses=LABELLED,
-        view_count=planes.view_count, first_px=first, step_px=step, least_determinant=LEAST_DETERMINANT, closed=_CLOSED,
-        **frame, **of_layers, **of_labels,
-    )  # fmt: skip
+    if cell_px == 1:
+        of_score: dict[str, Any] = {"config": config.correlation, "pitch": len(layers_px)}
+        score = list(add_correlation(chain, planes, layers_px, space.directions, **of_score))[-1][0]
+    else:
+        score = add_cell_scores(chain, whole, planes, layers_px, space.directions, config.correlation)
+    likelihood = add_label_likelihood(
+        chain, planes, score, labels, layers_px, labels_px, pitch=pitch, of_labels=of_labels
+    )
     winner, places = _add_paths(chain, planes, likelihood, config, of_layers)
     smoothed = _add_smoothing_along_surface(chain, planes, winner, places, config)
 
     ranges, surface = chain.array("ranges", 2 * planes.pixels), chain.array("surface", 3 * planes.pixels)
-    between: dict[str, Any] = {"first_px": first, "step_px": step, "reach": EDGE_REACH_PX, **frame, **of_labels}
+    between: dict[str, Any] = {"first_px": first, "step_px": step, "reach": -(-EDGE_REACH_PX // cell_px), **frame, **of_labels}
     chain.add("surface", [smoothed, labels, ranges], groups=groups_for(planes.pixels), uses=LABELLED, **between)
     chain.add(
         "surface_range", [ranges, smoothed, winner, labels, surface], groups=groups_for(planes.pixels), uses=LABELLED,
-        layer_count=len(layers_px), widest_px=sigma_of_range(layers_px), posterior_share=POSTERIOR_SHARE,
+        layer_count=len(labels_px), widest_px=sigma_of_range(labels_px), posterior_share=POSTERIOR_SHARE,
         edge_share=EDGE_SHARE, **between,
     )  # fmt: skip
 
+    if cell_px > 1:
+        surface = add_enlarged_cells(chain, whole, planes, surface)
     lacking, cells = add_two_views(chain, image, size, space.rows)
-    assert planes.full_guide is not None
+    assert whole.full_guide is not None
     moved = float(np.linalg.norm(space.directions, axis=1).mean())  # px of the views a px of disparity
     outputs = [chain.array(name, height * width, np.float32) for name in ("disparity", "sigma", "confidence")]
     chain.add(
-        "enlarge", [surface, planes.full_guide, planes.stats, labels, lacking, *outputs],
-        groups=groups_for(height * width), uses=(*SHARED, "finishing"),
-        width=width, height=height, half_width=planes.width, half_height=planes.height, jump_px=JUMP_PX,
+        "enlarge", [surface, whole.full_guide, whole.stats, labels, lacking, *outputs],
+        groups=groups_for(height * width), uses=(*SHARED, "between", "finishing"), guide_start=0,
+        guide_scale=GUIDE_SCALE + 1, width=width, height=height, half_width=whole.width, half_height=whole.height,
+        jump_px=JUMP_PX,
         labelled=not label_map.is_identity, range_sigma_px=sigma_of_range(config.layers.values_px),
         floor_px=config.floor_px / moved, max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells,
     )  # fmt: skip
@@ -128,7 +139,7 @@ def _add_smoothing_along_surface(
     chain: Chain, planes: Planes, winner: Array, places: Array, config: RealTimeConfig
 ) -> Array:
     links = add_links(
-        chain, planes, winner, even=even_link(config.smoothing_sigma_px), edge_range=config.smoothing_edge_range,
+        chain, planes, winner, even=even_link(config.smoothing_sigma_px / config.correlation.cell_px), edge_range=config.smoothing_edge_range,
         by_layer=True,
     )  # fmt: skip
     return add_recursions(chain, planes, places, links, map_count=2, gain=1.0, own=1.0)

@@ -27,6 +27,7 @@ SHARED = ("indexing", "shared")
 _PARTS = 256  # most workgroups that sum a picture up; one workgroup sums their sums
 _STATS = 16  # numbers of `shared.wgsl`'s `stats`
 _USABLE_AT, _VARIANCE_AT = 4, 8
+GUIDE_SCALE = 12  # place of the unit of the matched guide; that of the full one follows
 
 
 class Planes(NamedTuple):

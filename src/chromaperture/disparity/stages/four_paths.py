@@ -5,43 +5,17 @@ Correlations become log-likelihoods; the four axis-parallel paths aggregate them
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.correlation import cells_of, correlate
 from chromaperture.disparity.stages.paths import PathPenalties, path_costs
-from chromaperture.disparity.views import Views, view_pairs
+from chromaperture.disparity.views import Views
 from chromaperture.disparity.winner import PathWinner
 from chromaperture.stage_config import CorrelationConfig, FourPathsConfig
 
 LEAST_DETERMINANT = 1e-5  # of the correlations, whose logarithm is the log-likelihood: 5.8 nats at most
-# Px by which the views farthest apart move between two labels. Correlations have a cusp where views agree, which labels
-# farther apart miss: of four ray-traced scenes halves find .69 of the pixels within 2 % at 0.5 px, .64 at 1 px.
-MOST_APART_PX = 0.5
 POSTERIOR_POWER = 8  # (1 - x / 8)^8 replaces exp(-x): within 0.04 of it, and 0 beyond x = 8
-
-
-def labels_between(layers_px: np.ndarray, directions: np.ndarray, *, most_px: float = MOST_APART_PX) -> np.ndarray:
-    """Return the labels to choose among: the layers, and so many between two of them that the views move little.
-
-    Parameters
-    ----------
-    layers_px : (D,) float, px
-    directions : (K, 2) float
-        Displacement of each view per px of disparity.
-    most_px : float
-        By which two views move between two labels at most.
-
-    Returns
-    -------
-    (N,) float64, px; every n-th is a layer
-    """
-    apart = max(float(np.linalg.norm(directions[k] - directions[m])) for k, m in view_pairs(len(directions)))
-    step = layers_px[1] - layers_px[0]
-    parts = max(1, math.ceil(apart * step / most_px - 1e-6))  # 1e-6: what fits but for rounding fits
-    return np.asarray(layers_px[0] + step / parts * np.arange(parts * (len(layers_px) - 1) + 1))
 
 
 def four_path_winner(
@@ -66,7 +40,7 @@ def four_path_winner(
     correlation : CorrelationConfig
     paths : FourPathsConfig
     labels_px : (N,) float, px
-        To choose among, from `labels_between`; the layers when absent.
+        To choose among, from `labels.labels_between`; the layers when absent.
     """
     score = correlate(views, layers_px, config=correlation)
     labels_px = layers_px if labels_px is None else labels_px

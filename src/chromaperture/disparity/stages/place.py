@@ -49,18 +49,28 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
 
 
 def halved_surface(
-    winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap, *, edge_reach: int = EDGE_REACH_PX
+    winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap, *, cell_px: int = 1
 ) -> Surface:
     """Return the surface of the halved picture in its own px.
 
     It is unknown where the best layer is an end of the range and where it is known no better than the range.
+
+    Parameters
+    ----------
+    winner : PathWinner
+    place : (h, w) float
+        In layers.
+    layers_px : (D,) float, px
+    label_map : LabelMap
+    cell_px : int
+        Px of the halved picture from one pixel of the maps to the next.
     """
     first, step = np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0])
     widest = np.float32(sigma_of_range(layers_px))
     known = (winner.layer > 0) & (winner.layer < len(layers_px) - 1) & (winner.sigma_px < widest)
     disparity = np.asarray(label_map.disparity(first + step * place), np.float32)
     posterior = np.float32(POSTERIOR_SHARE) * label_map.scale * winner.sigma_px
-    at_edge = np.float32(EDGE_SHARE) * local_range(disparity, edge_reach)
+    at_edge = np.float32(EDGE_SHARE) * local_range(disparity, -(-EDGE_REACH_PX // cell_px))
     sigma = np.minimum(np.hypot(posterior, at_edge), label_map.scale * widest)
     peak = np.sqrt(np.maximum(1 - np.exp(-2 * winner.at), 0)).astype(np.float32)
     return Surface(np.where(known, disparity, np.float32(np.nan)), sigma.astype(np.float32), peak)

@@ -1,0 +1,128 @@
+"""Scores of cells of 2 x 2 px on the device: `stages.correlate` where ``cell_px`` is 2, in WGSL.
+
+A view is sampled once at every sub-pixel phase that the layers use; a layer of a cell reads its window of 5 x 5 px there.
+Layers come in chunks whose samples fit the memory.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from chromaperture.disparity.gpu.device import Array, Chain
+from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes
+from chromaperture.disparity.gpu.workgroups import groups_for
+from chromaperture.disparity.stages.correlation import RELATIVE_EPSILON, SAMPLING, padding
+from chromaperture.disparity.stages.enlarge import JUMP_PX
+from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
+from chromaperture.stage_config import CorrelationConfig
+
+_CHUNK_BYTES = 128e6  # of the samples of a chunk: WebGPU's default limit of a binding
+_PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
+_CLOSED = 1e4  # nats; cost of labels that only fill the last vector
+
+
+def add_cell_planes(chain: Chain, planes: Planes) -> Planes:
+    """Add views, guide and mask of the cells of a halved picture."""
+    tall, wide, count = -(-planes.height // 2), -(-planes.width // 2), planes.view_count + 2
+    cells = chain.array("cell_planes", count * tall * wide)
+    chain.add(
+        "cell_planes", [planes.planes, cells], groups=groups_for(cells.size), uses=SHARED,
+        plane_count=count, width=planes.width, height=planes.height, cells_wide=wide, cells_tall=tall,
+    )  # fmt: skip
+    return Planes(cells, planes.stats, None, wide, tall, planes.view_count)
+
+
+def add_cell_scores(
+    chain: Chain, planes: Planes, cells: Planes, layers_px: np.ndarray, directions: np.ndarray, config: CorrelationConfig
+) -> Array:
+    """Add the scores of all layers; (cells, D)."""
+    pad_x, pad_y = padding(layers_px, directions, config.sampling)
+    tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
+    most = max(len(directions), int(min(_CHUNK_BYTES, chain.device.largest_bytes) // (4 * tall * wide)))
+    chunks = _chunks(layers_px, directions, config, most)
+    samples = chain.array("samples", tall * wide * max(len(entries) for _, entries, _ in chunks))
+    score = chain.array("score", cells.pixels * len(layers_px))
+    size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_x": pad_x, "pad_y": pad_y}
+    for number, (first, entries, places) in enumerate(chunks):
+        size["entry_count"] = len(entries)
+        at = chain.constant(f"places{number}", places)
+        chain.add(
+            "cell_samples", [planes.planes, chain.constant(f"entries{number}", entries), samples],
+            groups=groups_for(tall * wide * len(entries)), uses=SHARED, **size,
+        )  # fmt: skip
+        chain.add(
+            "cell_scores", [samples, at, planes.stats, score], groups=groups_for(cells.pixels * places.shape[1]),
+            uses=SHARED, cells_wide=cells.width, cells_tall=cells.height, view_count=planes.view_count,
+            layer_count=places.shape[1], first_layer=first, all_layers=len(layers_px),
+            relative_epsilon=RELATIVE_EPSILON, **size,
+        )  # fmt: skip
+    return score
+
+
+def _chunks(
+    layers_px: np.ndarray, directions: np.ndarray, config: CorrelationConfig, most: int
+) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """First layer, entries (E, 9) and places (K, C, 4) of chunks with at most so many entries."""
+    taps_of = SAMPLING[config.sampling]
+    found: list[tuple[int, np.ndarray, np.ndarray]] = []
+    first = 0
+    while first < len(layers_px):
+        entries: dict[tuple[int, float, float], int] = {}
+        places: list[list[tuple[int, int, int, int]]] = []
+        for layer in layers_px[first:]:
+            parts = [[_split(float(layer * part)) for part in direction] for direction in directions]
+            new = {(k, x[1], y[1]) for k, (x, y) in enumerate(parts)} - entries.keys()
+            if places and len(entries) + len(new) > most:
+                break
+            places.append([
+                (entries.setdefault((k, x[1], y[1]), len(entries)), x[0], y[0], 0) for k, (x, y) in enumerate(parts)
+            ])  # fmt: skip
+        rows = np.array([(k, *taps_of(x), *taps_of(y)) for k, x, y in entries], np.float32)
+        found.append((first, rows, np.ascontiguousarray(np.array(places, np.int32).transpose(1, 0, 2))))
+        first += len(places)
+    return found
+
+
+def _split(offset_px: float) -> tuple[int, float]:
+    """Whole px and the phase in [0, 1), of 1 / `_PHASES`."""
+    parts = round(offset_px * _PHASES)
+    return math.floor(parts / _PHASES), (parts % _PHASES) / _PHASES
+
+
+def add_label_likelihood(
+    chain: Chain,
+    cells: Planes,
+    score: Array,
+    labels: Array,
+    layers_px: np.ndarray,
+    labels_px: np.ndarray,
+    *,
+    pitch: int,
+    of_labels: dict[str, Any],
+) -> Array:
+    """Add the log-likelihoods of all labels; (cells, pitch)."""
+    likelihood = chain.array("likelihood", cells.pixels * pitch)
+    chain.add(
+        "label_likelihood", [score, labels, cells.planes, likelihood], groups=groups_for(likelihood.size // 4),
+        uses=(*SHARED, "half_labels"), width=cells.width, height=cells.height, view_count=cells.view_count,
+        all_layers=len(layers_px), label_count=len(labels_px), pitch=pitch,
+        parts=(len(labels_px) - 1) // (len(layers_px) - 1), first_px=float(layers_px[0]),
+        layer_step_px=float(layers_px[1] - layers_px[0]), least_determinant=LEAST_DETERMINANT, closed=_CLOSED,
+        **of_labels,
+    )  # fmt: skip
+    return likelihood
+
+
+def add_enlarged_cells(chain: Chain, planes: Planes, cells: Planes, surface: Array) -> Array:
+    """Add the surface at the pixels of the halved picture; (3, h, w)."""
+    enlarged = chain.array("surface_enlarged", 3 * planes.pixels)
+    chain.add(
+        "cells_enlarged", [surface, planes.planes, planes.stats, enlarged], groups=groups_for(planes.pixels),
+        uses=(*SHARED, "between"), width=planes.width, height=planes.height, half_width=cells.width,
+        half_height=cells.height, jump_px=JUMP_PX, guide_start=planes.view_count * planes.pixels,
+        guide_scale=GUIDE_SCALE,
+    )  # fmt: skip
+    return enlarged

@@ -1,0 +1,40 @@
+// Scores to log-likelihoods, nats, at labels on and between the layers, of equal depth: by Catmull and Rom's cubics.
+
+@group(0) @binding(0) var<storage, read> score: array<f32>;  // (cells, all_layers)
+@group(0) @binding(1) var<storage, read> labels: array<f32>;  // (2, H, W): offset, scale; or (2, 1, 1)
+@group(0) @binding(2) var<storage, read> planes: array<f32>;  // of the cells; the mask is the one behind K + 1 others
+@group(0) @binding(3) var<storage, read_write> likelihood: array<vec4f>;  // (cells, pitch / 4)
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32
+) {
+    let i = invocation(group, groups, local);
+    if (i >= width * height * pitch / 4u) { return; }
+    let cell = i / (pitch / 4u);
+    let start = cell * all_layers;
+    let label = half_label(cell % width, cell / width);
+    let begin = (label.x + (label.y - 1.0) * first_px) / layer_step_px;
+    let mask = planes[(view_count + 1u) * width * height + cell];
+    var nats = vec4f(-closed);  // a label that only fills the last vector costs more than any other
+    for (var j = 0u; j < 4u; j++) {
+        let n = 4u * (i % (pitch / 4u)) + j;
+        if (n >= label_count) { continue; }
+        let place = begin + label.y * f32(n) / f32(parts);
+        let below = clamp(i32(place), 0i, i32(all_layers) - 2i);
+        let t = place - f32(below);
+        let before = score[start + inside(below - 1i, all_layers)];
+        let low = score[start + u32(below)];
+        let high = score[start + u32(below) + 1u];
+        let after = score[start + inside(below + 2i, all_layers)];
+        let third = 3.0 * (low - high) + after - before;
+        let second = before + before - 5.0 * low + 4.0 * high - after;
+        let value = select(low + 0.5 * t * (high - before + t * (second + t * third)), 0.0, t < 0.0 || t > 1.0);
+        let clipped = clamp(value, 0.0, 1.0);
+        var determinant = (1.0 - clipped) * (1.0 + clipped);
+        if (view_count == 3u) { determinant = (1.0 - clipped) * (1.0 - clipped); }
+        nats[j] = -0.5 * mask * log(max(determinant, least_determinant));
+    }
+    likelihood[i] = nats;
+}
