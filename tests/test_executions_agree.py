@@ -21,7 +21,7 @@ from chromaperture.config import AccurateConfig, PaperConfig, RealTimeConfig, pr
 from chromaperture.disparity import cpu, stages
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.execution import Execution, execution_named
-from chromaperture.disparity.labels import IDENTITY, LabelMap
+from chromaperture.disparity.labels import IDENTITY, LabelMap, labels_between
 from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.disparity.stages.correlation import exponential_window
 from chromaperture.disparity.stages.four_paths import log_likelihood, scores_at_labels
@@ -324,20 +324,21 @@ def test_hostile_pictures_have_the_same_scores_and_best_layers(image, design, de
 # ---- four paths, smoothing along the surface, enlargement
 
 
-def likelihoods(views, layers_px, label_map, config):
+def likelihoods(views, layers_px, labels_px, label_map, config):
     score = SLOW.correlate(views, layers_px, config=config.correlation)
-    if not label_map.is_identity:
-        score = scores_at_labels(score, layers_px, label_map)
-    return log_likelihood(score, view_count=views.pictures.shape[2]) * views.mask[..., None]
+    score = scores_at_labels(score, layers_px, labels_px, label_map)
+    cell_px = config.correlation.cell_px
+    return log_likelihood(score, view_count=views.pictures.shape[2]) * views.mask[::cell_px, ::cell_px, None]
 
 
 def assert_path_winners_agree(views, layers_px, label_map, config):
-    found, expected = (
-        run.four_path_winner(views, layers_px, label_map, correlation=config.correlation, paths=config.paths)
-        for run in (FAST, SLOW)
-    )
+    cell_px = config.correlation.cell_px
+    labels_px, label_map = labels_between(layers_px, views.directions, most_px=0.25), label_map.of_cells(cell_px)
+    settings_ = {"correlation": config.correlation, "paths": config.paths, "labels_px": labels_px}
+    found, expected = (run.four_path_winner(views, layers_px, label_map, **settings_) for run in (FAST, SLOW))
     penalties = PathPenalties(*(getattr(config.paths, f) for f in FOUR_PATHS))
-    cost = path_costs(likelihoods(views, layers_px, label_map, config), views.guide, penalties, paths=4)
+    guide = views.guide[::cell_px, ::cell_px]
+    cost = path_costs(likelihoods(views, layers_px, labels_px, label_map, config), guide, penalties, paths=4)
     chosen = np.take_along_axis(cost, found.layer.astype(int)[..., None], axis=2)[..., 0]
     size = chosen.size
     assert (chosen - cost.min(axis=2) > TIE_NATS).sum() <= 2 + OTHER_WINNERS * size
@@ -347,9 +348,9 @@ def assert_path_winners_agree(views, layers_px, label_map, config):
         # Explained fractions: near 0 the log-likelihood's own rounding, 2e-4, is large for its root, the correlation.
         apart = np.abs(np.exp(-2 * fast) - np.exp(-2 * slow))
         assert np.sum((apart > 1e-3) & same) <= 2 + OTHER_WINNERS * size  # five times that rounding
-    # Rounding of four path costs, 1/700 nat each, over a temperature of 3 nats, of a few px.
-    assert np.sum((np.abs(found.sigma_px - expected.sigma_px) > 0.02) & same) <= 2 + OTHER_WINNERS * size
-    assert all(maps.shape == views.mask.shape for maps in found)
+    # Rounding of four path costs, 1/700 nat each, over a temperature of 1.5 nats, of a few px.
+    assert np.sum((np.abs(found.sigma_px - expected.sigma_px) > 0.05) & same) <= 2 + OTHER_WINNERS * size
+    assert all(maps.shape == guide.shape for maps in found)
 
 
 def assert_real_time_agrees(image, design, config=REAL_TIME, label_map=IDENTITY):
@@ -360,7 +361,7 @@ def assert_real_time_agrees(image, design, config=REAL_TIME, label_map=IDENTITY)
     apart = np.abs(fast.value_px - slow.value_px)
     same = (apart < DISPARITY_TOLERANCE_PX) | (np.isnan(fast.value_px) & np.isnan(slow.value_px))
     assert np.mean(~same) <= OTHER_WINNERS
-    assert np.mean(np.abs(fast.sigma_px - slow.sigma_px)[same] > 0.02) <= OTHER_WINNERS  # as in a path winner
+    assert np.mean(np.abs(fast.sigma_px - slow.sigma_px)[same] > 0.05) <= OTHER_WINNERS  # as in a path winner
 
 
 @pytest.mark.parametrize("shape", [(1, 7), (1, 8), (5, 13), (16, 16)])

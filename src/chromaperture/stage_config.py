@@ -172,7 +172,7 @@ class FourPathsConfig:
     jump_penalty: float = 14.0
     edge_range: float = 0.3
     edge_floor: float = 0.1
-    temperature: float = 2.2
+    temperature: float = 1.5
 
     def __post_init__(self) -> None:
         numbers = (self.jump_penalty, self.edge_range, self.temperature)

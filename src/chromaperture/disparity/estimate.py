@@ -107,7 +107,8 @@ def method_for(
             return PaperMethod(config, view_spaces(aperture, unmixing, config.space)[0], noise, run)
         case RealTimeConfig():
             label_map = label_maps[0] if label_maps else IDENTITY
-            return RealTimeMethod(config, view_spaces(aperture, unmixing, config.space)[0], label_map, run)
+            space = view_spaces(aperture, unmixing, config.space)[0]
+            return RealTimeMethod(config.for_views(space.directions), space, label_map, run)
         case AccurateConfig(evidence=CrossFilterConfig() as cross_filter):
             if blur is None or not label_maps:
                 raise InputError("matching with the blur needs a calibrated camera whose file has one")

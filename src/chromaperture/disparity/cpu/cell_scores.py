@@ -187,37 +187,39 @@ def _sample(halves, taps, down, samples, first, last):
 
 @inner
 def _sum_two(samples, row, ends, sums, ring, used):
-    """Window a row of samples of two views and their products along x, at every second px."""
+    """Mean, variance and covariance of two views in the part of every second window that lies in a row.
+
+    Of differences from the middle: mean squares of 32 bits would take even areas for texture.
+    """
     size = samples.shape[1] * samples.shape[2] * samples.shape[3]
     line = row * samples.shape[2] * samples.shape[3]
     a0, a1 = line + ends[0, 0], line + ends[0, 1]
     b0, b1 = size + line + ends[1, 0], size + line + ends[1, 1]
-    outer, beside, middle = v.broadcast(_OUTER), v.broadcast(_NEXT), v.broadcast(_MIDDLE)
+    outer, beside = v.broadcast(_OUTER), v.broadcast(_NEXT)
     pitch = sums.shape[1]
     out = ring * pitch
     for x in range(0, used, v.LANES):
-        a, b = v.load(samples, a0 + x - 1), v.load(samples, b0 + x - 1)
+        middle_a, middle_b = v.load(samples, a0 + x), v.load(samples, b0 + x)
+        a, b = v.sub(v.load(samples, a0 + x - 1), middle_a), v.sub(v.load(samples, b0 + x - 1), middle_b)
         wa, wb = v.mul(outer, a), v.mul(outer, b)
         sa, sb, saa, sbb, sab = wa, wb, v.mul(wa, a), v.mul(wb, b), v.mul(wa, b)
-        a, b = v.load(samples, a0 + x + 1), v.load(samples, b0 + x + 1)
+        a, b = v.sub(v.load(samples, a0 + x + 1), middle_a), v.sub(v.load(samples, b0 + x + 1), middle_b)
         wa, wb = v.mul(outer, a), v.mul(outer, b)
         sa, sb = v.add(sa, wa), v.add(sb, wb)
         saa, sbb, sab = v.fma(wa, a, saa), v.fma(wb, b, sbb), v.fma(wa, b, sab)
-        a, b = v.load(samples, a1 + x - 1), v.load(samples, b1 + x - 1)
+        a, b = v.sub(v.load(samples, a1 + x - 1), middle_a), v.sub(v.load(samples, b1 + x - 1), middle_b)
         wa, wb = v.mul(beside, a), v.mul(beside, b)
         sa, sb = v.add(sa, wa), v.add(sb, wb)
         saa, sbb, sab = v.fma(wa, a, saa), v.fma(wb, b, sbb), v.fma(wa, b, sab)
-        a, b = v.load(samples, a1 + x), v.load(samples, b1 + x)
+        a, b = v.sub(v.load(samples, a1 + x), middle_a), v.sub(v.load(samples, b1 + x), middle_b)
         wa, wb = v.mul(beside, a), v.mul(beside, b)
         sa, sb = v.add(sa, wa), v.add(sb, wb)
         saa, sbb, sab = v.fma(wa, a, saa), v.fma(wb, b, sbb), v.fma(wa, b, sab)
-        a, b = v.load(samples, a0 + x), v.load(samples, b0 + x)
-        wa, wb = v.mul(middle, a), v.mul(middle, b)
-        v.store(sums, out + x, v.add(sa, wa))
-        v.store(sums, out + pitch + x, v.add(sb, wb))
-        v.store(sums, out + 2 * pitch + x, v.fma(wa, a, saa))
-        v.store(sums, out + 3 * pitch + x, v.fma(wb, b, sbb))
-        v.store(sums, out + 4 * pitch + x, v.fma(wa, b, sab))
+        v.store(sums, out + x, v.add(middle_a, sa))
+        v.store(sums, out + pitch + x, v.add(middle_b, sb))
+        v.store(sums, out + 2 * pitch + x, v.fnma(sa, sa, saa))
+        v.store(sums, out + 3 * pitch + x, v.fnma(sb, sb, sbb))
+        v.store(sums, out + 4 * pitch + x, v.fnma(sa, sb, sab))
 
 
 @inner
@@ -231,44 +233,63 @@ def _sum_three(samples, row, ends, sums, ring, used):
     for x in range(0, used, v.LANES):
         sa, sb, sc, saa, sbb, scc = nothing, nothing, nothing, nothing, nothing, nothing
         sab, sac, sbc = nothing, nothing, nothing
-        for tap in range(5):
-            odd = 1 if tap == 1 or tap == 3 else 0
-            at = line + x + (0 if tap == 2 or tap == 3 else 1 if tap == 4 else -1)
-            weight = v.broadcast(_MIDDLE if tap == 2 else _NEXT if odd == 1 else _OUTER)
-            a, b = v.load(samples, at + ends[0, odd]), v.load(samples, size + at + ends[1, odd])
-            c = v.load(samples, 2 * size + at + ends[2, odd])
+        middle_a = v.load(samples, line + x + ends[0, 0])
+        middle_b = v.load(samples, size + line + x + ends[1, 0])
+        middle_c = v.load(samples, 2 * size + line + x + ends[2, 0])
+        for tap in range(4):
+            odd = 1 if tap == 1 or tap == 2 else 0
+            at = line + x + (-1 if tap < 2 else 0 if tap == 2 else 1)
+            weight = v.broadcast(_NEXT if odd == 1 else _OUTER)
+            a = v.sub(v.load(samples, at + ends[0, odd]), middle_a)
+            b = v.sub(v.load(samples, size + at + ends[1, odd]), middle_b)
+            c = v.sub(v.load(samples, 2 * size + at + ends[2, odd]), middle_c)
             wa, wb, wc = v.mul(weight, a), v.mul(weight, b), v.mul(weight, c)
             sa, sb, sc = v.add(sa, wa), v.add(sb, wb), v.add(sc, wc)
             saa, sbb, scc = v.fma(wa, a, saa), v.fma(wb, b, sbb), v.fma(wc, c, scc)
             sab, sac, sbc = v.fma(wa, b, sab), v.fma(wa, c, sac), v.fma(wb, c, sbc)
-        v.store(sums, out + x, sa)
-        v.store(sums, out + pitch + x, sb)
-        v.store(sums, out + 2 * pitch + x, sc)
-        v.store(sums, out + 3 * pitch + x, saa)
-        v.store(sums, out + 4 * pitch + x, sbb)
-        v.store(sums, out + 5 * pitch + x, scc)
-        v.store(sums, out + 6 * pitch + x, sab)
-        v.store(sums, out + 7 * pitch + x, sac)
-        v.store(sums, out + 8 * pitch + x, sbc)
+        v.store(sums, out + x, v.add(middle_a, sa))
+        v.store(sums, out + pitch + x, v.add(middle_b, sb))
+        v.store(sums, out + 2 * pitch + x, v.add(middle_c, sc))
+        v.store(sums, out + 3 * pitch + x, v.fnma(sa, sa, saa))
+        v.store(sums, out + 4 * pitch + x, v.fnma(sb, sb, sbb))
+        v.store(sums, out + 5 * pitch + x, v.fnma(sc, sc, scc))
+        v.store(sums, out + 6 * pitch + x, v.fnma(sa, sb, sab))
+        v.store(sums, out + 7 * pitch + x, v.fnma(sa, sc, sac))
+        v.store(sums, out + 8 * pitch + x, v.fnma(sb, sc, sbc))
+
+
+@inner
+def _of_row(sums, oldest, series, which, row, x):
+    """Load one of the series of a row of the ring, of which ``oldest`` is the first."""
+    return v.load(sums, (((oldest + row) % _RING) * series + which) * sums.shape[1] + x)
 
 
 @inner
 def _window(sums, oldest, series, which, x):
-    """Sum one of the series over the rows of the ring, of which ``oldest`` is the first."""
-    pitch, at = sums.shape[1], which * sums.shape[1] + x
-    first, last = oldest, (oldest + 4) % _RING
-    second, fourth, third = (oldest + 1) % _RING, (oldest + 3) % _RING, (oldest + 2) % _RING
-    ends = v.add(v.load(sums, at + first * series * pitch), v.load(sums, at + last * series * pitch))
-    inside = v.add(v.load(sums, at + second * series * pitch), v.load(sums, at + fourth * series * pitch))
-    value = v.mul(v.broadcast(_MIDDLE), v.load(sums, at + third * series * pitch))
+    """Sum one of the series over the rows of the ring."""
+    ends = v.add(_of_row(sums, oldest, series, which, 0, x), _of_row(sums, oldest, series, which, 4, x))
+    inside = v.add(_of_row(sums, oldest, series, which, 1, x), _of_row(sums, oldest, series, which, 3, x))
+    value = v.mul(v.broadcast(_MIDDLE), _of_row(sums, oldest, series, which, 2, x))
     return v.fma(v.broadcast(_OUTER), ends, v.fma(v.broadcast(_NEXT), inside, value))
 
 
 @inner
-def _gain(square, mean, floor):
+def _joined(sums, oldest, series, one, other, which, x):
+    """Covariance in a window: that within its rows, and that of the rows' means, of the views ``one`` and ``other``."""
+    mean_a, mean_b = _window(sums, oldest, series, one, x), _window(sums, oldest, series, other, x)
+    value = _window(sums, oldest, series, which, x)
+    for row in range(_RING):
+        tap = _OUTER if row == 0 or row == 4 else _MIDDLE if row == 2 else _NEXT
+        a = v.sub(_of_row(sums, oldest, series, one, row, x), mean_a)
+        b = v.sub(_of_row(sums, oldest, series, other, row, x), mean_b)
+        value = v.fma(v.mul(v.broadcast(tap), a), b, value)
+    return value
+
+
+@inner
+def _gain(variance, floor):
     """One over a standard deviation."""
-    variance = v.larger(v.fnma(mean, mean, square), v.broadcast(ZERO))
-    return v.inverse_root(v.add(variance, v.broadcast(floor)))
+    return v.inverse_root(v.add(v.larger(variance, v.broadcast(ZERO)), v.broadcast(floor)))
 
 
 @inner
@@ -276,12 +297,11 @@ def _score_two(sums, oldest, series, floors, used, scores):
     """Correlation of two views for a row of cells."""
     one, least = v.broadcast(ONE), v.broadcast(-ONE)
     for x in range(0, used, v.LANES):
-        a, b = _window(sums, oldest, series, 0, x), _window(sums, oldest, series, 1, x)
         gains = v.mul(
-            _gain(_window(sums, oldest, series, 2, x), a, floors[0]),
-            _gain(_window(sums, oldest, series, 3, x), b, floors[1]),
+            _gain(_joined(sums, oldest, series, 0, 0, 2, x), floors[0]),
+            _gain(_joined(sums, oldest, series, 1, 1, 3, x), floors[1]),
         )
-        score = v.mul(v.fnma(a, b, _window(sums, oldest, series, 4, x)), gains)
+        score = v.mul(_joined(sums, oldest, series, 0, 1, 4, x), gains)
         v.store(scores, x, v.smaller(v.larger(score, least), one))
 
 
@@ -290,14 +310,12 @@ def _score_three(sums, oldest, series, floors, used, scores):
     """1 - sqrt(det) of the correlation matrix of three views for a row of cells."""
     one, least, nothing = v.broadcast(ONE), v.broadcast(-ONE), v.broadcast(ZERO)
     for x in range(0, used, v.LANES):
-        a, b = _window(sums, oldest, series, 0, x), _window(sums, oldest, series, 1, x)
-        c = _window(sums, oldest, series, 2, x)
-        ga = _gain(_window(sums, oldest, series, 3, x), a, floors[0])
-        gb = _gain(_window(sums, oldest, series, 4, x), b, floors[1])
-        gc = _gain(_window(sums, oldest, series, 5, x), c, floors[2])
-        ab = v.mul(v.fnma(a, b, _window(sums, oldest, series, 6, x)), v.mul(ga, gb))
-        ac = v.mul(v.fnma(a, c, _window(sums, oldest, series, 7, x)), v.mul(ga, gc))
-        bc = v.mul(v.fnma(b, c, _window(sums, oldest, series, 8, x)), v.mul(gb, gc))
+        ga = _gain(_joined(sums, oldest, series, 0, 0, 3, x), floors[0])
+        gb = _gain(_joined(sums, oldest, series, 1, 1, 4, x), floors[1])
+        gc = _gain(_joined(sums, oldest, series, 2, 2, 5, x), floors[2])
+        ab = v.mul(_joined(sums, oldest, series, 0, 1, 6, x), v.mul(ga, gb))
+        ac = v.mul(_joined(sums, oldest, series, 0, 2, 7, x), v.mul(ga, gc))
+        bc = v.mul(_joined(sums, oldest, series, 1, 2, 8, x), v.mul(gb, gc))
         ab, ac, bc = (
             v.larger(v.smaller(ab, one), least),
             v.larger(v.smaller(ac, one), least),

@@ -92,9 +92,10 @@ def _cell_scores(views: Views, layers_px: np.ndarray, config: CorrelationConfig)
             shift(padded[..., k], d * views.directions[k], taps_of=SAMPLING[config.sampling]) for k in range(view_count)
         ]
         means = [window(m) for m in moved]
+        squares = [window(m**2) for m in moved]
         gains = [
-            1 / np.sqrt(np.maximum(window(m**2) - mean**2, 0) + floor)
-            for m, mean, floor in zip(moved, means, epsilon, strict=True)
+            1 / np.sqrt(np.maximum(square - mean**2, 0) + floor)
+            for square, mean, floor in zip(squares, means, epsilon, strict=True)
         ]
         rho = [
             np.clip((window(moved[k] * moved[m]) - means[k] * means[m]) * gains[k] * gains[m], -1, 1)

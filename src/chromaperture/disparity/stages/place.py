@@ -13,8 +13,8 @@ from chromaperture.disparity.winner import PathWinner, Surface
 
 # Of the error bar, fitted to simulated captures of four designs (`benchmarks/bench50.py --deciles`): a posterior of
 # summed costs is too wide as it is; next to depth edges a pixel may belong to either side.
-POSTERIOR_SHARE = 0.6
-EDGE_SHARE, EDGE_REACH_PX = 0.5, 7  # of the range of the disparity within so many px of the halved picture
+POSTERIOR_SHARE = 0.4
+EDGE_SHARE, EDGE_REACH_PX = 0.35, 7  # of the range of the disparity within so many px of the halved picture
 LEAST_INFORMATION = 1e-4  # where correlations have no peak the place is that of the layer
 LEAST_UNEXPLAINED = 3e-3  # by the best correlation; keeps the information of noiseless pictures finite
 
