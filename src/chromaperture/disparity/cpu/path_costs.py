@@ -229,7 +229,7 @@ def _likelihoods(lines, mask, y, height, two_views):
 def _log_unexplained(score, two_views):
     """Logarithm of the determinant of the views' correlations."""
     one = v.broadcast(ONE)
-    score = v.larger(score, v.broadcast(ZERO))
+    score = v.smaller(v.larger(score, v.broadcast(ZERO)), one)  # cubics overshoot
     if two_views:
         determinant = v.fnma(score, score, one)
     else:
