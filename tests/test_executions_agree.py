@@ -384,6 +384,19 @@ def test_places_and_surfaces_agree(rng, shape, view_count, labelled):
         np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5)  # float32; the root of 1 - exp(-2 l) at 0
 
 
+@pytest.mark.parametrize("shape", [(41, 57), (3, 5), (97, 20), (120, 8)])  # odd, small, and more than one band
+@pytest.mark.parametrize("design", ["cy_halves", "cmy_circles"])
+def test_cells_have_the_same_scores(rng, shape, design):
+    directions = space_of(design).directions
+    common = rng.normal(size=shape)
+    pictures = np.stack([common + 0.5 * rng.normal(size=shape) for _ in directions], axis=-1).astype(np.float32)
+    even = np.ones(shape, np.float32)
+    views = Views(0.1 * pictures, directions, 0 * even, even)
+    layers_px, config = 0.25 * np.arange(-5, 6), replace(REAL_TIME.correlation, sampling="b-spline")
+    fast, slow = (run.correlate(views, layers_px, config=config) for run in (FAST, SLOW))
+    np.testing.assert_allclose(fast, slow, atol=2.5e-5)  # 1 / 64000, and 32 bits
+
+
 @pytest.mark.parametrize("design", ALL_DESIGNS)
 def test_real_time_agrees_for_every_design(design):
     assert_real_time_agrees(wavy_capture(design), design)

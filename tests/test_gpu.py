@@ -202,7 +202,7 @@ def test_a_device_lost_in_mid_stream_is_an_error_or_the_cpu_once():
 @needs_device
 def test_too_little_device_memory_is_an_error_or_the_cpu():
     method, image = real_time()
-    small = replace(open_device("gpu"), largest_bytes=100_000)
+    small = replace(open_device("gpu"), largest_bytes=20_000)
     on_gpu = GpuMethod(REAL_TIME, method.space, IDENTITY, small)
     with pytest.raises(OutOfMemoryError, match="larger than the device's 0 MB; use --device cpu, or --scale"):
         DeviceMethod(on_gpu, method, may_fall_back=False).match(image)

@@ -138,8 +138,8 @@ class RealTimeConfig(MatcherConfig):
     def for_views(self, directions: np.ndarray) -> RealTimeConfig:
         """Return the settings with views that lie close together smoothed more: their noise tells more of disparity.
 
-        By the root of how much closer they lie than two halves do. CMY circles (0.75 px a px) on six ray-traced scenes:
-        .51, .55, .57, .56 of the pixels within 2 % with 0.4, 0.7, 1.0, 1.5 px; halves .66, .65, .63 with the first three.
+        By the root of how much closer they lie than two halves do. Of six ray-traced scenes CMY circles (0.75 px a px)
+        find .51, .55, .57, .56 within 2 % with 0.4, 0.7, 1.0, 1.5 px; halves .66, .65, .63 with the first three.
 
         Parameters
         ----------

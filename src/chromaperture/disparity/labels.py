@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Px by which the views farthest apart move between two labels at most. Correlations have a cusp where views agree, which
-# labels farther apart miss: docs/measurements.md, *Cells*.
+# Px by which the views farthest apart move between two labels at most. Correlations have a cusp where views agree,
+# which labels farther apart miss: docs/measurements.md, *Cells*.
 MOST_APART_PX = 0.5
 
 

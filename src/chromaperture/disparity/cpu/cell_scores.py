@@ -60,9 +60,7 @@ def cell_scores(views: Views, layers_px: np.ndarray, memory: Workspace, *, confi
     wide = -(-columns // v.LANES) * v.LANES
     length = wide + plan.margin + 2 * v.LANES  # of the even or of the odd columns of a row
     halves = memory.array("halves", (count, 2, height, length), np.float32)
-    volume = memory.array(
-        "volume", (-(-columns // BLOCK) * BLOCK * rows * whole_vectors(len(layers_px)),), np.int16
-    )
+    volume = memory.array("volume", (-(-columns // BLOCK) * BLOCK * rows * whole_vectors(len(layers_px)),), np.int16)
     planes = np.ascontiguousarray(np.moveaxis(views.pictures, 2, 0), np.float32)
 
     def split(_: int, top: int, bottom: int) -> None:

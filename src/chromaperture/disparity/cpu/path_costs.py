@@ -35,7 +35,7 @@ class Layers(NamedTuple):
 
     first: np.float32
     step: np.float32
-    count: int
+    number: int
     between: bool
 
 
@@ -94,7 +94,7 @@ def along_rows(scores, volume, sums, mask, links, labels, layers, settings, two_
     height, width = mask.shape
     lines = _lines(volume, sums, settings, GROUP)
     slabs = lines.slabs
-    own = (layers.count + v.LANES - 1) // v.LANES * v.LANES
+    own = (layers.number + v.LANES - 1) // v.LANES * v.LANES
     here = np.zeros(own + _BASE + 2 * v.LANES, np.float32)
     for i in range(v.LANES):
         here[i] = np.float32(i)
@@ -239,12 +239,14 @@ def _log_unexplained(score, two_views):
 
 
 @inner
-def _read_at_labels(scores, lines, labels, map_row, many, mask, y, height, layers, settings, here, at_labels, two_views):
+def _read_at_labels(
+    scores, lines, labels, map_row, many, mask, y, height, layers, settings, here, at_labels, two_views
+):
     """One row of scores to log-likelihoods of labels, interpolated by cubics through four layers; 0 beyond them.
 
     ``here`` holds lane numbers, then from `_BASE` on a pixel's layers, at its end room for a vector.
     """
-    volume, slabs, count = lines.volume, lines.slabs, layers.count
+    volume, slabs, count = lines.volume, lines.slabs, layers.number
     own_slabs = (count + v.LANES - 1) // v.LANES
     nats, unit = -_HALF * _NATS, v.broadcast(ONE / SCORE_SCALE)
     parts = np.int64(np.rint(layers.step / settings.step))
@@ -287,7 +289,12 @@ def _read_eight(here, begin, scale, first, count):
         # The layers below the eight places are neighbours.
         at = _BASE + first + np.int64(ahead)
         t = v.fma(v.load(here, 0), v.broadcast(scale - ONE), v.broadcast(low - np.floor(low)))
-        before, middle, after, later = v.load(here, at - 1), v.load(here, at), v.load(here, at + 1), v.load(here, at + 2)
+        before, middle, after, later = (
+            v.load(here, at - 1),
+            v.load(here, at),
+            v.load(here, at + 1),
+            v.load(here, at + 2),
+        )
         two, three, four, five = v.broadcast(_TWO), v.broadcast(_THREE), v.broadcast(_FOUR), v.broadcast(_FIVE)
         third = v.fma(three, v.sub(middle, after), v.sub(later, before))  # Catmull and Rom's cubic
         second = v.sub(v.fma(four, after, v.fnma(five, middle, v.mul(two, before))), later)

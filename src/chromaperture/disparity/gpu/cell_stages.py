@@ -1,6 +1,6 @@
 """Scores of cells of 2 x 2 px on the device: `stages.correlate` where ``cell_px`` is 2, in WGSL.
 
-A view is sampled once at every sub-pixel phase that the layers use; a layer of a cell reads its window of 5 x 5 px there.
+A view is sampled once at every sub-pixel phase that the layers use; a layer of a cell reads its window of 5 x 5 px.
 Layers come in chunks whose samples fit the memory.
 """
 
@@ -36,7 +36,12 @@ def add_cell_planes(chain: Chain, planes: Planes) -> Planes:
 
 
 def add_cell_scores(
-    chain: Chain, planes: Planes, cells: Planes, layers_px: np.ndarray, directions: np.ndarray, config: CorrelationConfig
+    chain: Chain,
+    planes: Planes,
+    cells: Planes,
+    layers_px: np.ndarray,
+    directions: np.ndarray,
+    config: CorrelationConfig,
 ) -> Array:
     """Add the scores of all layers; (cells, D)."""
     pad_x, pad_y = padding(layers_px, directions, config.sampling)

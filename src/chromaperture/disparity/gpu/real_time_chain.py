@@ -79,7 +79,13 @@ def add_real_time(
     smoothed = _add_smoothing_along_surface(chain, planes, winner, places, config)
 
     ranges, surface = chain.array("ranges", 2 * planes.pixels), chain.array("surface", 3 * planes.pixels)
-    between: dict[str, Any] = {"first_px": first, "step_px": step, "reach": -(-EDGE_REACH_PX // cell_px), **frame, **of_labels}
+    between: dict[str, Any] = {
+        "first_px": first,
+        "step_px": step,
+        "reach": -(-EDGE_REACH_PX // cell_px),
+        **frame,
+        **of_labels,
+    }
     chain.add("surface", [smoothed, labels, ranges], groups=groups_for(planes.pixels), uses=LABELLED, **between)
     chain.add(
         "surface_range", [ranges, smoothed, winner, labels, surface], groups=groups_for(planes.pixels), uses=LABELLED,
@@ -97,8 +103,7 @@ def add_real_time(
         "enlarge", [surface, whole.full_guide, whole.stats, labels, lacking, *outputs],
         groups=groups_for(height * width), uses=(*SHARED, "between", "finishing"), guide_start=0,
         guide_scale=GUIDE_SCALE + 1, width=width, height=height, half_width=whole.width, half_height=whole.height,
-        jump_px=JUMP_PX,
-        labelled=not label_map.is_identity, range_sigma_px=sigma_of_range(config.layers.values_px),
+        jump_px=JUMP_PX, labelled=not label_map.is_identity, range_sigma_px=sigma_of_range(config.layers.values_px),
         floor_px=config.floor_px / moved, max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells,
     )  # fmt: skip
 
@@ -138,10 +143,8 @@ def _add_paths(
 def _add_smoothing_along_surface(
     chain: Chain, planes: Planes, winner: Array, places: Array, config: RealTimeConfig
 ) -> Array:
-    links = add_links(
-        chain, planes, winner, even=even_link(config.smoothing_sigma_px / config.correlation.cell_px), edge_range=config.smoothing_edge_range,
-        by_layer=True,
-    )  # fmt: skip
+    even = even_link(config.smoothing_sigma_px / config.correlation.cell_px)
+    links = add_links(chain, planes, winner, even=even, edge_range=config.smoothing_edge_range, by_layer=True)
     return add_recursions(chain, planes, places, links, map_count=2, gain=1.0, own=1.0)
 
 
