@@ -51,7 +51,10 @@ VARIANTS: dict[str, MatcherConfig] = {
     "views read by Catmull and Rom's cubic": dataclasses.replace(
         REAL_TIME,
         views=ViewsConfig(presmooth_sigma_px=0.6, guide_range=0.15),
-        correlation=CorrelationConfig(window_decay=0.3),
+        correlation=CorrelationConfig(cell_px=2),
+    ),
+    "a score a pixel": dataclasses.replace(
+        REAL_TIME, correlation=dataclasses.replace(REAL_TIME.correlation, cell_px=1)
     ),
     "no average between layers": dataclasses.replace(REAL_TIME, smoothing_sigma_px=0.0),
     "average broken by the guide's texture": dataclasses.replace(REAL_TIME, smoothing_edge_range=1.0),
