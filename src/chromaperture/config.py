@@ -87,6 +87,7 @@ class PaperConfig(MatcherConfig):
 
     def __post_init__(self) -> None:
         require_space(self.space, "unmixed", "pure")
+        require(self.correlation.cell_px == 1, "cell_px does not apply to quality paper")
         positive = all_finite(self.sigma_scale) and self.sigma_scale > 0
         require(positive, f"sigma_scale must be positive, is {self.sigma_scale:g}")
 
