@@ -137,4 +137,4 @@ def test_views_that_lie_close_together_are_smoothed_more():
         config.for_views(np.array([[reach, 0.0], [-reach, 0.0]])).views.presmooth_sigma_px for reach in (1.0, 0.25)
     )
     assert halves == config.views.presmooth_sigma_px
-    assert circles == pytest.approx(2 * halves)
+    assert circles == pytest.approx(4 * halves)
