@@ -126,7 +126,8 @@ class CorrelationConfig:
 
     def __post_init__(self) -> None:
         require(self.cell_px in (1, 2), f"cell_px must be 1 or 2, is {self.cell_px!r}")
-        require(self.cell_px == 1 or not self.noise_debiasing, "noise_debiasing does not apply to quality real-time, whose cells are of 2 px")
+        apart = self.cell_px == 1 or not self.noise_debiasing
+        require(apart, "noise_debiasing does not apply to quality real-time, whose cells are of 2 px")
         known = self.sampling in ("catmull-rom", "b-spline")
         require(known, f"sampling must be catmull-rom or b-spline, is {self.sampling!r}")
         require(0 < self.window_decay < 1, f"window_decay must lie between 0 and 1, got {self.window_decay:g}")
