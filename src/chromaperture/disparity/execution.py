@@ -79,6 +79,9 @@ class Execution(Protocol):
     ) -> np.ndarray:
         """Filter two channels of a tile with each other's blur; (n, n, 2)."""
 
+    def band_correlation(self, fine: np.ndarray, coarse: np.ndarray, *, sigma: float) -> np.ndarray:
+        """Correlate both pictures of a pair in one band, in windows around every second sample; (H / 2, W / 2)."""
+
     def spectral_likelihood(
         self,
         spectra: np.ndarray,

@@ -75,20 +75,35 @@ def _splat(points_px, weights, out):  # type: ignore[no-untyped-def]
         out[y1, x1] += weights[j] * tx * ty
 
 
+@inlined()
+def _splat_near(points_px, weights, reach, out):  # type: ignore[no-untyped-def]
+    """As `_splat`, for points at most ``reach`` px from the middle of a picture without periodic borders."""
+    for j in range(len(weights)):
+        x, y = np.floor(points_px[j, 0]), np.floor(points_px[j, 1])
+        tx, ty = points_px[j, 0] - x, points_px[j, 1] - y
+        i, k = np.uint64(int(x) + reach), np.uint64(int(y) + reach)
+        left, right = weights[j] * (1 - tx), weights[j] * tx
+        out[k, i] += left * (1 - ty)
+        out[k, i + np.uint64(1)] += right * (1 - ty)
+        out[k + np.uint64(1), i] += left * ty
+        out[k + np.uint64(1), i + np.uint64(1)] += right * ty
+
+
 @compiled(fastmath=_FAST)
 def direct_transforms(points_px, weights, reach, cosines, sines, out):  # type: ignore[no-untyped-def]
     """Transform points at most ``reach`` px from (0, 0); ``out`` is (C, n, n // 2 + 1) complex, as pairs of floats."""
     kept = cosines.shape[1]
     side = 2 * reach + 1
+    picture = np.empty((side + 1, side + 1), np.float32)  # a point at the far end adds nothing to the last line
     lines, parts = np.empty((side, 2 * kept), np.float32), np.empty((2, reach + 1, 2 * kept), np.float32)
     for c in range(len(out)):
-        picture = np.zeros((side, side), np.float32)
-        _splat(points_px[c], weights[c], picture)
+        picture[:] = 0
+        _splat_near(points_px[c], weights[c], reach, picture)
         for y in range(side):
-            _row_transform(picture[y], cosines, sines, lines[y, :kept], lines[y, kept:])
-        parts[0, 0], parts[1, 0] = lines[0], 0
+            _row_transform(picture[y, :side], cosines, sines, lines[y, :kept], lines[y, kept:])
+        parts[0, 0], parts[1, 0] = lines[reach], 0
         for r in range(1, reach + 1):
-            below, above, even, odd = lines[r], lines[side - r], parts[0, r], parts[1, r]
+            below, above, even, odd = lines[reach + r], lines[reach - r], parts[0, r], parts[1, r]
             for f in range(2 * kept):
                 even[f] = below[f] + above[f]
                 odd[f] = below[f] - above[f]
@@ -97,19 +112,19 @@ def direct_transforms(points_px, weights, reach, cosines, sines, out):  # type: 
 
 @inlined(fastmath=_FAST)
 def _row_transform(row, cosines, sines, real, imaginary):  # type: ignore[no-untyped-def]
-    """Transform of a periodic row whose middle is its first number."""
+    """Transform of a row about its middle."""
     reach, kept = len(row) // 2, len(real)
-    real[:], imaginary[:] = row[0], 0
+    real[:], imaginary[:] = row[reach], 0
     for r in range(1, reach, 2):  # two at a time: what is added to is loaded half as often
-        even, odd = row[r] + row[len(row) - r], row[r] - row[len(row) - r]
-        even2, odd2 = row[r + 1] + row[len(row) - r - 1], row[r + 1] - row[len(row) - r - 1]
+        even, odd = row[reach + r] + row[reach - r], row[reach + r] - row[reach - r]
+        even2, odd2 = row[reach + r + 1] + row[reach - r - 1], row[reach + r + 1] - row[reach - r - 1]
         c, c2, s, s2 = cosines[r], cosines[r + 1], sines[r], sines[r + 1]
         for f in range(kept):
             real[f] += even * c[f] + even2 * c2[f]
         for f in range(kept):
             imaginary[f] -= odd * s[f] + odd2 * s2[f]
     if reach % 2 == 1:
-        even, odd = row[reach] + row[reach + 1], row[reach] - row[reach + 1]
+        even, odd = row[2 * reach] + row[0], row[2 * reach] - row[0]
         c, s = cosines[reach], sines[reach]
         for f in range(kept):
             real[f] += even * c[f]
@@ -120,34 +135,49 @@ def _row_transform(row, cosines, sines, real, imaginary):  # type: ignore[no-unt
 def _column_transforms(even, odd, cosines, sines, out):  # type: ignore[no-untyped-def]
     """Transform columns, of each frequency and its negative at once; rows of ``even`` hold real parts, then others."""
     reach, kept, samples = len(even) - 1, cosines.shape[1], out.shape[0]
-    a, b = np.empty(2 * kept, np.float32), np.empty(2 * kept, np.float32)
-    for row in range(kept):
-        a[:], b[:] = even[0], 0
-        r = 1
-        while r + 3 <= reach:  # four at a time, as above
-            c, c2, c3, c4 = cosines[r, row], cosines[r + 1, row], cosines[r + 2, row], cosines[r + 3, row]
-            e, e2, e3, e4 = even[r], even[r + 1], even[r + 2], even[r + 3]
+    sums = np.empty((4, 2 * kept), np.float32)
+    a, b, a2, b2 = sums[0], sums[1], sums[2], sums[3]
+    for row in range(0, kept, 2):  # two frequencies and two px at a time: less is loaded for as many products
+        second = min(row + 1, kept - 1)
+        a[:], b[:], a2[:], b2[:] = even[0], 0, even[0], 0
+        for r in range(1, reach, 2):
+            c, c2, d, d2 = cosines[r, row], cosines[r + 1, row], cosines[r, second], cosines[r + 1, second]
+            e, e2 = even[r], even[r + 1]
             for f in range(2 * kept):
-                a[f] += c * e[f] + c2 * e2[f] + c3 * e3[f] + c4 * e4[f]
-            s, s2, s3, s4 = sines[r, row], sines[r + 1, row], sines[r + 2, row], sines[r + 3, row]
-            o, o2, o3, o4 = odd[r], odd[r + 1], odd[r + 2], odd[r + 3]
+                a[f] += c * e[f] + c2 * e2[f]
+                a2[f] += d * e[f] + d2 * e2[f]
+            s, s2, t, t2 = sines[r, row], sines[r + 1, row], sines[r, second], sines[r + 1, second]
+            o, o2 = odd[r], odd[r + 1]
             for f in range(2 * kept):
-                b[f] += s * o[f] + s2 * o2[f] + s3 * o3[f] + s4 * o4[f]
-            r += 4
-        for last in range(r, reach + 1):
-            c, s, e, o = cosines[last, row], sines[last, row], even[last], odd[last]
+                b[f] += s * o[f] + s2 * o2[f]
+                b2[f] += t * o[f] + t2 * o2[f]
+        if reach % 2 == 1:
+            c, s, d, t, e, o = (
+                cosines[reach, row], sines[reach, row], cosines[reach, second], sines[reach, second],
+                even[reach], odd[reach],
+            )  # fmt: skip
             for f in range(2 * kept):
                 a[f] += c * e[f]
                 b[f] += s * o[f]
-        here = out[row]
-        for f in range(kept):  # A - i B
-            here[2 * f] = a[f] + b[kept + f]
-            here[2 * f + 1] = a[kept + f] - b[f]
-        if 0 < row < samples - row:
-            mirrored = out[samples - row]
-            for f in range(kept):  # A + i B
-                mirrored[2 * f] = a[f] - b[kept + f]
-                mirrored[2 * f + 1] = a[kept + f] + b[f]
+                a2[f] += d * e[f]
+                b2[f] += t * o[f]
+        _put_rows(a, b, row, samples, out)
+        if second > row:
+            _put_rows(a2, b2, second, samples, out)
+
+
+@inlined(fastmath=_FAST)
+def _put_rows(a, b, row, samples, out):  # type: ignore[no-untyped-def]
+    """Put A - i B in a row, and A + i B in that of the negative frequency."""
+    kept, here = len(a) // 2, out[row]
+    for f in range(kept):
+        here[2 * f] = a[f] + b[kept + f]
+        here[2 * f + 1] = a[kept + f] - b[f]
+    if 0 < row < samples - row:
+        mirrored = out[samples - row]
+        for f in range(kept):
+            mirrored[2 * f] = a[f] - b[kept + f]
+            mirrored[2 * f + 1] = a[kept + f] + b[f]
 
 
 @compiled(fastmath={"contract", "arcp", "nsz"})

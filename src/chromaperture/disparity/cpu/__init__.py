@@ -1,5 +1,6 @@
 """Every stage compiled by Numba, under the names of ``stages/``, which explains what each computes."""
 
+from chromaperture.disparity.cpu.band_correlation import band_correlation
 from chromaperture.disparity.cpu.bilateral import bilateral_winner
 from chromaperture.disparity.cpu.correlation import correlate, texture_weights
 from chromaperture.disparity.cpu.cross_filter import cross_filter
@@ -16,6 +17,7 @@ from chromaperture.optics.splat_kernels import point_transforms
 
 __all__ = [
     "aggregate_paths",
+    "band_correlation",
     "bilateral_winner",
     "correlate",
     "coupled_variation",

@@ -1,5 +1,6 @@
 """Every stage in readable NumPy: what it computes. ``cpu/`` has the same names compiled; see ``execution.py``."""
 
+from chromaperture.disparity.stages.band_correlation import band_correlation
 from chromaperture.disparity.stages.bilateral import bilateral_winner
 from chromaperture.disparity.stages.correlation import correlate, texture_weights
 from chromaperture.disparity.stages.cross_filter import cross_filter
@@ -18,6 +19,7 @@ from chromaperture.optics.lens_blur import point_transforms
 
 __all__ = [
     "aggregate_paths",
+    "band_correlation",
     "bilateral_winner",
     "correlate",
     "coupled_variation",
