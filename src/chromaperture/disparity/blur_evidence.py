@@ -70,20 +70,23 @@ class BlurEvidence:
         """Return nats a pixel; (H, W, N).
 
         Where blur is wide, correlations are computed at every second layer, and interpolated: see `with_midpoints`.
-        Those of secondary pairs are everywhere: they change half as fast with the layer.
+        Those of secondary pairs are everywhere, from every fourth layer: they change half as fast with the layer.
         """
-        step = layers_px[1] - layers_px[0]
-        layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
-        between = layers_px[1::2]
-        sharp = np.abs(between) < SHARP_PX * self.blur.reach
-        evens, primary = len(between) + 1, len(self.blur.pairs)
-        layers_of = {pair: evens for pair in self.all_pairs[primary:]}
-        computed = self._correlations(image, np.concatenate([layers_px[::2], between[sharp]]), layers_of)
+        layers_px, sharp = layers_of_evidence(layers_px, self.blur.reach)
+        fourths, evens = len(layers_px[::4]), len(layers_px[::2])
+        computed_px = np.concatenate([layers_px[::4], layers_px[2::4], layers_px[1::2][sharp]])
+        primary = len(self.blur.pairs)
+        computed = self._correlations(image, computed_px, {pair: fourths for pair in self.all_pairs[primary:]})
         likelihood = np.empty((*computed.shape[2:4], len(layers_px)), np.float32)
 
         def explain(rows: slice) -> None:
-            correlation = with_midpoints(computed[:, :, rows, :, :evens])
-            correlation[:primary, ..., 1::2][..., sharp] = computed[:primary, :, rows, :, evens:]
+            part = np.ascontiguousarray(computed[:, :, rows])
+            every_second = np.empty((primary, *part.shape[1:-1], evens), np.float32)
+            every_second[..., ::2], every_second[..., 1::2] = part[:primary, ..., :fourths], part[:primary, ..., fourths:evens]
+            correlation = np.empty((*part.shape[:-1], len(layers_px)), np.float32)
+            correlation[:primary] = with_midpoints(every_second)
+            correlation[:primary, ..., 1::2][..., sharp] = part[:primary, ..., evens:]
+            correlation[primary:] = with_midpoints(with_midpoints(part[primary:, ..., :fourths]))
             likelihood[rows] = self._explained(correlation)
 
         each_band(explain, len(likelihood), rows_a_band=_ROWS)
@@ -205,6 +208,26 @@ class BlurEvidence:
         sigma = self.config.window_sigma_px / SAMPLING_PX
         for band, (fine, coarse) in zip(out, _bands(both, self.config), strict=True):
             band[:] = self.run.band_correlation(fine, coarse, sigma=sigma)[:height, :width]
+
+
+def layers_of_evidence(layers_px: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return layers, continued to 4 n + 1, and whether blur is narrow at those between every second one.
+
+    Parameters
+    ----------
+    layers_px : (D,) float, px
+        Equally spaced.
+    reach : float
+        `LensBlur.reach`.
+
+    Returns
+    -------
+    layers_px : (4 n + 1,) float64, px
+    sharp : (2 n,) bool
+    """
+    count = -(-(len(layers_px) - 1) // 4) * 4 + 1
+    layers_px = layers_px[0] + (layers_px[1] - layers_px[0]) * np.arange(count)
+    return layers_px, np.abs(layers_px[1::2]) < SHARP_PX * reach
 
 
 class _Tile(NamedTuple):
