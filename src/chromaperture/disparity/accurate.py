@@ -28,6 +28,7 @@ from chromaperture.disparity.views import ViewSpace, clipped_filled, filtered_vi
 from chromaperture.disparity.winner import Surface, parabola_winner
 from chromaperture.errors import InputError
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig
+from chromaperture.threads import each_band
 
 EDGE_REACH_PX = 8  # two sigmas of the correlation window
 # Sigma of the window in which the posterior's variance is averaged. On four ray-traced scenes that no table shows, the
@@ -82,7 +83,10 @@ class AccurateMethod:
         labels_px = with_halves(layers_px)
         image, usable = clipped_filled(image, views.mask)
         likelihood = self.evidence.at(image, layers_px, labels_px)
-        likelihood *= usable[..., None]
+        if not usable.all():
+            each_band(
+                lambda rows: np.multiply(likelihood[rows], usable[rows, :, None], out=likelihood[rows]), len(usable)
+            )
         surface = optimised_surface(
             likelihood, views.guide, labels_px, config=self.config.surface, planes=self.config.planes, run=self.run,
             known_within_px=sigma_of_range(labels_px),
@@ -147,9 +151,7 @@ def optimised_surface(
     step = float(labels_px[1] - labels_px[0])
     likelihood = np.ascontiguousarray(likelihood, np.float32)
     cost = run.aggregate_paths(likelihood, guide, labels_px, config=config)
-    paths = parabola_winner(cost, labels_px, lower_is_better=True)
-    start = np.where(np.isfinite(paths.disparity_px), paths.disparity_px, labels_px[cost.argmin(axis=2)])
-    start = between_layers(start, likelihood, labels_px, sigma_px=config.interpolation_sigma_px)
+    start = between_layers(least_cost(cost, labels_px), likelihood, labels_px, sigma_px=config.interpolation_sigma_px)
     disparity = run.coupled_variation(start, likelihood, guide, labels_px, config=config)
     posterior = run.posterior(cost, labels_px, temperature=config.temperature * config.paths)
     sigma = posterior.sigma_px(disparity)
@@ -164,6 +166,20 @@ def optimised_surface(
     surface = Surface(disparity, sigma, np.sqrt(explained))
     extent = local_range(disparity, EDGE_REACH_PX)
     return judged(surface, extent, labels_px, of_planes=explained_by is not None, known_within_px=known_within_px)
+
+
+def least_cost(cost: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
+    """Return the label of least cost, between labels by a parabola; (H, W) float32, px."""
+    out = np.empty(cost.shape[:2], np.float32)
+
+    def find(rows: slice) -> None:
+        label = parabola_winner(cost[rows], labels_px, lower_is_better=True).disparity_px
+        at_end = ~np.isfinite(label)
+        label[at_end] = labels_px[cost[rows][at_end].argmin(axis=1)]
+        out[rows] = label
+
+    each_band(find, len(out))
+    return out
 
 
 def judged(

@@ -82,7 +82,10 @@ class BlurEvidence:
         def explain(rows: slice) -> None:
             part = np.ascontiguousarray(computed[:, :, rows])
             every_second = np.empty((primary, *part.shape[1:-1], evens), np.float32)
-            every_second[..., ::2], every_second[..., 1::2] = part[:primary, ..., :fourths], part[:primary, ..., fourths:evens]
+            every_second[..., ::2], every_second[..., 1::2] = (
+                part[:primary, ..., :fourths],
+                part[:primary, ..., fourths:evens],
+            )
             correlation = np.empty((*part.shape[:-1], len(layers_px)), np.float32)
             correlation[:primary] = with_midpoints(every_second)
             correlation[:primary, ..., 1::2][..., sharp] = part[:primary, ..., evens:]

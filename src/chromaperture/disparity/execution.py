@@ -143,6 +143,19 @@ class Execution(Protocol):
     ) -> PlaneSums:
         """Sum the log-likelihood of a plane and its derivatives over pixels."""
 
+    def agreed_plane(
+        self,
+        planes: np.ndarray,
+        x: np.ndarray,
+        y: np.ndarray,
+        label: np.ndarray,
+        weight: np.ndarray,
+        *,
+        tolerance_px: float,
+        rounds: int,
+    ) -> np.ndarray:
+        """Find the plane that most points agree with, and fit it to these; (3,)."""
+
     def potts_beliefs(self, cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
         """Cost of every choice at every pixel, with the best of all others; (H, W, K)."""
 

@@ -24,6 +24,7 @@ from chromaperture.disparity.plane_merging import merged_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig
+from chromaperture.threads import BAND_ROWS, each_band
 
 AGREEMENT_SIGMAS = 2.0  # docs/measurements.md has 1, 1.5, 2, 3 and none
 AGREEMENT_WINDOW_PX = 9  # two sigmas of the correlation window and the pixel: neighbours decide alike
@@ -179,8 +180,14 @@ def where_they_agree(planes_px: np.ndarray, surface_px: np.ndarray, sigma_px: np
 def block_sums(likelihood: np.ndarray, size: int) -> np.ndarray:
     """Sum a volume over squares of pixels; what is left over at the right and below is left out."""
     height, width, count = (n // size for n in (*likelihood.shape[:2], likelihood.shape[2] * size))
-    whole = likelihood[: height * size, : width * size]
-    return np.ascontiguousarray(whole.reshape(height, size, width, size, count).sum(axis=(1, 3)), np.float32)
+    out = np.empty((height, width, count), np.float32)
+
+    def add(rows: slice) -> None:
+        whole = likelihood[rows.start * size : rows.stop * size, : width * size]
+        np.sum(whole.reshape(-1, size, width, size, count), axis=(1, 3), out=out[rows])
+
+    each_band(add, height, rows_a_band=max(1, BAND_ROWS // size))
+    return out
 
 
 def block_links(weights: np.ndarray, size: int) -> np.ndarray:

@@ -179,7 +179,7 @@ class AccurateChain:
         got = self.first.run(inputs, ["surface", "sigma", "blocks"])
         shape = self.grid.height, self.grid.width
         label = self.labels_px[0] + step * got["surface"].reshape(*shape, 4)[..., 0]
-        found = proposals(label, step * got["sigma"].reshape(shape), step, config.tiles_px)
+        found = proposals(label, step * got["sigma"].reshape(shape), step, config.tiles_px, run=self.method.run)
         likelihood = self.first.arrays["likelihood"]
         planes = refined_planes(
             self.device, likelihood, self.grid, found, self.labels_px, slope_penalty=config.slope_penalty

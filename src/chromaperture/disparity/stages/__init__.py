@@ -8,7 +8,7 @@ from chromaperture.disparity.stages.enlarge import enlarge
 from chromaperture.disparity.stages.four_paths import four_path_winner
 from chromaperture.disparity.stages.paths import aggregate_paths, posterior, read_at_labels
 from chromaperture.disparity.stages.place import halved_surface, place_by_correlation
-from chromaperture.disparity.stages.planes import plane_costs, plane_sums, potts_beliefs
+from chromaperture.disparity.stages.planes import agreed_plane, plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.stages.smoothing import smooth_along_surface
 from chromaperture.disparity.stages.spectral_likelihood import spectral_likelihood
 from chromaperture.disparity.stages.upsample import upsample
@@ -19,6 +19,7 @@ from chromaperture.optics.lens_blur import point_transforms
 
 __all__ = [
     "aggregate_paths",
+    "agreed_plane",
     "band_correlation",
     "bilateral_winner",
     "correlate",
