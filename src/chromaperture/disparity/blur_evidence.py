@@ -154,15 +154,12 @@ class BlurEvidence:
         low_pass = _gaussian(
             nodes.size, finest_px(self.config) / SAMPLING_PX
         )  # the same at all depths, hence done once
-        tiles = [
-            _Tile(
-                place,
-                weight,
-                blur.rays(*place),
-                [(a * low_pass, b * low_pass) for a, b in (spectrum.pair(*pair) for pair in self.all_pairs)],
-            )
-            for place, weight, spectrum in zip(nodes.places, nodes.weights, spectra, strict=True)
-        ]
+
+        def of_tile(i: int) -> _Tile:
+            pairs = [(a * low_pass, b * low_pass) for a, b in (spectra[i].pair(*pair) for pair in self.all_pairs)]
+            return _Tile(nodes.places[i], nodes.weights[i], blur.rays(*nodes.places[i]), pairs)
+
+        tiles = parallel_map(of_tile, range(len(spectra)))
         at_infinity, scale = blur.reference
         shape = (len(self.all_pairs), len(self.config.bands_px), -(-height // SPACING_PX), -(-width // SPACING_PX))
         correlation, most = np.empty((len(layers_px), *shape), np.float32), layers_of or {}
@@ -194,7 +191,7 @@ class BlurEvidence:
         canvas = nodes.canvas(len(pairs))
         inner = nodes.in_tile()
         for tile in tiles:
-            rays = Rays(*(part[list(channels)] for part in tile.rays))
+            rays = tile.rays if len(channels) == 3 else Rays(*(part[list(channels)] for part in tile.rays))
             transfers = self.blur.transfer_of(
                 rays, inverse_mm, nodes.size_px, samples=nodes.size, transform=self.run.point_transforms
             )
