@@ -11,6 +11,7 @@ from chromaperture.disparity.cpu.paths import FAST
 from chromaperture.disparity.stages.planes import LEAST_POINTS, NEAR, PlaneCosts, PlaneSums
 from chromaperture.threads import in_parallel
 
+_CACHED = 1 << 18  # numbers in half of a level-2 cache of 2 MB
 _NEVER = np.float32(1e30)  # nats; cost of the lanes beyond the last choice
 
 
@@ -199,11 +200,14 @@ def _along_columns(beliefs, messages, links, first, last):
     height, width, count = beliefs.shape
     values, down, up = beliefs.reshape(-1), messages[2].reshape(-1), messages[3].reshape(-1)
     row = width * count
-    for y in range(height - 1):
-        for x in range(first, last):
-            at = y * row + x * count
-            _send(values, down, up, at, at + row, count, links[y, x])
-    for y in range(height - 1, 0, -1):
-        for x in range(first, last):
-            at = y * row + x * count
-            _send(values, up, down, at, at - row, count, links[y - 1, x])
+    together = max(1, _CACHED // (3 * height * count))  # columns whose beliefs and messages stay in the cache
+    for left in range(first, last, together):
+        right = min(left + together, last)
+        for y in range(height - 1):
+            for x in range(left, right):
+                at = y * row + x * count
+                _send(values, down, up, at, at + row, count, links[y, x])
+        for y in range(height - 1, 0, -1):
+            for x in range(left, right):
+                at = y * row + x * count
+                _send(values, up, down, at, at - row, count, links[y - 1, x])
