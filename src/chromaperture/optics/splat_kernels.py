@@ -34,7 +34,7 @@ def point_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, samp
     if reach > most or 2 * reach + 1 > size:
         return _fast_transforms(points_px, weights, size, samples)
     out = np.zeros((len(points_px), samples, samples // 2 + 1), np.complex64)
-    direct_transforms(points_px, weights, reach, *_waves(size, kept, most), out.view(np.float32))
+    direct_transforms(points_px, weights, reach, *_waves(size, kept, most + 1), out.view(np.float32))
     return out
 
 
@@ -78,15 +78,21 @@ def _splat(points_px, weights, out):  # type: ignore[no-untyped-def]
 @inlined()
 def _splat_near(points_px, weights, reach, out):  # type: ignore[no-untyped-def]
     """As `_splat`, for points at most ``reach`` px from the middle of a picture without periodic borders."""
+    width, pixels = out.shape[1], out.reshape(-1)
     for j in range(len(weights)):
-        x, y = np.floor(points_px[j, 0]), np.floor(points_px[j, 1])
-        tx, ty = points_px[j, 0] - x, points_px[j, 1] - y
-        i, k = np.uint64(int(x) + reach), np.uint64(int(y) + reach)
-        left, right = weights[j] * (1 - tx), weights[j] * tx
-        out[k, i] += left * (1 - ty)
-        out[k, i + np.uint64(1)] += right * (1 - ty)
-        out[k + np.uint64(1), i] += left * ty
-        out[k + np.uint64(1), i + np.uint64(1)] += right * ty
+        if weights[j] == 0:
+            continue
+        px, py = points_px[j, 0] + reach, points_px[j, 1] + reach
+        x, y = int(px), int(py)
+        tx, ty, weight = np.float32(px - x), np.float32(py - y), np.float32(weights[j])
+        here = np.uint64(y * width + x)  # indices that are not negative are not checked
+        below, one = here + np.uint64(width), np.uint64(1)
+        right = weight * tx
+        left = weight - right
+        pixels[here] += left - left * ty
+        pixels[here + one] += right - right * ty
+        pixels[below] += left * ty
+        pixels[below + one] += right * ty
 
 
 @compiled(fastmath=_FAST)
@@ -95,7 +101,7 @@ def direct_transforms(points_px, weights, reach, cosines, sines, out):  # type: 
     kept = cosines.shape[1]
     side = 2 * reach + 1
     picture = np.empty((side + 1, side + 1), np.float32)  # a point at the far end adds nothing to the last line
-    lines, parts = np.empty((side, 2 * kept), np.float32), np.empty((2, reach + 1, 2 * kept), np.float32)
+    lines, parts = np.empty((side, 2 * kept), np.float32), np.zeros((2, reach + reach % 2 + 1, 2 * kept), np.float32)
     for c in range(len(out)):
         picture[:] = 0
         _splat_near(points_px[c], weights[c], reach, picture)
@@ -134,36 +140,39 @@ def _row_transform(row, cosines, sines, real, imaginary):  # type: ignore[no-unt
 @inlined(fastmath=_FAST)
 def _column_transforms(even, odd, cosines, sines, out):  # type: ignore[no-untyped-def]
     """Transform columns, of each frequency and its negative at once; rows of ``even`` hold real parts, then others."""
-    reach, kept, samples = len(even) - 1, cosines.shape[1], out.shape[0]
+    kept, samples = cosines.shape[1], out.shape[0]
     sums = np.empty((4, 2 * kept), np.float32)
-    a, b, a2, b2 = sums[0], sums[1], sums[2], sums[3]
-    for row in range(0, kept, 2):  # two frequencies and two px at a time: less is loaded for as many products
+    for row in range(0, kept, 2):  # two frequencies and four px at a time: less is loaded for as many products
         second = min(row + 1, kept - 1)
-        a[:], b[:], a2[:], b2[:] = even[0], 0, even[0], 0
-        for r in range(1, reach, 2):
-            c, c2, d, d2 = cosines[r, row], cosines[r + 1, row], cosines[r, second], cosines[r + 1, second]
-            e, e2 = even[r], even[r + 1]
-            for f in range(2 * kept):
-                a[f] += c * e[f] + c2 * e2[f]
-                a2[f] += d * e[f] + d2 * e2[f]
-            s, s2, t, t2 = sines[r, row], sines[r + 1, row], sines[r, second], sines[r + 1, second]
-            o, o2 = odd[r], odd[r + 1]
-            for f in range(2 * kept):
-                b[f] += s * o[f] + s2 * o2[f]
-                b2[f] += t * o[f] + t2 * o2[f]
-        if reach % 2 == 1:
-            c, s, d, t, e, o = (
-                cosines[reach, row], sines[reach, row], cosines[reach, second], sines[reach, second],
-                even[reach], odd[reach],
-            )  # fmt: skip
-            for f in range(2 * kept):
-                a[f] += c * e[f]
-                b[f] += s * o[f]
-                a2[f] += d * e[f]
-                b2[f] += t * o[f]
-        _put_rows(a, b, row, samples, out)
+        _weighted_sums(even, cosines, row, second, True, sums[0], sums[1])
+        _weighted_sums(odd, sines, row, second, False, sums[2], sums[3])
+        _put_rows(sums[0], sums[2], row, samples, out)
         if second > row:
-            _put_rows(a2, b2, second, samples, out)
+            _put_rows(sums[1], sums[3], second, samples, out)
+
+
+@inlined(fastmath=_FAST)
+def _weighted_sums(rows, waves, first, second, with_middle, one, other):  # type: ignore[no-untyped-def]
+    """Add up an odd number of rows, the middle one with or without weight, the others by two waves."""
+    if with_middle:
+        one[:], other[:] = rows[0], rows[0]
+    else:
+        one[:], other[:] = 0, 0
+    r = 1
+    while r + 3 < len(rows):
+        c, c2, c3, c4 = waves[r, first], waves[r + 1, first], waves[r + 2, first], waves[r + 3, first]
+        d, d2, d3, d4 = waves[r, second], waves[r + 1, second], waves[r + 2, second], waves[r + 3, second]
+        e, e2, e3, e4 = rows[r], rows[r + 1], rows[r + 2], rows[r + 3]
+        for f in range(len(one)):
+            one[f] += c * e[f] + c2 * e2[f] + c3 * e3[f] + c4 * e4[f]
+            other[f] += d * e[f] + d2 * e2[f] + d3 * e3[f] + d4 * e4[f]
+        r += 4
+    if r < len(rows):
+        c, c2, d, d2 = waves[r, first], waves[r + 1, first], waves[r, second], waves[r + 1, second]
+        e, e2 = rows[r], rows[r + 1]
+        for f in range(len(one)):
+            one[f] += c * e[f] + c2 * e2[f]
+            other[f] += d * e[f] + d2 * e2[f]
 
 
 @inlined(fastmath=_FAST)
