@@ -7,13 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chromaperture.disparity.blur_evidence import (
-    BANDS_MARGIN_PX,
-    SPACING_PX,
-    BlurEvidence,
-    finest_px,
-    layers_of_evidence,
-)
+from chromaperture.disparity.blur_evidence import BANDS_MARGIN_PX, SHARP_PX, SPACING_PX, BlurEvidence, finest_px
 from chromaperture.disparity.gpu.device import DeviceError
 from chromaperture.disparity.gpu.surface_stages import gaussian_taps
 from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
@@ -30,7 +24,7 @@ class EvidencePlan:
     ----------
     source : BlurEvidence
     layers_px : (D,) float, px
-        See `layers_of_evidence`.
+        An odd number; see `BlurEvidence.at`.
     computed_px : (E,) float, px
         Those whose correlations are computed: every second one, then the others where blur is narrow.
     places : (D,) int32
@@ -61,8 +55,11 @@ class EvidencePlan:
 
 def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
     """Choose layers and tiles; raises DeviceError where a tile is too large for the device."""
-    layers_px, sharp = layers_of_evidence(layers_px, source.blur.reach)
-    computed = np.concatenate([layers_px[::2], layers_px[1::2][sharp]])
+    step = layers_px[1] - layers_px[0]
+    layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
+    between = layers_px[1::2]
+    sharp = np.abs(between) < SHARP_PX * source.blur.reach
+    computed = np.concatenate([layers_px[::2], between[sharp]])
     places = np.full(len(layers_px), -1, np.int32)
     evens = (len(layers_px) + 1) // 2
     places[::2] = np.arange(evens)

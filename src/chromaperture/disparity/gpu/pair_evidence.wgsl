@@ -10,48 +10,21 @@ const evens = (count + 1u) / 2u;
 
 var<workgroup> most: array<f32, 64>;
 
-// Continued straight beyond both ends.
-fn fourth_layer(first: u32, k: i32) -> f32 {
-    let last = i32(evens - 1u) / 2i;
-    if (k < 0i) { return 2.0 * correlation[first] - correlation[first + 2u * u32(min(-k, last))]; }
-    if (k > last) {
-        return 2.0 * correlation[first + 2u * u32(last)] - correlation[first + 2u * u32(max(2i * last - k, 0i))];
-    }
-    return correlation[first + 2u * u32(k)];
-}
-
-// Half way between two, by a polynomial through six.
-fn middle(a: f32, b: f32, c: f32, d: f32, e: f32, f: f32) -> f32 {
-    return (3.0 * (a + f) - 25.0 * (b + e) + 150.0 * (c + d)) / 256.0;
-}
-
-fn inner_layer(first: u32, k: i32, is_primary: bool) -> f32 {
-    if (is_primary || k % 2i == 0i) { return correlation[first + u32(k)]; }
-    let n = k / 2i;  // of secondary pairs, which are interpolated between every fourth layer
-    return middle(
-        fourth_layer(first, n - 2i), fourth_layer(first, n - 1i), fourth_layer(first, n),
-        fourth_layer(first, n + 1i), fourth_layer(first, n + 2i), fourth_layer(first, n + 3i),
-    );
-}
-
-fn even_layer(first: u32, k: i32, is_primary: bool) -> f32 {
+fn even_layer(first: u32, k: i32) -> f32 {
     let last = i32(evens) - 1i;
-    if (k < 0i) { return 2.0 * correlation[first] - inner_layer(first, min(-k, last), is_primary); }
-    if (k > last) {
-        return 2.0 * correlation[first + u32(last)] - inner_layer(first, max(2i * last - k, 0i), is_primary);
-    }
-    return inner_layer(first, k, is_primary);
+    if (k < 0i) { return 2.0 * correlation[first] - correlation[first + u32(min(-k, last))]; }
+    if (k > last) { return 2.0 * correlation[first + u32(last)] - correlation[first + u32(max(2i * last - k, 0i))]; }
+    return correlation[first + u32(k)];
 }
 
 fn at_layer(first: u32, layer: u32, is_primary: bool) -> f32 {
+    // Secondary pairs are interpolated at all odd layers.
+    if (places[layer] >= 0i && (is_primary || layer % 2u == 0u)) { return correlation[first + u32(places[layer])]; }
+    // A polynomial through six even layers, half way between two.
     let k = i32(layer / 2u);
-    if (layer % 2u == 0u) { return inner_layer(first, k, is_primary); }
-    if (places[layer] >= 0i && is_primary) { return correlation[first + u32(places[layer])]; }
-    return middle(
-        even_layer(first, k - 2i, is_primary), even_layer(first, k - 1i, is_primary),
-        even_layer(first, k, is_primary), even_layer(first, k + 1i, is_primary),
-        even_layer(first, k + 2i, is_primary), even_layer(first, k + 3i, is_primary),
-    );
+    let far = even_layer(first, k - 2i) + even_layer(first, k + 3i);
+    let near = even_layer(first, k - 1i) + even_layer(first, k + 2i);
+    return (3.0 * far - 25.0 * near + 150.0 * (even_layer(first, k) + even_layer(first, k + 1i))) / 256.0;
 }
 
 fn nats(from_pair: u32, to_pair: u32, sample: u32, layer: u32) -> f32 {
