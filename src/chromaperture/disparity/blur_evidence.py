@@ -42,8 +42,7 @@ SPACING_PX = round(2 * SAMPLING_PX)  # of the evidence: windows of sigma 4 px le
 SHARP_PX = 4.0
 _ROWS = 4  # whose correlations are explained at once: 5 MB at 720 columns stay in the cache; chosen by hand
 # Three sigmas of the coarsest band. Bands are taken of whole frames and need none of it, but the tiles' noise is
-# estimated on their whole area: with 8 px tiles of 160 samples in place of 180 take .2 s less of 4 s, and walls that two
-# planes explain as well change places.
+# estimated on their whole area: docs/performance.md has 8 px.
 BANDS_MARGIN_PX = 10
 
 
