@@ -83,8 +83,8 @@ class PaperConfig(MatcherConfig):
     correlation: CorrelationConfig = CorrelationConfig()
     bilateral: BilateralConfig = BilateralConfig()
     sigma_scale: float = 2.0
-    edge_share: float = 0.5
-    floor_px: float = 0.2
+    edge_share: float = 0.55
+    floor_px: float = 0.25
 
     def __post_init__(self) -> None:
         require_space(self.space, "unmixed", "pure")
@@ -196,7 +196,9 @@ class AccurateConfig(MatcherConfig):
         full_well_electrons : float, optional
             Of the sensor, see `CrossFilterConfig.for_blur`.
         """
-        surface = SurfaceConfig(slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.3)
+        surface = SurfaceConfig(
+            slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.3, learned_error_bar=True
+        )
         layers = LayersConfig(step_px=0.3 * reach)
         evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
         planes = PlanesConfig() if reach >= _LEAST_REACH_OF_PLANES else PlanesConfig(rounds=0)

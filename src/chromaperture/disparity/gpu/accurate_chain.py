@@ -158,7 +158,7 @@ class AccurateChain:
             inputs["counted"] = usable if own is None else usable * own
         if isinstance(method.evidence, SpectralEvidence) and self.uses_windows:
             inputs["windows"] = method.evidence.of_windows(image, method.config.layers.values_px, self.labels_px)
-        found = self._planes(inputs, views.guide)
+        found, first = self._planes(inputs, views.guide)
         of_planes = found is not None
         step = float(self.labels_px[1] - self.labels_px[0])
         more = {} if found is None else {"plane_labels": (found.label_px - self.labels_px[0]) / step}
@@ -166,16 +166,17 @@ class AccurateChain:
         disparity, sigma, extent = self.labels_px[0] + step * results[..., 0], step * results[..., 1], results[..., 2]
         surface = judged(
             Surface(disparity, sigma, results[..., 3]), step * extent, self.labels_px,
-            of_planes=of_planes, known_within_px=sigma_of_range(self.labels_px),
+            first_px=disparity if first is None else first, explained_by=found,
+            learned=method.config.surface.learned_error_bar, known_within_px=sigma_of_range(self.labels_px),
         )  # fmt: skip
         return method.of_labels(surface, image, usable, self.labels_px)
 
-    def _planes(self, inputs: dict[str, np.ndarray], guide: np.ndarray) -> Planes | None:
-        """Run the first chain, and explain its surface by planes, as `planes_of_surface`."""
+    def _planes(self, inputs: dict[str, np.ndarray], guide: np.ndarray) -> tuple[Planes | None, np.ndarray | None]:
+        """Run the first chain, and explain its surface by planes, as `planes_of_surface`; return that surface, too."""
         config, step = self.method.config.planes, float(self.labels_px[1] - self.labels_px[0])
         if self.blocks is None:
             self.first.run(inputs, ["round"])
-            return None
+            return None, None
         got = self.first.run(inputs, ["surface", "sigma", "blocks"])
         shape = self.grid.height, self.grid.width
         label = self.labels_px[0] + step * got["surface"].reshape(*shape, 4)[..., 0]
@@ -186,7 +187,7 @@ class AccurateChain:
         )
         planes = distinct_of(found, list(planes), step)
         if not len(planes):
-            return None
+            return None, None
         blocks = Grid(shape[0] // config.block_px, shape[1] // config.block_px, self.grid.layers)
         sums = got["blocks"].reshape(blocks)
         costs = block_costs(config)
@@ -197,9 +198,10 @@ class AccurateChain:
             return PlaneChoice(self.device, cost.shape[:2], cost.shape[2], sweeps).beliefs_of(cost, links)
 
         volume = Volume(sums, self.labels_px, costs, self.method.run)
-        return fitting_planes(
+        fitted = fitting_planes(
             planes, volume, guide, lambda some: chooser.choose(some, links), config=config, beliefs=beliefs
         )
+        return fitted, label
 
 
 @dataclass
