@@ -83,8 +83,8 @@ class PaperConfig(MatcherConfig):
     correlation: CorrelationConfig = CorrelationConfig()
     bilateral: BilateralConfig = BilateralConfig()
     sigma_scale: float = 2.0
-    edge_share: float = 0.55
-    floor_px: float = 0.25
+    edge_share: float = 0.5
+    floor_px: float = 0.1
 
     def __post_init__(self) -> None:
         require_space(self.space, "unmixed", "pure")
