@@ -37,7 +37,7 @@ from chromaperture.optics.render import render, render_depth
 from chromaperture.optics.sensor import SensorModel, develop, expose
 
 EVERY_PX = 6
-SHARES = (0.70, 0.945)  # of the errors, within one and two bars: between the middle of what is asked and Gaussian errors
+SHARES = (0.70, 0.945)  # of the errors, within one and two bars: those of Gaussian errors, nearly
 LEAST_ERROR = 0.01  # steps; smaller ones are as good as none, and their logarithm would count
 SOFTNESS = 0.05  # of the quantile loss at 0, so that it has a derivative
 RIDGE = 1e-3  # of the weights of signs in units of their standard deviation

@@ -102,7 +102,7 @@ def of_planes(label: np.ndarray, first: np.ndarray, planes: Planes, step_px: flo
     choice = planes.choice.ravel()
     area = np.maximum(np.bincount(choice), 1)
     scatter, rejected = (np.bincount(choice, values.ravel()) / area for values in (away * away, apart))
-    of_plane = {"scatter": np.log(np.sqrt(scatter) + 0.05), "rejected": rejected}
+    of_plane: dict[str, np.ndarray] = {"scatter": np.log(np.sqrt(scatter) + 0.05), "rejected": rejected}
     return {
         "apart": pooled(apart),
         "apart_wide": pooled(apart, WIDE_PX),
@@ -118,12 +118,14 @@ def pooled(values: np.ndarray, reach_px: float = POOLED_PX) -> np.ndarray:
 
 def ranges(label: np.ndarray) -> dict[int, np.ndarray]:
     """Return the range of a map within each of `REACHES_PX`; (H, W) float32 each. A square of squares is a square."""
-    low = high = np.ascontiguousarray(label, np.float32)
-    found, before = {}, 0
+    low: np.ndarray = np.ascontiguousarray(label, np.float32)
+    high = low
+    found: dict[int, np.ndarray] = {}
+    before = 0
     for reach in REACHES_PX:
-        side = 2 * (reach - before) + 1
-        low, high = cv2.erode(low, np.ones((side, side), np.uint8)), cv2.dilate(high, np.ones((side, side), np.uint8))
-        found[reach], before = high - low, reach
+        square = np.ones((2 * (reach - before) + 1,) * 2, np.uint8)
+        low, high, before = cv2.erode(low, square), cv2.dilate(high, square), reach
+        found[reach] = np.subtract(high, low)
     return found
 
 
