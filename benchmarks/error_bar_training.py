@@ -23,7 +23,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from error_bar_scenes import random_scene
 from scipy.optimize import minimize
 
 from chromaperture.camera import load_camera
@@ -47,6 +46,8 @@ EXPOSURES = (0.2, 0.5, 0.9, 0.9, 0.9)  # of the white level
 
 def measure(args: argparse.Namespace) -> None:
     """Draw, measure and keep scenes."""
+    from error_bar_scenes import random_scene  # its photographs are scikit-image's, which `fit` does without
+
     camera = load_camera(args.camera, quality="accurate", device="cpu")
     sensor = camera.calibration.sensor
     size = {"width_px": sensor.width_px, "height_px": sensor.height_px, "pixel_pitch_mm": sensor.pixel_pitch_mm}
