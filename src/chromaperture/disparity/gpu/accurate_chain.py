@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,7 +35,7 @@ from chromaperture.disparity.gpu.surface_stages import (
     surface_arrays,
 )
 from chromaperture.disparity.gpu.workgroups import groups_for
-from chromaperture.disparity.planar import block_costs, fitting_planes, links_of_blocks
+from chromaperture.disparity.planar import Planes, block_costs, fitting_planes, links_of_blocks
 from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.plane_fit import Volume, distinct_of, proposals
 from chromaperture.disparity.result import Disparity
@@ -42,6 +43,14 @@ from chromaperture.disparity.spectral_evidence import SpectralEvidence
 from chromaperture.disparity.views import clipped_filled, filtered_views
 from chromaperture.disparity.winner import Surface
 from chromaperture.errors import OutOfMemoryError
+
+
+class PlanesFound(NamedTuple):
+    """Planes, the surface before them, and the labels that are taken of both; (H, W) px each."""
+
+    planes: Planes
+    first_px: np.ndarray
+    taken_px: np.ndarray
 
 
 def pairs_of(method: AccurateMethod) -> BlurEvidence | None:
@@ -159,19 +168,21 @@ class AccurateChain:
             inputs["counted"] = usable if own is None else usable * own
         if isinstance(method.evidence, SpectralEvidence) and self.uses_windows:
             inputs["windows"] = method.evidence.of_windows(image, method.config.layers.values_px, self.labels_px)
-        taken_px = self._taken_labels(inputs, views.guide)
-        of_planes = taken_px is not None
+        found = self._planes(inputs, views.guide)
+        of_planes = found is not None
         step = float(self.labels_px[1] - self.labels_px[0])
-        more = {} if taken_px is None else {"taken_labels": (taken_px - self.labels_px[0]) / step}
+        more = {} if found is None else {"taken_labels": (found.taken_px - self.labels_px[0]) / step}
         results = self.last[of_planes].run(more, ["results"])["results"].reshape(*usable.shape, 4)
         disparity, sigma, extent = self.labels_px[0] + step * results[..., 0], step * results[..., 1], results[..., 2]
         surface = judged(
             Surface(disparity, sigma, results[..., 3]), step * extent, self.labels_px,
-            of_planes=of_planes, known_within_px=sigma_of_range(self.labels_px),
+            first_px=disparity if found is None else found.first_px,
+            explained_by=None if found is None else found.planes,
+            learned=method.config.surface.learned_error_bar, known_within_px=sigma_of_range(self.labels_px),
         )  # fmt: skip
         return method.of_labels(surface, image, usable, self.labels_px)
 
-    def _taken_labels(self, inputs: dict[str, np.ndarray], guide: np.ndarray) -> np.ndarray | None:
+    def _planes(self, inputs: dict[str, np.ndarray], guide: np.ndarray) -> PlanesFound | None:
         """Run the first chain, and explain its surface by planes where they agree, as `optimised_surface`."""
         config, step = self.method.config.planes, float(self.labels_px[1] - self.labels_px[0])
         if self.blocks is None:
@@ -202,7 +213,7 @@ class AccurateChain:
         fitting = fitting_planes(
             planes, volume, guide, lambda some: chooser.choose(some, links), config=config, beliefs=beliefs
         )
-        return where_they_agree(fitting, label, np.hypot(sigma, step))
+        return PlanesFound(fitting, label, where_they_agree(fitting, label, np.hypot(sigma, step)))
 
 
 @dataclass
