@@ -57,7 +57,9 @@ def operations(dispatch: Dispatch) -> float:
         "views": lambda: 24 * invocations,
         "halve_rows": lambda: 5 * (24 + 2 * (c["view_count"] + 2)) * invocations,
         "halve_columns": lambda: 10 * invocations,
-        "blur": lambda: 0.0 if c["sparse"] else 2 * len(c["taps"]) * invocations,  # next to nothing is unusable
+        "blur": lambda: (
+            0.0 if c["sparse"] else 8 * (2 * c["reach"] + 4) * c["plane_count"] * invocations
+        ),  # next to nothing is unusable
         "variance": lambda: 3 * c["view_count"] * c["pixels"],
         "guide_scale": lambda: 4 * 4 * 3 * c["sparse_count"],
         "sample_y": lambda: 8 * invocations,

@@ -1,7 +1,7 @@
 // The samples of `sample_y.wgsl` read between their columns: an entry is a view at one phase along x and one along y.
 
 @group(0) @binding(0) var<storage, read> rows: array<f32>;  // (h + 2 pad_y, w, Ey)
-@group(0) @binding(1) var<storage, read> phases: array<f32>;  // (E, 5): four taps, the phase along y
+@group(0) @binding(1) var<storage, read> phases: array<vec4f>;  // (E, 2): four taps; the phase along y
 @group(0) @binding(2) var<storage, read_write> samples: array<f32>;  // (h + 2 pad_y, w + 2 pad_x, E)
 
 @compute @workgroup_size(64)
@@ -14,11 +14,8 @@ fn main(
     if (i >= (height + 2u * pad_y) * wide * entry_count) { return; }
     let e = i % entry_count;
     let x = i32((i / entry_count) % wide) - i32(pad_x);
-    let row = (i / (entry_count * wide)) * width;
-    let phase = u32(phases[5u * e + 4u]);
-    var sum = 0.0;
-    for (var j = 0u; j < 4u; j++) {
-        sum += phases[5u * e + j] * rows[(row + inside(x + i32(j) - 1i, width)) * phase_count + phase];
-    }
-    samples[i] = sum;
+    let taps = phases[2u * e];
+    let row = (i / (entry_count * wide)) * width * phase_count + u32(phases[2u * e + 1u].x);
+    samples[i] = taps.x * rows[row + inside(x - 1i, width) * phase_count] + taps.y * rows[row + inside(x, width) * phase_count]
+        + taps.z * rows[row + inside(x + 1i, width) * phase_count] + taps.w * rows[row + inside(x + 2i, width) * phase_count];
 }

@@ -1,7 +1,7 @@
 // Views read between their rows, at every sub-pixel phase that the layers use; rows beyond the picture are its border.
 
 @group(0) @binding(0) var<storage, read> planes: array<f32>;  // (planes, h, w), the views first
-@group(0) @binding(1) var<storage, read> phases: array<f32>;  // (Ey, 5): four taps, the view
+@group(0) @binding(1) var<storage, read> phases: array<vec4f>;  // (Ey, 2): four taps; the view
 @group(0) @binding(2) var<storage, read_write> samples: array<f32>;  // (h + 2 pad_y, w, Ey)
 
 @compute @workgroup_size(64)
@@ -14,10 +14,8 @@ fn main(
     let e = i % phase_count;
     let x = (i / phase_count) % width;
     let y = i32(i / (phase_count * width)) - i32(pad_y);
-    let view = u32(phases[5u * e + 4u]) * width * height;
-    var sum = 0.0;
-    for (var j = 0u; j < 4u; j++) {
-        sum += phases[5u * e + j] * planes[view + inside(y + i32(j) - 1i, height) * width + x];
-    }
-    samples[i] = sum;
+    let taps = phases[2u * e];
+    let column = u32(phases[2u * e + 1u].x) * width * height + x;
+    samples[i] = taps.x * planes[column + inside(y - 1i, height) * width] + taps.y * planes[column + inside(y, height) * width]
+        + taps.z * planes[column + inside(y + 1i, height) * width] + taps.w * planes[column + inside(y + 2i, height) * width];
 }

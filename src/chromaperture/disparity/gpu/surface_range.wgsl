@@ -5,7 +5,7 @@
 @group(0) @binding(1) var<storage, read> places: array<vec2f>;  // (h, w)
 @group(0) @binding(2) var<storage, read> winner: array<f32>;  // (3, h, w): layer, likelihood there, sigma in layers
 @group(0) @binding(3) var<storage, read> labels: array<f32>;  // (2, H, W) or (2, 1, 1)
-@group(0) @binding(4) var<storage, read_write> surface: array<f32>;  // (3, h, w)
+@group(0) @binding(4) var<storage, read_write> surface: array<vec4f>;  // (h, w): disparity, sigma, peak, nothing
 
 @compute @workgroup_size(64)
 fn main(
@@ -29,7 +29,6 @@ fn main(
     let posterior = step_px * winner[2u * width * height + i];
     let known = winner[i] > 0.0 && winner[i] < f32(layer_count - 1u) && posterior < widest_px;
     let sigma = min(length(vec2f(posterior_share * scale * posterior, edge_share * (high - low))), scale * widest_px);
-    surface[i] = select(UNKNOWN, 2.0 * disparity, known);
-    surface[width * height + i] = 2.0 * sigma;
-    surface[2u * width * height + i] = sqrt(max(1.0 - exp(-2.0 * winner[width * height + i]), 0.0));
+    let peak = sqrt(max(1.0 - exp(-2.0 * winner[width * height + i]), 0.0));
+    surface[i] = vec4f(select(UNKNOWN, 2.0 * disparity, known), 2.0 * sigma, peak, 0.0);
 }
