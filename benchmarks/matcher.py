@@ -57,7 +57,9 @@ def matching(
     space = view_spaces(aperture, None, config.space)[0]
     method = RealTimeMethod(config, space, IDENTITY, execution_named("numba"))
     mask = np.ones(guide.shape, bool)
-    return lambda: method.surface(*halved(views, guide, mask, directions=space.directions, config=config.views))
+    return lambda: method.surface(
+        *halved(views, guide, mask, directions=space.directions, config=config.views)
+    )
 
 
 def benchmark() -> dict:

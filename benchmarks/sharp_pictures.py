@@ -237,7 +237,8 @@ def cmu_rows(folder: Path, out: Path | None) -> list[dict]:
     apart = np.array([[at_px / _registered_px(stack) for stack in row] for row in kernels], np.float32)
     for scene in ("002", "012"):
         left, right = (
-            _half(_read(folder / f"{scene}_{s}.png") - 1024) / w for s, w in zip(("left", "right"), whites, strict=True)
+            _half(_read(folder / f"{scene}_{s}.png") - 1024) / w
+            for s, w in zip(("left", "right"), whites, strict=True)
         )
         full = np.dstack([left, (left + right) / 2, right]).astype(np.float32)
         full *= 0.8 / np.percentile(full, 99.5)

@@ -47,7 +47,9 @@ def board(rotation, center, texel_mm):
 
 def compare_board(capture, table, camera, distance_mm, texel_mm):
     """Fit the board's pose in the simulator, then regress the capture on the simulation."""
-    matrix = np.array([[camera.focal_px, 0, camera.center_px[0]], [0, camera.focal_px, camera.center_px[1]], [0, 0, 1]])
+    matrix = np.array(
+        [[camera.focal_px, 0, camera.center_px[0]], [0, camera.focal_px, camera.center_px[1]], [0, 0, 1]]
+    )
     grid = np.zeros((54, 3), np.float32)
     grid[:, :2] = np.mgrid[:9, :6].T.reshape(-1, 2) * SQUARE_MM - np.array([4.0, 2.5]) * SQUARE_MM
     seen = corners_of(capture)

@@ -26,6 +26,7 @@ from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field_bands import field_to_depth
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.gpu.alignment_stage import Alignment
 from chromaperture.disparity.gpu.conversion_stage import Conversion
 from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Further, Measured, Waiting, on_device
 from chromaperture.disparity.result import Disparity, Method
@@ -282,7 +283,7 @@ class CodedApertureCamera:
     def _further(self, begun: Begun) -> Further:
         """Return what a device is to make of the disparity of a photograph."""
         is_whole = begun.known is begun.image  # of a part of the frame other pixels are matched than aligned
-        return Further(self.conversion, self.alignment.on_device if is_whole else None)
+        return Further(self.conversion, self.device_alignment if is_whole else None)
 
     @cached_property
     def conversion(self) -> Conversion | None:
@@ -293,6 +294,18 @@ class CodedApertureCamera:
         fields, curve = self.depth_model.tables
         parts = (fields.infinity_px, fields.scale_px_mm, fields.pupil_mm, *fields.covariance)
         return Conversion(parts, curve, self.config.depth.max_depth_mm)
+
+    @cached_property
+    def device_alignment(self) -> Alignment | None:
+        """What a device needs to align the channels; None where only the CPU does it.
+
+        That is at a working scale below 1 and by the lens's blur, and where its arrays, 48 bytes a pixel, are too many.
+        """
+        sensor, white = self.calibration.sensor, np.asarray(self.calibration.film.aperture, float)
+        is_large = sensor.width_px * sensor.height_px > _WHOLE_PX
+        if self.alignment.uses_blur or self.config.scale > 1 or is_large:
+            return None
+        return Alignment(np.asarray(self.alignment.shifts, float), white.max() / white)
 
     def __repr__(self) -> str:
         return f"CodedApertureCamera({self.calibration.title}, quality {self.config.quality})"

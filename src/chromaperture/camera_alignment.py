@@ -13,12 +13,10 @@ from chromaperture.color.alignment import align_channels, channel_directions, fi
 from chromaperture.color.lens_shift import LensShift
 from chromaperture.config import Config, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_inverse_depth
-from chromaperture.disparity.gpu.alignment_stage import Alignment
 from chromaperture.threads import each_band
 
 # Of a band: displacements, depth buffers and samples, 60 bytes a pixel and thread, stay near the cache. Chosen by hand.
 _BAND_PX = 1_000_000
-_MOST_DEVICE_PX = 4_000_000  # pictures up to this size are aligned on a device: arrays of 48 bytes a pixel
 _MOST_HALO = 0.25  # of a band's rows, that neighbours compute too; chosen by hand
 # Rows that a band sees beyond its own: what the largest displacement by the lens may be, of that of the centroids in
 # the frame's middle; the neighbourhood of an occluded pixel (7 px) with the samples of Lanczos' filter (4 px); and
@@ -72,14 +70,6 @@ class ChannelAlignment:
 
         each_band(align, height, rows_a_band=rows)
         return color
-
-    @cached_property
-    def on_device(self) -> Alignment | None:
-        """What a device needs to align the channels; None where only the CPU does."""
-        sensor, white = self.calibration.sensor, np.asarray(self.calibration.film.aperture, float)
-        if self.uses_blur or self.config.scale != 1 or sensor.width_px * sensor.height_px > _MOST_DEVICE_PX:
-            return None
-        return Alignment(np.asarray(self.shifts, float), white.max() / white)
 
     def _rows_beyond(self, filled: np.ndarray) -> int:
         """Return how many rows a band sees beyond its own."""
