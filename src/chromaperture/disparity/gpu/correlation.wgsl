@@ -5,7 +5,7 @@
 @group(0) @binding(0) var<storage, read> covariances: array<Covariances>;  // (h + 2 pad_y, w, Q), along x
 @group(0) @binding(1) var<storage, read> places: array<vec4i>;  // (K, 4 Q): entry, whole px along x, along y, 0
 @group(0) @binding(2) var<storage, read> deviations: array<vec2f>;  // (h + 2 pad_y + reach, w + 2 pad_x, E), along y
-@group(0) @binding(3) var<storage, read> gains: array<f32>;  // (h + 2 pad_y, w + 2 pad_x, E)
+@group(0) @binding(3) var<storage, read> gains: array<f32>;  // (h + 2 pad_y + reach, w + 2 pad_x, E)
 @group(0) @binding(4) var<storage, read_write> ahead: array<Covariances>;  // (groups, block + reach, 64), of one at a time
 
 @compute @workgroup_size(64)

@@ -145,10 +145,10 @@ def add_correlation(
     volume = _largest(chain, kept.name, [planes.pixels * (pitch or c.size + kept.more) for c in chunks])
     samples_y = _largest(chain, "samples_y", [tall * planes.width * len(c.phases_y) for c in chunks])
     samples = _largest(chain, "samples", [tall * wide * len(c.phases_x) for c in chunks])
-    windows = _largest(chain, "windows", [2 * tall * wide * len(c.phases_x) for c in chunks])
+    windows = _largest(chain, "windows", [2 * tall * (wide + reach) * len(c.phases_x) for c in chunks])
     apart_x = _largest(chain, "deviations_x", [2 * tall * (wide + reach) * len(c.phases_x) for c in chunks])
     apart_y = _largest(chain, "deviations_y", [2 * (tall + reach) * wide * len(c.phases_x) for c in chunks])
-    gains = _largest(chain, "gains", [tall * wide * len(c.phases_x) for c in chunks])
+    gains = _largest(chain, "gains", [(tall + reach) * wide * len(c.phases_x) for c in chunks])
     quads = [-(-chunk.size // 4) for chunk in chunks]
     words = 4 if planes.view_count == 2 else 12  # of the covariances of all pairs, of four layers
     covariances = _largest(chain, "covariances", [words * tall * planes.width * count for count in quads])
@@ -171,11 +171,11 @@ def add_correlation(
         places = chain.constant(f"places{number}", _whole_quads(chunk.places))
         chain.add(
             "sample_y", [planes.planes, taps_y, samples_y],
-            groups=groups_for(tall * planes.width * phases), uses=SHARED,
+            groups=groups_for(-(-tall // 4) * planes.width * phases), uses=SHARED,
             width=planes.width, height=planes.height, pad_y=pad_y, phase_count=phases,
         )  # fmt: skip
         chain.add(
-            "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * wide * entries), uses=SHARED,
+            "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * -(-wide // 4) * entries), uses=SHARED,
             phase_count=phases, entry_count=entries, **size,
         )  # fmt: skip
         frame: dict[str, Any] = {"row_count": tall, "columns": wide, "entry_count": entries, **window}

@@ -6,8 +6,14 @@
 // beside them as if the picture were even from there on. Deviations fade `reach` columns beyond the right border.
 
 @group(0) @binding(0) var<storage, read> samples: array<f32>;  // (rows, columns, E)
-@group(0) @binding(1) var<storage, read_write> windows: array<vec2f>;  // (rows, columns, E): mean, variance
+@group(0) @binding(1) var<storage, read_write> windows: array<vec2f>;  // (rows, columns + reach, E): mean, variance
 @group(0) @binding(2) var<storage, read_write> deviations: array<vec2f>;  // (rows, columns + reach, E): forward, backward
+
+fn joined(state: vec2f, here: vec2f) -> vec2f {
+    let apart = here.x - state.x;
+    let variance = decay * (state.y + (1.0 - decay) * apart * apart) + (1.0 - decay) * here.y;
+    return vec2f(state.x + (1.0 - decay) * apart, variance);
+}
 
 @compute @workgroup_size(64)
 fn main(
@@ -23,24 +29,27 @@ fn main(
     let first = ((i / entry_count) % blocks) * block;
     let end = min(first + block, length);
     let last = min(end + reach, length) - 1u;
-    var ahead: array<vec3f, block + reach>;  // mean, variance, forward deviation
+    let start = row * length * entry_count + e;
+    var beyond: array<vec2f, reach>;  // the block, of the forward recursion, whose own part waits in `windows`
     let begin = max(first, reach) - reach;
-    var mean = samples[(row * columns + min(begin, columns - 1u)) * entry_count + e];
-    var variance = 0.0;
+    var state = vec2f(samples[(row * columns + min(begin, columns - 1u)) * entry_count + e], 0.0);
     for (var x = begin; x <= last; x++) {
-        let apart = samples[(row * columns + min(x, columns - 1u)) * entry_count + e] - mean;
-        mean += (1.0 - decay) * apart;
-        variance = decay * (variance + (1.0 - decay) * apart * apart);
-        if (x >= first) { ahead[x - first] = vec3f(mean, variance, apart); }
-    }
-    for (var x = last + 1u; x > first; x--) {
-        let here = ahead[x - 1u - first];
-        let apart = here.x - mean;
-        mean += (1.0 - decay) * apart;
-        variance = decay * (variance + (1.0 - decay) * apart * apart) + (1.0 - decay) * here.y;
-        if (x <= end) {
-            deviations[(row * length + x - 1u) * entry_count + e] = deviation_unit * vec2f(here.z, apart);
-            if (x <= columns) { windows[(row * columns + x - 1u) * entry_count + e] = vec2f(mean, variance); }
+        let apart = samples[(row * columns + min(x, columns - 1u)) * entry_count + e] - state.x;
+        state.x += (1.0 - decay) * apart;
+        state.y = decay * (state.y + (1.0 - decay) * apart * apart);
+        if (x >= end) {
+            beyond[x - end] = state;
+        } else if (x >= first) {
+            windows[start + x * entry_count] = state;
+            deviations[start + x * entry_count].x = deviation_unit * apart;
         }
+    }
+    for (var x = last + 1u; x > end; x--) { state = joined(state, beyond[x - 1u - end]); }
+    for (var x = end; x > first; x--) {
+        let at = start + (x - 1u) * entry_count;
+        let here = windows[at];
+        deviations[at].y = deviation_unit * (here.x - state.x);
+        state = joined(state, here);
+        windows[at] = state;
     }
 }
