@@ -21,7 +21,8 @@ from chromaperture.disparity.error_bar import (
 )
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
-from chromaperture.disparity.planar import planes_of_surface, where_they_agree
+from chromaperture.disparity.planar import planes_of_surface
+from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.stages.between_layers import between_layers
 from chromaperture.disparity.views import ViewSpace, clipped_filled, filtered_views
@@ -157,7 +158,7 @@ def optimised_surface(
         disparity, sigma, likelihood, guide, labels_px, config=planes, surface=config, run=run
     )
     if explained_by is not None:
-        disparity = where_they_agree(explained_by.label_px, disparity, np.hypot(sigma, step))
+        disparity = where_they_agree(explained_by, disparity, np.hypot(sigma, step))
         sigma = posterior.sigma_px(disparity)
     layer = np.clip(np.rint((disparity - labels_px[0]) / step).astype(np.intp), 0, len(labels_px) - 1)
     explained = -np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0])

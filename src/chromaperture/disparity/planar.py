@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from chromaperture.disparity.execution import Execution
@@ -24,9 +23,6 @@ from chromaperture.disparity.plane_merging import merged_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig
-
-AGREEMENT_SIGMAS = 2.0  # docs/measurements.md has 1, 1.5, 2, 3 and none
-AGREEMENT_WINDOW_PX = 9  # two sigmas of the correlation window and the pixel: neighbours decide alike
 
 
 class Planes(NamedTuple):
@@ -152,28 +148,6 @@ def fitting_planes(
         found.choice, planes, guide, reach_px=config.edge_band_px, apart_px=1.5 * step, beliefs=beliefs
     )
     return Planes(planes, choice)
-
-
-def where_they_agree(planes_px: np.ndarray, surface_px: np.ndarray, sigma_px: np.ndarray) -> np.ndarray:
-    """Take the planes where the surface that they explain allows them, else the surface.
-
-    A plane that runs through an area of weak evidence may be off by far more than the surface, which knows its
-    neighbourhood. On bench50's scenes this keeps most of what planes gain within 2 % and gives back most of
-    what they lose within 5 %.
-
-    Parameters
-    ----------
-    planes_px, surface_px : (H, W) float, px
-    sigma_px : (H, W) float, px
-        Standard deviation of the surface, and a label's place.
-
-    Returns
-    -------
-    (H, W) float32, px
-    """
-    apart = np.abs(planes_px - surface_px) > AGREEMENT_SIGMAS * sigma_px
-    apart = cv2.medianBlur(apart.astype(np.uint8), AGREEMENT_WINDOW_PX) > 0
-    return np.where(apart, surface_px, planes_px).astype(np.float32)
 
 
 def block_sums(likelihood: np.ndarray, size: int) -> np.ndarray:

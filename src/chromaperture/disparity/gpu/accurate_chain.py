@@ -34,7 +34,8 @@ from chromaperture.disparity.gpu.surface_stages import (
     surface_arrays,
 )
 from chromaperture.disparity.gpu.workgroups import groups_for
-from chromaperture.disparity.planar import Planes, block_costs, fitting_planes, links_of_blocks
+from chromaperture.disparity.planar import block_costs, fitting_planes, links_of_blocks
+from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.plane_fit import Volume, distinct_of, proposals
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.spectral_evidence import SpectralEvidence
@@ -158,10 +159,10 @@ class AccurateChain:
             inputs["counted"] = usable if own is None else usable * own
         if isinstance(method.evidence, SpectralEvidence) and self.uses_windows:
             inputs["windows"] = method.evidence.of_windows(image, method.config.layers.values_px, self.labels_px)
-        found = self._planes(inputs, views.guide)
-        of_planes = found is not None
+        taken_px = self._taken_labels(inputs, views.guide)
+        of_planes = taken_px is not None
         step = float(self.labels_px[1] - self.labels_px[0])
-        more = {} if found is None else {"plane_labels": (found.label_px - self.labels_px[0]) / step}
+        more = {} if taken_px is None else {"taken_labels": (taken_px - self.labels_px[0]) / step}
         results = self.last[of_planes].run(more, ["results"])["results"].reshape(*usable.shape, 4)
         disparity, sigma, extent = self.labels_px[0] + step * results[..., 0], step * results[..., 1], results[..., 2]
         surface = judged(
@@ -170,8 +171,8 @@ class AccurateChain:
         )  # fmt: skip
         return method.of_labels(surface, image, usable, self.labels_px)
 
-    def _planes(self, inputs: dict[str, np.ndarray], guide: np.ndarray) -> Planes | None:
-        """Run the first chain, and explain its surface by planes, as `planes_of_surface`."""
+    def _taken_labels(self, inputs: dict[str, np.ndarray], guide: np.ndarray) -> np.ndarray | None:
+        """Run the first chain, and explain its surface by planes where they agree, as `optimised_surface`."""
         config, step = self.method.config.planes, float(self.labels_px[1] - self.labels_px[0])
         if self.blocks is None:
             self.first.run(inputs, ["round"])
@@ -179,7 +180,8 @@ class AccurateChain:
         got = self.first.run(inputs, ["surface", "sigma", "blocks"])
         shape = self.grid.height, self.grid.width
         label = self.labels_px[0] + step * got["surface"].reshape(*shape, 4)[..., 0]
-        found = proposals(label, step * got["sigma"].reshape(shape), step, config.tiles_px)
+        sigma = step * got["sigma"].reshape(shape)
+        found = proposals(label, sigma, step, config.tiles_px)
         likelihood = self.first.arrays["likelihood"]
         planes = refined_planes(
             self.device, likelihood, self.grid, found, self.labels_px, slope_penalty=config.slope_penalty
@@ -197,9 +199,10 @@ class AccurateChain:
             return PlaneChoice(self.device, cost.shape[:2], cost.shape[2], sweeps).beliefs_of(cost, links)
 
         volume = Volume(sums, self.labels_px, costs, self.method.run)
-        return fitting_planes(
+        fitting = fitting_planes(
             planes, volume, guide, lambda some: chooser.choose(some, links), config=config, beliefs=beliefs
         )
+        return where_they_agree(fitting, label, np.hypot(sigma, step))
 
 
 @dataclass
