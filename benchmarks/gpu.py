@@ -74,7 +74,7 @@ def operations(dispatch: Dispatch) -> float:
         "path_winner": lambda: 17 * c["width"] * c["height"] * c["pitch"],
         "links": lambda: 10 * invocations,
         "smoothing": lambda: 12 * c["width"] * c["height"] * c["map_count"],
-        "surface": lambda: 2 * 15 * 5 * invocations,
+        "surface": lambda: 18 * (5 + 16) * invocations,
         "surface_range": lambda: 2 * 15 * invocations,
         "enlarge": lambda: 40 * invocations,
         "running_winner": lambda: 4 * c["pixels"] * c["layer_count"],

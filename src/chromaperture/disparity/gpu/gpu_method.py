@@ -128,7 +128,8 @@ class GpuMethod:
         color = found.pop(_COLOR).reshape(*started.size, 3) if _COLOR in found else None
         maps = {name: values.reshape(started.size) for name, values in found.items() if name != "stats"}
         disparity = Disparity(*(maps[name] for name in _MAPS))
-        return Measured(disparity, *(maps.get(name) for name in _MILLIMETRES), color)
+        depth_mm, sigma_mm = (maps.get(name) for name in _MILLIMETRES)
+        return Measured(disparity, depth_mm, sigma_mm, color)
 
     @contextmanager
     def _freed_on_failure(self) -> Iterator[None]:

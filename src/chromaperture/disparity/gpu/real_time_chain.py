@@ -73,7 +73,8 @@ def add_real_time(
 
     ranges, surface = chain.array("ranges", 2 * planes.pixels), chain.array("surface", 4 * planes.pixels)
     between: dict[str, Any] = {"first_px": first, "step_px": step, "reach": EDGE_REACH_PX, **frame, **of_labels}
-    chain.add("surface", [smoothed, labels, ranges], groups=groups_for(planes.pixels), uses=LABELLED, **between)
+    quads = -(-planes.width // 4) * planes.height
+    chain.add("surface", [smoothed, labels, ranges], groups=groups_for(quads), uses=LABELLED, **between)
     chain.add(
         "surface_range", [ranges, smoothed, winner, labels, surface], groups=groups_for(planes.pixels), uses=LABELLED,
         layer_count=len(layers_px), widest_px=sigma_of_range(layers_px), posterior_share=POSTERIOR_SHARE,

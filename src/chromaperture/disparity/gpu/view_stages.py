@@ -212,7 +212,7 @@ def _add_pass(
 
 def _shifted(taps: list[float]) -> np.ndarray:
     """Weights of each pixel in the sums of four neighbours; (taps + 3, 4) float32."""
-    return np.stack([np.pad(np.float32(taps), (j, 3 - j)) for j in range(4)], axis=1)
+    return np.stack([np.pad(np.array(taps, np.float32), (j, 3 - j)) for j in range(4)], axis=1)
 
 
 def _smoothing_taps(sigma_px: float) -> list[float]:
