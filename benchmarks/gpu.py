@@ -75,7 +75,7 @@ def operations(dispatch: Dispatch) -> float:
         "links": lambda: 10 * invocations,
         "smoothing": lambda: 12 * c["width"] * c["height"] * c["map_count"],
         "surface": lambda: 18 * (5 + 16) * invocations,
-        "surface_range": lambda: 2 * 15 * invocations,
+        "surface_range": lambda: (18 * 16 + 4 * 20) * invocations,
         "enlarge": lambda: 40 * invocations,
         "running_winner": lambda: 4 * c["pixels"] * c["layer_count"],
         "peak": lambda: 30 * invocations,

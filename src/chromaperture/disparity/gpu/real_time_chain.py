@@ -76,7 +76,8 @@ def add_real_time(
     quads = -(-planes.width // 4) * planes.height
     chain.add("surface", [smoothed, labels, ranges], groups=groups_for(quads), uses=LABELLED, **between)
     chain.add(
-        "surface_range", [ranges, smoothed, winner, labels, surface], groups=groups_for(planes.pixels), uses=LABELLED,
+        "surface_range", [ranges, smoothed, winner, labels, surface],
+        groups=groups_for(planes.width * -(-planes.height // 4)), uses=LABELLED,
         layer_count=len(layers_px), widest_px=sigma_of_range(layers_px), posterior_share=POSTERIOR_SHARE,
         edge_share=EDGE_SHARE, **between,
     )  # fmt: skip
