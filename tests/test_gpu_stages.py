@@ -83,6 +83,11 @@ def run(chain: Chain, image: np.ndarray, shape: tuple[int, int], names: list[str
     return Ran(chain.run({"image": image}, names), *shape)
 
 
+def correlations(likelihood: np.ndarray, view_count: int) -> np.ndarray:
+    unexplained = np.exp(-likelihood.astype(np.float64) * (2 if view_count == 2 else 1))
+    return np.sqrt(np.maximum(1 - unexplained, 0)) if view_count == 2 else 1 - unexplained
+
+
 def halved(shape: tuple[int, int]) -> tuple[int, int]:
     return -(-shape[0] // 2), -(-shape[1] // 2)
 
@@ -123,8 +128,8 @@ def test_scores_paths_and_the_surface_behind_them(case, labelled):
     chain, label_map = real_time_chain(design, labelled)
     space, half = method_of(design).space, halved(SHAPE)
     views, guide = halved_views(image, space, config=REAL_TIME.views)
-    names = ["score", "likelihood", "winner", "places", "surface", "disparity", "sigma", "confidence", "lacking"]
-    found = run(chain, image, half, names)
+    names = ["likelihood", "winner", "places", "surface", "disparity", "sigma", "confidence", "lacking"]
+    found = run(chain, image, half, [*names, "score"] if labelled else names)
     layers_px = REAL_TIME.layers.values_px / 2
     layer_count, count = len(layers_px), len(space.rows)
 
@@ -132,7 +137,14 @@ def test_scores_paths_and_the_surface_behind_them(case, labelled):
     own = views.pictures.astype(np.float64)
     mean_square, mean = (exponential_window(maps, REAL_TIME.correlation.window_decay) for maps in (own**2, own))
     textured = ((mean_square - mean**2) > EVEN * own.var(axis=(0, 1))).all(axis=2)
-    error = np.abs(found.layers("score")[..., :layer_count] - score)[textured]
+    compared = np.repeat(textured[..., None], layer_count, axis=2)
+    if labelled:
+        found_score = found.layers("score")[..., :layer_count]
+    else:  # log-likelihoods at once, from whose scores they are
+        found_score = correlations(found.layers("likelihood")[..., :layer_count], count)
+        # Next to 0 the logarithm's last bits are a thousandth of a score, next to 1 it is cut off.
+        compared &= (views.mask[..., None] > 0) & (score > 0.1) & (score < 0.99)
+    error = np.abs(found_score - score)[compared]
     assert np.quantile(error, 0.999) < SCORE_TOLERANCE
 
     # From here on each stage gets what the device made before it, so that a layer that flips counts once.
@@ -160,7 +172,7 @@ def test_scores_paths_and_the_surface_behind_them(case, labelled):
 
     places = (smoothed[..., 1] / smoothed[..., 0]).astype(np.float32)
     surface = halved_surface(winner, places, layers_px, small_map)
-    disparity, sigma, peak = found.map("surface", 3)
+    disparity, sigma, peak = np.moveaxis(found.layers("surface")[..., :3], 2, 0)
     disparity = np.where(disparity > 1e38, np.nan, disparity)
     np.testing.assert_allclose(disparity / 2, surface.disparity_px, atol=1e-5)
     np.testing.assert_allclose(sigma / 2, surface.sigma_px, atol=1e-5)

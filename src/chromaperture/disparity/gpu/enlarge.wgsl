@@ -1,7 +1,7 @@
 // The surface of the halved picture at every pixel; pixels in between take more of the neighbour whose guide is like
 // theirs, and one of the two where these lie on two surfaces.
 
-@group(0) @binding(0) var<storage, read> surface: array<f32>;  // (3, h, w): disparity, sigma, peak
+@group(0) @binding(0) var<storage, read> surface: array<vec4f>;  // (h, w): disparity, sigma, peak, nothing
 @group(0) @binding(1) var<storage, read> guide: array<f32>;  // (H, W)
 @group(0) @binding(2) var<storage, read> stats: array<f32>;
 @group(0) @binding(3) var<storage, read> labels: array<f32>;  // (2, H, W) or (2, 1, 1)
@@ -27,9 +27,7 @@ fn between(before: vec3f, after: vec3f, here_guide: f32, before_guide: f32, afte
 }
 
 fn small(x: u32, y: u32) -> vec3f {
-    let i = y * half_width + min(x, half_width - 1u);
-    let plane = half_width * half_height;
-    return vec3f(surface[i], surface[plane + i], surface[2u * plane + i]);
+    return surface[y * half_width + min(x, half_width - 1u)].xyz;
 }
 
 // At a pixel of an even row.

@@ -16,7 +16,7 @@ from chromaperture.disparity.error_bar import (
     noise_correlation_factor,
     sigma_of_range,
 )
-from chromaperture.disparity.gpu.correlation_stages import add_correlation
+from chromaperture.disparity.gpu.correlation_stages import Kept, add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.real_time_chain import add_links, add_recursions
 from chromaperture.disparity.gpu.view_stages import SHARED, add_views
@@ -50,14 +50,13 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
     layers_px = config.layers.values_px
     first, step = float(layers_px[0]), float(layers_px[1] - layers_px[0])
     even = even_link(config.bilateral.sigma_px)
-    best, maps = chain.array("best", 5 * planes.pixels), None
+    best = chain.array("best", 5 * planes.pixels)
     links = add_links(chain, planes, best, even=even, edge_range=1.0, by_layer=False)
-    for score, chunk in add_correlation(chain, planes, layers_px, space.directions, config.correlation, chunked=True):
-        maps = maps or chain.array("weighted", planes.pixels * (chunk.size + 1))  # the first chunk is the largest
-        chain.add(
-            "weigh", [score, planes.planes, maps], groups=groups_for(planes.pixels * (chunk.size + 1)), uses=SHARED,
-            pixels=planes.pixels, layer_count=chunk.size, view_count=planes.view_count, least_weight=MIN_WEIGHT,
-        )  # fmt: skip
+    kept = Kept("weighted", ("scores_weighted",), {"least_weight": MIN_WEIGHT}, more=1)
+    directions = space.directions
+    for maps, chunk in add_correlation(
+        chain, planes, layers_px, directions, config.correlation, chunked=True, kept=kept
+    ):
         add_recursions(chain, planes, maps, links, map_count=chunk.size + 1, gain=1 - even, own=0.0)
         chain.add(
             "running_winner", [maps, best], groups=groups_for(planes.pixels), uses=SHARED,

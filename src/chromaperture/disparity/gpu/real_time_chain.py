@@ -10,7 +10,7 @@ import numpy as np
 from chromaperture.color.image import DARK
 from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, LIGHT_WINDOW_PX, MAX_SIGMA_PX, sigma_of_range
-from chromaperture.disparity.gpu.correlation_stages import add_correlation
+from chromaperture.disparity.gpu.correlation_stages import Kept, add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import SHARED, Planes, add_halved_views
 from chromaperture.disparity.gpu.workgroups import MOST_GROUPS, groups_for
@@ -28,7 +28,6 @@ from chromaperture.disparity.stages.place import (
 from chromaperture.disparity.views import ViewSpace
 
 LABELLED = (*SHARED, "half_labels")  # functions of the stages that follow equal depth
-_CLOSED = 1e4  # nats; cost of layers that only fill the last vector
 _LANES = 4  # invocations that share a path
 
 
@@ -52,29 +51,33 @@ def add_real_time(
     height, width = size
     planes = add_halved_views(chain, image, size, space, config.views)
     layers_px = config.layers.values_px / 2  # of the halved picture
-    pitch = 4 * _LANES * -(-len(layers_px) // (4 * _LANES))
-    volume = planes.pixels * pitch
+    pitch = 4 * -(-len(layers_px) // 4)  # whole vectors of four layers
     labels = chain.constant("labels", np.stack([np.asarray(part, np.float32) for part in label_map]))
-    chunks = list(add_correlation(chain, planes, layers_px, space.directions, config.correlation, pitch=pitch))
-    score = chunks[-1][0]
     of_labels: dict[str, Any] = {"labelled": not label_map.is_identity, "full_width": width, "full_height": height}
     of_layers: dict[str, Any] = {"layer_count": len(layers_px), "pitch": pitch}
     first, step = float(layers_px[0]), float(layers_px[1] - layers_px[0])
     frame: dict[str, Any] = {"width": planes.width, "height": planes.height}
-    likelihood = chain.array("likelihood", volume)
-    chain.add(
-        "likelihood", [score, labels, planes.planes, likelihood], groups=groups_for(volume // 4), uses=LABELLED,
-        view_count=planes.view_count, first_px=first, step_px=step, least_determinant=LEAST_DETERMINANT, closed=_CLOSED,
-        **frame, **of_layers, **of_labels,
-    )  # fmt: skip
+    least: dict[str, Any] = {"least_determinant": LEAST_DETERMINANT}
+    kept = Kept("likelihood", ("nats", "scores_nats"), least) if label_map.is_identity else None
+    correlated = add_correlation(chain, planes, layers_px, space.directions, config.correlation, pitch=pitch, kept=kept)
+    likelihood = list(correlated)[-1][0]
+    if not label_map.is_identity:
+        score, likelihood = likelihood, chain.array("likelihood", planes.pixels * pitch)
+        chain.add(
+            "likelihood", [score, labels, planes.planes, likelihood], groups=groups_for(planes.pixels * len(layers_px)),
+            uses=(*LABELLED, "nats"), view_count=planes.view_count, first_px=first, step_px=step,
+            **least, **frame, **of_layers, **of_labels,
+        )  # fmt: skip
     winner, places = _add_paths(chain, planes, likelihood, config, of_layers)
     smoothed = _add_smoothing_along_surface(chain, planes, winner, places, config)
 
-    ranges, surface = chain.array("ranges", 2 * planes.pixels), chain.array("surface", 3 * planes.pixels)
+    ranges, surface = chain.array("ranges", 2 * planes.pixels), chain.array("surface", 4 * planes.pixels)
     between: dict[str, Any] = {"first_px": first, "step_px": step, "reach": EDGE_REACH_PX, **frame, **of_labels}
-    chain.add("surface", [smoothed, labels, ranges], groups=groups_for(planes.pixels), uses=LABELLED, **between)
+    quads = -(-planes.width // 4) * planes.height
+    chain.add("surface", [smoothed, labels, ranges], groups=groups_for(quads), uses=LABELLED, **between)
     chain.add(
-        "surface_range", [ranges, smoothed, winner, labels, surface], groups=groups_for(planes.pixels), uses=LABELLED,
+        "surface_range", [ranges, smoothed, winner, labels, surface],
+        groups=groups_for(planes.width * -(-planes.height // 4)), uses=LABELLED,
         layer_count=len(layers_px), widest_px=sigma_of_range(layers_px), posterior_share=POSTERIOR_SHARE,
         edge_share=EDGE_SHARE, **between,
     )  # fmt: skip
@@ -86,7 +89,7 @@ def add_real_time(
     chain.add(
         "enlarge", [surface, planes.full_guide, planes.stats, labels, lacking, *outputs],
         groups=groups_for(height * width), uses=(*SHARED, "finishing"),
-        width=width, height=height, half_width=planes.width, half_height=planes.height, jump_px=JUMP_PX,
+        width=width, height=height, half_width=planes.width, jump_px=JUMP_PX,
         labelled=not label_map.is_identity, range_sigma_px=sigma_of_range(config.layers.values_px),
         floor_px=config.floor_px / moved, max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells,
     )  # fmt: skip
