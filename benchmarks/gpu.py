@@ -49,32 +49,34 @@ def operations(dispatch: Dispatch) -> float:
     """Operations of a stage's inner loops."""
     c: Mapping[str, Any] = dispatch.constants
     invocations = 64.0 * dispatch.groups[0] * dispatch.groups[1]
-    repeated = (c["block"] + c["reach"]) / c["block"] if "block" in c else 1.0
+    # Steps of a block's backward and forward recursions: they start beside it.
+    back, ahead = ((c["block"] + n * c["reach"] if "block" in c else 1) for n in (1, 2))
     views = c.get("view_count", 0)
     pairs = 3 if views == 3 else 1
     per: dict[str, Callable[[], float]] = {
         "light": lambda: 8 * c["pixels"],
         "views": lambda: 24 * invocations,
-        "halve_rows": lambda: 5 * (24 + 2 * (c["view_count"] + 2)) * invocations,
-        "halve_columns": lambda: 10 * invocations,
-        "blur": lambda: 0.0 if c["sparse"] else 2 * len(c["taps"]) * invocations,  # next to nothing is unusable
+        "halve_rows": lambda: (11 * 24 + 4 * 5 * 2 * (c["view_count"] + 2)) * invocations,
+        "halve_columns": lambda: 40 * invocations,
+        "blur": lambda: (
+            0.0 if c["sparse"] else 8 * (2 * c["reach"] + 4) * c["plane_count"] * invocations
+        ),  # next to nothing is unusable
         "variance": lambda: 3 * c["view_count"] * c["pixels"],
         "guide_scale": lambda: 4 * 4 * 3 * c["sparse_count"],
-        "sample_y": lambda: 8 * invocations,
-        "sample_x": lambda: 8 * invocations,
-        "windows_x": lambda: c["block"] * (2 * repeated * 6 + 6) * invocations,
-        "windows_y": lambda: c["block"] * (2 * repeated * 8 + 8) * invocations,
-        "products_x": lambda: c["block"] * (2 * repeated * (3 * views + 4 * pairs) + 6 * pairs) * invocations,
-        "correlation": lambda: c["block"] * (2 * repeated * (3 * views + 6 * pairs) + 8 * pairs) * invocations,
-        "likelihood": lambda: (22 if c["labelled"] else 7) * invocations,
+        "sample_y": lambda: 28 * invocations,
+        "sample_x": lambda: 28 * invocations,
+        "windows_x": lambda: (6 * ahead + 8 * back) * invocations,
+        "windows_y": lambda: (8 * ahead + 8 * back) * invocations,
+        "products_x": lambda: 4 * pairs * (3 * ahead + 5 * back) * invocations,
+        "correlation": lambda: 4 * (pairs * (5 * ahead + 5 * back) + (8 * pairs + 6) * c["block"]) * invocations,
+        "likelihood": lambda: 22 * invocations,
         "four_paths": lambda: 9 * c["width"] * c["height"] * c["pitch"],
         "path_winner": lambda: 17 * c["width"] * c["height"] * c["pitch"],
         "links": lambda: 10 * invocations,
         "smoothing": lambda: 12 * c["width"] * c["height"] * c["map_count"],
-        "surface": lambda: 2 * 15 * 5 * invocations,
-        "surface_range": lambda: 2 * 15 * invocations,
+        "surface": lambda: 18 * (5 + 16) * invocations,
+        "surface_range": lambda: (18 * 16 + 4 * 20) * invocations,
         "enlarge": lambda: 40 * invocations,
-        "weigh": lambda: invocations,
         "running_winner": lambda: 4 * c["pixels"] * c["layer_count"],
         "peak": lambda: 30 * invocations,
     }

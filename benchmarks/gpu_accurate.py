@@ -86,8 +86,7 @@ def operations(dispatch: Dispatch) -> float:
         "volume_posterior": lambda: 10.0 * entries,
         "surface_sigma": lambda: 4.0 * pixels,
         "block_sums": lambda: 1.0 * entries,
-        "planes_apart": lambda: 6.0 * pixels,
-        "planes_taken": lambda: 81.0 * pixels,
+        "planes_taken": lambda: 1.0 * pixels,
         "range_line": lambda: 2 * taps() * pixels,
         "surface_results": lambda: 6.0 * pixels,
     }

@@ -14,12 +14,13 @@ import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, load_camera
 from chromaperture.disparity import cpu
-from chromaperture.disparity.stages import four_paths
+from chromaperture.disparity.stages import correlation, four_paths
 
 AGREEING = 1e-3
 SCORE_UNIT = 32000  # `cpu/layout.py`, SCORE_SCALE
 NATS_UNIT = SCORE_UNIT / (-0.5 * np.log(four_paths.LEAST_DETERMINANT))  # `cpu/path_costs.py`
 NOISE = 3e-7  # of a score: the resolution of 32 bits next to 1
+OFF_BY_ONE = 1e-3  # of the scores, where two executions had the same windows and rounded what they made of them
 # `cpu/simd.py`, logarithm: to 2e-5, and a log-likelihood is kept to 1.8e-4.
 LOGARITHM = np.polynomial.chebyshev.Chebyshev.interpolate(lambda t: np.log(1.5 + t), 6, domain=[-0.5, 0.5])
 
@@ -37,6 +38,21 @@ def rounded_likelihood(score: np.ndarray, *, view_count: int) -> np.ndarray:
     mantissa, exponent = np.frexp(np.maximum(determinant, four_paths.LEAST_DETERMINANT))
     logarithm = (exponent - 1) * np.log(2) + LOGARITHM(2 * mantissa - 1.5)
     return np.round(-0.5 * logarithm * NATS_UNIT) / NATS_UNIT
+
+
+def in_32_bits(maps: np.ndarray, decay: float) -> np.ndarray:
+    """`stages.correlation.exponential_window` by recursions of 32 bits, as Numba's but for their order."""
+    a, maps = np.float32(decay), maps.astype(np.float32)
+    for axis in (0, 1):
+        lines = np.moveaxis(maps, axis, 0)
+        out, state = np.empty_like(lines), lines[0] / (1 - a)
+        for i, line in enumerate(lines):
+            out[i] = state = a * state + line if i else state
+        state = state / ((1 + a) * (1 - a)) + a / ((1 + a) * (1 - a) ** 2) * lines[-1]
+        for i in range(len(lines) - 1, -1, -1):
+            out[i] = state = a * state + out[i] if i < len(lines) - 1 else state
+        maps = np.moveaxis(out * (1 - a) ** 2, 0, axis)
+    return maps
 
 
 def agreeing(one: np.ndarray, other: np.ndarray) -> float:
@@ -75,6 +91,17 @@ def main() -> None:
         exact = correlate(*parts, config=config)
         return exact + NOISE * np.random.default_rng(0).normal(size=exact.shape)
 
+    def off_by_one(*parts, config) -> np.ndarray:
+        exact, drawn = rounded(correlate(*parts, config=config)), np.random.default_rng(0)
+        off = drawn.random(exact.shape) < OFF_BY_ONE
+        return exact + off * drawn.choice([-1, 1], exact.shape) / SCORE_UNIT
+
+    def mean_squares(*parts, config) -> np.ndarray:
+        with mock.patch.object(correlation, "exponential_window", in_32_bits):
+            found = rounded(correlate(*parts, config=config))
+        print(f"of them other than Numba's: {(found != rounded(by_numba(*parts, config=config))).mean():.3f}")
+        return found
+
     reference, numba = depth(), compiled.measure(image).depth_mm
     all_rounded = depth(in_16_bits, rounds=True)
     rows = {
@@ -86,6 +113,8 @@ def main() -> None:
         "NumPy, 16 bits, to itself with noise": (
             depth(lambda *parts, config: in_16_bits(*parts, config=config, noise=NOISE), rounds=True), all_rounded
         ),
+        "NumPy, 16 bits, to itself, 0.1 % off by one": (depth(off_by_one, rounds=True), all_rounded),
+        "NumPy, mean squares, 16 bits, to Numba": (depth(mean_squares, rounds=True), numba),
         "NumPy to itself with noise": (depth(noisy), reference),
     }  # fmt: skip
     for name, pair in rows.items():

@@ -603,6 +603,41 @@ def test_cross_filtered_pictures_agree_with_the_formula(seed, half, damping):
 
 
 @settings(max_examples=30, deadline=None)
+@given(SEEDS, st.integers(1, 40), st.integers(1, 40), st.floats(0.3, 6))
+def test_correlations_of_a_band_agree(seed, height, width, sigma):
+    fine, coarse = np.random.default_rng(seed).normal(size=(2, height, width, 2)).astype(np.float32)
+    found, expected = (run.band_correlation(fine, coarse, sigma=sigma) for run in (FAST, SLOW))
+    assert found.shape == expected.shape == (-(-height // 2), -(-width // 2))
+    np.testing.assert_allclose(found, expected, atol=1e-5)  # float32: sums in another order
+    assert np.abs(found).max() <= 1 + 1e-5
+    same = FAST.band_correlation(fine[..., :1].repeat(2, axis=2), coarse[..., :1].repeat(2, axis=2), sigma=sigma)
+    np.testing.assert_allclose(same, 1, atol=1e-4)  # a picture agrees with itself; 1e-12 of its power is added
+
+
+@settings(max_examples=30, deadline=None)
+@given(SEEDS, st.floats(0.2, 0.9), st.integers(1, 400))
+def test_the_plane_that_most_points_agree_with_agrees(seed, share, count):
+    rng = np.random.default_rng(seed)
+    x, y = rng.integers(0, 700, (2, count))
+    true = np.array([0.002, -0.001, 1.3])
+    on_it = rng.random(count) < share
+    label = np.where(on_it, true[0] * x + true[1] * y + true[2], rng.uniform(-5, 5, count))
+    weight = rng.uniform(0.5, 2, count)
+    planes = np.concatenate([rng.normal(0, 1e-3, (20, 3)), true[None] + [0, 0, 0.02]])
+    found, expected = (
+        run.agreed_plane(planes, x, y, label, weight, tolerance_px=0.1, rounds=4) for run in (FAST, SLOW)
+    )
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
+    if count * share > 60:
+        assert np.isfinite(expected).all()
+    # At the corners; single precision keeps labels of 5 px to 5e-7, and a point at the tolerance may count in one only.
+    corners = np.array([[0, 0, 1], [700, 0, 1], [0, 700, 1]])
+    if np.isfinite(expected).all() and on_it.sum() > 60:
+        np.testing.assert_allclose(corners @ found, corners @ expected, atol=0.01)
+        np.testing.assert_allclose(corners @ expected, corners @ true, atol=0.05)
+
+
+@settings(max_examples=30, deadline=None)
 @given(SEEDS, st.integers(1, 60), st.integers(1, 30), st.integers(1, 3), st.integers(0, 60), st.floats(0.1, 40))
 def test_transforms_of_points_agree(seed, size, fewer, channels, count, spread):
     """Narrow ones are transformed directly, wide ones by fast transforms of tiles in which they wrap around."""

@@ -17,7 +17,7 @@ import pytest
 from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.gpu.device import Chain, open_device
-from chromaperture.disparity.gpu.gpu_method import GpuMethod
+from chromaperture.disparity.gpu.gpu_method import Further, GpuMethod
 from chromaperture.disparity.labels import IDENTITY
 from devices import EXPECTED, needs_device
 from worlds import wavy_capture
@@ -99,7 +99,7 @@ def test_a_frame_in_a_browser_is_that_of_python(design, tmp_path):
     image[3, 4] = np.nan
     on_device = GpuMethod(config, method.space, IDENTITY, open_device("gpu"))
     expected = on_device.match(image).value_px
-    chain = on_device._composed(SHAPE, None)
+    chain = on_device._composed(SHAPE, Further())
     found = in_browser(recorded(chain, image, "disparity"), tmp_path / "profile").reshape(SHAPE)
     assert (np.isnan(found) == np.isnan(expected)).mean() > 0.999
     error = np.abs(found - expected)[np.isfinite(found) & np.isfinite(expected)]

@@ -33,7 +33,7 @@ def test_refined_planes_agree(rng):
     likelihood, label = two_walls(rng)
     step = LABELS[1] - LABELS[0]
     noisy = label + rng.normal(0, 0.7 * step, label.shape)
-    found = proposals(noisy, np.full(label.shape, step), step, (48, 96))
+    found = proposals(noisy, np.full(label.shape, step), step, (48, 96), run=stages)
     assert len(found) > 5
     chain = Chain(any_device())
     array = chain.constant("likelihood", likelihood)

@@ -88,6 +88,11 @@ def run(chain: Chain, image: np.ndarray, shape: tuple[int, int], names: list[str
     return Ran(chain.run({"image": image}, names), *shape)
 
 
+def correlations(likelihood: np.ndarray, view_count: int) -> np.ndarray:
+    unexplained = np.exp(-likelihood.astype(np.float64) * (2 if view_count == 2 else 1))
+    return np.sqrt(np.maximum(1 - unexplained, 0)) if view_count == 2 else 1 - unexplained
+
+
 def halved(shape: tuple[int, int]) -> tuple[int, int]:
     return -(-shape[0] // 2), -(-shape[1] // 2)
 
@@ -129,17 +134,25 @@ def test_scores_paths_and_the_surface_behind_them(case, labelled, cell_px):
     config, space, half = real_time_of(design, cell_px), method_of(design).space, halved(SHAPE)
     views, guide = halved_views(image, space, config=config.views)
     cells = half if cell_px == 1 else halved(half)
-    names = ["score", "likelihood", "winner", "places", "surface", "disparity", "sigma", "confidence", "lacking"]
-    found = run(chain, image, cells, names)
     layers_px = config.layers.values_px / 2
     labels_px = labels_between(layers_px, space.directions, most_px=0.25)
     layer_count, count = len(labels_px), len(space.rows)
+    at_once = cell_px == 1 and not labelled and layer_count == len(layers_px)  # log-likelihoods, without scores
+    names = ["likelihood", "winner", "places", "surface", "disparity", "sigma", "confidence", "lacking"]
+    found = run(chain, image, cells, names if at_once else [*names, "score"])
 
     score = stages.correlate(views, layers_px, config=config.correlation)
     own = views.pictures.astype(np.float64)
-    mean_square, mean = (exponential_window(maps, 0.3) for maps in (own**2, own))
+    mean_square, mean = (exponential_window(maps, config.correlation.window_decay) for maps in (own**2, own))
     textured = ((mean_square - mean**2) > EVEN * own.var(axis=(0, 1))).all(axis=2)[::cell_px, ::cell_px]
-    error = np.abs(found.layers("score")[..., : len(layers_px)] - score)[textured]
+    compared = np.repeat(textured[..., None], len(layers_px), axis=2)
+    if at_once:
+        found_score = correlations(found.layers("likelihood")[..., :layer_count], count)
+        # Next to 0 the logarithm's last bits are a thousandth of a score, next to 1 it is cut off.
+        compared &= (views.mask[..., None] > 0) & (score > 0.1) & (score < 0.99)
+    else:
+        found_score = found.layers("score")[..., : len(layers_px)]
+    error = np.abs(found_score - score)[compared]
     assert np.quantile(error, 0.999) < SCORE_TOLERANCE
 
     # From here on each stage gets what the device made before it, so that a layer that flips counts once.
@@ -168,7 +181,7 @@ def test_scores_paths_and_the_surface_behind_them(case, labelled, cell_px):
 
     places = (smoothed[..., 1] / smoothed[..., 0]).astype(np.float32)
     surface = halved_surface(winner, places, labels_px, small_map, cell_px=cell_px)
-    disparity, sigma, peak = found.map("surface", 3)
+    disparity, sigma, peak = np.moveaxis(found.layers("surface")[..., :3], 2, 0)
     disparity = np.where(disparity > 1e38, np.nan, disparity)
     np.testing.assert_allclose(disparity / 2, surface.disparity_px, atol=1e-5)
     np.testing.assert_allclose(sigma / 2, surface.sigma_px, atol=1e-5)

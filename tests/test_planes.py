@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.planar import block_links, block_sums, planes_of_surface, where_they_agree
+from chromaperture.disparity.planar import Planes, block_links, block_sums, planes_of_surface
+from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.plane_edges import edges_by_guide
 from chromaperture.disparity.plane_fit import Candidate, Volume, candidates, distinct, refined
 from chromaperture.disparity.plane_merging import merged_planes
@@ -205,13 +206,37 @@ def test_the_guide_decides_where_a_near_plane_ends(grown_px: int) -> None:
 
 
 def test_planes_give_way_to_a_surface_that_knows_better() -> None:
-    planes, surface, sigma = np.zeros((40, 60)), np.full((40, 60), 0.15), np.full((40, 60), 0.1)
+    planes, surface, sigma = even_plane(40, 60), np.full((40, 60), 0.15), np.full((40, 60), 0.1)
     surface[:, 30:] = 0.5  # five standard deviations away
     surface[20, 10] = 0.5  # a single pixel does not decide against its neighbours
     taken = where_they_agree(planes, surface, sigma)
     np.testing.assert_array_equal(
         taken, np.where(np.arange(60) < 30, np.float32(0), np.float32(0.5))[None].repeat(40, 0)
     )
+
+
+def even_plane(height: int, width: int) -> Planes:
+    """One plane of label 0 everywhere."""
+    return Planes(np.zeros((1, 3)), np.zeros((height, width), int))
+
+
+def test_planes_hold_in_spots_that_they_surround_and_where_nearly_all_agrees() -> None:
+    surface, sigma = np.zeros((80, 120)), np.full((80, 120), 0.1)
+    surface[20:60, 20:60] = 0.5  # a sixth of the area: too much to agree as a whole, but surrounded
+    np.testing.assert_array_equal(where_they_agree(even_plane(80, 120), surface, sigma), np.zeros((80, 120)))
+    planes = even_plane(80, 120)
+    planes.choice[:, 100:] = 1
+    planes = Planes(np.array([[0.0, 0, 0], [0, 0, 3.0]]), planes.choice)
+    surface[:, 100:] = 3
+    np.testing.assert_array_equal(where_they_agree(planes, surface, sigma)[20:60, 20:60], 0)
+    surface[20:60, 60:100] = 0.5  # now the spot ends at the other plane
+    np.testing.assert_allclose(where_they_agree(planes, surface, sigma)[24:56, 24:96], 0.5)
+    surface[:, :100] = 0
+    surface[30:50, 90:100] = 0.5  # at the border, but a fortieth of the area
+    np.testing.assert_array_equal(where_they_agree(planes, surface, sigma)[:, :100], 0)
+    surface[:, :60] = 0.5  # of most of the area the surface knows better
+    surface[30:50, 10:30] = 0
+    np.testing.assert_allclose(where_they_agree(planes, surface, sigma)[:, 2:8], 0.5)
 
 
 def test_planes_can_be_switched_off_and_need_room() -> None:

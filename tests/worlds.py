@@ -44,6 +44,8 @@ NARROW = PaperConfig(
     correlation=CorrelationConfig(noise_debiasing=True),
     bilateral=BilateralConfig(texture_weighting=True),
     sigma_scale=1.0,
+    edge_share=0.0,
+    floor_px=0.0,
 )
 
 

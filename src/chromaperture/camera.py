@@ -26,8 +26,9 @@ from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field_bands import field_to_depth
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.gpu.alignment_stage import Alignment
 from chromaperture.disparity.gpu.conversion_stage import Conversion
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Waiting, on_device
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Further, Measured, Waiting, on_device
 from chromaperture.disparity.result import Disparity, Method
 from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.errors import CaptureWarning
@@ -133,8 +134,8 @@ class CodedApertureCamera:
         with stage("check"):
             begun = self._checked(image)
         with stage("disparity"):  # Eq. (1) and section 3.1
-            disparity, millimetres = self._matched(begun)
-        return self._completed(begun, disparity, millimetres, stage)
+            measured = self._matched(begun)
+        return self._completed(begun, measured, stage)
 
     @property
     def measures_ahead(self) -> bool:
@@ -151,7 +152,7 @@ class CodedApertureCamera:
         begun = self._checked(image)
         if not isinstance(self.method, DeviceMethod):
             return begun
-        return begun._replace(waiting=self.method.start(begun.known, self.conversion))
+        return begun._replace(waiting=self.method.start(begun.known, self._further(begun)))
 
     def complete(self, begun: Begun, *, meanwhile: Callable[[], None] = lambda: None) -> DepthFrame:
         """Return the measurement of a photograph that was begun; raises as `measure`.
@@ -160,9 +161,9 @@ class CodedApertureCamera:
         another.
         """
         camera = begun.camera
-        disparity, millimetres = camera._matched(begun)
+        measured = camera._matched(begun)
         meanwhile()
-        return camera._completed(begun, disparity, millimetres, lambda name: nullcontext())
+        return camera._completed(begun, measured, lambda name: nullcontext())
 
     def _is_of_another_size(self, image: np.ndarray) -> bool:
         """Return whether the image shows the whole frame in other pixels, which is said."""
@@ -181,15 +182,17 @@ class CodedApertureCamera:
         known, whole = (image, image) if origin_px is None else in_whole_frame(image, origin_px, frame_px)
         return Begun(self, known, whole, (size_px[0], size_px[1]))
 
-    def _completed(
-        self, begun: Begun, disparity: Disparity, millimetres: tuple[np.ndarray, np.ndarray] | None, stage: StageTimer
-    ) -> DepthFrame:
-        """Return the measurement of a photograph whose disparity is known."""
-        image, origin_px = begun.image, self.config.crop_origin_px
+    def _completed(self, begun: Begun, measured: Measured, stage: StageTimer) -> DepthFrame:
+        """Return the measurement of a photograph whose disparity is known; what no device made is made here."""
+        image, origin_px, disparity = begun.image, self.config.crop_origin_px, measured.disparity
         with stage("depth"):  # Eq. (10)
-            depth_mm, sigma_mm = millimetres or self.millimetres(disparity)
+            depth_mm, sigma_mm = measured.depth_mm, measured.sigma_mm
+            if depth_mm is None or sigma_mm is None:
+                depth_mm, sigma_mm = self.millimetres(disparity)
         with stage("color"):  # section 5.1
-            color = self.alignment.align(image, disparity.value_px)
+            color = measured.color
+            if color is None:
+                color = self.alignment.align(image, disparity.value_px)
         maps = (depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color)
         frame = DepthFrame(*maps, image, self.calibration, self.config)
         return frame if origin_px is None else cut_out(frame, origin_px, begun.size_px)
@@ -271,14 +274,16 @@ class CodedApertureCamera:
         model = cast(DepthModel, self.depth_model)
         return disparity_to_depth(pixels, model, sigma_px=disparity.sigma_px, max_depth_mm=most_mm)
 
-    def _matched(self, begun: Begun) -> tuple[Disparity, tuple[np.ndarray, np.ndarray] | None]:
-        """Return the disparity, and depth with its standard deviation where the device converted it, too."""
+    def _matched(self, begun: Begun) -> Measured:
+        """Return the disparity, and what else the device made of it."""
         if not isinstance(self.method, DeviceMethod):
-            return self.method.match(begun.known), None
-        found = self.method.finish(begun.waiting or self.method.start(begun.known, self.conversion))
-        if found.depth_mm is None or found.sigma_mm is None:
-            return found.disparity, None
-        return found.disparity, (found.depth_mm, found.sigma_mm)
+            return Measured(self.method.match(begun.known))
+        return self.method.finish(begun.waiting or self.method.start(begun.known, self._further(begun)))
+
+    def _further(self, begun: Begun) -> Further:
+        """Return what a device is to make of the disparity of a photograph."""
+        is_whole = begun.known is begun.image  # of a part of the frame other pixels are matched than aligned
+        return Further(self.conversion, self.device_alignment if is_whole else None)
 
     @cached_property
     def conversion(self) -> Conversion | None:
@@ -289,6 +294,18 @@ class CodedApertureCamera:
         fields, curve = self.depth_model.tables
         parts = (fields.infinity_px, fields.scale_px_mm, fields.pupil_mm, *fields.covariance)
         return Conversion(parts, curve, self.config.depth.max_depth_mm)
+
+    @cached_property
+    def device_alignment(self) -> Alignment | None:
+        """What a device needs to align the channels; None where only the CPU does it.
+
+        That is at a working scale below 1 and by the lens's blur, and where its arrays, 48 bytes a pixel, are too many.
+        """
+        sensor, white = self.calibration.sensor, np.asarray(self.calibration.film.aperture, float)
+        is_large = sensor.width_px * sensor.height_px > _WHOLE_PX
+        if self.alignment.uses_blur or self.config.scale > 1 or is_large:
+            return None
+        return Alignment(np.asarray(self.alignment.shifts, float), white.max() / white)
 
     def __repr__(self) -> str:
         return f"CodedApertureCamera({self.calibration.title}, quality {self.config.quality})"

@@ -74,19 +74,27 @@ class PaperConfig(MatcherConfig):
         Match the views in the aperture's colour space, Eq. (1), as the paper does; or the sensor channels that see one
         filter each, where the design has them: less noise, and no error where colours are saturated.
     sigma_scale : float
-        Widens the error bar of ideal, Gaussian pictures (1.0) to that of real ones, where windows span two depths and
-        blurred views are mirrored, not shifted: the one number of the error bar that is fitted, on captures of known
-        depth.
+        Widens the error bar of ideal, Gaussian pictures (1.0) to that of real ones, where blurred views are mirrored,
+        not shifted. This and the next two are fitted to captures of known depth.
+    edge_share : float
+        Of the range of the disparity within `disparity.paper.EDGE_REACH_PX`, where windows span two depths; added in
+        quadrature.
+    floor_px : float
+        Least standard deviation of the views' displacement, px.
     """
 
     space: Literal["unmixed", "pure"] = "unmixed"
     correlation: CorrelationConfig = CorrelationConfig()
     bilateral: BilateralConfig = BilateralConfig()
     sigma_scale: float = 2.0
+    edge_share: float = 0.5
+    floor_px: float = 0.1
 
     def __post_init__(self) -> None:
         require_space(self.space, "unmixed", "pure")
         require(self.correlation.cell_px == 1, "cell_px does not apply to quality paper")
+        for name, value in (("edge_share", self.edge_share), ("floor_px", self.floor_px)):
+            require(all_finite(value) and value >= 0, f"{name} must be finite and >= 0, is {value:g}")
         positive = all_finite(self.sigma_scale) and self.sigma_scale > 0
         require(positive, f"sigma_scale must be positive, is {self.sigma_scale:g}")
 
@@ -210,7 +218,9 @@ class AccurateConfig(MatcherConfig):
         full_well_electrons : float, optional
             Of the sensor, see `CrossFilterConfig.for_blur`.
         """
-        surface = SurfaceConfig(slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.3)
+        surface = SurfaceConfig(
+            slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.3, learned_error_bar=True
+        )
         layers = LayersConfig(step_px=0.3 * reach)
         evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
         planes = PlanesConfig() if reach >= _LEAST_REACH_OF_PLANES else PlanesConfig(rounds=0)

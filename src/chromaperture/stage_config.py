@@ -293,6 +293,9 @@ class SurfaceConfig:
     temperature : float
         Nats a path by which a layer may cost more and still be 1/e as probable: the one number of the error bar that is
         fitted, on captures of known depth.
+    learned_error_bar : bool
+        Judge the surface by ``disparity/learned_error_bar.py``, else by its posterior and its range alone. Learned with
+        the blur of calibrated cameras, so off without.
     """
 
     paths: int = 8
@@ -306,6 +309,7 @@ class SurfaceConfig:
     coupling_rounds: int = 25
     variation_iterations: int = 40
     temperature: float = 0.5
+    learned_error_bar: bool = False
 
     def __post_init__(self) -> None:
         require(self.paths in (4, 8), f"paths must be 4 or 8, got {self.paths}")

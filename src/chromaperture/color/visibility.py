@@ -15,12 +15,12 @@ from chromaperture.compilation import compiled
 from chromaperture.threads import in_parallel
 
 # Chosen by hand, not tuned, unless a reason is given.
-_STILL = 1e-3  # displacement per px of disparity that counts as none: the accuracy of `view_directions`
-_OCCLUSION_PX = 0.5  # difference of disparity from which the nearer pixel occludes the farther
-_RADIUS_PX = 7  # half side of the neighbourhood in which the colour line is fitted
-_SAME_SURFACE_PX = 1  # largest difference of disparity within a surface
-_FEWEST = 12  # visible neighbours of the same surface for a fit of two parameters
-_RIDGE = np.float32(1e-4)  # variance of a uniform neighbourhood, (white level)^2: noise of 1 %
+STILL = 1e-3  # displacement per px of disparity that counts as none: the accuracy of `view_directions`
+OCCLUSION_PX = 0.5  # difference of disparity from which the nearer pixel occludes the farther
+RADIUS_PX = 7  # half side of the neighbourhood in which the colour line is fitted
+SAME_SURFACE_PX = 1  # largest difference of disparity within a surface
+FEWEST = 12  # visible neighbours of the same surface for a fit of two parameters
+RIDGE = np.float32(1e-4)  # variance of a uniform neighbourhood, (white level)^2: noise of 1 %
 
 
 def visible_from(disparity_px: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -37,11 +37,11 @@ def visible_from(disparity_px: np.ndarray, direction: np.ndarray) -> np.ndarray:
     (H, W) bool
     """
     ux, uy = np.float32(direction[0]), np.float32(direction[1])
-    if math.hypot(float(direction[0]), float(direction[1])) < _STILL:
+    if math.hypot(float(direction[0]), float(direction[1])) < STILL:
         return np.ones(disparity_px.shape, bool)
     seen = np.empty(disparity_px.shape, np.bool_)
     disparity = np.ascontiguousarray(disparity_px, np.float32)
-    if abs(float(direction[1])) < _STILL:  # rows are independent
+    if abs(float(direction[1])) < STILL:  # rows are independent
         in_parallel(lambda _, first, last: _visible_rows(disparity, ux, seen, first, last), len(disparity))
     else:
         _visible(disparity, ux, uy, seen)
@@ -64,7 +64,7 @@ def _visible_rows(disparity, ux, seen, first_row, last_row):  # type: ignore[no-
                 nearest[t] = min(nearest[t], disparity[y, x])
         for x in range(width):
             t = target[x]
-            seen[y, x] = 0 <= t < width and nearest[t] > disparity[y, x] - np.float32(_OCCLUSION_PX)
+            seen[y, x] = 0 <= t < width and nearest[t] > disparity[y, x] - np.float32(OCCLUSION_PX)
 
 
 @compiled()
@@ -82,7 +82,7 @@ def _visible(disparity, ux, uy, seen):  # type: ignore[no-untyped-def]
             d = disparity[y, x]
             ty, tx = math.floor(y + d * uy + np.float32(0.5)), math.floor(x + d * ux + np.float32(0.5))
             inside = 0 <= tx < width and 0 <= ty < height
-            seen[y, x] = inside and nearest[ty, tx] > d - np.float32(_OCCLUSION_PX)
+            seen[y, x] = inside and nearest[ty, tx] > d - np.float32(OCCLUSION_PX)
 
 
 def fill_hidden(
@@ -134,9 +134,9 @@ def _fill(color, visible, disparity, order, out, first_row, last_row):  # type: 
                         break
                 count = 0
                 sg, sk, sgg, sgk = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-                for j in range(max(0, y - _RADIUS_PX), min(height, y + _RADIUS_PX + 1)):
-                    for i in range(max(0, x - _RADIUS_PX), min(width, x + _RADIUS_PX + 1)):
-                        if not visible[j, i, k] or abs(disparity[j, i] - disparity[y, x]) > _SAME_SURFACE_PX:
+                for j in range(max(0, y - RADIUS_PX), min(height, y + RADIUS_PX + 1)):
+                    for i in range(max(0, x - RADIUS_PX), min(width, x + RADIUS_PX + 1)):
+                        if not visible[j, i, k] or abs(disparity[j, i] - disparity[y, x]) > SAME_SURFACE_PX:
                             continue
                         if guide >= 0 and not visible[j, i, guide]:
                             continue
@@ -147,9 +147,9 @@ def _fill(color, visible, disparity, order, out, first_row, last_row):  # type: 
                         sgg += g * g
                         sgk += g * v
                         count += 1
-                if count < _FEWEST:
+                if count < FEWEST:
                     continue
                 n = np.float32(count)
-                slope = (sgk / n - sg * sk / n / n) / (sgg / n - sg * sg / n / n + _RIDGE)
+                slope = (sgk / n - sg * sk / n / n) / (sgg / n - sg * sg / n / n + RIDGE)
                 guided = color[y, x, guide] - sg / n if guide >= 0 else np.float32(0)
                 out[y, x, k] = max(sk / n + slope * guided, np.float32(0))

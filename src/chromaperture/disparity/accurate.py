@@ -21,13 +21,16 @@ from chromaperture.disparity.error_bar import (
 )
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
-from chromaperture.disparity.planar import planes_of_surface, where_they_agree
+from chromaperture.disparity.learned_error_bar import learned_sigma
+from chromaperture.disparity.planar import Planes, planes_of_surface
+from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.stages.between_layers import between_layers
 from chromaperture.disparity.views import ViewSpace, clipped_filled, filtered_views
 from chromaperture.disparity.winner import Surface, parabola_winner
 from chromaperture.errors import InputError
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig
+from chromaperture.threads import each_band
 
 EDGE_REACH_PX = 8  # two sigmas of the correlation window
 # Sigma of the window in which the posterior's variance is averaged. On four ray-traced scenes that no table shows, the
@@ -82,7 +85,10 @@ class AccurateMethod:
         labels_px = with_halves(layers_px)
         image, usable = clipped_filled(image, views.mask)
         likelihood = self.evidence.at(image, layers_px, labels_px)
-        likelihood *= usable[..., None]
+        if not usable.all():
+            each_band(
+                lambda rows: np.multiply(likelihood[rows], usable[rows, :, None], out=likelihood[rows]), len(usable)
+            )
         surface = optimised_surface(
             likelihood, views.guide, labels_px, config=self.config.surface, planes=self.config.planes, run=self.run,
             known_within_px=sigma_of_range(labels_px),
@@ -147,27 +153,49 @@ def optimised_surface(
     step = float(labels_px[1] - labels_px[0])
     likelihood = np.ascontiguousarray(likelihood, np.float32)
     cost = run.aggregate_paths(likelihood, guide, labels_px, config=config)
-    paths = parabola_winner(cost, labels_px, lower_is_better=True)
-    start = np.where(np.isfinite(paths.disparity_px), paths.disparity_px, labels_px[cost.argmin(axis=2)])
-    start = between_layers(start, likelihood, labels_px, sigma_px=config.interpolation_sigma_px)
+    start = between_layers(least_cost(cost, labels_px), likelihood, labels_px, sigma_px=config.interpolation_sigma_px)
     disparity = run.coupled_variation(start, likelihood, guide, labels_px, config=config)
     posterior = run.posterior(cost, labels_px, temperature=config.temperature * config.paths)
-    sigma = posterior.sigma_px(disparity)
+    sigma, first = posterior.sigma_px(disparity), disparity
     explained_by = planes_of_surface(
         disparity, sigma, likelihood, guide, labels_px, config=planes, surface=config, run=run
     )
     if explained_by is not None:
-        disparity = where_they_agree(explained_by.label_px, disparity, np.hypot(sigma, step))
+        disparity = where_they_agree(explained_by, disparity, np.hypot(sigma, step))
         sigma = posterior.sigma_px(disparity)
     layer = np.clip(np.rint((disparity - labels_px[0]) / step).astype(np.intp), 0, len(labels_px) - 1)
     explained = -np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0])
     surface = Surface(disparity, sigma, np.sqrt(explained))
     extent = local_range(disparity, EDGE_REACH_PX)
-    return judged(surface, extent, labels_px, of_planes=explained_by is not None, known_within_px=known_within_px)
+    return judged(
+        surface, extent, labels_px, first_px=first, explained_by=explained_by, learned=config.learned_error_bar,
+        known_within_px=known_within_px,
+    )  # fmt: skip
+
+
+def least_cost(cost: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
+    """Return the label of least cost, between labels by a parabola; (H, W) float32, px."""
+    out = np.empty(cost.shape[:2], np.float32)
+
+    def find(rows: slice) -> None:
+        label = parabola_winner(cost[rows], labels_px, lower_is_better=True).disparity_px
+        at_end = ~np.isfinite(label)
+        label[at_end] = labels_px[cost[rows][at_end].argmin(axis=1)]
+        out[rows] = label
+
+    each_band(find, len(out))
+    return out
 
 
 def judged(
-    surface: Surface, extent_px: np.ndarray, labels_px: np.ndarray, *, of_planes: bool, known_within_px: float
+    surface: Surface,
+    extent_px: np.ndarray,
+    labels_px: np.ndarray,
+    *,
+    first_px: np.ndarray,
+    explained_by: Planes | None,
+    learned: bool,
+    known_within_px: float,
 ) -> Surface:
     """Widen the error bar of a surface by what its posterior does not see, and leave out what is unknown.
 
@@ -178,8 +206,11 @@ def judged(
     extent_px : (H, W) float, px
         `local_range` of the surface.
     labels_px : (N,) float, px
-    of_planes : bool
-        Whether planes explain it.
+    first_px : (H, W) float, px
+        The surface before planes explained it.
+    explained_by : Planes or None
+    learned : bool
+        Whether the bar is that of `learned_sigma`.
     known_within_px : float, px
         As `optimised_surface`.
     """
@@ -187,6 +218,9 @@ def judged(
     disparity, sigma = surface.disparity_px, surface.sigma_px
     inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
     known = inside & (sigma < known_within_px)
-    edge_share, bias = (EDGE_SHARE_OF_PLANES, BIAS_OF_PLANES * step) if of_planes else (1.0, 0.0)
-    sigma = np.hypot(np.hypot(pooled_sigma(sigma, POOLED_PX), bias), edge_share * extent_px)
+    if learned:
+        sigma = learned_sigma(surface, step, first_px=first_px, explained_by=explained_by)
+    else:
+        edge_share, bias = (1.0, 0.0) if explained_by is None else (EDGE_SHARE_OF_PLANES, BIAS_OF_PLANES * step)
+        sigma = np.hypot(np.hypot(pooled_sigma(sigma, POOLED_PX), bias), edge_share * extent_px)
     return Surface(np.where(known, disparity, np.nan).astype(np.float32), sigma, surface.peak)

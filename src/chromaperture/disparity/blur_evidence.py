@@ -41,7 +41,9 @@ SPACING_PX = round(2 * SAMPLING_PX)  # of the evidence: windows of sigma 4 px le
 # 0.013 px of half disparity (2.2 px of blur), of less sharp texture by 0.003 px (3.4 px).
 SHARP_PX = 4.0
 _ROWS = 4  # whose correlations are explained at once: 5 MB at 720 columns stay in the cache; chosen by hand
-BANDS_MARGIN_PX = 10  # three sigmas of the coarsest band
+# Three sigmas of the coarsest band. Bands are taken of whole frames and need none of it, but the tiles' noise is
+# estimated on their whole area: docs/performance.md has 8 px.
+BANDS_MARGIN_PX = 10
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,9 @@ class BlurEvidence:
         likelihood = np.empty((*computed.shape[2:4], len(layers_px)), np.float32)
 
         def explain(rows: slice) -> None:
-            correlation = with_midpoints(computed[:, :, rows, :, :evens])
-            correlation[:primary, ..., 1::2][..., sharp] = computed[:primary, :, rows, :, evens:]
+            part = np.ascontiguousarray(computed[:, :, rows])
+            correlation = with_midpoints(part[..., :evens])
+            correlation[:primary, ..., 1::2][..., sharp] = part[:primary, ..., evens:]
             likelihood[rows] = self._explained(correlation)
 
         each_band(explain, len(likelihood), rows_a_band=_ROWS)
@@ -146,18 +149,15 @@ class BlurEvidence:
         low_pass = _gaussian(
             nodes.size, finest_px(self.config) / SAMPLING_PX
         )  # the same at all depths, hence done once
-        tiles = [
-            _Tile(
-                place,
-                weight,
-                blur.rays(*place),
-                [(a * low_pass, b * low_pass) for a, b in (spectrum.pair(*pair) for pair in self.all_pairs)],
-            )
-            for place, weight, spectrum in zip(nodes.places, nodes.weights, spectra, strict=True)
-        ]
+
+        def of_tile(i: int) -> _Tile:
+            pairs = [(a * low_pass, b * low_pass) for a, b in (spectra[i].pair(*pair) for pair in self.all_pairs)]
+            return _Tile(nodes.places[i], nodes.weights[i], blur.rays(*nodes.places[i]), pairs)
+
+        tiles = parallel_map(of_tile, range(len(spectra)))
         at_infinity, scale = blur.reference
         shape = (len(self.all_pairs), len(self.config.bands_px), -(-height // SPACING_PX), -(-width // SPACING_PX))
-        correlation, most = np.empty((*shape, len(layers_px)), np.float32), layers_of or {}
+        correlation, most = np.empty((len(layers_px), *shape), np.float32), layers_of or {}
 
         def fill(layer: int) -> None:
             inverse_mm = (at_infinity - layers_px[layer]) / scale
@@ -165,10 +165,10 @@ class BlurEvidence:
             used = tuple(sorted({k for i in pairs for k in self.all_pairs[i]}))
             views = self._cross_filtered(used, pairs, nodes, tiles, inverse_mm)
             for i, both in zip(pairs, views, strict=True):
-                _correlate(both, self.config, correlation[i, ..., layer])
+                self._correlate(both, correlation[layer, i])
 
         parallel_map(fill, range(len(layers_px)))
-        return correlation
+        return np.moveaxis(correlation, 0, -1)
 
     def check_size(self, image: np.ndarray) -> None:
         """Raise InputError where the image is not of the blur's size."""
@@ -186,7 +186,7 @@ class BlurEvidence:
         canvas = nodes.canvas(len(pairs))
         inner = nodes.in_tile()
         for tile in tiles:
-            rays = Rays(*(part[list(channels)] for part in tile.rays))
+            rays = tile.rays if len(channels) == 3 else Rays(*(part[list(channels)] for part in tile.rays))
             transfers = self.blur.transfer_of(
                 rays, inverse_mm, nodes.size_px, samples=nodes.size, transform=self.run.point_transforms
             )
@@ -194,8 +194,15 @@ class BlurEvidence:
             for part, i in zip(canvas, pairs, strict=True):
                 a, b = self.all_pairs[i]
                 filtered = self.run.cross_filter(tile.pairs[i], (transfer[a], transfer[b]), self.config.damping)
-                part[nodes.on_canvas(tile.place)] += filtered[inner, inner] * tile.weight
+                cv2.accumulateProduct(filtered[inner, inner], tile.weight, part[nodes.on_canvas(tile.place)])
         return nodes.in_frame(canvas)
+
+    def _correlate(self, both: np.ndarray, out: np.ndarray) -> None:
+        """Correlate P and Q, (H, W, 2), in windows around every second sample, for every band; (bands, h, w)."""
+        height, width = out.shape[1:]
+        sigma = self.config.window_sigma_px / SAMPLING_PX
+        for band, (fine, coarse) in zip(out, _bands(both, self.config), strict=True):
+            band[:] = self.run.band_correlation(fine, coarse, sigma=sigma)[:height, :width]
 
 
 class _Tile(NamedTuple):
@@ -228,29 +235,12 @@ def _nats(correlation: np.ndarray, weights: Sequence[float]) -> np.ndarray:
     return np.asarray(sum(np.float32(-0.5 * w) * np.log1p(-band) for w, band in zip(weights, bands, strict=True)))
 
 
-def _correlate(both: np.ndarray, config: CrossFilterConfig, out: np.ndarray) -> None:
-    """Correlate P and Q, (H, W, 2), in windows around every second sample, for every band; (bands, h, w) is written."""
-    height, width = out.shape[1:]
-    for i, band in enumerate(_bands(both, config)):
-        p, q = cv2.split(band)
-        cross, power_p, power_q = (_window(product, config.window_sigma_px) for product in (p * q, p * p, q * q))
-        # 1e-12: even areas have none
-        out[i] = (cross / np.sqrt(power_p * power_q + np.float32(1e-12)))[:height, :width]
-
-
-def _window(product: np.ndarray, sigma_px: float) -> np.ndarray:
-    """Mean in a Gaussian window around every second sample."""
-    coarse = cv2.pyrDown(product, borderType=cv2.BORDER_REFLECT_101)  # its own window has a sigma of one sample
-    rest_px = math.sqrt(max(sigma_px**2 - SAMPLING_PX**2, 0.01))  # 0.01: windows below one sample add no more
-    return _smooth(coarse, rest_px / 2)  # px of every second sample
-
-
-def _bands(picture: np.ndarray, config: CrossFilterConfig) -> list[np.ndarray]:
-    """Differences of Gaussians of pictures that have passed the finest of them; (H, W, 2) float32 each."""
+def _bands(picture: np.ndarray, config: CrossFilterConfig) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Both Gaussians of every band, of pictures that have passed the finest of them; (H, W, 2) float32 each."""
     finest = finest_px(config)
     sigmas = {sigma for band in config.bands_px for sigma in band}
     smooth = {s: _smooth(picture, math.sqrt(s**2 - finest**2)) if s > finest else picture for s in sigmas}
-    return [smooth[fine] - smooth[coarse] for fine, coarse in config.bands_px]
+    return [(smooth[fine], smooth[coarse]) for fine, coarse in config.bands_px]
 
 
 def finest_px(config: CrossFilterConfig) -> float:

@@ -14,6 +14,7 @@ from chromaperture.disparity.winner import Surface, Winner
 LIGHT_WINDOW_PX = 8  # side of the squares whose mean light is looked at: a matching window, two sigmas of 4 px
 CONFIDENCE_SCALE_PX = 0.25  # standard deviation at which confidence has fallen to 1/e; chosen by hand
 MAX_SIGMA_PX = 4.0  # a quarter of the default search range: beyond, nothing is known of the layer
+_BEYOND_PX = 1e6  # takes the place of unknown disparities, which are neither the least nor the greatest
 # White noise behind a Gaussian of variance s^2 has the autocorrelation exp(-r^2 / 4 s^2), whose integral is 4 pi s^2;
 # that of its square, which counts for correlations, is half of it. The factor 0.8 * 0.57 = 0.46 was chosen by hand;
 # tests/test_confidence.py holds the error bar against known errors.
@@ -91,14 +92,17 @@ def confidence(sigma_px: np.ndarray, peak: np.ndarray) -> np.ndarray:
 
 
 def local_range(disparity_px: np.ndarray, reach_px: int) -> np.ndarray:
-    """Return the range of the disparity in a square around each pixel; (H, W) float32, px.
+    """Return the range of the known disparities in a square around each pixel; (H, W) float32, px; 0 without any.
 
     Next to a depth edge windows see both sides, and a pixel given to the wrong one is wrong by all of it, however
     narrow its posterior.
     """
     square = np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)
-    surface = np.asarray(disparity_px, np.float32)
-    return np.asarray(cv2.dilate(surface, square) - cv2.erode(surface, square))
+    low = high = np.asarray(disparity_px, np.float32)
+    unknown = np.isnan(low)
+    if unknown.any():
+        low, high = (np.where(unknown, np.float32(beyond), low) for beyond in (_BEYOND_PX, -_BEYOND_PX))
+    return np.asarray(np.maximum(cv2.dilate(high, square) - cv2.erode(low, square), 0))
 
 
 def pooled_sigma(sigma_px: np.ndarray, reach_px: float) -> np.ndarray:

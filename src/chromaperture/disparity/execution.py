@@ -80,6 +80,9 @@ class Execution(Protocol):
     ) -> np.ndarray:
         """Filter two channels of a tile with each other's blur; (n, n, 2)."""
 
+    def band_correlation(self, fine: np.ndarray, coarse: np.ndarray, *, sigma: float) -> np.ndarray:
+        """Correlate both pictures of a pair in one band, in windows around every second sample; (H / 2, W / 2)."""
+
     def spectral_likelihood(
         self,
         spectra: np.ndarray,
@@ -140,6 +143,19 @@ class Execution(Protocol):
         reach: int,
     ) -> PlaneSums:
         """Sum the log-likelihood of a plane and its derivatives over pixels."""
+
+    def agreed_plane(
+        self,
+        planes: np.ndarray,
+        x: np.ndarray,
+        y: np.ndarray,
+        label: np.ndarray,
+        weight: np.ndarray,
+        *,
+        tolerance_px: float,
+        rounds: int,
+    ) -> np.ndarray:
+        """Find the plane that most points agree with, and fit it to these; (3,)."""
 
     def potts_beliefs(self, cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
         """Cost of every choice at every pixel, with the best of all others; (H, W, K)."""

@@ -7,10 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from chromaperture.config import PaperConfig
-from chromaperture.disparity.error_bar import confidence, peak_sigma, sigma_of_range
+from chromaperture.disparity.error_bar import confidence, local_range, peak_sigma, sigma_of_range, surface_sigma
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.result import Disparity, NoiseModel
-from chromaperture.disparity.views import ViewSpace, filtered_views
+from chromaperture.disparity.views import ViewSpace, filtered_views, moved_px
+from chromaperture.disparity.winner import Surface
+
+EDGE_REACH_PX = 8  # twice the reach of a matching window, and the pixel
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,10 @@ class PaperMethod:
         if debiased:  # the peak then lacks the noise that lowers a correlation
             texture = self.run.texture_weights(views, config=correlation).astype(np.float32)
         sigma = peak_sigma(winner, config, len(self.space.rows), texture)
-        known = sigma < sigma_of_range(layers_px)
-        disparity, sigma = (np.where(known, values, np.float32(np.nan)) for values in (winner.disparity_px, sigma))
+        widest = np.float32(sigma_of_range(layers_px))
+        known = sigma < widest
+        disparity = np.where(known, winner.disparity_px, np.float32(np.nan))
+        at_edges = np.hypot(sigma, np.float32(config.edge_share) * local_range(disparity, EDGE_REACH_PX))
+        found = Surface(disparity, at_edges, winner.peak)
+        sigma = np.minimum(surface_sigma(found, floor_px=config.floor_px / moved_px(self.space.directions)), widest)
         return Disparity(disparity, sigma, confidence(sigma, winner.peak))

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from chromaperture.disparity.execution import Execution
@@ -24,9 +23,7 @@ from chromaperture.disparity.plane_merging import merged_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig
-
-AGREEMENT_SIGMAS = 2.0  # docs/measurements.md has 1, 1.5, 2, 3 and none
-AGREEMENT_WINDOW_PX = 9  # two sigmas of the correlation window and the pixel: neighbours decide alike
+from chromaperture.threads import BAND_ROWS, each_band
 
 
 class Planes(NamedTuple):
@@ -154,33 +151,17 @@ def fitting_planes(
     return Planes(planes, choice)
 
 
-def where_they_agree(planes_px: np.ndarray, surface_px: np.ndarray, sigma_px: np.ndarray) -> np.ndarray:
-    """Take the planes where the surface that they explain allows them, else the surface.
-
-    A plane that runs through an area of weak evidence may be off by far more than the surface, which knows its
-    neighbourhood. On bench50's scenes this keeps most of what planes gain within 2 % and gives back most of
-    what they lose within 5 %.
-
-    Parameters
-    ----------
-    planes_px, surface_px : (H, W) float, px
-    sigma_px : (H, W) float, px
-        Standard deviation of the surface, and a label's place.
-
-    Returns
-    -------
-    (H, W) float32, px
-    """
-    apart = np.abs(planes_px - surface_px) > AGREEMENT_SIGMAS * sigma_px
-    apart = cv2.medianBlur(apart.astype(np.uint8), AGREEMENT_WINDOW_PX) > 0
-    return np.where(apart, surface_px, planes_px).astype(np.float32)
-
-
 def block_sums(likelihood: np.ndarray, size: int) -> np.ndarray:
     """Sum a volume over squares of pixels; what is left over at the right and below is left out."""
     height, width, count = (n // size for n in (*likelihood.shape[:2], likelihood.shape[2] * size))
-    whole = likelihood[: height * size, : width * size]
-    return np.ascontiguousarray(whole.reshape(height, size, width, size, count).sum(axis=(1, 3)), np.float32)
+    out = np.empty((height, width, count), np.float32)
+
+    def add(rows: slice) -> None:
+        whole = likelihood[rows.start * size : rows.stop * size, : width * size]
+        np.sum(whole.reshape(-1, size, width, size, count), axis=(1, 3), out=out[rows])
+
+    each_band(add, height, rows_a_band=max(1, BAND_ROWS // size))
+    return out
 
 
 def block_links(weights: np.ndarray, size: int) -> np.ndarray:

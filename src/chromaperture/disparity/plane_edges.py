@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from chromaperture.disparity.plane_merging import neighbouring_pairs
+from chromaperture.threads import parallel_map
 
 
 class Beliefs(Protocol):
@@ -76,16 +77,25 @@ def _possible(choice: np.ndarray, label: np.ndarray, reach: float, apart_px: flo
     possible = np.zeros(label.shape, bool)
     np.put_along_axis(possible, choice[..., None], True, axis=2)
     pairs = neighbouring_pairs(choice)
+    if not pairs:
+        return possible
     wide = np.ones((int(2 * reach) + 1, int(2 * reach) + 1), np.uint8)
-    from_plane = {k: _distance(choice != k) for pair in pairs for k in pair}
+
+    def of_plane(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where the plane is, the distance of all pixels from it, and the core that stays of it where it is thin."""
+        here = choice == k
+        inside = _distance(here)
+        half_width = cv2.dilate(inside, wide)
+        return here, _distance(~here), (inside >= CORE * half_width) & (half_width < reach)
+
+    each = sorted({k for pair in pairs for k in pair})
+    parts = parallel_map(of_plane, each)
+    here, away, thin_core = (dict(zip(each, maps, strict=True)) for maps in zip(*parts, strict=True))
     for i, j in sorted(pairs):
         for near, far in ((i, j), (j, i)):
             nearer = label[..., far] > label[..., near] + apart_px
-            inside = _distance(choice == near)
-            half_width = cv2.dilate(inside, wide)
-            thin_core = (inside >= CORE * half_width) & (half_width < reach)
-            possible[..., far] |= (choice == near) & nearer & (from_plane[far] <= reach) & ~thin_core
-            possible[..., near] |= (choice == far) & nearer & (from_plane[near] <= OUTWARD_PX / GRID)
+            possible[..., far] |= here[near] & nearer & (away[far] <= reach) & ~thin_core[near]
+            possible[..., near] |= here[far] & nearer & (away[near] <= OUTWARD_PX / GRID)
     return possible
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from chromaperture.disparity.execution import Execution
-from chromaperture.disparity.stages.planes import PlaneCosts
+from chromaperture.disparity.stages.planes import NEAR, PlaneCosts
 from chromaperture.threads import parallel_map
 
 TRIALS = 80  # of random samples: a plane on a quarter of a tile is missed once in 3.5 tiles; larger tiles see it too
@@ -80,12 +80,14 @@ def candidates(label_px: np.ndarray, sigma_px: np.ndarray, volume: Volume, tiles
     -------
     (K, 3) float64
     """
-    found = proposals(label_px, sigma_px, volume.step_px, tiles_px)
+    found = proposals(label_px, sigma_px, volume.step_px, tiles_px, run=volume.run)
     planes = parallel_map(lambda i: refined(found[i].plane, found[i].x, found[i].y, volume), range(len(found)))
     return distinct_of(found, planes, volume.step_px)
 
 
-def proposals(label_px: np.ndarray, sigma_px: np.ndarray, step_px: float, tiles_px: tuple[int, ...]) -> list[Proposal]:
+def proposals(
+    label_px: np.ndarray, sigma_px: np.ndarray, step_px: float, tiles_px: tuple[int, ...], *, run: Execution
+) -> list[Proposal]:
     """Fit planes to tiles of a first surface; see `candidates`."""
     height, width = label_px.shape
     weight = 1 / (np.square(sigma_px, dtype=float) + (step_px / 2) ** 2)
@@ -105,7 +107,7 @@ def proposals(label_px: np.ndarray, sigma_px: np.ndarray, step_px: float, tiles_
         rng = np.random.default_rng(i)
         return [
             Proposal(plane, x[inliers], y[inliers], size)
-            for inliers, plane in _planes_of_points(x, y, label_px[y, x], weight[y, x], step_px, rng)
+            for inliers, plane in _planes_of_points(x, y, label_px[y, x], weight[y, x], step_px, rng, run)
         ]
 
     return [proposal for part in parallel_map(of_tile, range(len(tiles))) for proposal in part]
@@ -133,7 +135,13 @@ def distinct(found: list[Candidate], tolerance_px: float) -> np.ndarray:
 
 
 def _planes_of_points(
-    x: np.ndarray, y: np.ndarray, label: np.ndarray, weight: np.ndarray, step_px: float, rng: np.random.Generator
+    x: np.ndarray,
+    y: np.ndarray,
+    label: np.ndarray,
+    weight: np.ndarray,
+    step_px: float,
+    rng: np.random.Generator,
+    run: Execution,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Find the planes of points that most agree on, each with the places of its points."""
     out = []
@@ -141,10 +149,10 @@ def _planes_of_points(
     for _ in range(PLANES_OF_A_TILE):
         if len(left) < max(60, LEAST_SHARE * len(x)):
             break
-        plane = _consensus(x[left], y[left], label[left], weight[left], INLIER_LAYERS * step_px, rng)
+        plane = _consensus(x[left], y[left], label[left], weight[left], INLIER_LAYERS * step_px, rng, run)
         if plane is None:
             break
-        near = np.abs(_at(plane, x[left], y[left]) - label[left]) < 1.5 * INLIER_LAYERS * step_px
+        near = np.abs(_at(plane, x[left], y[left]) - label[left]) < NEAR * INLIER_LAYERS * step_px
         if near.sum() >= LEAST_SHARE * len(x):
             out.append((left[near], plane))
         left = left[~near]
@@ -152,7 +160,13 @@ def _planes_of_points(
 
 
 def _consensus(
-    x: np.ndarray, y: np.ndarray, label: np.ndarray, weight: np.ndarray, tolerance_px: float, rng: np.random.Generator
+    x: np.ndarray,
+    y: np.ndarray,
+    label: np.ndarray,
+    weight: np.ndarray,
+    tolerance_px: float,
+    rng: np.random.Generator,
+    run: Execution,
 ) -> np.ndarray | None:
     """Return the plane through three random points that most points agree with, fitted to these; None without."""
     picked = rng.integers(0, len(x), (TRIALS, 3))
@@ -161,23 +175,8 @@ def _consensus(
     if not len(picked):
         return None
     planes = np.linalg.solve(corners, label[picked][..., None].astype(float))[..., 0]
-    few = planes.astype(np.float32).T[..., None]  # single precision is enough to compare, and half the time
-    residual = (_at(few, x.astype(np.float32), y.astype(np.float32)) - label.astype(np.float32)) / np.float32(
-        tolerance_px
-    )
-    plane = planes[(np.maximum(0, 1 - residual**2) @ weight.astype(np.float32)).argmax()]
-    for _ in range(_ROUNDS):
-        near = np.abs(_at(plane, x, y) - label) < 1.5 * tolerance_px
-        if near.sum() < 30:
-            return None
-        terms = np.stack([x[near], y[near], np.ones(near.sum())]).astype(float)
-        weighted = terms * weight[near]
-        moments = (weighted[:, None] * terms).sum(axis=-1)
-        try:
-            plane = np.linalg.solve(moments, (weighted * label[near]).sum(axis=-1))
-        except np.linalg.LinAlgError:
-            return None
-    return plane
+    plane = run.agreed_plane(planes, x, y, label, weight, tolerance_px=tolerance_px, rounds=_ROUNDS)
+    return plane if np.isfinite(plane).all() else None
 
 
 def _at(plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -10,6 +11,7 @@ import numpy as np
 
 from chromaperture.disparity.plane_fit import Volume, log_likelihood, refined
 from chromaperture.stage_config import PlanesConfig
+from chromaperture.threads import parallel_map
 
 LEAST_CORE = 0.25  # share of a plane's pixels away from its border below which all of them count; chosen by hand
 FAR_APART_LAYERS = 12  # at the smaller plane's middle: such planes are never one; chosen by hand
@@ -59,18 +61,22 @@ def merged_planes(
     pairs = neighbouring_pairs(renumbered)
     queue: list[tuple[float, int, int, Part]] = []
 
-    def consider(i: int, j: int) -> None:
-        smaller = min(parts[i], parts[j], key=lambda part: len(part.core[0]))
-        if abs((parts[i].plane - parts[j].plane) @ smaller.middle) > FAR_APART_LAYERS * volume.step_px:
-            return
-        joined = _joined(parts[i], parts[j], volume)
-        loss = parts[i].value + parts[j].value - joined.value
-        allowed = config.plane_penalty + config.plane_tolerance * min(parts[i].value, parts[j].value)
-        if loss < allowed:
-            heapq.heappush(queue, (loss - allowed, i, j, joined))
+    def tried(pair: tuple[int, int]) -> tuple[float, int, int, Part] | None:
+        one, other = (parts[k] for k in pair)
+        smaller = min(one, other, key=lambda part: len(part.core[0]))
+        if abs((one.plane - other.plane) @ smaller.middle) > FAR_APART_LAYERS * volume.step_px:
+            return None
+        joined = _joined(one, other, volume)
+        loss = one.value + other.value - joined.value
+        allowed = config.plane_penalty + config.plane_tolerance * min(one.value, other.value)
+        return (loss - allowed, *pair, joined) if loss < allowed else None
 
-    for i, j in sorted(pairs):
-        consider(i, j)
+    def consider(some: Iterable[tuple[int, int]]) -> None:
+        for entry in parallel_map(tried, sorted(some)):
+            if entry is not None:
+                heapq.heappush(queue, entry)
+
+    consider(pairs)
     following = len(parts)
     while queue:
         _, i, j, joined = heapq.heappop(queue)
@@ -80,27 +86,27 @@ def merged_planes(
         parts[following] = joined
         touching = {a if b in (i, j) else b for a, b in pairs if (a in (i, j)) != (b in (i, j))} & parts.keys()
         pairs = {pair for pair in pairs if i not in pair and j not in pair} | {(n, following) for n in touching}
-        for n in sorted(touching):
-            consider(n, following)
+        consider((n, following) for n in touching)
         following += 1
     out = np.empty_like(choice)
     for k, part in enumerate(parts.values()):
         out[part.every] = k
-    return np.array([_simplest(part, volume, config.slope_tolerance) for part in parts.values()]), out
+    return np.array(parallel_map(lambda part: _simplest(part, volume, config.slope_tolerance), parts.values())), out
 
 
 def _parts(choice: np.ndarray, planes: np.ndarray, volume: Volume, border: int) -> list[Part]:
     square = np.ones((2 * border + 1, 2 * border + 1), np.uint8)
     numbers = choice.astype(np.float32)
     core = cv2.dilate(numbers, square) == cv2.erode(numbers, square)
-    parts = []
-    for k in np.unique(choice):
+
+    def of_plane(k: int) -> Part:
         every, inner = _places(choice == k), _places((choice == k) & core)
         if len(inner[0]) < LEAST_CORE * len(every[0]):
             inner = every
         plane = refined(planes[k], inner[1], inner[0], volume)
-        parts.append(Part(every, inner, plane, log_likelihood(plane, inner[1], inner[0], volume)))
-    return parts
+        return Part(every, inner, plane, log_likelihood(plane, inner[1], inner[0], volume))
+
+    return parallel_map(of_plane, np.unique(choice).tolist())
 
 
 def _simplest(part: Part, volume: Volume, tolerance: float) -> np.ndarray:

@@ -45,6 +45,11 @@ class ViewSpace:
     guide_rgb: np.ndarray
 
 
+def moved_px(directions: np.ndarray) -> float:
+    """Return by how many px a px of disparity displaces the views, in the mean."""
+    return float(np.linalg.norm(directions, axis=1).mean())
+
+
 @dataclass(frozen=True)
 class ViewNoise:
     """Noise of the smoothed views.

@@ -34,7 +34,7 @@ def point_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, samp
     if reach > most or 2 * reach + 1 > size:
         return _fast_transforms(points_px, weights, size, samples)
     out = np.zeros((len(points_px), samples, samples // 2 + 1), np.complex64)
-    direct_transforms(points_px, weights, reach, *_waves(size, kept, most), out.view(np.float32))
+    direct_transforms(points_px, weights, reach, *_waves(size, kept, most + 1), out.view(np.float32))
     return out
 
 
@@ -75,20 +75,41 @@ def _splat(points_px, weights, out):  # type: ignore[no-untyped-def]
         out[y1, x1] += weights[j] * tx * ty
 
 
+@inlined()
+def _splat_near(points_px, weights, reach, out):  # type: ignore[no-untyped-def]
+    """As `_splat`, for points at most ``reach`` px from the middle of a picture without periodic borders."""
+    width, pixels = out.shape[1], out.reshape(-1)
+    for j in range(len(weights)):
+        if weights[j] == 0:
+            continue
+        px, py = points_px[j, 0] + reach, points_px[j, 1] + reach
+        x, y = int(px), int(py)
+        tx, ty, weight = np.float32(px - x), np.float32(py - y), np.float32(weights[j])
+        here = np.uint64(y * width + x)  # indices that are not negative are not checked
+        below, one = here + np.uint64(width), np.uint64(1)
+        right = weight * tx
+        left = weight - right
+        pixels[here] += left - left * ty
+        pixels[here + one] += right - right * ty
+        pixels[below] += left * ty
+        pixels[below + one] += right * ty
+
+
 @compiled(fastmath=_FAST)
 def direct_transforms(points_px, weights, reach, cosines, sines, out):  # type: ignore[no-untyped-def]
     """Transform points at most ``reach`` px from (0, 0); ``out`` is (C, n, n // 2 + 1) complex, as pairs of floats."""
     kept = cosines.shape[1]
     side = 2 * reach + 1
-    lines, parts = np.empty((side, 2 * kept), np.float32), np.empty((2, reach + 1, 2 * kept), np.float32)
+    picture = np.empty((side + 1, side + 1), np.float32)  # a point at the far end adds nothing to the last line
+    lines, parts = np.empty((side, 2 * kept), np.float32), np.zeros((2, reach + reach % 2 + 1, 2 * kept), np.float32)
     for c in range(len(out)):
-        picture = np.zeros((side, side), np.float32)
-        _splat(points_px[c], weights[c], picture)
+        picture[:] = 0
+        _splat_near(points_px[c], weights[c], reach, picture)
         for y in range(side):
-            _row_transform(picture[y], cosines, sines, lines[y, :kept], lines[y, kept:])
-        parts[0, 0], parts[1, 0] = lines[0], 0
+            _row_transform(picture[y, :side], cosines, sines, lines[y, :kept], lines[y, kept:])
+        parts[0, 0], parts[1, 0] = lines[reach], 0
         for r in range(1, reach + 1):
-            below, above, even, odd = lines[r], lines[side - r], parts[0, r], parts[1, r]
+            below, above, even, odd = lines[reach + r], lines[reach - r], parts[0, r], parts[1, r]
             for f in range(2 * kept):
                 even[f] = below[f] + above[f]
                 odd[f] = below[f] - above[f]
@@ -97,19 +118,19 @@ def direct_transforms(points_px, weights, reach, cosines, sines, out):  # type: 
 
 @inlined(fastmath=_FAST)
 def _row_transform(row, cosines, sines, real, imaginary):  # type: ignore[no-untyped-def]
-    """Transform of a periodic row whose middle is its first number."""
+    """Transform of a row about its middle."""
     reach, kept = len(row) // 2, len(real)
-    real[:], imaginary[:] = row[0], 0
+    real[:], imaginary[:] = row[reach], 0
     for r in range(1, reach, 2):  # two at a time: what is added to is loaded half as often
-        even, odd = row[r] + row[len(row) - r], row[r] - row[len(row) - r]
-        even2, odd2 = row[r + 1] + row[len(row) - r - 1], row[r + 1] - row[len(row) - r - 1]
+        even, odd = row[reach + r] + row[reach - r], row[reach + r] - row[reach - r]
+        even2, odd2 = row[reach + r + 1] + row[reach - r - 1], row[reach + r + 1] - row[reach - r - 1]
         c, c2, s, s2 = cosines[r], cosines[r + 1], sines[r], sines[r + 1]
         for f in range(kept):
             real[f] += even * c[f] + even2 * c2[f]
         for f in range(kept):
             imaginary[f] -= odd * s[f] + odd2 * s2[f]
     if reach % 2 == 1:
-        even, odd = row[reach] + row[reach + 1], row[reach] - row[reach + 1]
+        even, odd = row[2 * reach] + row[0], row[2 * reach] - row[0]
         c, s = cosines[reach], sines[reach]
         for f in range(kept):
             real[f] += even * c[f]
@@ -119,35 +140,53 @@ def _row_transform(row, cosines, sines, real, imaginary):  # type: ignore[no-unt
 @inlined(fastmath=_FAST)
 def _column_transforms(even, odd, cosines, sines, out):  # type: ignore[no-untyped-def]
     """Transform columns, of each frequency and its negative at once; rows of ``even`` hold real parts, then others."""
-    reach, kept, samples = len(even) - 1, cosines.shape[1], out.shape[0]
-    a, b = np.empty(2 * kept, np.float32), np.empty(2 * kept, np.float32)
-    for row in range(kept):
-        a[:], b[:] = even[0], 0
-        r = 1
-        while r + 3 <= reach:  # four at a time, as above
-            c, c2, c3, c4 = cosines[r, row], cosines[r + 1, row], cosines[r + 2, row], cosines[r + 3, row]
-            e, e2, e3, e4 = even[r], even[r + 1], even[r + 2], even[r + 3]
-            for f in range(2 * kept):
-                a[f] += c * e[f] + c2 * e2[f] + c3 * e3[f] + c4 * e4[f]
-            s, s2, s3, s4 = sines[r, row], sines[r + 1, row], sines[r + 2, row], sines[r + 3, row]
-            o, o2, o3, o4 = odd[r], odd[r + 1], odd[r + 2], odd[r + 3]
-            for f in range(2 * kept):
-                b[f] += s * o[f] + s2 * o2[f] + s3 * o3[f] + s4 * o4[f]
-            r += 4
-        for last in range(r, reach + 1):
-            c, s, e, o = cosines[last, row], sines[last, row], even[last], odd[last]
-            for f in range(2 * kept):
-                a[f] += c * e[f]
-                b[f] += s * o[f]
-        here = out[row]
-        for f in range(kept):  # A - i B
-            here[2 * f] = a[f] + b[kept + f]
-            here[2 * f + 1] = a[kept + f] - b[f]
-        if 0 < row < samples - row:
-            mirrored = out[samples - row]
-            for f in range(kept):  # A + i B
-                mirrored[2 * f] = a[f] - b[kept + f]
-                mirrored[2 * f + 1] = a[kept + f] + b[f]
+    kept, samples = cosines.shape[1], out.shape[0]
+    sums = np.empty((4, 2 * kept), np.float32)
+    for row in range(0, kept, 2):  # two frequencies and four px at a time: less is loaded for as many products
+        second = min(row + 1, kept - 1)
+        _weighted_sums(even, cosines, row, second, True, sums[0], sums[1])
+        _weighted_sums(odd, sines, row, second, False, sums[2], sums[3])
+        _put_rows(sums[0], sums[2], row, samples, out)
+        if second > row:
+            _put_rows(sums[1], sums[3], second, samples, out)
+
+
+@inlined(fastmath=_FAST)
+def _weighted_sums(rows, waves, first, second, with_middle, one, other):  # type: ignore[no-untyped-def]
+    """Add up an odd number of rows, the middle one with or without weight, the others by two waves."""
+    if with_middle:
+        one[:], other[:] = rows[0], rows[0]
+    else:
+        one[:], other[:] = 0, 0
+    r = 1
+    while r + 3 < len(rows):
+        c, c2, c3, c4 = waves[r, first], waves[r + 1, first], waves[r + 2, first], waves[r + 3, first]
+        d, d2, d3, d4 = waves[r, second], waves[r + 1, second], waves[r + 2, second], waves[r + 3, second]
+        e, e2, e3, e4 = rows[r], rows[r + 1], rows[r + 2], rows[r + 3]
+        for f in range(len(one)):
+            one[f] += c * e[f] + c2 * e2[f] + c3 * e3[f] + c4 * e4[f]
+            other[f] += d * e[f] + d2 * e2[f] + d3 * e3[f] + d4 * e4[f]
+        r += 4
+    if r < len(rows):
+        c, c2, d, d2 = waves[r, first], waves[r + 1, first], waves[r, second], waves[r + 1, second]
+        e, e2 = rows[r], rows[r + 1]
+        for f in range(len(one)):
+            one[f] += c * e[f] + c2 * e2[f]
+            other[f] += d * e[f] + d2 * e2[f]
+
+
+@inlined(fastmath=_FAST)
+def _put_rows(a, b, row, samples, out):  # type: ignore[no-untyped-def]
+    """Put A - i B in a row, and A + i B in that of the negative frequency."""
+    kept, here = len(a) // 2, out[row]
+    for f in range(kept):
+        here[2 * f] = a[f] + b[kept + f]
+        here[2 * f + 1] = a[kept + f] - b[f]
+    if 0 < row < samples - row:
+        mirrored = out[samples - row]
+        for f in range(kept):
+            mirrored[2 * f] = a[f] - b[kept + f]
+            mirrored[2 * f + 1] = a[kept + f] + b[f]
 
 
 @compiled(fastmath={"contract", "arcp", "nsz"})

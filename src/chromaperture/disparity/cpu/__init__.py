@@ -1,5 +1,6 @@
 """Every stage compiled by Numba, under the names of ``stages/``, which explains what each computes."""
 
+from chromaperture.disparity.cpu.band_correlation import band_correlation
 from chromaperture.disparity.cpu.bilateral import bilateral_winner
 from chromaperture.disparity.cpu.correlation import correlate, texture_weights
 from chromaperture.disparity.cpu.cross_filter import cross_filter
@@ -7,7 +8,7 @@ from chromaperture.disparity.cpu.enlarge import enlarge
 from chromaperture.disparity.cpu.four_paths import four_path_winner
 from chromaperture.disparity.cpu.paths import aggregate_paths, posterior, read_at_labels
 from chromaperture.disparity.cpu.place import halved_surface, place_by_correlation
-from chromaperture.disparity.cpu.planes import plane_costs, plane_sums, potts_beliefs
+from chromaperture.disparity.cpu.planes import agreed_plane, plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.cpu.smoothing import smooth_along_surface
 from chromaperture.disparity.cpu.spectral_likelihood import spectral_likelihood
 from chromaperture.disparity.cpu.upsample import upsample
@@ -16,6 +17,8 @@ from chromaperture.optics.splat_kernels import point_transforms
 
 __all__ = [
     "aggregate_paths",
+    "agreed_plane",
+    "band_correlation",
     "bilateral_winner",
     "correlate",
     "coupled_variation",

@@ -22,6 +22,12 @@ from chromaperture.threads import in_parallel
 FAST: set[str] = {"contract", "arcp", "nsz", "reassoc", "afn", "nnan"}
 
 
+# Pixels of a path whose layers are fetched into the cache before they are needed: they lie a row of the volume apart,
+# where the processor foresees nothing. 2 and 4 save .36 and .41 of the time (720 x 480 px, 143 labels).
+AHEAD = 4
+_LINE = 16  # numbers of a line of the cache
+
+
 class Penalties(NamedTuple):
     """As `stages.paths.PathPenalties`, in float32."""
 
@@ -163,6 +169,10 @@ def _walk(likelihood, guide, x, y, dx, dy, count, penalties, shifts, rows, own, 
             here, there = there, here
 
         at = (y * width + x) * layers
+        ahead = at + AHEAD * (dy * width + dx) * layers
+        for k in range(0, padded, _LINE):
+            v.prefetch(gains, ahead + k)
+            v.prefetch(sums, ahead + k)
         jumped = jump * weight
         far = v.broadcast(jumped)
         lowest = v.broadcast(closed)
@@ -233,6 +243,7 @@ def _read_at_labels(unexplained, labels, offset, scale, factors, spacing, top, b
     row = np.empty((width, layers), np.float32)
     samples = np.empty(layers + 4, np.float32)  # with a straight continuation at both ends
     values = np.ones((count + v.LANES - 1) // v.LANES * v.LANES, np.float32)
+    q0, q1, q2, q3, q4, q5 = np.empty((6, count), np.float32)
     lows, ts, insides = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.bool_)
     nats, nothing = v.broadcast(-factors / two), v.broadcast(zero)
     for y in range(top, bottom):
@@ -259,14 +270,20 @@ def _read_at_labels(unexplained, labels, offset, scale, factors, spacing, top, b
                 t = place - np.float32(low)
                 ts[n] = t
                 insides[n] = -edge < place < np.float32(layers - 1) + edge
+            for n in range(count):  # apart from the sums, which become vectors
+                low = np.uint64(lows[n])
+                q0[n], q1[n], q2[n] = samples[low], samples[low + np.uint64(1)], samples[low + np.uint64(2)]
+                q3[n], q4[n], q5[n] = (
+                    samples[low + np.uint64(3)], samples[low + np.uint64(4)], samples[low + np.uint64(5)]
+                )  # fmt: skip
             for n in range(count):
-                low, t = lows[n], ts[n]
+                t = ts[n]
                 a, b, c, d, e = t + two, t + one, t - one, t - two, t - three
                 inner, outer = b * t * c, a * b * t * c * d
-                value = a * e * (t * b * d * samples[low + 3] - b * c * d * samples[low + 2]) / twelve
-                value += t * c * a * e * (d * samples[low + 1] - b * samples[low + 4]) / twentyfour
-                value += (outer * samples[low + 5] - inner * d * e * samples[low]) / hundredtwenty
-                value = max(value, least * min(samples[low + 2], samples[low + 3]))
+                value = a * e * (t * b * d * q3[n] - b * c * d * q2[n]) / twelve
+                value += t * c * a * e * (d * q1[n] - b * q4[n]) / twentyfour
+                value += (outer * q5[n] - inner * d * e * q0[n]) / hundredtwenty
+                value = max(value, least * min(q2[n], q3[n]))
                 values[n] = value if insides[n] else one
             for n in range(0, len(values), v.LANES):
                 v.store(values, n, v.larger(v.mul(nats, v.logarithm(v.load(values, n))), nothing))

@@ -8,9 +8,10 @@ import numpy as np
 from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.paths import FAST
-from chromaperture.disparity.stages.planes import PlaneCosts, PlaneSums
+from chromaperture.disparity.stages.planes import LEAST_POINTS, NEAR, PlaneCosts, PlaneSums
 from chromaperture.threads import in_parallel
 
+_CACHED = 1 << 18  # numbers in half of a level-2 cache of 2 MB
 _NEVER = np.float32(1e30)  # nats; cost of the lanes beyond the last choice
 
 
@@ -41,6 +42,32 @@ def plane_sums(
     return PlaneSums(float(value), np.array([ga, gb, gc]), np.array([[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]]))
 
 
+def agreed_plane(
+    planes: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    label: np.ndarray,
+    weight: np.ndarray,
+    *,
+    tolerance_px: float,
+    rounds: int,
+) -> np.ndarray:
+    """Find the plane that most points agree with, and fit it, as `stages.agreed_plane`."""
+    # About the middle of the points, in single precision: half the time, and enough to compare planes.
+    middle = np.array([x.mean(), y.mean()])
+    place = np.stack([x - middle[0], y - middle[1], label, weight]).astype(np.float32)
+    planes = np.asarray(planes, float).copy()
+    planes[:, 2] += planes[:, :2] @ middle
+    votes = np.empty(len(planes), np.float32)
+    _plane_votes(planes.astype(np.float32), place, np.float32(1 / tolerance_px), votes)
+    plane = planes[votes.argmax()]
+    for _ in range(rounds):
+        if not _fit_near(place, NEAR * tolerance_px, plane):
+            return np.full(3, np.nan)
+    plane[2] -= plane[:2] @ middle
+    return np.asarray(plane)
+
+
 def potts_beliefs(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
     """Min-sum belief propagation on the pixel grid, as `stages.potts_beliefs`; (H, W, K) float32."""
     height, width, count = cost.shape
@@ -69,6 +96,47 @@ def _plane_costs(likelihood, places, slopes, outside, top, bottom, out):
                     t = np.float32(place - below)
                     low, high = likelihood[y, x, below], likelihood[y, x, below + 1]
                     out[y, x, k] = slopes[k] - low - t * (high - low)
+
+
+@compiled(fastmath=FAST)
+def _plane_votes(planes, place, sharpness, votes):
+    x, y, label, weight = place[0], place[1], place[2], place[3]
+    for k in range(len(planes)):
+        a, b, c = planes[k, 0], planes[k, 1], planes[k, 2]
+        total = np.float32(0)
+        for i in range(len(x)):
+            away = (a * x[i] + b * y[i] + c - label[i]) * sharpness
+            total += max(np.float32(0), np.float32(1) - away * away) * weight[i]
+        votes[k] = total
+
+
+@compiled()
+def _fit_near(place, reach, plane):
+    """Fit a plane to the points within reach of it, in place; returns whether there are enough."""
+    count = 0
+    xx = xy = x1 = yy = y1 = w1 = xl = yl = l1 = 0.0
+    for i in range(place.shape[1]):
+        x, y, label, w = float(place[0, i]), float(place[1, i]), float(place[2, i]), float(place[3, i])
+        if abs(plane[0] * x + plane[1] * y + plane[2] - label) < reach:
+            count += 1
+            xx += w * x * x
+            xy += w * x * y
+            x1 += w * x
+            yy += w * y * y
+            y1 += w * y
+            w1 += w
+            xl += w * x * label
+            yl += w * y * label
+            l1 += w * label
+    p, q, r = yy * w1 - y1 * y1, y1 * x1 - xy * w1, xy * y1 - yy * x1
+    determinant = xx * p + xy * q + x1 * r
+    if count < LEAST_POINTS or determinant == 0:
+        return False
+    s, t, u = xx * w1 - x1 * x1, xy * x1 - xx * y1, xx * yy - xy * xy
+    plane[0] = (p * xl + q * yl + r * l1) / determinant
+    plane[1] = (q * xl + s * yl + t * l1) / determinant
+    plane[2] = (r * xl + t * yl + u * l1) / determinant
+    return True
 
 
 @compiled(fastmath=FAST)
@@ -132,11 +200,14 @@ def _along_columns(beliefs, messages, links, first, last):
     height, width, count = beliefs.shape
     values, down, up = beliefs.reshape(-1), messages[2].reshape(-1), messages[3].reshape(-1)
     row = width * count
-    for y in range(height - 1):
-        for x in range(first, last):
-            at = y * row + x * count
-            _send(values, down, up, at, at + row, count, links[y, x])
-    for y in range(height - 1, 0, -1):
-        for x in range(first, last):
-            at = y * row + x * count
-            _send(values, up, down, at, at - row, count, links[y - 1, x])
+    together = max(1, _CACHED // (3 * height * count))  # columns whose beliefs and messages stay in the cache
+    for left in range(first, last, together):
+        right = min(left + together, last)
+        for y in range(height - 1):
+            for x in range(left, right):
+                at = y * row + x * count
+                _send(values, down, up, at, at + row, count, links[y, x])
+        for y in range(height - 1, 0, -1):
+            for x in range(left, right):
+                at = y * row + x * count
+                _send(values, up, down, at, at - row, count, links[y - 1, x])

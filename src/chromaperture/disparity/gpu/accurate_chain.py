@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,12 +36,21 @@ from chromaperture.disparity.gpu.surface_stages import (
 )
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.planar import Planes, block_costs, fitting_planes, links_of_blocks
+from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.plane_fit import Volume, distinct_of, proposals
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.spectral_evidence import SpectralEvidence
 from chromaperture.disparity.views import clipped_filled, filtered_views
 from chromaperture.disparity.winner import Surface
 from chromaperture.errors import OutOfMemoryError
+
+
+class PlanesFound(NamedTuple):
+    """Planes, the surface before them, and the labels that are taken of both; (H, W) px each."""
+
+    planes: Planes
+    first_px: np.ndarray
+    taken_px: np.ndarray
 
 
 def pairs_of(method: AccurateMethod) -> BlurEvidence | None:
@@ -161,17 +171,19 @@ class AccurateChain:
         found = self._planes(inputs, views.guide)
         of_planes = found is not None
         step = float(self.labels_px[1] - self.labels_px[0])
-        more = {} if found is None else {"plane_labels": (found.label_px - self.labels_px[0]) / step}
+        more = {} if found is None else {"taken_labels": (found.taken_px - self.labels_px[0]) / step}
         results = self.last[of_planes].run(more, ["results"])["results"].reshape(*usable.shape, 4)
         disparity, sigma, extent = self.labels_px[0] + step * results[..., 0], step * results[..., 1], results[..., 2]
         surface = judged(
             Surface(disparity, sigma, results[..., 3]), step * extent, self.labels_px,
-            of_planes=of_planes, known_within_px=sigma_of_range(self.labels_px),
+            first_px=disparity if found is None else found.first_px,
+            explained_by=None if found is None else found.planes,
+            learned=method.config.surface.learned_error_bar, known_within_px=sigma_of_range(self.labels_px),
         )  # fmt: skip
         return method.of_labels(surface, image, usable, self.labels_px)
 
-    def _planes(self, inputs: dict[str, np.ndarray], guide: np.ndarray) -> Planes | None:
-        """Run the first chain, and explain its surface by planes, as `planes_of_surface`."""
+    def _planes(self, inputs: dict[str, np.ndarray], guide: np.ndarray) -> PlanesFound | None:
+        """Run the first chain, and explain its surface by planes where they agree, as `optimised_surface`."""
         config, step = self.method.config.planes, float(self.labels_px[1] - self.labels_px[0])
         if self.blocks is None:
             self.first.run(inputs, ["round"])
@@ -179,7 +191,8 @@ class AccurateChain:
         got = self.first.run(inputs, ["surface", "sigma", "blocks"])
         shape = self.grid.height, self.grid.width
         label = self.labels_px[0] + step * got["surface"].reshape(*shape, 4)[..., 0]
-        found = proposals(label, step * got["sigma"].reshape(shape), step, config.tiles_px)
+        sigma = step * got["sigma"].reshape(shape)
+        found = proposals(label, sigma, step, config.tiles_px, run=self.method.run)
         likelihood = self.first.arrays["likelihood"]
         planes = refined_planes(
             self.device, likelihood, self.grid, found, self.labels_px, slope_penalty=config.slope_penalty
@@ -197,9 +210,10 @@ class AccurateChain:
             return PlaneChoice(self.device, cost.shape[:2], cost.shape[2], sweeps).beliefs_of(cost, links)
 
         volume = Volume(sums, self.labels_px, costs, self.method.run)
-        return fitting_planes(
+        fitting = fitting_planes(
             planes, volume, guide, lambda some: chooser.choose(some, links), config=config, beliefs=beliefs
         )
+        return PlanesFound(fitting, label, where_they_agree(fitting, label, np.hypot(sigma, step)))
 
 
 @dataclass

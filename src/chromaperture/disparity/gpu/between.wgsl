@@ -1,6 +1,6 @@
 // A surface between the pixels of one of half its size: more of the neighbour whose guide is like a pixel's own, and one
-// of the two where these lie on two surfaces. The guide starts at `guide_start`;
-// `guide_scale` is the place in `stats` of its unit.
+// of the two where these lie on two surfaces. The guide starts at `guide_start`; `guide_scale` is the place of its unit
+// in `stats`.
 
 // Surfaces of two neighbours, and the guide here, before and after.
 fn between(before: vec3f, after: vec3f, here_guide: f32, before_guide: f32, after_guide: f32) -> vec3f {
@@ -19,17 +19,15 @@ fn between(before: vec3f, after: vec3f, here_guide: f32, before_guide: f32, afte
 }
 
 fn small(x: u32, y: u32) -> vec3f {
-    let i = y * half_width + min(x, half_width - 1u);
-    let plane = half_width * half_height;
-    return vec3f(surface[i], surface[plane + i], surface[2u * plane + i]);
+    return surface[y * half_width + min(x, half_width - 1u)].xyz;
 }
 
 // At a pixel of an even row.
 fn wide(x: u32, y: u32) -> vec3f {
     if (x % 2u == 0u) { return small(x / 2u, y / 2u); }
-    let row = y * width;
-    let after = guide[guide_start + row + min(x + 1u, width - 1u)];
-    return between(small(x / 2u, y / 2u), small(x / 2u + 1u, y / 2u), guide[guide_start + row + x], guide[guide_start + row + x - 1u], after);
+    let row = guide_start + y * width;
+    let after = guide[row + min(x + 1u, width - 1u)];
+    return between(small(x / 2u, y / 2u), small(x / 2u + 1u, y / 2u), guide[row + x], guide[row + x - 1u], after);
 }
 
 fn surface_at(x: u32, y: u32) -> vec3f {

@@ -1,9 +1,18 @@
 // Gaussian along one axis, of some planes of one array into the same planes of another. Where `sparse`, only what
-// `fill.wgsl` reads, at unusable pixels, and what that is made of: columns next to unusable pixels.
+// `fill.wgsl` reads, at unusable pixels, and what that is made of: columns next to unusable pixels. One invocation takes
+// four neighbours along the axis, whose pixels overlap.
 
 @group(0) @binding(0) var<storage, read> before: array<f32>;  // (planes, h, w)
 @group(0) @binding(1) var<storage, read> unusable: array<u32>;  // (bands, w): 1 where a column of a band has one
-@group(0) @binding(2) var<storage, read_write> after: array<f32>;  // (planes, h, w)
+@group(0) @binding(2) var<storage, read> taps: array<vec4f>;  // of a pixel in the sums of four neighbours
+@group(0) @binding(3) var<storage, read_write> after: array<f32>;  // (planes, h, w)
+
+fn is_needed(x: u32, y: u32) -> bool {
+    let band = y / band_height;  // a band is as high as the Gaussian reaches
+    let above = unusable[max(band, 1u) * width - width + x];
+    let below = unusable[min(band + 1u, band_count - 1u) * width + x];
+    return (above | unusable[band * width + x] | below) != 0u;
+}
 
 @compute @workgroup_size(64)
 fn main(
@@ -11,26 +20,29 @@ fn main(
     @builtin(local_invocation_index) local: u32
 ) {
     let i = invocation(group, groups, local);
-    if (i >= plane_count * width * height) { return; }
-    let x = i % width;
-    let y = (i / width) % height;
+    let length = select(height, width, along_x);
+    let each = (length + 3u) / 4u;  // invocations of a line
+    if (i >= each * select(width, height, along_x)) { return; }
+    // Along y neighbours in memory are neighbouring lines.
+    let line = select(i % width, i / each, along_x);
+    let first = 4u * select(i / width, i % each, along_x);
+    let stride = select(width, 1u, along_x);
+    let start = select(line, line * width, along_x);
     if (sparse) {
-        let band = y / band_height;  // a band is as high as the Gaussian reaches
-        let above = unusable[max(band, 1u) * width - width + x];
-        let below = unusable[min(band + 1u, band_count - 1u) * width + x];
-        if ((above | unusable[band * width + x] | below) == 0u) { return; }
-    }
-    let base = (first_plane + i / (width * height)) * width * height;
-    var sum = 0.0;
-    for (var j = 0u; j < 2u * reach + 1u; j++) {
-        var at = 0u;
-        let step = i32(j) - i32(reach);
-        if (along_x) {
-            at = y * width + select(mirrored(i32(x) + step, width), inside(i32(x) + step, width), replicate);
-        } else {
-            at = select(mirrored(i32(y) + step, height), inside(i32(y) + step, height), replicate) * width + x;
+        var needed = false;
+        for (var j = first; j < min(first + 4u, length); j++) {
+            needed = needed || is_needed(select(line, j, along_x), select(j, line, along_x));
         }
-        sum += taps[j] * before[base + at];
+        if (!needed) { return; }
     }
-    after[base + y * width + x] = sum;
+    for (var plane = first_plane; plane < first_plane + plane_count; plane++) {
+        let base = plane * width * height + start;
+        var sums = vec4f();
+        for (var j = 0u; j < 2u * reach + 4u; j++) {
+            let place = i32(first + j) - i32(reach);
+            let at = select(mirrored(place, length), inside(place, length), replicate);
+            sums += taps[j] * before[base + at * stride];
+        }
+        for (var j = 0u; j < min(4u, length - first); j++) { after[base + (first + j) * stride] = sums[j]; }
+    }
 }

@@ -21,7 +21,6 @@ from chromaperture.stage_config import CorrelationConfig
 
 _CHUNK_BYTES = 128e6  # of the samples of a chunk: WebGPU's default limit of a binding
 _PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
-_CLOSED = 1e4  # nats; cost of labels that only fill the last vector
 
 
 def add_cell_planes(chain: Chain, planes: Planes) -> Planes:
@@ -112,22 +111,21 @@ def add_label_likelihood(
     likelihood = chain.array("likelihood", cells.pixels * pitch)
     chain.add(
         "label_likelihood", [score, labels, cells.planes, likelihood], groups=groups_for(likelihood.size // 4),
-        uses=(*SHARED, "half_labels"), width=cells.width, height=cells.height, view_count=cells.view_count,
+        uses=(*SHARED, "half_labels", "nats"), width=cells.width, height=cells.height, view_count=cells.view_count,
         all_layers=len(layers_px), label_count=len(labels_px), pitch=pitch,
         parts=(len(labels_px) - 1) // (len(layers_px) - 1), first_px=float(layers_px[0]),
-        layer_step_px=float(layers_px[1] - layers_px[0]), least_determinant=LEAST_DETERMINANT, closed=_CLOSED,
+        layer_step_px=float(layers_px[1] - layers_px[0]), least_determinant=LEAST_DETERMINANT,
         **of_labels,
     )  # fmt: skip
     return likelihood
 
 
 def add_enlarged_cells(chain: Chain, planes: Planes, cells: Planes, surface: Array) -> Array:
-    """Add the surface at the pixels of the halved picture; (3, h, w)."""
-    enlarged = chain.array("surface_enlarged", 3 * planes.pixels)
+    """Add the surface at the pixels of the halved picture; (h, w, 4)."""
+    enlarged = chain.array("surface_enlarged", 4 * planes.pixels)
     chain.add(
         "cells_enlarged", [surface, planes.planes, planes.stats, enlarged], groups=groups_for(planes.pixels),
-        uses=(*SHARED, "between"), width=planes.width, height=planes.height, half_width=cells.width,
-        half_height=cells.height, jump_px=JUMP_PX, guide_start=planes.view_count * planes.pixels,
-        guide_scale=GUIDE_SCALE,
+        uses=(*SHARED, "between"), width=planes.width, height=planes.height, half_width=cells.width, jump_px=JUMP_PX,
+        guide_start=planes.view_count * planes.pixels, guide_scale=GUIDE_SCALE,
     )  # fmt: skip
     return enlarged

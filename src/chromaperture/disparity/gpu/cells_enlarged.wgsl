@@ -1,9 +1,9 @@
 // The surface of the cells at every pixel of the halved picture, by `between.wgsl`.
 
-@group(0) @binding(0) var<storage, read> surface: array<f32>;  // (3, half_height, half_width): disparity, sigma, peak
+@group(0) @binding(0) var<storage, read> surface: array<vec4f>;  // (half_height, half_width)
 @group(0) @binding(1) var<storage, read> guide: array<f32>;  // (h, w)
 @group(0) @binding(2) var<storage, read> stats: array<f32>;
-@group(0) @binding(3) var<storage, read_write> enlarged: array<f32>;  // (3, h, w)
+@group(0) @binding(3) var<storage, read_write> enlarged: array<vec4f>;  // (h, w): disparity, sigma, peak, nothing
 
 @compute @workgroup_size(64)
 fn main(
@@ -12,8 +12,5 @@ fn main(
 ) {
     let i = invocation(group, groups, local);
     if (i >= width * height) { return; }
-    let found = surface_at(i % width, i / width);
-    enlarged[i] = found.x;
-    enlarged[width * height + i] = found.y;
-    enlarged[2u * width * height + i] = found.z;
+    enlarged[i] = vec4f(surface_at(i % width, i / width), 0.0);
 }

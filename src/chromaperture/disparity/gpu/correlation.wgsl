@@ -1,22 +1,12 @@
-// The score of every layer of a chunk: covariances joined along y, times the gains. Two views have their correlation;
-// three have 1 - sqrt(det) of theirs.
+// The scores of a chunk of layers: covariances joined along y as `windows_y.wgsl` joins variances, times the gains.
+// Two views have their correlation; three have 1 - sqrt(det) of theirs. One invocation takes four layers in `block`
+// rows; `keep` leaves the scores.
 
-@group(0) @binding(0) var<storage, read> covariances: array<Covariances>;  // (h + 2 pad_y, w, C), along x
-@group(0) @binding(1) var<storage, read> places: array<i32>;  // (K, C, 4): entry, whole px along x, along y, 0
-@group(0) @binding(2) var<storage, read> along_x: array<vec2f>;  // (h + 2 pad_y, w + 2 pad_x, E): mean, variance
-@group(0) @binding(3) var<storage, read> gains: array<f32>;  // (h + 2 pad_y, w + 2 pad_x, E)
-@group(0) @binding(4) var<storage, read_write> score: array<f32>;  // (h, w, pitch)
-
-struct Moments {
-    means: Means,
-    covariances: Covariances,
-}
-
-fn followed(state: Moments, next: Moments) -> Moments {
-    let apart = next.means - state.means;
-    let joined = (1.0 - decay) * next.covariances + decay * (state.covariances + (1.0 - decay) * products(apart));
-    return Moments(state.means + (1.0 - decay) * apart, joined);
-}
+@group(0) @binding(0) var<storage, read> covariances: array<Covariances>;  // (h + 2 pad_y, w, Q), along x
+@group(0) @binding(1) var<storage, read> places: array<vec4i>;  // (K, 4 Q): entry, whole px along x, along y, 0
+@group(0) @binding(2) var<storage, read> deviations: array<vec2f>;  // (h + 2 pad_y + reach, w + 2 pad_x, E), along y
+@group(0) @binding(3) var<storage, read> gains: array<f32>;  // (h + 2 pad_y + reach, w + 2 pad_x, E)
+@group(0) @binding(4) var<storage, read_write> ahead: array<Covariances>;  // (groups, block + reach, 64), of one at a time
 
 @compute @workgroup_size(64)
 fn main(
@@ -25,52 +15,54 @@ fn main(
 ) {
     let i = invocation(group, groups, local);
     let blocks = (height + block - 1u) / block;
-    if (i >= width * blocks * layer_count) { return; }
-    let layer = i % layer_count;
-    let x = (i / layer_count) % width;
-    let first = i32((i / (layer_count * width)) * block);
+    if (i >= width * blocks * quads) { return; }
+    let column = i % (width * quads);
+    let quad = i % quads;
+    let x = column / quads;
+    let first = i32((i / (width * quads)) * block);
     let end = min(first + i32(block), i32(height));
     let tall = height + 2u * pad_y;
     let wide = width + 2u * pad_x;
-    var starts: array<u32, view_count>;  // of the columns of windows that the layer reads
-    var rows: array<i32, view_count>;
+    let row_pitch = i32(wide * entry_count);
+    var starts: array<vec4i, view_count>;  // of the columns that the layers read
+    var rows: array<vec4i, view_count>;
     for (var k = 0u; k < view_count; k++) {
-        let at = 4u * (k * layer_count + layer);
-        starts[k] = inside(i32(x + pad_x) + places[at + 1u], wide) * entry_count + u32(places[at]);
-        rows[k] = places[at + 2u] + i32(pad_y);
-    }
-    var after: array<Moments, block>;
-    var state = Moments();
-    // Beyond the border of all samples that the views read, all is even.
-    let last = min(end + i32(reach), i32(tall) - 1i);
-    for (var y = last; y >= first; y--) {
-        var here = Moments();
-        for (var k = 0u; k < view_count; k++) {
-            here.means[k] = along_x[starts[k] + inside(y + rows[k], tall) * wide * entry_count].x;
+        for (var j = 0u; j < 4u; j++) {
+            let place = places[4u * (k * quads + quad) + j];
+            starts[k][j] = i32(inside(i32(x + pad_x) + place.y, wide) * entry_count) + place.x;
+            rows[k][j] = place.z + i32(pad_y);
         }
-        here.covariances = covariances[(inside(y + i32(pad_y), tall) * width + x) * layer_count + layer];
-        if (y == last) { state = here; }
-        if (y < end) { after[y - first] = state; }
-        state = followed(state, here);
     }
-    let begin = max(first - i32(reach), -2i * i32(pad_y));
-    for (var y = begin; y < end; y++) {
-        var here = Moments();
+    let column_pitch = width * quads;
+    let own = (i - local) * (block + reach) + local;
+    let begin = first - i32(reach);
+    var state = covariances[inside(begin + i32(pad_y), tall) * column_pitch + column];
+    for (var y = begin; y < end + i32(reach); y++) {
+        var forward: array<vec4f, view_count>;
+        var backward: array<vec4f, view_count>;
         for (var k = 0u; k < view_count; k++) {
-            here.means[k] = along_x[starts[k] + inside(y + rows[k], tall) * wide * entry_count].x;
+            // Before the first row all is even.
+            let at = starts[k] + max(rows[k] + y, vec4i()) * row_pitch;
+            let a = deviations[at.x];
+            let b = deviations[at.y];
+            let c = deviations[at.z];
+            let d = deviations[at.w];
+            forward[k] = vec4f(a.x, b.x, c.x, d.x);
+            backward[k] = vec4f(a.y, b.y, c.y, d.y);
         }
-        here.covariances = covariances[(inside(y + i32(pad_y), tall) * width + x) * layer_count + layer];
-        if (y == begin) { state = here; }
-        state = followed(state, here);
-        if (y >= first) {
-            let other = after[y - first];
-            let joined = (state.covariances + decay * other.covariances) / (1.0 + decay)
-                + decay / ((1.0 + decay) * (1.0 + decay)) * products(state.means - other.means);
-            var gain = Means();
+        let here = covariances[inside(y + i32(pad_y), tall) * column_pitch + column];
+        state = decay * state + (1.0 - decay) * here + products(forward);
+        if (y >= first) { ahead[own + 64u * u32(y - first)] = (1.0 - decay) * state + products(backward); }
+    }
+    for (var y = end + i32(reach) - 1i; y >= first; y--) {
+        state = decay * state + ahead[own + 64u * u32(y - first)];
+        if (y < end) {
+            var gain: array<vec4f, view_count>;
             for (var k = 0u; k < view_count; k++) {
-                gain[k] = gains[starts[k] + inside(y + rows[k], tall) * wide * entry_count];
+                let at = starts[k] + clamp(rows[k] + y, vec4i(), vec4i(i32(tall) - 1i)) * row_pitch;
+                gain[k] = vec4f(gains[at.x], gains[at.y], gains[at.z], gains[at.w]);
             }
-            score[(u32(y) * width + x) * pitch + first_layer + layer] = score_of(joined * products(gain));
+            keep(u32(y) * width + x, 4u * quad, scores_of(state, products(gain)));
         }
     }
 }

@@ -16,16 +16,37 @@ import numpy as np
 
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import SHARED, Planes
-from chromaperture.disparity.gpu.workgroups import groups_for
+from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
 from chromaperture.disparity.stages.correlation import RELATIVE_EPSILON, SAMPLING, padding
 from chromaperture.stage_config import CorrelationConfig
 
 # Share of a window's weight that lies beyond the samples a block of a line starts from, where the picture counts as
 # even.
 _NEGLIGIBLE = 1e-6
-_BLOCK = 64  # most px of a line that an invocation takes
+_BLOCK, _SOFTWARE_BLOCK = 64, 128  # most px of a line that an invocation takes; software has few invocations at once
 _CHUNK_BYTES = 128e6  # of the largest array of a chunk: WebGPU's default limit of a binding
 _PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
+
+
+class Kept(NamedTuple):
+    """What the last stage makes of a score before it leaves it: a file with the function ``keep``.
+
+    Attributes
+    ----------
+    name : str
+        Of the array that is left.
+    uses : tuple of str
+        Files of functions, ``keep`` among them.
+    constants : dict
+        What these need.
+    more : int
+        Further maps of a pixel behind those of a chunk's layers.
+    """
+
+    name: str
+    uses: tuple[str, ...]
+    constants: dict[str, Any]
+    more: int = 0
 
 
 class Chunk(NamedTuple):
@@ -33,8 +54,8 @@ class Chunk(NamedTuple):
 
     first: int
     size: int
-    phases_y: np.ndarray  # (Ey, 5) float32: four taps, the view
-    phases_x: np.ndarray  # (E, 5) float32: four taps, the phase along y
+    phases_y: np.ndarray  # (Ey, 8) float32: four taps, the view, three of nothing
+    phases_x: np.ndarray  # (E, 8) float32: four taps, the phase along y, three of nothing
     places: np.ndarray  # (K, C, 4) int32: entry, whole px along x, along y, 0
 
 
@@ -43,15 +64,15 @@ def chunks_of(
 ) -> list[Chunk]:
     """Cut the layers into chunks of at most so many entries and layers, the first the largest.
 
-    A single layer may need more entries than that.
+    All chunks but the last have a multiple of four layers, and four layers may need more than that.
     """
     found: list[Chunk] = []
     first = 0
     while first < len(layers_px):
-        count = min(len(layers_px) - first, found[-1].size if found else most_layers)
+        count = min(len(layers_px) - first, found[-1].size if found else max(4, most_layers // 4 * 4))
         chunk = _chunk(layers_px, directions, sampling, first, count)
-        while len(chunk.phases_x) > most_entries and count > 1:
-            count = -(-count // 2)
+        while len(chunk.phases_x) > most_entries and count > 4:
+            count = 4 * -(-count // 8)
             chunk = _chunk(layers_px, directions, sampling, first, count)
         found.append(chunk)
         first += count
@@ -69,8 +90,8 @@ def _chunk(layers_px: np.ndarray, directions: np.ndarray, sampling: str, first: 
             entry = along_x.setdefault((y, phase_x), len(along_x))
             places[k, c] = entry, whole_x, whole_y, 0
     taps = SAMPLING[sampling]
-    rows = np.array([(*taps(phase), view) for view, phase in along_y], np.float32)
-    columns = np.array([(*taps(phase), y) for y, phase in along_x], np.float32)
+    rows = np.array([(*taps(phase), view, 0, 0, 0) for view, phase in along_y], np.float32)
+    columns = np.array([(*taps(phase), y, 0, 0, 0) for y, phase in along_x], np.float32)
     return Chunk(first, count, rows, columns, places)
 
 
@@ -89,6 +110,7 @@ def add_correlation(
     *,
     pitch: int | None = None,
     chunked: bool = False,
+    kept: Kept | None = None,
 ) -> Iterator[tuple[Array, Chunk]]:
     """Add the scores, chunk after chunk; what is added between two chunks may read the last one's.
 
@@ -103,6 +125,8 @@ def add_correlation(
         Layers of a pixel in one volume (h, w, pitch) of all chunks; without it every chunk has (h, w, C) of its own.
     chunked : bool
         Chunks are small enough for their scores, too, to fit.
+    kept : Kept, optional
+        What is left of the scores instead of themselves.
 
     Yields
     ------
@@ -112,20 +136,31 @@ def add_correlation(
     pad_x, pad_y = padding(layers_px, directions, config.sampling)
     tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
     most_bytes = min(_CHUNK_BYTES, chain.device.largest_bytes)
-    # Of an entry, mean and gain; of a layer of its own, score and weight.
-    most_entries = max(1, int(most_bytes // (8 * tall * wide)))
+    reach = math.ceil(math.log(_NEGLIGIBLE) / math.log(config.window_decay))
+    # Of an entry, two deviations; of a layer of its own, score and weight.
+    most_entries = max(1, int(most_bytes // (8 * (tall + reach) * (wide + reach))))
     most_layers = max(1, int(most_bytes // (4 * tall * wide)) - 1) if chunked else len(layers_px)
     chunks = chunks_of(layers_px, directions, config.sampling, most_entries, most_layers)
-    volume = _largest(chain, "score", [planes.pixels * (pitch or c.size) for c in chunks])
+    kept = kept or Kept("score", ("scores_kept",), {})
+    volume = _largest(chain, kept.name, [planes.pixels * (pitch or c.size + kept.more) for c in chunks])
     samples_y = _largest(chain, "samples_y", [tall * planes.width * len(c.phases_y) for c in chunks])
     samples = _largest(chain, "samples", [tall * wide * len(c.phases_x) for c in chunks])
-    windows = _largest(chain, "windows", [2 * tall * wide * len(c.phases_x) for c in chunks])
-    gains = _largest(chain, "gains", [tall * wide * len(c.phases_x) for c in chunks])
-    words = 1 if planes.view_count == 2 else 4  # of the covariances of all pairs; WGSL aligns three to four
-    covariances = _largest(chain, "covariances", [words * tall * planes.width * c.size for c in chunks])
+    windows = _largest(chain, "windows", [2 * tall * (wide + reach) * len(c.phases_x) for c in chunks])
+    apart_x = _largest(chain, "deviations_x", [2 * tall * (wide + reach) * len(c.phases_x) for c in chunks])
+    apart_y = _largest(chain, "deviations_y", [2 * (tall + reach) * wide * len(c.phases_x) for c in chunks])
+    gains = _largest(chain, "gains", [(tall + reach) * wide * len(c.phases_x) for c in chunks])
+    quads = [-(-chunk.size // 4) for chunk in chunks]
+    words = 4 if planes.view_count == 2 else 12  # of the covariances of all pairs, of four layers
+    covariances = _largest(chain, "covariances", [words * tall * planes.width * count for count in quads])
+    (block_x, blocks_x), (block_y, blocks_y) = (_even_blocks(chain, side) for side in (planes.width, planes.height))
+    invocations = [(tall * blocks_x * count, planes.width * blocks_y * count) for count in quads]
+    steps_x, steps_y = block_x + reach, block_y + reach
+    most_steps = [max(-(-x // GROUP) * steps_x, -(-y // GROUP) * steps_y) for x, y in invocations]
+    ahead = _largest(chain, "ahead", [words * GROUP * steps for steps in most_steps])
     pairs = "pairs_two" if planes.view_count == 2 else "pairs_three"
-    reach = math.ceil(math.log(_NEGLIGIBLE) / math.log(config.window_decay))
-    window: dict[str, Any] = {"decay": float(config.window_decay), "reach": reach}
+    decay = float(config.window_decay)
+    window: dict[str, Any] = {"decay": decay, "reach": reach}
+    unit = math.sqrt(decay * (1 - decay))  # of deviations, so that their products need no factor
     size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_x": pad_x, "pad_y": pad_y}
     for number, chunk in enumerate(chunks):
         entries, phases = len(chunk.phases_x), len(chunk.phases_y)
@@ -133,47 +168,52 @@ def add_correlation(
             chain.constant(f"taps_y{number}", chunk.phases_y),
             chain.constant(f"taps_x{number}", chunk.phases_x),
         )
-        places = chain.constant(f"places{number}", chunk.places)
+        places = chain.constant(f"places{number}", _whole_quads(chunk.places))
         chain.add(
             "sample_y", [planes.planes, taps_y, samples_y],
-            groups=groups_for(tall * planes.width * phases), uses=SHARED,
+            groups=groups_for(-(-tall // 4) * planes.width * phases), uses=SHARED,
             width=planes.width, height=planes.height, pad_y=pad_y, phase_count=phases,
         )  # fmt: skip
         chain.add(
-            "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * wide * entries), uses=SHARED,
+            "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * -(-wide // 4) * entries), uses=SHARED,
             phase_count=phases, entry_count=entries, **size,
         )  # fmt: skip
         frame: dict[str, Any] = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
-        block, blocks = _even_blocks(wide)
+        block, blocks = _even_blocks(chain, wide + reach)
         chain.add(
-            "windows_x", [samples, windows], groups=groups_for(tall * blocks * entries), uses=SHARED,
-            block=block, **frame,
+            "windows_x", [samples, windows, apart_x], groups=groups_for(tall * blocks * entries), uses=SHARED,
+            block=block, deviation_unit=unit, **frame,
         )  # fmt: skip
-        block, blocks = _even_blocks(tall)
+        block, blocks = _even_blocks(chain, tall + reach)
         chain.add(
-            "windows_y", [windows, taps_x, taps_y, planes.stats, gains],
+            "windows_y", [windows, taps_x, taps_y, planes.stats, apart_y, gains],
             groups=groups_for(wide * blocks * entries), uses=SHARED,
-            relative_epsilon=RELATIVE_EPSILON, block=block, **frame,
+            relative_epsilon=RELATIVE_EPSILON, block=block, deviation_unit=unit, **frame,
         )  # fmt: skip
-        layers: dict[str, Any] = {"layer_count": chunk.size, "entry_count": entries, **size, **window}
+        layers: dict[str, Any] = {"quads": quads[number], "entry_count": entries, **size, **window}
         layers["view_count"] = planes.view_count
-        block, blocks = _even_blocks(planes.width)
         chain.add(
-            "products_x", [samples, places, covariances],
-            groups=groups_for(tall * blocks * chunk.size), uses=(*SHARED, pairs), block=block, **layers,
+            "products_x", [apart_x, places, ahead, covariances],
+            groups=groups_for(invocations[number][0]), uses=(*SHARED, pairs), block=block_x, **layers,
         )  # fmt: skip
-        block, blocks = _even_blocks(planes.height)
+        mask = [] if kept.uses == ("scores_kept",) else [planes.planes]
         chain.add(
-            "correlation", [covariances, places, windows, gains, volume],
-            groups=groups_for(planes.width * blocks * chunk.size), uses=(*SHARED, pairs),
-            pitch=pitch or chunk.size, first_layer=chunk.first if pitch else 0, block=block, **layers,
+            "correlation", [covariances, places, apart_y, gains, ahead, volume, *mask],
+            groups=groups_for(invocations[number][1]), uses=(*SHARED, pairs, *kept.uses),
+            pitch=pitch or chunk.size + kept.more, first_layer=chunk.first if pitch else 0, block=block_y,
+            layer_count=chunk.size, **layers, **kept.constants,
         )  # fmt: skip
         yield volume, chunk
 
 
-def _even_blocks(pixels: int) -> tuple[int, int]:
-    """Return the length of the blocks of a line, about equal ones of at most `_BLOCK` px, and their number."""
-    blocks = -(-pixels // _BLOCK)
+def _whole_quads(places: np.ndarray) -> np.ndarray:
+    """Fill the last four layers of a chunk with the last one; (K, 4 Q, 4)."""
+    return np.pad(places, ((0, 0), (0, -places.shape[1] % 4), (0, 0)), mode="edge")
+
+
+def _even_blocks(chain: Chain, pixels: int) -> tuple[int, int]:
+    """Return the length of the blocks of a line, about equal ones, and their number."""
+    blocks = -(-pixels // (_SOFTWARE_BLOCK if chain.device.info.is_software else _BLOCK))
     return -(-pixels // blocks), blocks
 
 

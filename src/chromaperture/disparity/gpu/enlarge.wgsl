@@ -1,6 +1,6 @@
 // The surface of the halved picture at every pixel, by `between.wgsl`.
 
-@group(0) @binding(0) var<storage, read> surface: array<f32>;  // (3, h, w): disparity, sigma, peak
+@group(0) @binding(0) var<storage, read> surface: array<vec4f>;  // (h, w): disparity, sigma, peak, nothing
 @group(0) @binding(1) var<storage, read> guide: array<f32>;  // (H, W)
 @group(0) @binding(2) var<storage, read> stats: array<f32>;
 @group(0) @binding(3) var<storage, read> labels: array<f32>;  // (2, H, W) or (2, 1, 1)

@@ -1,8 +1,9 @@
 // Replace unusable pixels of the halved views by the mean of the usable ones around: their edges would outweigh all
-// texture. The plane behind the guide holds the usable share of each pixel and becomes the mask.
+// texture. The plane behind the guide holds the usable share of each pixel, of which the mask is made.
 
 @group(0) @binding(0) var<storage, read> around: array<f32>;  // (K + 2, h, w), blurred where there are unusable pixels
 @group(0) @binding(1) var<storage, read_write> planes: array<f32>;  // (K + 2, h, w): views, guide, usable share
+@group(0) @binding(2) var<storage, read_write> smoothed: array<f32>;  // (K + 2, h, w), of which only the mask
 
 @compute @workgroup_size(64)
 fn main(
@@ -18,5 +19,5 @@ fn main(
             planes[k * plane + i] = around[k * plane + i] / (around[share] + 1.0e-3);  // 1e-3: no division by 0
         }
     }
-    planes[share] = select(0.0, 1.0, usable);
+    smoothed[share] = select(0.0, 1.0, usable);
 }

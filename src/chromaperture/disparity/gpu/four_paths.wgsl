@@ -7,7 +7,7 @@
 @group(0) @binding(2) var<storage, read> stats: array<f32>;
 @group(0) @binding(3) var<storage, read_write> costs: array<vec2u>;  // (h, w, pitch / 4)
 
-const vectors = pitch / 4u / lanes;  // of an invocation
+const vectors = (pitch / 4u + lanes - 1u) / lanes;  // of an invocation, at most
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
@@ -31,6 +31,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         before_guide = own_guide;
         var lowest = vec4f(1.0e30);
         for (var v = 0u; v < vectors; v++) {
+            if ((v + 1u) * lanes > pitch / 4u && v * lanes + lane >= pitch / 4u) { continue; }
             let at = pixel * (pitch / 4u) + v * lanes + lane;
             let incoming = select(min(cost[v], vec4f(limit)) - least, vec4f(), s == 0u);
             let packed = vec2u(pack2x16unorm(incoming.xy / jump), pack2x16unorm(incoming.zw / jump));

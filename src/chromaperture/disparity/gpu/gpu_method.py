@@ -15,6 +15,7 @@ import numpy as np
 from chromaperture.config import MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.disparity.accurate import AccurateMethod
 from chromaperture.disparity.gpu.accurate_chain import AccurateOnDevice
+from chromaperture.disparity.gpu.alignment_stage import Alignment, add_alignment
 from chromaperture.disparity.gpu.conversion_stage import Conversion, add_conversion
 from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError, Ticket, adapters, open_device
 from chromaperture.disparity.gpu.paper_chain import add_paper, runs_on_device
@@ -31,14 +32,34 @@ from chromaperture.errors import CaptureWarning, ChromapertureError, InputError,
 
 _MAPS = ("disparity", "sigma", "confidence")
 _MILLIMETRES = ("depth_mm", "sigma_mm")
+_COLOR = "color"
+
+
+class Further(NamedTuple):
+    """What a device makes of a disparity where it is asked to."""
+
+    conversion: Conversion | None = None
+    alignment: Alignment | None = None
 
 
 class Measured(NamedTuple):
-    """Disparity, and where a conversion was given depth and its standard deviation, (H, W) float32, mm."""
+    """Disparity, and what was asked for besides.
+
+    Attributes
+    ----------
+    disparity : Disparity
+    depth_mm, sigma_mm : (H, W) float32, mm, or None
+    color : (H, W, 3) float32, or None
+        Aligned and white balanced.
+    """
 
     disparity: Disparity
     depth_mm: np.ndarray | None = None
     sigma_mm: np.ndarray | None = None
+    color: np.ndarray | None = None
+
+
+_NOTHING = Further()
 
 
 class Started(NamedTuple):
@@ -77,35 +98,38 @@ class GpuMethod:
         """Return the disparity of an image (H, W, 3); raises DeviceError, OutOfMemoryError besides InputError."""
         return self.measure(image).disparity
 
-    def measure(self, image: np.ndarray, conversion: Conversion | None = None) -> Measured:
-        """Return the disparity, and with a conversion the depth, of an image (H, W, 3)."""
+    def measure(self, image: np.ndarray, further: Further = _NOTHING) -> Measured:
+        """Return the disparity, and what else is asked for, of an image (H, W, 3)."""
         with self._lock:
-            return self._finished(self._started(image, conversion))
+            return self._finished(self._started(image, further))
 
-    def start(self, image: np.ndarray, conversion: Conversion | None = None) -> Started:
+    def start(self, image: np.ndarray, further: Further = _NOTHING) -> Started:
         """Send an image (H, W, 3) to the device, which begins; at most two are under way, `finish` them in turn."""
         with self._lock:
-            return self._started(image, conversion)
+            return self._started(image, further)
 
     def finish(self, started: Started) -> Measured:
         """Return what `measure` would have returned."""
         with self._lock:
             return self._finished(started)
 
-    def _started(self, image: np.ndarray, conversion: Conversion | None) -> Started:
+    def _started(self, image: np.ndarray, further: Further) -> Started:
         size = (image.shape[0], image.shape[1])
-        outputs = [*_MAPS, "stats", *(_MILLIMETRES if conversion is not None else ())]
+        outputs = [*_MAPS, "stats", *(_MILLIMETRES if further.conversion is not None else ())]
+        outputs += [] if further.alignment is None else [_COLOR]
         with self._freed_on_failure():
-            chain = self._composed(size, conversion)
+            chain = self._composed(size, further)
             return Started(chain, chain.start({"image": image}, outputs), size)
 
     def _finished(self, started: Started) -> Measured:
         with self._freed_on_failure():
             found = started.chain.finish(started.ticket)
         check_stats(found["stats"], len(self.space.rows))
+        color = found.pop(_COLOR).reshape(*started.size, 3) if _COLOR in found else None
         maps = {name: values.reshape(started.size) for name, values in found.items() if name != "stats"}
         disparity = Disparity(*(maps[name] for name in _MAPS))
-        return Measured(disparity, *(maps[name] for name in _MILLIMETRES if name in maps))
+        depth_mm, sigma_mm = (maps.get(name) for name in _MILLIMETRES)
+        return Measured(disparity, depth_mm, sigma_mm, color)
 
     @contextmanager
     def _freed_on_failure(self) -> Iterator[None]:
@@ -115,10 +139,10 @@ class GpuMethod:
             self._chain = None  # gives its memory back
             raise
 
-    def _composed(self, size: tuple[int, int], conversion: Conversion | None) -> Chain:
+    def _composed(self, size: tuple[int, int], further: Further) -> Chain:
         """Return the chain for a size, kept until another is needed."""
-        key = (size, conversion)
-        if self._chain is None or self._key[0] != size or self._key[1] is not conversion:
+        key = (size, *further)
+        if self._chain is None or self._key[0] != size or not _same(self._key[1:], further):
             self._chain = None
             chain = Chain(self.device)
             image = chain.array("image", 3 * size[0] * size[1])
@@ -128,8 +152,10 @@ class GpuMethod:
                 small = add_reduced(chain, image, size, self.reduction)
                 self._add_matching(chain, small, self.reduction.size_px[::-1])
                 add_upsampled(chain, image, small, size, self.reduction, self.config.views.guide_range)
-            if conversion is not None:
-                add_conversion(chain, chain.arrays["disparity"], chain.arrays["sigma"], conversion)
+            if further.conversion is not None:
+                add_conversion(chain, chain.arrays["disparity"], chain.arrays["sigma"], further.conversion)
+            if further.alignment is not None:
+                add_alignment(chain, image, chain.arrays["disparity"], size, further.alignment)
             self._chain, self._key = chain, key
         return self._chain
 
@@ -140,6 +166,11 @@ class GpuMethod:
             add_paper(chain, image, size, self.config, self.space)
         else:
             raise TypeError(type(self.config).__name__)
+
+
+def _same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
+    """Whether two tuples hold the same objects."""
+    return all(a is b for a, b in zip(one, other, strict=True))
 
 
 class Waiting(NamedTuple):
@@ -171,11 +202,11 @@ class DeviceMethod:
         """Return the disparity of an image (H, W, 3)."""
         return self.measure(image).disparity
 
-    def measure(self, image: np.ndarray, conversion: Conversion | None = None) -> Measured:
+    def measure(self, image: np.ndarray, further: Further = _NOTHING) -> Measured:
         """Return the disparity of an image, and its depth where the device made it."""
-        return self.finish(self.start(image, conversion))
+        return self.finish(self.start(image, further))
 
-    def start(self, image: np.ndarray, conversion: Conversion | None = None) -> Waiting:
+    def start(self, image: np.ndarray, further: Further = _NOTHING) -> Waiting:
         """Send an image (H, W, 3) to the device where it can compute while another is read back.
 
         At most two are under way; `finish` them in turn. What runs on the CPU, or goes to the device and back in parts,
@@ -184,7 +215,7 @@ class DeviceMethod:
         if self.has_failed or isinstance(self.on_gpu, AccurateOnDevice):
             return Waiting(image)
         try:
-            return Waiting(image, self.on_gpu.start(image, conversion))
+            return Waiting(image, self.on_gpu.start(image, further))
         except (DeviceError, OutOfMemoryError) as error:
             self._fall_back(error)
             return Waiting(image)

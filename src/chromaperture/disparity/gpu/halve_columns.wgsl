@@ -1,9 +1,7 @@
-// Every second row of the planes behind the pyramid filter.
+// Every second row of the planes behind the pyramid filter. One invocation takes four neighbours, whose rows overlap.
 
 @group(0) @binding(0) var<storage, read> tall: array<f32>;  // (planes, H, w)
 @group(0) @binding(1) var<storage, read_write> planes: array<f32>;  // (planes, h, w)
-
-const taps = array<f32, 5>(0.0625, 0.25, 0.375, 0.25, 0.0625);
 
 @compute @workgroup_size(64)
 fn main(
@@ -11,13 +9,21 @@ fn main(
     @builtin(local_invocation_index) local: u32
 ) {
     let i = invocation(group, groups, local);
-    if (i >= plane_count * width * height) { return; }
+    let each = (height + 3u) / 4u;  // invocations of a column
+    if (i >= plane_count * each * width) { return; }
     let x = i % width;
-    let y = (i / width) % height;
-    let plane = i / (width * height);
-    var sum = 0.0;
-    for (var j = 0u; j < 5u; j++) {
-        sum += taps[j] * tall[(plane * tall_height + mirrored(i32(2u * y + j) - 2i, tall_height)) * width + x];
+    let first = 4u * ((i / width) % each);
+    let plane = i / (width * each);
+    let column = plane * tall_height * width + x;
+    var a = tall[column + mirrored(2i * i32(first) - 2i, tall_height) * width];
+    var b = tall[column + mirrored(2i * i32(first) - 1i, tall_height) * width];
+    var c = tall[column + mirrored(2i * i32(first), tall_height) * width];
+    for (var y = first; y < min(first + 4u, height); y++) {
+        let d = tall[column + mirrored(2i * i32(y) + 1i, tall_height) * width];
+        let e = tall[column + mirrored(2i * i32(y) + 2i, tall_height) * width];
+        planes[(plane * height + y) * width + x] = 0.0625 * a + 0.25 * b + 0.375 * c + 0.25 * d + 0.0625 * e;
+        a = c;
+        b = d;
+        c = e;
     }
-    planes[i] = sum;
 }

@@ -17,7 +17,7 @@ fn main(
     let label = half_label(cell % width, cell / width);
     let begin = (label.x + (label.y - 1.0) * first_px) / layer_step_px;
     let mask = planes[(view_count + 1u) * width * height + cell];
-    var nats = vec4f(-closed);  // a label that only fills the last vector costs more than any other
+    var values = vec4f();  // labels that only fill the last vector stay without a likelihood
     for (var j = 0u; j < 4u; j++) {
         let n = 4u * (i % (pitch / 4u)) + j;
         if (n >= label_count) { continue; }
@@ -30,11 +30,7 @@ fn main(
         let after = score[start + inside(below + 2i, all_layers)];
         let third = 3.0 * (low - high) + after - before;
         let second = before + before - 5.0 * low + 4.0 * high - after;
-        let value = select(low + 0.5 * t * (high - before + t * (second + t * third)), 0.0, t < 0.0 || t > 1.0);
-        let clipped = clamp(value, 0.0, 1.0);
-        var determinant = (1.0 - clipped) * (1.0 + clipped);
-        if (view_count == 3u) { determinant = (1.0 - clipped) * (1.0 - clipped); }
-        nats[j] = -0.5 * mask * log(max(determinant, least_determinant));
+        values[j] = select(low + 0.5 * t * (high - before + t * (second + t * third)), 0.0, t < 0.0 || t > 1.0);
     }
-    likelihood[i] = nats;
+    likelihood[i] = mask * nats_of(values);
 }

@@ -1,11 +1,10 @@
-// Two views: their means at a pixel, and the one covariance of the pair.
-alias Means = vec2f;
-alias Covariances = f32;
+// Two views, four layers at a time: a value of each view, and the one covariance of the pair.
+alias Covariances = vec4f;
 
-fn products(apart: Means) -> Covariances {
-    return apart.x * apart.y;
+fn products(of_views: array<vec4f, 2>) -> Covariances {
+    return of_views[0] * of_views[1];
 }
 
-fn score_of(correlation: Covariances) -> f32 {
-    return clamp(correlation, -1.0, 1.0);
+fn scores_of(covariances: Covariances, gains: Covariances) -> vec4f {
+    return clamp(covariances * gains, vec4f(-1.0), vec4f(1.0));
 }

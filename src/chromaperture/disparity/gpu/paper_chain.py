@@ -6,6 +6,8 @@ kept: the volume never exists as a whole.
 
 from __future__ import annotations
 
+from typing import Any
+
 from chromaperture.config import PaperConfig
 from chromaperture.disparity.error_bar import (
     CONFIDENCE_SCALE_PX,
@@ -14,14 +16,15 @@ from chromaperture.disparity.error_bar import (
     noise_correlation_factor,
     sigma_of_range,
 )
-from chromaperture.disparity.gpu.correlation_stages import add_correlation
+from chromaperture.disparity.gpu.correlation_stages import Kept, add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.real_time_chain import add_links, add_recursions
 from chromaperture.disparity.gpu.view_stages import SHARED, add_views
 from chromaperture.disparity.gpu.workgroups import groups_for
+from chromaperture.disparity.paper import EDGE_REACH_PX
 from chromaperture.disparity.stages.bilateral import even_link
 from chromaperture.disparity.stages.correlation import MIN_WEIGHT
-from chromaperture.disparity.views import ViewSpace
+from chromaperture.disparity.views import ViewSpace, moved_px
 
 
 def runs_on_device(config: PaperConfig) -> bool:
@@ -47,14 +50,13 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
     layers_px = config.layers.values_px
     first, step = float(layers_px[0]), float(layers_px[1] - layers_px[0])
     even = even_link(config.bilateral.sigma_px)
-    best, maps = chain.array("best", 5 * planes.pixels), None
+    best = chain.array("best", 5 * planes.pixels)
     links = add_links(chain, planes, best, even=even, edge_range=1.0, by_layer=False)
-    for score, chunk in add_correlation(chain, planes, layers_px, space.directions, config.correlation, chunked=True):
-        maps = maps or chain.array("weighted", planes.pixels * (chunk.size + 1))  # the first chunk is the largest
-        chain.add(
-            "weigh", [score, planes.planes, maps], groups=groups_for(planes.pixels * (chunk.size + 1)), uses=SHARED,
-            pixels=planes.pixels, layer_count=chunk.size, view_count=planes.view_count, least_weight=MIN_WEIGHT,
-        )  # fmt: skip
+    kept = Kept("weighted", ("scores_weighted",), {"least_weight": MIN_WEIGHT}, more=1)
+    directions = space.directions
+    for maps, chunk in add_correlation(
+        chain, planes, layers_px, directions, config.correlation, chunked=True, kept=kept
+    ):
         add_recursions(chain, planes, maps, links, map_count=chunk.size + 1, gain=1 - even, own=0.0)
         chain.add(
             "running_winner", [maps, best], groups=groups_for(planes.pixels), uses=SHARED,
@@ -62,10 +64,19 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
         )  # fmt: skip
     samples = effective_samples(config.correlation.window_decay)
     samples /= noise_correlation_factor(config.views.presmooth_sigma_px)
-    outputs = [chain.array(name, planes.pixels) for name in ("disparity", "sigma", "confidence")]
+    peaks, ranges = (chain.array(name, count * planes.pixels) for name, count in (("peaks", 3), ("ranges", 2)))
     chain.add(
-        "peak", [best, *outputs], groups=groups_for(planes.pixels), uses=(*SHARED, "finishing"),
+        "peak", [best, peaks], groups=groups_for(planes.pixels), uses=SHARED,
         pixels=planes.pixels, view_count=planes.view_count, total_layers=len(layers_px), first_px=first, step_px=step,
         samples=float(samples), sigma_scale=config.sigma_scale, range_sigma_px=sigma_of_range(layers_px),
-        max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX,
+        max_sigma_px=MAX_SIGMA_PX,
+    )  # fmt: skip
+    of_square: dict[str, Any] = {"width": size[1], "height": size[0], "reach": EDGE_REACH_PX}
+    chain.add("peak_range_x", [peaks, ranges], groups=groups_for(planes.pixels), uses=SHARED, **of_square)
+    outputs = [chain.array(name, planes.pixels) for name in ("disparity", "sigma", "confidence")]
+    chain.add(
+        "peak_range", [peaks, ranges, *outputs], groups=groups_for(planes.pixels), uses=(*SHARED, "finishing"),
+        edge_share=config.edge_share, floor_px=config.floor_px / moved_px(space.directions),
+        range_sigma_px=sigma_of_range(layers_px), max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX,
+        **of_square,
     )  # fmt: skip

@@ -52,6 +52,8 @@ fn main(
         weight *= weight;
         weight *= weight;
         weight *= weight;
+        // Layers that only fill the last vector are none. They have no likelihood, so that none of them is the best.
+        weight = select(vec4f(), weight, vec4u(0u, 1u, 2u, 3u) + 4u * v < vec4u(layer_count));
         let away = vec4f(0.0, 1.0, 2.0, 3.0) + f32(4u * v) - f32(best);
         weights += dot(weight, vec4f(1.0));
         squares += dot(weight, away * away);

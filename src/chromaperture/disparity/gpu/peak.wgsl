@@ -1,9 +1,8 @@
-// A parabola through the best layer and its neighbours, and from its shape the error bar (quality "paper").
+// A parabola through the best layer and its neighbours, and from its shape the error bar (quality "paper"), as
+// `error_bar.peak_sigma`.
 
 @group(0) @binding(0) var<storage, read> best: array<f32>;  // (5, H, W): layer, before, at, after, last score
-@group(0) @binding(1) var<storage, read_write> disparity: array<u32>;  // (H, W)
-@group(0) @binding(2) var<storage, read_write> sigma: array<u32>;
-@group(0) @binding(3) var<storage, read_write> confidence: array<u32>;
+@group(0) @binding(1) var<storage, read_write> peaks: array<f32>;  // (3, H, W): disparity, its error bar, score
 
 @compute @workgroup_size(64)
 fn main(
@@ -29,9 +28,7 @@ fn main(
     if (view_count == 2u) { variance *= (1.0 + high) / high; }
     let wide = min(sigma_scale * sqrt(variance), max_sigma_px);
     let known = layer > 0.0 && layer < f32(total_layers - 1u) && wide < range_sigma_px;
-    let value = select(UNKNOWN, first_px + step_px * (layer + offset), known);
-    let maps = finished(i, value, wide, peak, 0.0);
-    disparity[i] = maps.x;
-    sigma[i] = maps.y;
-    confidence[i] = maps.z;
+    peaks[i] = select(UNKNOWN, first_px + step_px * (layer + offset), known);
+    peaks[pixels + i] = wide;
+    peaks[2u * pixels + i] = peak;
 }

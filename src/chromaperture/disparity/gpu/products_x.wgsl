@@ -1,19 +1,10 @@
-// Covariances of the views in a window along x, at every layer of a chunk; see `windows_x.wgsl` for the recursion.
+// Covariances of the views in a window along x, at every layer of a chunk: the recursions of `windows_x.wgsl`, over
+// products of the deviations that it left. One invocation takes four layers in `block` columns.
 
-@group(0) @binding(0) var<storage, read> samples: array<f32>;  // (h + 2 pad_y, w + 2 pad_x, E)
-@group(0) @binding(1) var<storage, read> places: array<i32>;  // (K, C, 4): entry, whole px along x, along y, 0
-@group(0) @binding(2) var<storage, read_write> windows: array<Covariances>;  // (h + 2 pad_y, w, C)
-
-struct Moments {
-    means: Means,
-    covariances: Covariances,
-}
-
-fn followed(state: Moments, next: Means) -> Moments {
-    let apart = next - state.means;
-    let covariances = decay * (state.covariances + (1.0 - decay) * products(apart));
-    return Moments(state.means + (1.0 - decay) * apart, covariances);
-}
+@group(0) @binding(0) var<storage, read> deviations: array<vec2f>;  // (h + 2 pad_y, w + 2 pad_x + reach, E)
+@group(0) @binding(1) var<storage, read> places: array<vec4i>;  // (K, 4 Q): entry, whole px along x, along y, 0
+@group(0) @binding(2) var<storage, read_write> ahead: array<Covariances>;  // (groups, block + reach, 64), of one at a time
+@group(0) @binding(3) var<storage, read_write> windows: array<Covariances>;  // (h + 2 pad_y, w, Q)
 
 @compute @workgroup_size(64)
 fn main(
@@ -22,42 +13,41 @@ fn main(
 ) {
     let i = invocation(group, groups, local);
     let blocks = (width + block - 1u) / block;
-    if (i >= (height + 2u * pad_y) * blocks * layer_count) { return; }
-    let layer = i % layer_count;
-    let row = i / (blocks * layer_count);
-    let first = i32(((i / layer_count) % blocks) * block);
+    if (i >= (height + 2u * pad_y) * blocks * quads) { return; }
+    let quad = i % quads;
+    let row = i / (blocks * quads);
+    let first = i32(((i / quads) % blocks) * block);
     let end = min(first + i32(block), i32(width));
-    let wide = width + 2u * pad_x;
-    var starts: array<u32, view_count>;  // of the rows of samples that the layer reads
-    var columns: array<i32, view_count>;
+    let length = width + 2u * pad_x + reach;
+    var starts: array<vec4i, view_count>;  // of the rows of deviations that the layers read
+    var columns: array<vec4i, view_count>;
     for (var k = 0u; k < view_count; k++) {
-        let at = 4u * (k * layer_count + layer);
-        starts[k] = inside(i32(row) + places[at + 2u], height + 2u * pad_y) * wide * entry_count + u32(places[at]);
-        columns[k] = places[at + 1u] + i32(pad_x);
-    }
-    var after: array<Moments, block>;
-    var state = Moments();
-    // Beyond the border of all samples that the views read, all is even.
-    let last = min(end + i32(reach), i32(wide) - 1i);
-    for (var x = last; x >= first; x--) {
-        var here = Means();
-        for (var k = 0u; k < view_count; k++) { here[k] = samples[starts[k] + inside(x + columns[k], wide) * entry_count]; }
-        if (x == last) { state.means = here; }
-        if (x < end) { after[x - first] = state; }
-        state = followed(state, here);
-    }
-    state = Moments();
-    let begin = max(first - i32(reach), -2i * i32(pad_x));
-    for (var x = begin; x < end; x++) {
-        var here = Means();
-        for (var k = 0u; k < view_count; k++) { here[k] = samples[starts[k] + inside(x + columns[k], wide) * entry_count]; }
-        if (x == begin) { state.means = here; }
-        state = followed(state, here);
-        if (x >= first) {
-            let other = after[x - first];
-            windows[(row * width + u32(x)) * layer_count + layer] =
-                (state.covariances + decay * other.covariances) / (1.0 + decay)
-                + decay / ((1.0 + decay) * (1.0 + decay)) * products(state.means - other.means);
+        for (var j = 0u; j < 4u; j++) {
+            let place = places[4u * (k * quads + quad) + j];
+            starts[k][j] = i32(inside(i32(row) + place.z, height + 2u * pad_y) * length * entry_count) + place.x;
+            columns[k][j] = place.y + i32(pad_x);
         }
+    }
+    let own = (i - local) * (block + reach) + local;  // a private array would be set to 0 first
+    var state = Covariances();
+    for (var x = first - i32(reach); x < end + i32(reach); x++) {
+        var forward: array<vec4f, view_count>;
+        var backward: array<vec4f, view_count>;
+        for (var k = 0u; k < view_count; k++) {
+            // Before the first column all is even.
+            let at = starts[k] + max(columns[k] + x, vec4i()) * i32(entry_count);
+            let a = deviations[at.x];
+            let b = deviations[at.y];
+            let c = deviations[at.z];
+            let d = deviations[at.w];
+            forward[k] = vec4f(a.x, b.x, c.x, d.x);
+            backward[k] = vec4f(a.y, b.y, c.y, d.y);
+        }
+        state = decay * state + products(forward);
+        if (x >= first) { ahead[own + 64u * u32(x - first)] = (1.0 - decay) * state + products(backward); }
+    }
+    for (var x = end + i32(reach) - 1i; x >= first; x--) {
+        state = decay * state + ahead[own + 64u * u32(x - first)];
+        if (x < end) { windows[(row * width + u32(x)) * quads + quad] = state; }
     }
 }

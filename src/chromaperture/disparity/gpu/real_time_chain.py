@@ -16,13 +16,14 @@ from chromaperture.disparity.gpu.cell_stages import (
     add_enlarged_cells,
     add_label_likelihood,
 )
-from chromaperture.disparity.gpu.correlation_stages import add_correlation
+from chromaperture.disparity.gpu.correlation_stages import Kept, add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes, add_halved_views
 from chromaperture.disparity.gpu.workgroups import MOST_GROUPS, groups_for
 from chromaperture.disparity.labels import MOST_APART_PX, LabelMap, labels_between
 from chromaperture.disparity.stages.bilateral import even_link
 from chromaperture.disparity.stages.enlarge import JUMP_PX
+from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
 from chromaperture.disparity.stages.place import (
     EDGE_REACH_PX,
     EDGE_SHARE,
@@ -59,7 +60,7 @@ def add_real_time(
     planes = whole if cell_px == 1 else add_cell_planes(chain, whole)
     layers_px = config.layers.values_px / 2  # of the halved picture
     labels_px = labels_between(layers_px, space.directions, most_px=MOST_APART_PX / 2)
-    pitch = 4 * _LANES * -(-len(labels_px) // (4 * _LANES))
+    pitch = 4 * -(-len(labels_px) // 4)  # whole vectors of four labels
     labels = chain.constant("labels", np.stack([np.asarray(part, np.float32) for part in label_map]))
     of_labels: dict[str, Any] = {
         "labelled": not label_map.is_identity, "full_width": width, "full_height": height, "label_spacing": 2 * cell_px
@@ -67,28 +68,32 @@ def add_real_time(
     of_layers: dict[str, Any] = {"layer_count": len(labels_px), "pitch": pitch}
     first, step = float(labels_px[0]), float(labels_px[1] - labels_px[0])
     frame: dict[str, Any] = {"width": planes.width, "height": planes.height}
+    at_once = cell_px == 1 and label_map.is_identity and len(labels_px) == len(layers_px)
     if cell_px == 1:
-        of_score: dict[str, Any] = {"config": config.correlation, "pitch": len(layers_px)}
-        score = list(add_correlation(chain, planes, layers_px, space.directions, **of_score))[-1][0]
+        kept = Kept("likelihood", ("nats", "scores_nats"), {"least_determinant": LEAST_DETERMINANT})
+        correlated = add_correlation(
+            chain, planes, layers_px, space.directions, config.correlation,
+            pitch=pitch if at_once else len(layers_px), kept=kept if at_once else None,
+        )  # fmt: skip
+        score = list(correlated)[-1][0]
     else:
         score = add_cell_scores(chain, whole, planes, layers_px, space.directions, config.correlation)
-    likelihood = add_label_likelihood(
-        chain, planes, score, labels, layers_px, labels_px, pitch=pitch, of_labels=of_labels
-    )
+    likelihood = score
+    if not at_once:
+        likelihood = add_label_likelihood(
+            chain, planes, score, labels, layers_px, labels_px, pitch=pitch, of_labels=of_labels
+        )
     winner, places = _add_paths(chain, planes, likelihood, config, of_layers)
     smoothed = _add_smoothing_along_surface(chain, planes, winner, places, config)
 
-    ranges, surface = chain.array("ranges", 2 * planes.pixels), chain.array("surface", 3 * planes.pixels)
-    between: dict[str, Any] = {
-        "first_px": first,
-        "step_px": step,
-        "reach": -(-EDGE_REACH_PX // cell_px),
-        **frame,
-        **of_labels,
-    }
-    chain.add("surface", [smoothed, labels, ranges], groups=groups_for(planes.pixels), uses=LABELLED, **between)
+    ranges, surface = chain.array("ranges", 2 * planes.pixels), chain.array("surface", 4 * planes.pixels)
+    reach = -(-EDGE_REACH_PX // cell_px)
+    between: dict[str, Any] = {"first_px": first, "step_px": step, "reach": reach, **frame, **of_labels}
+    quads = -(-planes.width // 4) * planes.height
+    chain.add("surface", [smoothed, labels, ranges], groups=groups_for(quads), uses=LABELLED, **between)
     chain.add(
-        "surface_range", [ranges, smoothed, winner, labels, surface], groups=groups_for(planes.pixels), uses=LABELLED,
+        "surface_range", [ranges, smoothed, winner, labels, surface],
+        groups=groups_for(planes.width * -(-planes.height // 4)), uses=LABELLED,
         layer_count=len(labels_px), widest_px=sigma_of_range(labels_px), posterior_share=POSTERIOR_SHARE,
         edge_share=EDGE_SHARE, **between,
     )  # fmt: skip
@@ -102,8 +107,8 @@ def add_real_time(
     chain.add(
         "enlarge", [surface, whole.full_guide, whole.stats, labels, lacking, *outputs],
         groups=groups_for(height * width), uses=(*SHARED, "between", "finishing"), guide_start=0,
-        guide_scale=GUIDE_SCALE + 1, width=width, height=height, half_width=whole.width, half_height=whole.height,
-        jump_px=JUMP_PX, labelled=not label_map.is_identity, range_sigma_px=sigma_of_range(config.layers.values_px),
+        guide_scale=GUIDE_SCALE + 1, width=width, height=height, half_width=whole.width, jump_px=JUMP_PX,
+        labelled=not label_map.is_identity, range_sigma_px=sigma_of_range(config.layers.values_px),
         floor_px=config.floor_px / moved, max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells,
     )  # fmt: skip
 

@@ -1,7 +1,8 @@
-// The samples of `sample_y.wgsl` read between their columns: an entry is a view at one phase along x and one along y.
+// The samples of `sample_y.wgsl` read between their columns: an entry is a view at one phase along x and one along y. One
+// invocation takes four neighbours along x, whose taps overlap.
 
 @group(0) @binding(0) var<storage, read> rows: array<f32>;  // (h + 2 pad_y, w, Ey)
-@group(0) @binding(1) var<storage, read> phases: array<f32>;  // (E, 5): four taps, the phase along y
+@group(0) @binding(1) var<storage, read> phases: array<vec4f>;  // (E, 2): four taps; the phase along y
 @group(0) @binding(2) var<storage, read_write> samples: array<f32>;  // (h + 2 pad_y, w + 2 pad_x, E)
 
 @compute @workgroup_size(64)
@@ -11,14 +12,17 @@ fn main(
 ) {
     let i = invocation(group, groups, local);
     let wide = width + 2u * pad_x;
-    if (i >= (height + 2u * pad_y) * wide * entry_count) { return; }
+    let each = (wide + 3u) / 4u;  // invocations of a row
+    if (i >= (height + 2u * pad_y) * each * entry_count) { return; }
     let e = i % entry_count;
-    let x = i32((i / entry_count) % wide) - i32(pad_x);
-    let row = (i / (entry_count * wide)) * width;
-    let phase = u32(phases[5u * e + 4u]);
-    var sum = 0.0;
-    for (var j = 0u; j < 4u; j++) {
-        sum += phases[5u * e + j] * rows[(row + inside(x + i32(j) - 1i, width)) * phase_count + phase];
+    let first = 4u * ((i / entry_count) % each);
+    let y = i / (entry_count * each);
+    let taps = phases[2u * e];
+    let row = y * width * phase_count + u32(phases[2u * e + 1u].x);
+    var before = vec4f();
+    for (var n = 0u; n < 7u; n++) {
+        let x = i32(first + n) - i32(pad_x) - 1i;
+        before = vec4f(before.yzw, rows[row + inside(x, width) * phase_count]);
+        if (n >= 3u && first + n - 3u < wide) { samples[(y * wide + first + n - 3u) * entry_count + e] = dot(taps, before); }
     }
-    samples[i] = sum;
 }

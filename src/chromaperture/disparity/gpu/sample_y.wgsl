@@ -1,7 +1,8 @@
 // Views read between their rows, at every sub-pixel phase that the layers use; rows beyond the picture are its border.
+// One invocation takes four neighbours along y, whose taps overlap.
 
 @group(0) @binding(0) var<storage, read> planes: array<f32>;  // (planes, h, w), the views first
-@group(0) @binding(1) var<storage, read> phases: array<f32>;  // (Ey, 5): four taps, the view
+@group(0) @binding(1) var<storage, read> phases: array<vec4f>;  // (Ey, 2): four taps; the view
 @group(0) @binding(2) var<storage, read_write> samples: array<f32>;  // (h + 2 pad_y, w, Ey)
 
 @compute @workgroup_size(64)
@@ -10,14 +11,17 @@ fn main(
     @builtin(local_invocation_index) local: u32
 ) {
     let i = invocation(group, groups, local);
-    if (i >= (height + 2u * pad_y) * width * phase_count) { return; }
+    let tall = height + 2u * pad_y;
+    let pitch = width * phase_count;
+    if (i >= ((tall + 3u) / 4u) * pitch) { return; }
     let e = i % phase_count;
-    let x = (i / phase_count) % width;
-    let y = i32(i / (phase_count * width)) - i32(pad_y);
-    let view = u32(phases[5u * e + 4u]) * width * height;
-    var sum = 0.0;
-    for (var j = 0u; j < 4u; j++) {
-        sum += phases[5u * e + j] * planes[view + inside(y + i32(j) - 1i, height) * width + x];
+    let first = 4u * (i / pitch);
+    let taps = phases[2u * e];
+    let column = u32(phases[2u * e + 1u].x) * width * height + (i % pitch) / phase_count;
+    var before = vec4f();
+    for (var n = 0u; n < 7u; n++) {
+        let y = i32(first + n) - i32(pad_y) - 1i;
+        before = vec4f(before.yzw, planes[column + inside(y, height) * width]);
+        if (n >= 3u && first + n - 3u < tall) { samples[(first + n - 3u) * pitch + i % pitch] = dot(taps, before); }
     }
-    samples[i] = sum;
 }

@@ -1,11 +1,25 @@
 // The surface of the halved picture: disparity, sigma, peak, in px of the full one. Unknown where the best layer is an
-// end of the range and where it is known no better than the range.
+// end of the range and where it is known no better than the range. One invocation takes four neighbours along y, whose
+// ranges overlap.
 
 @group(0) @binding(0) var<storage, read> ranges: array<vec2f>;  // (h, w): lowest and highest disparity along x
 @group(0) @binding(1) var<storage, read> places: array<vec2f>;  // (h, w)
 @group(0) @binding(2) var<storage, read> winner: array<f32>;  // (3, h, w): layer, likelihood there, sigma in layers
 @group(0) @binding(3) var<storage, read> labels: array<f32>;  // (2, H, W) or (2, 1, 1)
-@group(0) @binding(4) var<storage, read_write> surface: array<f32>;  // (3, h, w)
+@group(0) @binding(4) var<storage, read_write> surface: array<vec4f>;  // (h, w): disparity, sigma, peak, nothing
+
+// A pixel of such a range.
+fn finish(x: u32, y: u32, range: f32) {
+    let i = y * width + x;
+    let label = half_label(x, y);
+    let scale = label.y;
+    let disparity = label.x + scale * (first_px + step_px * places[i].y / places[i].x);
+    let posterior = step_px * winner[2u * width * height + i];
+    let known = winner[i] > 0.0 && winner[i] < f32(layer_count - 1u) && posterior < widest_px;
+    let sigma = min(length(vec2f(posterior_share * scale * posterior, edge_share * range)), scale * widest_px);
+    let peak = sqrt(max(1.0 - exp(-2.0 * winner[width * height + i]), 0.0));
+    surface[i] = vec4f(select(UNKNOWN, 2.0 * disparity, known), 2.0 * sigma, peak, 0.0);
+}
 
 @compute @workgroup_size(64)
 fn main(
@@ -13,23 +27,16 @@ fn main(
     @builtin(local_invocation_index) local: u32
 ) {
     let i = invocation(group, groups, local);
-    if (i >= width * height) { return; }
+    if (i >= ((height + 3u) / 4u) * width) { return; }
     let x = i % width;
-    let y = i / width;
-    var low = 1.0e30;
-    var high = -1.0e30;
-    for (var at = inside(i32(y) - i32(reach), height); at <= inside(i32(y) + i32(reach), height); at++) {
-        let here = ranges[at * width + x];
-        low = min(low, here.x);
-        high = max(high, here.y);
+    let first = 4u * (i / width);
+    var low = vec4f(1.0e30);
+    var high = vec4f(-1.0e30);
+    for (var n = 0u; n < 2u * reach + 4u; n++) {
+        let here = ranges[inside(i32(first + n) - i32(reach), height) * width + x];
+        let is_near = (vec4u(n) >= vec4u(0u, 1u, 2u, 3u)) & (vec4u(n) <= 2u * reach + vec4u(0u, 1u, 2u, 3u));
+        low = select(low, min(low, vec4f(here.x)), is_near);
+        high = select(high, max(high, vec4f(here.y)), is_near);
     }
-    let label = half_label(x, y);
-    let scale = label.y;
-    let disparity = label.x + scale * (first_px + step_px * places[i].y / places[i].x);
-    let posterior = step_px * winner[2u * width * height + i];
-    let known = winner[i] > 0.0 && winner[i] < f32(layer_count - 1u) && posterior < widest_px;
-    let sigma = min(length(vec2f(posterior_share * scale * posterior, edge_share * (high - low))), scale * widest_px);
-    surface[i] = select(UNKNOWN, 2.0 * disparity, known);
-    surface[width * height + i] = 2.0 * sigma;
-    surface[2u * width * height + i] = sqrt(max(1.0 - exp(-2.0 * winner[width * height + i]), 0.0));
+    for (var n = 0u; n < min(4u, height - first); n++) { finish(x, first + n, high[n] - low[n]); }
 }

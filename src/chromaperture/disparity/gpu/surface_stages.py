@@ -15,7 +15,6 @@ import numpy as np
 
 from chromaperture.disparity.gpu.device import Array, Chain, DeviceError
 from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
-from chromaperture.disparity.planar import AGREEMENT_SIGMAS, AGREEMENT_WINDOW_PX
 from chromaperture.disparity.stages.between_layers import TANGENTS
 from chromaperture.disparity.stages.paths import LEAST_UNEXPLAINED, LINES, penalties_of
 from chromaperture.disparity.stages.variation import OPERATOR_NORM_SQUARED
@@ -247,10 +246,8 @@ def add_block_sums(chain: Chain, a: SurfaceArrays, grid: Grid, size: int) -> Arr
 
 
 def add_taken_planes(chain: Chain, a: SurfaceArrays, grid: Grid) -> None:
-    """Append `planar.where_they_agree`, for the labels of planes that go up as "plane_labels"."""
-    labels, apart = (chain.array(name, grid.pixels) for name in ("plane_labels", "apart"))
-    per_pixel(chain, "planes_apart", [labels, a.surface, a.sigma, apart], grid, sigmas=AGREEMENT_SIGMAS)
-    per_pixel(chain, "planes_taken", [labels, apart, a.surface], grid, window=AGREEMENT_WINDOW_PX)
+    """Append the labels of `plane_agreement.where_they_agree`, which go up as "taken_labels"."""
+    per_pixel(chain, "planes_taken", [chain.array("taken_labels", grid.pixels), a.surface], grid)
 
 
 def add_results(chain: Chain, a: SurfaceArrays, grid: Grid, *, reach_px: int) -> None:

@@ -65,7 +65,9 @@ def add_views(chain: Chain, image: Array, size: tuple[int, int], space: ViewSpac
     count = len(space.rows)
     raw, smoothed = (chain.array(name, (count + 2) * height * width) for name in ("planes_raw", "planes"))
     mixing = _mixing(space, width, height)
-    chain.add("views", [image, stats, raw], groups=groups_for(width * height), uses=(*SHARED, "mixing"), **mixing)
+    chain.add(
+        "views", [image, stats, raw, smoothed], groups=groups_for(width * height), uses=(*SHARED, "mixing"), **mixing
+    )
     planes = Planes(smoothed, stats, None, width, height, count)
     _add_smoothing(chain, raw, planes, config)
     return planes
@@ -86,10 +88,10 @@ def add_halved_views(
     mixing = _mixing(space, width, height) | {"half_width": half_width}
     chain.add(
         "halve_rows", [image, stats, tall, full_guide],
-        groups=groups_for(half_width * height), uses=(*SHARED, "mixing"), **mixing,
+        groups=groups_for(-(-half_width // 4) * height), uses=(*SHARED, "mixing"), **mixing,
     )  # fmt: skip
     chain.add(
-        "halve_columns", [tall, raw], groups=groups_for((count + 2) * plane), uses=SHARED,
+        "halve_columns", [tall, raw], groups=groups_for((count + 2) * half_width * -(-half_height // 4)), uses=SHARED,
         width=half_width, height=half_height, tall_height=height, plane_count=count + 2,
     )  # fmt: skip
     planes = Planes(smoothed, stats, full_guide, half_width, half_height, count)
@@ -103,7 +105,7 @@ def add_halved_views(
     )  # fmt: skip
     around = _add_blur(chain, raw, planes, taps, first=0, count=count + 2, sparse=(unusable, bands))
     chain.add(
-        "fill", [around, raw], groups=groups_for(plane), uses=SHARED,
+        "fill", [around, raw, smoothed], groups=groups_for(plane), uses=SHARED,
         plane=plane, view_count=count, usable_share=USABLE,
     )  # fmt: skip
     _add_smoothing(chain, raw, planes, config)
@@ -136,13 +138,12 @@ def _mixing(space: ViewSpace, width: int, height: int) -> dict[str, Any]:
 
 
 def _add_smoothing(chain: Chain, raw: Array, planes: Planes, config: ViewsConfig) -> None:
-    """Smooth views and guide, copy the mask; then the views' variance and the guide's unit."""
+    """Smooth views and guide; then the views' variance and the guide's unit."""
     count = planes.view_count
     taps = _smoothing_taps(config.presmooth_sigma_px)
     _add_blur(chain, raw, planes, taps, first=0, count=count)
     taps = _smoothing_taps(GUIDE_SIGMA_PX)
     _add_blur(chain, raw, planes, taps, first=count, count=1)
-    _add_pass(chain, raw, planes.planes, planes, [1.0], first=count + 1, count=1, along_x=False)
     parts = min(_PARTS, -(-planes.pixels // 256))
     sums = chain.array("variance_parts", 6 * parts)
     numbers: dict[str, Any] = {"pixels": planes.pixels, "part_count": parts, "view_count": count}
@@ -198,13 +199,21 @@ def _add_pass(
     sparse: tuple[Array, dict[str, Any]] | None = None,
 ) -> None:
     """Add one direction of a Gaussian; its border is that of the CPU's."""
+    name = f"taps{len(taps)}_{first}"
+    weights = chain.arrays.get(name) or chain.constant(name, _shifted(taps))
     nowhere = chain.arrays.get("no_unusable") or chain.array("no_unusable", 1, np.uint32)
+    along, across = (planes.width, planes.height) if along_x else (planes.height, planes.width)
     unusable, bands = sparse or (nowhere, {"band_height": 1, "band_count": 1})
     chain.add(
-        "blur", [source, unusable, target], groups=groups_for(count * planes.pixels), uses=SHARED,
+        "blur", [source, unusable, weights, target], groups=groups_for(-(-along // 4) * across), uses=SHARED,
         width=planes.width, height=planes.height, first_plane=first, plane_count=count, along_x=along_x,
-        replicate=sparse is None, sparse=sparse is not None, **bands, reach=len(taps) // 2, taps=taps,
+        replicate=sparse is None, sparse=sparse is not None, **bands, reach=len(taps) // 2,
     )  # fmt: skip
+
+
+def _shifted(taps: list[float]) -> np.ndarray:
+    """Weights of each pixel in the sums of four neighbours; (taps + 3, 4) float32."""
+    return np.stack([np.pad(np.array(taps, np.float32), (j, 3 - j)) for j in range(4)], axis=1)
 
 
 def _smoothing_taps(sigma_px: float) -> list[float]:

@@ -1,18 +1,16 @@
-// The windows of `windows_x.wgsl` joined along y, and from them the gain, 1 / standard deviation, of every sample.
+// The windows of `windows_x.wgsl` joined along y in the same way: deviations of the means, and the gain, 1 / standard
+// deviation, of every sample. Deviations fade `reach` rows beyond the lower border.
 
-@group(0) @binding(0) var<storage, read> along_x: array<vec2f>;  // (rows, columns, E): mean, variance
-@group(0) @binding(1) var<storage, read> phases: array<f32>;  // (E, 5)
-@group(0) @binding(2) var<storage, read> views: array<f32>;  // (Ey, 5): the view of each phase along y is the last
+@group(0) @binding(0) var<storage, read> along_x: array<vec2f>;  // (rows, columns + reach, E): mean, variance
+@group(0) @binding(1) var<storage, read> phases: array<vec4f>;  // (E, 2): four taps; the phase along y
+@group(0) @binding(2) var<storage, read> views: array<vec4f>;  // (Ey, 2): four taps; the view
 @group(0) @binding(3) var<storage, read> stats: array<f32>;
-@group(0) @binding(4) var<storage, read_write> gains: array<f32>;  // (rows, columns, E)
+@group(0) @binding(4) var<storage, read_write> deviations: array<vec2f>;  // (rows + reach, columns, E): forward, backward
+@group(0) @binding(5) var<storage, read_write> gains: array<f32>;  // (rows + reach, columns, E)
 
-fn value(x: u32, y: i32, e: u32) -> vec2f {
-    return along_x[(inside(y, row_count) * columns + x) * entry_count + e];
-}
-
-fn followed(state: vec2f, next: vec2f) -> vec2f {
-    let apart = next.x - state.x;
-    let variance = (1.0 - decay) * next.y + decay * (state.y + (1.0 - decay) * apart * apart);
+fn joined(state: vec2f, here: vec2f) -> vec2f {
+    let apart = here.x - state.x;
+    let variance = decay * (state.y + (1.0 - decay) * apart * apart) + (1.0 - decay) * here.y;
     return vec2f(state.x + (1.0 - decay) * apart, variance);
 }
 
@@ -22,31 +20,37 @@ fn main(
     @builtin(local_invocation_index) local: u32
 ) {
     let i = invocation(group, groups, local);
-    let blocks = (row_count + block - 1u) / block;
-    if (i >= columns * blocks * entry_count) { return; }
-    let e = i % entry_count;
-    let x = (i / entry_count) % columns;
-    let first = i32((i / (entry_count * columns)) * block);
-    let end = min(first + i32(block), i32(row_count));
-    let view = u32(views[5u * u32(phases[5u * e + 4u]) + 4u]);
+    let length = row_count + reach;
+    let blocks = (length + block - 1u) / block;
+    let pitch = columns * entry_count;
+    if (i >= blocks * pitch) { return; }
+    let column = i % pitch;
+    let first = (i / pitch) * block;
+    let end = min(first + block, length);
+    let last = min(end + reach, length) - 1u;
+    let view = u32(views[2u * u32(phases[2u * (column % entry_count) + 1u].x) + 1u].x);
     let floor_ = relative_epsilon * stats[VARIANCE + view] + 1.0e-30;
-    var after: array<vec2f, block>;
-    let last = min(end + i32(reach), i32(row_count) - 1i);
-    var state = value(x, last, e);
-    for (var y = last - 1i; y >= end; y--) { state = followed(state, value(x, y, e)); }
-    for (var y = end - 1i; y >= first; y--) {
-        after[y - first] = state;
-        state = followed(state, value(x, y, e));
+    let source_pitch = (columns + reach) * entry_count;
+    var beyond: array<vec2f, reach>;  // the block; its own part waits in `deviations` and `gains`
+    let begin = max(first, reach) - reach;
+    var state = along_x[min(begin, row_count - 1u) * source_pitch + column];
+    for (var y = begin; y <= last; y++) {
+        let here = along_x[min(y, row_count - 1u) * source_pitch + column];
+        let apart = here.x - state.x;
+        state = joined(state, here);
+        if (y >= end) {
+            beyond[y - end] = state;
+        } else if (y >= first) {
+            deviations[y * pitch + column] = vec2f(deviation_unit * apart, state.x);
+            gains[y * pitch + column] = state.y;
+        }
     }
-    let begin = max(first - i32(reach), 0i);
-    state = value(x, begin, e);
-    for (var y = begin + 1i; y < first; y++) { state = followed(state, value(x, y, e)); }
-    for (var y = first; y < end; y++) {
-        state = followed(state, value(x, y, e));
-        let other = after[y - first];
-        let apart = state.x - other.x;
-        let variance = (state.y + decay * other.y) / (1.0 + decay)
-            + decay / ((1.0 + decay) * (1.0 + decay)) * apart * apart;
-        gains[(u32(y) * columns + x) * entry_count + e] = inverseSqrt(variance + floor_);
+    for (var y = last + 1u; y > end; y--) { state = joined(state, beyond[y - 1u - end]); }
+    for (var y = end; y > first; y--) {
+        let at = (y - 1u) * pitch + column;
+        let here = deviations[at];
+        deviations[at].y = deviation_unit * (here.y - state.x);
+        state = joined(state, vec2f(here.y, gains[at]));
+        gains[at] = inverseSqrt(state.y + floor_);
     }
 }

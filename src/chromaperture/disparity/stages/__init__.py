@@ -1,5 +1,6 @@
 """Every stage in readable NumPy: what it computes. ``cpu/`` has the same names compiled; see ``execution.py``."""
 
+from chromaperture.disparity.stages.band_correlation import band_correlation
 from chromaperture.disparity.stages.bilateral import bilateral_winner
 from chromaperture.disparity.stages.correlation import correlate, texture_weights
 from chromaperture.disparity.stages.cross_filter import cross_filter
@@ -7,7 +8,7 @@ from chromaperture.disparity.stages.enlarge import enlarge
 from chromaperture.disparity.stages.four_paths import four_path_winner
 from chromaperture.disparity.stages.paths import aggregate_paths, posterior, read_at_labels
 from chromaperture.disparity.stages.place import halved_surface, place_by_correlation
-from chromaperture.disparity.stages.planes import plane_costs, plane_sums, potts_beliefs
+from chromaperture.disparity.stages.planes import agreed_plane, plane_costs, plane_sums, potts_beliefs
 from chromaperture.disparity.stages.smoothing import smooth_along_surface
 from chromaperture.disparity.stages.spectral_likelihood import spectral_likelihood
 from chromaperture.disparity.stages.upsample import upsample
@@ -18,6 +19,8 @@ from chromaperture.optics.lens_blur import point_transforms
 
 __all__ = [
     "aggregate_paths",
+    "agreed_plane",
+    "band_correlation",
     "bilateral_winner",
     "correlate",
     "coupled_variation",

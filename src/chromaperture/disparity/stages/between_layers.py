@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from chromaperture.disparity.stages.paths import LEAST_UNEXPLAINED
+from chromaperture.threads import each_band
 
 TANGENTS = 2  # iterations; chosen by hand
 
@@ -39,9 +40,14 @@ def between_layers(
     """
     step = float(layers_px[1] - layers_px[0])
     nearest = np.clip(np.rint((disparity_px - layers_px[0]) / step).astype(np.intp), 1, len(layers_px) - 2)
-    before, here, after = (np.take_along_axis(likelihood, (nearest + k)[..., None], axis=2)[..., 0] for k in (-1, 0, 1))
-    left, right = np.exp(2 * (here - before)), np.exp(2 * (here - after))  # as multiples of the layer's own
-    slope, bend = (right - left) / 2, np.maximum((left + right) / 2 - 1, 0)
+    slope, bend = np.empty((2, *nearest.shape), likelihood.dtype)
+
+    def fit(rows: slice) -> None:
+        three = np.take_along_axis(likelihood[rows], nearest[rows, :, None] + np.arange(-1, 2), axis=2)
+        left, right = (np.exp(2 * (three[..., 1] - three[..., k])) for k in (0, 2))  # as multiples of the layer's own
+        slope[rows], bend[rows] = (right - left) / 2, np.maximum((left + right) / 2 - 1, 0)
+
+    each_band(fit, len(nearest))
     offset = np.zeros(slope.shape, np.float32)
     for _ in range(TANGENTS):
         unexplained = np.maximum(1 + offset * (slope + offset * bend), np.float32(LEAST_UNEXPLAINED))

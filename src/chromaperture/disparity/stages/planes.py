@@ -15,6 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+NEAR = 1.5  # tolerances, within which points are fitted
+LEAST_POINTS = 30  # of a plane; chosen by hand
+
 
 class PlaneCosts(NamedTuple):
     """What a plane costs besides its log-likelihood; nats a pixel."""
@@ -87,6 +90,49 @@ def plane_sums(
     first, second = (after - before) / (2 * reach * step), (after + before - 2 * here) / (reach * step) ** 2
     terms = np.stack([x, y, np.ones_like(x)]).astype(float)
     return PlaneSums(float(here.sum()), terms @ first, (terms * second) @ terms.T)
+
+
+def agreed_plane(
+    planes: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    label: np.ndarray,
+    weight: np.ndarray,
+    *,
+    tolerance_px: float,
+    rounds: int,
+) -> np.ndarray:
+    """Find the plane that most points agree with, and fit it to these by least squares.
+
+    Parameters
+    ----------
+    planes : (K, 3) float
+    x, y : (P,) int
+    label : (P,) float, px
+    weight : (P,) float
+    tolerance_px : float
+        Distance at which a point agrees no more.
+    rounds : int
+        Of fitting to the points within `NEAR` of it.
+
+    Returns
+    -------
+    (3,) float64
+        NaN where fewer than `LEAST_POINTS` agree.
+    """
+    terms = np.stack([x, y, np.ones(len(x))]).astype(float)
+    votes = np.maximum(0, 1 - ((planes @ terms - label) / tolerance_px) ** 2) @ weight
+    plane = planes[votes.argmax()]
+    for _ in range(rounds):
+        near = np.abs(plane @ terms - label) < NEAR * tolerance_px
+        if near.sum() < LEAST_POINTS:
+            return np.full(3, np.nan)
+        weighted = terms[:, near] * weight[near]
+        try:
+            plane = np.linalg.solve(weighted @ terms[:, near].T, weighted @ label[near])
+        except np.linalg.LinAlgError:
+            return np.full(3, np.nan)
+    return np.asarray(plane)
 
 
 def potts_beliefs(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:

@@ -194,7 +194,10 @@ class Nodes:
     def noise_powers(self, noise_variance: np.ndarray, *, noise_margin: float = 1.0) -> np.ndarray:
         """Power of the noise in the spectrum of every tile, at any frequency; (tiles, 3)."""
         finite = np.where(np.isfinite(noise_variance), noise_variance, 0).astype(np.float32)
-        sums = np.stack([cut.sum(axis=(1, 2)) for cut in self.cuts(finite)])
+        size, pad = self.size_px, self.size_px // 2
+        whole = cv2.integral(cv2.copyMakeBorder(finite, pad, pad, pad, pad, cv2.BORDER_REFLECT_101))
+        x, y = np.array(self.corners_px).T + pad
+        sums = whole[y + size, x + size] - whole[y, x + size] - whole[y + size, x] + whole[y, x]
         # White noise has the same power at the frequencies that are kept; the spectra were scaled.
         return np.asarray(noise_margin * sums / SAMPLING_PX**4)
 

@@ -1,0 +1,139 @@
+"""The learned error bar: its signs against plain loops, its weights, and how they are found."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from chromaperture.disparity import learned_error_bar
+from chromaperture.disparity.learned_error_bar import Weights, learned_sigma, ranges, signs, weights
+from chromaperture.disparity.planar import Planes
+from chromaperture.disparity.winner import Surface
+
+TRAINING = Path(__file__).parents[1] / "benchmarks" / "error_bar_training.py"
+STEP_PX = 0.1
+
+
+@pytest.fixture
+def world(rng):
+    """Two planes, the right one half rejected; a first surface that scatters about them."""
+    height, width = 40, 90
+    choice = (np.arange(width) >= 50).astype(int) * np.ones((height, 1), int)
+    planes = Planes(np.array([[0, 0, 1.0], [0, 0.005, -0.5], [0, 0, 9]]), choice)  # the third is chosen by no pixel
+    first = planes.label_px + rng.normal(0, 0.03, choice.shape).astype(np.float32)
+    rejected = (choice == 1) & (np.arange(height)[:, None] >= 20)
+    label = np.where(rejected, first, planes.label_px)
+    peak = rng.uniform(0.2, 0.8, choice.shape).astype(np.float32)
+    surface = Surface(label, rng.uniform(0.02, 0.3, choice.shape).astype(np.float32), peak)
+    return surface, first, planes
+
+
+def test_ranges_are_those_of_plain_windows(rng):
+    label = rng.normal(size=(70, 75)).astype(np.float32)
+    for reach, found in ranges(label).items():
+        for y, x in [(0, 0), (35, 40), (69, 3), (12, 74)]:
+            part = label[max(0, y - reach) : y + reach + 1, max(0, x - reach) : x + reach + 1]
+            assert found[y, x] == part.max() - part.min()
+
+
+def test_signs_of_planes_are_means_over_their_pixels(world):
+    surface, first, planes = world
+    found = signs(surface, STEP_PX, first_px=first, explained_by=planes)
+    away = (first - planes.label_px) / STEP_PX
+    for k in (0, 1):
+        of = planes.choice == k
+        values = {name: found[name][of] for name in found}
+        # Single precision of values near 1.
+        np.testing.assert_allclose(values["scatter"], np.log(np.sqrt((away[of] ** 2).mean()) + 0.05), rtol=1e-4)
+        np.testing.assert_allclose(values["rejected"], [0, 0.5][k], atol=5e-3)  # hardly any first surface is on it
+
+
+def test_without_planes_there_are_no_signs_of_planes(world):
+    surface, first, planes = world
+    without = signs(surface, STEP_PX, first_px=first, explained_by=None)
+    with_planes = signs(surface, STEP_PX, first_px=first, explained_by=planes)
+    assert set(without) < set(with_planes)
+    for name, values in without.items():
+        np.testing.assert_array_equal(values, with_planes[name])
+
+
+@pytest.mark.parametrize("of_planes", [True, False])
+def test_the_bar_is_the_weighted_sum_within_what_was_seen(world, of_planes, monkeypatch):
+    monkeypatch.setattr(learned_error_bar, "SMOOTHED_PX", 1e-3)
+    surface, first, planes = world
+    explained_by = planes if of_planes else None
+    model = weights()["planes" if of_planes else "surface"]
+    found = signs(surface, STEP_PX, first_px=first, explained_by=explained_by)
+    sigma = learned_sigma(surface, STEP_PX, first_px=first, explained_by=explained_by)
+    for y, x in [(0, 0), (20, 49), (39, 89), (30, 70)]:
+        total = model.constant
+        for i, name in enumerate(model.names):
+            total += model.weights[i] * min(max(float(found[name][y, x]), model.least[i]), model.most[i])
+        assert sigma[y, x] == pytest.approx(STEP_PX * np.exp(total), rel=1e-4)  # single precision
+
+
+@pytest.mark.parametrize("of_planes", [True, False])
+def test_the_bar_counts_in_steps_between_labels(world, of_planes):
+    """Twice the step and everything twice as far: the same evidence of another design, and twice the bar."""
+    surface, first, planes = world
+    double = Surface(2 * surface.disparity_px, 2 * surface.sigma_px, surface.peak)
+    wide = Planes(2 * planes.planes, planes.choice)
+    one = learned_sigma(surface, STEP_PX, first_px=first, explained_by=planes if of_planes else None)
+    two = learned_sigma(double, 2 * STEP_PX, first_px=2 * first, explained_by=wide if of_planes else None)
+    np.testing.assert_allclose(two, 2 * one, rtol=1e-3)  # differences of single precision under a logarithm
+
+
+@pytest.mark.parametrize("kind", ["planes", "surface"])
+def test_stored_weights_widen_the_bar_where_less_is_known(kind):
+    model = weights()[kind]
+    assert isinstance(model, Weights)
+    assert (model.least < model.most).all()
+    by_name = dict(zip(model.names, model.weights, strict=True))
+    assert by_name["posterior"] > 0
+    assert by_name.get("scatter", 1) > 0
+
+
+def test_what_scatters_more_has_a_longer_bar(world, rng):
+    surface, first, planes = world
+    noisier = planes.label_px + 4 * (first - planes.label_px)
+    little = learned_sigma(surface, STEP_PX, first_px=first, explained_by=planes)
+    much = learned_sigma(surface, STEP_PX, first_px=noisier, explained_by=planes)
+    assert (much[:15, :40] > little[:15, :40]).all()
+
+
+@pytest.fixture(scope="module")
+def training():
+    spec = importlib.util.spec_from_file_location("error_bar_training", TRAINING)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def scenes_of_known_errors(rng, count=6, pixels=4000):
+    """Errors whose distribution is scaled by exp(0.3 + 0.8 a - 0.4 b), whatever c; .70 and .945 within 1 and 2."""
+    scenes = []
+    for _ in range(count):
+        found = {name: rng.normal(0, 1, pixels) for name in "abc"}
+        # Quantiles .70 at 1 and .945 at 2, linear in the logarithm between: both losses ask for the same weights.
+        scatter = np.interp(rng.random(pixels), [0, 0.70, 0.945, 1], np.log([0.1, 1, 2, 4]))
+        scenes.append({**found, "error": np.exp(0.3 + 0.8 * found["a"] - 0.4 * found["b"] + scatter)})
+    return scenes
+
+
+def test_training_finds_the_weights_that_errors_were_made_with(training, rng):
+    model = training.fitted(scenes_of_known_errors(rng), ["a", "b", "c"])
+    # 24,000 errors of a scatter of 1 leave weights to 0.01; the loss is rounded over 0.05, the ridge takes 0.01.
+    np.testing.assert_allclose(model.weights, [0.8, -0.4, 0], atol=0.04)
+    assert model.constant == pytest.approx(0.3, abs=0.04)
+
+
+def test_bars_of_training_hold_the_shares_that_they_are_made_for(training, rng):
+    scenes = scenes_of_known_errors(rng)
+    model = training.fitted(scenes, ["a", "b"])
+    fresh = scenes_of_known_errors(np.random.default_rng(rng.integers(1e9)), count=1, pixels=40_000)[0]
+    bars = fresh["error"] / training.bars_of(model, fresh)
+    for many, share in enumerate(training.SHARES, start=1):
+        assert (bars < many).mean() == pytest.approx(share, abs=0.02)  # four standard deviations of the weights
