@@ -180,7 +180,8 @@ def test_scores_paths_and_the_surface_behind_them(case, labelled, cell_px):
     np.testing.assert_allclose(smoothed[..., 1] / smoothed[..., 0], sums[1] / sums[0], atol=2e-3)
 
     places = (smoothed[..., 1] / smoothed[..., 0]).astype(np.float32)
-    surface = halved_surface(winner, places, labels_px, small_map, cell_px=cell_px)
+    mask = views.mask[::cell_px, ::cell_px]
+    surface = halved_surface(winner, places, labels_px, small_map, mask, cell_px=cell_px)
     disparity, sigma, peak = np.moveaxis(found.layers("surface")[..., :3], 2, 0)
     disparity = np.where(disparity > 1e38, np.nan, disparity)
     np.testing.assert_allclose(disparity / 2, surface.disparity_px, atol=1e-5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -17,7 +18,7 @@ from chromaperture.disparity.views import Views, channel_space
 from chromaperture.disparity.winner import PathWinner
 from chromaperture.optics.aperture import DESIGNS, centroids, made_of
 from chromaperture.stage_config import CorrelationConfig
-from worlds import MARGIN_PX, capture, texture
+from worlds import LAYOUT, MARGIN_PX, capture, ideal_film, moved, texture
 
 SMALL = RealTimeConfig().with_range(-4.0, 4.0)
 
@@ -62,13 +63,32 @@ def test_the_place_between_layers_is_the_vertex_of_the_correlation(view_count, p
     assert information[0, 0] == pytest.approx(0.2 * 0.8 / left, rel=0.02)
 
 
-def test_saturated_pixels_take_the_disparity_of_their_neighbours_or_are_unknown():
-    image = capture(texture(np.random.default_rng(5), blur_px=2.0), "cy_halves", 1.0)
-    image[24:64, 30:80] = 1.0
+@pytest.mark.parametrize("design", ["cy_halves", "rgb_squares", "cmy_circles"])
+def test_saturated_pixels_take_the_disparity_of_their_neighbours_or_are_unknown(design):
+    for top, bottom, left, right in ((30, 40, 40, 50), (24, 64, 30, 80)):
+        image = capture(texture(np.random.default_rng(5), blur_px=2.0), design, 1.0)
+        image[top:bottom, left:right] = 1.0
+        patch = estimate_disparity(image, aperture=design, config=SMALL).value_px[top:bottom, left:right]
+        known = np.isfinite(patch)
+        np.testing.assert_allclose(patch[known], 1.0, atol=0.1)  # a fifth of a layer
+        if bottom - top == 10:  # px of a cell's window: a spot no larger is filled
+            assert known.mean() > 0.9
+        else:  # in its middle any disparity explains it; a cell and the pixels up to the next are filled, 4 + 2 px
+            assert not known[6:-6, 6:-6].any()
+
+
+def test_a_saturated_box_does_not_take_the_depth_behind_it():
+    back, box = texture(np.random.default_rng(5), blur_px=2.0), np.zeros((80, 96))
+    box[20:68, 24:76] = 1.0
+    image = np.zeros((80, 96, 3))
+    for name, (ux, uy) in LAYOUT["cy_halves"].items():
+        before = cv2.GaussianBlur(np.roll(box, (-2 * uy, -2 * ux), (0, 1)), (0, 0), 1.5)
+        behind = moved(back, ux, uy)
+        image += ((1 - before) * behind + 4 * before)[..., None] * ideal_film("cy_halves")[name]
+    image = np.minimum(0.6 * image, 1.0).astype(np.float32)
     found = estimate_disparity(image, aperture="cy_halves", config=SMALL)
-    patch = found.value_px[24:64, 30:80]
-    known = np.isfinite(patch)
-    np.testing.assert_allclose(patch[known], 1.0, atol=0.1)  # a fifth of a layer
+    value, sigma = (part[30:58, 34:66] for part in (found.value_px, found.sigma_px))
+    assert (np.isnan(value) | (np.abs(value + 2.0) <= 2 * sigma)).all()
 
 
 def test_a_coloured_wall_is_found_by_channels_where_unmixing_sees_it_in_focus():
@@ -97,7 +117,7 @@ def test_next_to_a_step_the_error_bar_is_wide():
     layer[:, 15:] = 8
     sure = np.full(layer.shape, 1.0, np.float32)
     winner = PathWinner(layer, sure, 2 * sure, sure, np.zeros_like(sure))
-    surface = halved_surface(winner, layer, np.arange(13) * 0.25, IDENTITY)
+    surface = halved_surface(winner, layer, np.arange(13) * 0.25, IDENTITY, np.ones(layer.shape, np.float32))
     np.testing.assert_allclose(surface.sigma_px[:, 12:18], EDGE_SHARE * 4 * 0.25, rtol=1e-6)
     assert (surface.sigma_px[:, : 15 - EDGE_REACH_PX] == 0).all()
 

@@ -55,7 +55,14 @@ class Execution(Protocol):
         """Find the place between the layers by a pixel's own correlations, and its information."""
 
     def halved_surface(
-        self, winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap, *, cell_px: int = 1
+        self,
+        winner: PathWinner,
+        place: np.ndarray,
+        layers_px: np.ndarray,
+        label_map: LabelMap,
+        mask: np.ndarray,
+        *,
+        cell_px: int = 1,
     ) -> Surface:
         """Return the surface of the halved picture."""
 

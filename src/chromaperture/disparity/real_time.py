@@ -53,11 +53,12 @@ class RealTimeMethod:
         )
 
         place, weight = run.place_by_correlation(winner, len(labels_px), view_count=views.pictures.shape[2])
-        even = views.guide[::cell_px, ::cell_px] / np.float32(config.smoothing_edge_range)
+        guide_of_cells, mask = (part[::cell_px, ::cell_px] for part in (views.guide, views.mask))
+        even = guide_of_cells / np.float32(config.smoothing_edge_range)
         sums = run.smooth_along_surface(
             (weight, place * weight), even, winner.layer, sigma_px=config.smoothing_sigma_px / cell_px
         )
-        surface = run.halved_surface(winner, sums[1] / sums[0], labels_px, label_map, cell_px=cell_px)
+        surface = run.halved_surface(winner, sums[1] / sums[0], labels_px, label_map, mask, cell_px=cell_px)
         surface = Surface(2 * surface.disparity_px, 2 * surface.sigma_px, surface.peak)
         if cell_px > 1:
             surface = run.enlarge(surface, views.guide)

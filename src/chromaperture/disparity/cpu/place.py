@@ -15,13 +15,15 @@ from chromaperture.disparity.stages.place import (
     LEAST_INFORMATION,
     LEAST_UNEXPLAINED,
     POSTERIOR_SHARE,
+    WIDEST_SHARE,
+    near_usable,
 )
 from chromaperture.disparity.stages.place import place_by_correlation as readable_place
 from chromaperture.disparity.winner import PathWinner, Surface
 from chromaperture.threads import in_parallel
 
 _INFORMATION, _UNEXPLAINED = np.float32(LEAST_INFORMATION), np.float32(LEAST_UNEXPLAINED)
-_POSTERIOR, _EDGE = np.float32(POSTERIOR_SHARE), np.float32(EDGE_SHARE)
+_POSTERIOR, _EDGE, _WIDEST = np.float32(POSTERIOR_SHARE), np.float32(EDGE_SHARE), np.float32(WIDEST_SHARE)
 _FLAT = np.float32(1e-9)  # a flat top has no vertex
 _TWO, _QUARTER = np.float32(2), np.float32(0.25)
 
@@ -48,7 +50,13 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
 
 
 def halved_surface(
-    winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap, *, cell_px: int = 1
+    winner: PathWinner,
+    place: np.ndarray,
+    layers_px: np.ndarray,
+    label_map: LabelMap,
+    mask: np.ndarray,
+    *,
+    cell_px: int = 1,
 ) -> Surface:
     """Return the surface of the halved picture, as `stages.halved_surface`."""
     first, step = np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0])
@@ -64,6 +72,7 @@ def halved_surface(
         _finish(*(part[band] for part in (*parts, extent, scale)), last, widest, *(part[band] for part in out))
 
     in_parallel(rows, len(disparity))
+    np.copyto(out.disparity_px, np.float32(np.nan), where=~near_usable(mask))
     return out
 
 
@@ -108,7 +117,7 @@ def _finish(layer, posterior, at, extent, scale, last, widest, disparity, sigma,
         for x in range(width):
             own, edge = _POSTERIOR * scale[y, x] * posterior[y, x], _EDGE * extent[y, x]
             sigma[y, x] = min(np.sqrt(own * own + edge * edge), scale[y, x] * widest)
-            known = layer[y, x] > ZERO and layer[y, x] < last and posterior[y, x] < widest
+            known = layer[y, x] > ZERO and layer[y, x] < last and posterior[y, x] < _WIDEST * widest
             disparity[y, x] = disparity[y, x] if known else np.float32(np.nan)
         for x in range(width):
             row[x] = -_TWO * at[y, x]

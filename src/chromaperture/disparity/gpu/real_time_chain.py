@@ -30,6 +30,8 @@ from chromaperture.disparity.stages.place import (
     LEAST_INFORMATION,
     LEAST_UNEXPLAINED,
     POSTERIOR_SHARE,
+    SEEN_REACH,
+    WIDEST_SHARE,
 )
 from chromaperture.disparity.views import ViewSpace
 
@@ -92,9 +94,10 @@ def add_real_time(
     quads = -(-planes.width // 4) * planes.height
     chain.add("surface", [smoothed, labels, ranges], groups=groups_for(quads), uses=LABELLED, **between)
     chain.add(
-        "surface_range", [ranges, smoothed, winner, labels, surface],
+        "surface_range", [ranges, smoothed, winner, labels, planes.planes, surface],
         groups=groups_for(planes.width * -(-planes.height // 4)), uses=LABELLED,
         layer_count=len(labels_px), widest_px=sigma_of_range(labels_px), posterior_share=POSTERIOR_SHARE,
+        widest_share=WIDEST_SHARE, seen_reach=SEEN_REACH, mask_plane=(planes.view_count + 1) * planes.pixels,
         edge_share=EDGE_SHARE, **between,
     )  # fmt: skip
 

@@ -1,12 +1,23 @@
 // The surface of the halved picture: disparity, sigma, peak, in px of the full one. Unknown where the best layer is an
-// end of the range and where it is known no better than the range. One invocation takes four neighbours along y, whose
-// ranges overlap.
+// end of the range, where it is known hardly better than the range, and where no usable pixel is near. One invocation
+// takes four neighbours along y, whose ranges overlap.
 
 @group(0) @binding(0) var<storage, read> ranges: array<vec2f>;  // (h, w): lowest and highest disparity along x
 @group(0) @binding(1) var<storage, read> places: array<vec2f>;  // (h, w)
 @group(0) @binding(2) var<storage, read> winner: array<f32>;  // (3, h, w): layer, likelihood there, sigma in layers
 @group(0) @binding(3) var<storage, read> labels: array<f32>;  // (2, H, W) or (2, 1, 1)
-@group(0) @binding(4) var<storage, read_write> surface: array<vec4f>;  // (h, w): disparity, sigma, peak, nothing
+@group(0) @binding(4) var<storage, read> planes: array<f32>;  // the mask is the one behind K + 1 others
+@group(0) @binding(5) var<storage, read_write> surface: array<vec4f>;  // (h, w): disparity, sigma, peak, nothing
+
+fn is_near_usable(x: u32, y: u32) -> bool {
+    let far = i32(seen_reach);
+    var usable = 0.0;
+    for (var row = -far; row <= far; row++) {
+        let start = mask_plane + inside(i32(y) + row, height) * width;
+        for (var column = -far; column <= far; column++) { usable += planes[start + inside(i32(x) + column, width)]; }
+    }
+    return usable > 0.0;
+}
 
 // A pixel of such a range.
 fn finish(x: u32, y: u32, range: f32) {
@@ -15,7 +26,8 @@ fn finish(x: u32, y: u32, range: f32) {
     let scale = label.y;
     let disparity = label.x + scale * (first_px + step_px * places[i].y / places[i].x);
     let posterior = step_px * winner[2u * width * height + i];
-    let known = winner[i] > 0.0 && winner[i] < f32(layer_count - 1u) && posterior < widest_px;
+    var known = winner[i] > 0.0 && winner[i] < f32(layer_count - 1u) && posterior < widest_share * widest_px;
+    known = known && is_near_usable(x, y);
     let sigma = min(length(vec2f(posterior_share * scale * posterior, edge_share * range)), scale * widest_px);
     let peak = sqrt(max(1.0 - exp(-2.0 * winner[width * height + i]), 0.0));
     surface[i] = vec4f(select(UNKNOWN, 2.0 * disparity, known), 2.0 * sigma, peak, 0.0);

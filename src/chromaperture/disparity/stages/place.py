@@ -5,6 +5,7 @@ The oracle of ``cpu/place.py``.
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from chromaperture.disparity.error_bar import local_range, sigma_of_range
@@ -14,6 +15,10 @@ from chromaperture.disparity.winner import PathWinner, Surface
 # Of the error bar, fitted to simulated captures of four designs (`benchmarks/bench50.py --deciles`): a posterior of
 # summed costs is too wide as it is; next to depth edges a pixel may belong to either side.
 POSTERIOR_SHARE = 0.4
+# Of the width of an even posterior: what is wider is unknown. In pictures of pure noise .05 of the posteriors through
+# halves and squares and .10 through circles are narrower; in wavy surfaces of weak texture with 2 % noise .99 are.
+WIDEST_SHARE = 0.75
+SEEN_REACH = 1  # cells or px; farther from usable pixels a surface is only carried on from the border of a spot
 EDGE_SHARE, EDGE_REACH_PX = 0.35, 7  # of the range of the disparity within so many px of the halved picture
 LEAST_INFORMATION = 1e-4  # where correlations have no peak the place is that of the layer
 LEAST_UNEXPLAINED = 3e-3  # by the best correlation; keeps the information of noiseless pictures finite
@@ -49,11 +54,19 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
 
 
 def halved_surface(
-    winner: PathWinner, place: np.ndarray, layers_px: np.ndarray, label_map: LabelMap, *, cell_px: int = 1
+    winner: PathWinner,
+    place: np.ndarray,
+    layers_px: np.ndarray,
+    label_map: LabelMap,
+    mask: np.ndarray,
+    *,
+    cell_px: int = 1,
 ) -> Surface:
     """Return the surface of the halved picture in its own px.
 
-    It is unknown where the best layer is an end of the range and where it is known no better than the range.
+    It is unknown where the best layer is an end of the range, where it is known hardly better than the range, and
+    within spots of unusable pixels, of which nothing is seen: the paths carry the depth of their borders there, with
+    error bars as if it were seen.
 
     Parameters
     ----------
@@ -62,15 +75,26 @@ def halved_surface(
         In layers.
     layers_px : (D,) float, px
     label_map : LabelMap
+    mask : (h, w) float
+        0 where a pixel is unusable.
     cell_px : int
         Px of the halved picture from one pixel of the maps to the next.
     """
     first, step = np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0])
     widest = np.float32(sigma_of_range(layers_px))
-    known = (winner.layer > 0) & (winner.layer < len(layers_px) - 1) & (winner.sigma_px < widest)
+    known = (
+        (winner.layer > 0) & (winner.layer < len(layers_px) - 1) & (winner.sigma_px < np.float32(WIDEST_SHARE) * widest)
+    )
+    known &= near_usable(mask)
     disparity = np.asarray(label_map.disparity(first + step * place), np.float32)
     posterior = np.float32(POSTERIOR_SHARE) * label_map.scale * winner.sigma_px
     at_edge = np.float32(EDGE_SHARE) * local_range(disparity, -(-EDGE_REACH_PX // cell_px))
     sigma = np.minimum(np.hypot(posterior, at_edge), label_map.scale * widest)
     peak = np.sqrt(np.maximum(1 - np.exp(-2 * winner.at), 0)).astype(np.float32)
     return Surface(np.where(known, disparity, np.float32(np.nan)), sigma.astype(np.float32), peak)
+
+
+def near_usable(mask: np.ndarray) -> np.ndarray:
+    """Whether there is a usable pixel within `SEEN_REACH` of each, along x and y; (h, w) bool."""
+    square = np.ones((2 * SEEN_REACH + 1, 2 * SEEN_REACH + 1), np.uint8)
+    return np.asarray(cv2.dilate(np.asarray(mask, np.float32), square) > 0)
