@@ -6,14 +6,20 @@
 @group(0) @binding(2) var<storage, read> stats: array<f32>;
 @group(0) @binding(3) var<storage, read_write> score: array<f32>;  // (cells_tall, cells_wide, D)
 
-const REACH = 2i;  // px
+const side = 2u * reach + 1u;
+const wide = width + 2u * pad_x;
 
-// Where a view's samples of a pixel of a layer lie; beyond the samples the border goes on.
-fn sample_at(view: u32, layer: u32, x: i32, y: i32) -> f32 {
+// Where a view's samples of a layer's window begin.
+fn start_of(view: u32, layer: u32, x: u32, y: u32) -> u32 {
     let place = places[view * layer_count + layer];
-    let column = inside(x + place.y + i32(pad_x), width + 2u * pad_x);
-    let row = inside(y + place.z + i32(pad_y), height + 2u * pad_y);
-    return samples[(row * (width + 2u * pad_x) + column) * entry_count + u32(place.x)];
+    let column = u32(i32(x + pad_x - reach) + place.y);
+    let row = u32(i32(y + pad_y - reach) + place.z);
+    return (row * wide + column) * entry_count + u32(place.x);
+}
+
+fn samples_at(at: vec3u) -> vec3f {
+    if (view_count == 2u) { return vec3f(samples[at.x], samples[at.y], 0.0); }
+    return vec3f(samples[at.x], samples[at.y], samples[at.z]);
 }
 
 fn gain_of(square: f32, mean: f32, view: u32) -> f32 {
@@ -29,18 +35,19 @@ fn main(
     if (i >= cells_wide * cells_tall * layer_count) { return; }
     let layer = i % layer_count;
     let cell = i / layer_count;
-    let x = 2i * i32(cell % cells_wide);
-    let y = 2i * i32(cell / cells_wide);
-    var middle = vec3f();  // of the window, taken off for the sake of 32 bits
-    for (var k = 0u; k < view_count; k++) { middle[k] = sample_at(k, layer, x, y); }
+    let x = 2u * (cell % cells_wide);
+    let y = 2u * (cell / cells_wide);
+    let starts = vec3u(
+        start_of(0u, layer, x, y), start_of(1u, layer, x, y), start_of(view_count - 1u, layer, x, y)
+    );
+    let middle = samples_at(starts + (reach * wide + reach) * entry_count);  // taken off for the sake of 32 bits
     var sums = vec3f();
     var squares = vec3f();
     var products = vec3f();  // of the pairs 01, 02, 12
-    for (var row = -REACH; row <= REACH; row++) {
-        for (var column = -REACH; column <= REACH; column++) {
-            let weight = f32((REACH + 1i - abs(row)) * (REACH + 1i - abs(column))) / 81.0;
-            var here = vec3f();
-            for (var k = 0u; k < view_count; k++) { here[k] = sample_at(k, layer, x + column, y + row) - middle[k]; }
+    for (var row = 0u; row < side; row++) {
+        for (var column = 0u; column < side; column++) {
+            let weight = f32(min(row + 1u, side - row) * min(column + 1u, side - column)) / 81.0;
+            let here = samples_at(starts + (row * wide + column) * entry_count) - middle;
             sums += weight * here;
             squares += weight * here * here;
             products += weight * here.xxy * here.yzz;

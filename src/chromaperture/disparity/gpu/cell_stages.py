@@ -20,6 +20,7 @@ from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
 from chromaperture.stage_config import CorrelationConfig
 
 _CHUNK_BYTES = 128e6  # of the samples of a chunk: WebGPU's default limit of a binding
+WINDOW_REACH_PX = 2  # of a cell's window
 _PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
 
 
@@ -43,7 +44,7 @@ def add_cell_scores(
     config: CorrelationConfig,
 ) -> Array:
     """Add the scores of all layers; (cells, D)."""
-    pad_x, pad_y = padding(layers_px, directions, config.sampling)
+    pad_x, pad_y = (pad + WINDOW_REACH_PX for pad in padding(layers_px, directions, config.sampling))
     tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
     most = max(len(directions), int(min(_CHUNK_BYTES, chain.device.largest_bytes) // (4 * tall * wide)))
     chunks = _chunks(layers_px, directions, config, most)
@@ -61,7 +62,7 @@ def add_cell_scores(
             "cell_scores", [samples, at, planes.stats, score], groups=groups_for(cells.pixels * places.shape[1]),
             uses=SHARED, cells_wide=cells.width, cells_tall=cells.height, view_count=planes.view_count,
             layer_count=places.shape[1], first_layer=first, all_layers=len(layers_px),
-            relative_epsilon=RELATIVE_EPSILON, **size,
+            reach=WINDOW_REACH_PX, relative_epsilon=RELATIVE_EPSILON, **size,
         )  # fmt: skip
     return score
 
