@@ -24,7 +24,7 @@ OFF_BY_ONE = 1e-3  # of the scores, where two executions had the same windows an
 # `cpu/simd.py`, logarithm: to 2e-5, and a log-likelihood is kept to 1.8e-4.
 LOGARITHM = np.polynomial.chebyshev.Chebyshev.interpolate(lambda t: np.log(1.5 + t), 6, domain=[-0.5, 0.5])
 
-correlate, at_labels = four_paths.correlate, four_paths.scores_at_labels
+correlate = four_paths.correlate
 
 
 def rounded(score: np.ndarray) -> np.ndarray:
@@ -76,7 +76,6 @@ def main() -> None:
         changes = {"correlate": scores}
         if rounds:
             changes["log_likelihood"] = rounded_likelihood
-            changes["scores_at_labels"] = lambda *parts: rounded(at_labels(*parts))
         with mock.patch.multiple(four_paths, **changes):
             return readable.measure(image).depth_mm
 

@@ -6,22 +6,21 @@ Layers come in chunks whose samples fit the memory.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
+from chromaperture.disparity.gpu.correlation_stages import add_samples, chunks_of
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes
 from chromaperture.disparity.gpu.workgroups import groups_for
-from chromaperture.disparity.stages.correlation import RELATIVE_EPSILON, SAMPLING, padding
+from chromaperture.disparity.stages.correlation import RELATIVE_EPSILON, padding
 from chromaperture.disparity.stages.enlarge import JUMP_PX
 from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
 from chromaperture.stage_config import CorrelationConfig
 
 _CHUNK_BYTES = 128e6  # of the samples of a chunk: WebGPU's default limit of a binding
 WINDOW_REACH_PX = 2  # of a cell's window
-_PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
 
 
 def add_cell_planes(chain: Chain, planes: Planes) -> Planes:
@@ -46,55 +45,21 @@ def add_cell_scores(
     """Add the scores of all layers; (cells, D)."""
     pad_x, pad_y = (pad + WINDOW_REACH_PX for pad in padding(layers_px, directions, config.sampling))
     tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
-    most = max(len(directions), int(min(_CHUNK_BYTES, chain.device.largest_bytes) // (4 * tall * wide)))
-    chunks = _chunks(layers_px, directions, config, most)
-    samples = chain.array("samples", tall * wide * max(len(entries) for _, entries, _ in chunks))
+    most = int(min(_CHUNK_BYTES, chain.device.largest_bytes) // (4 * tall * wide))
+    chunks = chunks_of(layers_px, directions, config.sampling, most, len(layers_px))
+    samples_y = chain.array("samples_y", tall * planes.width * max(len(chunk.phases_y) for chunk in chunks))
+    samples = chain.array("samples", tall * wide * max(len(chunk.phases_x) for chunk in chunks))
     score = chain.array("score", cells.pixels * len(layers_px))
-    size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_x": pad_x, "pad_y": pad_y}
-    for number, (first, entries, places) in enumerate(chunks):
-        size["entry_count"] = len(entries)
-        at = chain.constant(f"places{number}", places)
+    for number, chunk in enumerate(chunks):
+        add_samples(chain, planes, chunk, number, samples_y, samples, pad_x=pad_x, pad_y=pad_y)
         chain.add(
-            "cell_samples", [planes.planes, chain.constant(f"entries{number}", entries), samples],
-            groups=groups_for(tall * wide * len(entries)), uses=SHARED, **size,
-        )  # fmt: skip
-        chain.add(
-            "cell_scores", [samples, at, planes.stats, score], groups=groups_for(cells.pixels * places.shape[1]),
-            uses=SHARED, cells_wide=cells.width, cells_tall=cells.height, view_count=planes.view_count,
-            layer_count=places.shape[1], first_layer=first, all_layers=len(layers_px),
-            reach=WINDOW_REACH_PX, relative_epsilon=RELATIVE_EPSILON, **size,
+            "cell_scores", [samples, chain.constant(f"places{number}", chunk.places), planes.stats, score],
+            groups=groups_for(cells.pixels * chunk.size), uses=SHARED, cells_wide=cells.width, cells_tall=cells.height,
+            view_count=planes.view_count, entry_count=len(chunk.phases_x), layer_count=chunk.size,
+            first_layer=chunk.first, all_layers=len(layers_px), reach=WINDOW_REACH_PX,
+            relative_epsilon=RELATIVE_EPSILON, width=planes.width, pad_x=pad_x, pad_y=pad_y,
         )  # fmt: skip
     return score
-
-
-def _chunks(
-    layers_px: np.ndarray, directions: np.ndarray, config: CorrelationConfig, most: int
-) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """First layer, entries (E, 9) and places (K, C, 4) of chunks with at most so many entries."""
-    taps_of = SAMPLING[config.sampling]
-    found: list[tuple[int, np.ndarray, np.ndarray]] = []
-    first = 0
-    while first < len(layers_px):
-        entries: dict[tuple[int, float, float], int] = {}
-        places: list[list[tuple[int, int, int, int]]] = []
-        for layer in layers_px[first:]:
-            parts = [[_split(float(layer * part)) for part in direction] for direction in directions]
-            new = {(k, x[1], y[1]) for k, (x, y) in enumerate(parts)} - entries.keys()
-            if places and len(entries) + len(new) > most:
-                break
-            places.append([
-                (entries.setdefault((k, x[1], y[1]), len(entries)), x[0], y[0], 0) for k, (x, y) in enumerate(parts)
-            ])  # fmt: skip
-        rows = np.array([(k, *taps_of(x), *taps_of(y)) for k, x, y in entries], np.float32)
-        found.append((first, rows, np.ascontiguousarray(np.array(places, np.int32).transpose(1, 0, 2))))
-        first += len(places)
-    return found
-
-
-def _split(offset_px: float) -> tuple[int, float]:
-    """Whole px and the phase in [0, 1), of 1 / `_PHASES`."""
-    parts = round(offset_px * _PHASES)
-    return math.floor(parts / _PHASES), (parts % _PHASES) / _PHASES
 
 
 def add_label_likelihood(

@@ -163,21 +163,9 @@ def add_correlation(
     unit = math.sqrt(decay * (1 - decay))  # of deviations, so that their products need no factor
     size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_x": pad_x, "pad_y": pad_y}
     for number, chunk in enumerate(chunks):
-        entries, phases = len(chunk.phases_x), len(chunk.phases_y)
-        taps_y, taps_x = (
-            chain.constant(f"taps_y{number}", chunk.phases_y),
-            chain.constant(f"taps_x{number}", chunk.phases_x),
-        )
+        entries = len(chunk.phases_x)
         places = chain.constant(f"places{number}", _whole_quads(chunk.places))
-        chain.add(
-            "sample_y", [planes.planes, taps_y, samples_y],
-            groups=groups_for(-(-tall // 4) * planes.width * phases), uses=SHARED,
-            width=planes.width, height=planes.height, pad_y=pad_y, phase_count=phases,
-        )  # fmt: skip
-        chain.add(
-            "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * -(-wide // 4) * entries), uses=SHARED,
-            phase_count=phases, entry_count=entries, **size,
-        )  # fmt: skip
+        taps_y, taps_x = add_samples(chain, planes, chunk, number, samples_y, samples, pad_x=pad_x, pad_y=pad_y)
         frame: dict[str, Any] = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
         block, blocks = _even_blocks(chain, wide + reach)
         chain.add(
@@ -204,6 +192,26 @@ def add_correlation(
             layer_count=chunk.size, **layers, **kept.constants,
         )  # fmt: skip
         yield volume, chunk
+
+
+def add_samples(
+    chain: Chain, planes: Planes, chunk: Chunk, number: int, samples_y: Array, samples: Array, *, pad_x: int, pad_y: int
+) -> tuple[Array, Array]:
+    """Add the samples of a chunk, (h + 2 pad_y, w + 2 pad_x, E); return the taps along y and along x."""
+    tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
+    entries, phases = len(chunk.phases_x), len(chunk.phases_y)
+    taps_y = chain.constant(f"taps_y{number}", chunk.phases_y)
+    taps_x = chain.constant(f"taps_x{number}", chunk.phases_x)
+    size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_y": pad_y, "phase_count": phases}
+    chain.add(
+        "sample_y", [planes.planes, taps_y, samples_y], groups=groups_for(-(-tall // 4) * planes.width * phases),
+        uses=SHARED, **size,
+    )  # fmt: skip
+    chain.add(
+        "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * -(-wide // 4) * entries), uses=SHARED,
+        pad_x=pad_x, entry_count=entries, **size,
+    )  # fmt: skip
+    return taps_y, taps_x
 
 
 def _whole_quads(places: np.ndarray) -> np.ndarray:
