@@ -11,6 +11,7 @@ width of the wrong band is the sum of both sides. Blur is that of the nearer or 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from pathlib import Path
 
@@ -107,7 +108,7 @@ def main() -> None:
         widths, blurs = np.concatenate(bands).T
         by_blur = {
             f"{a}-{b}": [float(np.median(part)), len(part)]
-            for a, b in zip(BLUR_PX[:-1], BLUR_PX[1:], strict=True)
+            for a, b in itertools.pairwise(BLUR_PX)
             if len(part := widths[(blurs >= a) & (blurs < b)])
         }
         table.append(
