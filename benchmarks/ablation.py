@@ -31,8 +31,9 @@ from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.config import AccurateConfig, MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.depth.field import DepthField
-from chromaperture.disparity import accurate
+from chromaperture.disparity import accurate, plane_agreement
 from chromaperture.disparity.labels import IDENTITY
+from chromaperture.disparity.planar import Planes
 from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.stage_config import (
     BilateralConfig,
@@ -73,8 +74,8 @@ VARIANTS: dict[str, MatcherConfig] = {
 
 ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only",
             "one octave", "three octaves", "window of 8 px", "pairs of channels alone", "no planes",
-            "planes keep every slope",
-            "edges where the evidence has them", "no total variation", "four paths", "penalties a tenth",
+            "planes keep every slope", "edges where the evidence has them", "planes give way in spots",
+            "planes everywhere", "error bar not learned", "no total variation", "four paths", "penalties a tenth",
             "penalties not led by the guide", "one curve for the frame")  # fmt: skip
 
 
@@ -110,16 +111,27 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
         "no planes": {"planes": dataclasses.replace(planes, rounds=0)},
         "planes keep every slope": {"planes": dataclasses.replace(planes, slope_tolerance=0.0)},
         "edges where the evidence has them": {"planes": dataclasses.replace(planes, edge_band_px=0)},
+        "error bar not learned": {"surface": dataclasses.replace(surface, learned_error_bar=False)},
     }
     matcher = dataclasses.replace(config.matcher, **changes.get(name, {}))
     return CodedApertureCamera(calibration, dataclasses.replace(config, matcher=matcher))
 
 
+def where_pixels_agree(planes: Planes, surface_px: np.ndarray, sigma_px: np.ndarray) -> np.ndarray:
+    """Take planes where they agree with the surface, in spots that they surround as anywhere else."""
+    nowhere = {"WHOLE_AREA_SHARE": np.inf, "SURROUNDED_SHARE": np.inf}
+    with mock.patch.multiple(plane_agreement, **nowhere):
+        return plane_agreement.where_they_agree(planes, surface_px, sigma_px)
+
+
 def measure_accurate(name: str, args: argparse.Namespace) -> dict:
     camera = accurate_camera(name, args.camera, args.data / args.design)
-    unplaced = name == "walls not placed between layers"
-    start_of_paths = mock.patch.object(accurate, "between_layers", lambda disparity_px, *volume, sigma_px: disparity_px)
-    with start_of_paths if unplaced else contextlib.nullcontext():
+    replaced = {
+        "walls not placed between layers": ("between_layers", lambda disparity_px, *volume, sigma_px: disparity_px),
+        "planes everywhere": ("where_they_agree", lambda planes, *surface: planes.label_px),
+        "planes give way in spots": ("where_they_agree", where_pixels_agree),
+    }
+    with mock.patch.object(accurate, *replaced[name]) if name in replaced else contextlib.nullcontext():
         return figures_of(camera, args.data, args.design, args.scenes, rounds=1)
 
 

@@ -11,8 +11,8 @@ width of the wrong band is the sum of both sides. Blur is that of the nearer or 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
-from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -108,7 +108,7 @@ def main() -> None:
         widths, blurs = np.concatenate(bands).T
         by_blur = {
             f"{a}-{b}": [float(np.median(part)), len(part)]
-            for a, b in pairwise(BLUR_PX)
+            for a, b in itertools.pairwise(BLUR_PX)
             if len(part := widths[(blurs >= a) & (blurs < b)])
         }
         table.append(

@@ -24,7 +24,8 @@ class SpectralConfig:
     stride_px : int
         Distance of two windows.
     slopes : tuple of float
-        Slopes of the texture's power spectrum f^(-2 slope) that are tried.
+        Slopes of the texture's power spectrum f^(-2 slope) that are tried; the last one is that of shading, which has no
+        detail that blur could take.
     channel_error : float
         Fraction of a channel's power that is its own: error of the calibrated blur, and limit of the correlation of
         colours.
@@ -36,7 +37,7 @@ class SpectralConfig:
     cap_nats: float = 0.5
     taper_px: float = 8.0
     stride_px: int = 10
-    slopes: tuple[float, ...] = (0.75, 1.0, 1.3, 1.7)
+    slopes: tuple[float, ...] = (0.75, 1.0, 1.3, 1.7, 3.0)
     channel_error: float = 0.002
     rounds: int = 2
 
