@@ -24,8 +24,8 @@ class SpectralConfig:
     stride_px : int
         Distance of two windows.
     slopes : tuple of float
-        Slopes of the texture's power spectrum f^(-2 slope) that are tried; the last one is that of shading, which has no
-        detail that blur could take.
+        Slopes of the texture's power spectrum f^(-2 slope) that are tried; the last one is that of shading, which has
+        no detail that blur could take.
     channel_error : float
         Fraction of a channel's power that is its own: error of the calibrated blur, and limit of the correlation of
         colours.
