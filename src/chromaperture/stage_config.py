@@ -369,8 +369,8 @@ class PlanesConfig:
     outside_penalty: float = 0.05
     border_px: int = 12
     edge_band_px: int = 8
-    rounds: int = 4
-    sweeps: int = 5
+    rounds: int = 5
+    sweeps: int = 8
 
     def __post_init__(self) -> None:
         require(bool(self.tiles_px) and min(self.tiles_px) >= 8, "tiles_px must hold sizes of at least 8 px")
