@@ -1,7 +1,8 @@
-"""Where planes replace the surface that they explain: where it allows them, and where they surround what it does not.
+"""Choose between the planes and the surface that they explain, pixel by pixel.
 
 A plane that runs through an area of weak evidence may be off by far more than the surface, which knows its
-neighbourhood. But a surface that follows a plane all around a spot, and leaves it there, follows noise.
+neighbourhood: where both differ by more than the error bar, the surface stays. A spot of difference inside an area
+where both agree is noise of the surface: there the plane stays.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ AGREEMENT_WINDOW_PX = 9  # two sigmas of the correlation window and the pixel: n
 # spots that it surrounds. docs/measurements.md has 0.4 to 1 for the one; 0.5, 0.6 and 0.8 read the same for the other.
 WHOLE_AREA_SHARE = 0.9
 SURROUNDED_SHARE = 0.6
-BORDER_PX = 2  # about the median's half window, beyond which a spot no longer touches the border
+BORDER_PX = 2  # a spot closer to the border of its area touches it; chosen by hand
 
 
 def where_they_agree(planes: Planes, surface_px: np.ndarray, sigma_px: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
 """Quality "accurate" on a device.
 
 The photograph goes up once and three maps come down at the end. In between, where planes explain the surface, the first
-surface, its error bar and the sums of blocks of the volume come down, and planes go up; see ``plane_stages.py`` for
-what the CPU does with them. The volume itself never leaves the device.
+surface, its error bar and the sums of blocks of the volume come down, and the labels that planes and surface agree on
+go up; see ``plane_stages.py`` for what the CPU does with them. The volume itself never leaves the device.
 """
 
 from __future__ import annotations

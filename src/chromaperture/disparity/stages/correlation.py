@@ -19,8 +19,8 @@ Taps = Callable[[float], tuple[float, float, float, float]]
 MIN_VARIANCE_FRACTION = 0.05  # of a variance that debiasing always leaves: an estimated noise may be too high
 RELATIVE_EPSILON = 1e-6  # of a view's overall variance: even areas score 0, not noise / noise
 MIN_WEIGHT = 1e-4  # keeps the sum of weights positive where a whole line is unusable
-# Of the window of a cell, px -2 to 2 of its own: docs/measurements.md compares windows.
-CELL_TAPS = (1 / 9, 2 / 9, 3 / 9)  # at 2, 1 and 0 px
+# Weights of the window of a cell along x and along y; docs/measurements.md compares windows.
+CELL_TAPS = (1 / 9, 2 / 9, 3 / 9)  # 2, 1 and 0 px from the pixel after which the cell is named
 
 
 def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig) -> np.ndarray:
