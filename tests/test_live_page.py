@@ -128,9 +128,9 @@ def look(page: LivePage, connection) -> None:
         "look_at": (0, 0, 1),
         "up_direction": (0, -1, 0),
     }
-    count = len(page.server.get_clients())
+    before = set(page.server.get_clients())  # one of these may leave while this one comes
     send(connection, camera)
-    until(lambda: len(page.server.get_clients()) > count)
+    until(lambda: set(page.server.get_clients()) - before)
 
 
 def set_value(connection, control, value: object) -> None:
