@@ -239,6 +239,19 @@ def test_planes_hold_in_spots_that_they_surround_and_where_nearly_all_agrees() -
     np.testing.assert_allclose(where_they_agree(planes, surface, sigma)[:, 2:8], 0.5)
 
 
+def test_a_far_plane_holds_beside_a_nearer_one_where_the_surface_lies_between() -> None:
+    """Windows beside a near plane see its outline: the surface makes it too large. The near plane itself may give way."""
+    planes = Planes(np.array([[0.0, 0, 0], [0, 0, -3.0]]), np.repeat([[0] * 60 + [1] * 60], 80, axis=0))
+    surface, sigma = planes.label_px.copy(), np.full((80, 120), 0.1)
+    surface[:, 50:60] = -2.5  # grown by 10 px
+    np.testing.assert_array_equal(where_they_agree(planes, surface, sigma), planes.label_px)
+    surface[:, 50:60] = -4.0  # nearer than both: something else is there
+    np.testing.assert_array_equal(where_they_agree(planes, surface, sigma)[10:-10, 52:58], -4.0)
+    surface[:, 40:60] = 0
+    surface[:, 60:80] = -0.5  # the near plane ends farther to the right
+    np.testing.assert_array_equal(where_they_agree(planes, surface, sigma)[10:-10, 62:70], -0.5)
+
+
 def test_planes_can_be_switched_off_and_need_room() -> None:
     label, likelihood, guide = scene(noise_px=0.0)
     for part, config in ((np.s_[:], PlanesConfig(rounds=0)), (np.s_[:5], PlanesConfig())):

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 
 from chromaperture.stage_config import all_finite, require
 
-LEAST_REACH_OF_PAIRS = 0.15  # as `PlanesConfig`: of bench50's designs the open one has .09, the others .2 to .33
+# Of px of half disparity for a px of the pupil edge's displacement: the open aperture has .09, three circles .20, halves
+# .33, three squares .42. docs/measurements.md (*All channels at once*) has what this evidence gains for each.
+LEAST_REACH_OF_PAIRS = 0.15  # as `PlanesConfig`
+LEAST_REACH_OF_PAIRS_ALONE = 0.37
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,8 @@ class SpectralConfig:
         """Return the settings for a lens; ``reach`` is px of half disparity for a px of the pupil edge's displacement.
 
         Where views lie close together blur tells more than parallax. Where they lie far apart the pairs alone are
-        exact, and their small windows know edges: a weak dose (gain 1, cap 0.15) adds 0.01 to the fractions within 2 %
-        and 5 %, and half of the time (docs/measurements.md).
+        exact, and their small windows know edges. In between a weak dose finds walls that hardly have texture.
         """
-        return cls() if reach < LEAST_REACH_OF_PAIRS else cls(gain=0.0)
+        if reach < LEAST_REACH_OF_PAIRS:
+            return cls()
+        return cls(gain=1.0, cap_nats=0.15) if reach < LEAST_REACH_OF_PAIRS_ALONE else cls(gain=0.0)

@@ -2,7 +2,8 @@
 
 A plane that runs through an area of weak evidence may be off by far more than the surface, which knows its
 neighbourhood: where both differ by more than the error bar, the surface stays. A spot of difference inside an area
-where both agree is noise of the surface: there the plane stays.
+where both agree is noise of the surface: there the plane stays. So does a far plane beside a nearer one: windows there
+see the near plane's outline, so that the surface makes near things too large.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ AGREEMENT_WINDOW_PX = 9  # two sigmas of the correlation window and the pixel: n
 # spots that it surrounds. docs/measurements.md has 0.4 to 1 for the one; 0.5, 0.6 and 0.8 read the same for the other.
 WHOLE_AREA_SHARE = 0.9
 SURROUNDED_SHARE = 0.6
+BESIDE_PX = 12  # a nearer plane; docs/measurements.md has 8 to 24
 BORDER_PX = 2  # a spot closer to the border of its area touches it; chosen by hand
 
 
@@ -37,7 +39,23 @@ def where_they_agree(planes: Planes, surface_px: np.ndarray, sigma_px: np.ndarra
     label_px = planes.label_px
     apart = (np.abs(label_px - surface_px) > AGREEMENT_SIGMAS * sigma_px).astype(np.uint8)
     apart = _without_noise(cv2.medianBlur(apart, AGREEMENT_WINDOW_PX) > 0, planes.choice)
+    apart &= ~_beside_nearer(planes, label_px, surface_px, sigma_px)
     return np.where(apart, surface_px, label_px).astype(np.float32)
+
+
+def _beside_nearer(planes: Planes, label_px: np.ndarray, surface_px: np.ndarray, sigma_px: np.ndarray) -> np.ndarray:
+    """Find the pixels next to a nearer plane whose surface lies between theirs and that one; (H, W) bool."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BESIDE_PX + 1, 2 * BESIDE_PX + 1))
+    y, x = np.ogrid[: label_px.shape[0], : label_px.shape[1]]
+    found = np.zeros(label_px.shape, bool)
+    below = surface_px <= label_px + sigma_px
+    for k in np.unique(planes.choice):
+        here = planes.choice == k
+        a, b, c = planes.planes[k]
+        near_px = (a * x + b * y + c).astype(np.float32)
+        beside = (cv2.dilate(here.astype(np.uint8), disc) > 0) & ~here & (near_px < label_px)
+        found |= beside & below & (surface_px >= near_px - sigma_px)
+    return found
 
 
 def _without_noise(apart: np.ndarray, choice: np.ndarray) -> np.ndarray:
