@@ -126,7 +126,7 @@ class RealTimeConfig(MatcherConfig):
     space: Literal["unmixed", "pure", "channels"] = "channels"
     correlation: CorrelationConfig = CorrelationConfig(window_decay=0.30, sampling="b-spline", cell_px=2)
     paths: FourPathsConfig = FourPathsConfig()
-    smoothing_sigma_px: float = 30.0
+    smoothing_sigma_px: float = 50.0
     smoothing_edge_range: float = 3.3
     floor_px: float = 0.05
 

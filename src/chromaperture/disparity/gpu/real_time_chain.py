@@ -132,16 +132,19 @@ def _add_paths(
     if not chain.device.subgroups:  # barriers of a rasteriser in software take three times as long as the paths
         exchange, lanes = ("lanes_single", 1) if chain.device.info.is_software else ("lanes_shared", _LANES)
     for direction, cost in enumerate(costs):
-        lines = planes.height if direction < 2 else planes.width
+        along_row = direction < 2
+        lines, rows = (planes.height, []) if along_row else (planes.width, costs[:2])
         chain.add(
-            "four_paths", [likelihood, planes.planes, planes.stats, cost],
-            groups=(-(-lines // (64 // lanes)),), uses=(*SHARED, exchange), direction=direction,
-            guide_plane=planes.view_count * planes.pixels, pitch=pitch, jump=paths.jump_penalty,
+            "four_paths", [likelihood, planes.planes, planes.stats, cost, *rows], groups=(-(-lines // (64 // lanes)),),
+            uses=(*SHARED, exchange, "packed_costs", "own_of_rows" if along_row else "own_of_columns"),
+            direction=direction, row_share=paths.row_share, guide_plane=planes.view_count * planes.pixels,
+            pitch=pitch, jump=paths.jump_penalty,
             edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
         )  # fmt: skip
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(
-        "path_winner", [likelihood, *costs, winner, places], groups=groups_for(planes.pixels), uses=SHARED,
+        "path_winner", [likelihood, *costs, winner, places], groups=groups_for(planes.pixels),
+        uses=(*SHARED, "packed_costs"),
         view_count=planes.view_count, jump=paths.jump_penalty, temperature=paths.temperature,
         least_unexplained=LEAST_UNEXPLAINED, least_information=LEAST_INFORMATION, **size, **of_layers,
     )  # fmt: skip
