@@ -358,8 +358,8 @@ def assert_real_time_agrees(image, design, config=REAL_TIME, label_map=IDENTITY)
     apart = np.abs(fast.value_px - slow.value_px)
     same = (apart < DISPARITY_TOLERANCE_PX) | (np.isnan(fast.value_px) & np.isnan(slow.value_px))
     # Without noise, labels between two layers reach the correlation 1 together: ties, which the rounding of scores to
-    # 1 / 32000 decides. It is the scatter of the posterior that changes with them most. One tie moves the 4 x 4 px of its
-    # cell and those between it and its neighbours.
+    # 1 / 32000 decides. It is the scatter of the posterior that changes with them most. One tie moves the 4 x 4 px of
+    # its cell and those between it and its neighbours.
     assert np.sum(~same) <= 36 + 3 * OTHER_WINNERS * same.size
     assert np.mean(np.abs(fast.sigma_px - slow.sigma_px)[same] > 0.05) <= 10 * OTHER_WINNERS
 
@@ -380,7 +380,7 @@ def test_places_and_surfaces_agree(rng, shape, view_count, labelled):
     np.testing.assert_allclose(fast[0][settled], slow[0][settled], atol=2e-3)
     np.testing.assert_allclose(fast[1], slow[1], rtol=1e-3, atol=1e-5)
     mask = (rng.random(shape) > 0.95).astype(np.float32)
-    surfaces = (run.halved_surface(winner, slow[0], layers_px, labels, mask) for run in (FAST, SLOW))
+    surfaces = (run.halved_surface(winner, *slow, layers_px, labels, mask) for run in (FAST, SLOW))
     for one, other in zip(*surfaces, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5)  # float32; the root of 1 - exp(-2 l) at 0
 

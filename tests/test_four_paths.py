@@ -47,7 +47,7 @@ def test_with_all_of_the_rows_it_is_the_least_cost_of_a_tree(rng, jump):
 
 
 def test_rows_of_weak_texture_draw_no_streaks():
-    """A wall whose pixels say little: semi-global matching lets whole pieces of rows err, a share of the rows does not."""
+    """A wall whose pixels say little: pieces of rows err without a share of the rows, and hardly with it."""
     rng = np.random.default_rng(5)
     own = rng.normal(0, 1, (40, 60, 8))
     own[..., 3] -= 0.35
@@ -56,6 +56,5 @@ def test_rows_of_weak_texture_draw_no_streaks():
         np.mean(summed_costs(own, guide, FourPathsConfig(jump_penalty=5.0, row_share=share)).argmin(axis=2) != 3)
         for share in (0.0, 0.25)
     ]
-    print(wrong)
     assert wrong[0] > 0.1
     assert wrong[1] < wrong[0] / 2

@@ -25,11 +25,12 @@ from chromaperture.disparity.stages.bilateral import even_link
 from chromaperture.disparity.stages.enlarge import JUMP_PX
 from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
 from chromaperture.disparity.stages.place import (
+    BIAS,
     EDGE_REACH_PX,
     EDGE_SHARE,
     LEAST_INFORMATION,
     LEAST_UNEXPLAINED,
-    POSTERIOR_SHARE,
+    SCATTER,
     SEEN_REACH,
     WIDEST_SHARE,
 )
@@ -96,7 +97,7 @@ def add_real_time(
     chain.add(
         "surface_range", [ranges, smoothed, winner, labels, planes.planes, surface],
         groups=groups_for(planes.width * -(-planes.height // 4)), uses=LABELLED,
-        layer_count=len(labels_px), widest_px=sigma_of_range(labels_px), posterior_share=POSTERIOR_SHARE,
+        layer_count=len(labels_px), widest_px=sigma_of_range(labels_px), scatter=SCATTER, bias=BIAS,
         widest_share=WIDEST_SHARE, seen_reach=SEEN_REACH, mask_plane=(planes.view_count + 1) * planes.pixels,
         edge_share=EDGE_SHARE, **between,
     )  # fmt: skip
