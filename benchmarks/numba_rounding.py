@@ -18,7 +18,7 @@ from chromaperture.disparity.stages import correlation, four_paths
 
 AGREEING = 1e-3
 SCORE_UNIT = 32000  # `cpu/layout.py`, SCORE_SCALE
-NATS_UNIT = SCORE_UNIT / (-0.5 * np.log(four_paths.LEAST_DETERMINANT))  # `cpu/path_costs.py`
+NATS_UNIT = SCORE_UNIT / (-0.5 * np.log(four_paths.LEAST_DETERMINANT))  # `cpu/label_scores.py`
 NOISE = 3e-7  # of a score: the resolution of 32 bits next to 1
 OFF_BY_ONE = 1e-3  # of the scores, where two executions had the same windows and rounded what they made of them
 # `cpu/simd.py`, logarithm: to 2e-5, and a log-likelihood is kept to 1.8e-4.

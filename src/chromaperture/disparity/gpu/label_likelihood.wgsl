@@ -1,4 +1,5 @@
-// Scores to log-likelihoods, nats, at labels on and between the layers, of equal depth: by Catmull and Rom's cubics.
+// Scores to log-likelihoods, nats, at labels on and between the layers, of equal depth: by polynomials
+// through six layers.
 
 @group(0) @binding(0) var<storage, read> score: array<f32>;  // (cells, all_layers)
 @group(0) @binding(1) var<storage, read> labels: array<f32>;  // (2, H, W): offset, scale; or (2, 1, 1)
@@ -24,13 +25,16 @@ fn main(
         let place = begin + label.y * f32(n) / f32(parts);
         let below = clamp(i32(place), 0i, i32(all_layers) - 2i);
         let t = place - f32(below);
-        let before = score[start + inside(below - 1i, all_layers)];
         let low = score[start + u32(below)];
         let high = score[start + u32(below) + 1u];
-        let after = score[start + inside(below + 2i, all_layers)];
-        let third = 3.0 * (low - high) + after - before;
-        let second = before + before - 5.0 * low + 4.0 * high - after;
-        values[j] = select(low + 0.5 * t * (high - before + t * (second + t * third)), 0.0, t < 0.0 || t > 1.0);
+        let inner = low + t * (high - low);
+        let middle = (2.0 - t) * score[start + inside(below - 1i, all_layers)]
+            + (1.0 + t) * score[start + inside(below + 2i, all_layers)];
+        let outer = (3.0 - t) * score[start + inside(below - 2i, all_layers)]
+            + (2.0 + t) * score[start + inside(below + 3i, all_layers)];
+        let a = t * (t - 1.0);
+        let value = (a - 6.0) * ((a - 2.0) / 12.0 * inner - a / 24.0 * middle) + a * (a - 2.0) / 120.0 * outer;
+        values[j] = select(value, 0.0, t < 0.0 || t > 1.0);
     }
     likelihood[i] = mask * nats_of(values);
 }

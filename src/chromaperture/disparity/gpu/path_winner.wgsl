@@ -9,10 +9,6 @@
 @group(0) @binding(5) var<storage, read_write> winner: array<f32>;  // (3, h, w): layer, likelihood there, sigma in layers
 @group(0) @binding(6) var<storage, read_write> places: array<vec2f>;  // (h, w): information, place times information
 
-fn unpacked(words: vec2u) -> vec4f {
-    return vec4f(unpack2x16unorm(words.x), unpack2x16unorm(words.y));
-}
-
 fn likelihood_of(pixel: u32, layer: u32) -> f32 {
     return likelihood[pixel * (pitch / 4u) + layer / 4u][layer % 4u];
 }
@@ -36,7 +32,7 @@ fn main(
     for (var v = 0u; v < pitch / 4u; v++) {
         let at = pixel * (pitch / 4u) + v;
         let paths = unpacked(rightward[at]) + unpacked(leftward[at]) + unpacked(downward[at]) + unpacked(upward[at]);
-        let cost = paths * jump - likelihood[at];
+        let cost = paths - likelihood[at];
         costs[v] = cost;
         for (var j = 0u; j < 4u; j++) {
             if (cost[j] < least) {
