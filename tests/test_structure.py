@@ -36,10 +36,11 @@ ALLOWED: dict[str, set[str]] = {
     "config": {"errors", "stage_config", "spectral_config"},
     "optics": set(),  # the forward model shares no code with the estimator that it tests
     "color": {"optics"},
-    "capture": {"optics", "color"},
+    "capture": {"optics", "color", "deflate"},
     "disparity": {"optics", "color", "config", "stage_config", "spectral_config"},
     "depth": {"color", "config"},  # works on any disparity map, however it was made
-    "png_encoding": set(),
+    "deflate": set(),
+    "png_encoding": {"deflate"},
     "storage": {"color", "png_encoding"},
     "asdf_input": set(),
     "camera_tree": set(),

@@ -9,7 +9,13 @@ import numpy as np
 
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_scale import at_scale
-from chromaperture.color.alignment import align_channels, channel_directions, fill_unknown, white_balance
+from chromaperture.color.alignment import (
+    align_channels,
+    channel_directions,
+    fill_unknown,
+    moves_along_rows,
+    white_balance,
+)
 from chromaperture.color.lens_shift import LensShift
 from chromaperture.config import Config, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_inverse_depth
@@ -57,6 +63,8 @@ class ChannelAlignment:
         """
         filled = fill_unknown(disparity_px, step=self.config.scale)
         height, width = filled.shape
+        if not self.uses_blur and moves_along_rows(self.shifts):  # row by row, without displacements in memory
+            return self._aligned(image, filled, 0, height)
         halo = self._rows_beyond(filled)
         rows = max(1, _BAND_PX // width, math.ceil(halo / _MOST_HALO))
         if rows >= height:
@@ -85,7 +93,7 @@ class ChannelAlignment:
         # What cubics smooth is finer than the light of a picture that is matched at fewer pixels.
         exact = self.config.scale == 1
         aligned = align_channels(image, filled, self.shifts, displacement_px=moved, exact=exact)
-        return white_balance(aligned, self.calibration.film.aperture)
+        return white_balance(aligned, self.calibration.film.aperture, out=aligned)
 
     @cached_property
     def lens_shift(self) -> LensShift | None:

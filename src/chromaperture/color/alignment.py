@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 
 from chromaperture.color.nearest_known import fill_from_nearest
+from chromaperture.color.row_alignment import align_rows, balance
 from chromaperture.color.shift_kernels import shift_along_rows
 from chromaperture.color.unmixing import view_reach
-from chromaperture.color.visibility import fill_hidden, visible_from
+from chromaperture.color.visibility import STILL, fill_hidden, visible_from
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids
 from chromaperture.threads import each_band
@@ -39,10 +40,11 @@ def fill_unknown(values: np.ndarray, *, step: int = 1) -> np.ndarray:
         rows, columns = (
             np.minimum(np.arange(n) // step, m - 1) for n, m in zip(values.shape, known.shape, strict=True)
         )
-        out = np.empty_like(values)
+        out = values.copy()
 
         def fill(band: slice) -> None:
-            out[band] = np.where(unknown[band], known[rows[band]][:, columns], values[band])
+            y, x = np.nonzero(unknown[band])
+            out[band][y, x] = known[rows[band][y], columns[x]]
 
         each_band(fill, len(values))
         return out
@@ -88,7 +90,14 @@ def align_channels(
         raise InputError(
             f"disparity {disparity_px.shape} and image {image.shape[:2]} differ in size: they are of two photographs"
         )
-    filled = fill_unknown(disparity_px).astype(np.float32)
+    filled = fill_unknown(disparity_px).astype(np.float32, copy=False)
+    lengths = np.linalg.norm(directions, axis=1)
+    order = np.argsort(lengths, kind="stable")
+    if displacement_px is None and moves_along_rows(directions):
+        across = np.asarray(directions, float)[:, 0]
+        moves, views = np.where(np.abs(across) < _STILL, 0, across), np.where(lengths < STILL, 0, across)
+        color, visible = align_rows(image, filled, moves, views)
+        return fill_hidden(color, visible, filled, order, out=color)
     moved = linear_displacement(filled, directions) if displacement_px is None else iter(displacement_px)
     # Cubics smooth a channel by its fraction of a px, which registration reads as displacement (docs/colour.md).
     cubic = displacement_px is None or not exact
@@ -96,10 +105,12 @@ def align_channels(
     visible = np.empty(image.shape, bool)
     for k, u in enumerate(np.asarray(directions, float)):
         visible[..., k] = visible_from(filled, u)
-    if visible.all():
-        return color
-    order = np.argsort(np.linalg.norm(directions, axis=1), kind="stable")
     return fill_hidden(color, visible, filled, order, out=color)
+
+
+def moves_along_rows(directions: np.ndarray) -> bool:
+    """Whether every channel, (3, 2) x before y, is displaced horizontally."""
+    return bool((np.abs(np.asarray(directions, float)[:, 1]) < _STILL).all())
 
 
 def linear_displacement(disparity_px: np.ndarray, directions: np.ndarray) -> Iterator[np.ndarray]:
@@ -135,8 +146,13 @@ def shift_back(
     return color
 
 
-def white_balance(color: np.ndarray, white_rgb: np.ndarray) -> np.ndarray:
-    """Scale the channels so that a white sheet seen through the aperture becomes white; (H, W, 3) linear."""
+def white_balance(color: np.ndarray, white_rgb: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarray:
+    """Scale the channels so that a white sheet seen through the aperture becomes white; (H, W, 3) linear.
+
+    ``out`` takes the result; it may be ``color``.
+    """
     white = np.asarray(white_rgb, np.float32)
-    balanced = cv2.transform(np.ascontiguousarray(color, np.float32), np.diag(white.max() / white))
-    return np.maximum(balanced, 0, out=balanced)
+    if out is None:
+        out = np.empty(color.shape, np.float32)
+    balance(np.ascontiguousarray(color, np.float32), white.max() / white, out)
+    return out

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.depth.pointcloud_kernels import back_project
+from chromaperture.depth.pointcloud_kernels import back_project, interleave
 from chromaperture.threads import each_band, in_parallel
 
 # Rays are linear between pixels so far apart, to within 0.002 px for a wide lens (focal length 500 px, k1 = 0.1).
@@ -121,8 +121,8 @@ def write_depth_ply(
         first, last = before[band.start], before[band.stop]
         points, colors = np.empty((last - first, 3), np.float32), np.empty((last - first, 3), np.uint8)
         back_project(depth, rays, RAY_PITCH_PX, delta, srgb, before - first, points, colors, band.start, band.stop)
-        vertices = np.empty(last - first, _VERTEX)
-        vertices["xyz"], vertices["rgb"] = points, colors
+        vertices = np.empty((last - first, _VERTEX.itemsize), np.uint8)
+        interleave(points.astype("<f4", copy=False).view(np.uint8), colors, vertices)
         with path.open("r+b") as file:
             file.seek(len(header) + _VERTEX.itemsize * int(first))
             file.write(vertices.data)
