@@ -13,10 +13,12 @@ from chromaperture.color.alignment import (
     align_channels,
     channel_directions,
     fill_unknown,
-    moves_along_rows,
+    rows_filler,
     white_balance,
+    white_gains,
 )
 from chromaperture.color.lens_shift import LensShift
+from chromaperture.color.row_alignment import align_by_rows, row_moves
 from chromaperture.config import Config, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_inverse_depth
 from chromaperture.threads import each_band
@@ -61,10 +63,12 @@ class ChannelAlignment:
         -------
         (H, W, 3) float32, linear RGB
         """
+        along = None if self.uses_blur else row_moves(self.shifts)
+        if along is not None and image.shape[:2] == disparity_px.shape:
+            gains = white_gains(self.calibration.film.aperture)
+            return align_by_rows(image, rows_filler(disparity_px, step=self.config.scale), along, gains)
         filled = fill_unknown(disparity_px, step=self.config.scale)
         height, width = filled.shape
-        if not self.uses_blur and moves_along_rows(self.shifts):  # row by row, without displacements in memory
-            return self._aligned(image, filled, 0, height)
         halo = self._rows_beyond(filled)
         rows = max(1, _BAND_PX // width, math.ceil(halo / _MOST_HALO))
         if rows >= height:
@@ -93,7 +97,7 @@ class ChannelAlignment:
         # What cubics smooth is finer than the light of a picture that is matched at fewer pixels.
         exact = self.config.scale == 1
         aligned = align_channels(image, filled, self.shifts, displacement_px=moved, exact=exact)
-        return white_balance(aligned, self.calibration.film.aperture, out=aligned)
+        return white_balance(aligned, self.calibration.film.aperture)
 
     @cached_property
     def lens_shift(self) -> LensShift | None:

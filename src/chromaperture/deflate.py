@@ -12,7 +12,7 @@ from typing import Any
 try:
     from isal import isal_zlib
 except ImportError:  # a machine for which it is not built
-    isal_zlib = None
+    isal_zlib = None  # type: ignore[assignment]
 
 library: Any = isal_zlib or zlib
 crc32, adler32 = library.crc32, library.adler32

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from chromaperture.color.saturation_kernels import mark_cut_off
 from chromaperture.config import MatcherConfig
-from chromaperture.disparity.cpu.cut_off import mark_cut_off
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.result import Disparity, Method
 from chromaperture.disparity.stages.upsample import Coarse

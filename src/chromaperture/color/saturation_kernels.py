@@ -1,14 +1,14 @@
-# mypy: disallow-untyped-defs=False
 """Saturated pixels of a picture that is reduced by area averages."""
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
 
 from chromaperture.color.image import SATURATION
-from chromaperture.disparity.cpu.layout import kernel
+from chromaperture.compilation import compiled
 from chromaperture.threads import in_parallel
 
 _NAN = np.float32(np.nan)
@@ -31,12 +31,12 @@ def mark_cut_off(image: np.ndarray, small: np.ndarray) -> None:
 def _pixels_below(count: int, reduced_count: int) -> np.ndarray:
     """Return the first pixel below each reduced one and that behind the last; (reduced_count, 2) int64."""
     ends = [i * count / reduced_count for i in range(reduced_count + 1)]
-    pairs = [(math.floor(a + _LEAST), math.ceil(b - _LEAST)) for a, b in zip(ends, ends[1:], strict=False)]
+    pairs = [(math.floor(a + _LEAST), math.ceil(b - _LEAST)) for a, b in itertools.pairwise(ends)]
     return np.array(pairs, np.int64)
 
 
-@kernel
-def _mark(image, small, below_rows, below_columns, first, last):
+@compiled(error_model="numpy")
+def _mark(image, small, below_rows, below_columns, first, last):  # type: ignore[no-untyped-def]
     limit = np.float32(SATURATION)
     for row in range(first, last):
         for column in range(small.shape[1]):
