@@ -54,6 +54,16 @@ def test_every_filter_is_undone(rng, shape, name):
     np.testing.assert_array_equal(decode_rgb16(encode_png(counts)), counts)
 
 
+def test_without_isal_zlib_does_the_same(monkeypatch, rng):
+    monkeypatch.setattr("chromaperture.deflate.isal_zlib", None)
+    monkeypatch.setattr("chromaperture.deflate.library", zlib)
+    picture = rng.integers(0, 256, (300, 2000, 3)).astype(np.uint8)
+    coded = encode_png(picture)
+    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(coded))), picture)
+    counts = walk(rng, (70, 50, 3))
+    np.testing.assert_array_equal(decode_rgb16(encode_png(counts)), counts)
+
+
 def test_other_kinds_are_left_to_others(rng):
     assert decode_rgb16(encode_png(walk(rng, (4, 5)))) is None  # grey
     assert decode_rgb16(encode_png(walk(rng, (4, 5, 3)).astype(np.uint8))) is None
