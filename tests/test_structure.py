@@ -24,7 +24,7 @@ BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "spectral_config", 
                          "camera_matching", "camera_scale", "camera_memory", "camera_alignment", "camera_crop",
                          "camera", "cluster", "formats", "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
-COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory"}
+COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory", "rows_on_demand"}
 ALLOWED: dict[str, set[str]] = {
     **{part: set() for part in COMMON},
     "validation": {"errors"},

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from chromaperture.deflate import adler32, compressor, crc32
+from chromaperture.rows_on_demand import Rows
 from chromaperture.threads import parallel_map
 
 _FILTER_MEAN = 3  # the smallest of OpenCV's encoder's
@@ -26,11 +27,11 @@ class _Strip(NamedTuple):
     size: int  # of them
 
 
-def encode_png(picture: np.ndarray) -> bytes:
+def encode_png(picture: Rows) -> bytes:
     """Return the content of a PNG file of a grey (H, W) or RGB (H, W, 3) picture of uint8 or uint16."""
     height, width = picture.shape[:2]
-    channels = 1 if picture.ndim == 2 else picture.shape[2]
-    pixel = channels * picture.itemsize
+    channels = 1 if len(picture.shape) == 2 else picture.shape[2]
+    pixel = channels * picture.dtype.itemsize
     rows = max(1, _STRIP_BYTES // (width * pixel))
 
     def strip(top: int) -> _Strip:
@@ -45,8 +46,8 @@ def encode_png(picture: np.ndarray) -> bytes:
     checksum = 1  # of no byte
     for part in strips:
         checksum = _joined_checksum(checksum, part)
-    kind = _GREY if picture.ndim == 2 else _RGB
-    header = struct.pack(">IIBBBBB", width, height, 8 * picture.itemsize, kind, 0, 0, 0)
+    kind = _GREY if len(picture.shape) == 2 else _RGB
+    header = struct.pack(">IIBBBBB", width, height, 8 * picture.dtype.itemsize, kind, 0, 0, 0)
     return b"".join(
         [
             b"\x89PNG\r\n\x1a\n",
@@ -58,7 +59,7 @@ def encode_png(picture: np.ndarray) -> bytes:
     )
 
 
-def _filtered(picture: np.ndarray, top: int, bottom: int, pixel: int) -> np.ndarray:
+def _filtered(picture: Rows, top: int, bottom: int, pixel: int) -> np.ndarray:
     """Rows less the mean of the bytes of the pixels to the left and above, each behind the filter's number."""
     first = max(top - 1, 0)
     part = np.ascontiguousarray(picture[first:bottom])

@@ -8,17 +8,17 @@ from chromaperture.compilation import compiled
 
 
 @compiled(error_model="numpy")
-def back_project(depth, rays, pitch, sensor_to_pupil, srgb, before, points, colors, first_row, last_row):  # type: ignore[no-untyped-def]
-    """Fill in the points of some rows: Z = depth - delta, X and Y = Z times the ray between four of the grid.
+def back_project(depth, first_row, rays, pitch, sensor_to_pupil, srgb, before, points, colors):  # type: ignore[no-untyped-def]
+    """Fill in the points of rows from ``first_row`` on: Z = depth - delta, X and Y = Z times the ray.
 
-    ``rays`` is (h, w, 2) float64, x and y at Z = 1 of every ``pitch``-th pixel; ``before`` counts the points of the
-    rows above.
+    ``rays`` is (h, w, 2) float64, x and y at Z = 1 of every ``pitch``-th pixel of the picture, between which rays are
+    linear; ``before`` counts the points of the rows above.
     """
     width, columns = depth.shape[1], rays.shape[1]
     across = np.empty((2, columns))  # x and y of the row at Z = 1, at the columns of the grid
-    for y in range(first_row, last_row):
-        n, row = before[y], y // pitch
-        down = (y - row * pitch) / pitch
+    for y in range(len(depth)):
+        n, row = before[y], (first_row + y) // pitch
+        down = (first_row + y - row * pitch) / pitch
         for column in range(columns):
             for k in range(2):
                 across[k, column] = rays[row, column, k] * (1 - down) + rays[row + 1, column, k] * down
