@@ -14,7 +14,7 @@ from chromaperture.compile_ahead import Listed, listed, text_of, type_from
 from chromaperture.disparity.cpu.layout import Band
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-SMALL = ("chromaperture.color.visibility:_visible_rows", "chromaperture.color.shift_kernels:_shift")
+SMALL = ("chromaperture.color.row_alignment:scale_channels", "chromaperture.depth.pointcloud_kernels:back_project")
 
 
 @pytest.mark.parametrize(

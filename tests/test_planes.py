@@ -240,7 +240,7 @@ def test_planes_hold_in_spots_that_they_surround_and_where_nearly_all_agrees() -
 
 
 def test_a_far_plane_holds_beside_a_nearer_one_where_the_surface_lies_between() -> None:
-    """Windows beside a near plane see its outline: the surface makes it too large. The near plane itself may give way."""
+    """Windows beside a near plane see its outline: the surface makes it too large. The near plane may give way."""
     planes = Planes(np.array([[0.0, 0, 0], [0, 0, -3.0]]), np.repeat([[0] * 60 + [1] * 60], 80, axis=0))
     surface, sigma = planes.label_px.copy(), np.full((80, 120), 0.1)
     surface[:, 50:60] = -2.5  # grown by 10 px

@@ -15,6 +15,7 @@ from chromaperture import read_image
 from chromaperture.capture.deep_png import decode_rgb16
 from chromaperture.errors import InputError
 from chromaperture.png_encoding import encode_png
+from chromaperture.rows_on_demand import RowsOnDemand
 
 SHAPES = [(1, 1, 3), (7, 5), (7, 5, 3), (300, 2000, 3), (700, 1300), (1, 900_000), (1000, 1, 3)]  # of 1 to 8 strips
 FILTERS = {
@@ -51,6 +52,23 @@ def test_every_filter_is_undone(rng, shape, name):
     counts = walk(rng, shape)
     coded = cv2.imencode(".png", counts[..., ::-1], [cv2.IMWRITE_PNG_FILTER, FILTERS[name]])[1].tobytes()
     np.testing.assert_array_equal(decode_rgb16(coded), counts)
+    np.testing.assert_array_equal(decode_rgb16(encode_png(counts)), counts)
+
+
+def test_rows_that_are_made_on_demand_are_encoded_as_their_picture(rng):
+    picture = walk(rng, (700, 1300))  # of four strips
+    rows = RowsOnDemand(picture.shape, picture.dtype, lambda part: picture[part].copy())
+    assert len(rows) == 700
+    assert encode_png(rows) == encode_png(picture)
+
+
+def test_without_isal_zlib_does_the_same(monkeypatch, rng):
+    monkeypatch.setattr("chromaperture.deflate.isal_zlib", None)
+    monkeypatch.setattr("chromaperture.deflate.library", zlib)
+    picture = rng.integers(0, 256, (300, 2000, 3)).astype(np.uint8)
+    coded = encode_png(picture)
+    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(coded))), picture)
+    counts = walk(rng, (70, 50, 3))
     np.testing.assert_array_equal(decode_rgb16(encode_png(counts)), counts)
 
 

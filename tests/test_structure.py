@@ -24,7 +24,7 @@ BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "spectral_config", 
                          "camera_matching", "camera_scale", "camera_memory", "camera_alignment", "camera_crop",
                          "camera", "cluster", "formats", "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
-COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory"}
+COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory", "rows_on_demand"}
 ALLOWED: dict[str, set[str]] = {
     **{part: set() for part in COMMON},
     "validation": {"errors"},
@@ -36,10 +36,11 @@ ALLOWED: dict[str, set[str]] = {
     "config": {"errors", "stage_config", "spectral_config"},
     "optics": set(),  # the forward model shares no code with the estimator that it tests
     "color": {"optics"},
-    "capture": {"optics", "color"},
+    "capture": {"optics", "color", "deflate"},
     "disparity": {"optics", "color", "config", "stage_config", "spectral_config"},
     "depth": {"color", "config"},  # works on any disparity map, however it was made
-    "png_encoding": set(),
+    "deflate": set(),
+    "png_encoding": {"deflate"},
     "storage": {"color", "png_encoding"},
     "asdf_input": set(),
     "camera_tree": set(),

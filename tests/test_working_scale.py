@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from chromaperture.camera_alignment import ChannelAlignment
 from chromaperture.camera_matching import default_config
 from chromaperture.color.alignment import fill_unknown
+from chromaperture.color.image import SATURATION
 from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.depth.field_bands import field_to_depth
 from chromaperture.disparity import cpu, stages
@@ -104,6 +106,16 @@ def test_reduced_pictures_are_means_and_know_what_was_cut_off():
     assert np.isfinite(small).sum() == small.size - 6
 
 
+@pytest.mark.parametrize("size", [(12, 8), (11, 7), (30, 20), (48, 32)])
+def test_cut_off_is_what_has_a_share_in_a_saturated_pixel(size):
+    draw = np.random.default_rng(size[0])
+    image = draw.uniform(0, 0.9, (32, 48, 3)).astype(np.float32)
+    saturated = draw.random((32, 48)) < 0.02
+    image[saturated, draw.integers(0, 3, saturated.sum())] = SATURATION
+    share = cv2.resize(saturated.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    np.testing.assert_array_equal(np.isnan(reduced(image, size)), np.repeat(share[..., None] > 0, 3, axis=2))
+
+
 def test_depth_in_bands_is_depth_of_the_whole(monkeypatch):
     monkeypatch.setattr("chromaperture.depth.field_bands._BAND_PX", 96 * 5)
     rng = np.random.default_rng(4)
@@ -128,6 +140,7 @@ def test_colour_in_bands_is_colour_of_the_whole(monkeypatch, quality, design):
     d = np.where(rng.uniform(size=(64, 96)) < 0.02, np.nan, np.where(np.arange(96) < 40, -3.0, 2.0)).astype(np.float32)
     whole = alignment.align(image, d)
     monkeypatch.setattr("chromaperture.camera_alignment._BAND_PX", 96 * 7)
+    monkeypatch.setattr("chromaperture.color.row_alignment._BAND_ROWS", 7)
     # Positions in a band are smaller numbers: float32 rounds them to 1e-6 px less of the frame's.
     np.testing.assert_allclose(alignment.align(image, d), whole, atol=1e-5)
 

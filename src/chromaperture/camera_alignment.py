@@ -9,8 +9,16 @@ import numpy as np
 
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_scale import at_scale
-from chromaperture.color.alignment import align_channels, channel_directions, fill_unknown, white_balance
+from chromaperture.color.alignment import (
+    align_channels,
+    channel_directions,
+    fill_unknown,
+    rows_filler,
+    white_balance,
+    white_gains,
+)
 from chromaperture.color.lens_shift import LensShift
+from chromaperture.color.row_alignment import align_by_rows, row_moves
 from chromaperture.config import Config, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_inverse_depth
 from chromaperture.threads import each_band
@@ -55,6 +63,10 @@ class ChannelAlignment:
         -------
         (H, W, 3) float32, linear RGB
         """
+        along = None if self.uses_blur else row_moves(self.shifts)
+        if along is not None and image.shape[:2] == disparity_px.shape:
+            gains = white_gains(self.calibration.film.aperture)
+            return align_by_rows(image, rows_filler(disparity_px, step=self.config.scale), along, gains)
         filled = fill_unknown(disparity_px, step=self.config.scale)
         height, width = filled.shape
         halo = self._rows_beyond(filled)

@@ -21,7 +21,7 @@ import tifffile
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.errors import InputError
 from chromaperture.png_encoding import encode_png
-from chromaperture.threads import each_band
+from chromaperture.rows_on_demand import Rows, RowsOnDemand
 
 try:
     import fcntl
@@ -202,18 +202,16 @@ def write_float_tiff(path: str | Path, values: np.ndarray) -> None:
     tifffile.imwrite(path, np.asarray(values, np.float32), metadata=None)
 
 
-def write_depth_png(path: str | Path, depth_mm: np.ndarray) -> None:
+def write_depth_png(path: str | Path, depth_mm: Rows) -> None:
     """Write (H, W) depth as 16-bit PNG in whole mm; 0 is unknown or beyond 65535 mm."""
-    whole_mm = np.empty(depth_mm.shape, np.uint16)
 
-    def convert(rows: slice) -> None:
+    def whole(rows: slice) -> np.ndarray:
         depth = depth_mm[rows]
         with np.errstate(invalid="ignore"):  # NaN compares false
             known = (depth > 0) & (depth < 65535.5)
-        whole_mm[rows] = np.rint(np.where(known, depth, 0))
+        return np.rint(np.where(known, depth, 0)).astype(np.uint16)
 
-    each_band(convert, len(depth_mm))
-    write_png(path, whole_mm)
+    write_png(path, RowsOnDemand(depth_mm.shape, np.dtype(np.uint16), whole))
 
 
 def write_color_png(path: str | Path, color: np.ndarray) -> None:
@@ -221,7 +219,7 @@ def write_color_png(path: str | Path, color: np.ndarray) -> None:
     write_png(path, color if color.dtype == np.uint8 else linear_to_srgb_bytes(color))
 
 
-def write_png(path: str | Path, picture: np.ndarray) -> None:
+def write_png(path: str | Path, picture: Rows) -> None:
     """Write a grey (H, W) or RGB (H, W, 3) picture of uint8 or uint16 as PNG."""
     Path(path).write_bytes(encode_png(picture))  # unlike `cv2.imwrite`, raises when the disk is full
 

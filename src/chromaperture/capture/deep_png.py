@@ -7,12 +7,12 @@ before and puts the bytes in order. OpenCV does one after the other, in twice th
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Iterator
 
 import numpy as np
 
 from chromaperture.compilation import compiled
+from chromaperture.deflate import decompressor
 from chromaperture.threads import beside
 
 _PIECE = 1 << 16  # bytes inflated at once: a damaged file makes 66 MB of them at most
@@ -30,7 +30,7 @@ def decode_rgb16(data: bytes) -> np.ndarray | None:
 
     Raises
     ------
-    ValueError, zlib.error
+    ValueError, deflate.Error
         The file is damaged.
     """
     width, height, depth, kind, _, _, interlaced = struct.unpack_from(">IIBBBBB", data, 16)
@@ -50,7 +50,7 @@ def decode_rgb16(data: bytes) -> np.ndarray | None:
 
 def _bands(data: bytes, line: int, height: int) -> Iterator[tuple[int, np.ndarray]]:
     """Yield the first row and the inflated bytes, (rows, line), of one band after the other."""
-    stream = zlib.decompressobj()
+    stream = decompressor()
     parts: list[bytes | bytearray] = []
     size, top = 0, 0
     for piece in _compressed(data):

@@ -31,6 +31,7 @@ from chromaperture.validation import MOST_FILE_BYTES, read_bytes
 _RAW_SUFFIXES = {".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2"}
 _PICTURES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
 _MOST_SATURATED = 0.98  # fraction of the pixels at one largest count; as in `check_capture`
+_SPARSE = 61  # rows and columns: a colour picture is hardly ever grey at all of their crossings
 _SUBSAMPLED = {1: "4:2:2", 2: "4:2:0"}  # Pillow's codes of JPEG chroma subsampling
 
 
@@ -275,7 +276,7 @@ def _colour(counts: np.ndarray, path: Path) -> np.ndarray:
     grey = counts.ndim == 2 or (counts.ndim == 3 and counts.shape[2] in (1, 2))
     if not grey and (counts.ndim != 3 or counts.shape[2] != 3):
         raise InputError(f"{path.name} holds an array of shape {counts.shape}; one RGB picture is needed")
-    if not grey and np.array_equal(counts[..., 0], counts[..., 1]) and np.array_equal(counts[..., 1], counts[..., 2]):
+    if not grey and _are_alike(counts[::_SPARSE, ::_SPARSE]) and _are_alike(counts):
         # A picture of one count is black or saturated: which, the check of its exposure finds out from the levels.
         grey = float((counts[..., 0] == counts.max()).mean()) <= _MOST_SATURATED
     if grey:
@@ -283,6 +284,11 @@ def _colour(counts: np.ndarray, path: Path) -> np.ndarray:
     if counts.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
         raise InputError(f"{path.name} holds {counts.dtype} samples; give 8 or 16 bit or float")
     return counts
+
+
+def _are_alike(counts: np.ndarray) -> bool:
+    """Whether all three channels are the same."""
+    return np.array_equal(counts[..., 0], counts[..., 1]) and np.array_equal(counts[..., 1], counts[..., 2])
 
 
 def _warn_of_subsampling(picture: Image.Image) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import logging
 import struct
-import zlib
 
 from PIL import (
     BmpImagePlugin,
@@ -17,6 +16,7 @@ from PIL import (
     WebPImagePlugin,
 )
 
+from chromaperture.deflate import crc32
 from chromaperture.errors import InputError
 from chromaperture.validation import MOST_PIXELS
 
@@ -70,7 +70,7 @@ def check_png_sums(data: bytes) -> None:
         after = at + 8 + length
         if after + 4 > len(data):
             raise InputError("the PNG file ends too early")
-        if zlib.crc32(view[at + 4 : after]) != int.from_bytes(data[after : after + 4], "big"):
+        if crc32(view[at + 4 : after]) != int.from_bytes(data[after : after + 4], "big"):
             raise InputError("a checksum in the PNG file is wrong")
         at = after + 4
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import cv2
 import numpy as np
 
 from chromaperture.color.nearest_known import fill_from_nearest
+from chromaperture.color.row_alignment import align_by_rows, row_moves, scale_channels
 from chromaperture.color.shift_kernels import shift_along_rows
 from chromaperture.color.unmixing import view_reach
 from chromaperture.color.visibility import fill_hidden, visible_from
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids
-from chromaperture.threads import each_band
 
 _STILL = 1e-3  # displacement per px of disparity that counts as none: the accuracy of the centroids
 
@@ -33,24 +33,33 @@ def fill_unknown(values: np.ndarray, *, step: int = 1) -> np.ndarray:
     With a ``step`` the nearest is looked for among every so many rows and columns: for maps of many megapixels that
     were interpolated between pixels so far apart.
     """
+    if step > 1:
+        return rows_filler(values, step=step)(slice(0, len(values)))
     unknown = ~np.isfinite(values)
-    if step > 1 and unknown.any():
-        known = fill_unknown(values[step // 2 :: step, step // 2 :: step])
-        rows, columns = (
-            np.minimum(np.arange(n) // step, m - 1) for n, m in zip(values.shape, known.shape, strict=True)
-        )
-        out = np.empty_like(values)
-
-        def fill(band: slice) -> None:
-            out[band] = np.where(unknown[band], known[rows[band]][:, columns], values[band])
-
-        each_band(fill, len(values))
-        return out
     if unknown.all():
         return np.zeros_like(values)
     if not unknown.any():
         return values
     return fill_from_nearest(values)
+
+
+def rows_filler(values: np.ndarray, *, step: int = 1) -> Callable[[slice], np.ndarray]:
+    """Return a function that gives some rows of `fill_unknown`: of many megapixels no second map is kept."""
+    if step == 1:
+        filled = fill_unknown(values)
+        return lambda rows: filled[rows]
+    known = fill_unknown(values[step // 2 :: step, step // 2 :: step])
+    down, across = (np.minimum(np.arange(n) // step, m - 1) for n, m in zip(values.shape, known.shape, strict=True))
+
+    def fill(rows: slice) -> np.ndarray:
+        part = values[rows]
+        y, x = np.nonzero(~np.isfinite(part))
+        if len(y):
+            part = part.copy()
+            part[y, x] = known[down[rows][y], across[x]]
+        return part
+
+    return fill
 
 
 def align_channels(
@@ -88,7 +97,10 @@ def align_channels(
         raise InputError(
             f"disparity {disparity_px.shape} and image {image.shape[:2]} differ in size: they are of two photographs"
         )
-    filled = fill_unknown(disparity_px).astype(np.float32)
+    filled = fill_unknown(disparity_px).astype(np.float32, copy=False)
+    along = row_moves(directions) if displacement_px is None else None
+    if along is not None:
+        return align_by_rows(image, lambda rows: filled[rows], along)
     moved = linear_displacement(filled, directions) if displacement_px is None else iter(displacement_px)
     # Cubics smooth a channel by its fraction of a px, which registration reads as displacement (docs/colour.md).
     cubic = displacement_px is None or not exact
@@ -96,8 +108,6 @@ def align_channels(
     visible = np.empty(image.shape, bool)
     for k, u in enumerate(np.asarray(directions, float)):
         visible[..., k] = visible_from(filled, u)
-    if visible.all():
-        return color
     order = np.argsort(np.linalg.norm(directions, axis=1), kind="stable")
     return fill_hidden(color, visible, filled, order, out=color)
 
@@ -137,6 +147,12 @@ def shift_back(
 
 def white_balance(color: np.ndarray, white_rgb: np.ndarray) -> np.ndarray:
     """Scale the channels so that a white sheet seen through the aperture becomes white; (H, W, 3) linear."""
+    color, balanced = np.ascontiguousarray(color, np.float32), np.empty(color.shape, np.float32)
+    scale_channels(color, white_gains(white_rgb), balanced)
+    return balanced
+
+
+def white_gains(white_rgb: np.ndarray) -> np.ndarray:
+    """Return the factors of `white_balance`; (3,) float32."""
     white = np.asarray(white_rgb, np.float32)
-    balanced = cv2.transform(np.ascontiguousarray(color, np.float32), np.diag(white.max() / white))
-    return np.maximum(balanced, 0, out=balanced)
+    return white.max() / white

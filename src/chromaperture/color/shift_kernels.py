@@ -7,7 +7,7 @@ import numpy as np
 from chromaperture.compilation import compiled
 from chromaperture.threads import in_parallel
 
-_A = np.float32(-0.75)  # slope of the cubic at 1, as in OpenCV: `cv2.remap` gives the same picture
+A = np.float32(-0.75)  # slope of the cubic at 1, as in OpenCV: `cv2.remap` gives the same picture
 
 
 def shift_along_rows(image: np.ndarray, displacement_px: np.ndarray, channel: int, out: np.ndarray) -> None:
@@ -38,8 +38,8 @@ def _shift(image, displacement, k, out, first_row, last_row):  # type: ignore[no
             first -= np.int32(8)
             # Weights of the cubic at distances 1 + t, t, 1 - t and 2 - t; their sum is 1.
             u = one - t
-            w0, w3 = _A * t * u * u, _A * u * t * t
-            w1 = ((_A + two) * t - (_A + three)) * t * t + one
+            w0, w3 = A * t * u * u, A * u * t * t
+            w1 = ((A + two) * t - (A + three)) * t * t + one
             w2 = one - w0 - w1 - w3
             if 1 <= first < width - 2:
                 out[y, x, k] = (

@@ -115,12 +115,15 @@ def fill_hidden(
         out = np.array(color, np.float32)
     color, disparity = np.ascontiguousarray(color, np.float32), np.asarray(disparity_px, np.float32)
     order = np.asarray(order)
-    in_parallel(lambda _, first, last: _fill(color, visible, disparity, order, out, first, last), len(disparity))
+    in_parallel(
+        lambda _, first, last: fill_hidden_rows(color, visible, disparity, order, out, first, last), len(disparity)
+    )
     return out
 
 
 @compiled()
-def _fill(color, visible, disparity, order, out, first_row, last_row):  # type: ignore[no-untyped-def]
+def fill_hidden_rows(color, visible, disparity, order, out, first_row, last_row):  # type: ignore[no-untyped-def]
+    """Do the work of `fill_hidden` for some rows."""
     height, width = disparity.shape
     for y in range(first_row, last_row):
         for x in range(width):

@@ -29,8 +29,10 @@ def field_to_depth(
     depth_mm, sigma_mm : (H, W) float32; NaN unknown
     """
     height, width = disparity_px.shape
+    step = height if len(field.scale_px_mm) == 1 else max(1, _BAND_PX // width)
+    if step >= height:
+        return disparity_to_depth(disparity_px, field.model(width, height), sigma_px, max_depth_mm=max_depth_mm)
     depth, sigma = (np.empty((height, width), np.float32) for _ in range(2))
-    step = max(1, _BAND_PX // width)
     for top in range(0, height, step):
         rows = slice(top, min(top + step, height))
         depth[rows], sigma[rows] = disparity_to_depth(

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.depth.pointcloud_kernels import back_project
+from chromaperture.depth.pointcloud_kernels import back_project, interleave
+from chromaperture.rows_on_demand import Rows
 from chromaperture.threads import each_band, in_parallel
 
 # Rays are linear between pixels so far apart, to within 0.002 px for a wide lens (focal length 500 px, k1 = 0.1).
@@ -63,7 +64,8 @@ def depth_to_points(
     srgb, delta = color if color.dtype == np.uint8 else linear_to_srgb_bytes(color), float(sensor_to_pupil_mm)
 
     def rows(thread: int, first: int, last: int) -> None:
-        back_project(depth, rays, RAY_PITCH_PX, delta, srgb, before, points, colors, first, last)
+        some = slice(first, last)
+        back_project(depth[some], first, rays, RAY_PITCH_PX, delta, srgb[some], before[some], points, colors)
 
     in_parallel(rows, len(depth))
     return PointCloud(points, colors)
@@ -85,7 +87,7 @@ def grid_of_rays(shape: tuple[int, ...], matrix: np.ndarray, distortion: np.ndar
     return cv2.undistortPoints(pixels.reshape(-1, 1, 2), matrix, distortion).reshape(pixels.shape)
 
 
-def _points_above(depth: np.ndarray) -> np.ndarray:
+def _points_above(depth: Rows) -> np.ndarray:
     """Points in the rows above each row, and of all; (H + 1,) int64."""
     counts = np.zeros(len(depth) + 1, np.int64)
 
@@ -98,7 +100,7 @@ def _points_above(depth: np.ndarray) -> np.ndarray:
 
 def write_depth_ply(
     path: str | Path,
-    depth_mm: np.ndarray,
+    depth_mm: Rows,
     srgb: np.ndarray,
     *,
     camera_matrix: np.ndarray,
@@ -110,9 +112,8 @@ def write_depth_ply(
     Parameters are those of `depth_to_points`; ``srgb`` is (H, W, 3) uint8. Bands of rows are written by several threads
     at once, each where it belongs.
     """
-    depth, path = np.ascontiguousarray(depth_mm, np.float32), Path(path)
-    before = _points_above(depth)
-    rays = grid_of_rays(depth.shape, np.asarray(camera_matrix, float), np.asarray(distortion, float))
+    path, before = Path(path), _points_above(depth_mm)
+    rays = grid_of_rays(depth_mm.shape, np.asarray(camera_matrix, float), np.asarray(distortion, float))
     header, delta = _ply_header(int(before[-1])), float(sensor_to_pupil_mm)
     with path.open("wb") as file:
         file.write(header)
@@ -120,14 +121,15 @@ def write_depth_ply(
     def write(band: slice) -> None:
         first, last = before[band.start], before[band.stop]
         points, colors = np.empty((last - first, 3), np.float32), np.empty((last - first, 3), np.uint8)
-        back_project(depth, rays, RAY_PITCH_PX, delta, srgb, before - first, points, colors, band.start, band.stop)
-        vertices = np.empty(last - first, _VERTEX)
-        vertices["xyz"], vertices["rgb"] = points, colors
+        depth, above = np.ascontiguousarray(depth_mm[band], np.float32), before[band] - first
+        back_project(depth, band.start, rays, RAY_PITCH_PX, delta, srgb[band], above, points, colors)
+        vertices = np.empty((last - first, _VERTEX.itemsize), np.uint8)
+        interleave(points.astype("<f4", copy=False).view(np.uint8), colors, vertices)
         with path.open("r+b") as file:
             file.seek(len(header) + _VERTEX.itemsize * int(first))
             file.write(vertices.data)
 
-    each_band(write, len(depth), rows_a_band=max(1, _VERTICES // max(1, depth.shape[1])))
+    each_band(write, len(depth_mm), rows_a_band=max(1, _VERTICES // max(1, depth_mm.shape[1])))
 
 
 def write_ply(path: str | Path, cloud: PointCloud) -> None:

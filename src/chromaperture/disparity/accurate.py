@@ -156,6 +156,7 @@ def optimised_surface(
     start = between_layers(least_cost(cost, labels_px), likelihood, labels_px, sigma_px=config.interpolation_sigma_px)
     disparity = run.coupled_variation(start, likelihood, guide, labels_px, config=config)
     posterior = run.posterior(cost, labels_px, temperature=config.temperature * config.paths)
+    del cost  # as large as the volume: what follows takes its memory
     sigma, first = posterior.sigma_px(disparity), disparity
     explained_by = planes_of_surface(
         disparity, sigma, likelihood, guide, labels_px, config=planes, surface=config, run=run

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from chromaperture.color.image import SATURATION
+from chromaperture.color.saturation_kernels import mark_cut_off
 from chromaperture.config import MatcherConfig
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.result import Disparity, Method
@@ -69,11 +69,7 @@ def reduced(image: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
     (h, w, 3) float32; NaN where a pixel is saturated or not finite: the mean of what was cut off is not known
     """
     small = cv2.resize(image, size_px, interpolation=cv2.INTER_AREA)
-    brightest = cv2.max(cv2.max(image[..., 0], image[..., 1]), image[..., 2])
-    cut_off = (brightest >= SATURATION).astype(np.uint8)
-    if cut_off.any():
-        share = cv2.resize(cut_off.astype(np.float32), size_px, interpolation=cv2.INTER_AREA)
-        small[share > 0] = np.nan
+    mark_cut_off(image, small)
     return small
 
 

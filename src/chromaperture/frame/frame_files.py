@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, rows_within_error
 from chromaperture.depth.pointcloud import write_depth_ply
 from chromaperture.errors import InputError
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.summary import summarise
+from chromaperture.rows_on_demand import Rows
 from chromaperture.storage import staged, write_color_png, write_depth_png, write_float_tiff, write_json
 from chromaperture.threads import parallel_map
 
@@ -129,9 +130,9 @@ def write_maps(
     nothing = np.empty(0, np.uint8)
     # What two files have in common.
     srgb = linear_to_srgb_bytes(frame.color) if wanted & {"color", "ply"} else nothing
-    certain_mm = nothing
+    certain_mm: Rows = nothing
     if wanted & {"depth-png", "ply"}:
-        certain_mm = within_error(frame.depth_mm, frame.sigma_mm, max_relative_sigma)
+        certain_mm = rows_within_error(frame.depth_mm, frame.sigma_mm, max_relative_sigma)
 
     def write(job: tuple[str, Path]) -> None:
         name, path = job
