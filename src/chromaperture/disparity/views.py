@@ -13,6 +13,7 @@ import numpy as np
 
 from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions, view_reach
+from chromaperture.disparity.whole_light import in_whole_units, light_unit, whole_taps
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids, channel_transmission
 from chromaperture.stage_config import ViewsConfig
@@ -24,6 +25,7 @@ _CLIPPED_REACH_PX = 3  # about clipped pixels: demosaicing and the sensor spread
 _PERCENTILE_SAMPLES = 20_000  # of the guide, from which its percentiles are taken; chosen by hand
 CONSTANT = 1e-6  # RMS of a view, of full scale, below which it has no texture: a thousandth of a 10-bit step
 _LEAST_PRESMOOTH_PX = 0.3  # below, the pixel's own area smooths the noise
+_ALONE = np.ones(1, np.float32)  # a filter that changes nothing
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,8 @@ class Views:
         1 where the capture is usable, 0 where it is saturated or not finite.
     noise : ViewNoise or None
         None where no use is made of it.
+    unit : float
+        The pictures are multiples of it (`whole_light.light_unit`); 0 where they are any numbers.
     """
 
     pictures: np.ndarray
@@ -101,6 +105,7 @@ class Views:
     guide: np.ndarray
     mask: np.ndarray
     noise: ViewNoise | None = None
+    unit: float = 0.0
 
 
 def view_pairs(view_count: int) -> list[tuple[int, int]]:
@@ -260,41 +265,52 @@ def smoothed_views(
     directions: np.ndarray,
     config: ViewsConfig,
     noise: ViewNoise | None = None,
+    unit: float = 0.0,
 ) -> Views:
-    """Take the mean off the views, smooth them and the guide; see `mixed` for shapes. Raises InputError."""
+    """Take the mean off the views, smooth them and the guide; see `mixed` for shapes. Raises InputError.
+
+    With a ``unit`` the views are, and stay, multiples of it.
+    """
     planes = np.empty((len(views), *mask.shape), np.float32)  # one plane a view: fast to smooth and to match
     for plane, view in zip(planes, views, strict=True):
-        smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
-    if min(cv2.norm(plane) for plane in planes) < CONSTANT * math.sqrt(mask.size):  # they have no mean
+        if unit:
+            _smooth_whole(view, config.presmooth_sigma_px, unit, out=plane)
+        else:
+            smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
+    if min(plane_variance(plane) for plane in planes) < CONSTANT**2:
         raise constant_view()
     guide = smooth(guide, GUIDE_SIGMA_PX)
     guide *= _guide_scale(guide, config)
-    return Views(np.moveaxis(planes, 0, -1), np.asarray(directions, float), guide, mask.astype(np.float32), noise)
+    return Views(np.moveaxis(planes, 0, -1), np.asarray(directions, float), guide, mask.astype(np.float32), noise, unit)
 
 
 def halved(
     views: Sequence[np.ndarray], guide: np.ndarray, mask: np.ndarray, *, directions: np.ndarray, config: ViewsConfig
 ) -> tuple[Views, np.ndarray]:
     """Halve and smooth the views; see `halved_views`, and `mixed` for the shapes. Raises InputError."""
-    if mask.all():
-        small, usable = [cv2.pyrDown(view) for view in views], mask[::2, ::2]
+    is_whole = bool(mask.all())
+    unit = light_unit(cv2.mean(guide, None if is_whole else mask.view(np.uint8))[0])
+    if is_whole:
+        whole = np.empty(mask.shape, np.float32)
+        small = [cv2.pyrDown(in_whole_units(view, unit, out=whole)) for view in views]
+        usable = mask[::2, ::2]
     else:
-        small, usable = _halved_around(views, mask.astype(np.float32))
-    smoothed = smoothed_views(small, cv2.pyrDown(guide), usable, directions=directions, config=config)
+        small, usable = _halved_around(views, mask.astype(np.float32), unit)
+    smoothed = smoothed_views(small, cv2.pyrDown(guide), usable, directions=directions, config=config, unit=unit)
     return smoothed, guide * _guide_scale(guide, config)
 
 
-def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray, unit: float) -> tuple[list[np.ndarray], np.ndarray]:
     """Halve views, unusable pixels replaced by the mean around them: their bright edges would outweigh all texture."""
     fraction = cv2.pyrDown(mask)
     usable = fraction > USABLE
     around = cv2.GaussianBlur(fraction, (0, 0), FILL_SIGMA_PX)
     small = []
     for view in views:
-        mean = cv2.mean(view, (mask > 0).astype(np.uint8))[0]
-        part = cv2.pyrDown((view - np.float32(mean)) * mask)
+        less = _even_mean(view, unit, (mask > 0).astype(np.uint8))
+        part = cv2.pyrDown(in_whole_units(view, unit, less=less) * mask)
         fill = cv2.GaussianBlur(part, (0, 0), FILL_SIGMA_PX) / (around + np.float32(1e-3))  # 1e-3: no division by 0
-        small.append(np.where(usable, part, fill) + np.float32(mean))
+        small.append(np.where(usable, part, fill))
     return small, usable
 
 
@@ -343,6 +359,35 @@ def smooth(image: np.ndarray, sigma_px: float, *, out: np.ndarray | None = None)
         size = 2 * math.ceil(4 * sigma_px) + 1
         cv2.GaussianBlur(image, (size, size), sigma_px, dst=out, borderType=cv2.BORDER_REPLICATE)
     return out
+
+
+def _smooth_whole(view: np.ndarray, sigma_px: float, unit: float, *, out: np.ndarray) -> None:
+    """As `smooth`, of a view without its mean, in whole units of light; exact while light is below 2^14 of them."""
+    in_whole_units(view, unit, less=_even_mean(view, unit), out=out)
+    taps = smoothing_taps(sigma_px).astype(np.float32)
+    for taps_x, taps_y in ((taps, _ALONE), (_ALONE, taps)) if len(taps) > 1 else ():
+        cv2.sepFilter2D(out, -1, taps_x, taps_y, dst=out, borderType=cv2.BORDER_REPLICATE)
+        in_whole_units(out, unit, out=out)
+
+
+def smoothing_taps(sigma_px: float) -> np.ndarray:
+    """Return the whole weights of `smooth`; float64."""
+    if sigma_px == 0:
+        return _ALONE.astype(float)
+    size = 2 * math.ceil(4 * sigma_px) + 1
+    taps = whole_taps(cv2.getGaussianKernel(size, sigma_px, cv2.CV_64F)[:, 0])
+    reach = len(taps) // 2 - int(np.flatnonzero(taps)[0])
+    return taps[len(taps) // 2 - reach : len(taps) // 2 + reach + 1]
+
+
+def _even_mean(view: np.ndarray, unit: float, mask: np.ndarray | None = None) -> float:
+    """Return the mean, rounded to an even number of units."""
+    return 2 * unit * round(cv2.mean(view, mask)[0] / (2 * unit))
+
+
+def plane_variance(plane: np.ndarray) -> float:
+    """Return the variance of a plane (H, W) float32 with a small mean."""
+    return max(cv2.norm(plane, cv2.NORM_L2SQR) / plane.size - cv2.mean(plane)[0] ** 2, 0.0)
 
 
 def _guide_scale(guide: np.ndarray, config: ViewsConfig) -> np.float32:

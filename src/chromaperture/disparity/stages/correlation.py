@@ -11,7 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from chromaperture.disparity.views import Views, view_pairs
+from chromaperture.disparity.views import Views, plane_variance, view_pairs
+from chromaperture.disparity.whole_light import whole_taps
 from chromaperture.stage_config import CorrelationConfig
 
 Taps = Callable[[float], tuple[float, float, float, float]]
@@ -19,8 +20,9 @@ Taps = Callable[[float], tuple[float, float, float, float]]
 MIN_VARIANCE_FRACTION = 0.05  # of a variance that debiasing always leaves: an estimated noise may be too high
 RELATIVE_EPSILON = 1e-6  # of a view's overall variance: even areas score 0, not noise / noise
 MIN_WEIGHT = 1e-4  # keeps the sum of weights positive where a whole line is unusable
-# Weights of the window of a cell along x and along y; docs/measurements.md compares windows.
-CELL_TAPS = (1 / 9, 2 / 9, 3 / 9)  # 2, 1 and 0 px from the pixel after which the cell is named
+CELL_TAPS = (1, 2, 3, 2, 1)  # of a cell's window along x and along y; docs/measurements.md compares windows
+LEAST_FLOOR = 1e-12  # squared units, added to the variance of a cell: an even picture scores 0, too
+SCORE_PARTS = 32000  # of a cell's score: 16 bits with a sign
 
 
 def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig) -> np.ndarray:
@@ -73,36 +75,60 @@ def cells_of(maps: np.ndarray) -> np.ndarray:
 
 
 def _cell_scores(views: Views, layers_px: np.ndarray, config: CorrelationConfig) -> np.ndarray:
-    """Score cells: cell (x, y) is the 5 x 5 px about pixel (2 x, 2 y), weighted by `CELL_TAPS` both ways."""
+    """Score cells: cell (x, y) is the 5 x 5 px about pixel (2 x, 2 y), weighted by `CELL_TAPS` both ways.
+
+    In whole units of light, in which sums are exact (`whole_light.py`); scores are rounded to 1 / `SCORE_PARTS`.
+    """
     height, width, view_count = views.pictures.shape
     x, y = padding(layers_px, views.directions, config.sampling)
     pad = (x + 2, y + 2)
-    padded, epsilon = _pad(views.pictures.astype(np.float64), pad), variance_floor(views.pictures)
+    scale = 1 / views.unit if views.unit else 1.0
+    padded = _pad(scale * views.pictures.astype(np.float64), pad)
+    floors = cell_variance_floor(views)
     inside = np.s_[pad[1] : pad[1] + height : 2, pad[0] : pad[0] + width : 2]
-    taps = np.array([*CELL_TAPS, *CELL_TAPS[1::-1]])
 
     def window(maps: np.ndarray) -> np.ndarray:
         for axis in (0, 1):
-            maps = sum(tap * np.roll(maps, i - 2, axis=axis) for i, tap in enumerate(taps))
+            maps = sum(tap * np.roll(maps, i - 2, axis=axis) for i, tap in enumerate(CELL_TAPS))
         return np.asarray(maps[inside])
 
+    weight = sum(CELL_TAPS) ** 2
     volume = []
     for d in layers_px:
         moved = [
-            shift(padded[..., k], d * views.directions[k], taps_of=SAMPLING[config.sampling]) for k in range(view_count)
+            _whole_shift(padded[..., k], d * views.directions[k], SAMPLING[config.sampling], rounds=views.unit > 0)
+            for k in range(view_count)
         ]
-        means = [window(m) for m in moved]
-        squares = [window(m**2) for m in moved]
-        gains = [
-            1 / np.sqrt(np.maximum(square - mean**2, 0) + floor)
-            for square, mean, floor in zip(squares, means, epsilon, strict=True)
-        ]
+        sums = [window(m) for m in moved]
+        variances = [weight * window(m**2) - total**2 for m, total in zip(moved, sums, strict=True)]
+        variances = [np.maximum(v, 0) + floor for v, floor in zip(variances, floors, strict=True)]
         rho = [
-            np.clip((window(moved[k] * moved[m]) - means[k] * means[m]) * gains[k] * gains[m], -1, 1)
+            np.clip((weight * window(moved[k] * moved[m]) - sums[k] * sums[m]) / np.sqrt(variances[k] * variances[m]), -1, 1)
             for k, m in view_pairs(view_count)
         ]
         volume.append(rho[0] if view_count == 2 else three_view_score(*rho))
-    return np.stack(volume, axis=-1)
+    return np.asarray(np.round(SCORE_PARTS * np.stack(volume, axis=-1)) / SCORE_PARTS)
+
+
+def cell_variance_floor(views: Views) -> np.ndarray:
+    """Return what is added to a window's variance in whole units, times the squared sum of its weights; (K,) float64."""
+    scale = 1 / views.unit if views.unit else 1.0
+    planes = np.moveaxis(views.pictures, 2, 0)
+    variances = np.array([plane_variance(np.ascontiguousarray(plane, np.float32)) for plane in planes])
+    return np.asarray(sum(CELL_TAPS) ** 4 * (scale**2 * RELATIVE_EPSILON * variances + LEAST_FLOOR))
+
+
+def _whole_shift(view: np.ndarray, offset_px: np.ndarray, taps_of: Taps, *, rounds: bool) -> np.ndarray:
+    """As `shift`, along y and then along x, by weights of whole parts and to whole units where it ``rounds``."""
+    for axis in (0, 1):
+        offset = offset_px[1 - axis]
+        whole = math.floor(offset + 1e-9)  # 1e-9: a whole shift but for rounding is whole
+        index = np.arange(view.shape[axis]) + whole
+        places = [np.clip(index + i, 0, view.shape[axis] - 1) for i in (-1, 0, 1, 2)]
+        taps = whole_taps(taps_of(max(offset - whole, 0.0)))
+        view = sum(tap * np.take(view, place, axis=axis) for tap, place in zip(taps, places, strict=True))
+        view = np.round(view) if rounds else view
+    return view
 
 
 def _noise(views: Views, config: CorrelationConfig) -> tuple[np.ndarray, np.ndarray]:
