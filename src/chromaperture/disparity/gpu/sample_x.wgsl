@@ -23,6 +23,9 @@ fn main(
     for (var n = 0u; n < 7u; n++) {
         let x = i32(first + n) - i32(pad_x) - 1i;
         before = vec4f(before.yzw, rows[row + inside(x, width) * phase_count]);
-        if (n >= 3u && first + n - 3u < wide) { samples[(y * wide + first + n - 3u) * entry_count + e] = dot(taps, before); }
+        let sum = dot(taps, before);
+        if (n >= 3u && first + n - 3u < wide) {
+            samples[(y * wide + first + n - 3u) * entry_count + e] = select(sum, round(sum), whole);
+        }
     }
 }
