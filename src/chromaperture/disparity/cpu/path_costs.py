@@ -7,19 +7,18 @@ A pixel q with the path cost c, its own included, adds to its neighbour on the p
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.layout import BLOCK, GROUP, ONE, SCORE_SCALE, ZERO, inner, kernel
-from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT, POSTERIOR_POWER
+from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT, NAT_PARTS, POSTERIOR_POWER
 
 assert POSTERIOR_POWER == 8  # squared three times below
 
 _LEAST_DETERMINANT = np.float32(LEAST_DETERMINANT)
-_NATS = np.float32(32000 / (-0.5 * math.log(LEAST_DETERMINANT)))  # a nat of log-likelihood in int16
+_NATS = np.float32(NAT_PARTS)  # a nat of log-likelihood in int16
 _CLOSED = np.float32(1e4)  # nats; cost of the lanes beyond the last layer
 _RAISED = np.float32(8)  # nats; makes all costs positive: positive floats are ordered as their bits are
 _FAR = np.float32(3e4)  # nats; beyond any sum of costs, and of those of `_CLOSED`

@@ -14,6 +14,7 @@ from chromaperture.disparity.gpu.correlation_stages import add_samples, chunks_o
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes
 from chromaperture.disparity.gpu.workgroups import groups_for
+from chromaperture.disparity.logarithm import LOGARITHM
 from chromaperture.disparity.stages.correlation import (
     CELL_TAPS,
     LEAST_FLOOR,
@@ -22,11 +23,18 @@ from chromaperture.disparity.stages.correlation import (
     padding,
 )
 from chromaperture.disparity.stages.enlarge import JUMP_PX
-from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
+from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT, NAT_PARTS
 from chromaperture.stage_config import CorrelationConfig
 
 _CHUNK_BYTES = 128e6  # of the samples of a chunk: WebGPU's default limit of a binding
 WINDOW_REACH_PX = 2  # of a cell's window
+# What `nats.wgsl` needs.
+LIKELIHOOD: dict[str, Any] = {
+    "least_determinant": LEAST_DETERMINANT,
+    "nat_parts": NAT_PARTS,
+    "logarithm_terms": LOGARITHM,
+    "logarithm_count": len(LOGARITHM),
+}
 _CELLS = 8  # that an invocation takes, one below the other: they share the sums of 3 of their 5 rows
 
 
@@ -89,7 +97,7 @@ def add_label_likelihood(
         uses=(*SHARED, "half_labels", "nats"), width=cells.width, height=cells.height, view_count=cells.view_count,
         all_layers=len(layers_px), label_count=len(labels_px), pitch=pitch,
         parts=(len(labels_px) - 1) // (len(layers_px) - 1), first_px=float(layers_px[0]),
-        layer_step_px=float(layers_px[1] - layers_px[0]), least_determinant=LEAST_DETERMINANT,
+        layer_step_px=float(layers_px[1] - layers_px[0]), **LIKELIHOOD,
         **of_labels,
     )  # fmt: skip
     return likelihood

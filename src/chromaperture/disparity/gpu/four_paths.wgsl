@@ -1,5 +1,5 @@
 // Path costs along one of four directions: 0 right, 1 left, 2 down, 3 up. A pixel of path cost c adds to its neighbour
-// on the path m = min(c, min c + e jump) - min c, which is left in 16 bits of the jump for `path_winner.wgsl`. The four
+// on the path m = min(c, min c + e jump) - min c, which is left in 16 bits, `parts` of a nat, for `path_winner.wgsl`. The four
 // dispatches write to arrays of their own, so that a device may run them side by side.
 
 @group(0) @binding(0) var<storage, read> likelihood: array<vec4f>;  // (h, w, pitch / 4)
@@ -34,8 +34,8 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
             if ((v + 1u) * lanes > pitch / 4u && v * lanes + lane >= pitch / 4u) { continue; }
             let at = pixel * (pitch / 4u) + v * lanes + lane;
             let incoming = select(min(cost[v], vec4f(limit)) - least, vec4f(), s == 0u);
-            let packed = vec2u(pack2x16unorm(incoming.xy / jump), pack2x16unorm(incoming.zw / jump));
-            if (used) { costs[at] = packed; }
+            let whole = vec4u(round(parts * incoming));
+            if (used) { costs[at] = whole.xz | (whole.yw << vec2u(16u)); }
             cost[v] = incoming - likelihood[at];
             lowest = min(lowest, cost[v]);
         }

@@ -11,6 +11,7 @@ from chromaperture.color.image import DARK
 from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, LIGHT_WINDOW_PX, MAX_SIGMA_PX, sigma_of_range
 from chromaperture.disparity.gpu.cell_stages import (
+    LIKELIHOOD,
     add_cell_planes,
     add_cell_scores,
     add_enlarged_cells,
@@ -23,7 +24,7 @@ from chromaperture.disparity.gpu.workgroups import MOST_GROUPS, groups_for
 from chromaperture.disparity.labels import MOST_APART_PX, LabelMap, labels_between
 from chromaperture.disparity.stages.bilateral import even_link
 from chromaperture.disparity.stages.enlarge import JUMP_PX
-from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
+from chromaperture.disparity.stages.four_paths import NAT_PARTS, path_parts
 from chromaperture.disparity.stages.place import (
     EDGE_REACH_PX,
     EDGE_SHARE,
@@ -72,7 +73,7 @@ def add_real_time(
     frame: dict[str, Any] = {"width": planes.width, "height": planes.height}
     at_once = cell_px == 1 and label_map.is_identity and len(labels_px) == len(layers_px)
     if cell_px == 1:
-        kept = Kept("likelihood", ("nats", "scores_nats"), {"least_determinant": LEAST_DETERMINANT})
+        kept = Kept("likelihood", ("nats", "scores_nats"), LIKELIHOOD)
         correlated = add_correlation(
             chain, planes, layers_px, space.directions, config.correlation,
             pitch=pitch if at_once else len(layers_px), kept=kept if at_once else None,
@@ -131,18 +132,20 @@ def _add_paths(
     exchange, lanes = "lanes_quad", _LANES
     if not chain.device.subgroups:  # barriers of a rasteriser in software take three times as long as the paths
         exchange, lanes = ("lanes_single", 1) if chain.device.info.is_software else ("lanes_shared", _LANES)
+    parts = path_parts(paths.jump_penalty)
+    last_parts = min(NAT_PARTS, 65535 / paths.jump_penalty)  # sums of log-likelihoods alone are not rounded
     for direction, cost in enumerate(costs):
         lines = planes.height if direction < 2 else planes.width
         chain.add(
             "four_paths", [likelihood, planes.planes, planes.stats, cost],
             groups=(-(-lines // (64 // lanes)),), uses=(*SHARED, exchange), direction=direction,
             guide_plane=planes.view_count * planes.pixels, pitch=pitch, jump=paths.jump_penalty,
-            edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
+            parts=float(parts if direction < 3 else last_parts), edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
         )  # fmt: skip
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(
         "path_winner", [likelihood, *costs, winner, places], groups=groups_for(planes.pixels), uses=SHARED,
-        view_count=planes.view_count, jump=paths.jump_penalty, temperature=paths.temperature,
+        view_count=planes.view_count, parts=parts, last_parts=float(last_parts), temperature=paths.temperature,
         least_unexplained=LEAST_UNEXPLAINED, least_information=LEAST_INFORMATION, **size, **of_layers,
     )  # fmt: skip
     return winner, places

@@ -15,6 +15,7 @@ from chromaperture.disparity.winner import PathWinner
 from chromaperture.stage_config import CorrelationConfig, FourPathsConfig
 
 LEAST_DETERMINANT = 1e-5  # of the correlations, whose logarithm is the log-likelihood: 5.8 nats at most
+NAT_PARTS = 4096  # to which log-likelihoods are rounded: 15 bits, a power of two, so that sums of them are exact
 POSTERIOR_POWER = 8  # (1 - x / 8)^8 replaces exp(-x): within 0.04 of it, and 0 beyond x = 8
 
 
@@ -51,18 +52,27 @@ def four_path_winner(
         guide, mask = cells_of(guide), cells_of(mask)
     likelihood = log_likelihood(score, view_count=views.pictures.shape[2]) * mask[..., None]
     penalties = PathPenalties(paths.jump_penalty, paths.jump_penalty, paths.edge_range, paths.edge_floor)
-    cost = path_costs(likelihood, guide, penalties, paths=4)
+    cost = path_costs(likelihood, guide, penalties, paths=4, parts=path_parts(paths.jump_penalty))
     layer = cost.argmin(axis=2)
     inside = np.clip(layer, 1, len(labels_px) - 2)
     before, at, after = (np.take_along_axis(likelihood, (inside + o)[..., None], axis=2)[..., 0] for o in (-1, 0, 1))
     return PathWinner(layer, before, at, after, _posterior_sigma(cost, layer, labels_px, paths))
 
 
+def path_parts(jump: float) -> float:
+    """Return the parts of a nat to which path costs are rounded: the sum of three, each below ``jump``, fits 16 bits."""
+    return 32000 / (3 * jump)
+
+
 def log_likelihood(score: np.ndarray, *, view_count: int) -> np.ndarray:
-    """Log-likelihood against uncorrelated views, nats: -ln(1 - s^2) / 2 of two views, -ln(1 - s) of three."""
+    """Log-likelihood against uncorrelated views, nats: -ln(1 - s^2) / 2 of two views, -ln(1 - s) of three.
+
+    Rounded to 1 / `NAT_PARTS`.
+    """
     clipped = np.clip(score, 0, 1)
     determinant = 1 - clipped**2 if view_count == 2 else (1 - clipped) ** 2
-    return np.asarray(-0.5 * np.log(np.maximum(determinant, LEAST_DETERMINANT)))
+    nats = -0.5 * np.log(np.maximum(determinant, LEAST_DETERMINANT))
+    return np.asarray(np.round(NAT_PARTS * nats) / NAT_PARTS)
 
 
 def scores_at_labels(
