@@ -216,24 +216,25 @@ def _start(lines, count):
 def _likelihoods(lines, mask, y, height, two_views):
     """One row of scores to log-likelihoods in place: -ln(1 - s^2) / 2 of two views, -ln(1 - s) of three, nats."""
     volume, slabs = lines.volume, lines.slabs
-    unit, nats = v.broadcast(ONE / SCORE_SCALE), -_HALF * _NATS
+    nats = -_HALF * _NATS
     for x in range(len(mask)):
         factor = v.broadcast(nats * mask[x])
         at = _address(y, x, height, slabs)
         for i in range(at, at + slabs * BLOCK * v.LANES, BLOCK * v.LANES):
-            v.put_shorts(volume, i, v.mul(factor, _log_unexplained(v.mul(v.load_shorts(volume, i), unit), two_views)))
+            v.put_shorts(volume, i, v.mul(factor, _log_determinant(_unexplained(volume, i), two_views)))
 
 
 @inner
-def _log_unexplained(score, two_views):
-    """Logarithm of the determinant of the views' correlations."""
-    one = v.broadcast(ONE)
-    score = v.smaller(v.larger(score, v.broadcast(ZERO)), one)  # cubics overshoot
-    if two_views:
-        determinant = v.fnma(score, score, one)
-    else:
-        determinant = v.sub(one, score)
-        determinant = v.mul(determinant, determinant)
+def _unexplained(scores, i):
+    """What is left of 1 by eight scores: of whole numbers, so that next to a score of 1 nothing is rounded off."""
+    return v.mul(v.sub(v.broadcast(SCORE_SCALE), v.load_shorts(scores, i)), v.broadcast(ONE / SCORE_SCALE))
+
+
+@inner
+def _log_determinant(unexplained, two_views):
+    """Logarithm of the determinant of the views' correlations, by what is left of 1 by the score."""
+    unexplained = v.larger(v.smaller(unexplained, v.broadcast(ONE)), v.broadcast(ZERO))  # cubics overshoot
+    determinant = v.mul(unexplained, v.sub(v.broadcast(_TWO), unexplained) if two_views else unexplained)
     return v.logarithm(v.larger(determinant, v.broadcast(_LEAST_DETERMINANT)))
 
 
@@ -247,12 +248,12 @@ def _read_at_labels(
     """
     volume, slabs, count = lines.volume, lines.slabs, layers.number
     own_slabs = (count + v.LANES - 1) // v.LANES
-    nats, unit = -_HALF * _NATS, v.broadcast(ONE / SCORE_SCALE)
+    nats = -_HALF * _NATS
     parts = np.int64(np.rint(layers.step / settings.step))
     for x in range(len(mask)):
         at = _address(y, x, height, own_slabs)
         for s in range(own_slabs):
-            v.store(here, _BASE + s * v.LANES, v.mul(unit, v.load_shorts(scores, at + s * BLOCK * v.LANES)))
+            v.store(here, _BASE + s * v.LANES, _unexplained(scores, at + s * BLOCK * v.LANES))
         here[_BASE - 1] = here[_BASE]
         here[_BASE + count] = here[_BASE + count - 1]
         column = x if many else 0
@@ -274,13 +275,13 @@ def _read_at_labels(
         factor = v.broadcast(nats * mask[x])
         at = _address(y, x, height, slabs)
         for s in range(slabs):
-            logarithm = _log_unexplained(v.load(at_labels, s * v.LANES), two_views)
+            logarithm = _log_determinant(v.load(at_labels, s * v.LANES), two_views)
             v.put_shorts(volume, at + s * BLOCK * v.LANES, v.mul(factor, logarithm))
 
 
 @inner
 def _read_eight(here, begin, scale, first, count):
-    """Scores at eight places a ``scale`` apart, from ``begin + first * scale``; places and layers count from 0."""
+    """What scores leave of 1 at eight places a ``scale`` apart, 1 beyond the layers, from ``begin + first * scale``; places and layers count from 0."""
     low = begin + scale * np.float32(first)
     high = begin + scale * np.float32(first + v.LANES - 1)
     ahead = np.floor(low) - np.float32(first)
@@ -303,7 +304,8 @@ def _read_eight(here, begin, scale, first, count):
             return value
         room = v.fnma(v.broadcast(scale), v.load(here, 0), v.broadcast(np.float32(count - 1) - low))
         inside = v.fma(room, v.broadcast(_STEEP), v.broadcast(ONE))  # 1 up to the last layer, 0 beyond
-        return v.mul(value, v.larger(v.smaller(inside, v.broadcast(ONE)), v.broadcast(ZERO)))
+        inside = v.larger(v.smaller(inside, v.broadcast(ONE)), v.broadcast(ZERO))
+        return v.fma(inside, v.sub(value, v.broadcast(ONE)), v.broadcast(ONE))
     spill = len(here) - v.LANES
     for i in range(v.LANES):
         place = low + scale * np.float32(i)
@@ -314,7 +316,7 @@ def _read_eight(here, begin, scale, first, count):
         third = _THREE * (middle - after) + later - before
         second = before + before - _FIVE * middle + _FOUR * after - later
         value = middle + _HALF * t * (after - before + t * (second + t * third))
-        v.put(here, spill + i, value if ZERO <= t <= ONE and place >= ZERO else ZERO)
+        v.put(here, spill + i, value if ZERO <= t <= ONE and place >= ZERO else ONE)
     return v.load(here, spill)
 
 

@@ -5,7 +5,7 @@
 @group(0) @binding(0) var<storage, read> samples: array<f32>;  // (h + 2 pad_y, w + 2 pad_x, E)
 @group(0) @binding(1) var<storage, read> places: array<vec4i>;  // (K, C): entry, whole px along x, along y, 0
 @group(0) @binding(2) var<storage, read> stats: array<f32>;
-@group(0) @binding(3) var<storage, read_write> score: array<f32>;  // (cells_tall, cells_wide, D)
+@group(0) @binding(3) var<storage, read_write> score: array<f32>;  // (cells_tall, cells_wide, D), parts of 1 / score_parts
 
 const wide = width + 2u * pad_x;
 
@@ -39,7 +39,7 @@ fn main(
         let e = row_sums(starts + (2u * n + 4u) * pitch);
         let found = score_of(a, b, c, d, e, floors);
         score[((first + n) * cells_wide + column) * all_layers + first_layer + layer] =
-            round(f32(score_parts) * found) * (1.0 / f32(score_parts));
+            round(f32(score_parts) * found);
         a = c;
         b = d;
         c = e;

@@ -88,6 +88,7 @@ def add_label_likelihood(
     labels_px: np.ndarray,
     *,
     pitch: int,
+    score_parts: int,
     of_labels: dict[str, Any],
 ) -> Array:
     """Add the log-likelihoods of all labels; (cells, pitch)."""
@@ -98,7 +99,7 @@ def add_label_likelihood(
         all_layers=len(layers_px), label_count=len(labels_px), pitch=pitch,
         parts=(len(labels_px) - 1) // (len(layers_px) - 1), first_px=float(layers_px[0]),
         layer_step_px=float(layers_px[1] - layers_px[0]), **LIKELIHOOD,
-        **of_labels,
+        score_parts=score_parts, **of_labels,
     )  # fmt: skip
     return likelihood
 

@@ -24,6 +24,7 @@ from chromaperture.disparity.gpu.workgroups import MOST_GROUPS, groups_for
 from chromaperture.disparity.labels import MOST_APART_PX, LabelMap, labels_between
 from chromaperture.disparity.stages.bilateral import even_link
 from chromaperture.disparity.stages.enlarge import JUMP_PX
+from chromaperture.disparity.stages.correlation import SCORE_PARTS
 from chromaperture.disparity.stages.four_paths import NAT_PARTS, path_parts
 from chromaperture.disparity.stages.place import (
     EDGE_REACH_PX,
@@ -84,7 +85,8 @@ def add_real_time(
     likelihood = score
     if not at_once:
         likelihood = add_label_likelihood(
-            chain, planes, score, labels, layers_px, labels_px, pitch=pitch, of_labels=of_labels
+            chain, planes, score, labels, layers_px, labels_px, pitch=pitch,
+            score_parts=1 if cell_px == 1 else SCORE_PARTS, of_labels=of_labels,
         )
     winner, places = _add_paths(chain, planes, likelihood, config, of_layers)
     smoothed = _add_smoothing_along_surface(chain, planes, winner, places, config)
