@@ -15,24 +15,35 @@ Memory: 2 bytes a score and 0.5 MB a thread at 1280 px width.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu import simd as v
-from chromaperture.disparity.cpu.layout import BLOCK, ONE, SCORE_SCALE, ZERO, inner, kernel, whole_vectors
+from chromaperture.disparity.cpu.layout import BLOCK, ONE, SCORE_SCALE, ZERO, whole_vectors
 from chromaperture.disparity.cpu.workspace import Workspace
-from chromaperture.disparity.stages.correlation import CELL_TAPS, SAMPLING, SCORE_PARTS, cell_variance_floor
+from chromaperture.disparity.stages.correlation import (
+    CELL_TAPS,
+    LEAST_PRODUCT,
+    SAMPLING,
+    SCORE_PARTS,
+    cell_variance_floor,
+)
 from chromaperture.disparity.views import Views, view_pairs
 from chromaperture.disparity.whole_light import whole_taps
 from chromaperture.stage_config import CorrelationConfig
 from chromaperture.threads import in_parallel
 
+# Divisions and roots as IEEE 754 rounds them, as other executions do: not by estimates.
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"nsz"}}
+kernel = compiled(**_OPTIONS)
+inner = inlined(**_OPTIONS)
 _BAND_ROWS = 24  # of cells: the window's four rows more cost 8 %, and the samples, 0.4 MB, stay in the cache
 _RING = 5  # rows of a window
 _REACH = 2  # px of a window's taps
 _ROUNDER = np.float32(1.5 * 2**23)  # added to a number below 2^22 it leaves a whole one, halves to even
-_LEAST = np.float32(1e-37)  # no division by 0
+_LEAST = np.float32(LEAST_PRODUCT)
 _TWO, _THREE, _NINE = np.float32(2), np.float32(3), np.float32(9)
 assert CELL_TAPS == (1, 2, 3, 2, 1)  # written out below
 assert SCORE_PARTS == SCORE_SCALE
@@ -106,7 +117,7 @@ def _plan(views: Views, layers_px: np.ndarray, config: CorrelationConfig) -> _Pl
     # Whole vectors: the first and the last one of a row are not sampled.
     margin = v.LANES * (2 + math.ceil((np.abs(whole[..., 0]).max() + _REACH + 3) / v.LANES))
     pairs = np.array(view_pairs(len(views.directions)))
-    floors = cell_variance_floor(views).astype(np.float32)
+    floors = cell_variance_floor(views)
     scale, rounder = (np.float32(1 / views.unit), _ROUNDER) if views.unit else (ONE, ZERO)
     return _Plan(order, fresh, taps, whole, pairs, floors, scale, rounder, margin)
 

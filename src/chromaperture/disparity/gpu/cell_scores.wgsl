@@ -28,8 +28,10 @@ fn main(
     let first = cells_each * (i / (layer_count * cells_wide));
     if (first >= cells_tall) { return; }
     let starts = starts_of(layer, 2u * column, 2u * first);
-    let floors = least_floor + relative_epsilon * stats[UNIT + 1u] * stats[UNIT + 1u]
-        * vec3f(stats[VARIANCE], stats[VARIANCE + 1u], stats[VARIANCE + 2u]);
+    let variances = vec3f(stats[VARIANCE], stats[VARIANCE + 1u], stats[VARIANCE + 2u]);
+    let added = least_floor + relative_epsilon * stats[UNIT + 1u] * stats[UNIT + 1u] * variances;
+    // Of few digits, which are the same whatever the order in which the picture was summed up.
+    let floors = bitcast<vec3f>(bitcast<vec3u>(added) & vec3u(0xfff00000u));
     const pitch = wide * entry_count;
     var a = row_sums(starts);
     var b = row_sums(starts + pitch);

@@ -22,6 +22,7 @@ RELATIVE_EPSILON = 1e-6  # of a view's overall variance: even areas score 0, not
 MIN_WEIGHT = 1e-4  # keeps the sum of weights positive where a whole line is unusable
 CELL_TAPS = (1, 2, 3, 2, 1)  # of a cell's window along x and along y; docs/measurements.md compares windows
 LEAST_FLOOR = 1e-12  # squared units, added to the variance of a cell: an even picture scores 0, too
+LEAST_PRODUCT = np.float32(1e-37)  # of two variances: no division by 0
 SCORE_PARTS = 32000  # of a cell's score: 16 bits with a sign
 
 
@@ -77,7 +78,8 @@ def cells_of(maps: np.ndarray) -> np.ndarray:
 def _cell_scores(views: Views, layers_px: np.ndarray, config: CorrelationConfig) -> np.ndarray:
     """Score cells: cell (x, y) is the 5 x 5 px about pixel (2 x, 2 y), weighted by `CELL_TAPS` both ways.
 
-    In whole units of light, in which sums are exact (`whole_light.py`); scores are rounded to 1 / `SCORE_PARTS`.
+    In whole units of light, in which sums are exact (`whole_light.py`); scores are rounded to 1 / `SCORE_PARTS`. The last
+    steps have 32 bits, as all executions.
     """
     height, width, view_count = views.pictures.shape
     x, y = padding(layers_px, views.directions, config.sampling)
@@ -100,22 +102,35 @@ def _cell_scores(views: Views, layers_px: np.ndarray, config: CorrelationConfig)
             for k in range(view_count)
         ]
         sums = [window(m) for m in moved]
-        variances = [weight * window(m**2) - total**2 for m, total in zip(moved, sums, strict=True)]
-        variances = [np.maximum(v, 0) + floor for v, floor in zip(variances, floors, strict=True)]
+
+        def covariance(k: int, m: int, moved=moved, sums=sums) -> np.ndarray:
+            """Return what is exact, and from here on as single numbers, which every execution rounds alike."""
+            return (weight * window(moved[k] * moved[m]) - sums[k] * sums[m]).astype(np.float32)
+
+        variances = [np.maximum(covariance(k, k), np.float32(0)) + floors[k] for k in range(view_count)]
         rho = [
-            np.clip((weight * window(moved[k] * moved[m]) - sums[k] * sums[m]) / np.sqrt(variances[k] * variances[m]), -1, 1)
+            np.clip(covariance(k, m) / np.sqrt(np.maximum(variances[k] * variances[m], LEAST_PRODUCT)), -1, 1)
             for k, m in view_pairs(view_count)
         ]
-        volume.append(rho[0] if view_count == 2 else three_view_score(*rho))
-    return np.asarray(np.round(SCORE_PARTS * np.stack(volume, axis=-1)) / SCORE_PARTS)
+        volume.append(rho[0] if view_count == 2 else _three_view_score(*rho))
+    return np.asarray(np.round(np.float32(SCORE_PARTS) * np.stack(volume, axis=-1)) / SCORE_PARTS, float)
+
+
+def _three_view_score(r01: np.ndarray, r02: np.ndarray, r12: np.ndarray) -> np.ndarray:
+    """As `three_view_score`, of single numbers, without sums whose parts cancel."""
+    one = np.float32(1)
+    determinant = (one - r01**2) * (one - r02**2) - (r12 - r01 * r02) ** 2
+    return np.asarray(one - np.sqrt(np.maximum(determinant, np.float32(0))))
 
 
 def cell_variance_floor(views: Views) -> np.ndarray:
-    """Return what is added to a window's variance in whole units, times the squared sum of its weights; (K,) float64."""
+    """Return what is added to a window's variance in whole units, times the squared sum of its weights; (K,) float32."""
     scale = 1 / views.unit if views.unit else 1.0
     planes = np.moveaxis(views.pictures, 2, 0)
     variances = np.array([plane_variance(np.ascontiguousarray(plane, np.float32)) for plane in planes])
-    return np.asarray(sum(CELL_TAPS) ** 4 * (scale**2 * RELATIVE_EPSILON * variances + LEAST_FLOOR))
+    floors = np.asarray(sum(CELL_TAPS) ** 4 * (scale**2 * RELATIVE_EPSILON * variances + LEAST_FLOOR), np.float32)
+    # Of few digits, which are the same whatever the order in which the picture was summed up.
+    return (floors.view(np.uint32) & np.uint32(0xFFF00000)).view(np.float32)
 
 
 def _whole_shift(view: np.ndarray, offset_px: np.ndarray, taps_of: Taps, *, rounds: bool) -> np.ndarray:
