@@ -19,6 +19,7 @@ from chromaperture.optics.aperture import Aperture, centroids, channel_transmiss
 from chromaperture.stage_config import ViewsConfig
 
 FILL_SIGMA_PX = 6.0  # of the mean that replaces unusable pixels, px of the halved picture; chosen by hand
+FILL_UNITS = 16.0  # to which that mean is rounded, so that executions seldom round it apart; below a picture's noise
 USABLE = 0.99  # fraction of a halved pixel that must be usable: below, a saturated neighbour's edge is in it
 GUIDE_SIGMA_PX = 1.0  # noise of the guide would break the links between pixels; chosen by hand
 _CLIPPED_REACH_PX = 3  # about clipped pixels: demosaicing and the sensor spread their light; chosen by hand
@@ -308,9 +309,9 @@ def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray, unit: float) -
     small = []
     for view in views:
         less = _even_mean(view, unit, (mask > 0).astype(np.uint8))
-        part = cv2.pyrDown(in_whole_units(view, unit, less=less) * mask)
+        part = in_whole_units(cv2.pyrDown(in_whole_units(view, unit, less=less) * mask), unit)
         fill = cv2.GaussianBlur(part, (0, 0), FILL_SIGMA_PX) / (around + np.float32(1e-3))  # 1e-3: no division by 0
-        small.append(np.where(usable, part, fill))
+        small.append(np.where(usable, part, in_whole_units(fill, FILL_UNITS * unit)))
     return small, usable
 
 

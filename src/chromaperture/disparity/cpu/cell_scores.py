@@ -44,7 +44,7 @@ _RING = 5  # rows of a window
 _REACH = 2  # px of a window's taps
 _ROUNDER = np.float32(1.5 * 2**23)  # added to a number below 2^22 it leaves a whole one, halves to even
 _LEAST = np.float32(LEAST_PRODUCT)
-_TWO, _THREE, _NINE = np.float32(2), np.float32(3), np.float32(9)
+_TWO, _EIGHT, _NINE, _NINTH = np.float32(2), np.float32(8), np.float32(9), np.float32(1 / 9)
 assert CELL_TAPS == (1, 2, 3, 2, 1)  # written out below
 assert SCORE_PARTS == SCORE_SCALE
 
@@ -220,7 +220,7 @@ def _sum_two(samples, row, ends, sums, ring, used):
     line = row * samples.shape[2] * samples.shape[3]
     a0, a1 = line + ends[0, 0], line + ends[0, 1]
     b0, b1 = size + line + ends[1, 0], size + line + ends[1, 1]
-    two, nine = v.broadcast(_TWO), v.broadcast(_NINE)
+    two, eight, nine = v.broadcast(_TWO), v.broadcast(_EIGHT), v.broadcast(_NINE)
     pitch = sums.shape[1]
     out = ring * pitch
     for x in range(0, used, v.LANES):
@@ -240,9 +240,9 @@ def _sum_two(samples, row, ends, sums, ring, used):
         saa, sbb, sab = v.fma(wa, a, saa), v.fma(wb, b, sbb), v.fma(wa, b, sab)
         v.store(sums, out + x, v.fma(nine, middle_a, sa))
         v.store(sums, out + pitch + x, v.fma(nine, middle_b, sb))
-        v.store(sums, out + 2 * pitch + x, v.fnma(sa, sa, v.mul(nine, saa)))
-        v.store(sums, out + 3 * pitch + x, v.fnma(sb, sb, v.mul(nine, sbb)))
-        v.store(sums, out + 4 * pitch + x, v.fnma(sa, sb, v.mul(nine, sab)))
+        v.store(sums, out + 2 * pitch + x, v.fnma(sa, sa, v.fma(eight, saa, saa)))
+        v.store(sums, out + 3 * pitch + x, v.fnma(sb, sb, v.fma(eight, sbb, sbb)))
+        v.store(sums, out + 4 * pitch + x, v.fnma(sa, sb, v.fma(eight, sab, sab)))
 
 
 @inner
@@ -252,7 +252,7 @@ def _sum_three(samples, row, ends, sums, ring, used):
     line = row * samples.shape[2] * samples.shape[3]
     pitch = sums.shape[1]
     out = ring * pitch
-    nothing, nine = v.broadcast(ZERO), v.broadcast(_NINE)
+    nothing, eight, nine = v.broadcast(ZERO), v.broadcast(_EIGHT), v.broadcast(_NINE)
     for x in range(0, used, v.LANES):
         sa, sb, sc, saa, sbb, scc = nothing, nothing, nothing, nothing, nothing, nothing
         sab, sac, sbc = nothing, nothing, nothing
@@ -273,12 +273,12 @@ def _sum_three(samples, row, ends, sums, ring, used):
         v.store(sums, out + x, v.fma(nine, middle_a, sa))
         v.store(sums, out + pitch + x, v.fma(nine, middle_b, sb))
         v.store(sums, out + 2 * pitch + x, v.fma(nine, middle_c, sc))
-        v.store(sums, out + 3 * pitch + x, v.fnma(sa, sa, v.mul(nine, saa)))
-        v.store(sums, out + 4 * pitch + x, v.fnma(sb, sb, v.mul(nine, sbb)))
-        v.store(sums, out + 5 * pitch + x, v.fnma(sc, sc, v.mul(nine, scc)))
-        v.store(sums, out + 6 * pitch + x, v.fnma(sa, sb, v.mul(nine, sab)))
-        v.store(sums, out + 7 * pitch + x, v.fnma(sa, sc, v.mul(nine, sac)))
-        v.store(sums, out + 8 * pitch + x, v.fnma(sb, sc, v.mul(nine, sbc)))
+        v.store(sums, out + 3 * pitch + x, v.fnma(sa, sa, v.fma(eight, saa, saa)))
+        v.store(sums, out + 4 * pitch + x, v.fnma(sb, sb, v.fma(eight, sbb, sbb)))
+        v.store(sums, out + 5 * pitch + x, v.fnma(sc, sc, v.fma(eight, scc, scc)))
+        v.store(sums, out + 6 * pitch + x, v.fnma(sa, sb, v.fma(eight, sab, sab)))
+        v.store(sums, out + 7 * pitch + x, v.fnma(sa, sc, v.fma(eight, sac, sac)))
+        v.store(sums, out + 8 * pitch + x, v.fnma(sb, sc, v.fma(eight, sbc, sbc)))
 
 
 @inner
@@ -289,24 +289,34 @@ def _of_row(sums, oldest, series, which, row, x):
 
 @inner
 def _apart(sums, oldest, series, which, x):
-    """How far a view's means lie from that of the middle row: of the rows 0, 1, 3 and 4, and their weighted sum."""
-    middle = _of_row(sums, oldest, series, which, 2, x)
-    r0, r1 = (v.sub(_of_row(sums, oldest, series, which, 0, x), middle), v.sub(_of_row(sums, oldest, series, which, 1, x), middle))
-    r3, r4 = (v.sub(_of_row(sums, oldest, series, which, 3, x), middle), v.sub(_of_row(sums, oldest, series, which, 4, x), middle))
-    return r0, r1, r3, r4, v.fma(v.broadcast(_TWO), v.add(r1, r3), v.add(r0, r4))
+    """How far the means of a window's rows lie from the whole number next to their mean, and the weighted sum of that.
+
+    From there they are small, and so exact are their products.
+    """
+    r0, r1 = _of_row(sums, oldest, series, which, 0, x), _of_row(sums, oldest, series, which, 1, x)
+    r2, r3 = _of_row(sums, oldest, series, which, 2, x), _of_row(sums, oldest, series, which, 3, x)
+    r4 = _of_row(sums, oldest, series, which, 4, x)
+    total = v.fma(v.broadcast(_TWO), v.add(v.add(r1, r3), r2), v.add(v.add(r0, r4), r2))
+    rounder = v.broadcast(_ROUNDER)
+    middle = v.sub(v.add(v.mul(v.broadcast(_NINTH), total), rounder), rounder)
+    left = v.fnma(v.broadcast(_NINE), middle, total)
+    return v.sub(r0, middle), v.sub(r1, middle), v.sub(r2, middle), v.sub(r3, middle), v.sub(r4, middle), left
 
 
 @inner
 def _joined(sums, oldest, series, a, b, which, x):
-    """6561 times the covariance in a window: that within its rows, and that of the rows' means ``a`` and ``b``."""
-    a0, a1, a3, a4, total_a = a
-    b0, b1, b3, b4, total_b = b
+    """6561 times the covariance in a window: that within its rows, and that of the rows' means ``a`` and ``b``.
+
+    Products are exact here; sums above 2^24 are rounded, in the same order by every execution.
+    """
+    a0, a1, a2, a3, a4, left_a = a
+    b0, b1, b2, b3, b4, left_b = b
     ends = v.add(_of_row(sums, oldest, series, which, 0, x), _of_row(sums, oldest, series, which, 4, x))
     inside = v.add(_of_row(sums, oldest, series, which, 1, x), _of_row(sums, oldest, series, which, 3, x))
     ends, inside = v.fma(a4, b4, v.fma(a0, b0, ends)), v.fma(a3, b3, v.fma(a1, b1, inside))
-    value = v.fma(v.broadcast(_THREE), _of_row(sums, oldest, series, which, 2, x), ends)
-    value = v.fma(v.broadcast(_TWO), inside, value)
-    return v.fnma(total_a, total_b, v.mul(v.broadcast(_NINE), value))
+    middle = v.fma(a2, b2, _of_row(sums, oldest, series, which, 2, x))
+    value = v.fma(v.broadcast(_TWO), v.add(inside, middle), v.add(ends, middle))
+    return v.fnma(left_a, left_b, v.fma(v.broadcast(_EIGHT), value, value))
 
 
 @inner
@@ -345,7 +355,8 @@ def _score_three(sums, oldest, series, floors, used, scores):
         ac = _correlation(_joined(sums, oldest, series, a, c, 7, x), aa, cc)
         bc = _correlation(_joined(sums, oldest, series, b, c, 8, x), bb, cc)
         # Of a part that is left, not of sums that cancel: (1 - ab^2) (1 - ac^2) - (bc - ab ac)^2.
-        apart = v.fnma(ab, ac, bc)
-        left = v.mul(v.fnma(ab, ab, one), v.fnma(ac, ac, one))
-        determinant = v.fnma(apart, apart, left)
+        # Not fused: a shader cannot ask for it.
+        apart = v.sub(bc, v.mul(ab, ac))
+        left = v.mul(v.sub(one, v.mul(ab, ab)), v.sub(one, v.mul(ac, ac)))
+        determinant = v.sub(left, v.mul(apart, apart))
         v.store(scores, x, v.sub(one, v.root(v.larger(determinant, nothing))))

@@ -25,23 +25,30 @@ fn row_sums(middle: Starts) -> Row {
     let sums = outer + last + 2.0 * (inner + beyond);
     let squares = outer * outer + last * last + 2.0 * (inner * inner + beyond * beyond);
     let products = outer.xxy * outer.yzz + last.xxy * last.yzz + 2.0 * (inner.xxy * inner.yzz + beyond.xxy * beyond.yzz);
-    return Row(9.0 * light + sums, 9.0 * squares - sums * sums, 9.0 * products - sums.xxy * sums.yzz);
+    return Row(9.0 * light + sums, (8.0 * squares + squares) - sums * sums, (8.0 * products + products) - sums.xxy * sums.yzz);
 }
 
 // 1 - sqrt(det) of the correlations of rows that are joined to a window. The determinant is (1 - r01^2) (1 - r02^2)
 // - (r12 - r01 r02)^2, not a sum whose parts cancel.
 fn score_of(a: Row, b: Row, c: Row, d: Row, e: Row, floors: vec3f) -> f32 {
-    let means_a = a.means - c.means;
-    let means_b = b.means - c.means;
-    let means_d = d.means - c.means;
-    let means_e = e.means - c.means;
-    let sums = means_a + means_e + 2.0 * (means_b + means_d);
+    let total = (a.means + e.means + c.means) + 2.0 * (b.means + d.means + c.means);
+    let middle = round(total * (1.0 / 9.0));
+    let left = total - 9.0 * middle;
+    let means_a = a.means - middle;
+    let means_b = b.means - middle;
+    let means_c = c.means - middle;
+    let means_d = d.means - middle;
+    let means_e = e.means - middle;
     var ends = a.squares + e.squares + means_a * means_a + means_e * means_e;
     var inside = b.squares + d.squares + means_b * means_b + means_d * means_d;
-    let variances = max(9.0 * (ends + 2.0 * inside + 3.0 * c.squares) - sums * sums, vec3f()) + floors;
+    var inmost = c.squares + means_c * means_c;
+    var value = (ends + inmost) + 2.0 * (inside + inmost);
+    let variances = max((8.0 * value + value) - left * left, vec3f()) + floors;
     ends = a.products + e.products + means_a.xxy * means_a.yzz + means_e.xxy * means_e.yzz;
     inside = b.products + d.products + means_b.xxy * means_b.yzz + means_d.xxy * means_d.yzz;
-    let joined = 9.0 * (ends + 2.0 * inside + 3.0 * c.products) - sums.xxy * sums.yzz;
+    inmost = c.products + means_c.xxy * means_c.yzz;
+    value = (ends + inmost) + 2.0 * (inside + inmost);
+    let joined = (8.0 * value + value) - left.xxy * left.yzz;
     let rho = clamp(joined / sqrt(max(variances.xxy * variances.yzz, vec3f(1.0e-37))), vec3f(-1.0), vec3f(1.0));
     let apart = rho.z - rho.x * rho.y;
     return 1.0 - sqrt(max((1.0 - rho.x * rho.x) * (1.0 - rho.y * rho.y) - apart * apart, 0.0));

@@ -25,19 +25,25 @@ fn row_sums(middle: Starts) -> Row {
     let last = samples_at(middle + 2u * entry_count) - light;
     let sums = outer + last + 2.0 * (inner + beyond);
     let products = outer.xyx * outer.xyy + last.xyx * last.xyy + 2.0 * (inner.xyx * inner.xyy + beyond.xyx * beyond.xyy);
-    return Row(9.0 * light + sums, 9.0 * products - sums.xyx * sums.xyy);
+    return Row(9.0 * light + sums, (8.0 * products + products) - sums.xyx * sums.xyy);
 }
 
-// The correlation of rows that are joined to a window.
+// The correlation of rows that are joined to a window. Means count from the whole number next to their mean, so that
+// their products are exact; sums above 2^24 are rounded, in the same order as on the CPU.
 fn score_of(a: Row, b: Row, c: Row, d: Row, e: Row, floors: vec3f) -> f32 {
-    let means_a = a.means - c.means;
-    let means_b = b.means - c.means;
-    let means_d = d.means - c.means;
-    let means_e = e.means - c.means;
-    let sums = means_a + means_e + 2.0 * (means_b + means_d);
+    let total = (a.means + e.means + c.means) + 2.0 * (b.means + d.means + c.means);
+    let middle = round(total * (1.0 / 9.0));
+    let left = total - 9.0 * middle;
+    let means_a = a.means - middle;
+    let means_b = b.means - middle;
+    let means_c = c.means - middle;
+    let means_d = d.means - middle;
+    let means_e = e.means - middle;
     let ends = a.products + e.products + means_a.xyx * means_a.xyy + means_e.xyx * means_e.xyy;
     let inside = b.products + d.products + means_b.xyx * means_b.xyy + means_d.xyx * means_d.xyy;
-    let joined = 9.0 * (ends + 2.0 * inside + 3.0 * c.products) - sums.xyx * sums.xyy;
+    let inmost = c.products + means_c.xyx * means_c.xyy;
+    let value = (ends + inmost) + 2.0 * (inside + inmost);
+    let joined = (8.0 * value + value) - left.xyx * left.xyy;
     let variances = max(joined.xy, vec2f()) + floors.xy;
     return clamp(joined.z / sqrt(max(variances.x * variances.y, 1.0e-37)), -1.0, 1.0);
 }

@@ -18,7 +18,7 @@ fn main(
     if (!usable) {
         for (var k = 0u; k < view_count; k++) {
             let mean = around[k * plane + i] / (around[share] + 1.0e-3);  // 1e-3: no division by 0
-            planes[k * plane + i] = stats[UNIT] * round(stats[UNIT + 1u] * mean);
+            planes[k * plane + i] = fill_units * stats[UNIT] * round(stats[UNIT + 1u] * mean / fill_units);
         }
     }
     smoothed[share] = select(0.0, 1.0, usable);

@@ -14,6 +14,7 @@ from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.views import (
     CONSTANT,
     FILL_SIGMA_PX,
+    FILL_UNITS,
     GUIDE_SIGMA_PX,
     USABLE,
     ViewSpace,
@@ -108,7 +109,7 @@ def add_halved_views(
     around = _add_blur(chain, raw, planes, taps, first=0, count=count + 2, sparse=(unusable, bands))
     chain.add(
         "fill", [around, stats, raw, smoothed], groups=groups_for(plane), uses=SHARED,
-        plane=plane, view_count=count, usable_share=USABLE,
+        plane=plane, view_count=count, usable_share=USABLE, fill_units=FILL_UNITS,
     )  # fmt: skip
     _add_smoothing(chain, raw, planes, config, whole=True)
     _add_guide_scale(chain, full_guide, stats, (height, width), config, first=0, slot=1)
