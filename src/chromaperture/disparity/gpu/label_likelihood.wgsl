@@ -39,7 +39,8 @@ fn main(
         let third = fma(3.0, low - high, after - before);
         let second = fma(4.0, high, fma(-5.0, low, 2.0 * before)) - after;
         let slope = fma(t, fma(t, third, second), high - before);
-        values[j] = select(fma(0.5 * t, slope, low), 1.0, t < 0.0 || t > 1.0);
+        let beyond = place < 0.0 || place > f32(all_layers - 1u);
+        values[j] = select(fma(0.5 * t, slope, low), 1.0, beyond);
     }
     likelihood[i] = mask * nats_of(values);
 }
