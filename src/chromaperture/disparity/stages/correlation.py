@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,35 +86,79 @@ def _cell_scores(views: Views, layers_px: np.ndarray, config: CorrelationConfig)
     x, y = padding(layers_px, views.directions, config.sampling)
     pad = (x + 2, y + 2)
     scale = 1 / views.unit if views.unit else 1.0
-    padded = _pad(scale * views.pictures.astype(np.float64), pad)
-    floors = cell_variance_floor(views)
+    padded, floors = _pad(np.float32(scale) * views.pictures, pad), cell_variance_floor(views)
     inside = np.s_[pad[1] : pad[1] + height : 2, pad[0] : pad[0] + width : 2]
 
-    def window(maps: np.ndarray) -> np.ndarray:
-        for axis in (0, 1):
-            maps = sum(tap * np.roll(maps, i - 2, axis=axis) for i, tap in enumerate(CELL_TAPS))
-        return np.asarray(maps[inside])
-
-    weight = sum(CELL_TAPS) ** 2
     volume = []
     for d in layers_px:
-        moved = [
-            _whole_shift(padded[..., k], d * views.directions[k], SAMPLING[config.sampling], rounds=views.unit > 0)
+        windows = [
+            _CellWindow.of(
+                _whole_shift(padded[..., k], d * views.directions[k], SAMPLING[config.sampling], rounds=views.unit > 0)
+            )
             for k in range(view_count)
         ]
-        sums = [window(m) for m in moved]
-
-        def covariance(k: int, m: int, moved=moved, sums=sums) -> np.ndarray:
-            """Return what is exact, and from here on as single numbers, which every execution rounds alike."""
-            return (weight * window(moved[k] * moved[m]) - sums[k] * sums[m]).astype(np.float32)
-
-        variances = [np.maximum(covariance(k, k), np.float32(0)) + floors[k] for k in range(view_count)]
+        variances = [np.maximum(w.covariance(w), 0)[inside] + floor for w, floor in zip(windows, floors, strict=True)]
         rho = [
-            np.clip(covariance(k, m) / np.sqrt(np.maximum(variances[k] * variances[m], LEAST_PRODUCT)), -1, 1)
+            np.clip(
+                windows[k].covariance(windows[m])[inside]
+                / np.sqrt(np.maximum(variances[k] * variances[m], LEAST_PRODUCT)),
+                -1,
+                1,
+            )
             for k, m in view_pairs(view_count)
         ]
         volume.append(rho[0] if view_count == 2 else _three_view_score(*rho))
     return np.asarray(np.round(np.float32(SCORE_PARTS) * np.stack(volume, axis=-1)) / SCORE_PARTS, float)
+
+
+class _CellWindow(NamedTuple):
+    """The windows of a view about every pixel; whole numbers in single precision.
+
+    Attributes
+    ----------
+    apart : list of four (H, W)
+        Samples of a row less the one in its middle: 2 and 1 px before it, 1 and 2 px behind it.
+    total : (H, W)
+        Their weighted sum.
+    means : list of five (H, W)
+        Nine times the means of the rows, less the whole number next to the mean of these.
+    left : (H, W)
+        What is left of their weighted sum.
+    """
+
+    apart: list[np.ndarray]
+    total: np.ndarray
+    means: list[np.ndarray]
+    left: np.ndarray
+
+    @classmethod
+    def of(cls, view: np.ndarray) -> _CellWindow:
+        apart = [np.roll(view, -x, axis=1) - view for x in (-2, -1, 1, 2)]
+        total = _weighed(apart[0] + apart[3], apart[1] + apart[2], 0)
+        rows = _rows_of(9 * view + total)
+        sums = _weighed(rows[0] + rows[4], rows[1] + rows[3], rows[2])
+        middle = np.round(sums / 9)
+        return cls(apart, total, [row - middle for row in rows], sums - 9 * middle)
+
+    def covariance(self, other: _CellWindow) -> np.ndarray:
+        """Covariance times 9^4: that within the rows, and that of their means. Products are exact, long sums rounded."""
+        products = [a * b for a, b in zip(self.apart, other.apart, strict=True)]
+        within = _weighed(products[0] + products[3], products[1] + products[2], 0)
+        within = _rows_of((8 * within + within) - self.total * other.total)
+        between = [a * b for a, b in zip(self.means, other.means, strict=True)]
+        ends, inside = (within[i] + within[4 - i] + between[i] + between[4 - i] for i in (0, 1))
+        joined = _weighed(ends, inside, within[2] + between[2])
+        return np.asarray((8 * joined + joined) - self.left * other.left)
+
+
+def _weighed(ends: np.ndarray, inside: np.ndarray, middle: np.ndarray | int) -> np.ndarray:
+    """Weights 1 2 3 2 1 by sums of two."""
+    return np.asarray((ends + middle) + 2 * (inside + middle))
+
+
+def _rows_of(maps: np.ndarray) -> list[np.ndarray]:
+    """Return what lies 2 px above every pixel, to 2 px below it."""
+    return [np.roll(maps, -y, axis=0) for y in (-2, -1, 0, 1, 2)]
 
 
 def _three_view_score(r01: np.ndarray, r02: np.ndarray, r12: np.ndarray) -> np.ndarray:
@@ -140,7 +185,7 @@ def _whole_shift(view: np.ndarray, offset_px: np.ndarray, taps_of: Taps, *, roun
         whole = math.floor(offset + 1e-9)  # 1e-9: a whole shift but for rounding is whole
         index = np.arange(view.shape[axis]) + whole
         places = [np.clip(index + i, 0, view.shape[axis] - 1) for i in (-1, 0, 1, 2)]
-        taps = whole_taps(taps_of(max(offset - whole, 0.0)))
+        taps = whole_taps(taps_of(max(offset - whole, 0.0))).astype(np.float32)
         view = sum(tap * np.take(view, place, axis=axis) for tap, place in zip(taps, places, strict=True))
         view = np.round(view) if rounds else view
     return view
