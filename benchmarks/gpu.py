@@ -70,8 +70,8 @@ def operations(dispatch: Dispatch) -> float:
         "products_x": lambda: 4 * pairs * (3 * ahead + 5 * back) * invocations,
         "correlation": lambda: 4 * (pairs * (5 * ahead + 5 * back) + (8 * pairs + 6) * c["block"]) * invocations,
         "cell_scores": lambda: (
-            (2 * c["cells_each"] + 3) * (25 if c["views"] == 2 else 50) + c["cells_each"] * (60 if c["views"] == 2 else 120)
-        ) * invocations,
+            (c["cells_each"] * (2 * 25 + 60) + 3 * 25) * (1 if c["views"] == 2 else 2) * invocations
+        ),
         "label_likelihood": lambda: 4 * 22 * invocations,
         "four_paths": lambda: 9 * c["width"] * c["height"] * c["pitch"],
         "path_winner": lambda: 17 * c["width"] * c["height"] * c["pitch"],

@@ -13,7 +13,7 @@ import numpy as np
 
 from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions, view_reach
-from chromaperture.disparity.whole_light import in_whole_units, light_unit, whole_taps
+from chromaperture.disparity.whole_light import even_mean, in_whole_units, light_unit, plane_variance, smooth_whole
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids, channel_transmission
 from chromaperture.stage_config import ViewsConfig
@@ -22,11 +22,9 @@ FILL_SIGMA_PX = 6.0  # of the mean that replaces unusable pixels, px of the halv
 FILL_UNITS = 16.0  # to which that mean is rounded, so that executions seldom round it apart; below a picture's noise
 USABLE = 0.99  # fraction of a halved pixel that must be usable: below, a saturated neighbour's edge is in it
 GUIDE_SIGMA_PX = 1.0  # noise of the guide would break the links between pixels; chosen by hand
-_CLIPPED_REACH_PX = 3  # about clipped pixels: demosaicing and the sensor spread their light; chosen by hand
 _PERCENTILE_SAMPLES = 20_000  # of the guide, from which its percentiles are taken; chosen by hand
 CONSTANT = 1e-6  # RMS of a view, of full scale, below which it has no texture: a thousandth of a 10-bit step
 _LEAST_PRESMOOTH_PX = 0.3  # below, the pixel's own area smooths the noise
-_ALONE = np.ones(1, np.float32)  # a filter that changes nothing
 
 
 @dataclass(frozen=True)
@@ -275,7 +273,7 @@ def smoothed_views(
     planes = np.empty((len(views), *mask.shape), np.float32)  # one plane a view: fast to smooth and to match
     for plane, view in zip(planes, views, strict=True):
         if unit:
-            _smooth_whole(view, config.presmooth_sigma_px, unit, out=plane)
+            smooth_whole(view, config.presmooth_sigma_px, unit, out=plane)
         else:
             smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
     if min(plane_variance(plane) for plane in planes) < CONSTANT**2:
@@ -308,46 +306,11 @@ def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray, unit: float) -
     around = cv2.GaussianBlur(fraction, (0, 0), FILL_SIGMA_PX)
     small = []
     for view in views:
-        less = _even_mean(view, unit, (mask > 0).astype(np.uint8))
+        less = even_mean(view, unit, (mask > 0).astype(np.uint8))
         part = in_whole_units(cv2.pyrDown(in_whole_units(view, unit, less=less) * mask), unit)
         fill = cv2.GaussianBlur(part, (0, 0), FILL_SIGMA_PX) / (around + np.float32(1e-3))  # 1e-3: no division by 0
         small.append(np.where(usable, part, in_whole_units(fill, FILL_UNITS * unit)))
     return small, usable
-
-
-def clipped_filled(image: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Replace clipped areas, what is next to them, and non-finite pixels by the mean of the usable ones around.
-
-    A clipped disc has its edge at the same place in channels whose light is displaced, and outweighs all texture.
-    Single clipped pixels, as noise makes them in bright paper, miss little of their light and are left as they are.
-
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB
-    usable : (H, W) float32
-        1 or 0: `Views.mask`.
-
-    Returns
-    -------
-    image : (H, W, 3) float32
-    usable : (H, W) float32
-        0 in the grown areas, too.
-    """
-    if usable.all():
-        return image, usable
-    areas = cv2.morphologyEx((usable == 0).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    grown = cv2.dilate(areas, np.ones((2 * _CLIPPED_REACH_PX + 1,) * 2, np.uint8)) > 0
-    replaced = grown | ~np.isfinite(image).all(axis=2)
-    usable = np.where(replaced, np.float32(0), usable)
-    kept = usable > 0
-    if not (replaced.any() and kept.any()):
-        return image, usable
-    mean = image[kept].mean(axis=0)
-    rest = np.where(kept[..., None], image - mean, np.float32(0))
-    sigma = 2 * FILL_SIGMA_PX  # that is px of the halved picture
-    around = cv2.GaussianBlur(usable, (0, 0), sigma)[..., None] + np.float32(1e-3)  # 1e-3: no division by 0
-    fill = cv2.GaussianBlur(rest, (0, 0), sigma) / around
-    return np.where(replaced[..., None], mean + fill, image).astype(np.float32), usable
 
 
 def smooth(image: np.ndarray, sigma_px: float, *, out: np.ndarray | None = None) -> np.ndarray:
@@ -360,35 +323,6 @@ def smooth(image: np.ndarray, sigma_px: float, *, out: np.ndarray | None = None)
         size = 2 * math.ceil(4 * sigma_px) + 1
         cv2.GaussianBlur(image, (size, size), sigma_px, dst=out, borderType=cv2.BORDER_REPLICATE)
     return out
-
-
-def _smooth_whole(view: np.ndarray, sigma_px: float, unit: float, *, out: np.ndarray) -> None:
-    """As `smooth`, of a view without its mean, in whole units of light; exact while light is below 2^14 of them."""
-    in_whole_units(view, unit, less=_even_mean(view, unit), out=out)
-    taps = smoothing_taps(sigma_px).astype(np.float32)
-    for taps_x, taps_y in ((taps, _ALONE), (_ALONE, taps)) if len(taps) > 1 else ():
-        cv2.sepFilter2D(out, -1, taps_x, taps_y, dst=out, borderType=cv2.BORDER_REPLICATE)
-        in_whole_units(out, unit, out=out)
-
-
-def smoothing_taps(sigma_px: float) -> np.ndarray:
-    """Return the whole weights of `smooth`; float64."""
-    if sigma_px == 0:
-        return _ALONE.astype(float)
-    size = 2 * math.ceil(4 * sigma_px) + 1
-    taps = whole_taps(cv2.getGaussianKernel(size, sigma_px, cv2.CV_64F)[:, 0])
-    reach = len(taps) // 2 - int(np.flatnonzero(taps)[0])
-    return taps[len(taps) // 2 - reach : len(taps) // 2 + reach + 1]
-
-
-def _even_mean(view: np.ndarray, unit: float, mask: np.ndarray | None = None) -> float:
-    """Return the mean, rounded to an even number of units."""
-    return 2 * unit * round(cv2.mean(view, mask)[0] / (2 * unit))
-
-
-def plane_variance(plane: np.ndarray) -> float:
-    """Return the variance of a plane (H, W) float32 with a small mean."""
-    return max(cv2.norm(plane, cv2.NORM_L2SQR) / plane.size - cv2.mean(plane)[0] ** 2, 0.0)
 
 
 def _guide_scale(guide: np.ndarray, config: ViewsConfig) -> np.float32:

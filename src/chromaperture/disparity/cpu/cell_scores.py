@@ -113,7 +113,8 @@ def _plan(views: Views, layers_px: np.ndarray, config: CorrelationConfig) -> _Pl
             same = (phases[now, k] == phases[last, k]).all() and whole[now, k, 1] == whole[last, k, 1]
             fresh[i, k] = not same
     unique, places = np.unique(phases, return_inverse=True)
-    taps = np.array([whole_taps(SAMPLING[config.sampling](t)) for t in unique], np.float32)[places.reshape(phases.shape)]
+    taps = np.array([whole_taps(SAMPLING[config.sampling](t)) for t in unique], np.float32)
+    taps = taps[places.reshape(phases.shape)]
     # Whole vectors: the first and the last one of a row are not sampled.
     margin = v.LANES * (2 + math.ceil((np.abs(whole[..., 0]).max() + _REACH + 3) / v.LANES))
     pairs = np.array(view_pairs(len(views.directions)))

@@ -226,7 +226,7 @@ def _likelihoods(lines, mask, y, height, two_views):
 
 @inner
 def _unexplained(scores, i):
-    """What is left of 1 by eight scores: of whole numbers, so that next to a score of 1 nothing is rounded off."""
+    """Read what eight scores leave of 1: of whole numbers, so that next to a score of 1 nothing is rounded off."""
     return v.mul(v.sub(v.broadcast(SCORE_SCALE), v.load_shorts(scores, i)), v.broadcast(ONE / SCORE_SCALE))
 
 
@@ -281,7 +281,10 @@ def _read_at_labels(
 
 @inner
 def _read_eight(here, begin, scale, first, count):
-    """What scores leave of 1 at eight places a ``scale`` apart, 1 beyond the layers, from ``begin + first * scale``; places and layers count from 0."""
+    """Read what scores leave of 1 at eight places a ``scale`` apart, from ``begin + first * scale``.
+
+    Places and layers count from 0; beyond the layers 1 is left.
+    """
     low = begin + scale * np.float32(first)
     high = begin + scale * np.float32(first + v.LANES - 1)
     ahead = np.floor(low) - np.float32(first)

@@ -15,13 +15,7 @@ from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.logarithm import LOGARITHM
-from chromaperture.disparity.stages.correlation import (
-    CELL_TAPS,
-    LEAST_FLOOR,
-    RELATIVE_EPSILON,
-    SCORE_PARTS,
-    padding,
-)
+from chromaperture.disparity.stages.correlation import CELL_TAPS, LEAST_FLOOR, RELATIVE_EPSILON, SCORE_PARTS, padding
 from chromaperture.disparity.stages.enlarge import JUMP_PX
 from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT, NAT_PARTS
 from chromaperture.stage_config import CorrelationConfig
@@ -70,7 +64,8 @@ def add_cell_scores(
         chain.add(
             "cell_scores", [samples, chain.constant(f"places{number}", chunk.places), planes.stats, score],
             groups=groups_for(-(-cells.height // _CELLS) * cells.width * chunk.size),
-            uses=(*SHARED, "cells_two" if planes.view_count == 2 else "cells_three"), views=planes.view_count, cells_each=_CELLS, cells_wide=cells.width, cells_tall=cells.height,
+            uses=(*SHARED, "cells_two" if planes.view_count == 2 else "cells_three"), views=planes.view_count,
+            cells_each=_CELLS, cells_wide=cells.width, cells_tall=cells.height,
             entry_count=len(chunk.phases_x), layer_count=chunk.size,
             first_layer=chunk.first, all_layers=len(layers_px), reach=WINDOW_REACH_PX,
             score_parts=SCORE_PARTS, relative_epsilon=sum(CELL_TAPS) ** 4 * RELATIVE_EPSILON,

@@ -71,8 +71,8 @@ def chunks_of(
 ) -> list[Chunk]:
     """Cut the layers into chunks of at most so many entries and layers, the first the largest.
 
-    All chunks but the last have a multiple of four layers, and four layers may need more than that. Where ``whole``, the
-    taps are whole parts (`whole_light.whole_taps`).
+    All chunks but the last have a multiple of four layers, and four layers may need more than that. Where ``whole``,
+    the taps are whole parts (`whole_light.whole_taps`).
     """
     found: list[Chunk] = []
     first = 0
@@ -231,8 +231,8 @@ def add_samples(
     size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_y": pad_y, "phase_count": phases}
     size["whole"] = whole
     chain.add(
-        "sample_y", [planes.planes, taps_y, planes.stats, samples_y], groups=groups_for(-(-tall // 4) * planes.width * phases),
-        uses=SHARED, **size,
+        "sample_y", [planes.planes, taps_y, planes.stats, samples_y],
+        groups=groups_for(-(-tall // 4) * planes.width * phases), uses=SHARED, **size,
     )  # fmt: skip
     chain.add(
         "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * -(-wide // 4) * entries), uses=SHARED,

@@ -23,8 +23,8 @@ from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes,
 from chromaperture.disparity.gpu.workgroups import MOST_GROUPS, groups_for
 from chromaperture.disparity.labels import MOST_APART_PX, LabelMap, labels_between
 from chromaperture.disparity.stages.bilateral import even_link
-from chromaperture.disparity.stages.enlarge import JUMP_PX
 from chromaperture.disparity.stages.correlation import SCORE_PARTS
+from chromaperture.disparity.stages.enlarge import JUMP_PX
 from chromaperture.disparity.stages.four_paths import NAT_PARTS, path_parts
 from chromaperture.disparity.stages.place import (
     EDGE_REACH_PX,
@@ -85,8 +85,15 @@ def add_real_time(
     likelihood = score
     if not at_once:
         likelihood = add_label_likelihood(
-            chain, planes, score, labels, layers_px, labels_px, pitch=pitch,
-            score_parts=1 if cell_px == 1 else SCORE_PARTS, of_labels=of_labels,
+            chain,
+            planes,
+            score,
+            labels,
+            layers_px,
+            labels_px,
+            pitch=pitch,
+            score_parts=1 if cell_px == 1 else SCORE_PARTS,
+            of_labels=of_labels,
         )
     winner, places = _add_paths(chain, planes, likelihood, config, of_layers)
     smoothed = _add_smoothing_along_surface(chain, planes, winner, places, config)
@@ -142,7 +149,8 @@ def _add_paths(
             "four_paths", [likelihood, planes.planes, planes.stats, cost],
             groups=(-(-lines // (64 // lanes)),), uses=(*SHARED, exchange), direction=direction,
             guide_plane=planes.view_count * planes.pixels, pitch=pitch, jump=paths.jump_penalty,
-            parts=float(parts if direction < 3 else last_parts), edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
+            parts=float(parts if direction < 3 else last_parts), edge_range=paths.edge_range,
+            edge_floor=paths.edge_floor, **size,
         )  # fmt: skip
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(

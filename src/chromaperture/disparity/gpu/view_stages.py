@@ -21,9 +21,8 @@ from chromaperture.disparity.views import (
     constant_view,
     no_usable_pixel,
     percentile_spacing,
-    smoothing_taps,
 )
-from chromaperture.disparity.whole_light import LEAST_EXPONENT, LIGHT_BITS
+from chromaperture.disparity.whole_light import LEAST_EXPONENT, LIGHT_BITS, smoothing_taps
 from chromaperture.stage_config import ViewsConfig
 
 SHARED = ("indexing", "shared")
@@ -94,7 +93,8 @@ def add_halved_views(
         groups=groups_for(-(-half_width // 4) * height), uses=(*SHARED, "mixing"), **mixing,
     )  # fmt: skip
     chain.add(
-        "halve_columns", [tall, stats, raw], groups=groups_for((count + 2) * half_width * -(-half_height // 4)), uses=SHARED,
+        "halve_columns", [tall, stats, raw],
+        groups=groups_for((count + 2) * half_width * -(-half_height // 4)), uses=SHARED,
         width=half_width, height=half_height, tall_height=height, plane_count=count + 2, view_count=count,
     )  # fmt: skip
     planes = Planes(smoothed, stats, full_guide, half_width, half_height, count)
@@ -190,7 +190,9 @@ def _add_blur(
     between = chain.arrays.get("planes_between") or chain.array("planes_between", raw.size)
     after = planes.planes if sparse is None else chain.array("planes_blurred", raw.size)
     for along_x, source, target in ((True, raw, between), (False, between, after)):
-        _add_pass(chain, source, target, planes, taps, first=first, count=count, along_x=along_x, sparse=sparse, whole=whole)
+        _add_pass(
+            chain, source, target, planes, taps, first=first, count=count, along_x=along_x, sparse=sparse, whole=whole
+        )
     return after
 
 
@@ -214,7 +216,8 @@ def _add_pass(
     along, across = (planes.width, planes.height) if along_x else (planes.height, planes.width)
     unusable, bands = sparse or (nowhere, {"band_height": 1, "band_count": 1})
     chain.add(
-        "blur", [source, unusable, weights, planes.stats, target], groups=groups_for(-(-along // 4) * across), uses=SHARED,
+        "blur", [source, unusable, weights, planes.stats, target],
+        groups=groups_for(-(-along // 4) * across), uses=SHARED,
         width=planes.width, height=planes.height, first_plane=first, plane_count=count, along_x=along_x,
         replicate=sparse is None, sparse=sparse is not None, whole=whole, **bands, reach=len(taps) // 2,
     )  # fmt: skip

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.disparity.views import Views, plane_variance, view_pairs
-from chromaperture.disparity.whole_light import whole_taps
+from chromaperture.disparity.views import Views, view_pairs
+from chromaperture.disparity.whole_light import plane_variance, whole_taps
 from chromaperture.stage_config import CorrelationConfig
 
 Taps = Callable[[float], tuple[float, float, float, float]]
@@ -79,8 +79,8 @@ def cells_of(maps: np.ndarray) -> np.ndarray:
 def _cell_scores(views: Views, layers_px: np.ndarray, config: CorrelationConfig) -> np.ndarray:
     """Score cells: cell (x, y) is the 5 x 5 px about pixel (2 x, 2 y), weighted by `CELL_TAPS` both ways.
 
-    In whole units of light, in which sums are exact (`whole_light.py`); scores are rounded to 1 / `SCORE_PARTS`. The last
-    steps have 32 bits, as all executions.
+    In whole units of light, in which sums are exact (`whole_light.py`); scores are rounded to 1 / `SCORE_PARTS`. All
+    executions take the same steps in 32 bits.
     """
     height, width, view_count = views.pictures.shape
     x, y = padding(layers_px, views.directions, config.sampling)
@@ -141,10 +141,10 @@ class _CellWindow(NamedTuple):
         return cls(apart, total, [row - middle for row in rows], sums - 9 * middle)
 
     def covariance(self, other: _CellWindow) -> np.ndarray:
-        """Covariance times 9^4: that within the rows, and that of their means. Products are exact, long sums rounded."""
+        """Return 9^4 times the covariance: that within rows, and that of their means. Products are exact, long sums not."""
         products = [a * b for a, b in zip(self.apart, other.apart, strict=True)]
-        within = _weighed(products[0] + products[3], products[1] + products[2], 0)
-        within = _rows_of((8 * within + within) - self.total * other.total)
+        of_row = _weighed(products[0] + products[3], products[1] + products[2], 0)
+        within = _rows_of((8 * of_row + of_row) - self.total * other.total)
         between = [a * b for a, b in zip(self.means, other.means, strict=True)]
         ends, inside = (within[i] + within[4 - i] + between[i] + between[4 - i] for i in (0, 1))
         joined = _weighed(ends, inside, within[2] + between[2])
@@ -169,7 +169,7 @@ def _three_view_score(r01: np.ndarray, r02: np.ndarray, r12: np.ndarray) -> np.n
 
 
 def cell_variance_floor(views: Views) -> np.ndarray:
-    """Return what is added to a window's variance in whole units, times the squared sum of its weights; (K,) float32."""
+    """Return what is added to 9^4 times a window's variance in whole units; (K,) float32."""
     scale = 1 / views.unit if views.unit else 1.0
     planes = np.moveaxis(views.pictures, 2, 0)
     variances = np.array([plane_variance(np.ascontiguousarray(plane, np.float32)) for plane in planes])

@@ -60,7 +60,7 @@ def four_path_winner(
 
 
 def path_parts(jump: float) -> float:
-    """Return the parts of a nat to which path costs are rounded: the sum of three, each below ``jump``, fits 16 bits."""
+    """Return the parts of a nat to which path costs are rounded: three of them, each below ``jump``, fit 16 bits."""
     return 32000 / (3 * jump)
 
 
