@@ -141,7 +141,7 @@ class _CellWindow(NamedTuple):
         return cls(apart, total, [row - middle for row in rows], sums - 9 * middle)
 
     def covariance(self, other: _CellWindow) -> np.ndarray:
-        """Return 9^4 times the covariance: that within rows, and that of their means. Products are exact, long sums not."""
+        """Return 9^4 times the covariance: that within rows, and that of their means. Products are exact."""
         products = [a * b for a, b in zip(self.apart, other.apart, strict=True)]
         of_row = _weighed(products[0] + products[3], products[1] + products[2], 0)
         within = _rows_of((8 * of_row + of_row) - self.total * other.total)
