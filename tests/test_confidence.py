@@ -77,9 +77,10 @@ def test_what_pure_noise_leaves_known_has_wide_error_bars(design, seed):
     found = estimate_disparity(noise, aperture=design, config=config)
     known = np.isfinite(found.value_px)
     truth = rng.uniform(-4.0, 4.0, known.shape)  # of nothing in the picture
-    # Found: .89 to 1. At the ends of the range the error exceeds two sigmas of the range for a sixth of all truths.
-    assert (np.abs(found.value_px - truth) <= 2 * found.sigma_px)[known].mean() > 5 / 6
-    assert known.mean() < 0.35  # .03 to .29
+    # Found: .90 to 1. At the ends of the range the error exceeds two sigmas of the range for a sixth of all truths.
+    if known.any():
+        assert (np.abs(found.value_px - truth) <= 2 * found.sigma_px)[known].mean() > 5 / 6
+    assert known.mean() < 0.2  # 0 to .11
 
 
 @pytest.mark.parametrize(("quality", "most_known"), [("paper", 0.72), ("real-time", 0.06), ("accurate", 0.01)])

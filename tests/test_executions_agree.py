@@ -24,8 +24,7 @@ from chromaperture.disparity.execution import Execution, execution_named
 from chromaperture.disparity.labels import IDENTITY, LabelMap, labels_between
 from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.disparity.stages.correlation import SCORE_PARTS, exponential_window
-from chromaperture.disparity.stages.four_paths import log_likelihood, scores_at_labels
-from chromaperture.disparity.stages.paths import PathPenalties, path_costs
+from chromaperture.disparity.stages.four_paths import log_likelihood, scores_at_labels, summed_costs
 from chromaperture.disparity.stages.variation import Problem, State, step_sizes
 from chromaperture.disparity.total_variation import make_problem, smooth_disparity
 from chromaperture.disparity.views import Views, filtered_views, halved_views
@@ -62,7 +61,6 @@ BORDER_PX = 5
 # 1/700, and the place between the layers by their ratio to a bend of some hundredths of a nat in weak texture.
 OTHER_WINNERS = 0.01
 TIE_NATS = 0.05  # four path costs to 1/700 nat, and scores to 1/32000, at a correlation of 0.99 worth 0.002 nats
-FOUR_PATHS = ("jump_penalty", "jump_penalty", "edge_range", "edge_floor")  # every change costs the same
 
 
 def views_of(image: np.ndarray, design: str, config: ViewsConfig = NARROW.views) -> Views:
@@ -337,9 +335,8 @@ def assert_path_winners_agree(views, layers_px, label_map, config):
     labels_px, label_map = labels_between(layers_px, views.directions, most_px=0.25), label_map.of_cells(cell_px)
     settings_ = {"correlation": config.correlation, "paths": config.paths, "labels_px": labels_px}
     found, expected = (run.four_path_winner(views, layers_px, label_map, **settings_) for run in (FAST, SLOW))
-    penalties = PathPenalties(*(getattr(config.paths, f) for f in FOUR_PATHS))
     guide = views.guide[::cell_px, ::cell_px]
-    cost = path_costs(likelihoods(views, layers_px, labels_px, label_map, config), guide, penalties, paths=4)
+    cost = summed_costs(-likelihoods(views, layers_px, labels_px, label_map, config), guide, config.paths)
     chosen = np.take_along_axis(cost, found.layer.astype(int)[..., None], axis=2)[..., 0]
     size = chosen.size
     assert (chosen - cost.min(axis=2) > TIE_NATS).sum() <= 2 + OTHER_WINNERS * size
@@ -362,8 +359,9 @@ def assert_real_time_agrees(image, design, config=REAL_TIME, label_map=IDENTITY)
     apart = np.abs(fast.value_px - slow.value_px)
     same = (apart < DISPARITY_TOLERANCE_PX) | (np.isnan(fast.value_px) & np.isnan(slow.value_px))
     # Without noise, labels between two layers reach the correlation 1 together: ties, which the rounding of scores to
-    # 1 / 32000 decides. It is the scatter of the posterior that changes with them most.
-    assert np.mean(~same) <= 3 * OTHER_WINNERS
+    # 1 / 32000 decides. It is the scatter of the posterior that changes with them most. One tie moves the 4 x 4 px of
+    # its cell and those between it and its neighbours.
+    assert np.sum(~same) <= 36 + 3 * OTHER_WINNERS * same.size
     assert np.mean(np.abs(fast.sigma_px - slow.sigma_px)[same] > 0.05) <= 10 * OTHER_WINNERS
 
 
@@ -383,7 +381,7 @@ def test_places_and_surfaces_agree(rng, shape, view_count, labelled):
     np.testing.assert_allclose(fast[0][settled], slow[0][settled], atol=2e-3)
     np.testing.assert_allclose(fast[1], slow[1], rtol=1e-3, atol=1e-5)
     mask = (rng.random(shape) > 0.95).astype(np.float32)
-    surfaces = (run.halved_surface(winner, slow[0], layers_px, labels, mask) for run in (FAST, SLOW))
+    surfaces = (run.halved_surface(winner, *slow, layers_px, labels, mask) for run in (FAST, SLOW))
     for one, other in zip(*surfaces, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5)  # float32; the root of 1 - exp(-2 l) at 0
 
@@ -416,7 +414,9 @@ def test_real_time_agrees_for_every_size(shape):
     assert_real_time_agrees(image, "cy_halves")
 
 
-@pytest.mark.parametrize("change", [{"jump_penalty": 3.0}, {"edge_floor": 1.0}, {"temperature": 0.5}])
+@pytest.mark.parametrize(
+    "change", [{"jump_penalty": 3.0}, {"edge_floor": 1.0}, {"row_share": 0.0}, {"row_share": 1.0}, {"temperature": 0.5}]
+)
 def test_real_time_agrees_for_every_setting(change):
     config = replace(REAL_TIME, paths=FourPathsConfig(**change))
     assert_real_time_agrees(wavy_capture("cy_halves"), "cy_halves", config)

@@ -181,7 +181,7 @@ def test_scores_paths_and_the_surface_behind_them(case, labelled, cell_px):
 
     places = (smoothed[..., 1] / smoothed[..., 0]).astype(np.float32)
     mask = views.mask[::cell_px, ::cell_px]
-    surface = halved_surface(winner, places, labels_px, small_map, mask, cell_px=cell_px)
+    surface = halved_surface(winner, places, smoothed[..., 0], labels_px, small_map, mask, cell_px=cell_px)
     disparity, sigma, peak = np.moveaxis(found.layers("surface")[..., :3], 2, 0)
     disparity = np.where(disparity > 1e38, np.nan, disparity)
     np.testing.assert_allclose(disparity / 2, surface.disparity_px, atol=1e-5)

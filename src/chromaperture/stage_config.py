@@ -165,20 +165,25 @@ class FourPathsConfig:
         Difference of the guide, in units of ``guide_range``, at which the penalties have fallen to 1/e.
     edge_floor : float
         Fraction of the penalties that remains across the strongest edge of the guide.
+    row_share : float
+        Share of the costs along the rows that the columns take for evidence of their own; see
+        `disparity.stages.four_paths`, and docs/measurements.md, *Rows before columns*.
     temperature : float
         Nats by which a layer may cost more and still count for the error bar: the one number of the error bar that is
         fitted, on captures of known depth.
     """
 
-    jump_penalty: float = 14.0
-    edge_range: float = 0.3
+    jump_penalty: float = 11.0
+    edge_range: float = 0.25
     edge_floor: float = 0.1
+    row_share: float = 0.25
     temperature: float = 1.5
 
     def __post_init__(self) -> None:
         numbers = (self.jump_penalty, self.edge_range, self.temperature)
         require(all_finite(*numbers) and min(numbers) > 0, "jump_penalty, edge_range, temperature must be positive")
         require(0 <= self.edge_floor <= 1, "edge_floor must lie in [0, 1]")
+        require(0 <= self.row_share <= 1, "row_share must lie in [0, 1]")
 
 
 @dataclass(frozen=True)

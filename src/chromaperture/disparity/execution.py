@@ -58,6 +58,7 @@ class Execution(Protocol):
         self,
         winner: PathWinner,
         place: np.ndarray,
+        information: np.ndarray,
         layers_px: np.ndarray,
         label_map: LabelMap,
         mask: np.ndarray,

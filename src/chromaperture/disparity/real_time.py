@@ -58,7 +58,7 @@ class RealTimeMethod:
         sums = run.smooth_along_surface(
             (weight, place * weight), even, winner.layer, sigma_px=config.smoothing_sigma_px / cell_px
         )
-        surface = run.halved_surface(winner, sums[1] / sums[0], labels_px, label_map, mask, cell_px=cell_px)
+        surface = run.halved_surface(winner, sums[1] / sums[0], sums[0], labels_px, label_map, mask, cell_px=cell_px)
         surface = Surface(2 * surface.disparity_px, 2 * surface.sigma_px, surface.peak)
         if cell_px > 1:
             surface = run.enlarge(surface, views.guide)

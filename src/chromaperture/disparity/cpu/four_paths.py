@@ -1,7 +1,7 @@
 """Semi-global matching along rows and columns, compiled; ``stages/four_paths.py`` explains what is computed.
 
 The volume of scores is made by `bands.py` and turned into log-likelihoods in place; a second one of the same size takes
-the sum of the path costs (`path_costs.py`). Memory: 4 bytes a score of the halved picture.
+the sum of the costs along the rows (`path_costs.py`). Memory: 4 bytes a score of the halved picture.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from chromaperture.disparity.cpu import path_costs
+from chromaperture.disparity.cpu import label_scores, path_costs
 from chromaperture.disparity.cpu.cell_scores import cell_scores
 from chromaperture.disparity.cpu.correlation import filtered_scores
 from chromaperture.disparity.cpu.layout import BLOCK, whole_vectors
@@ -41,10 +41,11 @@ def four_path_winner(
     labels_px = layers_px if labels_px is None else labels_px
     first, step = (np.float32(value) for value in (labels_px[0], labels_px[1] - labels_px[0]))
     settings = path_costs.Settings(
-        np.float32(paths.jump_penalty), np.float32(paths.temperature), first, step, len(labels_px)
-    )
+        np.float32(paths.jump_penalty), np.float32(paths.row_share), np.float32(paths.temperature),
+        first, step, len(labels_px),
+    )  # fmt: skip
     between = labels.scale.size > 1 or len(labels_px) > len(layers_px)
-    layers = path_costs.Layers(
+    layers = label_scores.Layers(
         np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0]), len(layers_px), between
     )
     mask = np.ascontiguousarray(mask, np.float32)

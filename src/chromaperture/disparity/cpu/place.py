@@ -10,11 +10,12 @@ from chromaperture.disparity.cpu.layout import ONE, ZERO, inner, kernel
 from chromaperture.disparity.error_bar import local_range, sigma_of_range
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.place import (
+    BIAS,
     EDGE_REACH_PX,
     EDGE_SHARE,
     LEAST_INFORMATION,
     LEAST_UNEXPLAINED,
-    POSTERIOR_SHARE,
+    SCATTER,
     WIDEST_SHARE,
     near_usable,
 )
@@ -23,7 +24,8 @@ from chromaperture.disparity.winner import PathWinner, Surface
 from chromaperture.threads import in_parallel
 
 _INFORMATION, _UNEXPLAINED = np.float32(LEAST_INFORMATION), np.float32(LEAST_UNEXPLAINED)
-_POSTERIOR, _EDGE, _WIDEST = np.float32(POSTERIOR_SHARE), np.float32(EDGE_SHARE), np.float32(WIDEST_SHARE)
+_EDGE, _WIDEST = np.float32(EDGE_SHARE), np.float32(WIDEST_SHARE)
+_SCATTER2, _BIAS2 = np.float32(SCATTER**2), np.float32(BIAS**2)
 _FLAT = np.float32(1e-9)  # a flat top has no vertex
 _TWO, _QUARTER = np.float32(2), np.float32(0.25)
 
@@ -52,6 +54,7 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
 def halved_surface(
     winner: PathWinner,
     place: np.ndarray,
+    information: np.ndarray,
     layers_px: np.ndarray,
     label_map: LabelMap,
     mask: np.ndarray,
@@ -63,13 +66,13 @@ def halved_surface(
     disparity = np.asarray(label_map.disparity(first + step * place), np.float32)
     extent = local_range(disparity, -(-EDGE_REACH_PX // cell_px))
     scale = np.array(np.broadcast_to(label_map.scale, disparity.shape), np.float32)
-    parts = [np.ascontiguousarray(part, np.float32) for part in (winner.layer, winner.sigma_px, winner.at)]
+    parts = [np.ascontiguousarray(part, np.float32) for part in (winner.layer, winner.sigma_px, winner.at, information)]
     out = Surface(disparity, *np.empty((2, *disparity.shape), np.float32))
     last, widest = np.float32(len(layers_px) - 1), np.float32(sigma_of_range(layers_px))
 
     def rows(_: int, top: int, bottom: int) -> None:
         band = slice(top, bottom)
-        _finish(*(part[band] for part in (*parts, extent, scale)), last, widest, *(part[band] for part in out))
+        _finish(*(part[band] for part in (*parts, extent, scale)), last, step, widest, *(part[band] for part in out))
 
     in_parallel(rows, len(disparity))
     np.copyto(out.disparity_px, np.float32(np.nan), where=~near_usable(mask))
@@ -108,15 +111,16 @@ def _correlation(likelihood, two_views):
 
 
 @kernel
-def _finish(layer, posterior, at, extent, scale, last, widest, disparity, sigma, peak):
+def _finish(layer, posterior, at, information, extent, scale, last, step, widest, disparity, sigma, peak):
     """Error bar and peak; the disparity becomes NaN where it is not known."""
     width = layer.shape[1]
     padded = (width + v.LANES - 1) // v.LANES * v.LANES
     row = np.zeros(padded, np.float32)
     for y in range(len(layer)):
         for x in range(width):
-            own, edge = _POSTERIOR * scale[y, x] * posterior[y, x], _EDGE * extent[y, x]
-            sigma[y, x] = min(np.sqrt(own * own + edge * edge), scale[y, x] * widest)
+            known_by, edge, unit = information[y, x], _EDGE * extent[y, x], scale[y, x] * step
+            own = unit * unit * (_SCATTER2 + _BIAS2 / known_by) / known_by
+            sigma[y, x] = min(np.sqrt(own + edge * edge), scale[y, x] * widest)
             known = layer[y, x] > ZERO and layer[y, x] < last and posterior[y, x] < _WIDEST * widest
             disparity[y, x] = disparity[y, x] if known else np.float32(np.nan)
         for x in range(width):

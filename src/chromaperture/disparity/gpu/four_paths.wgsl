@@ -1,6 +1,7 @@
 // Path costs along one of four directions: 0 right, 1 left, 2 down, 3 up. A pixel of path cost c adds to its neighbour
-// on the path m = min(c, min c + e jump) - min c, which is left in 16 bits, `parts` of a nat, for `path_winner.wgsl`. The four
-// dispatches write to arrays of their own, so that a device may run them side by side.
+// on the path m = min(c, min c + e jump) - min c, which is left in 16 bits for `path_winner.wgsl`. The
+// dispatches write to arrays of their own, so that a device may run both rows, and both columns, side by side. What is a
+// pixel's own is in `own_of_rows.wgsl` and `own_of_columns.wgsl`.
 
 @group(0) @binding(0) var<storage, read> likelihood: array<vec4f>;  // (h, w, pitch / 4)
 @group(0) @binding(1) var<storage, read> guide: array<f32>;  // planes; the guide is the one behind K others
@@ -34,9 +35,8 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
             if ((v + 1u) * lanes > pitch / 4u && v * lanes + lane >= pitch / 4u) { continue; }
             let at = pixel * (pitch / 4u) + v * lanes + lane;
             let incoming = select(min(cost[v], vec4f(limit)) - least, vec4f(), s == 0u);
-            let whole = vec4u(round(parts * incoming));
-            if (used) { costs[at] = whole.xz | (whole.yw << vec2u(16u)); }
-            cost[v] = incoming - likelihood[at];
+            if (used) { costs[at] = packed(incoming); }
+            cost[v] = incoming + own_cost(at);
             lowest = min(lowest, cost[v]);
         }
         least = least_of_lanes(min(min(lowest.x, lowest.y), min(lowest.z, lowest.w)));

@@ -1,4 +1,5 @@
-// Scores to log-likelihoods, nats, at labels on and between the layers, of equal depth: by Catmull and Rom's cubics.
+// Scores to log-likelihoods, nats, at labels on and between the layers, of equal depth: by polynomials
+// through six layers.
 
 @group(0) @binding(0) var<storage, read> score: array<f32>;  // (cells, all_layers), parts of 1 / score_parts
 @group(0) @binding(1) var<storage, read> labels: array<f32>;  // (2, H, W): offset, scale; or (2, 1, 1)
@@ -32,15 +33,18 @@ fn main(
         let place = start_of_eight + label.y * f32(layer % 8u);
         let below = clamp(i32(floor(place)), 0i, i32(all_layers) - 2i);
         let t = fma(f32(layer % 8u), label.y - 1.0, start_of_eight - (f32(below) - f32(layer % 8u)));
-        let before = unexplained(start + inside(below - 1i, all_layers));
         let low = unexplained(start + u32(below));
         let high = unexplained(start + u32(below) + 1u);
-        let after = unexplained(start + inside(below + 2i, all_layers));
-        let third = fma(3.0, low - high, after - before);
-        let second = fma(4.0, high, fma(-5.0, low, 2.0 * before)) - after;
-        let slope = fma(t, fma(t, third, second), high - before);
-        let beyond = place < 0.0 || place > f32(all_layers - 1u);
-        values[j] = select(fma(0.5 * t, slope, low), 1.0, beyond);
+        let inner = fma(t, high - low, low);
+        let middle = fma(2.0 - t, unexplained(start + inside(below - 1i, all_layers)),
+            (1.0 + t) * unexplained(start + inside(below + 2i, all_layers)));
+        let outer = fma(3.0 - t, unexplained(start + inside(below - 2i, all_layers)),
+            (2.0 + t) * unexplained(start + inside(below + 3i, all_layers)));
+        let a = t * (t - 1.0);
+        let b = a - 2.0;
+        let inside_four = fma(-(a * (1.0 / 24.0)), middle, b * (1.0 / 12.0) * inner);
+        let value = fma(a - 6.0, inside_four, a * (b * (1.0 / 120.0)) * outer);
+        values[j] = select(value, 1.0, place < 0.0 || place > f32(all_layers - 1u));
     }
     likelihood[i] = mask * nats_of(values);
 }

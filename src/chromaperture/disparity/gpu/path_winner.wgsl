@@ -9,10 +9,6 @@
 @group(0) @binding(5) var<storage, read_write> winner: array<f32>;  // (3, h, w): layer, likelihood there, sigma in layers
 @group(0) @binding(6) var<storage, read_write> places: array<vec2f>;  // (h, w): information, place times information
 
-fn unpacked(words: vec2u) -> vec4u {
-    return vec4u(words.x & 0xffffu, words.x >> 16u, words.y & 0xffffu, words.y >> 16u);
-}
-
 fn likelihood_of(pixel: u32, layer: u32) -> f32 {
     return likelihood[pixel * (pitch / 4u) + layer / 4u][layer % 4u];
 }
@@ -35,8 +31,8 @@ fn main(
     var best = 0u;
     for (var v = 0u; v < pitch / 4u; v++) {
         let at = pixel * (pitch / 4u) + v;
-        let others = vec4f(unpacked(rightward[at]) + unpacked(leftward[at]) + unpacked(downward[at])) / parts;
-        let cost = others + (vec4f(unpacked(upward[at])) / last_parts - likelihood[at]);
+        let others = unpacked(rightward[at]) + unpacked(leftward[at]) + unpacked(downward[at]);
+        let cost = others / row_parts + (unpacked(upward[at]) / cost_parts - likelihood[at]);
         costs[v] = cost;
         for (var j = 0u; j < 4u; j++) {
             if (cost[j] < least) {

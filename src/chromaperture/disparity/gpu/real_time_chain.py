@@ -25,13 +25,14 @@ from chromaperture.disparity.labels import MOST_APART_PX, LabelMap, labels_betwe
 from chromaperture.disparity.stages.bilateral import even_link
 from chromaperture.disparity.stages.correlation import SCORE_PARTS
 from chromaperture.disparity.stages.enlarge import JUMP_PX
-from chromaperture.disparity.stages.four_paths import NAT_PARTS, path_parts
+from chromaperture.disparity.stages.four_paths import path_parts
 from chromaperture.disparity.stages.place import (
+    BIAS,
     EDGE_REACH_PX,
     EDGE_SHARE,
     LEAST_INFORMATION,
     LEAST_UNEXPLAINED,
-    POSTERIOR_SHARE,
+    SCATTER,
     SEEN_REACH,
     WIDEST_SHARE,
 )
@@ -106,7 +107,7 @@ def add_real_time(
     chain.add(
         "surface_range", [ranges, smoothed, winner, labels, planes.planes, surface],
         groups=groups_for(planes.width * -(-planes.height // 4)), uses=LABELLED,
-        layer_count=len(labels_px), widest_px=sigma_of_range(labels_px), posterior_share=POSTERIOR_SHARE,
+        layer_count=len(labels_px), widest_px=sigma_of_range(labels_px), scatter=SCATTER, bias=BIAS,
         widest_share=WIDEST_SHARE, seen_reach=SEEN_REACH, mask_plane=(planes.view_count + 1) * planes.pixels,
         edge_share=EDGE_SHARE, **between,
     )  # fmt: skip
@@ -142,20 +143,22 @@ def _add_paths(
     if not chain.device.subgroups:  # barriers of a rasteriser in software take three times as long as the paths
         exchange, lanes = ("lanes_single", 1) if chain.device.info.is_software else ("lanes_shared", _LANES)
     parts = path_parts(paths.jump_penalty)
-    last_parts = min(NAT_PARTS, 65535 / paths.jump_penalty)  # sums of log-likelihoods alone are not rounded
+    last_parts = 65535 / paths.jump_penalty  # what comes up the columns is not rounded on the CPU
     for direction, cost in enumerate(costs):
-        lines = planes.height if direction < 2 else planes.width
+        along_row = direction < 2
+        lines, rows = (planes.height, []) if along_row else (planes.width, costs[:2])
         chain.add(
-            "four_paths", [likelihood, planes.planes, planes.stats, cost],
-            groups=(-(-lines // (64 // lanes)),), uses=(*SHARED, exchange), direction=direction,
-            guide_plane=planes.view_count * planes.pixels, pitch=pitch, jump=paths.jump_penalty,
-            parts=float(parts if direction < 3 else last_parts), edge_range=paths.edge_range,
-            edge_floor=paths.edge_floor, **size,
+            "four_paths", [likelihood, planes.planes, planes.stats, cost, *rows], groups=(-(-lines // (64 // lanes)),),
+            uses=(*SHARED, exchange, "packed_costs", "own_of_rows" if along_row else "own_of_columns"),
+            direction=direction, row_share=paths.row_share, guide_plane=planes.view_count * planes.pixels,
+            pitch=pitch, jump=paths.jump_penalty, row_parts=parts, cost_parts=parts if direction < 3 else last_parts,
+            edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
         )  # fmt: skip
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(
-        "path_winner", [likelihood, *costs, winner, places], groups=groups_for(planes.pixels), uses=SHARED,
-        view_count=planes.view_count, parts=parts, last_parts=float(last_parts), temperature=paths.temperature,
+        "path_winner", [likelihood, *costs, winner, places], groups=groups_for(planes.pixels),
+        uses=(*SHARED, "packed_costs"), row_parts=parts, cost_parts=last_parts,
+        view_count=planes.view_count, temperature=paths.temperature,
         least_unexplained=LEAST_UNEXPLAINED, least_information=LEAST_INFORMATION, **size, **of_layers,
     )  # fmt: skip
     return winner, places

@@ -3,7 +3,7 @@
 // takes four neighbours along y, whose ranges overlap.
 
 @group(0) @binding(0) var<storage, read> ranges: array<vec2f>;  // (h, w): lowest and highest disparity along x
-@group(0) @binding(1) var<storage, read> places: array<vec2f>;  // (h, w)
+@group(0) @binding(1) var<storage, read> places: array<vec2f>;  // (h, w): information, place times information
 @group(0) @binding(2) var<storage, read> winner: array<f32>;  // (3, h, w): layer, likelihood there, sigma in layers
 @group(0) @binding(3) var<storage, read> labels: array<f32>;  // (2, H, W) or (2, 1, 1)
 @group(0) @binding(4) var<storage, read> planes: array<f32>;  // the mask is the one behind K + 1 others
@@ -28,7 +28,9 @@ fn finish(x: u32, y: u32, range: f32) {
     let posterior = step_px * winner[2u * width * height + i];
     var known = winner[i] > 0.0 && winner[i] < f32(layer_count - 1u) && posterior < widest_share * widest_px;
     known = known && is_near_usable(x, y);
-    let sigma = min(length(vec2f(posterior_share * scale * posterior, edge_share * range)), scale * widest_px);
+    let information = places[i].x;
+    let own = scale * step_px * sqrt((scatter * scatter + bias * bias / information) / information);
+    let sigma = min(length(vec2f(own, edge_share * range)), scale * widest_px);
     let peak = sqrt(max(1.0 - exp(-2.0 * winner[width * height + i]), 0.0));
     surface[i] = vec4f(select(UNKNOWN, 2.0 * disparity, known), 2.0 * sigma, peak, 0.0);
 }

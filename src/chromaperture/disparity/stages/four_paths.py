@@ -1,15 +1,27 @@
 """Semi-global matching along rows and columns, in plain NumPy: the oracle of ``cpu/four_paths.py``.
 
-Correlations become log-likelihoods; the four axis-parallel paths aggregate them and choose the layer.
+Correlations become log-likelihoods; the four axis-parallel paths aggregate them and choose the layer. A pixel
+of cost c(d), what has come to it along its path included, sends ``m(d) = min(c(d), min c + e jump) - min c`` to the
+next one, with the guide's edge weight e between the two. Rows are walked first. Columns take a share of what has come
+along the rows for evidence: they then know what a whole row says of its pixels, where paths that know nothing of each
+other draw streaks across weak texture. With all of it every pixel has the exact minimum over a tree, its column and all
+rows that branch off (Bleyer, Gelautz); with none of it this is semi-global matching (Hirschmueller).
+
+References
+----------
+M. Bleyer, M. Gelautz: Simple but effective tree structures for dynamic programming-based stereo matching. VISAPP 2008.
+H. Hirschmueller: Stereo processing by semiglobal matching and mutual information. TPAMI 30, 2008.
 """
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.correlation import cells_of, correlate
-from chromaperture.disparity.stages.paths import PathPenalties, path_costs
+from chromaperture.disparity.stages.paths import lagrange_weights
 from chromaperture.disparity.views import Views
 from chromaperture.disparity.winner import PathWinner
 from chromaperture.stage_config import CorrelationConfig, FourPathsConfig
@@ -51,8 +63,7 @@ def four_path_winner(
     if correlation.cell_px == 2:
         guide, mask = cells_of(guide), cells_of(mask)
     likelihood = log_likelihood(score, view_count=views.pictures.shape[2]) * mask[..., None]
-    penalties = PathPenalties(paths.jump_penalty, paths.jump_penalty, paths.edge_range, paths.edge_floor)
-    cost = path_costs(likelihood, guide, penalties, paths=4, parts=path_parts(paths.jump_penalty))
+    cost = summed_costs(-likelihood, guide, paths)
     layer = cost.argmin(axis=2)
     inside = np.clip(layer, 1, len(labels_px) - 2)
     before, at, after = (np.take_along_axis(likelihood, (inside + o)[..., None], axis=2)[..., 0] for o in (-1, 0, 1))
@@ -60,8 +71,47 @@ def four_path_winner(
 
 
 def path_parts(jump: float) -> float:
-    """Return the parts of a nat to which path costs are rounded: three of them, each below ``jump``, fit 16 bits."""
-    return 32000 / (3 * jump)
+    """Return the parts of a nat to which path costs are rounded: two of them, each below ``jump``, fit 16 bits."""
+    return 32000 / (2 * jump)
+
+
+def summed_costs(own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig) -> np.ndarray:
+    """Sum a pixel's own costs and those that come along its row and its column.
+
+    Parameters
+    ----------
+    own : (H, W, N) float, nats
+    guide : (H, W) float, in units of ``guide_range``
+    paths : FourPathsConfig
+
+    Returns
+    -------
+    (H, W, N) float64
+        Lower is better.
+    """
+    along_row = _arriving(own, guide, paths, axis=1)
+    along_column = _arriving(own + paths.row_share * along_row, guide, paths, axis=0)
+    return own + along_row + along_column
+
+
+def _arriving(own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig, *, axis: int) -> np.ndarray:
+    """Sum the costs that come to every pixel from both ends of its line; (H, W, N) float64.
+
+    They are rounded as all executions keep them: to `path_parts`, but for those that come up the columns.
+    """
+    own, guide = np.moveaxis(own, axis, 0).astype(np.float64), np.moveaxis(guide, axis, 0)
+    links = paths.edge_floor + (1 - paths.edge_floor) * np.exp(-np.abs(np.diff(guide, axis=0)) / paths.edge_range)
+    total, parts = np.zeros(own.shape), path_parts(paths.jump_penalty)
+    for order in (range(len(own)), range(len(own) - 1, -1, -1)):
+        coming = np.zeros(own.shape[1:])
+        for before, here in pairwise(order):
+            cost = own[before] + coming
+            least = cost.min(axis=-1, keepdims=True)
+            jump = paths.jump_penalty * links[min(before, here)][:, None]
+            coming = np.minimum(cost, least + jump) - least
+            is_last = axis == 0 and before > here
+            total[here] += coming if is_last else np.round(parts * coming) / parts
+    return np.moveaxis(total, 0, axis)
 
 
 def log_likelihood(score: np.ndarray, *, view_count: int) -> np.ndarray:
@@ -78,10 +128,10 @@ def log_likelihood(score: np.ndarray, *, view_count: int) -> np.ndarray:
 def scores_at_labels(
     score: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray, label_map: LabelMap
 ) -> np.ndarray:
-    """Interpolate scores at the labels of a map, by Catmull and Rom's cubics through four layers.
+    """Interpolate scores at the labels of a map, by polynomials through six layers.
 
-    Straight lines would cut off the peaks between the layers, by more the farther from them, and bias a frame of even
-    depth to the layers as a whole.
+    Whatever cuts off the peaks between the layers draws flat surfaces to them: cubics through four layers by 0.013 px,
+    these by no more than scores of the labels themselves, 0.008 px (`benchmarks/locking.py`).
 
     Parameters
     ----------
@@ -100,10 +150,8 @@ def scores_at_labels(
     place = (disparity - layers_px[0]) / (layers_px[1] - layers_px[0])
     low = np.clip(np.floor(place).astype(np.intp), 0, count - 2)
     t = place - low
-    taps = [np.take_along_axis(score, np.clip(low + i, 0, count - 1), axis=2) for i in (-1, 0, 1, 2)]
-    third = 3 * (taps[1] - taps[2]) + taps[3] - taps[0]
-    second = 2 * taps[0] - 5 * taps[1] + 4 * taps[2] - taps[3]
-    value = taps[1] + t / 2 * (taps[2] - taps[0] + t * (second + t * third))
+    taps = [np.take_along_axis(score, np.clip(low + i, 0, count - 1), axis=2) for i in range(-2, 4)]
+    value = sum(weight * tap for weight, tap in zip(lagrange_weights(t), taps, strict=True))
     return np.where((t >= 0) & (t <= 1), value, 0).astype(np.float32)
 
 

@@ -93,13 +93,8 @@ def aggregate_paths(
     return path_costs(likelihood, guide, penalties_of(config, layers_px), paths=config.paths)
 
 
-def path_costs(
-    likelihood: np.ndarray, guide: np.ndarray, penalties: PathPenalties, *, paths: int, parts: float | None = None
-) -> np.ndarray:
-    """Sum the path costs for given penalties; see `aggregate_paths`.
-
-    With ``parts`` what comes in along every path but the last is rounded to so many parts of a nat.
-    """
+def path_costs(likelihood: np.ndarray, guide: np.ndarray, penalties: PathPenalties, *, paths: int) -> np.ndarray:
+    """Sum the path costs for given penalties; see `aggregate_paths`."""
     height, width, layers = likelihood.shape
     total = (paths - 1) * likelihood.astype(np.float64)
     apart = np.abs(np.arange(layers)[:, None] - np.arange(layers))
@@ -118,8 +113,6 @@ def path_costs(
                         before = cost[py, px]
                         weight = penalties.link(guide[y, x], guide[py, px])
                         cost[y, x] += (before + weight * penalty).min(axis=1) - before.min()
-            if parts and (line, sign) != (LINES[paths // 2 - 1], -1):
-                cost = np.round(parts * (cost + likelihood)) / parts - likelihood
             total += cost
     return total
 

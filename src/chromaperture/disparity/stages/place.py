@@ -12,14 +12,18 @@ from chromaperture.disparity.error_bar import local_range, sigma_of_range
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.winner import PathWinner, Surface
 
-# Of the error bar, fitted to simulated captures of four designs (`benchmarks/bench50.py --deciles`): a posterior of
-# summed costs is too wide as it is; next to depth edges a pixel may belong to either side.
-POSTERIOR_SHARE = 0.4
-# Of the width of an even posterior: what is wider is unknown. In pictures of pure noise .05 of the posteriors through
-# halves and squares and .10 through circles are narrower; in wavy surfaces of weak texture with 2 % noise .99 are.
+# Of the error bar, fitted to twelve simulated captures through each of three designs (docs/measurements.md, *Error bar
+# by information*). A place whose neighbourhood holds the information I scatters by SCATTER / sqrt(I) labels: cells
+# share pixels. Where I is small the place is also biased, by BIAS / I: noise leaves only the coarse part of weak
+# texture, which blur displaces less than the fine part.
+SCATTER, BIAS = 1.4, 6.0
+# Of the width of an even posterior: what is wider is unknown. In pictures of pure noise 0 to .11 of the posteriors are
+# narrower (`tests/test_confidence.py`).
 WIDEST_SHARE = 0.75
 SEEN_REACH = 1  # cells or px; farther from usable pixels a surface is only carried on from the border of a spot
-EDGE_SHARE, EDGE_REACH_PX = 0.35, 7  # of the range of the disparity within so many px of the halved picture
+# Of the range of the disparity within so many px of the halved picture: next to depth edges a pixel may belong to
+# either side.
+EDGE_SHARE, EDGE_REACH_PX = 0.35, 7
 LEAST_INFORMATION = 1e-4  # where correlations have no peak the place is that of the layer
 LEAST_UNEXPLAINED = 3e-3  # by the best correlation; keeps the information of noiseless pictures finite
 
@@ -56,6 +60,7 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
 def halved_surface(
     winner: PathWinner,
     place: np.ndarray,
+    information: np.ndarray,
     layers_px: np.ndarray,
     label_map: LabelMap,
     mask: np.ndarray,
@@ -73,6 +78,8 @@ def halved_surface(
     winner : PathWinner
     place : (h, w) float
         In layers.
+    information : (h, w) float, 1/layer^2
+        Of `place_by_correlation`, summed over all that the place is an average of.
     layers_px : (D,) float, px
     label_map : LabelMap
     mask : (h, w) float
@@ -87,9 +94,10 @@ def halved_surface(
     )
     known &= near_usable(mask)
     disparity = np.asarray(label_map.disparity(first + step * place), np.float32)
-    posterior = np.float32(POSTERIOR_SHARE) * label_map.scale * winner.sigma_px
+    variance = (SCATTER**2 + BIAS**2 / information) / information  # layers^2
+    own = label_map.scale * step * np.sqrt(variance).astype(np.float32)
     at_edge = np.float32(EDGE_SHARE) * local_range(disparity, -(-EDGE_REACH_PX // cell_px))
-    sigma = np.minimum(np.hypot(posterior, at_edge), label_map.scale * widest)
+    sigma = np.minimum(np.hypot(own, at_edge), label_map.scale * widest)
     peak = np.sqrt(np.maximum(1 - np.exp(-2 * winner.at), 0)).astype(np.float32)
     return Surface(np.where(known, disparity, np.float32(np.nan)), sigma.astype(np.float32), peak)
 
