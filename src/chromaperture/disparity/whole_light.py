@@ -13,10 +13,13 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from chromaperture.threads import in_parallel
+
 # The mean light is 2^11 to 2^12 units: a unit of a well exposed picture is 1e-4 of the white level, and rounding adds
 # 3e-5 of noise. docs/measurements.md compares.
 LIGHT_BITS = 11
 LEAST_EXPONENT = -60  # of the mean light: a black picture
+_STRIP_ROWS = 32  # that stay in the cache between two passes: half the time at 1280 px
 _ALONE = np.ones(1, np.float32)  # a filter that changes nothing
 TAP_PARTS = 1024  # weights of a filter are so many parts: 14 bits of light times them fill 24
 
@@ -34,15 +37,23 @@ def in_whole_units(values: np.ndarray, unit: float, *, less: float = 0.0, out: n
 
     Parameters
     ----------
-    values : float32
+    values : (H, ...) float32
     unit : float
     less : float
         Is subtracted; an even number of units, so that halves are rounded the same way with it or without.
     out : float32, optional
     """
     rounder = 1.5 * 2**23 * unit
-    out = np.add(values, np.float32(rounder - less), out=out)
-    return np.subtract(out, np.float32(rounder), out=out)
+    out = np.empty(values.shape, np.float32) if out is None else out
+
+    def rows(_: int, top: int, bottom: int) -> None:
+        for first in range(top, bottom, _STRIP_ROWS):
+            part = np.s_[first : min(first + _STRIP_ROWS, bottom)]
+            np.add(values[part], np.float32(rounder - less), out=out[part])
+            np.subtract(out[part], np.float32(rounder), out=out[part])
+
+    in_parallel(rows, len(values))
+    return out
 
 
 def whole_taps(taps: Sequence[float] | np.ndarray) -> np.ndarray:
