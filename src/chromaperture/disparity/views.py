@@ -276,7 +276,7 @@ def smoothed_views(
             smooth_whole(view, config.presmooth_sigma_px, unit, out=plane)
         else:
             smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
-    if min(plane_variance(plane) for plane in planes) < CONSTANT**2:
+    if min(plane_variance(plane) for plane in planes) <= constant_variance(unit):
         raise constant_view()
     guide = smooth(guide, GUIDE_SIGMA_PX)
     guide *= _guide_scale(guide, config)
@@ -335,6 +335,11 @@ def _guide_scale(guide: np.ndarray, config: ViewsConfig) -> np.float32:
 def percentile_spacing(pixels: int) -> int:
     """Return the px between the samples of a guide from which its percentiles are taken."""
     return max(1, round(math.sqrt(pixels / _PERCENTILE_SAMPLES)))
+
+
+def constant_variance(unit: float) -> float:
+    """Return the variance of a view at which it is constant but for rounding to whole units."""
+    return max(CONSTANT, unit / 2) ** 2
 
 
 def no_usable_pixel() -> InputError:

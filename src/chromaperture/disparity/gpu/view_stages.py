@@ -155,6 +155,7 @@ def _add_smoothing(chain: Chain, raw: Array, planes: Planes, config: ViewsConfig
     sums = chain.array("variance_parts", 6 * parts)
     numbers: dict[str, Any] = {"pixels": planes.pixels, "part_count": parts, "view_count": count}
     chain.add("variance", [planes.planes, sums], groups=(parts,), uses=(*SHARED, "variance_reduction"), **numbers)
+    numbers["whole"] = whole
     chain.add("variance_sum", [sums, planes.stats], groups=(1,), uses=(*SHARED, "variance_reduction"), **numbers)
     _add_guide_scale(
         chain, planes.planes, planes.stats, (planes.height, planes.width), config, first=count * planes.pixels, slot=0
