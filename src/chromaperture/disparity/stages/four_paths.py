@@ -63,7 +63,7 @@ def four_path_winner(
     if correlation.cell_px == 2:
         guide, mask = cells_of(guide), cells_of(mask)
     likelihood = log_likelihood(score, view_count=views.pictures.shape[2]) * mask[..., None]
-    cost = summed_costs(-likelihood, guide, paths)
+    cost = summed_costs(-likelihood, guide, paths, parts=path_parts(paths.jump_penalty))
     layer = cost.argmin(axis=2)
     inside = np.clip(layer, 1, len(labels_px) - 2)
     before, at, after = (np.take_along_axis(likelihood, (inside + o)[..., None], axis=2)[..., 0] for o in (-1, 0, 1))
@@ -75,7 +75,9 @@ def path_parts(jump: float) -> float:
     return 32000 / (2 * jump)
 
 
-def summed_costs(own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig) -> np.ndarray:
+def summed_costs(
+    own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig, *, parts: float | None = None
+) -> np.ndarray:
     """Sum a pixel's own costs and those that come along its row and its column.
 
     Parameters
@@ -83,25 +85,26 @@ def summed_costs(own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig) -> 
     own : (H, W, N) float, nats
     guide : (H, W) float, in units of ``guide_range``
     paths : FourPathsConfig
+    parts : float, optional
+        Of a nat, to which what comes along is rounded as all executions keep it, but for what comes up the columns.
 
     Returns
     -------
     (H, W, N) float64
         Lower is better.
     """
-    along_row = _arriving(own, guide, paths, axis=1)
-    along_column = _arriving(own + paths.row_share * along_row, guide, paths, axis=0)
+    along_row = _arriving(own, guide, paths, axis=1, parts=parts)
+    along_column = _arriving(own + paths.row_share * along_row, guide, paths, axis=0, parts=parts)
     return own + along_row + along_column
 
 
-def _arriving(own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig, *, axis: int) -> np.ndarray:
-    """Sum the costs that come to every pixel from both ends of its line; (H, W, N) float64.
-
-    They are rounded as all executions keep them: to `path_parts`, but for those that come up the columns.
-    """
+def _arriving(
+    own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig, *, axis: int, parts: float | None
+) -> np.ndarray:
+    """Sum the costs that come to every pixel from both ends of its line; (H, W, N) float64."""
     own, guide = np.moveaxis(own, axis, 0).astype(np.float64), np.moveaxis(guide, axis, 0)
     links = paths.edge_floor + (1 - paths.edge_floor) * np.exp(-np.abs(np.diff(guide, axis=0)) / paths.edge_range)
-    total, parts = np.zeros(own.shape), path_parts(paths.jump_penalty)
+    total = np.zeros(own.shape)
     for order in (range(len(own)), range(len(own) - 1, -1, -1)):
         coming = np.zeros(own.shape[1:])
         for before, here in pairwise(order):
@@ -109,8 +112,8 @@ def _arriving(own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig, *, axi
             least = cost.min(axis=-1, keepdims=True)
             jump = paths.jump_penalty * links[min(before, here)][:, None]
             coming = np.minimum(cost, least + jump) - least
-            is_last = axis == 0 and before > here
-            total[here] += coming if is_last else np.round(parts * coming) / parts
+            up_a_column = axis == 0 and before > here
+            total[here] += coming if parts is None or up_a_column else np.round(parts * coming) / parts
     return np.moveaxis(total, 0, axis)
 
 
