@@ -60,6 +60,7 @@ VARIANTS: dict[str, MatcherConfig] = {
     "no average between layers": dataclasses.replace(REAL_TIME, smoothing_sigma_px=0.0),
     "average broken by the guide's texture": dataclasses.replace(REAL_TIME, smoothing_edge_range=1.0),
     "penalties not led by the guide": dataclasses.replace(REAL_TIME, paths=FourPathsConfig(edge_floor=1.0)),
+    "rows and columns apart": dataclasses.replace(REAL_TIME, paths=FourPathsConfig(row_share=0.0)),
     "penalties a tenth": dataclasses.replace(REAL_TIME, paths=FourPathsConfig(jump_penalty=1.0)),
     "window of .70": dataclasses.replace(
         REAL_TIME, correlation=CorrelationConfig(window_decay=0.7, sampling="b-spline")
