@@ -63,8 +63,8 @@ def operations(dispatch: Dispatch) -> float:
         ),  # next to nothing is unusable
         "variance": lambda: 3 * c["view_count"] * c["pixels"],
         "guide_scale": lambda: 4 * 4 * 3 * c["sparse_count"],
-        "sample_y": lambda: 28 * invocations,
-        "sample_x": lambda: 28 * invocations,
+        "sample_y": lambda: 7 * c["each"] * invocations,
+        "sample_x": lambda: 7 * c["each"] * invocations,
         "windows_x": lambda: (6 * ahead + 8 * back) * invocations,
         "windows_y": lambda: (8 * ahead + 8 * back) * invocations,
         "products_x": lambda: 4 * pairs * (3 * ahead + 5 * back) * invocations,
