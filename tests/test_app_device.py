@@ -126,7 +126,7 @@ def assert_measured_as_by_python(depth, sigma, image, camera):
     """Agreement of whole maps with the readable stages (NumPy, 64 bits)."""
     expected = camera.measure(image)
     known, found = np.isfinite(expected.depth_mm), np.isfinite(depth)
-    assert known.mean() > 0.8  # of a scene that can be measured
+    assert known.mean() > 0.75  # of a scene that can be measured, but for its weak wall
     assert (known == found).mean() > 0.999
     both = known & found
     error = np.abs(depth - expected.depth_mm)[both] / expected.depth_mm[both]
