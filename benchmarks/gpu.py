@@ -63,13 +63,15 @@ def operations(dispatch: Dispatch) -> float:
         ),  # next to nothing is unusable
         "variance": lambda: 3 * c["view_count"] * c["pixels"],
         "guide_scale": lambda: 4 * 4 * 3 * c["sparse_count"],
-        "sample_y": lambda: 28 * invocations,
-        "sample_x": lambda: 28 * invocations,
+        "sample_y": lambda: 7 * c["each"] * invocations,
+        "sample_x": lambda: 7 * c["each"] * invocations,
         "windows_x": lambda: (6 * ahead + 8 * back) * invocations,
         "windows_y": lambda: (8 * ahead + 8 * back) * invocations,
         "products_x": lambda: 4 * pairs * (3 * ahead + 5 * back) * invocations,
         "correlation": lambda: 4 * (pairs * (5 * ahead + 5 * back) + (8 * pairs + 6) * c["block"]) * invocations,
-        "cell_scores": lambda: (25 * (3 * c["view_count"] + 4 * pairs) + 20 * pairs) * invocations,
+        "cell_scores": lambda: (
+            (c["cells_each"] * (2 * 25 + 60) + 3 * 25) * (1 if c["views"] == 2 else 2) * invocations
+        ),
         "label_likelihood": lambda: 4 * 22 * invocations,
         "four_paths": lambda: 9 * c["width"] * c["height"] * c["pitch"],
         "path_winner": lambda: 17 * c["width"] * c["height"] * c["pitch"],

@@ -2,7 +2,6 @@
 
 For both qualities the share of the pixels whose depth is within 0.1 %, or unknown in both, of each pair; and of WGSL
 and Numba how far apart they are where both know it: the 99th percentile in standard deviations of the error bar.
-`numba_rounding.py` says what Numba rounds.
 """
 
 from __future__ import annotations
@@ -11,11 +10,12 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from numba_rounding import agreeing
 
 from chromaperture.camera import CodedApertureCamera, load_camera
 from chromaperture.config import Quality
 from chromaperture.frame.depth_frame import DepthFrame
+
+AGREEING = 1e-3
 
 
 def frames(photo: Path, camera: Path, quality: Quality, device: str) -> tuple[DepthFrame, DepthFrame, DepthFrame]:
@@ -25,6 +25,14 @@ def frames(photo: Path, camera: Path, quality: Quality, device: str) -> tuple[De
     readable = CodedApertureCamera(compiled.calibration, compiled.config, execution="numpy")
     on_device = CodedApertureCamera(compiled.calibration, compiled.config, device=device)
     return on_device.measure(image), compiled.measure(image), readable.measure(image)
+
+
+def agreeing(one: np.ndarray, other: np.ndarray) -> float:
+    """Share of the pixels whose depths differ by less than `AGREEING`, or are unknown in both."""
+    known = np.isfinite(one) & np.isfinite(other)
+    near = np.zeros(known.shape, bool)
+    near[known] = np.abs(one[known] / other[known] - 1) < AGREEING
+    return float((near | (np.isnan(one) & np.isnan(other))).mean())
 
 
 def apart_sigma(one: DepthFrame, other: DepthFrame) -> float:

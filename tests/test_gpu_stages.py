@@ -22,7 +22,7 @@ from chromaperture.disparity.gpu.device import Chain, open_device
 from chromaperture.disparity.gpu.paper_chain import add_paper
 from chromaperture.disparity.gpu.real_time_chain import add_real_time
 from chromaperture.disparity.labels import IDENTITY, LabelMap, labels_between
-from chromaperture.disparity.stages.correlation import exponential_window
+from chromaperture.disparity.stages.correlation import SCORE_PARTS, exponential_window
 from chromaperture.disparity.stages.place import halved_surface, place_by_correlation
 from chromaperture.disparity.views import filtered_views, halved_views
 from chromaperture.disparity.winner import PathWinner, Surface
@@ -151,7 +151,7 @@ def test_scores_paths_and_the_surface_behind_them(case, labelled, cell_px):
         # Next to 0 the logarithm's last bits are a thousandth of a score, next to 1 it is cut off.
         compared &= (views.mask[..., None] > 0) & (score > 0.1) & (score < 0.99)
     else:
-        found_score = found.layers("score")[..., : len(layers_px)]
+        found_score = found.layers("score")[..., : len(layers_px)] / (SCORE_PARTS if cell_px == 2 else 1)
     error = np.abs(found_score - score)[compared]
     assert np.quantile(error, 0.999) < SCORE_TOLERANCE
 

@@ -14,10 +14,11 @@ import numpy as np
 
 from chromaperture.config import AccurateConfig
 from chromaperture.disparity.blur_evidence import SPACING_PX, BlurEvidence
+from chromaperture.disparity.clipped_areas import clipped_filled
 from chromaperture.disparity.execution import ExecutionName, execution_named
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.disparity.result import ESTIMATED_NOISE, NoiseModel
-from chromaperture.disparity.views import clipped_filled, mixed, view_spaces
+from chromaperture.disparity.views import mixed, view_spaces
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.lens_blur import LensBlur
 from chromaperture.stage_config import CrossFilterConfig

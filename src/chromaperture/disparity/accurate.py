@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from chromaperture.config import AccurateConfig
+from chromaperture.disparity.clipped_areas import clipped_filled
 from chromaperture.disparity.error_bar import (
     confidence,
     local_range,
@@ -26,7 +27,7 @@ from chromaperture.disparity.planar import Planes, planes_of_surface
 from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.stages.between_layers import between_layers
-from chromaperture.disparity.views import ViewSpace, clipped_filled, filtered_views
+from chromaperture.disparity.views import ViewSpace, filtered_views
 from chromaperture.disparity.winner import Surface, parabola_winner
 from chromaperture.errors import InputError
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig

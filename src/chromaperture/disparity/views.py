@@ -13,14 +13,15 @@ import numpy as np
 
 from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions, view_reach
+from chromaperture.disparity.whole_light import even_mean, in_whole_units, light_unit, plane_variance, smooth_whole
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids, channel_transmission
 from chromaperture.stage_config import ViewsConfig
 
 FILL_SIGMA_PX = 6.0  # of the mean that replaces unusable pixels, px of the halved picture; chosen by hand
+FILL_UNITS = 16.0  # to which that mean is rounded, so that executions seldom round it apart; below a picture's noise
 USABLE = 0.99  # fraction of a halved pixel that must be usable: below, a saturated neighbour's edge is in it
 GUIDE_SIGMA_PX = 1.0  # noise of the guide would break the links between pixels; chosen by hand
-_CLIPPED_REACH_PX = 3  # about clipped pixels: demosaicing and the sensor spread their light; chosen by hand
 _PERCENTILE_SAMPLES = 20_000  # of the guide, from which its percentiles are taken; chosen by hand
 CONSTANT = 1e-6  # RMS of a view, of full scale, below which it has no texture: a thousandth of a 10-bit step
 _LEAST_PRESMOOTH_PX = 0.3  # below, the pixel's own area smooths the noise
@@ -94,6 +95,8 @@ class Views:
         1 where the capture is usable, 0 where it is saturated or not finite.
     noise : ViewNoise or None
         None where no use is made of it.
+    unit : float
+        The pictures are multiples of it (`whole_light.light_unit`); 0 where they are any numbers.
     """
 
     pictures: np.ndarray
@@ -101,6 +104,7 @@ class Views:
     guide: np.ndarray
     mask: np.ndarray
     noise: ViewNoise | None = None
+    unit: float = 0.0
 
 
 def view_pairs(view_count: int) -> list[tuple[int, int]]:
@@ -260,77 +264,53 @@ def smoothed_views(
     directions: np.ndarray,
     config: ViewsConfig,
     noise: ViewNoise | None = None,
+    unit: float = 0.0,
 ) -> Views:
-    """Take the mean off the views, smooth them and the guide; see `mixed` for shapes. Raises InputError."""
+    """Take the mean off the views, smooth them and the guide; see `mixed` for shapes. Raises InputError.
+
+    With a ``unit`` the views are, and stay, multiples of it.
+    """
     planes = np.empty((len(views), *mask.shape), np.float32)  # one plane a view: fast to smooth and to match
     for plane, view in zip(planes, views, strict=True):
-        smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
-    if min(cv2.norm(plane) for plane in planes) < CONSTANT * math.sqrt(mask.size):  # they have no mean
+        if unit:
+            smooth_whole(view, config.presmooth_sigma_px, unit, out=plane)
+        else:
+            smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
+    if min(plane_variance(plane) for plane in planes) <= constant_variance(unit):
         raise constant_view()
     guide = smooth(guide, GUIDE_SIGMA_PX)
     guide *= _guide_scale(guide, config)
-    return Views(np.moveaxis(planes, 0, -1), np.asarray(directions, float), guide, mask.astype(np.float32), noise)
+    return Views(np.moveaxis(planes, 0, -1), np.asarray(directions, float), guide, mask.astype(np.float32), noise, unit)
 
 
 def halved(
     views: Sequence[np.ndarray], guide: np.ndarray, mask: np.ndarray, *, directions: np.ndarray, config: ViewsConfig
 ) -> tuple[Views, np.ndarray]:
     """Halve and smooth the views; see `halved_views`, and `mixed` for the shapes. Raises InputError."""
-    if mask.all():
-        small, usable = [cv2.pyrDown(view) for view in views], mask[::2, ::2]
+    is_whole = bool(mask.all())
+    unit = light_unit(cv2.mean(guide, None if is_whole else mask.view(np.uint8))[0])
+    if is_whole:
+        whole = np.empty(mask.shape, np.float32)
+        small = [cv2.pyrDown(in_whole_units(view, unit, out=whole)) for view in views]
+        usable = mask[::2, ::2]
     else:
-        small, usable = _halved_around(views, mask.astype(np.float32))
-    smoothed = smoothed_views(small, cv2.pyrDown(guide), usable, directions=directions, config=config)
+        small, usable = _halved_around(views, mask.astype(np.float32), unit)
+    smoothed = smoothed_views(small, cv2.pyrDown(guide), usable, directions=directions, config=config, unit=unit)
     return smoothed, guide * _guide_scale(guide, config)
 
 
-def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray, unit: float) -> tuple[list[np.ndarray], np.ndarray]:
     """Halve views, unusable pixels replaced by the mean around them: their bright edges would outweigh all texture."""
     fraction = cv2.pyrDown(mask)
     usable = fraction > USABLE
     around = cv2.GaussianBlur(fraction, (0, 0), FILL_SIGMA_PX)
     small = []
     for view in views:
-        mean = cv2.mean(view, (mask > 0).astype(np.uint8))[0]
-        part = cv2.pyrDown((view - np.float32(mean)) * mask)
+        less = even_mean(view, unit, (mask > 0).astype(np.uint8))
+        part = in_whole_units(cv2.pyrDown(in_whole_units(view, unit, less=less) * mask), unit)
         fill = cv2.GaussianBlur(part, (0, 0), FILL_SIGMA_PX) / (around + np.float32(1e-3))  # 1e-3: no division by 0
-        small.append(np.where(usable, part, fill) + np.float32(mean))
+        small.append(np.where(usable, part, in_whole_units(fill, FILL_UNITS * unit)))
     return small, usable
-
-
-def clipped_filled(image: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Replace clipped areas, what is next to them, and non-finite pixels by the mean of the usable ones around.
-
-    A clipped disc has its edge at the same place in channels whose light is displaced, and outweighs all texture.
-    Single clipped pixels, as noise makes them in bright paper, miss little of their light and are left as they are.
-
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB
-    usable : (H, W) float32
-        1 or 0: `Views.mask`.
-
-    Returns
-    -------
-    image : (H, W, 3) float32
-    usable : (H, W) float32
-        0 in the grown areas, too.
-    """
-    if usable.all():
-        return image, usable
-    areas = cv2.morphologyEx((usable == 0).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    grown = cv2.dilate(areas, np.ones((2 * _CLIPPED_REACH_PX + 1,) * 2, np.uint8)) > 0
-    replaced = grown | ~np.isfinite(image).all(axis=2)
-    usable = np.where(replaced, np.float32(0), usable)
-    kept = usable > 0
-    if not (replaced.any() and kept.any()):
-        return image, usable
-    mean = image[kept].mean(axis=0)
-    rest = np.where(kept[..., None], image - mean, np.float32(0))
-    sigma = 2 * FILL_SIGMA_PX  # that is px of the halved picture
-    around = cv2.GaussianBlur(usable, (0, 0), sigma)[..., None] + np.float32(1e-3)  # 1e-3: no division by 0
-    fill = cv2.GaussianBlur(rest, (0, 0), sigma) / around
-    return np.where(replaced[..., None], mean + fill, image).astype(np.float32), usable
 
 
 def smooth(image: np.ndarray, sigma_px: float, *, out: np.ndarray | None = None) -> np.ndarray:
@@ -355,6 +335,11 @@ def _guide_scale(guide: np.ndarray, config: ViewsConfig) -> np.float32:
 def percentile_spacing(pixels: int) -> int:
     """Return the px between the samples of a guide from which its percentiles are taken."""
     return max(1, round(math.sqrt(pixels / _PERCENTILE_SAMPLES)))
+
+
+def constant_variance(unit: float) -> float:
+    """Return the variance of a view at which it is constant but for rounding to whole units."""
+    return max(CONSTANT, unit / 2) ** 2
 
 
 def no_usable_pixel() -> InputError:

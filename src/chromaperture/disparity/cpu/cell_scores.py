@@ -6,28 +6,47 @@ products over windows along x, at every second px only, and then over the rows o
 number are kept apart, so that every second px is a neighbour in memory. Layers whose samples lie at the same sub-pixel
 phase follow each other and share them.
 
+Light counts in whole units, so that sums are exact, whatever their order (`whole_light.py`); only the last step, from
+covariances to a score, rounds.
+
 Memory: 2 bytes a score and 0.5 MB a thread at 1280 px width.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu import simd as v
-from chromaperture.disparity.cpu.layout import BLOCK, ONE, SCORE_SCALE, ZERO, inner, kernel, whole_vectors
+from chromaperture.disparity.cpu.layout import BLOCK, ONE, SCORE_SCALE, ZERO, whole_vectors
 from chromaperture.disparity.cpu.workspace import Workspace
-from chromaperture.disparity.stages.correlation import CELL_TAPS, SAMPLING, variance_floor
+from chromaperture.disparity.stages.correlation import (
+    CELL_TAPS,
+    LEAST_PRODUCT,
+    SAMPLING,
+    SCORE_PARTS,
+    cell_variance_floor,
+)
 from chromaperture.disparity.views import Views, view_pairs
+from chromaperture.disparity.whole_light import whole_taps
 from chromaperture.stage_config import CorrelationConfig
 from chromaperture.threads import in_parallel
 
+# Divisions and roots as IEEE 754 rounds them, as other executions do: not by estimates.
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"nsz"}}
+kernel = compiled(**_OPTIONS)
+inner = inlined(**_OPTIONS)
 _BAND_ROWS = 24  # of cells: the window's four rows more cost 8 %, and the samples, 0.4 MB, stay in the cache
 _RING = 5  # rows of a window
 _REACH = 2  # px of a window's taps
-_OUTER, _NEXT, _MIDDLE = (np.float32(tap) for tap in CELL_TAPS)
+_ROUNDER = np.float32(1.5 * 2**23)  # added to a number below 2^22 it leaves a whole one, halves to even
+_LEAST = np.float32(LEAST_PRODUCT)
+_TWO, _EIGHT, _NINE, _NINTH = np.float32(2), np.float32(8), np.float32(9), np.float32(1 / 9)
+assert CELL_TAPS == (1, 2, 3, 2, 1)  # written out below
+assert SCORE_PARTS == SCORE_SCALE
 
 
 class _Plan(NamedTuple):
@@ -38,7 +57,9 @@ class _Plan(NamedTuple):
     taps: np.ndarray  # (D, K, 2, 4) float32: along x, along y
     whole: np.ndarray  # (D, K, 2) int: px along x, along y
     pairs: np.ndarray  # (P, 2) int
-    floors: np.ndarray  # (K,) float32: variances below are even areas
+    floors: np.ndarray  # (K,) float32: added to variances, so that even areas score 0
+    scale: np.float32  # from light to whole units
+    rounder: np.float32  # added and taken off again it rounds samples to whole units; 0 where there are none
     margin: int  # px of the samples beyond the picture
 
 
@@ -64,7 +85,7 @@ def cell_scores(views: Views, layers_px: np.ndarray, memory: Workspace, *, confi
     planes = np.ascontiguousarray(np.moveaxis(views.pictures, 2, 0), np.float32)
 
     def split(_: int, top: int, bottom: int) -> None:
-        _split_columns(planes, plan.margin, halves, top, bottom)
+        _split_columns(planes, plan.scale, plan.margin, halves, top, bottom)
 
     in_parallel(split, height)
 
@@ -79,7 +100,6 @@ def cell_scores(views: Views, layers_px: np.ndarray, memory: Workspace, *, confi
 
 
 def _plan(views: Views, layers_px: np.ndarray, config: CorrelationConfig) -> _Plan:
-    taps_of = SAMPLING[config.sampling]
     offsets = layers_px[:, None, None] * views.directions  # (D, K, 2)
     whole = np.floor(offsets + 1e-9)  # 1e-9: a whole shift but for rounding is whole
     phases = np.round(np.maximum(offsets - whole, 0), 9)
@@ -92,24 +112,28 @@ def _plan(views: Views, layers_px: np.ndarray, config: CorrelationConfig) -> _Pl
         for k in range(len(views.directions)):
             same = (phases[now, k] == phases[last, k]).all() and whole[now, k, 1] == whole[last, k, 1]
             fresh[i, k] = not same
-    taps = np.array([[[taps_of(t) for t in phase] for phase in layer] for layer in phases], np.float32)
+    unique, places = np.unique(phases, return_inverse=True)
+    taps = np.array([whole_taps(SAMPLING[config.sampling](t)) for t in unique], np.float32)
+    taps = taps[places.reshape(phases.shape)]
     # Whole vectors: the first and the last one of a row are not sampled.
     margin = v.LANES * (2 + math.ceil((np.abs(whole[..., 0]).max() + _REACH + 3) / v.LANES))
     pairs = np.array(view_pairs(len(views.directions)))
-    return _Plan(order, fresh, taps, whole, pairs, variance_floor(views.pictures).astype(np.float32), margin)
+    floors = cell_variance_floor(views)
+    scale, rounder = (np.float32(1 / views.unit), _ROUNDER) if views.unit else (ONE, ZERO)
+    return _Plan(order, fresh, taps, whole, pairs, floors, scale, rounder, margin)
 
 
 @kernel
-def _split_columns(planes, margin, halves, top, bottom):
-    """Put the even and the odd columns of rows side by side, the picture continued by its borders."""
+def _split_columns(planes, scale, margin, halves, top, bottom):
+    """Put the even and the odd columns of rows side by side in whole units, the picture continued by its borders."""
     count, _, width = planes.shape
     for k in range(count):
         for y in range(top, bottom):
             row, even, odd = planes[k, y], halves[k, 0, y], halves[k, 1, y]
             for i in range(len(even)):
                 x = 2 * i - margin
-                even[i] = row[min(max(x, 0), width - 1)]
-                odd[i] = row[min(max(x + 1, 0), width - 1)]
+                even[i] = scale * row[min(max(x, 0), width - 1)]
+                odd[i] = scale * row[min(max(x + 1, 0), width - 1)]
 
 
 @kernel
@@ -126,7 +150,7 @@ def _score_band(halves, plan, samples, sums, top, bottom, columns, rows, volume)
         layer = plan.order[step]
         for k in range(count):
             if plan.fresh[step, k]:
-                _sample(halves[k], plan.taps[layer, k], plan.whole[layer, k, 1], samples[k], first, last)
+                _sample(halves[k], plan.taps[layer, k], plan.whole[layer, k, 1], plan.rounder, samples[k], first, last)
             ahead = plan.whole[layer, k, 0] + plan.margin
             length = samples.shape[3]
             ends[k, 0] = (ahead & 1) * length + (ahead >> 1)
@@ -156,8 +180,9 @@ def _score_band(halves, plan, samples, sums, top, bottom, columns, rows, volume)
 
 
 @inner
-def _sample(halves, taps, down, samples, first, last):
+def _sample(halves, taps, down, rounder, samples, first, last):
     """Read a view at a sub-pixel phase: rows of px from ``first`` to before ``last``, moved by ``down`` whole rows."""
+    whole = v.broadcast(rounder)
     height, length = halves.shape[1:]
     x0, x1, x2, x3 = taps[0]
     y0, y1, y2, y3 = taps[1]
@@ -173,51 +198,52 @@ def _sample(halves, taps, down, samples, first, last):
             view, line = halves[parity], lines[parity]
             for i in range(0, length, v.LANES):
                 value = v.fma(b0, v.load(view, r0 + i), v.mul(b1, v.load(view, r1 + i)))
-                v.store(line, i, v.fma(b3, v.load(view, r3 + i), v.fma(b2, v.load(view, r2 + i), value)))
+                value = v.fma(b3, v.load(view, r3 + i), v.fma(b2, v.load(view, r2 + i), value))
+                v.store(line, i, v.sub(v.add(value, whole), whole))
         out = samples[y - first]
         to_even, to_odd = out[0], out[1]
         for i in range(v.LANES, length - v.LANES, v.LANES):
             before, here, beside = v.load(odd, i - 1), v.load(even, i), v.load(odd, i)
             after, later = v.load(even, i + 1), v.load(odd, i + 1)
-            v.store(to_even, i, v.fma(a3, after, v.fma(a2, beside, v.fma(a1, here, v.mul(a0, before)))))
-            v.store(to_odd, i, v.fma(a3, later, v.fma(a2, after, v.fma(a1, beside, v.mul(a0, here)))))
+            at_even = v.fma(a3, after, v.fma(a2, beside, v.fma(a1, here, v.mul(a0, before))))
+            at_odd = v.fma(a3, later, v.fma(a2, after, v.fma(a1, beside, v.mul(a0, here))))
+            v.store(to_even, i, v.sub(v.add(at_even, whole), whole))
+            v.store(to_odd, i, v.sub(v.add(at_odd, whole), whole))
 
 
 @inner
 def _sum_two(samples, row, ends, sums, ring, used):
-    """Mean, variance and covariance of two views in the part of every second window that lies in a row.
+    """Nine times the mean, 81 times variance and covariance of two views in a row of every second window.
 
-    Of differences from the middle: mean squares of 32 bits would take even areas for texture.
+    Of differences from the middle, which are small: so their sums are exact.
     """
     size = samples.shape[1] * samples.shape[2] * samples.shape[3]
     line = row * samples.shape[2] * samples.shape[3]
     a0, a1 = line + ends[0, 0], line + ends[0, 1]
     b0, b1 = size + line + ends[1, 0], size + line + ends[1, 1]
-    outer, beside = v.broadcast(_OUTER), v.broadcast(_NEXT)
+    two, eight, nine = v.broadcast(_TWO), v.broadcast(_EIGHT), v.broadcast(_NINE)
     pitch = sums.shape[1]
     out = ring * pitch
     for x in range(0, used, v.LANES):
         middle_a, middle_b = v.load(samples, a0 + x), v.load(samples, b0 + x)
         a, b = v.sub(v.load(samples, a0 + x - 1), middle_a), v.sub(v.load(samples, b0 + x - 1), middle_b)
-        wa, wb = v.mul(outer, a), v.mul(outer, b)
-        sa, sb, saa, sbb, sab = wa, wb, v.mul(wa, a), v.mul(wb, b), v.mul(wa, b)
+        sa, sb, saa, sbb, sab = a, b, v.mul(a, a), v.mul(b, b), v.mul(a, b)
         a, b = v.sub(v.load(samples, a0 + x + 1), middle_a), v.sub(v.load(samples, b0 + x + 1), middle_b)
-        wa, wb = v.mul(outer, a), v.mul(outer, b)
-        sa, sb = v.add(sa, wa), v.add(sb, wb)
-        saa, sbb, sab = v.fma(wa, a, saa), v.fma(wb, b, sbb), v.fma(wa, b, sab)
+        sa, sb = v.add(sa, a), v.add(sb, b)
+        saa, sbb, sab = v.fma(a, a, saa), v.fma(b, b, sbb), v.fma(a, b, sab)
         a, b = v.sub(v.load(samples, a1 + x - 1), middle_a), v.sub(v.load(samples, b1 + x - 1), middle_b)
-        wa, wb = v.mul(beside, a), v.mul(beside, b)
+        wa, wb = v.mul(two, a), v.mul(two, b)
         sa, sb = v.add(sa, wa), v.add(sb, wb)
         saa, sbb, sab = v.fma(wa, a, saa), v.fma(wb, b, sbb), v.fma(wa, b, sab)
         a, b = v.sub(v.load(samples, a1 + x), middle_a), v.sub(v.load(samples, b1 + x), middle_b)
-        wa, wb = v.mul(beside, a), v.mul(beside, b)
+        wa, wb = v.mul(two, a), v.mul(two, b)
         sa, sb = v.add(sa, wa), v.add(sb, wb)
         saa, sbb, sab = v.fma(wa, a, saa), v.fma(wb, b, sbb), v.fma(wa, b, sab)
-        v.store(sums, out + x, v.add(middle_a, sa))
-        v.store(sums, out + pitch + x, v.add(middle_b, sb))
-        v.store(sums, out + 2 * pitch + x, v.fnma(sa, sa, saa))
-        v.store(sums, out + 3 * pitch + x, v.fnma(sb, sb, sbb))
-        v.store(sums, out + 4 * pitch + x, v.fnma(sa, sb, sab))
+        v.store(sums, out + x, v.fma(nine, middle_a, sa))
+        v.store(sums, out + pitch + x, v.fma(nine, middle_b, sb))
+        v.store(sums, out + 2 * pitch + x, v.fnma(sa, sa, v.fma(eight, saa, saa)))
+        v.store(sums, out + 3 * pitch + x, v.fnma(sb, sb, v.fma(eight, sbb, sbb)))
+        v.store(sums, out + 4 * pitch + x, v.fnma(sa, sb, v.fma(eight, sab, sab)))
 
 
 @inner
@@ -227,7 +253,7 @@ def _sum_three(samples, row, ends, sums, ring, used):
     line = row * samples.shape[2] * samples.shape[3]
     pitch = sums.shape[1]
     out = ring * pitch
-    nothing = v.broadcast(ZERO)
+    nothing, eight, nine = v.broadcast(ZERO), v.broadcast(_EIGHT), v.broadcast(_NINE)
     for x in range(0, used, v.LANES):
         sa, sb, sc, saa, sbb, scc = nothing, nothing, nothing, nothing, nothing, nothing
         sab, sac, sbc = nothing, nothing, nothing
@@ -237,7 +263,7 @@ def _sum_three(samples, row, ends, sums, ring, used):
         for tap in range(4):
             odd = 1 if tap == 1 or tap == 2 else 0
             at = line + x + (-1 if tap < 2 else 0 if tap == 2 else 1)
-            weight = v.broadcast(_NEXT if odd == 1 else _OUTER)
+            weight = v.broadcast(_TWO if odd == 1 else ONE)
             a = v.sub(v.load(samples, at + ends[0, odd]), middle_a)
             b = v.sub(v.load(samples, size + at + ends[1, odd]), middle_b)
             c = v.sub(v.load(samples, 2 * size + at + ends[2, odd]), middle_c)
@@ -245,15 +271,15 @@ def _sum_three(samples, row, ends, sums, ring, used):
             sa, sb, sc = v.add(sa, wa), v.add(sb, wb), v.add(sc, wc)
             saa, sbb, scc = v.fma(wa, a, saa), v.fma(wb, b, sbb), v.fma(wc, c, scc)
             sab, sac, sbc = v.fma(wa, b, sab), v.fma(wa, c, sac), v.fma(wb, c, sbc)
-        v.store(sums, out + x, v.add(middle_a, sa))
-        v.store(sums, out + pitch + x, v.add(middle_b, sb))
-        v.store(sums, out + 2 * pitch + x, v.add(middle_c, sc))
-        v.store(sums, out + 3 * pitch + x, v.fnma(sa, sa, saa))
-        v.store(sums, out + 4 * pitch + x, v.fnma(sb, sb, sbb))
-        v.store(sums, out + 5 * pitch + x, v.fnma(sc, sc, scc))
-        v.store(sums, out + 6 * pitch + x, v.fnma(sa, sb, sab))
-        v.store(sums, out + 7 * pitch + x, v.fnma(sa, sc, sac))
-        v.store(sums, out + 8 * pitch + x, v.fnma(sb, sc, sbc))
+        v.store(sums, out + x, v.fma(nine, middle_a, sa))
+        v.store(sums, out + pitch + x, v.fma(nine, middle_b, sb))
+        v.store(sums, out + 2 * pitch + x, v.fma(nine, middle_c, sc))
+        v.store(sums, out + 3 * pitch + x, v.fnma(sa, sa, v.fma(eight, saa, saa)))
+        v.store(sums, out + 4 * pitch + x, v.fnma(sb, sb, v.fma(eight, sbb, sbb)))
+        v.store(sums, out + 5 * pitch + x, v.fnma(sc, sc, v.fma(eight, scc, scc)))
+        v.store(sums, out + 6 * pitch + x, v.fnma(sa, sb, v.fma(eight, sab, sab)))
+        v.store(sums, out + 7 * pitch + x, v.fnma(sa, sc, v.fma(eight, sac, sac)))
+        v.store(sums, out + 8 * pitch + x, v.fnma(sb, sc, v.fma(eight, sbc, sbc)))
 
 
 @inner
@@ -263,62 +289,75 @@ def _of_row(sums, oldest, series, which, row, x):
 
 
 @inner
-def _window(sums, oldest, series, which, x):
-    """Sum one of the series over the rows of the ring."""
+def _apart(sums, oldest, series, which, x):
+    """How far the means of a window's rows lie from the whole number next to their mean, and the weighted sum of that.
+
+    From there they are small, and so exact are their products.
+    """
+    r0, r1 = _of_row(sums, oldest, series, which, 0, x), _of_row(sums, oldest, series, which, 1, x)
+    r2, r3 = _of_row(sums, oldest, series, which, 2, x), _of_row(sums, oldest, series, which, 3, x)
+    r4 = _of_row(sums, oldest, series, which, 4, x)
+    total = v.fma(v.broadcast(_TWO), v.add(v.add(r1, r3), r2), v.add(v.add(r0, r4), r2))
+    rounder = v.broadcast(_ROUNDER)
+    middle = v.sub(v.add(v.mul(v.broadcast(_NINTH), total), rounder), rounder)
+    left = v.fnma(v.broadcast(_NINE), middle, total)
+    return v.sub(r0, middle), v.sub(r1, middle), v.sub(r2, middle), v.sub(r3, middle), v.sub(r4, middle), left
+
+
+@inner
+def _joined(sums, oldest, series, a, b, which, x):
+    """6561 times the covariance in a window: that within its rows, and that of the rows' means ``a`` and ``b``.
+
+    Products are exact here; sums above 2^24 are rounded, in the same order by every execution.
+    """
+    a0, a1, a2, a3, a4, left_a = a
+    b0, b1, b2, b3, b4, left_b = b
     ends = v.add(_of_row(sums, oldest, series, which, 0, x), _of_row(sums, oldest, series, which, 4, x))
     inside = v.add(_of_row(sums, oldest, series, which, 1, x), _of_row(sums, oldest, series, which, 3, x))
-    value = v.mul(v.broadcast(_MIDDLE), _of_row(sums, oldest, series, which, 2, x))
-    return v.fma(v.broadcast(_OUTER), ends, v.fma(v.broadcast(_NEXT), inside, value))
+    ends, inside = v.fma(a4, b4, v.fma(a0, b0, ends)), v.fma(a3, b3, v.fma(a1, b1, inside))
+    middle = v.fma(a2, b2, _of_row(sums, oldest, series, which, 2, x))
+    value = v.fma(v.broadcast(_TWO), v.add(inside, middle), v.add(ends, middle))
+    return v.fnma(left_a, left_b, v.fma(v.broadcast(_EIGHT), value, value))
 
 
 @inner
-def _joined(sums, oldest, series, one, other, which, x):
-    """Covariance in a window: that within its rows, and that of the rows' means, of the views ``one`` and ``other``."""
-    mean_a, mean_b = _window(sums, oldest, series, one, x), _window(sums, oldest, series, other, x)
-    value = _window(sums, oldest, series, which, x)
-    for row in range(_RING):
-        tap = _OUTER if row == 0 or row == 4 else _MIDDLE if row == 2 else _NEXT
-        a = v.sub(_of_row(sums, oldest, series, one, row, x), mean_a)
-        b = v.sub(_of_row(sums, oldest, series, other, row, x), mean_b)
-        value = v.fma(v.mul(v.broadcast(tap), a), b, value)
-    return value
+def _raised(variance, floor):
+    return v.add(v.larger(variance, v.broadcast(ZERO)), v.broadcast(floor))
 
 
 @inner
-def _gain(variance, floor):
-    """One over a standard deviation."""
-    return v.inverse_root(v.add(v.larger(variance, v.broadcast(ZERO)), v.broadcast(floor)))
+def _correlation(covariance, one, other):
+    """Correlation in [-1, 1] by the covariance and both variances."""
+    value = v.div(covariance, v.root(v.larger(v.mul(one, other), v.broadcast(_LEAST))))
+    return v.smaller(v.larger(value, v.broadcast(-ONE)), v.broadcast(ONE))
 
 
 @inner
 def _score_two(sums, oldest, series, floors, used, scores):
     """Correlation of two views for a row of cells."""
-    one, least = v.broadcast(ONE), v.broadcast(-ONE)
     for x in range(0, used, v.LANES):
-        gains = v.mul(
-            _gain(_joined(sums, oldest, series, 0, 0, 2, x), floors[0]),
-            _gain(_joined(sums, oldest, series, 1, 1, 3, x), floors[1]),
-        )
-        score = v.mul(_joined(sums, oldest, series, 0, 1, 4, x), gains)
-        v.store(scores, x, v.smaller(v.larger(score, least), one))
+        a, b = _apart(sums, oldest, series, 0, x), _apart(sums, oldest, series, 1, x)
+        aa = _raised(_joined(sums, oldest, series, a, a, 2, x), floors[0])
+        bb = _raised(_joined(sums, oldest, series, b, b, 3, x), floors[1])
+        v.store(scores, x, _correlation(_joined(sums, oldest, series, a, b, 4, x), aa, bb))
 
 
 @inner
 def _score_three(sums, oldest, series, floors, used, scores):
     """1 - sqrt(det) of the correlation matrix of three views for a row of cells."""
-    one, least, nothing = v.broadcast(ONE), v.broadcast(-ONE), v.broadcast(ZERO)
+    one, nothing = v.broadcast(ONE), v.broadcast(ZERO)
     for x in range(0, used, v.LANES):
-        ga = _gain(_joined(sums, oldest, series, 0, 0, 3, x), floors[0])
-        gb = _gain(_joined(sums, oldest, series, 1, 1, 4, x), floors[1])
-        gc = _gain(_joined(sums, oldest, series, 2, 2, 5, x), floors[2])
-        ab = v.mul(_joined(sums, oldest, series, 0, 1, 6, x), v.mul(ga, gb))
-        ac = v.mul(_joined(sums, oldest, series, 0, 2, 7, x), v.mul(ga, gc))
-        bc = v.mul(_joined(sums, oldest, series, 1, 2, 8, x), v.mul(gb, gc))
-        ab, ac, bc = (
-            v.larger(v.smaller(ab, one), least),
-            v.larger(v.smaller(ac, one), least),
-            v.larger(v.smaller(bc, one), least),
-        )
-        both = v.mul(ac, bc)
-        determinant = v.fnma(ab, v.sub(v.sub(ab, both), both), v.fnma(ac, ac, v.fnma(bc, bc, one)))
+        a, b = _apart(sums, oldest, series, 0, x), _apart(sums, oldest, series, 1, x)
+        c = _apart(sums, oldest, series, 2, x)
+        aa = _raised(_joined(sums, oldest, series, a, a, 3, x), floors[0])
+        bb = _raised(_joined(sums, oldest, series, b, b, 4, x), floors[1])
+        cc = _raised(_joined(sums, oldest, series, c, c, 5, x), floors[2])
+        ab = _correlation(_joined(sums, oldest, series, a, b, 6, x), aa, bb)
+        ac = _correlation(_joined(sums, oldest, series, a, c, 7, x), aa, cc)
+        bc = _correlation(_joined(sums, oldest, series, b, c, 8, x), bb, cc)
+        # Of a part that is left, not of sums that cancel: (1 - ab^2) (1 - ac^2) - (bc - ab ac)^2.
+        # Not fused: a shader cannot ask for it.
+        apart = v.sub(bc, v.mul(ab, ac))
+        left = v.mul(v.sub(one, v.mul(ab, ab)), v.sub(one, v.mul(ac, ac)))
+        determinant = v.sub(left, v.mul(apart, apart))
         v.store(scores, x, v.sub(one, v.root(v.larger(determinant, nothing))))

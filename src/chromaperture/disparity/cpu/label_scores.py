@@ -3,17 +3,16 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.layout import BLOCK, ONE, SCORE_SCALE, ZERO, inner
-from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
+from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT, NAT_PARTS
 
 _LEAST_DETERMINANT = np.float32(LEAST_DETERMINANT)
-NATS = np.float32(32000 / (-0.5 * math.log(LEAST_DETERMINANT)))  # a nat of log-likelihood in int16
+NATS = np.float32(NAT_PARTS)  # a nat of log-likelihood in int16
 _HALF = np.float32(0.5)
 _TWO, _THREE, _SIX = np.float32(2), np.float32(3), np.float32(6)
 _INNER, _MIDDLE, _OUTER = np.float32(1 / 12), np.float32(1 / 24), np.float32(1 / 120)  # of Lagrange's polynomials
@@ -39,24 +38,25 @@ def address(y, x, height, slabs):
 @inner
 def likelihoods(volume, slabs, mask, y, height, two_views):
     """One row of scores to log-likelihoods in place: -ln(1 - s^2) / 2 of two views, -ln(1 - s) of three, nats."""
-    unit, nats = v.broadcast(ONE / SCORE_SCALE), -_HALF * NATS
+    nats = -_HALF * NATS
     for x in range(len(mask)):
         factor = v.broadcast(nats * mask[x])
         at = address(y, x, height, slabs)
         for i in range(at, at + slabs * BLOCK * v.LANES, BLOCK * v.LANES):
-            v.put_shorts(volume, i, v.mul(factor, _log_unexplained(v.mul(v.load_shorts(volume, i), unit), two_views)))
+            v.put_shorts(volume, i, v.mul(factor, _log_determinant(_unexplained(volume, i), two_views)))
 
 
 @inner
-def _log_unexplained(score, two_views):
-    """Logarithm of the determinant of the views' correlations."""
-    one = v.broadcast(ONE)
-    score = v.smaller(v.larger(score, v.broadcast(ZERO)), one)  # cubics overshoot
-    if two_views:
-        determinant = v.fnma(score, score, one)
-    else:
-        determinant = v.sub(one, score)
-        determinant = v.mul(determinant, determinant)
+def _unexplained(scores, i):
+    """Read what eight scores leave of 1: of whole numbers, so that next to a score of 1 nothing is rounded off."""
+    return v.mul(v.sub(v.broadcast(SCORE_SCALE), v.load_shorts(scores, i)), v.broadcast(ONE / SCORE_SCALE))
+
+
+@inner
+def _log_determinant(unexplained, two_views):
+    """Logarithm of the determinant of the views' correlations, by what is left of 1 by the score."""
+    unexplained = v.larger(v.smaller(unexplained, v.broadcast(ONE)), v.broadcast(ZERO))  # polynomials overshoot
+    determinant = v.mul(unexplained, v.sub(v.broadcast(_TWO), unexplained) if two_views else unexplained)
     return v.logarithm(v.larger(determinant, v.broadcast(_LEAST_DETERMINANT)))
 
 
@@ -70,12 +70,12 @@ def read_at_labels(
     """
     count = layers.number
     own_slabs = (count + v.LANES - 1) // v.LANES
-    nats, unit = -_HALF * NATS, v.broadcast(ONE / SCORE_SCALE)
+    nats = -_HALF * NATS
     parts = np.int64(np.rint(layers.step / settings.step))
     for x in range(len(mask)):
         at = address(y, x, height, own_slabs)
         for s in range(own_slabs):
-            v.store(here, BASE + s * v.LANES, v.mul(unit, v.load_shorts(scores, at + s * BLOCK * v.LANES)))
+            v.store(here, BASE + s * v.LANES, _unexplained(scores, at + s * BLOCK * v.LANES))
         here[BASE - 2] = here[BASE - 1] = here[BASE]
         here[BASE + count] = here[BASE + count + 1] = here[BASE + count - 1]
         column = x if many else 0
@@ -97,13 +97,16 @@ def read_at_labels(
         factor = v.broadcast(nats * mask[x])
         at = address(y, x, height, slabs)
         for s in range(slabs):
-            logarithm = _log_unexplained(v.load(at_labels, s * v.LANES), two_views)
+            logarithm = _log_determinant(v.load(at_labels, s * v.LANES), two_views)
             v.put_shorts(volume, at + s * BLOCK * v.LANES, v.mul(factor, logarithm))
 
 
 @inner
 def _read_eight(here, begin, scale, first, count):
-    """Scores at eight places a ``scale`` apart, from ``begin + first * scale``; places and layers count from 0."""
+    """Read what scores leave of 1 at eight places a ``scale`` apart, from ``begin + first * scale``.
+
+    Places and layers count from 0; beyond the layers 1 is left.
+    """
     low = begin + scale * np.float32(first)
     high = begin + scale * np.float32(first + v.LANES - 1)
     ahead = np.floor(low) - np.float32(first)
@@ -127,7 +130,8 @@ def _read_eight(here, begin, scale, first, count):
             return value
         room = v.fnma(v.broadcast(scale), v.load(here, 0), v.broadcast(np.float32(count - 1) - low))
         inside = v.fma(room, v.broadcast(_STEEP), v.broadcast(ONE))  # 1 up to the last layer, 0 beyond
-        return v.mul(value, v.larger(v.smaller(inside, v.broadcast(ONE)), v.broadcast(ZERO)))
+        inside = v.larger(v.smaller(inside, one), v.broadcast(ZERO))
+        return v.fma(inside, v.sub(value, one), one)
     spill = len(here) - v.LANES
     for i in range(v.LANES):
         place = low + scale * np.float32(i)
@@ -140,5 +144,5 @@ def _read_eight(here, begin, scale, first, count):
         a = t * (t - ONE)
         b, c = a - _TWO, a - _SIX
         value = c * (b * _INNER * inner_pair - a * _MIDDLE * middle_pair) + a * b * _OUTER * outer_pair
-        v.put(here, spill + i, value if ZERO <= t <= ONE and place >= ZERO else ZERO)
+        v.put(here, spill + i, value if ZERO <= t <= ONE and place >= ZERO else ONE)
     return v.load(here, spill)

@@ -19,6 +19,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, register_model
 
+from chromaperture.disparity.logarithm import LOGARITHM
+
 LANES = 8
 
 _FLOAT = ir.FloatType()
@@ -26,14 +28,7 @@ _I32 = ir.IntType(32)
 _FLOATS = ir.VectorType(_FLOAT, LANES)
 _INTS = ir.VectorType(_I32, LANES)
 _SHORTS = ir.VectorType(ir.IntType(16), LANES)
-# Least squares on Chebyshev nodes of ln(1.5 + t), |t| <= 1/2, highest power first; good to 2e-5.
-_LOGARITHM = (
-    np.polynomial.chebyshev.Chebyshev.interpolate(lambda t: np.log(1.5 + t), 6, domain=[-0.5, 0.5])
-    .convert(kind=np.polynomial.Polynomial)
-    .coef[::-1]
-    .tolist()
-)
-# The same of 2^t, |t| <= 1/2; good to 2e-7.
+# Chebyshev interpolation of 2^t, |t| <= 1/2, highest power first; good to 2e-7.
 _POWER = (
     np.polynomial.chebyshev.Chebyshev.interpolate(np.exp2, 5, domain=[-0.5, 0.5])
     .convert(kind=np.polynomial.Polynomial)
@@ -159,8 +154,8 @@ def _logarithm(builder, a):
     exponent = builder.sitofp(builder.sub(builder.lshr(bits, whole[0]), whole[1]), _FLOATS)
     mantissa = builder.bitcast(builder.or_(builder.and_(bits, whole[2]), whole[3]), _FLOATS)
     t = builder.fsub(mantissa, _constant(1.5))
-    value = _constant(_LOGARITHM[0])
-    for coefficient in _LOGARITHM[1:]:
+    value = _constant(LOGARITHM[0])
+    for coefficient in LOGARITHM[1:]:
         value = _multiply_add(builder, value, t, _constant(coefficient))
     return _multiply_add(builder, exponent, _constant(math.log(2)), value)
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from chromaperture.disparity.accurate import EDGE_REACH_PX, AccurateMethod, judged, with_halves
 from chromaperture.disparity.blur_evidence import BlurEvidence
+from chromaperture.disparity.clipped_areas import clipped_filled
 from chromaperture.disparity.correlation_evidence import CorrelationEvidence
 from chromaperture.disparity.error_bar import sigma_of_range
 from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError
@@ -40,7 +41,7 @@ from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.plane_fit import Volume, distinct_of, proposals
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.spectral_evidence import SpectralEvidence
-from chromaperture.disparity.views import clipped_filled, filtered_views
+from chromaperture.disparity.views import filtered_views
 from chromaperture.disparity.winner import Surface
 from chromaperture.errors import OutOfMemoryError
 

@@ -1,11 +1,12 @@
 // Gaussian along one axis, of some planes of one array into the same planes of another. Where `sparse`, only what
 // `fill.wgsl` reads, at unusable pixels, and what that is made of: columns next to unusable pixels. One invocation takes
-// four neighbours along the axis, whose pixels overlap.
+// four neighbours along the axis, whose pixels overlap. Where `whole`, the sums are rounded to whole units of light.
 
 @group(0) @binding(0) var<storage, read> before: array<f32>;  // (planes, h, w)
 @group(0) @binding(1) var<storage, read> unusable: array<u32>;  // (bands, w): 1 where a column of a band has one
 @group(0) @binding(2) var<storage, read> taps: array<vec4f>;  // of a pixel in the sums of four neighbours
-@group(0) @binding(3) var<storage, read_write> after: array<f32>;  // (planes, h, w)
+@group(0) @binding(3) var<storage, read> stats: array<f32>;
+@group(0) @binding(4) var<storage, read_write> after: array<f32>;  // (planes, h, w)
 
 fn is_needed(x: u32, y: u32) -> bool {
     let band = y / band_height;  // a band is as high as the Gaussian reaches
@@ -43,6 +44,7 @@ fn main(
             let at = select(mirrored(place, length), inside(place, length), replicate);
             sums += taps[j] * before[base + at * stride];
         }
+        if (whole) { sums = stats[UNIT] * round(stats[UNIT + 1u] * sums); }
         for (var j = 0u; j < min(4u, length - first); j++) { after[base + (first + j) * stride] = sums[j]; }
     }
 }

@@ -14,13 +14,22 @@ from chromaperture.disparity.gpu.correlation_stages import add_samples, chunks_o
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes
 from chromaperture.disparity.gpu.workgroups import groups_for
-from chromaperture.disparity.stages.correlation import RELATIVE_EPSILON, padding
+from chromaperture.disparity.logarithm import LOGARITHM
+from chromaperture.disparity.stages.correlation import CELL_TAPS, LEAST_FLOOR, RELATIVE_EPSILON, SCORE_PARTS, padding
 from chromaperture.disparity.stages.enlarge import JUMP_PX
-from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
+from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT, NAT_PARTS
 from chromaperture.stage_config import CorrelationConfig
 
 _CHUNK_BYTES = 128e6  # of the samples of a chunk: WebGPU's default limit of a binding
 WINDOW_REACH_PX = 2  # of a cell's window
+# What `nats.wgsl` needs.
+LIKELIHOOD: dict[str, Any] = {
+    "least_determinant": LEAST_DETERMINANT,
+    "nat_parts": NAT_PARTS,
+    "logarithm_terms": LOGARITHM,
+    "logarithm_count": len(LOGARITHM),
+}
+_CELLS = 8  # that an invocation takes, one below the other: they share the sums of 3 of their 5 rows
 
 
 def add_cell_planes(chain: Chain, planes: Planes) -> Planes:
@@ -46,18 +55,21 @@ def add_cell_scores(
     pad_x, pad_y = (pad + WINDOW_REACH_PX for pad in padding(layers_px, directions, config.sampling))
     tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
     most = int(min(_CHUNK_BYTES, chain.device.largest_bytes) // (4 * tall * wide))
-    chunks = chunks_of(layers_px, directions, config.sampling, most, len(layers_px))
+    chunks = chunks_of(layers_px, directions, config.sampling, most, len(layers_px), whole=True)
     samples_y = chain.array("samples_y", tall * planes.width * max(len(chunk.phases_y) for chunk in chunks))
     samples = chain.array("samples", tall * wide * max(len(chunk.phases_x) for chunk in chunks))
     score = chain.array("score", cells.pixels * len(layers_px))
     for number, chunk in enumerate(chunks):
-        add_samples(chain, planes, chunk, number, samples_y, samples, pad_x=pad_x, pad_y=pad_y)
+        add_samples(chain, planes, chunk, number, samples_y, samples, pad_x=pad_x, pad_y=pad_y, whole=True)
         chain.add(
             "cell_scores", [samples, chain.constant(f"places{number}", chunk.places), planes.stats, score],
-            groups=groups_for(cells.pixels * chunk.size), uses=SHARED, cells_wide=cells.width, cells_tall=cells.height,
-            view_count=planes.view_count, entry_count=len(chunk.phases_x), layer_count=chunk.size,
+            groups=groups_for(-(-cells.height // _CELLS) * cells.width * chunk.size),
+            uses=(*SHARED, "cells_two" if planes.view_count == 2 else "cells_three"), views=planes.view_count,
+            cells_each=_CELLS, cells_wide=cells.width, cells_tall=cells.height,
+            entry_count=len(chunk.phases_x), layer_count=chunk.size,
             first_layer=chunk.first, all_layers=len(layers_px), reach=WINDOW_REACH_PX,
-            relative_epsilon=RELATIVE_EPSILON, width=planes.width, pad_x=pad_x, pad_y=pad_y,
+            score_parts=SCORE_PARTS, relative_epsilon=sum(CELL_TAPS) ** 4 * RELATIVE_EPSILON,
+            least_floor=sum(CELL_TAPS) ** 4 * LEAST_FLOOR, width=planes.width, pad_x=pad_x, pad_y=pad_y,
         )  # fmt: skip
     return score
 
@@ -71,6 +83,7 @@ def add_label_likelihood(
     labels_px: np.ndarray,
     *,
     pitch: int,
+    score_parts: int,
     of_labels: dict[str, Any],
 ) -> Array:
     """Add the log-likelihoods of all labels; (cells, pitch)."""
@@ -80,8 +93,8 @@ def add_label_likelihood(
         uses=(*SHARED, "half_labels", "nats"), width=cells.width, height=cells.height, view_count=cells.view_count,
         all_layers=len(layers_px), label_count=len(labels_px), pitch=pitch,
         parts=(len(labels_px) - 1) // (len(layers_px) - 1), first_px=float(layers_px[0]),
-        layer_step_px=float(layers_px[1] - layers_px[0]), least_determinant=LEAST_DETERMINANT,
-        **of_labels,
+        layer_step_px=float(layers_px[1] - layers_px[0]), **LIKELIHOOD,
+        score_parts=score_parts, **of_labels,
     )  # fmt: skip
     return likelihood
 

@@ -18,6 +18,7 @@ from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import SHARED, Planes
 from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
 from chromaperture.disparity.stages.correlation import RELATIVE_EPSILON, SAMPLING, padding
+from chromaperture.disparity.whole_light import whole_taps
 from chromaperture.stage_config import CorrelationConfig
 
 # Share of a window's weight that lies beyond the samples a block of a line starts from, where the picture counts as
@@ -25,6 +26,7 @@ from chromaperture.stage_config import CorrelationConfig
 _NEGLIGIBLE = 1e-6
 _BLOCK, _SOFTWARE_BLOCK = 64, 128  # most px of a line that an invocation takes; software has few invocations at once
 _CHUNK_BYTES = 128e6  # of the largest array of a chunk: WebGPU's default limit of a binding
+_EACH = 16  # neighbours that an invocation samples: 5 % more taps are read than with all of a line
 _PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
 
 
@@ -60,26 +62,35 @@ class Chunk(NamedTuple):
 
 
 def chunks_of(
-    layers_px: np.ndarray, directions: np.ndarray, sampling: str, most_entries: int, most_layers: int
+    layers_px: np.ndarray,
+    directions: np.ndarray,
+    sampling: str,
+    most_entries: int,
+    most_layers: int,
+    *,
+    whole: bool = False,
 ) -> list[Chunk]:
     """Cut the layers into chunks of at most so many entries and layers, the first the largest.
 
-    All chunks but the last have a multiple of four layers, and four layers may need more than that.
+    All chunks but the last have a multiple of four layers, and four layers may need more than that. Where ``whole``,
+    the taps are whole parts (`whole_light.whole_taps`).
     """
     found: list[Chunk] = []
     first = 0
     while first < len(layers_px):
         count = min(len(layers_px) - first, found[-1].size if found else max(4, most_layers // 4 * 4))
-        chunk = _chunk(layers_px, directions, sampling, first, count)
+        chunk = _chunk(layers_px, directions, sampling, first, count, whole=whole)
         while len(chunk.phases_x) > most_entries and count > 4:
             count = 4 * -(-count // 8)
-            chunk = _chunk(layers_px, directions, sampling, first, count)
+            chunk = _chunk(layers_px, directions, sampling, first, count, whole=whole)
         found.append(chunk)
         first += count
     return found
 
 
-def _chunk(layers_px: np.ndarray, directions: np.ndarray, sampling: str, first: int, count: int) -> Chunk:
+def _chunk(
+    layers_px: np.ndarray, directions: np.ndarray, sampling: str, first: int, count: int, *, whole: bool
+) -> Chunk:
     along_y: dict[tuple[int, float], int] = {}
     along_x: dict[tuple[int, float], int] = {}
     places = np.zeros((len(directions), count, 4), np.int32)
@@ -89,7 +100,11 @@ def _chunk(layers_px: np.ndarray, directions: np.ndarray, sampling: str, first: 
             y = along_y.setdefault((k, phase_y), len(along_y))
             entry = along_x.setdefault((y, phase_x), len(along_x))
             places[k, c] = entry, whole_x, whole_y, 0
-    taps = SAMPLING[sampling]
+
+    def taps(phase: float) -> tuple[float, ...]:
+        exact = SAMPLING[sampling](phase)
+        return tuple(whole_taps(exact)) if whole else exact
+
     rows = np.array([(*taps(phase), view, 0, 0, 0) for view, phase in along_y], np.float32)
     columns = np.array([(*taps(phase), y, 0, 0, 0) for y, phase in along_x], np.float32)
     return Chunk(first, count, rows, columns, places)
@@ -195,20 +210,33 @@ def add_correlation(
 
 
 def add_samples(
-    chain: Chain, planes: Planes, chunk: Chunk, number: int, samples_y: Array, samples: Array, *, pad_x: int, pad_y: int
+    chain: Chain,
+    planes: Planes,
+    chunk: Chunk,
+    number: int,
+    samples_y: Array,
+    samples: Array,
+    *,
+    pad_x: int,
+    pad_y: int,
+    whole: bool = False,
 ) -> tuple[Array, Array]:
-    """Add the samples of a chunk, (h + 2 pad_y, w + 2 pad_x, E); return the taps along y and along x."""
+    """Add the samples of a chunk, (h + 2 pad_y, w + 2 pad_x, E); return the taps along y and along x.
+
+    Where ``whole``, light counts in whole units.
+    """
     tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
     entries, phases = len(chunk.phases_x), len(chunk.phases_y)
     taps_y = chain.constant(f"taps_y{number}", chunk.phases_y)
     taps_x = chain.constant(f"taps_x{number}", chunk.phases_x)
     size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_y": pad_y, "phase_count": phases}
+    size |= {"whole": whole, "each": _EACH}
     chain.add(
-        "sample_y", [planes.planes, taps_y, samples_y], groups=groups_for(-(-tall // 4) * planes.width * phases),
-        uses=SHARED, **size,
+        "sample_y", [planes.planes, taps_y, planes.stats, samples_y],
+        groups=groups_for(-(-tall // _EACH) * planes.width * phases), uses=SHARED, **size,
     )  # fmt: skip
     chain.add(
-        "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * -(-wide // 4) * entries), uses=SHARED,
+        "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * -(-wide // _EACH) * entries), uses=SHARED,
         pad_x=pad_x, entry_count=entries, **size,
     )  # fmt: skip
     return taps_y, taps_x

@@ -2,8 +2,9 @@
 // texture. The plane behind the guide holds the usable share of each pixel, of which the mask is made.
 
 @group(0) @binding(0) var<storage, read> around: array<f32>;  // (K + 2, h, w), blurred where there are unusable pixels
-@group(0) @binding(1) var<storage, read_write> planes: array<f32>;  // (K + 2, h, w): views, guide, usable share
-@group(0) @binding(2) var<storage, read_write> smoothed: array<f32>;  // (K + 2, h, w), of which only the mask
+@group(0) @binding(1) var<storage, read> stats: array<f32>;
+@group(0) @binding(2) var<storage, read_write> planes: array<f32>;  // (K + 2, h, w): views, guide, usable share
+@group(0) @binding(3) var<storage, read_write> smoothed: array<f32>;  // (K + 2, h, w), of which only the mask
 
 @compute @workgroup_size(64)
 fn main(
@@ -16,7 +17,8 @@ fn main(
     let usable = planes[share] > usable_share;
     if (!usable) {
         for (var k = 0u; k < view_count; k++) {
-            planes[k * plane + i] = around[k * plane + i] / (around[share] + 1.0e-3);  // 1e-3: no division by 0
+            let mean = around[k * plane + i] / (around[share] + 1.0e-3);  // 1e-3: no division by 0
+            planes[k * plane + i] = fill_units * stats[UNIT] * round(stats[UNIT + 1u] * mean / fill_units);
         }
     }
     smoothed[share] = select(0.0, 1.0, usable);

@@ -1,5 +1,5 @@
 // Path costs along one of four directions: 0 right, 1 left, 2 down, 3 up. A pixel of path cost c adds to its neighbour
-// on the path m = min(c, min c + e jump) - min c, which is left in 16 bits of the jump for `path_winner.wgsl`. The
+// on the path m = min(c, min c + e jump) - min c, which is left in 16 bits for `path_winner.wgsl`. The
 // dispatches write to arrays of their own, so that a device may run both rows, and both columns, side by side. What is a
 // pixel's own is in `own_of_rows.wgsl` and `own_of_columns.wgsl`.
 

@@ -16,5 +16,11 @@ fn main(@builtin(local_invocation_index) local: u32) {
         stats[MEAN_ALL] = (mean.x + mean.y + mean.z) / 3.0;
         stats[USABLE] = total.w;
         stats[UNUSABLE] = f32(pixels) - total.w;
+        // The power of two that is 2^-light_bits to half of it of the mean light (`whole_light.light_unit`).
+        let light = dot(vec3f(guide_rgb[0], guide_rgb[1], guide_rgb[2]), mean);
+        let exponent = select(least_exponent, i32(bitcast<u32>(light) >> 23u) - 127i, light > 0.0);
+        let place = u32(max(exponent, least_exponent) - i32(light_bits) + 127i);
+        stats[UNIT] = bitcast<f32>(place << 23u);
+        stats[UNIT + 1u] = bitcast<f32>((254u - place) << 23u);
     }
 }

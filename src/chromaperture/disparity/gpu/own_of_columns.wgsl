@@ -4,5 +4,5 @@
 @group(0) @binding(5) var<storage, read> leftward: array<vec2u>;
 
 fn own_cost(at: u32) -> vec4f {
-    return row_share * (unpacked(rightward[at]) + unpacked(leftward[at])) - likelihood[at];
+    return row_share / row_parts * (unpacked(rightward[at]) + unpacked(leftward[at])) - likelihood[at];
 }

@@ -31,8 +31,8 @@ fn main(
     var best = 0u;
     for (var v = 0u; v < pitch / 4u; v++) {
         let at = pixel * (pitch / 4u) + v;
-        let paths = unpacked(rightward[at]) + unpacked(leftward[at]) + unpacked(downward[at]) + unpacked(upward[at]);
-        let cost = paths - likelihood[at];
+        let others = unpacked(rightward[at]) + unpacked(leftward[at]) + unpacked(downward[at]);
+        let cost = others / row_parts + (unpacked(upward[at]) / cost_parts - likelihood[at]);
         costs[v] = cost;
         for (var j = 0u; j < 4u; j++) {
             if (cost[j] < least) {

@@ -11,6 +11,7 @@ from chromaperture.color.image import DARK
 from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, LIGHT_WINDOW_PX, MAX_SIGMA_PX, sigma_of_range
 from chromaperture.disparity.gpu.cell_stages import (
+    LIKELIHOOD,
     add_cell_planes,
     add_cell_scores,
     add_enlarged_cells,
@@ -22,8 +23,9 @@ from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes,
 from chromaperture.disparity.gpu.workgroups import MOST_GROUPS, groups_for
 from chromaperture.disparity.labels import MOST_APART_PX, LabelMap, labels_between
 from chromaperture.disparity.stages.bilateral import even_link
+from chromaperture.disparity.stages.correlation import SCORE_PARTS
 from chromaperture.disparity.stages.enlarge import JUMP_PX
-from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT
+from chromaperture.disparity.stages.four_paths import path_parts
 from chromaperture.disparity.stages.place import (
     BIAS,
     EDGE_REACH_PX,
@@ -73,7 +75,7 @@ def add_real_time(
     frame: dict[str, Any] = {"width": planes.width, "height": planes.height}
     at_once = cell_px == 1 and label_map.is_identity and len(labels_px) == len(layers_px)
     if cell_px == 1:
-        kept = Kept("likelihood", ("nats", "scores_nats"), {"least_determinant": LEAST_DETERMINANT})
+        kept = Kept("likelihood", ("nats", "scores_nats"), LIKELIHOOD)
         correlated = add_correlation(
             chain, planes, layers_px, space.directions, config.correlation,
             pitch=pitch if at_once else len(layers_px), kept=kept if at_once else None,
@@ -84,7 +86,15 @@ def add_real_time(
     likelihood = score
     if not at_once:
         likelihood = add_label_likelihood(
-            chain, planes, score, labels, layers_px, labels_px, pitch=pitch, of_labels=of_labels
+            chain,
+            planes,
+            score,
+            labels,
+            layers_px,
+            labels_px,
+            pitch=pitch,
+            score_parts=1 if cell_px == 1 else SCORE_PARTS,
+            of_labels=of_labels,
         )
     winner, places = _add_paths(chain, planes, likelihood, config, of_layers)
     smoothed = _add_smoothing_along_surface(chain, planes, winner, places, config)
@@ -132,6 +142,8 @@ def _add_paths(
     exchange, lanes = "lanes_quad", _LANES
     if not chain.device.subgroups:  # barriers of a rasteriser in software take three times as long as the paths
         exchange, lanes = ("lanes_single", 1) if chain.device.info.is_software else ("lanes_shared", _LANES)
+    parts = path_parts(paths.jump_penalty)
+    last_parts = 65535 / paths.jump_penalty  # what comes up the columns is not rounded on the CPU
     for direction, cost in enumerate(costs):
         along_row = direction < 2
         lines, rows = (planes.height, []) if along_row else (planes.width, costs[:2])
@@ -139,14 +151,14 @@ def _add_paths(
             "four_paths", [likelihood, planes.planes, planes.stats, cost, *rows], groups=(-(-lines // (64 // lanes)),),
             uses=(*SHARED, exchange, "packed_costs", "own_of_rows" if along_row else "own_of_columns"),
             direction=direction, row_share=paths.row_share, guide_plane=planes.view_count * planes.pixels,
-            pitch=pitch, jump=paths.jump_penalty,
+            pitch=pitch, jump=paths.jump_penalty, row_parts=parts, cost_parts=parts if direction < 3 else last_parts,
             edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
         )  # fmt: skip
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(
         "path_winner", [likelihood, *costs, winner, places], groups=groups_for(planes.pixels),
-        uses=(*SHARED, "packed_costs"),
-        view_count=planes.view_count, jump=paths.jump_penalty, temperature=paths.temperature,
+        uses=(*SHARED, "packed_costs"), row_parts=parts, cost_parts=last_parts,
+        view_count=planes.view_count, temperature=paths.temperature,
         least_unexplained=LEAST_UNEXPLAINED, least_information=LEAST_INFORMATION, **size, **of_layers,
     )  # fmt: skip
     return winner, places

@@ -5,5 +5,5 @@
 
 fn keep(pixel: u32, layer: u32, found: vec4f) {
     let mask = planes[(view_count + 1u) * width * height + pixel];
-    likelihood[(pixel * pitch + first_layer + layer) / 4u] = mask * nats_of(found);
+    likelihood[(pixel * pitch + first_layer + layer) / 4u] = mask * nats_of(1.0 - found);
 }

@@ -8,6 +8,7 @@ const MEAN_RED = 0u;  // of the usable pixels; green and blue follow
 const MEAN_ALL = 3u;  // of all their channels
 const USABLE = 4u;  // pixels
 const UNUSABLE = 5u;
+const UNIT = 6u;  // of light, a power of two; its inverse follows
 const VARIANCE = 8u;  // of each view
 const GUIDE_SCALE = 12u;  // to units of guide_range: of the matched guide, then of the full one
 

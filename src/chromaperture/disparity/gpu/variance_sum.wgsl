@@ -14,6 +14,8 @@ fn main(@builtin(local_invocation_index) local: u32) {
     if (local == 0u) {
         let mean = total.values / f32(pixels);
         let variance = max(total.squares / f32(pixels) - mean * mean, vec3f());
-        for (var k = 0u; k < 3u; k++) { stats[VARIANCE + k] = variance[k]; }
+        // Half a unit of light is rounding (`views.constant_variance`).
+        let least = select(0.0, 0.25 * stats[UNIT] * stats[UNIT], whole);
+        for (var k = 0u; k < 3u; k++) { stats[VARIANCE + k] = select(variance[k], 0.0, variance[k] <= least); }
     }
 }

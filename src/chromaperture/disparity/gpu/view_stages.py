@@ -14,6 +14,7 @@ from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.views import (
     CONSTANT,
     FILL_SIGMA_PX,
+    FILL_UNITS,
     GUIDE_SIGMA_PX,
     USABLE,
     ViewSpace,
@@ -21,6 +22,7 @@ from chromaperture.disparity.views import (
     no_usable_pixel,
     percentile_spacing,
 )
+from chromaperture.disparity.whole_light import LEAST_EXPONENT, LIGHT_BITS, smoothing_taps
 from chromaperture.stage_config import ViewsConfig
 
 SHARED = ("indexing", "shared")
@@ -61,15 +63,15 @@ class Planes(NamedTuple):
 def add_views(chain: Chain, image: Array, size: tuple[int, int], space: ViewSpace, config: ViewsConfig) -> Planes:
     """Add the views at full resolution, as `views.filtered_views`; ``size`` is (height, width)."""
     height, width = size
-    stats = _add_light(chain, image, height * width)
+    stats = _add_light(chain, image, height * width, space)
     count = len(space.rows)
     raw, smoothed = (chain.array(name, (count + 2) * height * width) for name in ("planes_raw", "planes"))
-    mixing = _mixing(space, width, height)
+    mixing = _mixing(space, width, height) | {"whole": False}
     chain.add(
         "views", [image, stats, raw, smoothed], groups=groups_for(width * height), uses=(*SHARED, "mixing"), **mixing
     )
     planes = Planes(smoothed, stats, None, width, height, count)
-    _add_smoothing(chain, raw, planes, config)
+    _add_smoothing(chain, raw, planes, config, whole=False)
     return planes
 
 
@@ -79,20 +81,21 @@ def add_halved_views(
     """Add the views of the halved picture, as `views.halved_views`; ``size`` is (height, width) of the full one."""
     height, width = size
     half_height, half_width = -(-height // 2), -(-width // 2)
-    stats = _add_light(chain, image, height * width)
+    stats = _add_light(chain, image, height * width, space)
     count = len(space.rows)
     plane = half_height * half_width
     tall = chain.array("planes_tall", (count + 2) * height * half_width)
     full_guide = chain.array("full_guide", height * width)
     raw, smoothed = (chain.array(name, (count + 2) * plane) for name in ("planes_raw", "planes"))
-    mixing = _mixing(space, width, height) | {"half_width": half_width}
+    mixing = _mixing(space, width, height) | {"half_width": half_width, "whole": True}
     chain.add(
         "halve_rows", [image, stats, tall, full_guide],
         groups=groups_for(-(-half_width // 4) * height), uses=(*SHARED, "mixing"), **mixing,
     )  # fmt: skip
     chain.add(
-        "halve_columns", [tall, raw], groups=groups_for((count + 2) * half_width * -(-half_height // 4)), uses=SHARED,
-        width=half_width, height=half_height, tall_height=height, plane_count=count + 2,
+        "halve_columns", [tall, stats, raw],
+        groups=groups_for((count + 2) * half_width * -(-half_height // 4)), uses=SHARED,
+        width=half_width, height=half_height, tall_height=height, plane_count=count + 2, view_count=count,
     )  # fmt: skip
     planes = Planes(smoothed, stats, full_guide, half_width, half_height, count)
     # Of all planes, though only views and usable share are read: the guide between them is as cheap.
@@ -105,10 +108,10 @@ def add_halved_views(
     )  # fmt: skip
     around = _add_blur(chain, raw, planes, taps, first=0, count=count + 2, sparse=(unusable, bands))
     chain.add(
-        "fill", [around, raw, smoothed], groups=groups_for(plane), uses=SHARED,
-        plane=plane, view_count=count, usable_share=USABLE,
+        "fill", [around, stats, raw, smoothed], groups=groups_for(plane), uses=SHARED,
+        plane=plane, view_count=count, usable_share=USABLE, fill_units=FILL_UNITS,
     )  # fmt: skip
-    _add_smoothing(chain, raw, planes, config)
+    _add_smoothing(chain, raw, planes, config, whole=True)
     _add_guide_scale(chain, full_guide, stats, (height, width), config, first=0, slot=1)
     return planes
 
@@ -121,12 +124,15 @@ def check_stats(stats: np.ndarray, view_count: int) -> None:
         raise constant_view()
 
 
-def _add_light(chain: Chain, image: Array, pixels: int) -> Array:
+def _add_light(chain: Chain, image: Array, pixels: int, space: ViewSpace) -> Array:
     parts = min(_PARTS, -(-pixels // 256))
     stats, sums = chain.array("stats", _STATS), chain.array("light_parts", 4 * parts)
     numbers: dict[str, Any] = {"pixels": pixels, "part_count": parts, "saturation": SATURATION}
     chain.add("light", [image, sums], groups=(parts,), uses=(*SHARED, "light_reduction"), **numbers)
-    chain.add("light_sum", [sums, stats], groups=(1,), uses=(*SHARED, "light_reduction"), **numbers)
+    chain.add(
+        "light_sum", [sums, stats], groups=(1,), uses=(*SHARED, "light_reduction"), guide_rgb=np.ravel(space.guide_rgb),
+        light_bits=LIGHT_BITS, least_exponent=LEAST_EXPONENT, **numbers,
+    )  # fmt: skip
     return stats
 
 
@@ -137,17 +143,19 @@ def _mixing(space: ViewSpace, width: int, height: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _add_smoothing(chain: Chain, raw: Array, planes: Planes, config: ViewsConfig) -> None:
-    """Smooth views and guide; then the views' variance and the guide's unit."""
+def _add_smoothing(chain: Chain, raw: Array, planes: Planes, config: ViewsConfig, *, whole: bool) -> None:
+    """Smooth views, in ``whole`` units of light or not, and guide; then the views' variance and the guide's unit."""
     count = planes.view_count
-    taps = _smoothing_taps(config.presmooth_sigma_px)
-    _add_blur(chain, raw, planes, taps, first=0, count=count)
+    sigma_px = config.presmooth_sigma_px
+    taps = smoothing_taps(sigma_px).tolist() if whole else _smoothing_taps(sigma_px)
+    _add_blur(chain, raw, planes, taps, first=0, count=count, whole=whole)
     taps = _smoothing_taps(GUIDE_SIGMA_PX)
     _add_blur(chain, raw, planes, taps, first=count, count=1)
     parts = min(_PARTS, -(-planes.pixels // 256))
     sums = chain.array("variance_parts", 6 * parts)
     numbers: dict[str, Any] = {"pixels": planes.pixels, "part_count": parts, "view_count": count}
     chain.add("variance", [planes.planes, sums], groups=(parts,), uses=(*SHARED, "variance_reduction"), **numbers)
+    numbers["whole"] = whole
     chain.add("variance_sum", [sums, planes.stats], groups=(1,), uses=(*SHARED, "variance_reduction"), **numbers)
     _add_guide_scale(
         chain, planes.planes, planes.stats, (planes.height, planes.width), config, first=count * planes.pixels, slot=0
@@ -177,12 +185,15 @@ def _add_blur(
     first: int,
     count: int,
     sparse: tuple[Array, dict[str, Any]] | None = None,
+    whole: bool = False,
 ) -> Array:
     """Add a Gaussian of some planes, into `planes`; ``sparse``: at unusable pixels only, into an array of its own."""
     between = chain.arrays.get("planes_between") or chain.array("planes_between", raw.size)
     after = planes.planes if sparse is None else chain.array("planes_blurred", raw.size)
     for along_x, source, target in ((True, raw, between), (False, between, after)):
-        _add_pass(chain, source, target, planes, taps, first=first, count=count, along_x=along_x, sparse=sparse)
+        _add_pass(
+            chain, source, target, planes, taps, first=first, count=count, along_x=along_x, sparse=sparse, whole=whole
+        )
     return after
 
 
@@ -196,6 +207,7 @@ def _add_pass(
     first: int,
     count: int,
     along_x: bool,
+    whole: bool,
     sparse: tuple[Array, dict[str, Any]] | None = None,
 ) -> None:
     """Add one direction of a Gaussian; its border is that of the CPU's."""
@@ -205,9 +217,10 @@ def _add_pass(
     along, across = (planes.width, planes.height) if along_x else (planes.height, planes.width)
     unusable, bands = sparse or (nowhere, {"band_height": 1, "band_count": 1})
     chain.add(
-        "blur", [source, unusable, weights, target], groups=groups_for(-(-along // 4) * across), uses=SHARED,
+        "blur", [source, unusable, weights, planes.stats, target],
+        groups=groups_for(-(-along // 4) * across), uses=SHARED,
         width=planes.width, height=planes.height, first_plane=first, plane_count=count, along_x=along_x,
-        replicate=sparse is None, sparse=sparse is not None, **bands, reach=len(taps) // 2,
+        replicate=sparse is None, sparse=sparse is not None, whole=whole, **bands, reach=len(taps) // 2,
     )  # fmt: skip
 
 

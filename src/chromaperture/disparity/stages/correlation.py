@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from chromaperture.disparity.views import Views, view_pairs
+from chromaperture.disparity.whole_light import plane_variance, whole_taps
 from chromaperture.stage_config import CorrelationConfig
 
 Taps = Callable[[float], tuple[float, float, float, float]]
@@ -19,8 +21,10 @@ Taps = Callable[[float], tuple[float, float, float, float]]
 MIN_VARIANCE_FRACTION = 0.05  # of a variance that debiasing always leaves: an estimated noise may be too high
 RELATIVE_EPSILON = 1e-6  # of a view's overall variance: even areas score 0, not noise / noise
 MIN_WEIGHT = 1e-4  # keeps the sum of weights positive where a whole line is unusable
-# Weights of the window of a cell along x and along y; docs/measurements.md compares windows.
-CELL_TAPS = (1 / 9, 2 / 9, 3 / 9)  # 2, 1 and 0 px from the pixel after which the cell is named
+CELL_TAPS = (1, 2, 3, 2, 1)  # of a cell's window along x and along y; docs/measurements.md compares windows
+LEAST_FLOOR = 1e-12  # squared units, added to the variance of a cell: an even picture scores 0, too
+LEAST_PRODUCT = np.float32(1e-37)  # of two variances: no division by 0
+SCORE_PARTS = 32000  # of a cell's score: 16 bits with a sign
 
 
 def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig) -> np.ndarray:
@@ -73,36 +77,118 @@ def cells_of(maps: np.ndarray) -> np.ndarray:
 
 
 def _cell_scores(views: Views, layers_px: np.ndarray, config: CorrelationConfig) -> np.ndarray:
-    """Score cells: cell (x, y) is the 5 x 5 px about pixel (2 x, 2 y), weighted by `CELL_TAPS` both ways."""
+    """Score cells: cell (x, y) is the 5 x 5 px about pixel (2 x, 2 y), weighted by `CELL_TAPS` both ways.
+
+    In whole units of light, in which sums are exact (`whole_light.py`); scores are rounded to 1 / `SCORE_PARTS`. All
+    executions take the same steps in 32 bits.
+    """
     height, width, view_count = views.pictures.shape
     x, y = padding(layers_px, views.directions, config.sampling)
     pad = (x + 2, y + 2)
-    padded, epsilon = _pad(views.pictures.astype(np.float64), pad), variance_floor(views.pictures)
+    scale = 1 / views.unit if views.unit else 1.0
+    padded, floors = _pad(np.float32(scale) * views.pictures, pad), cell_variance_floor(views)
     inside = np.s_[pad[1] : pad[1] + height : 2, pad[0] : pad[0] + width : 2]
-    taps = np.array([*CELL_TAPS, *CELL_TAPS[1::-1]])
-
-    def window(maps: np.ndarray) -> np.ndarray:
-        for axis in (0, 1):
-            maps = sum(tap * np.roll(maps, i - 2, axis=axis) for i, tap in enumerate(taps))
-        return np.asarray(maps[inside])
 
     volume = []
     for d in layers_px:
-        moved = [
-            shift(padded[..., k], d * views.directions[k], taps_of=SAMPLING[config.sampling]) for k in range(view_count)
+        windows = [
+            _CellWindow.of(
+                _whole_shift(padded[..., k], d * views.directions[k], SAMPLING[config.sampling], rounds=views.unit > 0)
+            )
+            for k in range(view_count)
         ]
-        means = [window(m) for m in moved]
-        squares = [window(m**2) for m in moved]
-        gains = [
-            1 / np.sqrt(np.maximum(square - mean**2, 0) + floor)
-            for square, mean, floor in zip(squares, means, epsilon, strict=True)
-        ]
+        variances = [np.maximum(w.covariance(w), 0)[inside] + floor for w, floor in zip(windows, floors, strict=True)]
         rho = [
-            np.clip((window(moved[k] * moved[m]) - means[k] * means[m]) * gains[k] * gains[m], -1, 1)
+            np.clip(
+                windows[k].covariance(windows[m])[inside]
+                / np.sqrt(np.maximum(variances[k] * variances[m], LEAST_PRODUCT)),
+                -1,
+                1,
+            )
             for k, m in view_pairs(view_count)
         ]
-        volume.append(rho[0] if view_count == 2 else three_view_score(*rho))
-    return np.stack(volume, axis=-1)
+        volume.append(rho[0] if view_count == 2 else _three_view_score(*rho))
+    return np.asarray(np.round(np.float32(SCORE_PARTS) * np.stack(volume, axis=-1)) / SCORE_PARTS, float)
+
+
+class _CellWindow(NamedTuple):
+    """The windows of a view about every pixel; whole numbers in single precision.
+
+    Attributes
+    ----------
+    apart : list of four (H, W)
+        Samples of a row less the one in its middle: 2 and 1 px before it, 1 and 2 px behind it.
+    total : (H, W)
+        Their weighted sum.
+    means : list of five (H, W)
+        Nine times the means of the rows, less the whole number next to the mean of these.
+    left : (H, W)
+        What is left of their weighted sum.
+    """
+
+    apart: list[np.ndarray]
+    total: np.ndarray
+    means: list[np.ndarray]
+    left: np.ndarray
+
+    @classmethod
+    def of(cls, view: np.ndarray) -> _CellWindow:
+        apart = [np.roll(view, -x, axis=1) - view for x in (-2, -1, 1, 2)]
+        total = _weighed(apart[0] + apart[3], apart[1] + apart[2], 0)
+        rows = _rows_of(9 * view + total)
+        sums = _weighed(rows[0] + rows[4], rows[1] + rows[3], rows[2])
+        middle = np.round(sums / 9)
+        return cls(apart, total, [row - middle for row in rows], sums - 9 * middle)
+
+    def covariance(self, other: _CellWindow) -> np.ndarray:
+        """Return 9^4 times the covariance: that within rows, and that of their means. Products are exact."""
+        products = [a * b for a, b in zip(self.apart, other.apart, strict=True)]
+        of_row = _weighed(products[0] + products[3], products[1] + products[2], 0)
+        within = _rows_of((8 * of_row + of_row) - self.total * other.total)
+        between = [a * b for a, b in zip(self.means, other.means, strict=True)]
+        ends, inside = (within[i] + within[4 - i] + between[i] + between[4 - i] for i in (0, 1))
+        joined = _weighed(ends, inside, within[2] + between[2])
+        return np.asarray((8 * joined + joined) - self.left * other.left)
+
+
+def _weighed(ends: np.ndarray, inside: np.ndarray, middle: np.ndarray | int) -> np.ndarray:
+    """Weights 1 2 3 2 1 by sums of two."""
+    return np.asarray((ends + middle) + 2 * (inside + middle))
+
+
+def _rows_of(maps: np.ndarray) -> list[np.ndarray]:
+    """Return what lies 2 px above every pixel, to 2 px below it."""
+    return [np.roll(maps, -y, axis=0) for y in (-2, -1, 0, 1, 2)]
+
+
+def _three_view_score(r01: np.ndarray, r02: np.ndarray, r12: np.ndarray) -> np.ndarray:
+    """As `three_view_score`, of single numbers, without sums whose parts cancel."""
+    one = np.float32(1)
+    determinant = (one - r01**2) * (one - r02**2) - (r12 - r01 * r02) ** 2
+    return np.asarray(one - np.sqrt(np.maximum(determinant, np.float32(0))))
+
+
+def cell_variance_floor(views: Views) -> np.ndarray:
+    """Return what is added to 9^4 times a window's variance in whole units; (K,) float32."""
+    scale = 1 / views.unit if views.unit else 1.0
+    planes = np.moveaxis(views.pictures, 2, 0)
+    variances = np.array([plane_variance(np.ascontiguousarray(plane, np.float32)) for plane in planes])
+    floors = np.asarray(sum(CELL_TAPS) ** 4 * (scale**2 * RELATIVE_EPSILON * variances + LEAST_FLOOR), np.float32)
+    # Of few digits, which are the same whatever the order in which the picture was summed up.
+    return (floors.view(np.uint32) & np.uint32(0xFFF00000)).view(np.float32)
+
+
+def _whole_shift(view: np.ndarray, offset_px: np.ndarray, taps_of: Taps, *, rounds: bool) -> np.ndarray:
+    """As `shift`, along y and then along x, by weights of whole parts and to whole units where it ``rounds``."""
+    for axis in (0, 1):
+        offset = offset_px[1 - axis]
+        whole = math.floor(offset + 1e-9)  # 1e-9: a whole shift but for rounding is whole
+        index = np.arange(view.shape[axis]) + whole
+        places = [np.clip(index + i, 0, view.shape[axis] - 1) for i in (-1, 0, 1, 2)]
+        taps = whole_taps(taps_of(max(offset - whole, 0.0))).astype(np.float32)
+        view = sum(tap * np.take(view, place, axis=axis) for tap, place in zip(taps, places, strict=True))
+        view = np.round(view) if rounds else view
+    return view
 
 
 def _noise(views: Views, config: CorrelationConfig) -> tuple[np.ndarray, np.ndarray]:

@@ -27,6 +27,7 @@ from chromaperture.disparity.winner import PathWinner
 from chromaperture.stage_config import CorrelationConfig, FourPathsConfig
 
 LEAST_DETERMINANT = 1e-5  # of the correlations, whose logarithm is the log-likelihood: 5.8 nats at most
+NAT_PARTS = 4096  # to which log-likelihoods are rounded: 15 bits, a power of two, so that sums of them are exact
 POSTERIOR_POWER = 8  # (1 - x / 8)^8 replaces exp(-x): within 0.04 of it, and 0 beyond x = 8
 
 
@@ -62,14 +63,21 @@ def four_path_winner(
     if correlation.cell_px == 2:
         guide, mask = cells_of(guide), cells_of(mask)
     likelihood = log_likelihood(score, view_count=views.pictures.shape[2]) * mask[..., None]
-    cost = summed_costs(-likelihood, guide, paths)
+    cost = summed_costs(-likelihood, guide, paths, parts=path_parts(paths.jump_penalty))
     layer = cost.argmin(axis=2)
     inside = np.clip(layer, 1, len(labels_px) - 2)
     before, at, after = (np.take_along_axis(likelihood, (inside + o)[..., None], axis=2)[..., 0] for o in (-1, 0, 1))
     return PathWinner(layer, before, at, after, _posterior_sigma(cost, layer, labels_px, paths))
 
 
-def summed_costs(own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig) -> np.ndarray:
+def path_parts(jump: float) -> float:
+    """Return the parts of a nat to which path costs are rounded: two of them, each below ``jump``, fit 16 bits."""
+    return 32000 / (2 * jump)
+
+
+def summed_costs(
+    own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig, *, parts: float | None = None
+) -> np.ndarray:
     """Sum a pixel's own costs and those that come along its row and its column.
 
     Parameters
@@ -77,18 +85,22 @@ def summed_costs(own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig) -> 
     own : (H, W, N) float, nats
     guide : (H, W) float, in units of ``guide_range``
     paths : FourPathsConfig
+    parts : float, optional
+        Of a nat, to which what comes along is rounded as all executions keep it, but for what comes up the columns.
 
     Returns
     -------
     (H, W, N) float64
         Lower is better.
     """
-    along_row = _arriving(own, guide, paths, axis=1)
-    along_column = _arriving(own + paths.row_share * along_row, guide, paths, axis=0)
+    along_row = _arriving(own, guide, paths, axis=1, parts=parts)
+    along_column = _arriving(own + paths.row_share * along_row, guide, paths, axis=0, parts=parts)
     return own + along_row + along_column
 
 
-def _arriving(own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig, *, axis: int) -> np.ndarray:
+def _arriving(
+    own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig, *, axis: int, parts: float | None
+) -> np.ndarray:
     """Sum the costs that come to every pixel from both ends of its line; (H, W, N) float64."""
     own, guide = np.moveaxis(own, axis, 0).astype(np.float64), np.moveaxis(guide, axis, 0)
     links = paths.edge_floor + (1 - paths.edge_floor) * np.exp(-np.abs(np.diff(guide, axis=0)) / paths.edge_range)
@@ -100,15 +112,20 @@ def _arriving(own: np.ndarray, guide: np.ndarray, paths: FourPathsConfig, *, axi
             least = cost.min(axis=-1, keepdims=True)
             jump = paths.jump_penalty * links[min(before, here)][:, None]
             coming = np.minimum(cost, least + jump) - least
-            total[here] += coming
+            up_a_column = axis == 0 and before > here
+            total[here] += coming if parts is None or up_a_column else np.round(parts * coming) / parts
     return np.moveaxis(total, 0, axis)
 
 
 def log_likelihood(score: np.ndarray, *, view_count: int) -> np.ndarray:
-    """Log-likelihood against uncorrelated views, nats: -ln(1 - s^2) / 2 of two views, -ln(1 - s) of three."""
+    """Log-likelihood against uncorrelated views, nats: -ln(1 - s^2) / 2 of two views, -ln(1 - s) of three.
+
+    Rounded to 1 / `NAT_PARTS`.
+    """
     clipped = np.clip(score, 0, 1)
     determinant = 1 - clipped**2 if view_count == 2 else (1 - clipped) ** 2
-    return np.asarray(-0.5 * np.log(np.maximum(determinant, LEAST_DETERMINANT)))
+    nats = -0.5 * np.log(np.maximum(determinant, LEAST_DETERMINANT))
+    return np.asarray(np.round(NAT_PARTS * nats) / NAT_PARTS)
 
 
 def scores_at_labels(
