@@ -59,4 +59,4 @@ class SpectralConfig:
         """
         if reach < LEAST_REACH_OF_PAIRS:
             return cls()
-        return cls(gain=1.0, cap_nats=0.15, stride_px=14) if reach < LEAST_REACH_OF_PAIRS_ALONE else cls(gain=0.0)
+        return cls(gain=1.0, cap_nats=0.15) if reach < LEAST_REACH_OF_PAIRS_ALONE else cls(gain=0.0)
