@@ -14,11 +14,11 @@ import chromaperture
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 # Names that conda-forge gives to the same thing.
-CONDA = {"opencv-python-headless": "opencv", "matplotlib": "matplotlib-base"}
+CONDA = {"opencv-python-headless": "opencv", "matplotlib": "matplotlib-base", "isal": "python-isal"}
 
 
 def requirements(lines: list[str]) -> dict[str, str]:
-    parts = (re.match(r"([\w.-]+)\s*(.*)", line) for line in lines)
+    parts = (re.match(r"([\w.-]+)\s*([^;]*)", line) for line in lines)  # conda has no markers
     return {part[1].lower(): part[2].replace(" ", "") for part in parts}
 
 
