@@ -2,8 +2,8 @@
 
 A plane that runs through an area of weak evidence may be off by far more than the surface, which knows its
 neighbourhood: where both differ by more than the error bar, the surface stays. A spot of difference inside an area
-where both agree is noise of the surface: there the plane stays. So does a far plane beside a nearer one: windows there
-see the near plane's outline, so that the surface makes near things too large.
+where both agree is noise of the surface: there the plane stays. A far plane also stays beside a nearer one: windows
+there see the near plane's outline, so that the surface makes near things too large.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ def _beside_nearer(planes: Planes, label_px: np.ndarray, surface_px: np.ndarray,
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BESIDE_PX + 1, 2 * BESIDE_PX + 1))
     y, x = np.ogrid[: label_px.shape[0], : label_px.shape[1]]
     found = np.zeros(label_px.shape, bool)
-    below = surface_px <= label_px + sigma_px
+    not_beyond_own = surface_px <= label_px + sigma_px  # labels grow with distance
     for k in np.unique(planes.choice):
         here = planes.choice == k
         a, b, c = planes.planes[k]
         near_px = (a * x + b * y + c).astype(np.float32)
         beside = (cv2.dilate(here.astype(np.uint8), disc) > 0) & ~here & (near_px < label_px)
-        found |= beside & below & (surface_px >= near_px - sigma_px)
+        found |= beside & not_beyond_own & (surface_px >= near_px - sigma_px)
     return found
 
 
