@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from chromaperture.calibration.measurement_cache import Store
@@ -15,7 +14,6 @@ from chromaperture.calibration.progress import Progress, reported
 from chromaperture.calibration.session import Session
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import sensor_noise
-from chromaperture.color.image import SATURATION
 from chromaperture.config import PaperConfig, Quality, RealTimeConfig
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.robust import MEDIAN_INEFFICIENCY, robust_sigma
@@ -26,9 +24,6 @@ _KNOWN = 1 / 4  # of the pixels there must have a disparity; chosen by hand
 _GRID_PX = 6  # pitch of the grid: neighbours have the matcher's window in common
 _GRID_COLUMNS = 120  # at most, so that memory does not grow with the sensor
 _MIN_SIGMA_PX = 0.05  # bias of shift matching: up to 0.06 px on mirrored halves (tests/test_rendered_boards.py)
-# Of boards before quality "real-time" reads them, px. Their prints are finer than what is photographed later, and fine
-# texture is displaced more: film leaks, lenses aberrate (docs/measurements.md, *Boards as coarse as scenes*).
-_COARSER_PX = 1.0
 _SEARCH = (1.5, 1.0)  # the nominal range is searched times the first, px the second wider: the lens is known to 20 %
 
 
@@ -65,7 +60,7 @@ def measure_boards(
         def measured(path: Path = path) -> dict[str, np.ndarray]:
             return read_board(session.read(path), draft)
 
-        kept = store.arrays(path, ("board", draft.design, draft.sensor, film, configs, _COARSER_PX), measured)
+        kept = store.arrays(path, ("board", draft.design, draft.sensor, film, configs), measured)
         boards.append(
             BoardMeasurement(
                 name=path.name,
@@ -100,22 +95,11 @@ def read_board(image: np.ndarray, draft: Calibration) -> dict[str, np.ndarray]:
     rows, columns = (grid(n, draft.sensor.width_px).astype(int) for n in image.shape[:2])
     for quality, config in _configs(draft).items():
         disparity = estimate_disparity(
-            coarser(image) if quality == "real-time" else image,
-            aperture=draft.aperture,
-            unmixing=draft.unmixing,
-            noise_variance=noise,
-            config=config,
+            image, aperture=draft.aperture, unmixing=draft.unmixing, noise_variance=noise, config=config
         ).value_px
         found[f"{quality} middle"] = np.array(_middle_median(disparity, config))
         found[quality] = disparity[np.ix_(rows, columns)]
     return found
-
-
-def coarser(image: np.ndarray) -> np.ndarray:
-    """Smooth a photograph by `_COARSER_PX`; pixels that are saturated or not finite stay so; (H, W, 3) float32."""
-    usable = np.isfinite(image) & (image < SATURATION)
-    clean = np.where(np.isfinite(image), image, np.float32(0)).astype(np.float32)
-    return np.where(usable, cv2.GaussianBlur(clean, (0, 0), _COARSER_PX, borderType=cv2.BORDER_REPLICATE), image)
 
 
 def _configs(draft: Calibration) -> dict[Quality, PaperConfig | RealTimeConfig]:

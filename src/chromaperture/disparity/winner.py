@@ -46,8 +46,6 @@ class PathWinner(NamedTuple):
     before, at, after : nats; log-likelihoods of the layer's neighbours and of the layer, which is moved inside the
         range by one where it is an end.
     sigma_px : px; root mean square distance of the layers from the best, weighted by how little more they cost.
-    second_before, second_after : nats; log-likelihoods two layers before and after ``at``, at the ends of the range
-        those of the last layers.
     """
 
     layer: np.ndarray
@@ -55,8 +53,6 @@ class PathWinner(NamedTuple):
     at: np.ndarray
     after: np.ndarray
     sigma_px: np.ndarray
-    second_before: np.ndarray
-    second_after: np.ndarray
 
 
 def parabola_winner(score: np.ndarray, layers_px: np.ndarray, *, lower_is_better: bool = False) -> Winner:

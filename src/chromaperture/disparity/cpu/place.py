@@ -13,11 +13,9 @@ from chromaperture.disparity.stages.place import (
     BIAS,
     EDGE_REACH_PX,
     EDGE_SHARE,
-    FLAT,
     LEAST_INFORMATION,
     LEAST_UNEXPLAINED,
     SCATTER,
-    WIDE_REACH,
     WIDEST_SHARE,
     near_usable,
 )
@@ -28,8 +26,8 @@ from chromaperture.threads import in_parallel
 _INFORMATION, _UNEXPLAINED = np.float32(LEAST_INFORMATION), np.float32(LEAST_UNEXPLAINED)
 _EDGE, _WIDEST = np.float32(EDGE_SHARE), np.float32(WIDEST_SHARE)
 _SCATTER2, _BIAS2 = np.float32(SCATTER**2), np.float32(BIAS**2)
-_FLAT, _REACH = np.float32(FLAT), np.float32(WIDE_REACH)
-_TWO, _QUARTER, _SEVENTH, _TENTH = np.float32(2), np.float32(0.25), np.float32(1 / 7), np.float32(0.1)
+_FLAT = np.float32(1e-9)  # a flat top has no vertex
+_TWO, _QUARTER = np.float32(2), np.float32(0.25)
 
 
 def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -39,18 +37,17 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
         return readable_place(winner, layer_count, view_count=view_count)
     maps = [
         np.ascontiguousarray(part, np.float32).reshape(-1)
-        for part in (winner.layer, winner.before, winner.at, winner.after, winner.second_before, winner.second_after)
+        for part in (winner.layer, winner.before, winner.at, winner.after)
     ]
     place, information = np.empty((2, winner.layer.size), np.float32)
-    place_of = _place_of_two if view_count == 2 else _place_of_three
 
     def some(_: int, first: int, last: int) -> None:
         parts = (part[first * v.LANES :] for part in (*maps, place, information))
-        place_of(*parts, last - first, layer_count)
+        _place(*parts, last - first, layer_count, view_count == 2)
 
     in_parallel(some, len(place) // v.LANES)
     end = len(place) - v.LANES  # the last vector overlaps the one before
-    place_of(*(part[end:] for part in (*maps, place, information)), 1, layer_count)
+    _place(*(part[end:] for part in (*maps, place, information)), 1, layer_count, view_count == 2)
     return place.reshape(shape), information.reshape(shape)
 
 
@@ -83,60 +80,36 @@ def halved_surface(
 
 
 @kernel
-def _place_of_two(layer, before, at, after, _second_before, _second_after, place, information, count, layers):
+def _place(layer, before, at, after, place, information, count, layers, two_views):
     """So many vectors."""
     one, two, floor, flat = v.broadcast(ONE), v.broadcast(_TWO), v.broadcast(ZERO), v.broadcast(_FLAT)
     first, last = v.broadcast(ONE), v.broadcast(np.float32(layers - 2))
     for i in range(0, count * v.LANES, v.LANES):
         low, middle, high = (
-            _correlation(v.load(before, i)),
-            _correlation(v.load(at, i)),
-            _correlation(v.load(after, i)),
+            _correlation(v.load(before, i), two_views),
+            _correlation(v.load(at, i), two_views),
+            _correlation(v.load(after, i), two_views),
         )
         bend = v.larger(v.sub(v.sub(v.add(middle, middle), low), high), floor)
         rise = v.sub(high, low)
         offset = v.larger(v.smaller(v.div(rise, v.fma(two, bend, flat)), one), v.broadcast(-ONE))
         peak = v.smaller(v.fma(v.mul(offset, rise), v.broadcast(_QUARTER), middle), one)
-        found = v.div(v.mul(bend, peak), v.add(v.fnma(peak, peak, one), v.broadcast(_UNEXPLAINED)))
-        v.store(information, i, v.fma(found, v.root(found), v.broadcast(_INFORMATION)))
-        v.store(place, i, v.add(v.smaller(v.larger(v.load(layer, i), first), last), offset))
-
-
-@kernel
-def _place_of_three(layer, before, at, after, second_before, second_after, place, information, count, layers):
-    """So many vectors."""
-    one, two, floor, flat = v.broadcast(ONE), v.broadcast(_TWO), v.broadcast(ZERO), v.broadcast(_FLAT)
-    first, last, reach = v.broadcast(ONE), v.broadcast(np.float32(layers - 2)), v.broadcast(_REACH)
-    for i in range(0, count * v.LANES, v.LANES):
-        farther_low, low, middle, high, farther_high = (
-            _score(v.load(second_before, i)),
-            _score(v.load(before, i)),
-            _score(v.load(at, i)),
-            _score(v.load(after, i)),
-            _score(v.load(second_after, i)),
-        )
-        outer = v.add(farther_low, farther_high)
-        bend = v.mul(v.fma(two, v.sub(middle, outer), v.add(low, high)), v.broadcast(_SEVENTH))
-        bend = v.larger(bend, floor)
-        slope = v.mul(v.fma(two, v.sub(farther_high, farther_low), v.sub(high, low)), v.broadcast(_TENTH))
-        offset = v.larger(v.smaller(v.div(slope, v.add(bend, flat)), reach), v.broadcast(-_REACH))
-        found = v.div(v.mul(bend, middle), v.add(v.sub(one, middle), v.broadcast(_UNEXPLAINED)))
+        left = v.fnma(peak, peak, one) if two_views else v.sub(one, peak)
+        found = v.div(v.mul(bend, peak), v.add(left, v.broadcast(_UNEXPLAINED)))
+        if two_views:
+            found = v.mul(found, v.root(v.root(found)))
         v.store(information, i, v.add(found, v.broadcast(_INFORMATION)))
         v.store(place, i, v.add(v.smaller(v.larger(v.load(layer, i), first), last), offset))
 
 
 @inner
-def _correlation(likelihood):
-    """Correlation of the log-likelihood of two views."""
+def _correlation(likelihood, two_views):
+    """Correlation of a log-likelihood."""
     less = v.sub(v.broadcast(ZERO), likelihood)
-    explained = v.sub(v.broadcast(ONE), v.exponential(v.add(less, less)))
-    return v.root(v.larger(explained, v.broadcast(ZERO)))
-
-
-@inner
-def _score(likelihood):
-    """Score of the log-likelihood of three views."""
-    return v.sub(v.broadcast(ONE), v.exponential(v.sub(v.broadcast(ZERO), likelihood)))
+    if two_views:
+        explained = v.sub(v.broadcast(ONE), v.exponential(v.add(less, less)))
+        return v.root(v.larger(explained, v.broadcast(ZERO)))
+    return v.sub(v.broadcast(ONE), v.exponential(less))
 
 
 @kernel

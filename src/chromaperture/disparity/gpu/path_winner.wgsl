@@ -63,22 +63,13 @@ fn main(
     let low = correlation_of(likelihood_of(pixel, middle - 1u));
     let here = correlation_of(at);
     let high = correlation_of(likelihood_of(pixel, middle + 1u));
-    var offset = 0.0;
-    var information = 0.0;
-    if (view_count == 2u) {
-        let bend = max(2.0 * here - low - high, 0.0);
-        offset = clamp((high - low) / (2.0 * bend + flat_top), -1.0, 1.0);
-        let peak = min(here + offset * (high - low) / 4.0, 1.0);
-        information = bend * peak / (1.0 - peak * peak + least_unexplained);
-        information *= sqrt(information);
-    } else {
-        let first = correlation_of(likelihood_of(pixel, max(middle, 2u) - 2u));
-        let last = correlation_of(likelihood_of(pixel, min(middle + 2u, layer_count - 1u)));
-        let bend = max((2.0 * (here - first - last) + low + high) / 7.0, 0.0);
-        let slope = (2.0 * (last - first) + high - low) / 10.0;
-        offset = clamp(slope / (bend + flat_top), -wide_reach, wide_reach);
-        information = bend * here / (1.0 - here + least_unexplained);
-    }
+    let bend = max(2.0 * here - low - high, 0.0);
+    let offset = clamp((high - low) / (2.0 * bend + 1.0e-9), -1.0, 1.0);  // 1e-9: a flat top has no vertex
+    let peak = min(here + offset * (high - low) / 4.0, 1.0);
+    var left = 1.0 - peak;
+    if (view_count == 2u) { left = 1.0 - peak * peak; }
+    var information = bend * peak / (left + least_unexplained);
+    if (view_count == 2u) { information *= sqrt(sqrt(information)); }
     information += least_information;
     places[pixel] = vec2f(information, (f32(middle) + offset) * information);
 }

@@ -30,12 +30,10 @@ from chromaperture.disparity.stages.place import (
     BIAS,
     EDGE_REACH_PX,
     EDGE_SHARE,
-    FLAT,
     LEAST_INFORMATION,
     LEAST_UNEXPLAINED,
     SCATTER,
     SEEN_REACH,
-    WIDE_REACH,
     WIDEST_SHARE,
 )
 from chromaperture.disparity.views import ViewSpace
@@ -161,8 +159,7 @@ def _add_paths(
         "path_winner", [likelihood, *costs, winner, places], groups=groups_for(planes.pixels),
         uses=(*SHARED, "packed_costs"), row_parts=parts, cost_parts=last_parts,
         view_count=planes.view_count, temperature=paths.temperature,
-        least_unexplained=LEAST_UNEXPLAINED, least_information=LEAST_INFORMATION, flat_top=FLAT,
-        wide_reach=WIDE_REACH, **size, **of_layers,
+        least_unexplained=LEAST_UNEXPLAINED, least_information=LEAST_INFORMATION, **size, **of_layers,
     )  # fmt: skip
     return winner, places
 

@@ -24,9 +24,7 @@ SEEN_REACH = 1  # cells or px; farther from usable pixels a surface is only carr
 # Of the range of the disparity within so many px of the halved picture: next to depth edges a pixel may belong to
 # either side.
 EDGE_SHARE, EDGE_REACH_PX = 0.35, 7
-FLAT = 1e-9  # a flat top has no vertex
 LEAST_INFORMATION = 1e-4  # where correlations have no peak the place is that of the layer
-WIDE_REACH = 1.5  # labels from the best one: a place by five labels; of three it is within one
 LEAST_UNEXPLAINED = 3e-3  # by the best correlation; keeps the information of noiseless pictures finite
 
 
@@ -37,9 +35,8 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
     At its peak a correlation rho earns information rho rho'' / (1 - rho^2) a sample. Taken at the layer instead it
     would be least for peaks between the layers, and averages over neighbours would be biased to the layers.
 
-    Three correlations draw the places of weak texture to the layer: noise bends them at random. Two remedies, each for
-    the designs that gain by it (docs/measurements.md, *Places of weak texture*): of two views information counts to
-    the power of 1.5, so that places of clear texture prevail; of three views the parabola fits five correlations.
+    Of two views it counts to the power of 1.25: noise draws the places of weak texture to the layer and leaves only its
+    coarse part, so that clear texture knows more than its information tells (docs/measurements.md, *Clear texture*).
 
     Parameters
     ----------
@@ -52,29 +49,17 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
     place, information : two (H, W) float32; the place in layers
     """
     inside = np.clip(winner.layer, 1, layer_count - 2)
-    offset, information = _of_two(winner) if view_count == 2 else _of_three(winner)
-    return (inside + offset).astype(np.float32), (information + LEAST_INFORMATION).astype(np.float32)
-
-
-def _of_two(winner: PathWinner) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertex of the parabola through three correlations, labels from the best one, and its weight."""
-    unexplained = (np.exp(-2 * part) for part in (winner.before, winner.at, winner.after))
-    low, middle, high = (np.sqrt(np.maximum(1 - u, 0)) for u in unexplained)
+    around = (winner.before, winner.at, winner.after)
+    unexplained = [np.exp(np.float32(-view_count if view_count == 2 else -1) * part) for part in around]
+    low, middle, high = (np.sqrt(np.maximum(1 - u, 0)) if view_count == 2 else 1 - u for u in unexplained)
     bend = np.maximum(2 * middle - low - high, 0)
-    offset = np.clip((high - low) / (2 * bend + FLAT), -1, 1)
+    offset = np.clip((high - low) / (2 * bend + 1e-9), -1, 1)  # 1e-9: a flat top has no vertex
     peak = np.minimum(middle + offset * (high - low) / 4, 1)
-    information = bend * peak / (1 - peak**2 + LEAST_UNEXPLAINED)
-    return offset, information * np.sqrt(information)
-
-
-def _of_three(winner: PathWinner) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertex of the parabola that fits five scores best, labels from the best one, and its information."""
-    parts = (winner.second_before, winner.before, winner.at, winner.after, winner.second_after)
-    first, low, middle, high, last = (1 - np.exp(-part) for part in parts)
-    bend = np.maximum((2 * middle + low + high - 2 * (first + last)) / 7, 0)
-    slope = (2 * (last - first) + high - low) / 10
-    offset = np.clip(slope / (bend + FLAT), -WIDE_REACH, WIDE_REACH)
-    return offset, bend * middle / (1 - middle + LEAST_UNEXPLAINED)
+    left = 1 - peak**2 if view_count == 2 else 1 - peak
+    information = bend * peak / (left + LEAST_UNEXPLAINED)
+    if view_count == 2:
+        information = information * np.sqrt(np.sqrt(information))
+    return (inside + offset).astype(np.float32), (information + LEAST_INFORMATION).astype(np.float32)
 
 
 def halved_surface(
