@@ -34,7 +34,6 @@ from chromaperture.stage_config import (
 _LEAST_REACH_OF_PLANES = 0.15
 
 _HALVES_APART = 2.0  # px by which two halves move apart a px of half disparity
-_FLOOR_OF_THREE = 1.5  # times `FourPathsConfig.edge_floor`, for three views
 Quality = Literal["paper", "real-time", "accurate"]
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
 ExecutionName = Literal["numba", "numpy"]
@@ -152,9 +151,6 @@ class RealTimeConfig(MatcherConfig):
         px) find .59 / .82, .60 / .83, .60 / .83, .59 / .83, .58 / .83 within 2 / 5 % with 0.35, 0.5, 0.65, 0.8,
         1.07 px; halves .70 / .88, .70 / .89, .67 / .87, .66 / .86 with 0.3, 0.4, 0.6, 0.8 px.
 
-        Three views say more of a pixel than two, so that the guide, which may be wrong, has less to say: half as much
-        again of a penalty is left at its edges (docs/measurements.md, *Clear texture*).
-
         Parameters
         ----------
         directions : (K, 2) float
@@ -163,10 +159,7 @@ class RealTimeConfig(MatcherConfig):
         apart = max(float(np.linalg.norm(a - b)) for a, b in combinations(np.asarray(directions), 2))
         closer = math.sqrt(max(1.0, _HALVES_APART / apart))
         smoothed = replace(self.views, presmooth_sigma_px=self.views.presmooth_sigma_px * closer)
-        if len(directions) == 2:
-            return replace(self, views=smoothed)
-        paths = replace(self.paths, edge_floor=min(1.0, _FLOOR_OF_THREE * self.paths.edge_floor))
-        return replace(self, views=smoothed, paths=paths)
+        return replace(self, views=smoothed)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from chromaperture.calibration.measurement_cache import Store
@@ -14,8 +15,10 @@ from chromaperture.calibration.progress import Progress, reported
 from chromaperture.calibration.session import Session
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import sensor_noise
+from chromaperture.color.image import SATURATION
 from chromaperture.config import PaperConfig, Quality, RealTimeConfig
 from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.disparity.views import view_spaces
 from chromaperture.robust import MEDIAN_INEFFICIENCY, robust_sigma
 
 MEASURED: tuple[Quality, ...] = ("paper", "real-time")  # qualities that match shifted views
@@ -24,6 +27,10 @@ _KNOWN = 1 / 4  # of the pixels there must have a disparity; chosen by hand
 _GRID_PX = 6  # pitch of the grid: neighbours have the matcher's window in common
 _GRID_COLUMNS = 120  # at most, so that memory does not grow with the sensor
 _MIN_SIGMA_PX = 0.05  # bias of shift matching: up to 0.06 px on mirrored halves (tests/test_rendered_boards.py)
+# Smoothing of boards before quality "real-time" reads them through two filters, px. Prints are finer than what is
+# photographed later, and fine texture is displaced more: film leaks, lenses aberrate (docs/measurements.md, *Boards as
+# coarse as scenes*; there, why not through three filters).
+_COARSER_PX = 1.0
 _SEARCH = (1.5, 1.0)  # the nominal range is searched times the first, px the second wider: the lens is known to 20 %
 
 
@@ -60,7 +67,7 @@ def measure_boards(
         def measured(path: Path = path) -> dict[str, np.ndarray]:
             return read_board(session.read(path), draft)
 
-        kept = store.arrays(path, ("board", draft.design, draft.sensor, film, configs), measured)
+        kept = store.arrays(path, ("board", draft.design, draft.sensor, film, configs, _COARSER_PX), measured)
         boards.append(
             BoardMeasurement(
                 name=path.name,
@@ -94,12 +101,25 @@ def read_board(image: np.ndarray, draft: Calibration) -> dict[str, np.ndarray]:
     found = {}
     rows, columns = (grid(n, draft.sensor.width_px).astype(int) for n in image.shape[:2])
     for quality, config in _configs(draft).items():
+        seen = coarser(image) if quality == "real-time" and _has_two_views(draft) else image
         disparity = estimate_disparity(
-            image, aperture=draft.aperture, unmixing=draft.unmixing, noise_variance=noise, config=config
+            seen, aperture=draft.aperture, unmixing=draft.unmixing, noise_variance=noise, config=config
         ).value_px
         found[f"{quality} middle"] = np.array(_middle_median(disparity, config))
         found[quality] = disparity[np.ix_(rows, columns)]
     return found
+
+
+def coarser(image: np.ndarray) -> np.ndarray:
+    """Smooth a photograph by `_COARSER_PX`; pixels that are saturated or not finite stay so; (H, W, 3) float32."""
+    finite = np.isfinite(image)
+    clean = np.where(finite, image, np.float32(0)).astype(np.float32)
+    smooth = cv2.GaussianBlur(clean, (0, 0), _COARSER_PX, borderType=cv2.BORDER_REPLICATE)
+    return np.where(finite & (image < SATURATION), smooth, image)
+
+
+def _has_two_views(draft: Calibration) -> bool:
+    return len(view_spaces(draft.aperture, draft.unmixing, RealTimeConfig().space)[0].directions) == 2
 
 
 def _configs(draft: Calibration) -> dict[Quality, PaperConfig | RealTimeConfig]:
