@@ -229,20 +229,37 @@ def add_samples(
     Where ``whole``, light counts in whole units.
     """
     tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
-    entries, phases = len(chunk.phases_x), len(chunk.phases_y)
-    taps_y = chain.constant(f"taps_y{number}", chunk.phases_y)
+    entries = len(chunk.phases_x)
+    taps_y = add_samples_y(chain, planes, chunk, number, samples_y, margin=0, pad_y=pad_y, whole=whole)
     taps_x = chain.constant(f"taps_x{number}", chunk.phases_x)
-    size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_y": pad_y, "phase_count": phases}
-    size |= {"whole": whole, "each": _EACH}
-    chain.add(
-        "sample_y", [planes.planes, taps_y, planes.stats, samples_y],
-        groups=groups_for(-(-tall // _EACH) * planes.width * phases), uses=SHARED, **size,
-    )  # fmt: skip
     chain.add(
         "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * -(-wide // _EACH) * entries), uses=SHARED,
-        pad_x=pad_x, entry_count=entries, **size,
+        width=planes.width, height=planes.height, pad_y=pad_y, phase_count=len(chunk.phases_y), whole=whole,
+        each=_EACH, pad_x=pad_x, entry_count=entries,
     )  # fmt: skip
     return taps_y, taps_x
+
+
+def add_samples_y(
+    chain: Chain,
+    planes: Planes,
+    chunk: Chunk,
+    number: int,
+    samples_y: Array,
+    *,
+    margin: int,
+    pad_y: int,
+    whole: bool,
+) -> Array:
+    """Add the samples of a chunk between rows, (h + 2 pad_y, w + 2 margin, Ey); return the taps along y."""
+    tall, wide, phases = planes.height + 2 * pad_y, planes.width + 2 * margin, len(chunk.phases_y)
+    taps_y = chain.constant(f"taps_y{number}", chunk.phases_y)
+    chain.add(
+        "sample_y", [planes.planes, taps_y, planes.stats, samples_y],
+        groups=groups_for(-(-tall // _EACH) * wide * phases), uses=SHARED, width=planes.width, height=planes.height,
+        margin=margin, pad_y=pad_y, phase_count=phases, whole=whole, each=_EACH,
+    )  # fmt: skip
+    return taps_y
 
 
 def _whole_quads(places: np.ndarray) -> np.ndarray:
