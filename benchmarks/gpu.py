@@ -51,7 +51,7 @@ def operations(dispatch: Dispatch) -> float:
     invocations = 64.0 * dispatch.groups[0] * dispatch.groups[1]
     # Steps of a block's backward and forward recursions: they start beside it.
     back, ahead = ((c["block"] + n * c["reach"] if "block" in c else 1) for n in (1, 2))
-    views = c.get("view_count", 0)
+    views = c.get("view_count", c.get("views", 0))
     pairs = 3 if views == 3 else 1
     per: dict[str, Callable[[], float]] = {
         "light": lambda: 8 * c["pixels"],
@@ -69,8 +69,10 @@ def operations(dispatch: Dispatch) -> float:
         "windows_y": lambda: (8 * ahead + 8 * back) * invocations,
         "products_x": lambda: 4 * pairs * (3 * ahead + 5 * back) * invocations,
         "correlation": lambda: 4 * (pairs * (5 * ahead + 5 * back) + (8 * pairs + 6) * c["block"]) * invocations,
+        # Sums of a row of two cells (three views are sampled there, 7 px by four taps), and the scores of both.
         "cell_scores": lambda: (
-            (c["cells_each"] * (2 * 25 + 60) + 3 * 25) * (1 if c["views"] == 2 else 2) * invocations
+            ((2 * c["cells_each"] + 3) * (102 if views == 2 else 192 + 168) + 2 * c["cells_each"] * 60 * pairs)
+            * invocations
         ),
         "label_likelihood": lambda: 4 * 22 * invocations,
         "four_paths": lambda: 9 * c["width"] * c["height"] * c["pitch"],
