@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from chromaperture.config import PaperConfig, RealTimeConfig
 from chromaperture.depth.conversion import DepthModel, depth_and_sigma
+from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.disparity import stages
 from chromaperture.disparity.error_bar import without_two_views
 from chromaperture.disparity.estimate import method_for
@@ -283,10 +284,41 @@ def test_conversion_to_depth(seed, field_shape):
     parts = (fields.infinity_px, fields.scale_px_mm, fields.pupil_mm, *fields.covariance)
     add_conversion(chain, *arrays, Conversion(parts, curve, 20_000))
     found = chain.run({"disparity": disparity, "sigma": sigma}, ["depth_mm", "sigma_mm"])
+    check_millimetres(found, expected, expected_sigma)
+
+
+def check_millimetres(found, expected, expected_sigma):
     near_limit = np.abs(expected - 20_000) < 20  # and there one of the two may call it too far
-    depth = found["depth_mm"].reshape(SHAPE)
+    depth = found["depth_mm"].reshape(expected.shape)
     assert (np.isnan(depth) == np.isnan(expected))[~near_limit].all()
     both = np.isfinite(depth) & np.isfinite(expected)
+    assert both.mean() > 0.5
     np.testing.assert_allclose(depth[both], expected[both], rtol=2e-4)  # A - d in 32 bits where 0.4 px are left of 4
     # Covariances that nearly cancel in 32 bits.
-    np.testing.assert_allclose(found["sigma_mm"].reshape(SHAPE)[both], expected_sigma[both], rtol=5e-3)
+    np.testing.assert_allclose(found["sigma_mm"].reshape(expected.shape)[both], expected_sigma[both], rtol=5e-3)
+
+
+@pytest.mark.parametrize("local", [False, True], ids=["polynomials", "with corrections"])
+@pytest.mark.parametrize("known", ["in the middle", "over the frame"])
+def test_conversion_by_numbers_in_place_of_maps(local, known, rng):
+    """Frames of many megapixels: the device computes the curve of every pixel, `DepthField.model` is the oracle."""
+    height, width, count = 66, 92, 10  # total degree 3
+    infinity = np.concatenate([[4.3], rng.normal(0, 0.02, count - 1)])
+    scale = np.concatenate([[8200.0], rng.normal(0, 10, count - 1)])
+    size = 3 if known == "in the middle" else 2 * count + 1
+    root = rng.normal(size=(size, size)) * np.repeat((1e-3, 5.0, 0.5), (1, 1, 1) if size == 3 else (count, count, 1))
+    grid = (5, 7)
+    corrections = LocalField(
+        8.0, 14.0, rng.normal(0, 0.01, grid).astype(np.float32), rng.normal(0, 9, grid).astype(np.float32),
+        np.diag([1e-6, 25.0]),
+    )  # fmt: skip
+    field = DepthField(infinity, scale, 52.0, root.T @ root / size, local=corrections if local else None)
+    disparity = rng.uniform(-6, 3.5, (height, width)).astype(np.float32)
+    sigma = rng.uniform(0.01, 0.3, disparity.shape).astype(np.float32)
+    expected = depth_and_sigma(disparity, sigma, field.model(width, height), max_depth_mm=20_000)
+    chain = Chain(open_device("gpu"))
+    arrays = [chain.array(name, disparity.size) for name in ("disparity", "sigma")]
+    add_conversion(chain, *arrays, Conversion(*field.in_numbers(width, height), 20_000))
+    found = chain.run({"disparity": disparity, "sigma": sigma}, ["depth_mm", "sigma_mm"])
+    check_millimetres(found, *expected)
+    assert chain.arrays["fields"].size < disparity.size + 6 * 33 * 33  # of a frame so small: no maps

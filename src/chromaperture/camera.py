@@ -287,11 +287,14 @@ class CodedApertureCamera:
 
     @cached_property
     def conversion(self) -> Conversion | None:
-        """The curves of all pixels for a device; None where there are none, or too many for it to keep."""
-        sensor = self.calibration.sensor
-        if self.depth_model is None or sensor.width_px * sensor.height_px > _WHOLE_PX:
+        """The curves of all pixels for a device; None where there are none."""
+        if not self.calibration.is_calibrated:
             return None
-        fields, curve = self.depth_model.tables
+        width_px, height_px = self._frame_px
+        field = self.calibration.depth.get(self.config.quality)
+        if field is not None and width_px * height_px > _WHOLE_PX and len(field.scale_px_mm) > 1:
+            return Conversion(*field.in_numbers(width_px, height_px), self.config.depth.max_depth_mm)
+        fields, curve = cast(DepthModel, self.depth_model).tables
         parts = (fields.infinity_px, fields.scale_px_mm, fields.pupil_mm, *fields.covariance)
         return Conversion(parts, curve, self.config.depth.max_depth_mm)
 
