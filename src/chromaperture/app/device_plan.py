@@ -33,7 +33,9 @@ from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.disparity.views import CONSTANT, constant_view, no_usable_pixel
 from chromaperture.errors import InputError
 
-MOST_PX = 4_000_000  # of a frame: up to here cameras keep the curves of all pixels, see `CodedApertureCamera.conversion`
+MOST_PX = (
+    4_000_000  # of a frame: up to here cameras keep the curves of all pixels, see `CodedApertureCamera.conversion`
+)
 FORMAT = 1  # of the message; `plan.js` refuses others
 # Places in the array `stats`, as `shared.wgsl` names them.
 _MEAN_ALL, _USABLE, _VARIANCE = 3, 4, 8

@@ -114,7 +114,7 @@ class LensShift:
     def moves(self, factor: float, *, exact: bool) -> LensMoves:
         """Return this displacement in numbers, for photographs of ``factor`` px a px of its own."""
         first, second = (float(radius) for radius in self.radii_px[:2])
-        at_zero, at_one = (float(self.layer_radius_px(np.float64(layer))) for layer in (0.0, 1.0))
+        at_zero, at_one = (float(radius) for radius in self.layer_radius_px(np.array([0.0, 1.0])))
         return LensMoves(self.table, first, second - first, at_zero, (at_one - at_zero) / factor, factor, exact)
 
     @cached_property

@@ -176,10 +176,16 @@ class DepthField:
             local = np.stack([self.local.infinity_disparity_px, self.local.scale_px_mm])
             start, step = float(self.local.start_px), float(self.local.step_px)
         numbers = FieldNumbers(
-            width_px, height_px, *(_square(part) for part in (self.infinity_disparity_px, self.scale_px_mm)),
-            float(self.sensor_to_pupil_mm), np.asarray(local, np.float32), start, step,
+            width_px,
+            height_px,
+            _square(self.infinity_disparity_px),
+            _square(self.scale_px_mm),
+            float(self.sensor_to_pupil_mm),
+            np.asarray(local, np.float32),
+            start,
+            step,
             np.stack([covariance[..., i, j] for i, j in PAIRS]).astype(np.float32),
-        )  # fmt: skip
+        )
         return numbers, curve_table(self.nonlinearity, self._curve_covariance(nodes.mean(axis=(0, 1))))
 
     def _nodes(self, width_px: int, height_px: int) -> np.ndarray:

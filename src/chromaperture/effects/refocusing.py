@@ -100,9 +100,7 @@ def refocus(
     return _composite(*parts) if found is None else found
 
 
-def _layers(
-    new: np.ndarray, behind_new: np.ndarray, hidden: np.ndarray, focus: Focus
-) -> list[RefocusLayer]:
+def _layers(new: np.ndarray, behind_new: np.ndarray, hidden: np.ndarray, focus: Focus) -> list[RefocusLayer]:
     """Divide a picture into layers, near to far; those without any pixel are left out."""
     mask = bokeh_mask(focus.bokeh)
     # New blur rises with depth, because the pupil's scale is positive.

@@ -1,8 +1,8 @@
 # mypy: disallow-untyped-defs=False
 """Memory layout of the compiled matcher, and the types that its stages pass on.
 
-The volume, int16 (float32 of filtered scores), holds eight layers of a pixel (a vector) side by side, 16 columns of those, then the next eight
-layers of the same 16 columns, then the next row, then the next 16 columns::
+The volume, int16 (float32 of filtered scores), holds eight layers of a pixel (a vector) side by side, 16 columns of
+those, then the next eight layers of the same 16 columns, then the next row, then the next 16 columns::
 
     flat index = ((((block * H + y) * slabs + slab) * BLOCK) + column) * 8 + lane
 

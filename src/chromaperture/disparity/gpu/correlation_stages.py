@@ -159,7 +159,9 @@ def add_correlation(
     (block_x, blocks_x), (block_y, blocks_y) = (_even_blocks(chain, side) for side in (planes.width, planes.height))
     steps_x, steps_y = block_x + reach, block_y + reach
     of_quad = words * max(tall * blocks_x * steps_x, planes.width * blocks_y * steps_y)  # numbers that wait in `ahead`
-    waiting = chain.device.largest_bytes // 4 - words * GROUP * max(steps_x, steps_y)  # the last workgroup is a whole one
+    waiting = chain.device.largest_bytes // 4 - words * GROUP * max(
+        steps_x, steps_y
+    )  # the last workgroup is a whole one
     most_layers = min(most_layers, 4 * int(waiting // of_quad))
     chunks = chunks_of(layers_px, directions, config.sampling, most_entries, most_layers)
     kept = kept or Kept("score", ("scores_kept",), {})
@@ -241,15 +243,7 @@ def add_samples(
 
 
 def add_samples_y(
-    chain: Chain,
-    planes: Planes,
-    chunk: Chunk,
-    number: int,
-    samples_y: Array,
-    *,
-    margin: int,
-    pad_y: int,
-    whole: bool,
+    chain: Chain, planes: Planes, chunk: Chunk, number: int, samples_y: Array, *, margin: int, pad_y: int, whole: bool
 ) -> Array:
     """Add the samples of a chunk between rows, (h + 2 pad_y, w + 2 margin, Ey); return the taps along y."""
     tall, wide, phases = planes.height + 2 * pad_y, planes.width + 2 * margin, len(chunk.phases_y)

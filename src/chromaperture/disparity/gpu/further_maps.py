@@ -68,9 +68,9 @@ class FurtherMaps:
             inputs["image"] = image
             outputs.append("color")
         found = self._chain.run(inputs, outputs)
-        maps = {name: found[name].reshape(size) for name in outputs if name != "color"}
+        depth_mm, sigma_mm = (found[name].reshape(size) if name in found else None for name in ("depth_mm", "sigma_mm"))
         color = found["color"].reshape(*size, 3) if "color" in found else None
-        return measured._replace(color=color, **maps)
+        return measured._replace(depth_mm=depth_mm, sigma_mm=sigma_mm, color=color)
 
 
 def composed(device: Device, size: tuple[int, int], further: Further) -> Chain:

@@ -1,7 +1,7 @@
 """Refocusing on the device: the composite of ``effects/refocusing.py``, in WGSL.
 
-The picture, what near surfaces hide, and the new blur radii go up once, the new picture comes down once. All layers share
-their shaders: what differs is in a small array of each.
+The picture, what near surfaces hide, and the new blur radii go up once, the new picture comes down once. All layers
+share their shaders: what differs is in a small array of each.
 """
 
 from __future__ import annotations
@@ -76,7 +76,10 @@ class RefocusChain:
         chain.array("total", 4 * self.pixels)
 
     def composite(
-        self, pictures: tuple[np.ndarray, np.ndarray], radii: tuple[np.ndarray, np.ndarray], hidden: np.ndarray,
+        self,
+        pictures: tuple[np.ndarray, np.ndarray],
+        radii: tuple[np.ndarray, np.ndarray],
+        hidden: np.ndarray,
         layers: Sequence[RefocusLayer],
     ) -> np.ndarray:
         """Return the picture (H, W, 3) of a lens with another focus.
@@ -101,9 +104,12 @@ class RefocusChain:
         """Put the dispatches of these layers in the place of the last ones."""
         chain, arrays = self.chain, self.chain.arrays
         chain.dispatches.clear()
-        uses, in_picture = (*SHARED, "refocus_layer"), {"width": self.size[1]}
+        uses = (*SHARED, "refocus_layer")
+        in_picture: dict[str, Any] = {"width": self.size[1]}
         for name in ("before", "total"):
-            chain.add("fill_zero", [arrays[name]], groups=groups_for(arrays[name].size), uses=SHARED, size=arrays[name].size)
+            chain.add(
+                "fill_zero", [arrays[name]], groups=groups_for(arrays[name].size), uses=SHARED, size=arrays[name].size
+            )
         most = max((int(np.prod(layer.cells)) for layer in layers), default=1)
         cells, blurred = (self._array(name, 4 * most) for name in ("cells", "blurred"))
         facts: list[Array] = []
@@ -111,7 +117,9 @@ class RefocusChain:
         free: list[str] = []
         for number, layer in enumerate(layers):
             for joined in layer.joined:
-                self._over_box("cover_joined", layers[joined], [arrays[covers[joined]], facts[joined], arrays["before"]])
+                self._over_box(
+                    "cover_joined", layers[joined], [arrays[covers[joined]], facts[joined], arrays["before"]]
+                )
                 free.append(covers.pop(joined))
             name = free.pop() if free else f"cover{len(covers)}"
             covers[number] = name
