@@ -9,13 +9,16 @@ Bytes are those of the arrays that a stage binds, each once: what it must move i
 to the next and nothing was read twice. Operations are additions, multiplications, comparisons and square roots of the
 inner loops, counted in the sources. The larger of bytes over the memory's bandwidth and operations over the arithmetic
 rate is the least time that a device of these could take; `--bandwidth` and `--rate` give them (an H200: 4800 GB/s,
-60 TFLOP/s by its data sheet).
+60 TFLOP/s by its data sheet). Steps are those that one invocation takes one after the other where the next needs the
+last. `sum with latency` adds `--dispatch-us` for every dispatch and `--step-ns` for every step, which are assumptions:
+nobody measured them here.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
@@ -89,12 +92,23 @@ def operations(dispatch: Dispatch) -> float:
     return per.get(dispatch.stage, lambda: 0.0)()
 
 
+def steps(dispatch: Dispatch) -> float:
+    """Steps of the longest walk in which every step needs the one before."""
+    c: Mapping[str, Any] = dispatch.constants
+    if dispatch.stage == "four_paths":
+        return float(c["width"] if c["direction"] < 2 else c["height"])
+    if dispatch.stage == "smoothing":  # 32 segments of a line, each walked three times, and their sums twice
+        return 3 * math.ceil((c["width"] if c["along_x"] else c["height"]) / 32) + 2 * 31
+    return float(2 * c["block"] + 3 * c["reach"]) if "block" in c else 0.0  # there and back
+
+
 def stages_of(chain: Chain, image: np.ndarray, *, bandwidth: float, rate: float) -> dict[str, dict[str, float]]:
     """Dispatches, bytes, operations, the model's time and the measured one of every stage."""
     times = chain.stage_times_ms({"image": image}) if chain.device.timestamps else [("", 0.0)] * len(chain.dispatches)
     found: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     for dispatch, (_, ms) in zip(chain.dispatches, times, strict=True):
         count(found[dispatch.stage], dispatch, operations(dispatch), bandwidth=bandwidth, rate=rate)
+        found[dispatch.stage]["steps"] += steps(dispatch)
         found[dispatch.stage]["ms"] += ms
     return found
 
@@ -106,6 +120,7 @@ def count(row: dict[str, float], dispatch: Any, computed: float, *, bandwidth: f
     row["mbytes"] += moved / 1e6
     row["mops"] += computed / 1e6
     row["model_ms"] += 1e3 * max(moved / bandwidth, computed / rate)
+    row["bandwidth_ms"] += 1e3 * moved / bandwidth
 
 
 def benchmark(device: str, quality: str, design: str, size: tuple[int, int], bandwidth: float, rate: float) -> dict:
@@ -142,7 +157,7 @@ def benchmark(device: str, quality: str, design: str, size: tuple[int, int], ban
         **{name: round(ms, 1) for name, ms in best.items()},
         "mbytes_up": round(image.nbytes / 1e6, 1), "mbytes_down": round(3 * found.nbytes / 1e6, 1),
         "device_mbytes": round(chain.device_bytes / 1e6, 1), "dispatches": len(chain.dispatches),
-        "stages": {name: {k: round(v, 3) for k, v in row.items()} for name, row in stages.items()},
+        "stages": {name: {k: round(v, 6) for k, v in row.items()} for name, row in stages.items()},
     }  # fmt: skip
 
 
@@ -154,6 +169,8 @@ def main() -> None:
     parser.add_argument("--size", default="1280x720")
     parser.add_argument("--bandwidth", type=float, default=4800.0, help="of the model's memory, GB/s")
     parser.add_argument("--rate", type=float, default=60.0, help="of the model's arithmetic, TFLOP/s")
+    parser.add_argument("--dispatch-us", type=float, default=5.0, help="between two dispatches, an assumption")
+    parser.add_argument("--step-ns", type=float, default=100.0, help="of a dependent step, an assumption")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     width, height = (int(side) for side in arguments.size.split("x"))
@@ -166,15 +183,21 @@ def main() -> None:
         return
     stages = result.pop("stages")
     print("\n".join(f"{name:32s} {value}" for name, value in result.items()))
-    print(f"\n{'stage':16s} {'dispatches':>10s} {'MB':>9s} {'Mop':>9s} {'model ms':>9s} {'measured ms':>12s}")
+    print(
+        f"\n{'stage':16s} {'dispatches':>10s} {'MB':>9s} {'Mop':>9s} {'steps':>6s} {'model ms':>9s} "
+        f"{'of which memory':>16s} {'measured ms':>12s}"
+    )
     total: dict[str, float] = defaultdict(float)
     for name, row in [*stages.items(), ("sum", total)]:
+        share = row["bandwidth_ms"] / row["model_ms"] if row["model_ms"] else 0.0
         print(
-            f"{name:16s} {row['dispatches']:10.0f} {row['mbytes']:9.1f} {row['mops']:9.1f} {row['model_ms']:9.4f} "
-            f"{row['ms']:12.2f}"
+            f"{name:16s} {row['dispatches']:10.0f} {row['mbytes']:9.1f} {row['mops']:9.1f} {row['steps']:6.0f} "
+            f"{row['model_ms']:9.4f} {share:16.0%} {row['ms']:12.2f}"
         )
         for key, value in row.items():
             total[key] += value if name != "sum" else 0
+    latency = 1e-3 * arguments.dispatch_us * total["dispatches"] + 1e-6 * arguments.step_ns * total["steps"]
+    print(f"sum with latency {total['model_ms'] + latency:.3f} ms")
 
 
 if __name__ == "__main__":
