@@ -5,6 +5,8 @@
 Nothing is timed before its output has been compared with the CPU's: a dispatch that failed is fast. Times of stages
 are the device's own timestamps. On a rasteriser in software both share the same cores: only the ratio says something.
 
+``--device none`` counts what a GPU would be given and computes nothing.
+
 Bytes are those of the arrays that a stage binds, each once: what it must move if no cache kept anything from one stage
 to the next and nothing was read twice. Operations are additions, multiplications, comparisons and square roots of the
 inner loops, counted in the sources. The larger of bytes over the memory's bandwidth and operations over the arithmetic
@@ -22,6 +24,7 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -29,8 +32,9 @@ from matcher import scene
 
 from chromaperture.config import PaperConfig, RealTimeConfig
 from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.gpu.device import Chain, Dispatch
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, on_device
+from chromaperture.disparity.gpu.device import AdapterInfo, Chain, Device, Dispatch
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Further, GpuMethod, on_device
+from chromaperture.disparity.labels import IDENTITY
 from chromaperture.optics.aperture import design_named
 from chromaperture.threads import limited_threads, thread_count
 
@@ -46,6 +50,19 @@ def capture(design: str, width: int, height: int) -> np.ndarray:
     views, _, _ = scene(view_directions(aperture), shape=(height, width))
     image = np.stack(views, -1) @ np.linalg.pinv(ideal_unmixing(aperture)).T
     return (0.9 / image.max() * image).astype(np.float32)
+
+
+def counting_device() -> Device:
+    """A device that makes nothing, as if it were a GPU: arrays and stages of any size can be composed on it."""
+    pipeline = SimpleNamespace(get_bind_group_layout=lambda group: None)
+    handle = SimpleNamespace(
+        create_buffer=lambda *, size, **_: SimpleNamespace(size=size),
+        create_shader_module=lambda **_: None,
+        create_compute_pipeline=lambda **_: pipeline,
+        create_bind_group=lambda **_: None,
+        queue=SimpleNamespace(write_buffer=lambda *_: None),
+    )
+    return Device(AdapterInfo("counting", "DiscreteGPU", "none", "", 0, True), handle, True, False, 1 << 40)
 
 
 def operations(dispatch: Dispatch) -> float:
@@ -82,6 +99,7 @@ def operations(dispatch: Dispatch) -> float:
         "path_winner": lambda: 17 * c["width"] * c["height"] * c["pitch"],
         "links": lambda: 10 * invocations,
         "smoothing": lambda: 12 * c["width"] * c["height"] * c["map_count"],
+        "smoothing_of_lines": lambda: 8 * c["width"] * c["height"] * c["map_count"],
         "surface": lambda: (2 * c["reach"] + 4) * (5 + 16) * invocations,
         "surface_range": lambda: ((2 * c["reach"] + 4) * 16 + 4 * 30) * invocations,
         "cells_enlarged": lambda: 35 * invocations,
@@ -99,6 +117,8 @@ def steps(dispatch: Dispatch) -> float:
         return float(c["width"] if c["direction"] < 2 else c["height"])
     if dispatch.stage == "smoothing":  # 32 segments of a line, each walked three times, and their sums twice
         return 3 * math.ceil((c["width"] if c["along_x"] else c["height"]) / 32) + 2 * 31
+    if dispatch.stage == "smoothing_of_lines":
+        return 2.0 * (c["width"] if c["along_x"] else c["height"])
     return float(2 * c["block"] + 3 * c["reach"]) if "block" in c else 0.0  # there and back
 
 
@@ -127,6 +147,12 @@ def benchmark(device: str, quality: str, design: str, size: tuple[int, int], ban
     width, height = size
     image = capture(design, width, height)
     on_cpu = method_for(PaperConfig() if quality == "paper" else RealTimeConfig(), aperture=design)
+    if device == "none":
+        counted = GpuMethod(on_cpu.config, on_cpu.space, getattr(on_cpu, "label_map", IDENTITY), counting_device())
+        chain = counted._composed((height, width), Further())
+        stages = stages_of(chain, image, bandwidth=bandwidth, rate=rate)
+        facts = {"quality": quality, "design": design, "size": f"{width}x{height}"}
+        return {**facts, "device_mbytes": round(chain.device_bytes / 1e6, 1), "stages": stages}
     both = on_device(on_cpu, device, lambda note: None)
     if not isinstance(both, DeviceMethod):
         raise SystemExit(f"--device {device} is the CPU here: see 'chromaperture info --devices'")

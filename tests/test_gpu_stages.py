@@ -21,7 +21,8 @@ from chromaperture.disparity.gpu import cell_stages, correlation_stages
 from chromaperture.disparity.gpu.conversion_stage import Conversion, add_conversion
 from chromaperture.disparity.gpu.device import Chain, open_device
 from chromaperture.disparity.gpu.paper_chain import add_paper
-from chromaperture.disparity.gpu.real_time_chain import add_real_time
+from chromaperture.disparity.gpu.real_time_chain import add_real_time, add_recursions
+from chromaperture.disparity.gpu.view_stages import Planes
 from chromaperture.disparity.labels import IDENTITY, LabelMap, labels_between
 from chromaperture.disparity.stages.correlation import SCORE_PARTS, exponential_window
 from chromaperture.disparity.stages.place import halved_surface, place_by_correlation
@@ -264,6 +265,28 @@ def test_paths_need_no_subgroups():
         add_real_time(chain, chain.array("image", image.size), SHAPE, method.config, method.space, IDENTITY)
         for name, values in chain.run({"image": image}, names).items():
             np.testing.assert_array_equal(values, quad[name])
+
+
+@pytest.mark.parametrize("shape", [(45, 70), (1, 40), (33, 1), (1, 1)])
+@pytest.mark.parametrize("map_count", [2, 5])
+def test_recursions_in_segments_are_those_of_whole_lines(shape, map_count, rng):
+    """A GPU walks segments of a line side by side, a rasteriser in software one line after the other."""
+    height, width = shape
+    maps = rng.uniform(-1, 1, (height, width, map_count)).astype(np.float32)
+    links = rng.uniform(0.2, 0.95, (2, height, width)).astype(np.float32)
+    links[0, :, 0] = links[1, 0] = 0
+    links[rng.uniform(size=links.shape) < 0.1] = 0
+    found, stages_run = [], []
+    for kind in ("CPU", "DiscreteGPU"):
+        device = open_device("gpu")
+        chain = Chain(replace(device, info=device.info._replace(kind=kind)))
+        arrays = [chain.array(name, values.size) for name, values in (("maps", maps), ("links", links))]
+        planes = Planes(arrays[0], arrays[1], None, width, height, 2)
+        add_recursions(chain, planes, *arrays, map_count=map_count, gain=0.7, own=0.4)
+        found.append(chain.run({"maps": maps, "links": links}, ["maps"])["maps"])
+        stages_run.append(chain.dispatches[0].stage)
+    assert stages_run == ["smoothing_of_lines", "smoothing"]
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-4, atol=1e-5)  # sums of 20 numbers of order 1, reordered
 
 
 @settings(max_examples=10, deadline=None)
