@@ -55,6 +55,14 @@ class RefocusLayer(NamedTuple):
         return np.concatenate([np.array(self.nodes, np.float32).view(np.uint32), np.array(whole, np.uint32)])
 
 
+def inputs_of(
+    pictures: tuple[np.ndarray, np.ndarray], radii: tuple[np.ndarray, np.ndarray], hidden: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return what goes up of what `RefocusChain.composite` takes."""
+    behind_radius = np.where(hidden, radii[1], _NOWHERE)
+    return {"color": pictures[0], "behind": pictures[1], "radius": radii[0], "behind_radius": behind_radius}
+
+
 class RefocusChain:
     """Arrays on a device for pictures of one size.
 
@@ -96,8 +104,7 @@ class RefocusChain:
             Near to far.
         """
         self._compose(layers)
-        inputs = {"color": pictures[0], "behind": pictures[1], "radius": radii[0]}
-        inputs["behind_radius"] = np.where(hidden, radii[1], _NOWHERE)
+        inputs = inputs_of(pictures, radii, hidden)
         return self.chain.run(inputs, ["refocused"])["refocused"].reshape(*self.size, 3)
 
     def _compose(self, layers: Sequence[RefocusLayer]) -> None:
