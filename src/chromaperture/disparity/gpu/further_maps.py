@@ -14,7 +14,7 @@ import numpy as np
 from chromaperture.disparity.gpu.alignment_stage import add_alignment
 from chromaperture.disparity.gpu.conversion_stage import add_conversion
 from chromaperture.disparity.gpu.device import Chain, Device, DeviceError
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Further, GpuMethod, Measured, device_method
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Further, GpuMethod, Measured, device_method, same
 from chromaperture.disparity.result import Method
 from chromaperture.errors import OutOfMemoryError
 
@@ -31,7 +31,8 @@ class FurtherMaps:
 
     behind: DeviceMethod
     _chain: Chain | None = None
-    _key: tuple[object, ...] = ()
+    _size: tuple[int, int] = (0, 0)
+    _further: Further = field(default_factory=Further)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def added(self, measured: Measured, image: np.ndarray, further: Further) -> Measured:
@@ -55,10 +56,9 @@ class FurtherMaps:
 
     def _run(self, device: Device, measured: Measured, image: np.ndarray, further: Further) -> Measured:
         size = image.shape[0], image.shape[1]
-        key = (device, size, id(further.conversion), id(further.alignment))
-        if self._chain is None or self._key != key:
-            self._chain = None
-            self._chain, self._key = composed(device, size, further), key
+        if self._chain is None or self._size != size or not same(self._further, further):
+            self._chain = None  # gives its memory back before the next takes its own
+            self._chain, self._size, self._further = composed(device, size, further), size, further
         inputs = {"disparity": measured.disparity.value_px}
         outputs = []
         if further.conversion is not None:

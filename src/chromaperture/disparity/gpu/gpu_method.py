@@ -142,7 +142,7 @@ class GpuMethod:
     def _composed(self, size: tuple[int, int], further: Further) -> Chain:
         """Return the chain for a size, kept until another is needed."""
         key = (size, *further)
-        if self._chain is None or self._key[0] != size or not _same(self._key[1:], further):
+        if self._chain is None or self._key[0] != size or not same(self._key[1:], further):
             self._chain = None
             chain = Chain(self.device)
             image = chain.array("image", 3 * size[0] * size[1])
@@ -168,7 +168,7 @@ class GpuMethod:
             raise TypeError(type(self.config).__name__)
 
 
-def _same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
+def same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
     """Whether two tuples hold the same objects."""
     return all(a is b for a, b in zip(one, other, strict=True))
 
