@@ -85,8 +85,8 @@ def test_depth_is_that_of_the_readable_stages(quality, least):
         return (near | (np.isnan(found.depth_mm) & np.isnan(other.depth_mm))).mean()
 
     assert agreeing(frame, oracle) > least
-    # Numba keeps scores and costs in 16 bits, and decides differently where two layers are as good.
-    assert agreeing(frame, compiled) > agreeing(oracle, compiled) - 0.01
+    assert agreeing(frame, compiled) > least
+    assert agreeing(oracle, compiled) > least
     both = np.isfinite(frame.sigma_mm) & np.isfinite(oracle.sigma_mm)
     assert np.quantile(np.abs(frame.sigma_mm[both] / oracle.sigma_mm[both] - 1), 0.99) < 0.05
     assert np.quantile(np.abs(frame.color - oracle.color), 0.99) < 1e-3
