@@ -129,6 +129,26 @@ def random_scene(seed: int, half_field: tuple[float, float]) -> list[Plane]:
     return planes
 
 
+def few_surfaces(seed: int, half_field: tuple[float, float]) -> list[Plane]:
+    """Draw a wall, sometimes a floor, and two to five cards, half of the wide ones photographs; as `random_scene`."""
+    rng, (wide, high) = np.random.default_rng(seed + 9000), half_field
+
+    def surface(size: int) -> np.ndarray:
+        return photograph(rng, size).astype(np.float32) if rng.random() < 0.5 else texture(rng, size)
+
+    far = rng.uniform(2300, 3800)
+    turn = rng.choice([0, 0, rng.uniform(-15, 15)]), rng.choice([0, 0, rng.uniform(-25, 25)]), 0
+    wall = surface(int(rng.choice([700, 1000, 1400])))
+    planes = [plane(wall, center_mm=(0, 0, far), width_mm=4.4 * wide * far, tilt_deg=turn)]
+    if rng.random() < 0.5:
+        tilt = -rng.uniform(65, 80), 0, 0
+        place = 0, 0.75 * high * far, 0.75 * far
+        planes.append(plane(surface(900), center_mm=place, width_mm=1.2 * far, tilt_deg=tilt))
+    for _ in range(rng.integers(2, 6)):
+        planes += card(rng, (0.8 * wide, 0.8 * high), far)
+    return planes
+
+
 def card(rng: Generator, half_field: tuple[float, float], farthest_mm: float) -> list[Plane]:
     """Draw a card anywhere in view, evenly in 1 / distance; one in four of the upright ones is the front of a box."""
     z = min(NEAREST_MM / (1 - rng.random() * (1 - NEAREST_MM / FARTHEST_MM)), farthest_mm)

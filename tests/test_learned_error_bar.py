@@ -9,12 +9,23 @@ import numpy as np
 import pytest
 
 from chromaperture.disparity import learned_error_bar
+from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.learned_error_bar import Weights, learned_sigma, ranges, signs, weights
 from chromaperture.disparity.planar import Planes
+from chromaperture.disparity.plane_fit import Volume
+from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.winner import Surface
 
 TRAINING = Path(__file__).parents[1] / "benchmarks" / "error_bar_training.py"
 STEP_PX = 0.1
+
+
+def blocks_of(step_px, height=40, width=90, labels=40):
+    """Evidence of blocks of 4 px, noise about a parabola."""
+    rng = np.random.default_rng(8)
+    likelihood = 16 * (1 - ((np.arange(labels) - 15) / 20) ** 2) + rng.normal(0, 2, (height // 4, width // 4, labels))
+    volume = likelihood.astype(np.float32)
+    return Volume(volume, step_px * np.arange(labels), PlaneCosts(0.1, 1.0), execution_named("numpy"))
 
 
 @pytest.fixture
@@ -22,7 +33,8 @@ def world(rng):
     """Two planes, the right one half rejected; a first surface that scatters about them."""
     height, width = 40, 90
     choice = (np.arange(width) >= 50).astype(int) * np.ones((height, 1), int)
-    planes = Planes(np.array([[0, 0, 1.0], [0, 0.005, -0.5], [0, 0, 9]]), choice)  # the third is chosen by no pixel
+    coefficients = np.array([[0, 0, 1.0], [0, 0.005, -0.5], [0, 0, 9]])  # the third is chosen by no pixel
+    planes = Planes(coefficients, choice, blocks_of(STEP_PX))
     first = planes.label_px + rng.normal(0, 0.03, choice.shape).astype(np.float32)
     rejected = (choice == 1) & (np.arange(height)[:, None] >= 20)
     label = np.where(rejected, first, planes.label_px)
@@ -60,6 +72,12 @@ def test_without_planes_there_are_no_signs_of_planes(world):
         np.testing.assert_array_equal(values, with_planes[name])
 
 
+def test_planes_without_their_evidence_are_refused(world):
+    surface, first, planes = world
+    with pytest.raises(ValueError, match="blocks"):
+        signs(surface, STEP_PX, first_px=first, explained_by=planes._replace(blocks=None))
+
+
 @pytest.mark.parametrize("of_planes", [True, False])
 def test_the_bar_is_the_weighted_sum_within_what_was_seen(world, of_planes, monkeypatch):
     monkeypatch.setattr(learned_error_bar, "SMOOTHED_PX", 1e-3)
@@ -80,7 +98,7 @@ def test_the_bar_counts_in_steps_between_labels(world, of_planes):
     """Twice the step and everything twice as far: the same evidence of another design, and twice the bar."""
     surface, first, planes = world
     double = Surface(2 * surface.disparity_px, 2 * surface.sigma_px, surface.peak)
-    wide = Planes(2 * planes.planes, planes.choice)
+    wide = Planes(2 * planes.planes, planes.choice, blocks_of(2 * STEP_PX))
     one = learned_sigma(surface, STEP_PX, first_px=first, explained_by=planes if of_planes else None)
     two = learned_sigma(double, 2 * STEP_PX, first_px=2 * first, explained_by=wide if of_planes else None)
     np.testing.assert_allclose(two, 2 * one, rtol=1e-3)  # differences of single precision under a logarithm
