@@ -39,8 +39,8 @@ from chromaperture.optics.render import render, render_depth
 from chromaperture.optics.sensor import SensorModel, develop, expose
 
 EVERY_PX = 6
-# Of the errors, within one and two bars. Of Gaussian errors they are .68 and .95. Errors here have a heavy tail: the two
-# losses together then leave .75 and .88, in every tenth, which is what .55 to .80 and .88 to .99 have in common.
+# Of the errors, within one and two bars. Of Gaussian errors they are .68 and .95. Errors here have a heavy tail: the
+# two losses together then leave .75 and .88, in every tenth, which is what .55 to .80 and .88 to .99 have in common.
 SHARES = (0.72, 0.92)
 LEAST_ERROR = 0.01  # steps; smaller ones are as good as none, and their logarithm would count
 SOFTNESS = 0.05  # of the quantile loss at 0, so that it has a derivative

@@ -89,7 +89,7 @@ def signs(
     ``posterior``: error bar of the posterior. ``range_N``: range of the surface within N px. With planes besides, of a
     pixel's plane ``scatter``: root mean square difference of the surface before it, ``rejected``: the share of it that
     was not taken; ``apart`` and ``apart_wide``: share of the pixels around whose plane was not taken; and those of
-    `signs_of_evidence`, ``spread_of_frame`` the mean of one of them: photographs differ in what their evidence is worth.
+    `signs_of_evidence`, ``spread_of_frame`` the mean of one: photographs differ in what their evidence is worth.
     """
     label = np.asarray(surface.disparity_px, np.float32) / np.float32(step_px)
     posterior = pooled_sigma(surface.sigma_px, POOLED_PX) / np.float32(step_px)
