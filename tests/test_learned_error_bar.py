@@ -130,28 +130,29 @@ def training():
     return module
 
 
-def scenes_of_known_errors(rng, count=6, pixels=4000):
-    """Errors whose distribution is scaled by exp(0.3 + 0.8 a - 0.4 b), whatever c; .70 and .945 within 1 and 2."""
+def scenes_of_known_errors(rng, shares, count=6, pixels=4000):
+    """Errors whose distribution is scaled by exp(0.3 + 0.8 a - 0.4 b), whatever c; these shares within 1 and 2."""
     scenes = []
     for _ in range(count):
         found = {name: rng.normal(0, 1, pixels) for name in "abc"}
-        # Quantiles .70 at 1 and .945 at 2, linear in the logarithm between: both losses ask for the same weights.
-        scatter = np.interp(rng.random(pixels), [0, 0.70, 0.945, 1], np.log([0.1, 1, 2, 4]))
+        # Linear in the logarithm between: both losses ask for the same weights.
+        scatter = np.interp(rng.random(pixels), [0, *shares, 1], np.log([0.1, 1, 2, 4]))
         scenes.append({**found, "error": np.exp(0.3 + 0.8 * found["a"] - 0.4 * found["b"] + scatter)})
     return scenes
 
 
 def test_training_finds_the_weights_that_errors_were_made_with(training, rng):
-    model = training.fitted(scenes_of_known_errors(rng), ["a", "b", "c"])
+    model = training.fitted(scenes_of_known_errors(rng, training.SHARES), ["a", "b", "c"])
     # 24,000 errors of a scatter of 1 leave weights to 0.01; the loss is rounded over 0.05, the ridge takes 0.01.
     np.testing.assert_allclose(model.weights, [0.8, -0.4, 0], atol=0.04)
     assert model.constant == pytest.approx(0.3, abs=0.04)
 
 
 def test_bars_of_training_hold_the_shares_that_they_are_made_for(training, rng):
-    scenes = scenes_of_known_errors(rng)
+    scenes = scenes_of_known_errors(rng, training.SHARES)
     model = training.fitted(scenes, ["a", "b"])
-    fresh = scenes_of_known_errors(np.random.default_rng(rng.integers(1e9)), count=1, pixels=40_000)[0]
+    other = np.random.default_rng(rng.integers(1e9))
+    fresh = scenes_of_known_errors(other, training.SHARES, count=1, pixels=40_000)[0]
     bars = fresh["error"] / training.bars_of(model, fresh)
     for many, share in enumerate(training.SHARES, start=1):
         assert (bars < many).mean() == pytest.approx(share, abs=0.02)  # four standard deviations of the weights
