@@ -155,8 +155,9 @@ def scores(scene: Scene, bar: np.ndarray) -> np.ndarray:
 def fit(args: argparse.Namespace) -> None:
     """Learn, score, and write the weights."""
     scenes = {path.stem: dict(np.load(path)) for path in sorted(args.measured.glob("*.npz"))}
-    stored = {}
-    for kind in ("planes", "surface"):
+    path = Path(learned_error_bar.__file__).with_suffix(".json")
+    stored = json.loads(path.read_text(encoding="utf-8"))
+    for kind in args.only:
         these = {name: scene for name, scene in scenes.items() if ("scatter" in scene) == (kind == "planes")}
         learned = [name for name in these if not name.startswith(tuple(args.aside or ("\0",)))]
         names = [n for n in next(iter(these.values())) if n not in (*TRUTH, *args.without)]
@@ -179,7 +180,6 @@ def fit(args: argparse.Namespace) -> None:
             "constant": kept_weights.constant,
         }
     if args.write:
-        path = Path(learned_error_bar.__file__).with_suffix(".json")
         path.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
 
 
@@ -212,6 +212,7 @@ def main() -> None:
     two.add_argument("measured", type=Path)
     two.add_argument("--aside", nargs="+", help="names of cameras that are not learned from")
     two.add_argument("--without", nargs="+", default=[], help="signs to leave out")
+    two.add_argument("--only", nargs="+", choices=["planes", "surface"], default=["planes", "surface"])
     two.add_argument("--write", action="store_true")
     two.set_defaults(run=fit)
     args = parser.parse_args()

@@ -134,7 +134,7 @@ def optimised_surface(
         Without it the surface is not explained by planes.
     run : Execution
     known_within_px : float, px
-        Standard deviation of the posterior from which on the disparity is unknown, and the longest learned error bar.
+        Standard deviation of the posterior from which on the disparity is unknown.
 
     Returns
     -------
@@ -221,7 +221,7 @@ def judged(
     inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
     known = inside & (sigma < known_within_px)
     if learned:
-        sigma = np.minimum(learned_sigma(surface, step, first_px=first_px, explained_by=explained_by), known_within_px)
+        sigma = learned_sigma(surface, step, first_px=first_px, explained_by=explained_by)
     else:
         edge_share, bias = (1.0, 0.0) if explained_by is None else (EDGE_SHARE_OF_PLANES, BIAS_OF_PLANES * step)
         sigma = np.hypot(np.hypot(pooled_sigma(sigma, POOLED_PX), bias), edge_share * extent_px)
