@@ -38,12 +38,6 @@ def test_reading_along_an_answer_is_interpolation(rng):
         np.testing.assert_allclose(found[y, x], expected, atol=1e-5)  # single precision of values near 1
 
 
-@pytest.mark.parametrize("off", [0, 2, -6, 12])
-def test_evidence_tells_how_far_elsewhere_it_is_best(off):
-    found = signs(BEST + off, BEST)
-    np.testing.assert_allclose(np.exp(found["elsewhere"]) - 0.3, abs(off), atol=1e-5)
-
-
 def test_spread_is_the_distance_to_the_best_answer_where_that_is_sure():
     """Evidence of hundreds of nats: the standard deviation about the answer is how far the answer is off."""
     for off in (0, 3, 8):

@@ -1,7 +1,7 @@
 """Signs of an error that the evidence itself gives, by what it would say if the answer lay elsewhere.
 
 The evidence of a window, and that of a whole plane, is read along the answer, and again with all of the answer shifted
-by a few steps. A plane whose evidence hardly falls with the shift, or a window that another shift suits better, is the
+by a few steps. A plane whose evidence hardly falls with the shift, or a window that another shift suits as well, is the
 less sure. Everything counts in steps between labels.
 """
 
@@ -18,17 +18,15 @@ WINDOW_PX = 12.0  # sigma of the windows; of 4, 12 and 30 the best; docs/measure
 # Pixels of a window that say one thing: detail and windows of correlation are that wide. Chosen by hand: it only scales
 # a sign, whose weight is learned.
 PIXELS_ALIKE = 10.0
-_LEAST_SHIFT = 0.3  # steps: half of the least shift but 0, nearly, as every sign needs a finite logarithm
-_LEAST_SPREAD = 0.05  # steps, likewise
+_LEAST_SPREAD = 0.05  # steps, chosen by hand: every sign needs a finite logarithm
 _LEAST_NATS = 1e-4  # a pixel, likewise
 
 
 def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> dict[str, np.ndarray]:
     """Return what the evidence says of an answer; (H, W) float32 each, logarithms.
 
-    ``elsewhere``: of the shift that suits a window best. ``spread``: of the standard deviation of the shift by the
-    window's evidence. ``sharpness``: of the nats a pixel by which the evidence of a pixel's plane falls when the
-    answer is shifted.
+    ``spread``: of the standard deviation of the shift by a window's evidence, about the answer. ``sharpness``: of the
+    nats a pixel by which the evidence of a pixel's plane falls when the answer is shifted.
 
     Parameters
     ----------
@@ -48,7 +46,6 @@ def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> 
     likely *= np.gradient(SHIFTS).astype(np.float32)  # every shift stands for the shifts about it
     variance = likely @ np.square(SHIFTS).astype(np.float32) / likely.sum(axis=2)
     of_blocks = {
-        "elsewhere": np.log(np.abs(SHIFTS[pooled.argmax(axis=2)]) + _LEAST_SHIFT),
         "spread": np.log(np.sqrt(variance) + _LEAST_SPREAD),
         "sharpness": _sharpness(profile, choice[middles][:height, :width]),
     }
