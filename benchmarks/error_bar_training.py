@@ -6,7 +6,7 @@
     python benchmarks/error_bar_training.py draw II.asdf --lens achromat_50 --focus-mm 1800 --out pictures
     ...                                                                             # every other camera
     python benchmarks/error_bar_training.py measure *.asdf --pictures pictures --out measured
-    python benchmarks/error_bar_training.py fit measured [--aside NAME ...] [--write]
+    python benchmarks/error_bar_training.py fit measured [--level OTHERS] [--aside NAME ...] [--write]
 
 ``draw`` renders random scenes (``error_bar_scenes.py``) through the camera's lens and design, with several exposures,
 into NAME_SEED.npz. ``measure`` measures the pictures whose names begin with a camera file's, and keeps, of every sixth
@@ -14,7 +14,8 @@ pixel in both directions, the signs of an error (``signs`` of ``disparity/learne
 between labels; what is there already is not measured again. ``fit`` finds the weights: the sum of two quantile losses
 (Koenker and Bassett 1978), so that as many errors lie within one and two bars as `SHARES`, whatever the signs. Scenes
 whose file's name begins with one of the names of ``--aside`` are not learned from; all are scored, those that are
-learned from by weights of the other scenes (four parts).
+learned from by weights of the other scenes (four parts). With ``--level`` other scenes set the constant: how
+long bars are follows from them, what makes them longer from all.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from chromaperture.camera import load_camera
 from chromaperture.camera_file import Calibration
@@ -139,6 +140,20 @@ def fitted(scenes: Sequence[Scene], names: Sequence[str]) -> learned_error_bar.W
     return learned_error_bar.Weights(tuple(names), weights, float(w[-1] - weights @ mean), least, most)
 
 
+def leveled(model: learned_error_bar.Weights, scenes: Sequence[Scene]) -> learned_error_bar.Weights:
+    """Find the constant anew, by the same losses over other scenes."""
+    ratios = [np.log(np.maximum(scene["error"], LEAST_ERROR) / bars_of(model, scene)) for scene in scenes]
+
+    def loss(more: float) -> float:
+        found = 0.0
+        for bars, share in enumerate(SHARES, start=1):
+            beyond = [ratio - more - np.log(bars) for ratio in ratios]
+            found += float(np.mean([np.mean(np.maximum(share * part, (share - 1) * part)) for part in beyond]))
+        return found
+
+    return model._replace(constant=model.constant + float(minimize_scalar(loss, bounds=(-3, 3), method="bounded").x))
+
+
 def bars_of(model: learned_error_bar.Weights, scene: Scene) -> np.ndarray:
     return np.exp(model.constant + np.clip(matrix(scene, model.names), model.least, model.most) @ model.weights)
 
@@ -174,6 +189,9 @@ def fit(args: argparse.Namespace) -> None:
             one, two = shares[:10], shares[10:]
             words = ["  ".join(f"{f(part):.2f}" for f in (min, np.mean, max)) for part in (one, two)]
             print(f"  {camera:20} {len(found):3}   {words[0]}   {words[1]}   {area:.3f}")
+        if args.level:
+            others = [dict(np.load(path)) for path in sorted(args.level.glob("*.npz"))]
+            everything = leveled(everything, [scene for scene in others if ("scatter" in scene) == (kind == "planes")])
         kept_weights = replace_rounded(everything)
         stored[kind] = {
             "signs": dict(zip(names, np.stack(kept_weights[1:2] + kept_weights[3:], axis=1).tolist(), strict=True)),
@@ -212,6 +230,7 @@ def main() -> None:
     two.add_argument("measured", type=Path)
     two.add_argument("--aside", nargs="+", help="names of cameras that are not learned from")
     two.add_argument("--without", nargs="+", default=[], help="signs to leave out")
+    two.add_argument("--level", type=Path, help="measured scenes by which the constant is set")
     two.add_argument("--only", nargs="+", choices=["planes", "surface"], default=["planes", "surface"])
     two.add_argument("--write", action="store_true")
     two.set_defaults(run=fit)

@@ -148,6 +148,15 @@ def test_training_finds_the_weights_that_errors_were_made_with(training, rng):
     assert model.constant == pytest.approx(0.3, abs=0.04)
 
 
+def test_other_scenes_set_the_constant_alone(training, rng):
+    scenes = scenes_of_known_errors(rng, training.SHARES)
+    model = training.fitted(scenes, ["a", "b"])
+    others = [{**scene, "error": 0.5 * scene["error"]} for scene in scenes_of_known_errors(rng, training.SHARES)]
+    found = training.leveled(model, others)
+    np.testing.assert_array_equal(found.weights, model.weights)
+    assert found.constant == pytest.approx(0.3 + np.log(0.5), abs=0.05)
+
+
 def test_bars_of_training_hold_the_shares_that_they_are_made_for(training, rng):
     scenes = scenes_of_known_errors(rng, training.SHARES)
     model = training.fitted(scenes, ["a", "b"])
