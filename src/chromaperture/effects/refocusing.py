@@ -11,11 +11,13 @@ surfaces hide is extrapolated from the far side of the edge. All in linear light
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from chromaperture.disparity.gpu.refocus_stages import RefocusLayer
 from chromaperture.effects.blur_layers import layer_radii
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
 from chromaperture.effects.refocusing_kernels import add_layer, layer_bounds, layer_planes, normalise, over_rows
@@ -49,7 +51,13 @@ class Focus:
     bokeh: str = "disc"
 
 
-def refocus(color: np.ndarray, radius_px: np.ndarray, focus: Focus) -> np.ndarray:
+# Blurs and adds layers on a device, as `_composite`; None where that is left to the CPU.
+Compositor = Callable[..., np.ndarray | None]
+
+
+def refocus(
+    color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, compositor: Compositor | None = None
+) -> np.ndarray:
     """Blur a sharp picture as a lens with another focus would.
 
     Parameters
@@ -58,6 +66,8 @@ def refocus(color: np.ndarray, radius_px: np.ndarray, focus: Focus) -> np.ndarra
     radius_px : (H, W) float32, px
         Signed blur radius that the capture had, + beyond its focus: orders near and far. No NaN.
     focus : Focus
+    compositor : callable, optional
+        A camera's device, see `refocus_device.compositor_of`.
 
     Returns
     -------
@@ -85,12 +95,13 @@ def refocus(color: np.ndarray, radius_px: np.ndarray, focus: Focus) -> np.ndarra
     behind, behind_radius = behind_edges(color, radius, reach, _EDGE_PX)
     hidden = behind_radius != radius
     behind_new = (behind_radius - np.float32(focus.radius_px)) * np.float32(focus.strength)
-    return _composite(color, new, behind, behind_new, hidden, focus)
+    parts = (color, behind), (new, behind_new), hidden, _layers(new, behind_new, hidden, focus)
+    found = None if compositor is None else compositor(*parts)
+    return _composite(*parts) if found is None else found
 
 
-def _composite(
-    color: np.ndarray, new: np.ndarray, behind: np.ndarray, behind_new: np.ndarray, hidden: np.ndarray, focus: Focus
-) -> np.ndarray:
+def _layers(new: np.ndarray, behind_new: np.ndarray, hidden: np.ndarray, focus: Focus) -> list[RefocusLayer]:
+    """Divide a picture into layers, near to far; those without any pixel are left out."""
     mask = bokeh_mask(focus.bokeh)
     # New blur rises with depth, because the pupil's scale is positive.
     radii = layer_radii(np.stack([new, behind_new]), growth=_GROWTH)
@@ -101,8 +112,8 @@ def _composite(
         nodes[0], nodes[-1] = 2 * radii[0] - radii[1], 2 * radii[-1] - radii[-2]
     height, width = new.shape
     extent = np.empty((height, 2), np.int64)
-    total, before = np.zeros((height, width, 4), np.float32), np.zeros((height, width), np.float32)
-    pending: list[tuple[float, int, int, np.ndarray]] = []  # blurred layers not yet in `before`
+    found: list[RefocusLayer] = []
+    pending: list[tuple[float, int]] = []  # layers that do not yet hide others
     gap = max(_EDGE_PX * focus.strength, 1.0)
     for i, radius in enumerate(float(r) for r in radii):
         below, here, above = nodes[i : i + 3]
@@ -111,18 +122,41 @@ def _composite(
         if not rows.size:
             continue
         # Clearly nearer surfaces occlude this one; neighbouring layers of its own surface add to it.
+        joined = []
         while pending and radius - pending[0][0] > max(gap, 1.5 * float(here - below)):
-            _, top, left, cover = pending.pop(0)
-            before[top : top + cover.shape[0], left : left + cover.shape[1]] += cover
-        reach = math.ceil(abs(radius)) + 2 * _scale(radius)
+            joined.append(pending.pop(0)[1])
+        pending.append((radius, len(found)))
+        scale = _scale(radius)
+        reach = math.ceil(abs(radius)) + 2 * scale
         top, bottom = max(int(rows[0]) - reach, 0), min(int(rows[-1]) + reach + 1, height)
         left, right = max(int(extent[:, 0].min()) - reach, 0), min(int(extent[:, 1].max()) + reach + 1, width)
+        is_sharp = abs(radius) < _SHARP_PX
+        kernel = np.ones((1, 1), np.float32) if is_sharp else bokeh_kernel(mask, radius / scale)
+        found.append(RefocusLayer((below, here, above), (top, left, bottom, right), scale, kernel, tuple(joined)))
+    return found
+
+
+def _composite(
+    pictures: tuple[np.ndarray, np.ndarray],
+    radii: tuple[np.ndarray, np.ndarray],
+    hidden: np.ndarray,
+    layers: Sequence[RefocusLayer],
+) -> np.ndarray:
+    """Blur and add the layers, as `RefocusChain.composite` does on a device."""
+    (color, behind), (new, behind_new) = pictures, radii
+    height, width = new.shape
+    total, before = np.zeros((height, width, 4), np.float32), np.zeros((height, width), np.float32)
+    covers: dict[int, np.ndarray] = {}  # of layers that hide nothing yet
+    for number, layer in enumerate(layers):
+        for joined in layer.joined:
+            top, left, bottom, right = layers[joined].box
+            before[top:bottom, left:right] += covers.pop(joined)
+        top, left, bottom, right = layer.box
         planes, corner = np.zeros((bottom - top, right - left, 4), np.float32), (top, left)
-        nearby = (below, here, above)
-        over_rows(layer_planes, len(planes), color, new, behind, behind_new, hidden, nearby, corner, planes)
-        blurred = _blurred(planes, radius, mask)
+        over_rows(layer_planes, len(planes), color, new, behind, behind_new, hidden, layer.nodes, corner, planes)
+        blurred = _blurred(planes, layer)
         over_rows(add_layer, len(blurred), total, before, blurred, corner)
-        pending.append((radius, top, left, blurred[..., 3]))
+        covers[number] = blurred[..., 3]
     out = np.empty((height, width, 3), np.float32)
     over_rows(normalise, height, total, out)
     return out
@@ -132,18 +166,17 @@ def _scale(radius_px: float) -> int:
     return next(scale for limit, scale in _SCALES if abs(radius_px) <= limit)
 
 
-def _blurred(planes: np.ndarray, radius_px: float, mask: np.ndarray) -> np.ndarray:
+def _blurred(planes: np.ndarray, layer: RefocusLayer) -> np.ndarray:
     """Convolve (h, w, 4) with the pupil; large spots at a lower resolution, because they have no fine detail."""
-    if abs(radius_px) < _SHARP_PX:
+    if len(layer.kernel) == 1:
         return planes
-    scale = _scale(radius_px)
-    if scale == 1:
-        return _convolved(planes, bokeh_kernel(mask, radius_px))
-    height, width = planes.shape[:2]
+    if layer.scale == 1:
+        return _convolved(planes, layer.kernel)
+    scale, (height, width) = layer.scale, planes.shape[:2]
     margins = (-height % scale, -width % scale)
     padded = cv2.copyMakeBorder(planes, 0, margins[0], 0, margins[1], borderType=cv2.BORDER_REPLICATE)
     small = cv2.resize(padded, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
-    small = _convolved(small, bokeh_kernel(mask, radius_px / scale))
+    small = _convolved(small, layer.kernel)
     large = cv2.resize(small, padded.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     return np.asarray(large[:height, :width])
 
