@@ -3,16 +3,19 @@
     chromaperture simulate II --design rgb_squares --lens achromat_50 --focus-mm 1800 --width 360 --height 240 \
         --sensor-width-mm 11.15 --nearest-mm 900 --farthest-mm 3600 --step-mm 300 --tilts 8 --cells 12
     chromaperture calibrate II --out II.asdf
-    python benchmarks/error_bar_training.py measure II.asdf --lens achromat_50 --focus-mm 1800 --out measured
+    python benchmarks/error_bar_training.py draw II.asdf --lens achromat_50 --focus-mm 1800 --out pictures
     ...                                                                             # every other camera
-    python benchmarks/error_bar_training.py fit measured [--aside NAME ...] [--write]
+    python benchmarks/error_bar_training.py measure *.asdf --pictures pictures --out measured
+    python benchmarks/error_bar_training.py fit measured [--level OTHERS] [--aside NAME ...] [--write]
 
-``measure`` draws random scenes (``error_bar_scenes.py``) through the camera's lens and design, with several exposures,
-measures them, and keeps, of every sixth pixel in both directions, the signs of an error (``signs`` of
-``disparity/learned_error_bar.py``) and the error in steps between labels. ``fit`` finds the weights: the sum of two
-quantile losses (Koenker and Bassett 1978), so that as many errors lie within one and two bars as `SHARES`, whatever the
-signs. Scenes whose file's name begins with one of the names of ``--aside`` are not learned from; all are scored, those
-that are learned from by weights of the other scenes (four parts).
+``draw`` renders random scenes (``error_bar_scenes.py``) through the camera's lens and design, with several exposures,
+into NAME_SEED.npz. ``measure`` measures the pictures whose names begin with a camera file's, and keeps, of every sixth
+pixel in both directions, the signs of an error (``signs`` of ``disparity/learned_error_bar.py``) and the error in steps
+between labels; what is there already is not measured again. ``fit`` finds the weights: the sum of two quantile losses
+(Koenker and Bassett 1978), so that as many errors lie within one and two bars as `SHARES`, whatever the signs. Scenes
+whose file's name begins with one of the names of ``--aside`` are not learned from; all are scored, those that are
+learned from by weights of the other scenes (four parts). With ``--level`` other scenes set the constant: how
+long bars are follows from them, what makes them longer from all.
 """
 
 from __future__ import annotations
@@ -23,9 +26,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from chromaperture.camera import load_camera
+from chromaperture.camera_file import Calibration
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.disparity import accurate, learned_error_bar
 from chromaperture.optics.aperture import DESIGNS, made_of
@@ -36,7 +40,9 @@ from chromaperture.optics.render import render, render_depth
 from chromaperture.optics.sensor import SensorModel, develop, expose
 
 EVERY_PX = 6
-SHARES = (0.70, 0.945)  # of the errors, within one and two bars: those of Gaussian errors, nearly
+# Of the errors, within one and two bars. Of Gaussian errors they are .68 and .95. Errors here have a heavy tail: the
+# two losses together then leave .75 and .88, in every tenth, which is what .55 to .80 and .88 to .99 have in common.
+SHARES = (0.72, 0.92)
 LEAST_ERROR = 0.01  # steps; smaller ones are as good as none, and their logarithm would count
 SOFTNESS = 0.05  # of the quantile loss at 0, so that it has a derivative
 RIDGE = 1e-3  # of the weights of signs in units of their standard deviation
@@ -44,23 +50,36 @@ TRUTH = ("error", "relative", "share_of_step")  # what is kept beside the signs
 EXPOSURES = (0.2, 0.5, 0.9, 0.9, 0.9)  # of the white level
 
 
-def measure(args: argparse.Namespace) -> None:
-    """Draw, measure and keep scenes."""
-    from error_bar_scenes import random_scene  # its photographs are scikit-image's, which `fit` does without
+def draw(args: argparse.Namespace) -> None:
+    """Render scenes and keep them with their truth."""
+    from error_bar_scenes import few_surfaces, random_scene  # their photographs are scikit-image's, not needed to fit
 
-    camera = load_camera(args.camera, quality="accurate", device="cpu")
-    sensor = camera.calibration.sensor
+    calibration = Calibration.load(args.camera)
+    sensor = calibration.sensor
     size = {"width_px": sensor.width_px, "height_px": sensor.height_px, "pixel_pitch_mm": sensor.pixel_pitch_mm}
-    design = made_of(DESIGNS[args.design or camera.calibration.aperture.name], args.film)
+    design = made_of(DESIGNS[args.design or calibration.aperture.name], args.film)
     table = lens_rays(focused_at(load_lens(args.lens), args.focus_mm), design, cells=12, **size)
     half_field = sensor.pixel_pitch_mm * np.array([sensor.width_px, sensor.height_px]) / 2 / table.z_mm
     args.out.mkdir(parents=True, exist_ok=True)
     for seed in range(args.first, args.first + args.scenes):
-        planes, rng = random_scene(seed, (half_field[0], half_field[1])), np.random.default_rng(seed + 77)
+        planes = (few_surfaces if seed % 2 else random_scene)(seed, (half_field[0], half_field[1]))
+        rng = np.random.default_rng(seed + 77)
         light, truth = render(table, planes, seed=seed), render_depth(table, planes)
         exposure = rng.choice(EXPOSURES) / np.percentile(light.max(axis=2), 99.5)
         image = np.minimum(develop(expose(light, SensorModel(), seed=seed, exposure=exposure), SensorModel()), 1)
-        np.savez(args.out / f"{args.camera.stem}_{seed}.npz", **kept(camera, image.astype(np.float32), truth))
+        maps = {"image": image.astype(np.float32), "truth_mm": truth.astype(np.float32)}
+        np.savez(args.out / f"{args.camera.stem}_{seed}.npz", **maps)
+
+
+def measure(args: argparse.Namespace) -> None:
+    """Measure pictures and keep signs and errors."""
+    args.out.mkdir(parents=True, exist_ok=True)
+    for file in args.cameras:
+        camera = load_camera(file, quality="accurate", device="cpu")
+        for path in sorted(args.pictures.glob(f"{file.stem}_*.npz")):
+            if not (args.out / path.name).exists():
+                with np.load(path) as picture:
+                    np.savez(args.out / path.name, **kept(camera, picture["image"], picture["truth_mm"]))
 
 
 def kept(camera, image: np.ndarray, truth_mm: np.ndarray) -> dict[str, np.ndarray]:
@@ -121,6 +140,20 @@ def fitted(scenes: Sequence[Scene], names: Sequence[str]) -> learned_error_bar.W
     return learned_error_bar.Weights(tuple(names), weights, float(w[-1] - weights @ mean), least, most)
 
 
+def leveled(model: learned_error_bar.Weights, scenes: Sequence[Scene]) -> learned_error_bar.Weights:
+    """Find the constant anew, by the same losses over other scenes."""
+    ratios = [np.log(np.maximum(scene["error"], LEAST_ERROR) / bars_of(model, scene)) for scene in scenes]
+
+    def loss(more: float) -> float:
+        found = 0.0
+        for bars, share in enumerate(SHARES, start=1):
+            beyond = [ratio - more - np.log(bars) for ratio in ratios]
+            found += float(np.mean([np.mean(np.maximum(share * part, (share - 1) * part)) for part in beyond]))
+        return found
+
+    return model._replace(constant=model.constant + float(minimize_scalar(loss, bounds=(-3, 3), method="bounded").x))
+
+
 def bars_of(model: learned_error_bar.Weights, scene: Scene) -> np.ndarray:
     return np.exp(model.constant + np.clip(matrix(scene, model.names), model.least, model.most) @ model.weights)
 
@@ -137,8 +170,9 @@ def scores(scene: Scene, bar: np.ndarray) -> np.ndarray:
 def fit(args: argparse.Namespace) -> None:
     """Learn, score, and write the weights."""
     scenes = {path.stem: dict(np.load(path)) for path in sorted(args.measured.glob("*.npz"))}
-    stored = {}
-    for kind in ("planes", "surface"):
+    path = Path(learned_error_bar.__file__).with_suffix(".json")
+    stored = json.loads(path.read_text(encoding="utf-8"))
+    for kind in args.only:
         these = {name: scene for name, scene in scenes.items() if ("scatter" in scene) == (kind == "planes")}
         learned = [name for name in these if not name.startswith(tuple(args.aside or ("\0",)))]
         names = [n for n in next(iter(these.values())) if n not in (*TRUTH, *args.without)]
@@ -155,13 +189,15 @@ def fit(args: argparse.Namespace) -> None:
             one, two = shares[:10], shares[10:]
             words = ["  ".join(f"{f(part):.2f}" for f in (min, np.mean, max)) for part in (one, two)]
             print(f"  {camera:20} {len(found):3}   {words[0]}   {words[1]}   {area:.3f}")
+        if args.level:
+            others = [dict(np.load(path)) for path in sorted(args.level.glob("*.npz"))]
+            everything = leveled(everything, [scene for scene in others if ("scatter" in scene) == (kind == "planes")])
         kept_weights = replace_rounded(everything)
         stored[kind] = {
             "signs": dict(zip(names, np.stack(kept_weights[1:2] + kept_weights[3:], axis=1).tolist(), strict=True)),
             "constant": kept_weights.constant,
         }
     if args.write:
-        path = Path(learned_error_bar.__file__).with_suffix(".json")
         path.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
 
 
@@ -175,20 +211,27 @@ def replace_rounded(model: learned_error_bar.Weights) -> learned_error_bar.Weigh
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
-    one = commands.add_parser("measure")
+    one = commands.add_parser("draw")
     one.add_argument("camera", type=Path)
     one.add_argument("--lens", required=True)
     one.add_argument("--focus-mm", type=float, required=True)
     one.add_argument("--film", default="real")
     one.add_argument("--design", help="that of the camera file when absent")
-    one.add_argument("--first", type=int, default=0, help="seed of the first scene")
+    one.add_argument("--first", type=int, default=0, help="seed of the first scene; odd ones have few surfaces")
     one.add_argument("--scenes", type=int, default=12)
+    one.add_argument("--out", type=Path, required=True)
+    one.set_defaults(run=draw)
+    one = commands.add_parser("measure")
+    one.add_argument("cameras", type=Path, nargs="+")
+    one.add_argument("--pictures", type=Path, required=True)
     one.add_argument("--out", type=Path, required=True)
     one.set_defaults(run=measure)
     two = commands.add_parser("fit")
     two.add_argument("measured", type=Path)
     two.add_argument("--aside", nargs="+", help="names of cameras that are not learned from")
     two.add_argument("--without", nargs="+", default=[], help="signs to leave out")
+    two.add_argument("--level", type=Path, help="measured scenes by which the constant is set")
+    two.add_argument("--only", nargs="+", choices=["planes", "surface"], default=["planes", "surface"])
     two.add_argument("--write", action="store_true")
     two.set_defaults(run=fit)
     args = parser.parse_args()

@@ -3,8 +3,9 @@
     python benchmarks/half_pupil.py --data FOLDER [--quality paper real-time accurate] [--out DIR] [--json]
 
 FOLDER holds NNN_left.png, NNN_right.png, NNN_gt_defocus.png (0 = unknown, the middle two thirds of the frame) and
-calibration/white_sheet_*.png. Red is the left half, blue the right one, green their mean: optics and noise are real,
-the colours put together, at half the resolution. Spearman's correlation needs no calibration; its sign is the camera's.
+calibration/white_sheet_*.png. Red is the right half, blue the left one, green their mean: optics and noise are real,
+the colours put together, at half the resolution. With this order disparity grows with distance, as for film, which
+`accurate` counts on where a near surface hides a far one. Spearman's correlation needs no calibration.
 Coverage is the fraction of the pixels with truth that is scored: those of the shortest error bars.
 """
 
@@ -45,7 +46,7 @@ def capture(folder: Path, scene: str) -> np.ndarray:
     for side in ("left", "right"):
         sheet = cv2.GaussianBlur(read(folder / "calibration" / f"white_sheet_{side}.png") - BLACK, (0, 0), 12)
         sides.append((read(folder / f"{scene}_{side}.png") - BLACK) / sheet)
-    image = np.dstack([sides[0], (sides[0] + sides[1]) / 2, sides[1]]).astype(np.float32)
+    image = np.dstack([sides[1], (sides[0] + sides[1]) / 2, sides[0]]).astype(np.float32)
     return image * np.float32(0.8 / np.percentile(image, 99.5))
 
 
@@ -59,7 +60,7 @@ def score(disparity: np.ndarray, sigma: np.ndarray, defocus: np.ndarray) -> dict
     for share in COVERAGES:
         best = order[: round(share * len(order))]
         best = best[np.isfinite(doubt[best])]
-        found[f"at_{share:g}"] = abs(float(spearmanr(value[best], truth[best]).statistic))
+        found[f"at_{share:g}"] = float(spearmanr(value[best], truth[best]).statistic)
     return found
 
 

@@ -9,12 +9,23 @@ import numpy as np
 import pytest
 
 from chromaperture.disparity import learned_error_bar
+from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.learned_error_bar import Weights, learned_sigma, ranges, signs, weights
 from chromaperture.disparity.planar import Planes
+from chromaperture.disparity.plane_fit import Volume
+from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.winner import Surface
 
 TRAINING = Path(__file__).parents[1] / "benchmarks" / "error_bar_training.py"
 STEP_PX = 0.1
+
+
+def blocks_of(step_px, height=40, width=90, labels=40):
+    """Evidence of blocks of 4 px, noise about a parabola."""
+    rng = np.random.default_rng(8)
+    likelihood = 16 * (1 - ((np.arange(labels) - 15) / 20) ** 2) + rng.normal(0, 2, (height // 4, width // 4, labels))
+    volume = likelihood.astype(np.float32)
+    return Volume(volume, step_px * np.arange(labels), PlaneCosts(0.1, 1.0), execution_named("numpy"))
 
 
 @pytest.fixture
@@ -22,7 +33,8 @@ def world(rng):
     """Two planes, the right one half rejected; a first surface that scatters about them."""
     height, width = 40, 90
     choice = (np.arange(width) >= 50).astype(int) * np.ones((height, 1), int)
-    planes = Planes(np.array([[0, 0, 1.0], [0, 0.005, -0.5], [0, 0, 9]]), choice)  # the third is chosen by no pixel
+    coefficients = np.array([[0, 0, 1.0], [0, 0.005, -0.5], [0, 0, 9]])  # the third is chosen by no pixel
+    planes = Planes(coefficients, choice, blocks_of(STEP_PX))
     first = planes.label_px + rng.normal(0, 0.03, choice.shape).astype(np.float32)
     rejected = (choice == 1) & (np.arange(height)[:, None] >= 20)
     label = np.where(rejected, first, planes.label_px)
@@ -60,6 +72,12 @@ def test_without_planes_there_are_no_signs_of_planes(world):
         np.testing.assert_array_equal(values, with_planes[name])
 
 
+def test_planes_without_their_evidence_are_refused(world):
+    surface, first, planes = world
+    with pytest.raises(ValueError, match="blocks"):
+        signs(surface, STEP_PX, first_px=first, explained_by=planes._replace(blocks=None))
+
+
 @pytest.mark.parametrize("of_planes", [True, False])
 def test_the_bar_is_the_weighted_sum_within_what_was_seen(world, of_planes, monkeypatch):
     monkeypatch.setattr(learned_error_bar, "SMOOTHED_PX", 1e-3)
@@ -80,7 +98,7 @@ def test_the_bar_counts_in_steps_between_labels(world, of_planes):
     """Twice the step and everything twice as far: the same evidence of another design, and twice the bar."""
     surface, first, planes = world
     double = Surface(2 * surface.disparity_px, 2 * surface.sigma_px, surface.peak)
-    wide = Planes(2 * planes.planes, planes.choice)
+    wide = Planes(2 * planes.planes, planes.choice, blocks_of(2 * STEP_PX))
     one = learned_sigma(surface, STEP_PX, first_px=first, explained_by=planes if of_planes else None)
     two = learned_sigma(double, 2 * STEP_PX, first_px=2 * first, explained_by=wide if of_planes else None)
     np.testing.assert_allclose(two, 2 * one, rtol=1e-3)  # differences of single precision under a logarithm
@@ -112,28 +130,38 @@ def training():
     return module
 
 
-def scenes_of_known_errors(rng, count=6, pixels=4000):
-    """Errors whose distribution is scaled by exp(0.3 + 0.8 a - 0.4 b), whatever c; .70 and .945 within 1 and 2."""
+def scenes_of_known_errors(rng, shares, count=6, pixels=4000):
+    """Errors whose distribution is scaled by exp(0.3 + 0.8 a - 0.4 b), whatever c; these shares within 1 and 2."""
     scenes = []
     for _ in range(count):
         found = {name: rng.normal(0, 1, pixels) for name in "abc"}
-        # Quantiles .70 at 1 and .945 at 2, linear in the logarithm between: both losses ask for the same weights.
-        scatter = np.interp(rng.random(pixels), [0, 0.70, 0.945, 1], np.log([0.1, 1, 2, 4]))
+        # Linear in the logarithm between: both losses ask for the same weights.
+        scatter = np.interp(rng.random(pixels), [0, *shares, 1], np.log([0.1, 1, 2, 4]))
         scenes.append({**found, "error": np.exp(0.3 + 0.8 * found["a"] - 0.4 * found["b"] + scatter)})
     return scenes
 
 
 def test_training_finds_the_weights_that_errors_were_made_with(training, rng):
-    model = training.fitted(scenes_of_known_errors(rng), ["a", "b", "c"])
+    model = training.fitted(scenes_of_known_errors(rng, training.SHARES), ["a", "b", "c"])
     # 24,000 errors of a scatter of 1 leave weights to 0.01; the loss is rounded over 0.05, the ridge takes 0.01.
     np.testing.assert_allclose(model.weights, [0.8, -0.4, 0], atol=0.04)
     assert model.constant == pytest.approx(0.3, abs=0.04)
 
 
-def test_bars_of_training_hold_the_shares_that_they_are_made_for(training, rng):
-    scenes = scenes_of_known_errors(rng)
+def test_other_scenes_set_the_constant_alone(training, rng):
+    scenes = scenes_of_known_errors(rng, training.SHARES)
     model = training.fitted(scenes, ["a", "b"])
-    fresh = scenes_of_known_errors(np.random.default_rng(rng.integers(1e9)), count=1, pixels=40_000)[0]
+    others = [{**scene, "error": 0.5 * scene["error"]} for scene in scenes_of_known_errors(rng, training.SHARES)]
+    found = training.leveled(model, others)
+    np.testing.assert_array_equal(found.weights, model.weights)
+    assert found.constant == pytest.approx(0.3 + np.log(0.5), abs=0.05)
+
+
+def test_bars_of_training_hold_the_shares_that_they_are_made_for(training, rng):
+    scenes = scenes_of_known_errors(rng, training.SHARES)
+    model = training.fitted(scenes, ["a", "b"])
+    other = np.random.default_rng(rng.integers(1e9))
+    fresh = scenes_of_known_errors(other, training.SHARES, count=1, pixels=40_000)[0]
     bars = fresh["error"] / training.bars_of(model, fresh)
     for many, share in enumerate(training.SHARES, start=1):
         assert (bars < many).mean() == pytest.approx(share, abs=0.02)  # four standard deviations of the weights

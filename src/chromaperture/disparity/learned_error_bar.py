@@ -21,7 +21,9 @@ import cv2
 import numpy as np
 
 from chromaperture.disparity.error_bar import pooled_sigma
+from chromaperture.disparity.evidence_signs import signs_of_evidence
 from chromaperture.disparity.planar import Planes
+from chromaperture.disparity.plane_fit import Volume
 from chromaperture.disparity.winner import Surface
 
 POOLED_PX = 8.0  # sigma of the windows in which signs are averaged; else they follow paths and blocks
@@ -64,6 +66,12 @@ def learned_sigma(surface: Surface, step_px: float, *, first_px: np.ndarray, exp
     first_px : (H, W) float, px
         The surface before planes explained it.
     explained_by : Planes or None
+        With the evidence of blocks.
+
+    Raises
+    ------
+    ValueError
+        The planes come without the evidence of blocks.
     """
     model = weights()["planes" if explained_by is not None else "surface"]
     found = signs(surface, step_px, first_px=first_px, explained_by=explained_by)
@@ -80,7 +88,8 @@ def signs(
 
     ``posterior``: error bar of the posterior. ``range_N``: range of the surface within N px. With planes besides, of a
     pixel's plane ``scatter``: root mean square difference of the surface before it, ``rejected``: the share of it that
-    was not taken; ``apart`` and ``apart_wide``: share of the pixels around whose plane was not taken.
+    was not taken; ``apart`` and ``apart_wide``: share of the pixels around whose plane was not taken; and those of
+    `signs_of_evidence`, ``spread_of_frame`` the mean of one: photographs differ in what their evidence is worth.
     """
     label = np.asarray(surface.disparity_px, np.float32) / np.float32(step_px)
     posterior = pooled_sigma(surface.sigma_px, POOLED_PX) / np.float32(step_px)
@@ -91,7 +100,19 @@ def signs(
     if explained_by is not None:
         first = np.asarray(first_px, np.float32) / np.float32(step_px)
         found |= of_planes(label, first, explained_by, step_px)
+        if explained_by.blocks is None:
+            raise ValueError("the signs of the evidence need the blocks that chose the planes")
+        found |= of_blocks(surface, explained_by.blocks, explained_by.choice)
     return found
+
+
+def of_blocks(surface: Surface, blocks: Volume, choice: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the signs that the evidence gives, see `signs`."""
+    label = (np.asarray(surface.disparity_px, np.float32) - np.float32(blocks.labels_px[0])) / np.float32(
+        blocks.step_px
+    )
+    found = signs_of_evidence(blocks, label, choice)
+    return {**found, "spread_of_frame": np.full(label.shape, found["spread"].mean(), np.float32)}
 
 
 def of_planes(label: np.ndarray, first: np.ndarray, planes: Planes, step_px: float) -> dict[str, np.ndarray]:

@@ -35,10 +35,13 @@ class Planes(NamedTuple):
     ----------
     planes : (K, 3) float64; ``label = a x + b y + c``, px
     choice : (H, W) int
+    blocks : Volume or None
+        Sums over blocks of pixels of the evidence that chose them.
     """
 
     planes: np.ndarray
     choice: np.ndarray
+    blocks: Volume | None = None
 
     @property
     def label_px(self) -> np.ndarray:
@@ -152,14 +155,14 @@ def fitting_planes(
         planes, choice = merged_planes(choice, planes, blocks, config=config, border=-(-config.border_px // size))
     planes = _scaled(planes, 1 / size)
     rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(guide.shape, choice.shape, strict=True))
-    found = Planes(planes, choice[rows[:, None], columns])
+    found = Planes(planes, choice[rows[:, None], columns], blocks)
     if config.edge_band_px == 0:
         return found
     choice = placed_edges(
         found.choice, planes, guide, reach_px=config.edge_band_px, apart_px=BORDER_APART_LABELS * step, beliefs=beliefs,
         line_costs=line_costs,
     )  # fmt: skip
-    return Planes(planes, choice)
+    return Planes(planes, choice, blocks)
 
 
 def block_sums(likelihood: np.ndarray, size: int) -> np.ndarray:
