@@ -358,6 +358,8 @@ class PlanesConfig:
     edge_band_px : int
         Reach inwards, from the border of a nearer plane, within which the guide alone decides where its edge is;
         0 leaves edges where the evidence has them.
+    edge_lines : bool
+        Whether lines across borders tell where edges are, where the camera's blur is known; else the guide alone.
     rounds : int
         Of choosing and joining; 0 switches the planes off.
     sweeps : int
@@ -374,6 +376,7 @@ class PlanesConfig:
     outside_penalty: float = 0.05
     border_px: int = 12
     edge_band_px: int = 8
+    edge_lines: bool = True
     rounds: int = 5
     sweeps: int = 8
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 
 from chromaperture.config import AccurateConfig
 from chromaperture.disparity.clipped_areas import clipped_filled
+from chromaperture.disparity.edge_likelihood import EdgeLikelihood
 from chromaperture.disparity.error_bar import (
     confidence,
     local_range,
@@ -23,8 +25,9 @@ from chromaperture.disparity.error_bar import (
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.learned_error_bar import learned_sigma
-from chromaperture.disparity.planar import Planes, planes_of_surface
-from chromaperture.disparity.plane_agreement import where_they_agree
+from chromaperture.disparity.planar import BORDER_APART_LABELS, Planes, planes_of_surface
+from chromaperture.disparity.plane_agreement import beside_borders, where_they_agree
+from chromaperture.disparity.plane_edges import LineCosts
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.stages.between_layers import between_layers
 from chromaperture.disparity.views import ViewSpace, filtered_views
@@ -71,6 +74,8 @@ class AccurateMethod:
     label_map : LabelMap
         From labels to the disparities of every pixel.
     run : Execution
+    edges : EdgeLikelihood, optional
+        Where near planes end; without, the guide alone tells.
     """
 
     config: AccurateConfig
@@ -78,6 +83,7 @@ class AccurateMethod:
     evidence: Evidence
     label_map: LabelMap
     run: Execution
+    edges: EdgeLikelihood | None = None
 
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3)."""
@@ -92,9 +98,15 @@ class AccurateMethod:
             )
         surface = optimised_surface(
             likelihood, views.guide, labels_px, config=self.config.surface, planes=self.config.planes, run=self.run,
-            known_within_px=sigma_of_range(labels_px),
+            known_within_px=sigma_of_range(labels_px), line_costs=self.line_costs(image),
         )  # fmt: skip
         return self.of_labels(surface, image, usable, labels_px)
+
+    def line_costs(self, image: np.ndarray) -> LineCosts | None:
+        """Return what tells where edges are in an image, as `clipped_filled` has it."""
+        if self.edges is None or not self.config.planes.edge_lines:
+            return None
+        return partial(self.edges.costs, image)
 
     def of_labels(self, surface: Surface, image: np.ndarray, usable: np.ndarray, labels_px: np.ndarray) -> Disparity:
         """Return the disparity of a surface of labels; image and where it is usable as `clipped_filled` has them."""
@@ -120,6 +132,7 @@ def optimised_surface(
     planes: PlanesConfig = WITHOUT_PLANES,
     run: Execution,
     known_within_px: float = math.inf,
+    line_costs: LineCosts | None = None,
 ) -> Surface:
     """Find the surface that explains the whole volume.
 
@@ -135,6 +148,8 @@ def optimised_surface(
     run : Execution
     known_within_px : float, px
         Standard deviation of the posterior from which on the disparity is unknown.
+    line_costs : callable, optional
+        See `placed_edges`.
 
     Returns
     -------
@@ -160,8 +175,9 @@ def optimised_surface(
     del cost  # as large as the volume: what follows takes its memory
     sigma, first = posterior.sigma_px(disparity), disparity
     explained_by = planes_of_surface(
-        disparity, sigma, likelihood, guide, labels_px, config=planes, surface=config, run=run
-    )
+        disparity, sigma, likelihood, guide, labels_px, config=planes, surface=config, run=run,
+        line_costs=line_costs,
+    )  # fmt: skip
     if explained_by is not None:
         disparity = where_they_agree(explained_by, disparity, np.hypot(sigma, step))
         sigma = posterior.sigma_px(disparity)
@@ -219,7 +235,11 @@ def judged(
     step = float(labels_px[1] - labels_px[0])
     disparity, sigma = surface.disparity_px, surface.sigma_px
     inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
-    known = inside & (sigma < known_within_px)
+    certain = sigma < known_within_px
+    if explained_by is not None:
+        # Beside a border the posterior is no witness: windows there see the other plane.
+        certain |= beside_borders(explained_by, BORDER_APART_LABELS * step) & (disparity == explained_by.label_px)
+    known = inside & certain
     if learned:
         sigma = learned_sigma(surface, step, first_px=first_px, explained_by=explained_by)
     else:

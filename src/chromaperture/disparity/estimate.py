@@ -11,6 +11,7 @@ from chromaperture.config import AccurateConfig, ExecutionName, MatcherConfig, P
 from chromaperture.disparity.accurate import AccurateMethod, Evidence
 from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.correlation_evidence import CorrelationEvidence
+from chromaperture.disparity.edge_likelihood import EdgeLikelihood
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.labels import IDENTITY, LabelMap
 from chromaperture.disparity.paper import PaperMethod
@@ -115,7 +116,8 @@ def method_for(
             evidence: Evidence = SpectralEvidence(
                 config.spectral, BlurEvidence(cross_filter, blur, label_maps[0], noise, run)
             )
-            return AccurateMethod(config, view_spaces(aperture, unmixing, "unmixed")[0], evidence, label_maps[0], run)
+            space, edges = view_spaces(aperture, unmixing, "unmixed")[0], EdgeLikelihood(blur, label_maps[0], noise)
+            return AccurateMethod(config, space, evidence, label_maps[0], run, edges)
         case AccurateConfig(evidence=CorrelationEvidenceConfig() as correlation):
             maps = tuple(label_maps) or (IDENTITY,)
             spaces = tuple(view_spaces(aperture, unmixing, correlation.space))[: len(maps)]

@@ -17,13 +17,15 @@ from typing import NamedTuple
 import numpy as np
 
 from chromaperture.disparity.execution import Execution
-from chromaperture.disparity.plane_edges import Beliefs, edges_by_guide
+from chromaperture.disparity.plane_edges import Beliefs, LineCosts, placed_edges
 from chromaperture.disparity.plane_fit import Volume, candidates
 from chromaperture.disparity.plane_merging import merged_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig
 from chromaperture.threads import BAND_ROWS, each_band
+
+BORDER_APART_LABELS = 1.5  # by which two planes differ for their border to be a depth edge; chosen by hand
 
 
 class Planes(NamedTuple):
@@ -56,6 +58,7 @@ def planes_of_surface(
     config: PlanesConfig,
     surface: SurfaceConfig,
     run: Execution,
+    line_costs: LineCosts | None = None,
 ) -> Planes | None:
     """Explain a surface by planes.
 
@@ -71,6 +74,8 @@ def planes_of_surface(
     surface : SurfaceConfig
         How the guide leads.
     run : Execution
+    line_costs : callable, optional
+        See `placed_edges`.
 
     Returns
     -------
@@ -92,7 +97,9 @@ def planes_of_surface(
         cost = run.plane_costs(blocks.likelihood, planes, labels_px, costs)
         return np.asarray(run.potts_beliefs(cost, links, sweeps=config.sweeps).argmin(axis=2))
 
-    return fitting_planes(planes, blocks, guide, choose, config=config, beliefs=run.potts_beliefs)
+    return fitting_planes(
+        planes, blocks, guide, choose, config=config, beliefs=run.potts_beliefs, line_costs=line_costs
+    )
 
 
 def block_costs(config: PlanesConfig) -> PlaneCosts:
@@ -117,6 +124,7 @@ def fitting_planes(
     *,
     config: PlanesConfig,
     beliefs: Beliefs,
+    line_costs: LineCosts | None = None,
 ) -> Planes:
     """Let blocks choose planes, join planes, and let blocks choose again.
 
@@ -132,6 +140,8 @@ def fitting_planes(
     config : PlanesConfig
     beliefs : callable
         `stages.potts_beliefs`.
+    line_costs : callable, optional
+        See `placed_edges`.
     """
     size, step = config.block_px, blocks.step_px
     planes = _scaled(planes, size)
@@ -145,9 +155,10 @@ def fitting_planes(
     found = Planes(planes, choice[rows[:, None], columns])
     if config.edge_band_px == 0:
         return found
-    choice = edges_by_guide(
-        found.choice, planes, guide, reach_px=config.edge_band_px, apart_px=1.5 * step, beliefs=beliefs
-    )
+    choice = placed_edges(
+        found.choice, planes, guide, reach_px=config.edge_band_px, apart_px=BORDER_APART_LABELS * step, beliefs=beliefs,
+        line_costs=line_costs,
+    )  # fmt: skip
     return Planes(planes, choice)
 
 

@@ -69,6 +69,16 @@ def _beside_nearer(planes: Planes, label_px: np.ndarray, surface_px: np.ndarray,
     return found
 
 
+def beside_borders(planes: Planes, apart_px: float) -> np.ndarray:
+    """Find the pixels within `BESIDE_PX` of a border at which planes differ by so much; (H, W) bool."""
+    label_px = planes.label_px
+    step = np.zeros(label_px.shape, bool)
+    step[:, 1:] |= np.abs(np.diff(label_px, axis=1)) > apart_px
+    step[1:] |= np.abs(np.diff(label_px, axis=0)) > apart_px
+    from_step = cv2.distanceTransform((~step).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+    return np.asarray(from_step <= BESIDE_PX)
+
+
 def _without_noise(apart: np.ndarray, choice: np.ndarray) -> np.ndarray:
     """Leave out the spots of disagreement that lie inside an area of agreement; (H, W) bool."""
     apart = apart.copy()

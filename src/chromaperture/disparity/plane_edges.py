@@ -1,19 +1,24 @@
-"""Where a near plane ends: the guide decides next to its border, not the evidence.
+"""Where a near plane ends: the place of its edge is decided anew, not by windows.
 
 A window beside a depth edge sees both sides, and the near side's outline, which is as sharp as the picture and belongs
 to the near side. So near planes come out too large by up to the window's reach. Inside a band along their border no
-evidence counts: the border lies where the picture changes most.
+evidence of windows counts. Where the camera's blur is known, lines across the border tell how likely every place of the
+edge is (`edge_likelihood.py`); a border is cheaper where the picture changes most.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import cv2
 import numpy as np
 
+from chromaperture.disparity.edge_likelihood import GRID_PX, HALF, SHIFTS, Lines
 from chromaperture.disparity.plane_merging import neighbouring_pairs
 from chromaperture.threads import parallel_map
+
+LineCosts = Callable[[Lines], np.ndarray]  # `EdgeLikelihood.costs` of a photograph
 
 
 class Beliefs(Protocol):
@@ -28,15 +33,27 @@ STEEPNESS = 4.0  # a border on the steepest edge in reach costs exp(-4) of one o
 LEAST_LINK = 0.03  # keeps borders short on the steepest edges
 SMOOTHING_PX = 2.0  # of the guide; its noise is no edge
 CORE = 0.75  # of the half-width of a thin plane: so much of it stays, however wide the band
-GRID = 2  # px; borders are found on every second pixel
+# Weight of a line's log-likelihood: lines are 2 px apart, and textures and outlines of neighbours are alike.
+# docs/measurements.md has .03, .1 and .3.
+LINE_WEIGHT = 0.05
+LEAST_OF_PAIR = 0.7  # share of a line's middle that must lie on its two planes; .5 and .9 do as well
+LEAST_ACROSS = 0.3  # of the squared cosine between a line and the border's normal; chosen by hand
+NORMAL_SIGMA = 4.0  # grid points, over which a border's normal is found; chosen by hand
 _FORBIDDEN = 1e3
 _SWEEPS = 10
 
 
-def edges_by_guide(
-    choice: np.ndarray, planes: np.ndarray, guide: np.ndarray, *, reach_px: int, apart_px: float, beliefs: Beliefs
+def placed_edges(
+    choice: np.ndarray,
+    planes: np.ndarray,
+    guide: np.ndarray,
+    *,
+    reach_px: int,
+    apart_px: float,
+    beliefs: Beliefs,
+    line_costs: LineCosts | None = None,
 ) -> np.ndarray:
-    """Move the borders of near planes to the guide's edges.
+    """Move the borders of near planes to where their edges are.
 
     Parameters
     ----------
@@ -50,26 +67,99 @@ def edges_by_guide(
         Labels by which two planes must differ for one to be near.
     beliefs : callable
         `stages.potts_beliefs`.
+    line_costs : callable, optional
+        Costs of the places of edges; without, the guide alone decides.
 
     Returns
     -------
     (H, W) int
     """
     height, width = choice.shape
-    coarse = choice[::GRID, ::GRID]
+    coarse = choice[::GRID_PX, ::GRID_PX]
     used, coarse = np.unique(coarse, return_inverse=True)
-    coarse = coarse.reshape(-(-height // GRID), -(-width // GRID))
-    y, x = np.mgrid[0:height:GRID, 0:width:GRID]
+    coarse = coarse.reshape(-(-height // GRID_PX), -(-width // GRID_PX))
+    y, x = np.mgrid[0:height:GRID_PX, 0:width:GRID_PX]
     label = planes[used, 0] * x[..., None] + planes[used, 1] * y[..., None] + planes[used, 2]
-    possible = _possible(coarse, label, reach_px / GRID, apart_px)
+    possible = _possible(coarse, label, reach_px / GRID_PX, apart_px)
     if not (possible.sum(axis=2) > 1).any():
         return choice
-    cost = np.where(possible, 0, _FORBIDDEN).astype(np.float32)
-    believed = beliefs(cost, _links(guide, reach_px)[:, ::GRID, ::GRID], sweeps=_SWEEPS)
+    cost = np.zeros(label.shape, np.float32)
+    if line_costs is not None:
+        for along_rows in (True, False):
+            _add_lines(cost, possible, coarse, label, along_rows, apart_px, line_costs)
+    cost[~possible] = _FORBIDDEN
+    believed = beliefs(cost, _links(guide, reach_px)[:, ::GRID_PX, ::GRID_PX], sweeps=_SWEEPS)
     moved = np.where(possible, believed, np.inf).argmin(axis=2)
-    rows, columns = np.arange(height) // GRID, np.arange(width) // GRID
+    rows, columns = np.arange(height) // GRID_PX, np.arange(width) // GRID_PX
     free = (possible.sum(axis=2) > 1)[rows[:, None], columns]
     return np.where(free, used[moved[rows[:, None], columns]], choice)
+
+
+def _add_lines(
+    cost: np.ndarray,
+    possible: np.ndarray,
+    choice: np.ndarray,
+    label: np.ndarray,
+    along_rows: bool,
+    apart_px: float,
+    line_costs: LineCosts,
+) -> None:
+    """Add what lines across borders say of the pixels beside these, which may lie on either plane.
+
+    Parameters
+    ----------
+    cost : (h, w, K) float32
+        Is added to.
+    possible : (h, w, K) bool
+        Is added to.
+    choice : (h, w) int
+    label : (h, w, K) float, px
+    along_rows : bool
+    apart_px : float
+    line_costs : callable
+    """
+    if not along_rows:
+        cost, possible, label = (part.transpose(1, 0, 2) for part in (cost, possible, label))
+        choice = choice.T
+    width = choice.shape[1]
+    y, x = np.nonzero(choice[:, :-1] != choice[:, 1:])
+    here, beyond = choice[y, x], choice[y, x + 1]
+    gap = label[y, x, beyond] - label[y, x, here]  # of both planes at one pixel
+    near_first = gap > 0
+    near, far = np.where(near_first, here, beyond), np.where(near_first, beyond, here)
+    across = _across(choice, y, x, near)
+    inside = (x >= HALF - 1) & (x + HALF < width)
+    kept = (np.abs(gap) > apart_px) & inside & (across > LEAST_ACROSS)
+    y, x, near, far, near_first, across = (part[kept] for part in (y, x, near, far, near_first, across))
+    middle = choice[y[:, None], x[:, None] + np.arange(-SHIFTS, SHIFTS + 2)]
+    of_pair = (middle == near[:, None]) | (middle == far[:, None])
+    kept = of_pair.mean(axis=1) >= LEAST_OF_PAIR
+    if not kept.any():
+        return
+    y, x, near, far, near_first, across = (part[kept] for part in (y, x, near, far, near_first, across))
+    near_px, far_px = (label[y, x, side] for side in (near, far))
+    row, column = (y, x) if along_rows else (x, y)
+    costs = across[:, None] * LINE_WEIGHT * line_costs(Lines(along_rows, row, column, near_px, far_px, near_first))
+    # A pixel that becomes near moves the edge beyond it.
+    rise = np.diff(costs, axis=1) * np.where(near_first, 1, -1)[:, None]
+    at = y[:, None], x[:, None] + np.arange(1 - SHIFTS, SHIFTS + 1)
+    of_pair = of_pair[kept][:, 1:-1]
+    rows, columns, steps = at[0].repeat(rise.shape[1], axis=1)[of_pair], at[1][of_pair], rise[of_pair]
+    for side, sign in ((near, 0.5), (far, -0.5)):
+        plane = side[:, None].repeat(rise.shape[1], axis=1)[of_pair]
+        np.add.at(cost, (rows, columns, plane), sign * steps)
+        possible[rows, columns, plane] = True
+
+
+def _across(choice: np.ndarray, y: np.ndarray, x: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Squared cosine between rows and the normals of near planes' borders at grid points; (P,)."""
+    out = np.empty(len(y))
+    for k in np.unique(near):
+        inside = cv2.GaussianBlur((choice == k).astype(np.float32), (0, 0), NORMAL_SIGMA)
+        of_plane = near == k
+        along, down = (cv2.Sobel(inside, cv2.CV_32F, *order)[y[of_plane], x[of_plane]] for order in ((1, 0), (0, 1)))
+        out[of_plane] = along**2 / (along**2 + down**2 + np.finfo(np.float32).tiny)
+    return out
 
 
 def _possible(choice: np.ndarray, label: np.ndarray, reach: float, apart_px: float) -> np.ndarray:
@@ -95,7 +185,7 @@ def _possible(choice: np.ndarray, label: np.ndarray, reach: float, apart_px: flo
         for near, far in ((i, j), (j, i)):
             nearer = label[..., far] > label[..., near] + apart_px
             possible[..., far] |= here[near] & nearer & (away[far] <= reach) & ~thin_core[near]
-            possible[..., near] |= here[far] & nearer & (away[near] <= OUTWARD_PX / GRID)
+            possible[..., near] |= here[far] & nearer & (away[near] <= OUTWARD_PX / GRID_PX)
     return possible
 
 

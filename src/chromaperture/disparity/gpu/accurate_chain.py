@@ -38,6 +38,7 @@ from chromaperture.disparity.gpu.surface_stages import (
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.planar import Planes, block_costs, fitting_planes, links_of_blocks
 from chromaperture.disparity.plane_agreement import where_they_agree
+from chromaperture.disparity.plane_edges import LineCosts
 from chromaperture.disparity.plane_fit import Volume, distinct_of, proposals
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.spectral_evidence import SpectralEvidence
@@ -169,7 +170,7 @@ class AccurateChain:
             inputs["counted"] = usable if own is None else usable * own
         if isinstance(method.evidence, SpectralEvidence) and self.uses_windows:
             inputs["windows"] = method.evidence.of_windows(image, method.config.layers.values_px, self.labels_px)
-        found = self._planes(inputs, views.guide)
+        found = self._planes(inputs, views.guide, method.line_costs(image))
         of_planes = found is not None
         step = float(self.labels_px[1] - self.labels_px[0])
         more = {} if found is None else {"taken_labels": (found.taken_px - self.labels_px[0]) / step}
@@ -183,7 +184,9 @@ class AccurateChain:
         )  # fmt: skip
         return method.of_labels(surface, image, usable, self.labels_px)
 
-    def _planes(self, inputs: dict[str, np.ndarray], guide: np.ndarray) -> PlanesFound | None:
+    def _planes(
+        self, inputs: dict[str, np.ndarray], guide: np.ndarray, line_costs: LineCosts | None
+    ) -> PlanesFound | None:
         """Run the first chain, and explain its surface by planes where they agree, as `optimised_surface`."""
         config, step = self.method.config.planes, float(self.labels_px[1] - self.labels_px[0])
         if self.blocks is None:
@@ -212,8 +215,9 @@ class AccurateChain:
 
         volume = Volume(sums, self.labels_px, costs, self.method.run)
         fitting = fitting_planes(
-            planes, volume, guide, lambda some: chooser.choose(some, links), config=config, beliefs=beliefs
-        )
+            planes, volume, guide, lambda some: chooser.choose(some, links), config=config, beliefs=beliefs,
+            line_costs=line_costs,
+        )  # fmt: skip
         return PlanesFound(fitting, label, where_they_agree(fitting, label, np.hypot(sigma, step)))
 
 

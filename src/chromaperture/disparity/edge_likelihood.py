@@ -1,0 +1,288 @@
+"""Where a near surface ends: the likelihood of an edge's place, for a near texture in front of a far one.
+
+Along a line across the edge channel k of the photograph is::
+
+    y_k(x) = A_k(x - t) n_k(x) + (1 - A_k(x - t)) f_k(x) + noise
+
+n and f are the near and the far texture as the lens blurs them at their depths, A_k is the blurred half plane that ends
+at t. For Gaussian textures of one power spectrum S the lines are Gaussian, and a place t has the log-likelihood::
+
+    L(t) = -1/2 [ log det K(t) + y^T K(t)^-1 y ]
+    K_jk(x, x') = A_j A_k' N_jk(x - x') + (1 - A_j)(1 - A_k') F_jk(x - x') + noise
+    N_jk = C_jk F^-1[ S H_j H_k* ]  at the near depth, F_jk alike at the far one
+
+with the colours' covariance C. It holds everything that tells of an edge: the near outline's blur and its displacement
+in every channel, and which side's detail agrees between channels. That the blur of a product is the product of the
+blurs is the one approximation. As alpha mixing, but with unknown textures integrated out, compare:
+
+P. Favaro, S. Soatto: Seeing beyond occlusions (and other marvels of a finite lens aperture). CVPR 2003.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import scipy.fft
+
+from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.result import NoiseModel
+from chromaperture.optics.lens_blur import LensBlur
+from chromaperture.threads import parallel_map
+
+GRID_PX = 2  # distance of a line's samples, and of two places of an edge
+HALF = 9  # samples on either side of a border; with 8 and 11 as many edges are found (docs/measurements.md)
+SHIFTS = 7  # places to either side
+OUTER = 5  # samples at either end, whose power tells how strong the texture there is
+LOW_PASS_PX = 1.0  # sigma of the Gaussian before sampling
+# Coarser steps than these would still do: a quarter of the layer, nine times as many nodes and amplitudes of all powers
+# of 2 place no more edges within 4 px (docs/measurements.md).
+LAYER_PX = 0.5
+NODES = 3  # along either side of the frame
+AMPLITUDE_OCTAVES = 2.0
+SLOPE = 1.3  # of the power spectrum f^(-2 slope) of textures; 1 and 1.6 do as well
+SOFTEST = 0.01  # cycles a px, at which the spectrum levels off
+OWN_COLOUR = 0.03  # share of a channel's texture that no other channel has; 0.01 does as well
+SHADES_PX = (
+    6.0,
+    20.0,
+)  # sigmas of the Gaussians whose difference tells the covariance of colours: wider than most blur
+LEAST_TEXTURE = 0.05  # of the noise, where an end of a line holds only noise
+_UNKNOWN_LEVEL = 0.3  # standard deviation of a surface's mean light, over the mean light of its line; chosen by hand
+
+
+class Lines(NamedTuple):
+    """Lines across borders, on a grid of `GRID_PX`; P of one direction.
+
+    Attributes
+    ----------
+    along_rows : bool
+        Else along columns.
+    y, x : (P,) int
+        Last grid point before the border.
+    near_px, far_px : (P,) float, px
+        Labels of both sides.
+    near_first : (P,) bool
+        Whether the near side is at the lower coordinates.
+    """
+
+    along_rows: bool
+    y: np.ndarray
+    x: np.ndarray
+    near_px: np.ndarray
+    far_px: np.ndarray
+    near_first: np.ndarray
+
+
+class _Texture(NamedTuple):
+    """A texture at one depth along rows or columns: covariances (3, 3, 2 HALF, 2 HALF), and line spread sums (3, S)."""
+
+    covariance: np.ndarray
+    cumulative: np.ndarray
+
+
+@dataclass(frozen=True)
+class EdgeLikelihood:
+    """Finds the likely places of edges in photographs of one camera.
+
+    Attributes
+    ----------
+    blur : LensBlur
+    label_map : LabelMap
+    noise : NoiseModel
+    """
+
+    blur: LensBlur
+    label_map: LabelMap
+    noise: NoiseModel
+
+    def costs(self, image: np.ndarray, lines: Lines) -> np.ndarray:
+        """Compute the negative log-likelihood of the places of edges.
+
+        Parameters
+        ----------
+        image : (H, W, 3) float, linear RGB
+        lines : Lines
+            All of their `HALF` samples to either side lie within the image.
+
+        Returns
+        -------
+        (P, 2 SHIFTS + 1) float64, nats, 0 for the best place of a line
+            Of an edge that lies ``i - SHIFTS`` grid points beyond the border.
+        """
+        image = np.where(np.isfinite(image), image, np.float32(0)).astype(np.float32)
+        samples = _samples(image, lines)
+        mean, noise = samples.mean(axis=(1, 2)), self._noise_at(image, lines)
+        colours = _covariance_of_colours(image)
+        nodes, near, far = self._depths(lines)
+        each = {(node, layer) for side in (near, far) for node, layer in zip(nodes, side, strict=True)}
+        keys = sorted(each)
+        textures = dict(zip(keys, parallel_map(lambda key: self._texture(*key, lines.along_rows), keys), strict=True))
+        out = np.empty((len(samples), 2 * SHIFTS + 1))
+        groups: dict[tuple[int, int, int, bool], list[int]] = {}
+        for i, key in enumerate(zip(nodes, near, far, lines.near_first.tolist(), strict=True)):
+            groups.setdefault(key, []).append(i)
+
+        def of_group(key: tuple[int, int, int, bool]) -> None:
+            node, near, far, near_first = key
+            members = np.array(groups[key])
+            model = _Model(
+                textures[node, near], textures[node, far], near_first, colours, noise[members].mean(axis=0),
+                float(mean[members].mean()),
+            )  # fmt: skip
+            out[members] = model.costs(samples[members])
+
+        parallel_map(of_group, sorted(groups))
+        return out - out.min(axis=1, keepdims=True)
+
+    def _noise_at(self, image: np.ndarray, lines: Lines) -> np.ndarray:
+        """Return the variance of noise at lines; (P, 3)."""
+        variance = np.nan_to_num(np.asarray(self.noise.variance(image), np.float32), posinf=0, neginf=0)
+        mean = cv2.GaussianBlur(variance, (0, 0), SHADES_PX[0])
+        return np.asarray(mean[lines.y * GRID_PX, lines.x * GRID_PX])
+
+    def _depths(self, lines: Lines) -> tuple[list[int], list[int], list[int]]:
+        """Return the nearest node of the blur, and the nearest layers of both sides, of every line."""
+        y, x = lines.y * GRID_PX, lines.x * GRID_PX
+        shape = self.blur.height_px, self.blur.width_px
+        row, column = (np.rint(p / max(1, n - 1) * (NODES - 1)) for p, n in zip((y, x), shape, strict=True))
+        offset, scale = (np.broadcast_to(part, shape)[y, x] for part in self.label_map)
+        near, far = (np.rint((offset + scale * side) / LAYER_PX) for side in (lines.near_px, lines.far_px))
+        nodes = row * NODES + column
+        return (nodes.astype(int).tolist(), near.astype(int).tolist(), far.astype(int).tolist())
+
+    def _texture(self, node: int, layer: int, along_rows: bool) -> _Texture:
+        """Blur the texture of unit power by the lens, as lines see it."""
+        y, x = (part / (NODES - 1) for part in divmod(node, NODES))
+        rays = self.blur.rays(x * (self.blur.width_px - 1), y * (self.blur.height_px - 1))
+        at_infinity, scale = self.blur.reference
+        diameter = 2 * abs(layer * LAYER_PX) / self.blur.reach
+        size = int(scipy.fft.next_fast_len(math.ceil(diameter) + 4 * HALF * GRID_PX, real=True))
+        size += size % 2
+        transfer = self.blur.transfer_of(rays, (at_infinity - layer * LAYER_PX) / scale, size)
+        fy, fx = scipy.fft.fftfreq(size)[:, None], scipy.fft.rfftfreq(size)[None]
+        radius2 = fx**2 + fy**2
+        transfer = transfer * np.exp(-2 * np.pi**2 * LOW_PASS_PX**2 * radius2)
+        power = (radius2 + SOFTEST**2) ** -SLOPE
+        lag = GRID_PX * (np.arange(2 * HALF)[:, None] - np.arange(2 * HALF))
+        covariance = np.empty((3, 3, 2 * HALF, 2 * HALF))
+        for j in range(3):
+            for k in range(3):
+                along = _line_of(power * transfer[j] * transfer[k].conj(), along_rows)
+                covariance[j, k] = along[lag % size]
+        spread = np.stack([_projection_of(part, along_rows) for part in transfer])
+        return _Texture(covariance, np.cumsum(np.roll(spread, size // 2, axis=1), axis=1))
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Lines of one pair of depths, at one place of the frame."""
+
+    near: _Texture
+    far: _Texture
+    near_first: bool
+    colours: np.ndarray  # (3, 3)
+    noise: np.ndarray  # (3,)
+    mean: float
+
+    def costs(self, lines: np.ndarray) -> np.ndarray:
+        """Negative log-likelihoods (P, 2 SHIFTS + 1) of lines (P, 3, 2 HALF)."""
+        near, far = (self._powers(lines, of_near=of_near) for of_near in (True, False))
+        out = np.empty((len(lines), 2 * SHIFTS + 1))
+        pairs, member = np.unique(np.stack([near, far], axis=1), axis=0, return_inverse=True)
+        for i, powers in enumerate(pairs):
+            chosen = member.ravel() == i
+            out[chosen] = self._of_powers(lines[chosen].reshape(-1, 6 * HALF), *np.exp2(powers))
+        return out
+
+    def _powers(self, lines: np.ndarray, *, of_near: bool) -> np.ndarray:
+        """Estimate the power of one side's texture at the line's end; (P,) float, log2, in whole steps."""
+        at_start = self.near_first == of_near
+        end = slice(0, OUTER) if at_start else slice(-OUTER, None)
+        texture = (self.near if of_near else self.far).covariance[:, :, end, end]
+        ends = lines[:, :, end] - lines[:, :, end].mean(axis=2, keepdims=True)
+        centred = np.eye(OUTER) - 1 / OUTER
+        energy = np.square(ends).sum(axis=(1, 2))
+        of_unit = sum(self.colours[k, k] * np.trace(centred @ texture[k, k] @ centred) for k in range(3))
+        of_noise = self.noise.sum() * np.trace(centred @ _noise_covariance()[end, end] @ centred)
+        power = np.maximum(energy - of_noise, LEAST_TEXTURE * of_noise + np.finfo(np.float32).tiny) / of_unit
+        return np.asarray(AMPLITUDE_OCTAVES * np.rint(np.log2(power) / AMPLITUDE_OCTAVES))
+
+    def _of_powers(self, lines: np.ndarray, near_power: float, far_power: float) -> np.ndarray:
+        """Negative log-likelihoods of lines (P, 6 HALF) whose textures have known powers."""
+        count = 2 * HALF
+        level = (_UNKNOWN_LEVEL * self.mean) ** 2 / np.mean(np.diag(self.colours))
+        sides = (
+            (self.colours[:, :, None, None] * (power * texture.covariance + level))
+            .transpose(0, 2, 1, 3)
+            .reshape(3 * count, 3 * count)
+            for power, texture in ((near_power, self.near), (far_power, self.far))
+        )
+        share = self._near_share.reshape(-1, 3 * count)
+        near, far = (
+            part[:, :, None] * part[:, None] * side for part, side in zip((share, 1 - share), sides, strict=True)
+        )
+        both = near + far + np.kron(np.diag(self.noise), _noise_covariance())
+        least = 1e-9 * np.trace(both[0]) / (3 * count)  # for the inverse, where there is no noise
+        factors = np.linalg.cholesky(both + least * np.eye(3 * count))
+        log_determinant = 2 * np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
+        whitened = np.linalg.solve(factors, lines.T[None])
+        return np.asarray((np.square(whitened).sum(axis=1).T + log_determinant) / 2)
+
+    @cached_property
+    def _near_share(self) -> np.ndarray:
+        """Share of the near side's light, of every place of the edge; (2 SHIFTS + 1, 3, 2 HALF)."""
+        size = self.near.cumulative.shape[1]
+        place = GRID_PX * (np.arange(2 * HALF) - HALF + 0.5)
+        edge = GRID_PX * np.arange(-SHIFTS, SHIFTS + 1)
+        at = place - edge[:, None] + size / 2 - 0.5
+        before = np.stack([np.interp(at, np.arange(size), sums) for sums in self.near.cumulative], axis=1)
+        return 1 - before if self.near_first else before
+
+
+def _samples(image: np.ndarray, lines: Lines) -> np.ndarray:
+    """Sample lines; (P, 3, 2 HALF) float64."""
+    smooth = cv2.GaussianBlur(image, (0, 0), LOW_PASS_PX)[::GRID_PX, ::GRID_PX]
+    along = np.arange(-HALF + 1, HALF + 1)
+    if lines.along_rows:
+        found = smooth[lines.y[:, None], lines.x[:, None] + along]
+    else:
+        found = smooth[lines.y[:, None] + along, lines.x[:, None]]
+    return found.transpose(0, 2, 1).astype(float)
+
+
+def _covariance_of_colours(image: np.ndarray) -> np.ndarray:
+    """Return the covariance of the channels' texture, of unit mean variance; (3, 3)."""
+    fine, coarse = (cv2.GaussianBlur(image, (0, 0), sigma) for sigma in SHADES_PX)
+    shades = (fine - coarse)[::4, ::4].reshape(-1, 3).astype(float)
+    covariance = shades.T @ shades
+    # 1e-3: an empty channel; tiny: an even picture.
+    covariance += max(1e-3 * np.trace(covariance), np.finfo(np.float32).tiny) * np.eye(3)
+    covariance /= np.trace(covariance) / 3
+    own = np.diag(np.diag(covariance))
+    return np.asarray((1 - OWN_COLOUR) * covariance + OWN_COLOUR * own)
+
+
+def _noise_covariance() -> np.ndarray:
+    """Return the covariance of a line's samples of white noise of unit variance; (2 HALF, 2 HALF)."""
+    lag2 = (GRID_PX * (np.arange(2 * HALF)[:, None] - np.arange(2 * HALF))) ** 2
+    return np.asarray(np.exp(-lag2 / (4 * LOW_PASS_PX**2)) / (4 * np.pi * LOW_PASS_PX**2))
+
+
+def _line_of(spectrum: np.ndarray, along_rows: bool) -> np.ndarray:
+    """Transform a half plane of frequencies back, along the row or column through the middle; (S,)."""
+    size = len(spectrum)
+    if along_rows:
+        return np.asarray(scipy.fft.irfft(spectrum.sum(axis=0), size) / size)
+    mirrored = np.roll(spectrum[::-1], 1, axis=0)[:, 1 : size // 2].conj()
+    return np.asarray(scipy.fft.ifft(spectrum.sum(axis=1) + mirrored.sum(axis=1)).real / size)
+
+
+def _projection_of(transfer: np.ndarray, along_rows: bool) -> np.ndarray:
+    """Return a point-spread function, summed across rows or columns; (S,)."""
+    size = len(transfer)
+    return np.asarray(scipy.fft.irfft(transfer[0], size) if along_rows else scipy.fft.ifft(transfer[:, 0]).real)
