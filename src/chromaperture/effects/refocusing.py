@@ -6,6 +6,9 @@ The picture is divided into layers of equal new blur, near to far in the scene. 
 
 so that a sharp edge occludes the blurred background, and the background shows through a blurred edge. What near
 surfaces hide is extrapolated from the far side of the edge. All in linear light: highlights become spots.
+
+A large picture is computed tile by tile, each with as much around it as can reach into it: memory stays that of a tile,
+beside the pictures that come in and go out.
 """
 
 from __future__ import annotations
@@ -27,7 +30,9 @@ _SHARP_PX = 0.3  # new blur below which nothing is done
 _EDGE_PX = 1.0  # jump of the capture's blur radius that separates two surfaces
 _GROWTH = 0.12  # distance of two layers, of their radius
 _SCALES = ((3.0, 1), (7.0, 2), (16.0, 4), (math.inf, 8))  # blur up to this radius is computed at this reduction
+_COARSEST = 8
 _MAX_PX = 120.0  # bounds time and margins
+_TILE_PX = 1024  # side of a tile without what is around it; 0.3 to 0.6 GB
 
 
 @dataclass(frozen=True)
@@ -49,7 +54,7 @@ class Focus:
     bokeh: str = "disc"
 
 
-def refocus(color: np.ndarray, radius_px: np.ndarray, focus: Focus) -> np.ndarray:
+def refocus(color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, tile_px: int = _TILE_PX) -> np.ndarray:
     """Blur a sharp picture as a lens with another focus would.
 
     Parameters
@@ -58,6 +63,8 @@ def refocus(color: np.ndarray, radius_px: np.ndarray, focus: Focus) -> np.ndarra
     radius_px : (H, W) float32, px
         Signed blur radius that the capture had, + beyond its focus: orders near and far. No NaN.
     focus : Focus
+    tile_px : int
+        Side of the parts that are computed one after the other.
 
     Returns
     -------
@@ -75,25 +82,37 @@ def refocus(color: np.ndarray, radius_px: np.ndarray, focus: Focus) -> np.ndarra
     if not (math.isfinite(focus.strength) and focus.strength >= 0):
         raise InputError(f"the new pupil must have a size >= 0, got {focus.strength:g}")
     color, radius = np.ascontiguousarray(color, np.float32), np.ascontiguousarray(radius_px, np.float32)
-    new = (radius - np.float32(focus.radius_px)) * np.float32(focus.strength)
-    largest = float(np.abs(new).max())
+    low, high = (float(np.float32(focus.strength) * (end - focus.radius_px)) for end in (radius.min(), radius.max()))
+    largest = max(-low, high)
     if largest > min(_MAX_PX, min(radius.shape) / 2):
         raise InputError(f"the new blur would reach {largest:.0f} px: choose a larger f-number or a farther focus")
     if largest < _SHARP_PX:
         return color.copy()
+    # New blur rises with depth, because the pupil's scale is positive; hidden surfaces lie where others are seen.
+    radii = layer_radii(np.array([low, high], np.float32), growth=_GROWTH)
     reach = math.ceil(largest) + 1
+    # What is hidden comes from up to twice as far; of the blur, whole pixels of the coarsest scale.
+    margin = -(-(3 * reach + 2) // _COARSEST) * _COARSEST + 4 * _COARSEST
+    out = np.empty_like(color)
+    for top in range(0, len(radius), tile_px):
+        for left in range(0, radius.shape[1], tile_px):
+            above, before = (max(first - margin, 0) // _COARSEST * _COARSEST for first in (top, left))
+            around = np.s_[above : top + tile_px + margin, before : left + tile_px + margin]
+            inner = np.s_[top - above : top - above + tile_px, left - before : left - before + tile_px]
+            part = _composite(color[around], radius[around], radii, reach, focus)
+            out[top : top + tile_px, left : left + tile_px] = part[inner]
+    return out
+
+
+def _composite(color: np.ndarray, radius: np.ndarray, radii: np.ndarray, reach: int, focus: Focus) -> np.ndarray:
+    """Blur the layers of a part of the picture, near to far."""
+    color, radius = np.ascontiguousarray(color), np.ascontiguousarray(radius)
     behind, behind_radius = behind_edges(color, radius, reach, _EDGE_PX)
     hidden = behind_radius != radius
-    behind_new = (behind_radius - np.float32(focus.radius_px)) * np.float32(focus.strength)
-    return _composite(color, new, behind, behind_new, hidden, focus)
-
-
-def _composite(
-    color: np.ndarray, new: np.ndarray, behind: np.ndarray, behind_new: np.ndarray, hidden: np.ndarray, focus: Focus
-) -> np.ndarray:
+    new, behind_new = (
+        (part - np.float32(focus.radius_px)) * np.float32(focus.strength) for part in (radius, behind_radius)
+    )
     mask = bokeh_mask(focus.bokeh)
-    # New blur rises with depth, because the pupil's scale is positive.
-    radii = layer_radii(np.stack([new, behind_new]), growth=_GROWTH)
     nodes = np.array([-np.inf, *radii, np.inf], np.float32)
     if len(radii) == 1:
         nodes = np.array([radii[0] - 1, radii[0], radii[0] + 1], np.float32)
@@ -104,25 +123,27 @@ def _composite(
     total, before = np.zeros((height, width, 4), np.float32), np.zeros((height, width), np.float32)
     pending: list[tuple[float, int, int, np.ndarray]] = []  # blurred layers not yet in `before`
     gap = max(_EDGE_PX * focus.strength, 1.0)
-    for i, radius in enumerate(float(r) for r in radii):
+    for i, layer in enumerate(float(r) for r in radii):
         below, here, above = nodes[i : i + 3]
         over_rows(layer_bounds, height, new, behind_new, hidden, below, above, extent)
         rows = np.flatnonzero(extent[:, 1] >= 0)
         if not rows.size:
             continue
         # Clearly nearer surfaces occlude this one; neighbouring layers of its own surface add to it.
-        while pending and radius - pending[0][0] > max(gap, 1.5 * float(here - below)):
+        while pending and layer - pending[0][0] > max(gap, 1.5 * float(here - below)):
             _, top, left, cover = pending.pop(0)
             before[top : top + cover.shape[0], left : left + cover.shape[1]] += cover
-        reach = math.ceil(abs(radius)) + 2 * _scale(radius)
-        top, bottom = max(int(rows[0]) - reach, 0), min(int(rows[-1]) + reach + 1, height)
-        left, right = max(int(extent[:, 0].min()) - reach, 0), min(int(extent[:, 1].max()) + reach + 1, width)
+        scale = _scale(layer)
+        spread = math.ceil(abs(layer)) + 2 * scale
+        # Pixels of the coarser picture lie alike in every tile.
+        top, left = (max(int(first) - spread, 0) // scale * scale for first in (rows[0], extent[:, 0].min()))
+        bottom, right = min(int(rows[-1]) + spread + 1, height), min(int(extent[:, 1].max()) + spread + 1, width)
         planes, corner = np.zeros((bottom - top, right - left, 4), np.float32), (top, left)
         nearby = (below, here, above)
         over_rows(layer_planes, len(planes), color, new, behind, behind_new, hidden, nearby, corner, planes)
-        blurred = _blurred(planes, radius, mask)
+        blurred = _blurred(planes, layer, mask)
         over_rows(add_layer, len(blurred), total, before, blurred, corner)
-        pending.append((radius, top, left, blurred[..., 3]))
+        pending.append((layer, top, left, blurred[..., 3].copy()))
     out = np.empty((height, width, 3), np.float32)
     over_rows(normalise, height, total, out)
     return out
