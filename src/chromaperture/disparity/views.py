@@ -294,26 +294,24 @@ def halved(
     if not is_whole:
         views, usable = _halved_around(views, mask.astype(np.float32), unit)
     planes = np.empty((len(views), *usable.shape), np.float32)
+    variances = [0.0] * len(planes)
+    guides: list[np.ndarray] = [guide, guide]
 
-    def smoothed(view: np.ndarray, plane: np.ndarray) -> float:
-        small = halved_whole(view, unit) if is_whole else view
-        smooth_whole(small, config.presmooth_sigma_px, unit, out=plane)
-        return plane_variance(plane)
+    def prepare(i: int) -> None:
+        """Smooth a view, or bring the halved or the whole guide to its units."""
+        if i < len(planes):
+            small = halved_whole(views[i], unit) if is_whole else views[i]
+            smooth_whole(small, config.presmooth_sigma_px, unit, out=planes[i])
+            variances[i] = plane_variance(planes[i])
+        else:
+            part = smooth(cv2.pyrDown(guide), GUIDE_SIGMA_PX) if i == len(planes) else guide
+            guides[i - len(planes)] = part * _guide_scale(part, config)
 
-    def of_guide(small: bool) -> np.ndarray:
-        part = smooth(cv2.pyrDown(guide), GUIDE_SIGMA_PX) if small else guide
-        return cv2.multiply(part, float(_guide_scale(part, config)))
-
-    works = [lambda view=view, plane=plane: smoothed(view, plane) for view, plane in zip(views, planes, strict=True)]
-    *variances, small_guide, whole_guide = parallel_map(
-        lambda work: work(), [*works, lambda: of_guide(True), lambda: of_guide(False)]
-    )
+    parallel_map(prepare, range(len(planes) + 2))
     if min(variances) <= constant_variance(unit):
         raise constant_view()
-    pictures = np.moveaxis(planes, 0, -1)
-    return Views(
-        pictures, np.asarray(directions, float), small_guide, usable.astype(np.float32), None, unit
-    ), whole_guide
+    pictures, axes = np.moveaxis(planes, 0, -1), np.asarray(directions, float)
+    return Views(pictures, axes, guides[0], usable.astype(np.float32), None, unit), guides[1]
 
 
 def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray, unit: float) -> tuple[list[np.ndarray], np.ndarray]:

@@ -25,7 +25,7 @@ def enlarge(surface: Surface, guide: np.ndarray) -> Surface:
 
 @kernel
 def _fill(small, guide, top, bottom, out):
-    """Fill the rows 2 top to before 2 bottom of the enlarged maps; the next thread's first row is computed here, too."""
+    """Fill the rows 2 top to before 2 bottom of the enlarged maps; the next thread's first row is computed as well."""
     height, width = guide.shape
     lines, spare = np.empty((5, width // 2), np.float32), np.empty((3, width), np.float32)
     weight = np.empty(width, np.float32)

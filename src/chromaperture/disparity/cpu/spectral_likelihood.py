@@ -42,9 +42,7 @@ def _windows(parts, powers, node, noise, error, rounds, first, last, out):
             for _ in range(rounds + FIRST_ROUNDS * (layer == 0)):
                 _gradient(parts[m], powers[node[m], layer], colours, noise[m], error, gradient)
                 _step(colours, gradient, count)
-            out[m, layer] = _log_likelihood(
-                parts[m], powers[node[m], layer], colours, noise[m], error, determinants
-            )
+            out[m, layer] = _log_likelihood(parts[m], powers[node[m], layer], colours, noise[m], error, determinants)
 
 
 @inlined(fastmath=FAST, error_model="numpy")
@@ -119,7 +117,7 @@ def _adjugate(a, b, c, dr, di, er, ei, fr, fi):
 
 @inlined(fastmath=FAST, error_model="numpy")
 def _log_likelihood(parts, power, s, noise, error, determinants):
-    """``determinants`` has room for one of each frequency."""
+    """Sum over the frequencies; ``determinants`` is room for one of each."""
     total = 0.0
     for k in range(parts.shape[1]):
         p, q, r, ur, ui, vr, vi, wr, wi, det = _adjugate(*_covariance(power, s, noise, error, k))
