@@ -43,7 +43,7 @@ LOW_PASS_PX = 1.0  # sigma of the Gaussian before sampling
 # of 2 place no more edges within 4 px (docs/measurements.md).
 LAYER_PX = 0.5
 NODES = 3  # along either side of the frame
-AMPLITUDE_OCTAVES = 2.0
+AMPLITUDE_OCTAVES = 3.0
 SLOPE = 1.3  # of the power spectrum f^(-2 slope) of textures; 1 and 1.6 do as well
 SOFTEST = 0.01  # cycles a px, at which the spectrum levels off
 OWN_COLOUR = 0.03  # share of a channel's texture that no other channel has; 0.01 does as well

@@ -34,8 +34,8 @@ LEAST_LINK = 0.03  # keeps borders short on the steepest edges
 SMOOTHING_PX = 2.0  # of the guide; its noise is no edge
 CORE = 0.75  # of the half-width of a thin plane: so much of it stays, however wide the band
 # Weight of a line's log-likelihood: lines are 2 px apart, and textures and outlines of neighbours are alike.
-# docs/measurements.md has .03, .1 and .3.
-LINE_WEIGHT = 0.05
+# docs/measurements.md has .02 to .3.
+LINE_WEIGHT = 0.03
 LEAST_OF_PAIR = 0.7  # share of a line's middle that must lie on its two planes; .5 and .9 do as well
 LEAST_ACROSS = 0.3  # of the squared cosine between a line and the border's normal; chosen by hand
 NORMAL_SIGMA = 4.0  # grid points, over which a border's normal is found; chosen by hand
