@@ -119,12 +119,8 @@ def plot(rows: list[dict], path: Path) -> None:
                 axes[line, column].plot(place, figures, mark + "-", label=quality)
         for panel, label in zip(axes[:, column], ("processor time, s", "peak memory, GB"), strict=True):
             panel.set(xlabel=UNITS[axis], ylabel=label if column == 0 else None)
-            if axis == "pixels":
-                panel.set(xscale="log", yscale="log" if panel is axes[0, column] else "linear")
-            else:
-                panel.set(xlim=(0, None))
-            if panel.get_yscale() == "linear":
-                panel.set_ylim(0, None)
+            panel.set(xscale="log") if axis == "pixels" else panel.set(xlim=(0, None))
+            panel.set(yscale="log") if panel is axes[0, column] else panel.set(ylim=(0, None))
             panel.grid(alpha=0.3)
     axes[0, 0].legend()
     pyplot.savefig(path, dpi=100)
