@@ -113,6 +113,7 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
         "no planes": {"planes": dataclasses.replace(planes, rounds=0)},
         "planes keep every slope": {"planes": dataclasses.replace(planes, slope_tolerance=0.0)},
         "edges where the evidence has them": {"planes": dataclasses.replace(planes, edge_band_px=0)},
+        "edges where the guide has them": {"planes": dataclasses.replace(planes, edge_lines=False)},
         "error bar not learned": {"surface": dataclasses.replace(surface, learned_error_bar=False)},
     }
     matcher = dataclasses.replace(config.matcher, **changes.get(name, {}))

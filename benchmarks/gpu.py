@@ -5,20 +5,26 @@
 Nothing is timed before its output has been compared with the CPU's: a dispatch that failed is fast. Times of stages
 are the device's own timestamps. On a rasteriser in software both share the same cores: only the ratio says something.
 
+``--device none`` counts what a GPU would be given and computes nothing.
+
 Bytes are those of the arrays that a stage binds, each once: what it must move if no cache kept anything from one stage
 to the next and nothing was read twice. Operations are additions, multiplications, comparisons and square roots of the
 inner loops, counted in the sources. The larger of bytes over the memory's bandwidth and operations over the arithmetic
 rate is the least time that a device of these could take; `--bandwidth` and `--rate` give them (an H200: 4800 GB/s,
-60 TFLOP/s by its data sheet).
+60 TFLOP/s by its data sheet). Steps are those that one invocation takes one after the other where the next needs the
+last. `sum with latency` adds `--dispatch-us` for every dispatch and `--step-ns` for every step, which are assumptions:
+nobody measured them here.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,8 +32,9 @@ from matcher import scene
 
 from chromaperture.config import PaperConfig, RealTimeConfig
 from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.gpu.device import Chain, Dispatch
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, on_device
+from chromaperture.disparity.gpu.device import AdapterInfo, Chain, Device, Dispatch
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Further, GpuMethod, on_device
+from chromaperture.disparity.labels import IDENTITY
 from chromaperture.optics.aperture import design_named
 from chromaperture.threads import limited_threads, thread_count
 
@@ -45,13 +52,26 @@ def capture(design: str, width: int, height: int) -> np.ndarray:
     return (0.9 / image.max() * image).astype(np.float32)
 
 
+def counting_device() -> Device:
+    """A device that makes nothing, as if it were a GPU: arrays and stages of any size can be composed on it."""
+    pipeline = SimpleNamespace(get_bind_group_layout=lambda group: None)
+    handle = SimpleNamespace(
+        create_buffer=lambda *, size, **_: SimpleNamespace(size=size),
+        create_shader_module=lambda **_: None,
+        create_compute_pipeline=lambda **_: pipeline,
+        create_bind_group=lambda **_: None,
+        queue=SimpleNamespace(write_buffer=lambda *_: None),
+    )
+    return Device(AdapterInfo("counting", "DiscreteGPU", "none", "", 0, True), handle, True, False, 1 << 40)
+
+
 def operations(dispatch: Dispatch) -> float:
     """Operations of a stage's inner loops."""
     c: Mapping[str, Any] = dispatch.constants
     invocations = 64.0 * dispatch.groups[0] * dispatch.groups[1]
     # Steps of a block's backward and forward recursions: they start beside it.
     back, ahead = ((c["block"] + n * c["reach"] if "block" in c else 1) for n in (1, 2))
-    views = c.get("view_count", 0)
+    views = c.get("view_count", c.get("views", 0))
     pairs = 3 if views == 3 else 1
     per: dict[str, Callable[[], float]] = {
         "light": lambda: 8 * c["pixels"],
@@ -69,14 +89,17 @@ def operations(dispatch: Dispatch) -> float:
         "windows_y": lambda: (8 * ahead + 8 * back) * invocations,
         "products_x": lambda: 4 * pairs * (3 * ahead + 5 * back) * invocations,
         "correlation": lambda: 4 * (pairs * (5 * ahead + 5 * back) + (8 * pairs + 6) * c["block"]) * invocations,
+        # Sums of a row of two cells (three views are sampled there, 7 px by four taps), and the scores of both.
         "cell_scores": lambda: (
-            (c["cells_each"] * (2 * 25 + 60) + 3 * 25) * (1 if c["views"] == 2 else 2) * invocations
+            ((2 * c["cells_each"] + 3) * (102 if views == 2 else 192 + 168) + 2 * c["cells_each"] * 60 * pairs)
+            * invocations
         ),
         "label_likelihood": lambda: 4 * 22 * invocations,
         "four_paths": lambda: 9 * c["width"] * c["height"] * c["pitch"],
         "path_winner": lambda: 17 * c["width"] * c["height"] * c["pitch"],
         "links": lambda: 10 * invocations,
         "smoothing": lambda: 12 * c["width"] * c["height"] * c["map_count"],
+        "smoothing_of_lines": lambda: 8 * c["width"] * c["height"] * c["map_count"],
         "surface": lambda: (2 * c["reach"] + 4) * (5 + 16) * invocations,
         "surface_range": lambda: ((2 * c["reach"] + 4) * 16 + 4 * 30) * invocations,
         "cells_enlarged": lambda: 35 * invocations,
@@ -87,12 +110,25 @@ def operations(dispatch: Dispatch) -> float:
     return per.get(dispatch.stage, lambda: 0.0)()
 
 
+def steps(dispatch: Dispatch) -> float:
+    """Steps of the longest walk in which every step needs the one before."""
+    c: Mapping[str, Any] = dispatch.constants
+    if dispatch.stage == "four_paths":
+        return float(c["width"] if c["direction"] < 2 else c["height"])
+    if dispatch.stage == "smoothing":  # 32 segments of a line, each walked three times, and their sums twice
+        return 3 * math.ceil((c["width"] if c["along_x"] else c["height"]) / 32) + 2 * 31
+    if dispatch.stage == "smoothing_of_lines":
+        return 2.0 * (c["width"] if c["along_x"] else c["height"])
+    return float(2 * c["block"] + 3 * c["reach"]) if "block" in c else 0.0  # there and back
+
+
 def stages_of(chain: Chain, image: np.ndarray, *, bandwidth: float, rate: float) -> dict[str, dict[str, float]]:
     """Dispatches, bytes, operations, the model's time and the measured one of every stage."""
     times = chain.stage_times_ms({"image": image}) if chain.device.timestamps else [("", 0.0)] * len(chain.dispatches)
     found: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     for dispatch, (_, ms) in zip(chain.dispatches, times, strict=True):
         count(found[dispatch.stage], dispatch, operations(dispatch), bandwidth=bandwidth, rate=rate)
+        found[dispatch.stage]["steps"] += steps(dispatch)
         found[dispatch.stage]["ms"] += ms
     return found
 
@@ -104,12 +140,19 @@ def count(row: dict[str, float], dispatch: Any, computed: float, *, bandwidth: f
     row["mbytes"] += moved / 1e6
     row["mops"] += computed / 1e6
     row["model_ms"] += 1e3 * max(moved / bandwidth, computed / rate)
+    row["bandwidth_ms"] += 1e3 * moved / bandwidth
 
 
 def benchmark(device: str, quality: str, design: str, size: tuple[int, int], bandwidth: float, rate: float) -> dict:
     width, height = size
     image = capture(design, width, height)
     on_cpu = method_for(PaperConfig() if quality == "paper" else RealTimeConfig(), aperture=design)
+    if device == "none":
+        counted = GpuMethod(on_cpu.config, on_cpu.space, getattr(on_cpu, "label_map", IDENTITY), counting_device())
+        chain = counted._composed((height, width), Further())
+        stages = stages_of(chain, image, bandwidth=bandwidth, rate=rate)
+        facts = {"quality": quality, "design": design, "size": f"{width}x{height}"}
+        return {**facts, "device_mbytes": round(chain.device_bytes / 1e6, 1), "stages": stages}
     both = on_device(on_cpu, device, lambda note: None)
     if not isinstance(both, DeviceMethod):
         raise SystemExit(f"--device {device} is the CPU here: see 'chromaperture info --devices'")
@@ -140,7 +183,7 @@ def benchmark(device: str, quality: str, design: str, size: tuple[int, int], ban
         **{name: round(ms, 1) for name, ms in best.items()},
         "mbytes_up": round(image.nbytes / 1e6, 1), "mbytes_down": round(3 * found.nbytes / 1e6, 1),
         "device_mbytes": round(chain.device_bytes / 1e6, 1), "dispatches": len(chain.dispatches),
-        "stages": {name: {k: round(v, 3) for k, v in row.items()} for name, row in stages.items()},
+        "stages": {name: {k: round(v, 6) for k, v in row.items()} for name, row in stages.items()},
     }  # fmt: skip
 
 
@@ -152,6 +195,8 @@ def main() -> None:
     parser.add_argument("--size", default="1280x720")
     parser.add_argument("--bandwidth", type=float, default=4800.0, help="of the model's memory, GB/s")
     parser.add_argument("--rate", type=float, default=60.0, help="of the model's arithmetic, TFLOP/s")
+    parser.add_argument("--dispatch-us", type=float, default=5.0, help="between two dispatches, an assumption")
+    parser.add_argument("--step-ns", type=float, default=100.0, help="of a dependent step, an assumption")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     width, height = (int(side) for side in arguments.size.split("x"))
@@ -164,15 +209,21 @@ def main() -> None:
         return
     stages = result.pop("stages")
     print("\n".join(f"{name:32s} {value}" for name, value in result.items()))
-    print(f"\n{'stage':16s} {'dispatches':>10s} {'MB':>9s} {'Mop':>9s} {'model ms':>9s} {'measured ms':>12s}")
+    print(
+        f"\n{'stage':16s} {'dispatches':>10s} {'MB':>9s} {'Mop':>9s} {'steps':>6s} {'model ms':>9s} "
+        f"{'of which memory':>16s} {'measured ms':>12s}"
+    )
     total: dict[str, float] = defaultdict(float)
     for name, row in [*stages.items(), ("sum", total)]:
+        share = row["bandwidth_ms"] / row["model_ms"] if row["model_ms"] else 0.0
         print(
-            f"{name:16s} {row['dispatches']:10.0f} {row['mbytes']:9.1f} {row['mops']:9.1f} {row['model_ms']:9.4f} "
-            f"{row['ms']:12.2f}"
+            f"{name:16s} {row['dispatches']:10.0f} {row['mbytes']:9.1f} {row['mops']:9.1f} {row['steps']:6.0f} "
+            f"{row['model_ms']:9.4f} {share:16.0%} {row['ms']:12.2f}"
         )
         for key, value in row.items():
             total[key] += value if name != "sum" else 0
+    latency = 1e-3 * arguments.dispatch_us * total["dispatches"] + 1e-6 * arguments.step_ns * total["steps"]
+    print(f"sum with latency {total['model_ms'] + latency:.3f} ms")
 
 
 if __name__ == "__main__":

@@ -16,34 +16,20 @@ import json
 import math
 import time
 from collections import defaultdict
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
 import numpy as np
-from gpu import count
+from gpu import count, counting_device
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_matching import default_config
 from chromaperture.disparity.gpu.accurate_chain import AccurateChain
-from chromaperture.disparity.gpu.device import AdapterInfo, Chain, Device, Dispatch, open_device
+from chromaperture.disparity.gpu.device import Chain, Device, Dispatch, open_device
 from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.products.samples import open_sample
 
 LEAST_AGREEING, DEPTH_TOLERANCE = 0.995, 1e-3
-
-
-def counting_device() -> Device:
-    """A device that makes nothing: arrays and stages of any size can be composed on it."""
-    pipeline = SimpleNamespace(get_bind_group_layout=lambda group: None)
-    handle = SimpleNamespace(
-        create_buffer=lambda *, size, **_: SimpleNamespace(size=size),
-        create_shader_module=lambda **_: None,
-        create_compute_pipeline=lambda **_: pipeline,
-        create_bind_group=lambda **_: None,
-        queue=SimpleNamespace(write_buffer=lambda *_: None),
-    )
-    return Device(AdapterInfo("counting", "CPU", "none", "", 0, False), handle, False, False, 1 << 40)
 
 
 def operations(dispatch: Dispatch) -> float:

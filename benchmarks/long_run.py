@@ -11,7 +11,7 @@ flat when the line grows by no more than LIMITS in that time, or by no more than
 what comes and goes with browsers scatters without a trend. The standard error is that of a line through the means of
 20 parts, since samples a second apart are not independent. Exit code 1: something is not flat, the loop ended, or
 frames stopped. Without the extra "viewer" the loop runs without the page; --model tracks and builds the model (Open3D);
---out FOLDER writes long_run.csv and long_run.png.
+--device measures on another device than the CPU; --out FOLDER writes long_run.csv and long_run.png.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ LIMITS = {"memory_mb": 8.0, "handles": 3.0, "threads": 3.0, "queued": 1.0, "mess
 MEMORY_PART, PARTS = 0.02, 20
 
 
-def small_camera() -> CodedApertureCamera:
+def small_camera(device: str) -> CodedApertureCamera:
     """The middle of the sample's sensor, with one depth curve."""
     whole = load_camera(sample_camera(NAME)).calibration
     sensor, lens = whole.sensor, whole.lens
@@ -72,7 +72,7 @@ def small_camera() -> CodedApertureCamera:
     depth = {name: DepthField.constant(field.on_axis(*size)) for name, field in whole.depth.items()}
     small = replace(sensor, width_px=WIDTH, height_px=HEIGHT)
     return CodedApertureCamera(
-        replace(whole, sensor=small, lens=replace(lens, camera_matrix=matrix), depth=depth, blur=None)
+        replace(whole, sensor=small, lens=replace(lens, camera_matrix=matrix), depth=depth, blur=None), device=device
     )
 
 
@@ -293,7 +293,14 @@ def judged(rows: np.ndarray) -> dict[str, dict[str, Any]]:
 
 
 def run(
-    seconds: float, *, page_shown: bool, model: bool, folder: Path, seed: int = 0, sample_s: float = 1.0
+    seconds: float,
+    *,
+    page_shown: bool,
+    model: bool,
+    folder: Path,
+    seed: int = 0,
+    sample_s: float = 1.0,
+    device: str = "cpu",
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Run the loop; returns the curves and what happened."""
     said: Counter[str] = Counter()
@@ -312,7 +319,7 @@ def run(
     )
     rows: list[tuple[float, ...]] = []
     with Watchdog(WATCHDOG_S, listener=say) as watchdog:
-        loop = LiveLoop(source, small_camera(), track=model, listener=say, watchdog=watchdog)
+        loop = LiveLoop(source, small_camera(device), track=model, listener=say, watchdog=watchdog)
         loops.append(loop)
         visitors = drawing = page = None
         with source, loop:
@@ -373,12 +380,14 @@ def main() -> None:
     parser.add_argument("--model", action="store_true")
     parser.add_argument("--no-page", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--device", default="cpu", help="that measures: cpu, auto, gpu or gpu:NAME")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
 
     page_shown = not args.no_page and importlib.util.find_spec("viser") is not None
     with tempfile.TemporaryDirectory() as folder:
-        rows, facts = run(args.seconds, page_shown=page_shown, model=args.model, folder=Path(folder), seed=args.seed)
+        shown = {"page_shown": page_shown, "model": args.model, "folder": Path(folder)}
+        rows, facts = run(args.seconds, **shown, seed=args.seed, device=args.device)
     if args.out:
         write_curves(args.out, rows)
     verdict = judged(rows)

@@ -10,10 +10,12 @@ from chromaperture.camera import CodedApertureCamera
 from chromaperture.config import AccurateConfig
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.gpu.accurate_chain import AccurateChain, AccurateOnDevice
+from chromaperture.disparity.gpu.device import DeviceError
 from chromaperture.disparity.gpu.gpu_method import DeviceMethod
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.errors import CaptureWarning, InputError, OutOfMemoryError
 from chromaperture.products.samples import open_sample
+from test_gpu import device_of_its_own
 from test_gpu_surface import any_device
 from worlds import wavy_capture
 
@@ -111,3 +113,21 @@ def test_too_little_memory_is_one_clear_error_and_the_cpus_work_with_auto():
     with pytest.warns(CaptureWarning, match="measuring on the CPU"):
         found = DeviceMethod(on_gpu, camera.method, may_fall_back=True).match(image)
     np.testing.assert_array_equal(found.value_px, camera.method.match(image).value_px)
+
+
+def test_a_device_lost_in_mid_stream_is_an_error_or_the_cpu_once():
+    camera, image = small("still_life_cy_halves", 60, 40)
+    expected = camera.method.match(image).value_px
+    for may_fall_back in (False, True):
+        device = device_of_its_own()
+        on_both = DeviceMethod(AccurateOnDevice(camera.method, device), camera.method, may_fall_back)
+        assert np.isfinite(on_both.match(image).value_px).any()
+        device.handle.destroy()
+        if not may_fall_back:
+            with pytest.raises(DeviceError, match="use --device cpu"):
+                on_both.match(image)
+            continue
+        with pytest.warns(CaptureWarning, match="on the CPU from here on") as said:
+            found = [on_both.match(image).value_px for _ in range(2)]
+        assert len(said) == 1
+        np.testing.assert_array_equal(found, [expected, expected])

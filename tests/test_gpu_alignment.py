@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_alignment import ChannelAlignment
+from chromaperture.camera_matching import default_config
 from chromaperture.color.alignment import align_channels, fill_unknown, white_balance
 from chromaperture.color.visibility import visible_from
 from chromaperture.disparity.gpu.alignment_stage import Alignment, add_alignment
-from chromaperture.disparity.gpu.device import Chain, open_device
+from chromaperture.disparity.gpu.device import Chain, DeviceError, open_device
+from chromaperture.disparity.gpu.further_maps import FurtherMaps, composed
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Further, Measured
+from chromaperture.disparity.result import Disparity
+from chromaperture.errors import CaptureWarning
+from chromaperture.products.samples import open_sample
 from devices import needs_device
+from test_gpu import device_of_its_own
 
 pytestmark = [pytest.mark.extra("gpu", "wgpu"), needs_device]
 
@@ -93,3 +105,90 @@ def test_pictures_one_pixel_wide(shape):
     found = chain.run({"image": image, "disparity": disparity.astype(np.float32)}, ["color"])["color"]
     expected = white_balance(align_channels(image, disparity.astype(np.float32), DIRECTIONS["halves"]), WHITE)
     np.testing.assert_allclose(found.reshape(*shape, 3), expected, atol=1e-5)
+
+
+def sample_at(name: str, width: int, height: int, **settings) -> tuple[CodedApertureCamera, np.ndarray]:
+    """A bundled capture and its camera in fewer pixels, on whatever device there is: software is slow."""
+    camera, image = open_sample(name, **settings)
+    camera = camera.at_size(width, height)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CaptureWarning)  # the device is software
+        on_gpu = CodedApertureCamera(camera.calibration, camera.config, device="gpu")
+    return on_gpu, cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+
+
+@cache
+def camera_of(name: str, scale: int) -> tuple[CodedApertureCamera, np.ndarray]:
+    camera, image = sample_at(name, 132, 88, quality="accurate")
+    config = replace(camera.config, scale=scale)
+    return CodedApertureCamera(camera.calibration, config), image
+
+
+# Lanczos' filter at the photograph's own pixels; cubics at a working scale, and unknown pixels take the nearest of few.
+@pytest.mark.parametrize("scale", [1, 3])
+@pytest.mark.parametrize("name", ["still_life_cy_halves", "still_life_cy_open"])
+def test_channels_displaced_by_the_lens_are_aligned_as_by_the_cpu(name, scale, rng):
+    camera, image = camera_of(name, scale)
+    assert camera.device_alignment.lens.exact == (scale == 1)
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    disparity = (0.6 * np.sin(x / 9) + rng.uniform(-2, 1) - (np.hypot(y - 40, x - 60) < 20)).astype(np.float32)
+    disparity[rng.uniform(size=disparity.shape) < 0.1] = np.nan
+    disparity[5:30, 90:120] = np.nan
+    expected = camera.alignment.align(image, disparity)
+    chain = composed(open_device("gpu"), disparity.shape, Further(None, camera.device_alignment))
+    found = chain.run({"image": image, "disparity": disparity}, ["color"])["color"].reshape(image.shape)
+    error = np.abs(found - expected)
+    # Lanczos' places are rounded to 1 / 32 px, and 32 bits round a few in a thousand to the next one.
+    assert (error < 1e-4).mean() > 0.995
+    assert error.max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("quality", "scale", "width"), [("accurate", 1, 60), ("accurate", 2, 120), ("real-time", 2, 360)]
+)
+def test_nothing_of_a_measurement_is_left_to_the_cpu(quality, scale, width, monkeypatch):
+    """Frames matched at a working scale, and `accurate`, whose disparity comes back to the CPU in between."""
+    camera, image = sample_at("still_life_cy_halves", width, width * 2 // 3, quality=quality)
+    config = default_config(camera.calibration, quality, scale=scale)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CaptureWarning)
+        on_gpu = CodedApertureCamera(camera.calibration, config, device="gpu")
+    expected = CodedApertureCamera(camera.calibration, config).measure(image)
+    monkeypatch.delattr(ChannelAlignment, "align")
+    monkeypatch.delattr(CodedApertureCamera, "millimetres")
+    found = on_gpu.measure(image)
+    known = np.isfinite(expected.depth_mm) & np.isfinite(found.depth_mm)
+    assert known.mean() > 0.5
+    assert (np.abs(found.depth_mm / expected.depth_mm - 1) < 1e-3)[known].mean() > 0.99
+    assert np.quantile(np.abs(found.color - expected.color), 0.99) < 1e-3
+
+
+def test_a_device_lost_before_the_colours_is_an_error_or_the_cpu_once(rng):
+    camera, image = camera_of("still_life_cy_halves", 1)
+    disparity = rng.uniform(-1, 1, image.shape[:2]).astype(np.float32)
+    measured = Measured(Disparity(disparity, np.full_like(disparity, 0.1), np.ones_like(disparity)))
+    further = Further(camera.conversion, camera.device_alignment)
+    for may_fall_back in (False, True):
+        device = device_of_its_own()
+        on_gpu = replace(sample_at("still_life_cy_halves", 60, 40, quality="accurate")[0].method.on_gpu, device=device)
+        maps = FurtherMaps(DeviceMethod(on_gpu, camera.method, may_fall_back))
+        assert maps.added(measured, image, further).color.shape == image.shape
+        device.handle.destroy()
+        if not may_fall_back:
+            with pytest.raises(DeviceError, match="was lost while it worked; use --device cpu"):
+                maps.added(measured, image, further)
+            continue
+        with pytest.warns(CaptureWarning, match="on the CPU from here on") as said:
+            found = [maps.added(measured, image, further) for _ in range(2)]
+        assert len(said) == 1
+        assert all(one is measured for one in found)
+
+
+def test_a_photograph_too_large_for_the_device_is_aligned_by_the_cpu(rng):
+    camera, image = camera_of("still_life_cy_halves", 1)
+    small = replace(open_device("gpu"), largest_bytes=image.nbytes - 1)
+    on_gpu = replace(sample_at("still_life_cy_halves", 60, 40, quality="accurate")[0].method.on_gpu, device=small)
+    value, sigma, confidence = rng.uniform(0.1, 1, (3, *image.shape[:2])).astype(np.float32)
+    measured = Measured(Disparity(value, sigma, confidence))
+    maps = FurtherMaps(DeviceMethod(on_gpu, camera.method, may_fall_back=False))
+    assert maps.added(measured, image, Further(camera.conversion, camera.device_alignment)) is measured

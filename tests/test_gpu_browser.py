@@ -16,10 +16,15 @@ import pytest
 
 from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.estimate import method_for
+from chromaperture.disparity.gpu.conversion_stage import Conversion
 from chromaperture.disparity.gpu.device import Chain, open_device
+from chromaperture.disparity.gpu.further_maps import composed
 from chromaperture.disparity.gpu.gpu_method import Further, GpuMethod
+from chromaperture.disparity.gpu.refocus_stages import RefocusChain, inputs_of
 from chromaperture.disparity.labels import IDENTITY
+from chromaperture.effects.refocusing import Focus, refocus
 from devices import EXPECTED, needs_device
+from test_gpu_alignment import camera_of
 from worlds import wavy_capture
 
 SHAPE = (60, 84)
@@ -34,10 +39,10 @@ FLAGS = (
 TIMEOUT_S = 240  # of a browser that starts, and compiles thirty shaders, on a busy machine
 
 
-def recorded(chain: Chain, image: np.ndarray, output: str) -> bytes:
-    """What a chain is made of, and one picture, as JSON."""
-    constants = chain.run({"image": image}, [a.name for a in chain.arrays.values() if a.is_constant])
-    values = {name: base64.b64encode(part.tobytes()).decode() for name, part in (constants | {"image": image}).items()}
+def recorded(chain: Chain, inputs: dict[str, np.ndarray], output: str) -> bytes:
+    """What a chain is made of, and what goes into it, as JSON."""
+    known = inputs | chain.run(inputs, [a.name for a in chain.arrays.values() if a.is_constant])
+    values = {name: base64.b64encode(np.ascontiguousarray(part).tobytes()).decode() for name, part in known.items()}
     arrays = {a.name: {"size": a.size, "values": values.get(a.name)} for a in chain.arrays.values()}
     dispatches = [
         {"stage": d.stage, "source": d.source, "groups": d.groups, "arrays": [a.name for a in d.arrays]}
@@ -85,12 +90,16 @@ def in_browser(chain: bytes, profile: Path) -> np.ndarray:
     return np.frombuffer(body, np.float32)
 
 
-@pytest.mark.extra("gpu", "wgpu")
-@needs_device
-@pytest.mark.skipif(
-    BROWSER is None and not os.environ.get(EXPECTED), reason="no Chromium here: shaders in a browser are NOT tested"
-)
-@pytest.mark.slow
+pytestmark = [
+    pytest.mark.extra("gpu", "wgpu"),
+    needs_device,
+    pytest.mark.skipif(
+        BROWSER is None and not os.environ.get(EXPECTED), reason="no Chromium here: shaders in a browser are NOT tested"
+    ),
+    pytest.mark.slow,
+]
+
+
 @pytest.mark.parametrize("design", ["cy_halves", "rgb_squares"])
 def test_a_frame_in_a_browser_is_that_of_python(design, tmp_path):
     config = RealTimeConfig().with_range(-4.0, 4.0)
@@ -100,8 +109,41 @@ def test_a_frame_in_a_browser_is_that_of_python(design, tmp_path):
     on_device = GpuMethod(config, method.space, IDENTITY, open_device("gpu"))
     expected = on_device.match(image).value_px
     chain = on_device._composed(SHAPE, Further())
-    found = in_browser(recorded(chain, image, "disparity"), tmp_path / "profile").reshape(SHAPE)
+    found = in_browser(recorded(chain, {"image": image}, "disparity"), tmp_path / "profile").reshape(SHAPE)
     assert (np.isnan(found) == np.isnan(expected)).mean() > 0.999
     error = np.abs(found - expected)[np.isfinite(found) & np.isfinite(expected)]
     # Another compiler: exp, log and the order of sums differ in the last bits, and layers that are as good may swap.
     assert np.quantile(error, 0.98) < 1e-3
+
+
+@pytest.mark.parametrize("scale", [1, 3])
+def test_colours_and_depth_of_a_disparity_in_a_browser(scale, tmp_path, rng):
+    """Channels moved by the lens, and curves computed from numbers."""
+    camera, image = camera_of("still_life_cy_halves", scale)
+    disparity, sigma = rng.uniform(-2, 1, (2, *image.shape[:2])).astype(np.float32)
+    disparity[rng.uniform(size=disparity.shape) < 0.2] = np.nan
+    field = camera.calibration.depth["accurate"]
+    numbers = Conversion(*field.in_numbers(image.shape[1], image.shape[0]), 50_000.0)
+    chain = composed(open_device("gpu"), disparity.shape, Further(numbers, camera.device_alignment))
+    inputs = {"image": image, "disparity": disparity, "sigma": sigma}
+    expected = chain.run(inputs, ["color", "depth_mm"])
+    color = in_browser(recorded(chain, inputs, "color"), tmp_path / "one")
+    assert (np.abs(color - expected["color"]) < 1e-4).mean() > 0.99  # places between pixels are rounded
+    depth = in_browser(recorded(chain, inputs, "depth_mm"), tmp_path / "other")
+    np.testing.assert_allclose(depth, expected["depth_mm"], rtol=1e-4)  # A - d in 32 bits
+
+
+def test_a_refocused_picture_in_a_browser(tmp_path, rng):
+    color = rng.uniform(0, 1, (*SHAPE, 3)).astype(np.float32)
+    radius = (np.where(np.arange(SHAPE[1]) > 40, 9, -3) + rng.uniform(-0.1, 0.1, SHAPE)).astype(np.float32)
+    chain = RefocusChain(open_device("gpu"), SHAPE)
+    given: list[tuple] = []
+
+    def composite(*parts):
+        given.append(parts)
+        return chain.composite(*parts)
+
+    expected = refocus(color, radius, Focus(1.0, 1.0, "hex"), compositor=composite)
+    inputs = inputs_of(*given[0][:3])
+    found = in_browser(recorded(chain.chain, inputs, "refocused"), tmp_path / "profile").reshape(color.shape)
+    np.testing.assert_allclose(found, expected, atol=2e-5)  # sums of 961 products of order 1, in another order

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from chromaperture.config import PaperConfig, RealTimeConfig
 from chromaperture.depth.conversion import DepthModel, depth_and_sigma
+from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.disparity import stages
 from chromaperture.disparity.error_bar import without_two_views
 from chromaperture.disparity.estimate import method_for
@@ -20,7 +21,8 @@ from chromaperture.disparity.gpu import cell_stages, correlation_stages
 from chromaperture.disparity.gpu.conversion_stage import Conversion, add_conversion
 from chromaperture.disparity.gpu.device import Chain, open_device
 from chromaperture.disparity.gpu.paper_chain import add_paper
-from chromaperture.disparity.gpu.real_time_chain import add_real_time
+from chromaperture.disparity.gpu.real_time_chain import add_real_time, add_recursions
+from chromaperture.disparity.gpu.view_stages import Planes
 from chromaperture.disparity.labels import IDENTITY, LabelMap, labels_between
 from chromaperture.disparity.stages.correlation import SCORE_PARTS, exponential_window
 from chromaperture.disparity.stages.place import halved_surface, place_by_correlation
@@ -265,6 +267,28 @@ def test_paths_need_no_subgroups():
             np.testing.assert_array_equal(values, quad[name])
 
 
+@pytest.mark.parametrize("shape", [(45, 70), (1, 40), (33, 1), (1, 1)])
+@pytest.mark.parametrize("map_count", [2, 5])
+def test_recursions_in_segments_are_those_of_whole_lines(shape, map_count, rng):
+    """A GPU walks segments of a line side by side, a rasteriser in software one line after the other."""
+    height, width = shape
+    maps = rng.uniform(-1, 1, (height, width, map_count)).astype(np.float32)
+    links = rng.uniform(0.2, 0.95, (2, height, width)).astype(np.float32)
+    links[0, :, 0] = links[1, 0] = 0
+    links[rng.uniform(size=links.shape) < 0.1] = 0
+    found, stages_run = [], []
+    for kind in ("CPU", "DiscreteGPU"):
+        device = open_device("gpu")
+        chain = Chain(replace(device, info=device.info._replace(kind=kind)))
+        arrays = [chain.array(name, values.size) for name, values in (("maps", maps), ("links", links))]
+        planes = Planes(arrays[0], arrays[1], None, width, height, 2)
+        add_recursions(chain, planes, *arrays, map_count=map_count, gain=0.7, own=0.4)
+        found.append(chain.run({"maps": maps, "links": links}, ["maps"])["maps"])
+        stages_run.append(chain.dispatches[0].stage)
+    assert stages_run == ["smoothing_of_lines", "smoothing"]
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-4, atol=1e-5)  # sums of 20 numbers of order 1, reordered
+
+
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from([(1, 1), SHAPE]))
 def test_conversion_to_depth(seed, field_shape):
@@ -283,10 +307,41 @@ def test_conversion_to_depth(seed, field_shape):
     parts = (fields.infinity_px, fields.scale_px_mm, fields.pupil_mm, *fields.covariance)
     add_conversion(chain, *arrays, Conversion(parts, curve, 20_000))
     found = chain.run({"disparity": disparity, "sigma": sigma}, ["depth_mm", "sigma_mm"])
+    check_millimetres(found, expected, expected_sigma)
+
+
+def check_millimetres(found, expected, expected_sigma):
     near_limit = np.abs(expected - 20_000) < 20  # and there one of the two may call it too far
-    depth = found["depth_mm"].reshape(SHAPE)
+    depth = found["depth_mm"].reshape(expected.shape)
     assert (np.isnan(depth) == np.isnan(expected))[~near_limit].all()
     both = np.isfinite(depth) & np.isfinite(expected)
+    assert both.mean() > 0.5
     np.testing.assert_allclose(depth[both], expected[both], rtol=2e-4)  # A - d in 32 bits where 0.4 px are left of 4
     # Covariances that nearly cancel in 32 bits.
-    np.testing.assert_allclose(found["sigma_mm"].reshape(SHAPE)[both], expected_sigma[both], rtol=5e-3)
+    np.testing.assert_allclose(found["sigma_mm"].reshape(expected.shape)[both], expected_sigma[both], rtol=5e-3)
+
+
+@pytest.mark.parametrize("local", [False, True], ids=["polynomials", "with corrections"])
+@pytest.mark.parametrize("known", ["in the middle", "over the frame"])
+def test_conversion_by_numbers_in_place_of_maps(local, known, rng):
+    """Frames of many megapixels: the device computes the curve of every pixel, `DepthField.model` is the oracle."""
+    height, width, count = 66, 92, 10  # total degree 3
+    infinity = np.concatenate([[4.3], rng.normal(0, 0.02, count - 1)])
+    scale = np.concatenate([[8200.0], rng.normal(0, 10, count - 1)])
+    size = 3 if known == "in the middle" else 2 * count + 1
+    root = rng.normal(size=(size, size)) * np.repeat((1e-3, 5.0, 0.5), (1, 1, 1) if size == 3 else (count, count, 1))
+    grid = (5, 7)
+    corrections = LocalField(
+        8.0, 14.0, rng.normal(0, 0.01, grid).astype(np.float32), rng.normal(0, 9, grid).astype(np.float32),
+        np.diag([1e-6, 25.0]),
+    )  # fmt: skip
+    field = DepthField(infinity, scale, 52.0, root.T @ root / size, local=corrections if local else None)
+    disparity = rng.uniform(-6, 3.5, (height, width)).astype(np.float32)
+    sigma = rng.uniform(0.01, 0.3, disparity.shape).astype(np.float32)
+    expected = depth_and_sigma(disparity, sigma, field.model(width, height), max_depth_mm=20_000)
+    chain = Chain(open_device("gpu"))
+    arrays = [chain.array(name, disparity.size) for name in ("disparity", "sigma")]
+    add_conversion(chain, *arrays, Conversion(*field.in_numbers(width, height), 20_000))
+    found = chain.run({"disparity": disparity, "sigma": sigma}, ["depth_mm", "sigma_mm"])
+    check_millimetres(found, *expected)
+    assert chain.arrays["fields"].size < disparity.size + 6 * 33 * 33  # of a frame so small: no maps

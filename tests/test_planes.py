@@ -9,13 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from chromaperture.disparity.accurate import judged
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.planar import Planes, block_links, block_sums, planes_of_surface
-from chromaperture.disparity.plane_agreement import where_they_agree
+from chromaperture.disparity.plane_agreement import BESIDE_PX, beside_borders, where_they_agree
 from chromaperture.disparity.plane_edges import placed_edges
 from chromaperture.disparity.plane_fit import Candidate, Volume, candidates, distinct, refined
 from chromaperture.disparity.plane_merging import merged_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
+from chromaperture.disparity.winner import Surface
 from chromaperture.errors import InputError
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig
 
@@ -237,6 +239,25 @@ def test_planes_hold_in_spots_that_they_surround_and_where_nearly_all_agrees() -
     surface[:, :60] = 0.5  # of most of the area the surface knows better
     surface[30:50, 10:30] = 0
     np.testing.assert_allclose(where_they_agree(planes, surface, sigma)[:, 2:8], 0.5)
+
+
+def test_planes_are_known_beside_their_borders_whatever_the_posterior_says() -> None:
+    """A window there sees the other plane, so its posterior is as wide as their distance."""
+    choice = (np.arange(100) >= 50)[None].repeat(40, 0).astype(int)
+    planes = Planes(np.array([[0.0, 0, -1], [0, 0, 1]]), choice)
+    beside = beside_borders(planes, 0.5)
+    away = np.abs(np.arange(100) - 50)
+    np.testing.assert_array_equal(beside, (away <= BESIDE_PX)[None].repeat(40, 0))
+    assert not beside_borders(planes, 2.5).any()
+
+    disparity, wide = planes.label_px.copy(), np.full((40, 100), 2.0)
+    disparity[:, 45] = 0.0  # not on a plane
+    surface = judged(
+        Surface(disparity, wide, np.ones((40, 100))), np.zeros((40, 100)), LABELS_PX,
+        first_px=disparity, explained_by=planes, learned=False, known_within_px=1.0,
+    )  # fmt: skip
+    known = np.isfinite(surface.disparity_px)
+    np.testing.assert_array_equal(known, beside & (np.arange(100) != 45))
 
 
 def test_a_far_plane_holds_beside_a_nearer_one_where_the_surface_lies_between() -> None:

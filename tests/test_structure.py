@@ -60,7 +60,8 @@ ALLOWED: dict[str, set[str]] = {
     "products": {"camera", "camera_file", "cluster", "config", "formats", "frame", "storage", "capture", "color",
                  "depth"},
     "pages": {"color", "depth"},  # pages of maps and points, of whatever is put on them
-    "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth"},
+    "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth",
+                "disparity"},  # the last for its shaders
     "reconstruction": {"camera", "products", "storage", "capture", "color", "depth"},
     # It shows the model, and the picture focused elsewhere.
     "viewer": {"camera", "products", "storage", "capture", "color", "depth", "effects", "reconstruction",

@@ -28,7 +28,8 @@ from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.gpu.alignment_stage import Alignment
 from chromaperture.disparity.gpu.conversion_stage import Conversion
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Further, Measured, Waiting, on_device
+from chromaperture.disparity.gpu.further_maps import further_maps
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Further, Measured, Waiting, device_method, on_device
 from chromaperture.disparity.result import Disparity, Method
 from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.errors import CaptureWarning
@@ -88,6 +89,7 @@ class CodedApertureCamera:
         self.execution: ExecutionName = execution
         self.device = device
         self.method = scaled_method(calibration, self.config, execution, device)
+        self.further_maps = further_maps(self.method)
         self.alignment = ChannelAlignment(calibration, self.config)
         self._at_sizes: dict[tuple[int, int], CodedApertureCamera] = {}
 
@@ -141,6 +143,11 @@ class CodedApertureCamera:
     def measures_ahead(self) -> bool:
         """Whether a photograph can be computed while the one before is read back: see `begin`."""
         return isinstance(self.method, DeviceMethod)
+
+    @property
+    def device_method(self) -> DeviceMethod | None:
+        """What works on a device; None on the CPU."""
+        return device_method(self.method)
 
     def begin(self, image: np.ndarray) -> Begun:
         """Send a photograph of a stream to the device, and return at once; as `measure` otherwise.
@@ -276,9 +283,13 @@ class CodedApertureCamera:
 
     def _matched(self, begun: Begun) -> Measured:
         """Return the disparity, and what else the device made of it."""
-        if not isinstance(self.method, DeviceMethod):
-            return Measured(self.method.match(begun.known))
-        return self.method.finish(begun.waiting or self.method.start(begun.known, self._further(begun)))
+        if isinstance(self.method, DeviceMethod):
+            measured = self.method.finish(begun.waiting or self.method.start(begun.known, self._further(begun)))
+        else:
+            measured = Measured(self.method.match(begun.known))
+        if self.further_maps is None:
+            return measured
+        return self.further_maps.added(measured, begun.known, self._further(begun))
 
     def _further(self, begun: Begun) -> Further:
         """Return what a device is to make of the disparity of a photograph."""
@@ -287,25 +298,23 @@ class CodedApertureCamera:
 
     @cached_property
     def conversion(self) -> Conversion | None:
-        """The curves of all pixels for a device; None where there are none, or too many for it to keep."""
-        sensor = self.calibration.sensor
-        if self.depth_model is None or sensor.width_px * sensor.height_px > _WHOLE_PX:
+        """The curves of all pixels for a device; None where there are none."""
+        if not self.calibration.is_calibrated:
             return None
-        fields, curve = self.depth_model.tables
+        width_px, height_px = self._frame_px
+        field = self.calibration.depth.get(self.config.quality)
+        if field is not None and width_px * height_px > _WHOLE_PX and len(field.scale_px_mm) > 1:
+            return Conversion(*field.in_numbers(width_px, height_px), self.config.depth.max_depth_mm)
+        fields, curve = cast(DepthModel, self.depth_model).tables
         parts = (fields.infinity_px, fields.scale_px_mm, fields.pupil_mm, *fields.covariance)
         return Conversion(parts, curve, self.config.depth.max_depth_mm)
 
     @cached_property
-    def device_alignment(self) -> Alignment | None:
-        """What a device needs to align the channels; None where only the CPU does it.
-
-        That is at a working scale below 1 and by the lens's blur, and where its arrays, 48 bytes a pixel, are too many.
-        """
-        sensor, white = self.calibration.sensor, np.asarray(self.calibration.film.aperture, float)
-        is_large = sensor.width_px * sensor.height_px > _WHOLE_PX
-        if self.alignment.uses_blur or self.config.scale > 1 or is_large:
-            return None
-        return Alignment(np.asarray(self.alignment.shifts, float), white.max() / white)
+    def device_alignment(self) -> Alignment:
+        """What a device needs to align the channels as `ChannelAlignment.align` does."""
+        lens = self.alignment.lens_moves
+        white = np.asarray(self.calibration.film.aperture, float)
+        return Alignment(np.asarray(self.alignment.shifts, float), white.max() / white, self.config.scale, lens)
 
     def __repr__(self) -> str:
         return f"CodedApertureCamera({self.calibration.title}, quality {self.config.quality})"

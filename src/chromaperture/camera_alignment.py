@@ -17,7 +17,7 @@ from chromaperture.color.alignment import (
     white_balance,
     white_gains,
 )
-from chromaperture.color.lens_shift import LensShift
+from chromaperture.color.lens_shift import LensMoves, LensShift
 from chromaperture.color.row_alignment import align_by_rows, row_moves
 from chromaperture.config import Config, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_inverse_depth
@@ -144,6 +144,13 @@ class ChannelAlignment:
         radius = shift.layer_radius_px(np.asarray(disparity_px, float) / factor).astype(np.float32)
         found = shift(radius, first_row=first_row, height=height)
         return found if factor == 1 else np.multiply(found, factor, out=found)
+
+    @cached_property
+    def lens_moves(self) -> LensMoves | None:
+        """What `displacement` is computed from; None where it is None."""
+        shift = self._working_shift if self.uses_blur else None
+        factor = 1.0 if shift is None else self.calibration.sensor.width_px / shift.blur.width_px
+        return None if shift is None else shift.moves(factor, exact=self.config.scale == 1)
 
     @cached_property
     def _working_shift(self) -> LensShift | None:

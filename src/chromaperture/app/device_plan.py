@@ -33,6 +33,9 @@ from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.disparity.views import CONSTANT, constant_view, no_usable_pixel
 from chromaperture.errors import InputError
 
+MOST_PX = (
+    4_000_000  # of a frame: up to here cameras keep the curves of all pixels, see `CodedApertureCamera.conversion`
+)
 FORMAT = 1  # of the message; `plan.js` refuses others
 # Places in the array `stats`, as `shared.wgsl` names them.
 _MEAN_ALL, _USABLE, _VARIANCE = 3, 4, 8
@@ -66,7 +69,8 @@ def make_plan(camera: CodedApertureCamera, exchange: str, facts: dict[str, Any])
     method = camera.method
     if not isinstance(method, RealTimeMethod):
         raise InputError("a browser measures at real-time quality only, and frames that need not be reduced")
-    if camera.calibration.is_calibrated and camera.conversion is None:
+    sensor = camera.calibration.sensor
+    if sensor.width_px * sensor.height_px > MOST_PX:
         raise InputError("this frame has too many pixels for a browser; the computer measures it")
     calibration = camera.calibration
     chain, size = PlannedChain(exchange), (calibration.sensor.height_px, calibration.sensor.width_px)  # type: ignore[arg-type]

@@ -22,7 +22,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from chromaperture.app.device_plan import make_plan, make_points
+from chromaperture.app.device_plan import MOST_PX, make_plan, make_points
 from chromaperture.app.notes import heard
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
@@ -51,7 +51,6 @@ DEPTH_INSIDE = ("gdepth", "dynamic-depth")  # outputs that are photographs with 
 _KEPT_PHOTOS = 3  # measured photographs for tap-to-focus; 24 megapixels take 1 GB each
 _KEPT_EYES = 4  # cameras at a quality and a size, with their curves
 _KEPT_PLANS = 4  # of 2.4 MB for 720x480
-_MOST_PLAN_PX = 4_000_000  # up to here cameras keep the curves of all pixels, see `CodedApertureCamera.conversion`
 _WHITE = 0.95  # of the screen, for the brightest 0.2 % of a refocused picture; as `chromaperture refocus`
 
 
@@ -165,7 +164,7 @@ class Workbench:
         path = self.camera_path(name)
         key = (path, path.stat().st_mtime_ns, size_px, exchange)
         if key not in self._plans:
-            if min(size_px) < 1 or math.prod(size_px) > _MOST_PLAN_PX:
+            if min(size_px) < 1 or math.prod(size_px) > MOST_PX:
                 raise InputError("a browser measures frames of up to 4 megapixels; the computer measures this one")
             eye = self.eye(name, "real-time")
             sensor = eye.calibration.sensor
@@ -186,7 +185,7 @@ class Workbench:
     def points(self, name: str, size_px: tuple[int, int], quality: str) -> bytes:
         """Return what makes points of maps of a size, see `make_points`; raises InputError."""
         eye = self.eye(name, quality)
-        if min(size_px) < 1 or math.prod(size_px) > _MOST_PLAN_PX or not eye.calibration.is_calibrated:
+        if min(size_px) < 1 or math.prod(size_px) > MOST_PX or not eye.calibration.is_calibrated:
             raise InputError("points are made of the maps of a calibrated camera, of up to 4 megapixels")
         return make_points(eye.at_size(*size_px))
 

@@ -95,7 +95,7 @@ def refocus(
         picture = _restored(image, eye, request, lambda: update(f"{photo.name}: restoration", 1, 3))
         update(f"{photo.name}: focus", 2, 3)
         lens = Focus(0.0 if sweep else chosen_radius(eye, picture, focus_mm, pixel), pupil, bokeh)
-        _write(picture, lens, request)
+        _write(picture, lens, request, eye)
     if json:
         print_json(_summary(photo, picture, lens, request))
     elif not quiet:
@@ -151,17 +151,19 @@ def _restored(
     return replace(picture, color=picture.color * gain)
 
 
-def _write(picture: SharpPicture, lens: Focus, request: _Request) -> None:
+def _write(picture: SharpPicture, lens: Focus, request: _Request, camera: CodedApertureCamera) -> None:
     from chromaperture.effects.background import apply_background
     from chromaperture.effects.focus_sweep import sweep, write_sweep
+    from chromaperture.effects.refocus_device import compositor_of
     from chromaperture.storage import staged, write_color_png
 
+    on, color, radius = compositor_of(camera), picture.color, picture.radius_px
     with staged(request.target.parent) as stage:
         path = stage.path(request.target.name)
         if request.sweep:
-            write_sweep(path, sweep(picture.color, picture.radius_px, lens))
+            write_sweep(path, sweep(color, radius, lens, compositor=on))
         else:
-            write_color_png(path, apply_background(picture.color, picture.radius_px, lens, request.background))
+            write_color_png(path, apply_background(color, radius, lens, request.background, compositor=on))
 
 
 def _summary(photo: Path, picture: SharpPicture, lens: Focus, request: _Request) -> dict[str, Any]:

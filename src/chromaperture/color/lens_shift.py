@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -31,6 +32,32 @@ _HIGHEST = 0.25  # cycles/px; higher frequencies are blurred away in defocused c
 _LOWEST = 1 / 35  # cycles/px; lower frequencies count as shading. One period of the windows of benchmarks/colour.py
 _GREEN = 1
 _STEPS = 6  # of Gauss-Newton
+
+
+class LensMoves(NamedTuple):
+    """What the displacement of the channels by a lens is computed from, for a device.
+
+    Attributes
+    ----------
+    table : (rows, columns, radii, 6) float32, px of the working scale
+        Displacement of R, G, B, x before y each, at positions evenly spaced over the frame and at blur radii.
+    first_px, step_px : float
+        The first radius, and from one to the next.
+    at_zero_px, per_px : float
+        Radius at disparity 0, and by how much it grows a px of disparity, both of the photograph.
+    factor : float
+        Px of the photograph a px of the working scale.
+    exact : bool
+        Whether channels are sampled by Lanczos' filter, else by cubics.
+    """
+
+    table: np.ndarray
+    first_px: float
+    step_px: float
+    at_zero_px: float
+    per_px: float
+    factor: float
+    exact: bool
 
 
 class LensShift:
@@ -75,7 +102,7 @@ class LensShift:
         (3, 2, H, W) float32, px, x before y: channel k shows at x + displacement what the centre view shows at x
         """
         out = np.empty((3, 2, *radius_px.shape), np.float32)
-        planes, table = out.reshape(6, *radius_px.shape), self._table
+        planes, table = out.reshape(6, *radius_px.shape), self.table
         start, step = np.float32(self.radii_px[0]), np.float32(self.radii_px[1] - self.radii_px[0])
         radius = np.ascontiguousarray(radius_px, np.float32)
         rows = (first_row, height or len(radius))
@@ -84,8 +111,14 @@ class LensShift:
         )
         return out
 
+    def moves(self, factor: float, *, exact: bool) -> LensMoves:
+        """Return this displacement in numbers, for photographs of ``factor`` px a px of its own."""
+        first, second = (float(radius) for radius in self.radii_px[:2])
+        at_zero, at_one = (float(radius) for radius in self.layer_radius_px(np.array([0.0, 1.0])))
+        return LensMoves(self.table, first, second - first, at_zero, (at_one - at_zero) / factor, factor, exact)
+
     @cached_property
-    def _table(self) -> np.ndarray:
+    def table(self) -> np.ndarray:
         """(rows, columns, radii, 6) float32."""
         columns, rows = _NODES
         coarse = np.empty((rows, columns, len(self.radii_px), 3, 2), np.float32)

@@ -8,13 +8,14 @@ z_of(i, j) follow from them (``paper_form.py``).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.depth.conversion_kernels import PAIRS
+from chromaperture.depth.conversion_kernels import PAIRS, CurveTable, curve_table
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 
@@ -43,6 +44,35 @@ class LocalField:
             return np.asarray(found, float).reshape(np.shape(x_px))
 
         return between(self.infinity_disparity_px), between(self.scale_px_mm)
+
+
+class FieldNumbers(NamedTuple):
+    """What the curves of a frame are computed from, for a device that keeps no maps of them.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+        Of the frame.
+    infinity_px, scale_px_mm : (n + 1, n + 1) float64
+        Of A and B: coefficient (i, j) is that of T_i(u) T_j(v), u and v being -1 and 1 at the frame's outer pixels.
+    pupil_mm : float
+    local : (2, h, w) float32
+        Added to A and B, bilinear on a grid, constant beyond it.
+    local_start_px, local_step_px : float
+        Position of the grid's first column and row, and its pitch.
+    covariance : (6, h, w) float32
+        AA, AB, A delta, BB, B delta, delta delta, bilinear between nodes evenly spaced over the frame.
+    """
+
+    width_px: int
+    height_px: int
+    infinity_px: np.ndarray
+    scale_px_mm: np.ndarray
+    pupil_mm: float
+    local: np.ndarray
+    local_start_px: float
+    local_step_px: float
+    covariance: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -124,8 +154,7 @@ class DepthField:
             return self.on_axis(width_px, height_px)
         size, band = (width_px, height_px), np.arange(height_px)[rows or slice(None)]
         # The covariance is as smooth as the fields: bilinear between nodes it is 30 times faster.
-        x, y = np.meshgrid(*(np.linspace(0, count - 1, _NODES) for count in size))
-        nodes = polynomials(x, y, *size, degree_of(len(self.scale_px_mm)))
+        nodes = self._nodes(*size)
         smooth = DepthModel(
             _evaluate(self.infinity_disparity_px, *size, band),
             _evaluate(self.scale_px_mm, *size, band),
@@ -135,6 +164,34 @@ class DepthField:
             self._curve_covariance(nodes.mean(axis=(0, 1))),
         )
         return smooth if self.local is None else self._with_local(smooth, *np.meshgrid(np.arange(width_px), band))
+
+    def in_numbers(self, width_px: int, height_px: int) -> tuple[FieldNumbers, CurveTable]:
+        """Return what `model` would be computed from over a frame, and the tables of the nonlinearity."""
+        nodes = self._nodes(width_px, height_px)
+        constant = len(self.covariance) == 3
+        covariance = np.asarray(self.covariance[None, None] if constant else self._covariance_at(nodes)).copy()
+        local, start, step = np.zeros((2, 1, 1), np.float32), 0.0, 1.0
+        if self.local is not None:
+            covariance[..., :2, :2] += self.local.covariance
+            local = np.stack([self.local.infinity_disparity_px, self.local.scale_px_mm])
+            start, step = float(self.local.start_px), float(self.local.step_px)
+        numbers = FieldNumbers(
+            width_px,
+            height_px,
+            _square(self.infinity_disparity_px),
+            _square(self.scale_px_mm),
+            float(self.sensor_to_pupil_mm),
+            np.asarray(local, np.float32),
+            start,
+            step,
+            np.stack([covariance[..., i, j] for i, j in PAIRS]).astype(np.float32),
+        )
+        return numbers, curve_table(self.nonlinearity, self._curve_covariance(nodes.mean(axis=(0, 1))))
+
+    def _nodes(self, width_px: int, height_px: int) -> np.ndarray:
+        """Return the polynomials at the nodes of the covariance over a frame; (nodes, nodes, N) float64."""
+        x, y = np.meshgrid(*(np.linspace(0, count - 1, _NODES) for count in (width_px, height_px)))
+        return polynomials(x, y, width_px, height_px, degree_of(len(self.scale_px_mm)))
 
     def _with_local(self, smooth: DepthModel, x_px: np.ndarray, y_px: np.ndarray) -> DepthModel:
         """Add the local corrections to the polynomials' curves at pixels."""
@@ -191,15 +248,22 @@ class DepthField:
 
 def _evaluate(coefficients: np.ndarray, width_px: int, height_px: int, rows: np.ndarray) -> np.ndarray:
     """Evaluate a field over rows of the frame; (rows, width) float64."""
-    degree = degree_of(len(coefficients))
-    i, j = np.divmod(np.arange((degree + 1) ** 2), degree + 1)
-    square = np.zeros((degree + 1) ** 2)
-    square[i + j <= degree] = coefficients
+    square = _square(coefficients)
+    degree = len(square) - 1
     u, v = np.linspace(-1, 1, width_px), np.linspace(-1, 1, height_px)[rows]
     along_x, along_y = chebyshev.chebvander(u, degree), chebyshev.chebvander(v, degree)
     # Column after column in memory, so that maps made of it are copied where a kernel needs them row by row: kernels
     # are compiled for arrays of their own (`compile_ahead.py`), not for read-only views of this one.
-    return np.asarray((along_x @ square.reshape(degree + 1, degree + 1) @ along_y.T).T)
+    return np.asarray((along_x @ square @ along_y.T).T)
+
+
+def _square(coefficients: np.ndarray) -> np.ndarray:
+    """Return the coefficients by their degrees in x and y, 0 above the total degree; (n + 1, n + 1) float64."""
+    degree = degree_of(len(coefficients))
+    i, j = np.divmod(np.arange((degree + 1) ** 2), degree + 1)
+    square = np.zeros((degree + 1) ** 2)
+    square[i + j <= degree] = coefficients
+    return square.reshape(degree + 1, degree + 1)
 
 
 def degree_of(count: int) -> int:

@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from chromaperture.effects.refocusing import Focus, refocus
+from chromaperture.effects.refocusing import Compositor, Focus, refocus
 from chromaperture.errors import InputError
 
 BackgroundEffect = Literal["keep", "desaturate", "blur"]
@@ -41,7 +41,14 @@ def desaturate_background(color: np.ndarray, radius_px: np.ndarray, focus_radius
     return np.asarray(color + weight * (grey - color), np.float32)
 
 
-def apply_background(color: np.ndarray, radius_px: np.ndarray, focus: Focus, effect: BackgroundEffect) -> np.ndarray:
+def apply_background(
+    color: np.ndarray,
+    radius_px: np.ndarray,
+    focus: Focus,
+    effect: BackgroundEffect,
+    *,
+    compositor: Compositor | None = None,
+) -> np.ndarray:
     """Refocus with one of the effects, see `refocus`; raises InputError for an unknown one; (H, W, 3) float32."""
     if effect not in BACKGROUND_EFFECTS:
         raise InputError(f"unknown background effect {effect!r}: choose {', '.join(BACKGROUND_EFFECTS)}")
@@ -49,4 +56,4 @@ def apply_background(color: np.ndarray, radius_px: np.ndarray, focus: Focus, eff
         radius_px = np.maximum(radius_px, np.float32(focus.radius_px))
     elif effect == "desaturate":
         color = desaturate_background(color, radius_px, focus.radius_px)
-    return refocus(color, radius_px, focus)
+    return refocus(color, radius_px, focus, compositor=compositor)

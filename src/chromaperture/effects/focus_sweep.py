@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from chromaperture.color.srgb import linear_to_srgb
-from chromaperture.effects.refocusing import Focus, refocus
+from chromaperture.effects.refocusing import Compositor, Focus, refocus
 from chromaperture.errors import InputError
 
 _FRAMES_PER_SECOND = 12
@@ -19,7 +19,9 @@ _MIN_SWEEP_PX = 3.0  # blur radius: range of the sweep of a flat scene; chosen b
 SUFFIXES = (".gif", ".mp4")
 
 
-def sweep(color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, frames: int = 24) -> Iterator[np.ndarray]:
+def sweep(
+    color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, frames: int = 24, compositor: Compositor | None = None
+) -> Iterator[np.ndarray]:
     """Yield pictures focused from near to far.
 
     Parameters
@@ -29,6 +31,8 @@ def sweep(color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, frames: int
     focus : Focus
         Pupil and strength; its focus is replaced.
     frames : int
+    compositor : callable, optional
+        As `refocus` takes it.
 
     Yields
     ------
@@ -40,7 +44,7 @@ def sweep(color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, frames: int
     short = max(0.0, _MIN_SWEEP_PX - (far - near)) / 2
     near, far = near - short, far + short
     for radius in np.linspace(near, far, frames):
-        picture = refocus(color, radius_px, replace(focus, radius_px=float(radius)))
+        picture = refocus(color, radius_px, replace(focus, radius_px=float(radius)), compositor=compositor)
         yield np.rint(linear_to_srgb(picture) * 255).astype(np.uint8)
 
 

@@ -14,11 +14,13 @@ beside the pictures that come in and go out.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from chromaperture.disparity.gpu.refocus_stages import RefocusLayer
 from chromaperture.effects.blur_layers import layer_radii
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
 from chromaperture.effects.refocusing_kernels import add_layer, layer_bounds, layer_planes, normalise, over_rows
@@ -30,9 +32,10 @@ _SHARP_PX = 0.3  # new blur below which nothing is done
 _EDGE_PX = 1.0  # jump of the capture's blur radius that separates two surfaces
 _GROWTH = 0.12  # distance of two layers, of their radius
 _SCALES = ((3.0, 1), (7.0, 2), (16.0, 4), (math.inf, 8))  # blur up to this radius is computed at this reduction
-_COARSEST = 8
 _MAX_PX = 120.0  # bounds time and margins
-_TILE_PX = 1024  # side of a tile without what is around it; 0.3 to 0.6 GB
+_COARSEST = 8  # of these reductions
+# Side of a tile without what is around it: 0.3 GB. A device, which plans anew for every shape, takes full HD in one.
+_TILE_PX, _DEVICE_TILE_PX = 1024, 2048
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,18 @@ class Focus:
     bokeh: str = "disc"
 
 
-def refocus(color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, tile_px: int = _TILE_PX) -> np.ndarray:
+# Blurs and adds layers on a device, as `_composite`; None where that is left to the CPU.
+Compositor = Callable[..., np.ndarray | None]
+
+
+def refocus(
+    color: np.ndarray,
+    radius_px: np.ndarray,
+    focus: Focus,
+    *,
+    compositor: Compositor | None = None,
+    tile_px: int | None = None,
+) -> np.ndarray:
     """Blur a sharp picture as a lens with another focus would.
 
     Parameters
@@ -63,7 +77,9 @@ def refocus(color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, tile_px: 
     radius_px : (H, W) float32, px
         Signed blur radius that the capture had, + beyond its focus: orders near and far. No NaN.
     focus : Focus
-    tile_px : int
+    compositor : callable, optional
+        A camera's device, see `refocus_device.compositor_of`.
+    tile_px : int, optional
         Side of the parts that are computed one after the other.
 
     Returns
@@ -93,25 +109,37 @@ def refocus(color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, tile_px: 
     reach = math.ceil(largest) + 1
     # What is hidden comes from up to twice as far; of the blur, whole pixels of the coarsest scale.
     margin = -(-(3 * reach + 2) // _COARSEST) * _COARSEST + 4 * _COARSEST
+    tile_px = tile_px or (_TILE_PX if compositor is None else _DEVICE_TILE_PX)
     out = np.empty_like(color)
     for top in range(0, len(radius), tile_px):
         for left in range(0, radius.shape[1], tile_px):
             above, before = (max(first - margin, 0) // _COARSEST * _COARSEST for first in (top, left))
             around = np.s_[above : top + tile_px + margin, before : left + tile_px + margin]
             inner = np.s_[top - above : top - above + tile_px, left - before : left - before + tile_px]
-            part = _composite(color[around], radius[around], radii, reach, focus)
+            part = _refocused(color[around], radius[around], radii, reach, focus, compositor)
             out[top : top + tile_px, left : left + tile_px] = part[inner]
     return out
 
 
-def _composite(color: np.ndarray, radius: np.ndarray, radii: np.ndarray, reach: int, focus: Focus) -> np.ndarray:
-    """Blur the layers of a part of the picture, near to far."""
+def _refocused(
+    color: np.ndarray, radius: np.ndarray, radii: np.ndarray, reach: int, focus: Focus, compositor: Compositor | None
+) -> np.ndarray:
+    """Refocus a part of a picture by layers that are the same everywhere."""
     color, radius = np.ascontiguousarray(color), np.ascontiguousarray(radius)
     behind, behind_radius = behind_edges(color, radius, reach, _EDGE_PX)
     hidden = behind_radius != radius
     new, behind_new = (
         (part - np.float32(focus.radius_px)) * np.float32(focus.strength) for part in (radius, behind_radius)
     )
+    parts = (color, behind), (new, behind_new), hidden, _layers(new, behind_new, hidden, radii, focus)
+    found = None if compositor is None else compositor(*parts)
+    return _composite(*parts) if found is None else found
+
+
+def _layers(
+    new: np.ndarray, behind_new: np.ndarray, hidden: np.ndarray, radii: np.ndarray, focus: Focus
+) -> list[RefocusLayer]:
+    """Divide a picture into layers, near to far; those without any pixel are left out."""
     mask = bokeh_mask(focus.bokeh)
     nodes = np.array([-np.inf, *radii, np.inf], np.float32)
     if len(radii) == 1:
@@ -120,30 +148,52 @@ def _composite(color: np.ndarray, radius: np.ndarray, radii: np.ndarray, reach: 
         nodes[0], nodes[-1] = 2 * radii[0] - radii[1], 2 * radii[-1] - radii[-2]
     height, width = new.shape
     extent = np.empty((height, 2), np.int64)
-    total, before = np.zeros((height, width, 4), np.float32), np.zeros((height, width), np.float32)
-    pending: list[tuple[float, int, int, np.ndarray]] = []  # blurred layers not yet in `before`
+    found: list[RefocusLayer] = []
+    pending: list[tuple[float, int]] = []  # layers that do not yet hide others
     gap = max(_EDGE_PX * focus.strength, 1.0)
-    for i, layer in enumerate(float(r) for r in radii):
+    for i, radius in enumerate(float(r) for r in radii):
         below, here, above = nodes[i : i + 3]
         over_rows(layer_bounds, height, new, behind_new, hidden, below, above, extent)
         rows = np.flatnonzero(extent[:, 1] >= 0)
         if not rows.size:
             continue
         # Clearly nearer surfaces occlude this one; neighbouring layers of its own surface add to it.
-        while pending and layer - pending[0][0] > max(gap, 1.5 * float(here - below)):
-            _, top, left, cover = pending.pop(0)
-            before[top : top + cover.shape[0], left : left + cover.shape[1]] += cover
-        scale = _scale(layer)
-        spread = math.ceil(abs(layer)) + 2 * scale
+        joined = []
+        while pending and radius - pending[0][0] > max(gap, 1.5 * float(here - below)):
+            joined.append(pending.pop(0)[1])
+        pending.append((radius, len(found)))
+        scale = _scale(radius)
+        reach = math.ceil(abs(radius)) + 2 * scale
         # Pixels of the coarser picture lie alike in every tile.
-        top, left = (max(int(first) - spread, 0) // scale * scale for first in (rows[0], extent[:, 0].min()))
-        bottom, right = min(int(rows[-1]) + spread + 1, height), min(int(extent[:, 1].max()) + spread + 1, width)
+        top, left = (max(int(first) - reach, 0) // scale * scale for first in (rows[0], extent[:, 0].min()))
+        bottom, right = min(int(rows[-1]) + reach + 1, height), min(int(extent[:, 1].max()) + reach + 1, width)
+        is_sharp = abs(radius) < _SHARP_PX
+        kernel = np.ones((1, 1), np.float32) if is_sharp else bokeh_kernel(mask, radius / scale)
+        found.append(RefocusLayer((below, here, above), (top, left, bottom, right), scale, kernel, tuple(joined)))
+    return found
+
+
+def _composite(
+    pictures: tuple[np.ndarray, np.ndarray],
+    radii: tuple[np.ndarray, np.ndarray],
+    hidden: np.ndarray,
+    layers: Sequence[RefocusLayer],
+) -> np.ndarray:
+    """Blur and add the layers, as `RefocusChain.composite` does on a device."""
+    (color, behind), (new, behind_new) = pictures, radii
+    height, width = new.shape
+    total, before = np.zeros((height, width, 4), np.float32), np.zeros((height, width), np.float32)
+    covers: dict[int, np.ndarray] = {}  # of layers that hide nothing yet
+    for number, layer in enumerate(layers):
+        for joined in layer.joined:
+            top, left, bottom, right = layers[joined].box
+            before[top:bottom, left:right] += covers.pop(joined)
+        top, left, bottom, right = layer.box
         planes, corner = np.zeros((bottom - top, right - left, 4), np.float32), (top, left)
-        nearby = (below, here, above)
-        over_rows(layer_planes, len(planes), color, new, behind, behind_new, hidden, nearby, corner, planes)
-        blurred = _blurred(planes, layer, mask)
+        over_rows(layer_planes, len(planes), color, new, behind, behind_new, hidden, layer.nodes, corner, planes)
+        blurred = _blurred(planes, layer)
         over_rows(add_layer, len(blurred), total, before, blurred, corner)
-        pending.append((layer, top, left, blurred[..., 3].copy()))
+        covers[number] = blurred[..., 3].copy()  # all of `blurred` would stay in memory
     out = np.empty((height, width, 3), np.float32)
     over_rows(normalise, height, total, out)
     return out
@@ -153,18 +203,17 @@ def _scale(radius_px: float) -> int:
     return next(scale for limit, scale in _SCALES if abs(radius_px) <= limit)
 
 
-def _blurred(planes: np.ndarray, radius_px: float, mask: np.ndarray) -> np.ndarray:
+def _blurred(planes: np.ndarray, layer: RefocusLayer) -> np.ndarray:
     """Convolve (h, w, 4) with the pupil; large spots at a lower resolution, because they have no fine detail."""
-    if abs(radius_px) < _SHARP_PX:
+    if len(layer.kernel) == 1:
         return planes
-    scale = _scale(radius_px)
-    if scale == 1:
-        return _convolved(planes, bokeh_kernel(mask, radius_px))
-    height, width = planes.shape[:2]
+    if layer.scale == 1:
+        return _convolved(planes, layer.kernel)
+    scale, (height, width) = layer.scale, planes.shape[:2]
     margins = (-height % scale, -width % scale)
     padded = cv2.copyMakeBorder(planes, 0, margins[0], 0, margins[1], borderType=cv2.BORDER_REPLICATE)
     small = cv2.resize(padded, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
-    small = _convolved(small, bokeh_kernel(mask, radius_px / scale))
+    small = _convolved(small, layer.kernel)
     large = cv2.resize(small, padded.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     return np.asarray(large[:height, :width])
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.disparity.cpu import simd as v
-from chromaperture.disparity.cpu.layout import BLOCK, GROUP, ONE, SCORE_SCALE, ZERO, inner, kernel
+from chromaperture.disparity.cpu.layout import BLOCK, GROUP, ONE, ZERO, inner, kernel
 from chromaperture.disparity.cpu.samples import sample, standardise, transpose_rows
 from chromaperture.disparity.cpu.scores import locate_row, score_three, score_two
 from chromaperture.disparity.cpu.windows import copy, window_end, window_rows, window_up
@@ -27,7 +27,8 @@ def score_band(pictures, plan, band, scratch, volume, maps):
     plan : Plan
     band : Band
     scratch : Scratch
-    volume : (blocks, H, D8 / 8, BLOCK, 8) int16, flat; written
+    volume : (blocks, H, D8 / 8, BLOCK, 8) flat; written
+        int16 of plain scores, float32 of filtered ones.
     maps : RowMaps; written
     """
     samplings, layers, numbers = plan.samplings, plan.layers, plan.numbers
@@ -51,9 +52,8 @@ def score_band(pictures, plan, band, scratch, volume, maps):
         _links_along_x(pictures.guide[y], numbers.even_link, maps.links[y])
         _filter_weights(maps.weights[y], numbers.even_link, maps.links[y], scratch.line, maps.filtered[y])
         here, above = pictures.guide[y], pictures.guide[max(y - 1, 0)]
-        filtered, scale, links_y = maps.filtered[y], maps.scale[y], maps.links_y[y]
+        links_y = maps.links_y[y]
         for x in range(width):
-            scale[x] = SCORE_SCALE / filtered[x]
             links_y[x] = fading(here[x] - above[x], numbers.even_link)
 
     padded = width + 2 * pad_x
@@ -118,9 +118,7 @@ def score_band(pictures, plan, band, scratch, volume, maps):
                     volume, at_volume, stride,
                 )  # fmt: skip
             if not numbers.plain:
-                _filter_back(
-                    scratch.scores, maps.links[row], maps.scale[row], numbers.even_link, volume, at_volume, stride
-                )
+                _filter_back(scratch.scores, maps.links[row], width, numbers.even_link, volume, at_volume, stride)
     v.fence()
 
 
@@ -179,24 +177,24 @@ def _filter_weights(weights, even_link, links, other, out):
 
 
 @inner
-def _filter_back(scores, links, scales, even_link, volume, at, stride):
-    """Add the leftwards recursion to the rightwards one of a row and store the sum, scaled, as int16."""
-    end = len(scales) - 1
+def _filter_back(scores, links, width, even_link, volume, at, stride):
+    """Add the leftwards recursion to the rightwards one of a row and store the sum."""
+    end = width - 1
     border_gain, gain = v.broadcast(ONE / (ONE - even_link)), v.broadcast(ONE - even_link)
     here = v.load(scores, end * v.LANES)
     if end == 0:  # a picture one px wide: both recursions start and end here
-        v.store_shorts(volume, at, v.mul(v.add(here, here), v.broadcast_at(scales, 0)))
+        v.store_kept(volume, at, v.add(here, here))
         return
     # The weighted score is what the forward result has more than its link to the one before.
     before = v.load(scores, (end - 1) * v.LANES)
     state = v.mul(border_gain, v.fnma(v.broadcast_at(links, end), before, here))
     place = at + (end // BLOCK) * stride + (end % BLOCK) * v.LANES
-    v.store_shorts(volume, place, v.mul(v.add(here, state), v.broadcast_at(scales, end)))
+    v.store_kept(volume, place, v.add(here, state))
     for x in range(end - 1, 0, -1):
         here, before = before, v.load(scores, (x - 1) * v.LANES)
         weighted = v.fnma(v.broadcast_at(links, x), before, here)
         state = v.fma(v.broadcast_at(links, x + 1), state, weighted)
         place = at + (x // BLOCK) * stride + (x % BLOCK) * v.LANES
-        v.store_shorts(volume, place, v.mul(v.add(here, state), v.broadcast_at(scales, x)))
+        v.store_kept(volume, place, v.add(here, state))
     state = v.fma(v.broadcast_at(links, 1), state, v.mul(gain, before))
-    v.store_shorts(volume, at, v.mul(v.add(before, state), v.broadcast_at(scales, 0)))
+    v.store_kept(volume, at, v.add(before, state))

@@ -1,8 +1,8 @@
 # mypy: disallow-untyped-defs=False
 """Memory layout of the compiled matcher, and the types that its stages pass on.
 
-The volume, int16, holds eight layers of a pixel (a vector) side by side, 16 columns of those, then the next eight
-layers of the same 16 columns, then the next row, then the next 16 columns::
+The volume, int16 (float32 of filtered scores), holds eight layers of a pixel (a vector) side by side, 16 columns of
+those, then the next eight layers of the same 16 columns, then the next row, then the next 16 columns::
 
     flat index = ((((block * H + y) * slabs + slab) * BLOCK) + column) * 8 + lane
 
@@ -123,7 +123,6 @@ class RowMaps(NamedTuple):
     links: np.ndarray  # (H, W + 1): link weight of each pixel to its left neighbour
     links_y: np.ndarray  # (H, W16): link weight of each pixel to its upper neighbour
     filtered: np.ndarray  # (H, W16): the weights, filtered along x
-    scale: np.ndarray  # (H, W): from filtered scores to int16
 
 
 class Scratch(NamedTuple):

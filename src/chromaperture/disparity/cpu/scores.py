@@ -71,7 +71,7 @@ def score_two(
         score = v.sub(v.mul(v.sub(v.mul(window, window_gain), noise), both), means)
         score = v.smaller(v.larger(score, floor), ceiling)
         if plain:
-            v.store_shorts(volume, at_volume + (x // BLOCK) * stride + (x % BLOCK) * v.LANES, v.mul(score, unit))
+            v.store_kept(volume, at_volume + (x // BLOCK) * stride + (x % BLOCK) * v.LANES, v.mul(score, unit))
         else:
             weighted = v.mul(score, v.broadcast_at(weights, x))
             ahead = v.fma(v.broadcast_at(links, x), ahead, weighted) if x > 0 else v.mul(border_gain, weighted)
@@ -129,7 +129,7 @@ def score_three(
         score = v.sub(one, v.root(v.larger(determinant, nothing)))
         score = v.smaller(score, ceiling)
         if plain:
-            v.store_shorts(volume, at_volume + (x // BLOCK) * stride + (x % BLOCK) * v.LANES, v.mul(score, unit))
+            v.store_kept(volume, at_volume + (x // BLOCK) * stride + (x % BLOCK) * v.LANES, v.mul(score, unit))
         else:
             weighted = v.mul(score, v.broadcast_at(weights, x))
             ahead = v.fma(v.broadcast_at(links, x), ahead, weighted) if x > 0 else v.mul(border_gain, weighted)

@@ -245,16 +245,21 @@ def load_shorts(typing, array, index):
 
 
 @intrinsic
-def store_shorts(typing, array, index, value):
-    """Round eight float32 of less than 2^15 to int16, past the caches: they are not read again soon.
+def store_kept(typing, array, index, value):
+    """Put eight float32 past the caches: they are not read again soon; rounded where the array is of int16.
 
-    The address must be a multiple of 16 bytes. Call `fence` before another thread may read them.
+    What is rounded must be less than 2^15. The address must be a multiple of a vector's bytes. Call `fence` before
+    another thread may read them.
     """
+    rounded = array.dtype == types.int16
 
     def lowered(context, builder, signature, arguments):
-        pointer = _pointer(context, builder, signature.args[0], *arguments[:2], _SHORTS)
-        bits = builder.bitcast(builder.fadd(arguments[2], _constant(_ROUNDER)), _INTS)
-        stored = builder.store(builder.trunc(bits, _SHORTS), pointer, align=16)
+        kept = arguments[2]
+        if rounded:
+            bits = builder.bitcast(builder.fadd(kept, _constant(_ROUNDER)), _INTS)
+            kept = builder.trunc(bits, _SHORTS)
+        pointer = _pointer(context, builder, signature.args[0], *arguments[:2], kept.type)
+        stored = builder.store(kept, pointer, align=16 if rounded else 32)
         stored.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(_I32, 1)]))
         return context.get_dummy_value()
 
@@ -263,7 +268,7 @@ def store_shorts(typing, array, index, value):
 
 @intrinsic
 def put_shorts(typing, array, index, value):
-    """Round eight float32 of less than 2^15 to int16, as `store_shorts`, to be read again soon."""
+    """Round eight float32 of less than 2^15 to int16, as `store_kept`, to be read again soon."""
 
     def lowered(context, builder, signature, arguments):
         pointer = _pointer(context, builder, signature.args[0], *arguments[:2], _SHORTS)

@@ -38,7 +38,7 @@ def take_winners(volume, maps, settings, first_block, last_block, scratch, winne
 
     Parameters
     ----------
-    volume : (blocks, H, slabs, BLOCK, 8) int16, flat
+    volume : (blocks, H, slabs, BLOCK, 8) float32, flat
     maps : RowMaps
     settings : Columns
     first_block, last_block : int; the blocks of columns from the first to before the last
@@ -48,13 +48,12 @@ def take_winners(volume, maps, settings, first_block, last_block, scratch, winne
     height = len(winner.disparity_px)
     slabs = (settings.layers + v.LANES - 1) // v.LANES
     links = np.empty((height + 1) * BLOCK, np.float32)
-    scale = np.empty(height * BLOCK, np.float32)
     inverse = np.empty(height * BLOCK, np.float32)
     tags = _tags(slabs)
     for block in range(first_block, last_block):
         left = block * BLOCK
-        _block_maps(maps.filtered, maps.links_y, settings.even_link, left, links, scale, inverse)
-        _take_strip(volume, left, slabs, settings, links, scale, inverse, tags, scratch, winner)
+        _block_maps(maps.filtered, maps.links_y, settings.even_link, left, links, inverse)
+        _take_strip(volume, left, slabs, settings, links, inverse, tags, scratch, winner)
 
 
 def scratch_rows(height: int) -> int:
@@ -79,10 +78,10 @@ def _tags(slabs):
 
 
 @inner
-def _block_maps(weights, links_y, even_link, left, links, scale, inverse):
-    """Links of a block of columns, weights of its int16 scores, and one over the weights filtered along y."""
+def _block_maps(weights, links_y, even_link, left, links, inverse):
+    """Links of a block of columns, and one over the weights filtered along y."""
     height = weights.shape[0]
-    border_gain, unit = v.broadcast(ONE / (ONE - even_link)), v.broadcast(ONE / SCORE_SCALE)
+    border_gain = v.broadcast(ONE / (ONE - even_link))
     one, nothing = v.broadcast(ONE), v.broadcast(ZERO)
     for j in range(0, BLOCK, v.LANES):
         v.store(links, height * BLOCK + j, nothing)
@@ -96,11 +95,10 @@ def _block_maps(weights, links_y, even_link, left, links, scale, inverse):
             weight, i = v.load(weights[y], left + j), y * BLOCK + j
             state = v.fma(v.load(links, i), state, weight) if y > 0 else v.mul(border_gain, weight)
             v.store(inverse, i, v.div(one, v.add(state, v.load(inverse, i))))
-            v.store(scale, i, v.mul(weight, unit))
 
 
 @inner
-def _take_strip(volume, left, slabs, settings, links, scale, inverse, tags, scratch, winner):
+def _take_strip(volume, left, slabs, settings, links, inverse, tags, scratch, winner):
     even_link = settings.even_link
     disparity, peak, curvature = winner.disparity_px, winner.peak, winner.curvature
     height, width = disparity.shape
@@ -115,7 +113,7 @@ def _take_strip(volume, left, slabs, settings, links, scale, inverse, tags, scra
         v.store(scratch, at_state + i, v.broadcast(ZERO))
     for y in range(height):
         above, saved = ((y + BATCH - 1) // BATCH) * row_size, (y // BATCH + 1) * row_size
-        _down(volume, at_volume + y * row_size, scale, links, y, even_link, scratch, above, saved, row_size)
+        _down(volume, at_volume + y * row_size, links, y, even_link, scratch, above, saved, row_size)
     best, fours = np.empty(BLOCK * v.LANES, np.float32), np.empty(BLOCK + v.LANES, np.float32)
     largest = np.empty(BATCH * BLOCK + v.LANES, np.float32)
     found = np.empty((3, BATCH * BLOCK), np.float32)
@@ -130,7 +128,7 @@ def _take_strip(volume, left, slabs, settings, links, scale, inverse, tags, scra
         for y in range(top, bottom):
             here = at_batch + (y - top + 1) * row_size
             at = at_volume + y * row_size
-            _down(volume, at, scale, links, y, even_link, scratch, here - row_size, here, row_size)
+            _down(volume, at, links, y, even_link, scratch, here - row_size, here, row_size)
         for y in range(bottom - 1, top - 1, -1):
             here = at_batch + (y - top + 1) * row_size
             _up(y, height, slabs, even_link, links, inverse, tags, scratch, here, at_state, best)
@@ -151,21 +149,20 @@ def _take_strip(volume, left, slabs, settings, links, scale, inverse, tags, scra
 
 
 @inner
-def _down(volume, at_volume, scale, links, y, even_link, scratch, above, here, row_size):
+def _down(volume, at_volume, links, y, even_link, scratch, above, here, row_size):
     """One row of the downward recursion, from ``above`` to ``here`` in the scratch."""
     # The sample at an end of the column has no gain: the recursions take it 1 / gain times.
     start = v.broadcast(ONE / (ONE - even_link) if y == 0 else ONE)
     for j in range(BLOCK):
-        weight = v.mul(start, v.broadcast_at(scale, y * BLOCK + j))
         link = v.broadcast_at(links, y * BLOCK + j)
         for i in range(j * v.LANES, row_size, BLOCK * v.LANES):
-            x = v.mul(v.load_shorts(volume, at_volume + i), weight)
+            x = v.mul(v.load(volume, at_volume + i), start)
             v.store(scratch, here + i, v.fma(link, v.load(scratch, above + i), x))
 
 
 @inner
 def _up(y, height, slabs, even_link, links, inverse, tags, scratch, here, at_state, best):
-    """One row of the upward recursion; leaves the scores, raised by `_RAISED`, and the largest of every column."""
+    """One row of the upward recursion; leaves the scores, and the largest of every column, raised by `_RAISED`."""
     size = BLOCK * v.LANES
     row_size = slabs * size
     tag_values = tags.view(np.float32)
@@ -187,9 +184,9 @@ def _up(y, height, slabs, even_link, links, inverse, tags, scratch, here, at_sta
             else:
                 up = v.mul(start, v.fnma(link, v.load(scratch, here - row_size + i), down))
             v.store(scratch, at_state + i, up)
-            score = v.fma(v.add(up, down), normaliser, raised)
+            score = v.mul(v.add(up, down), normaliser)
             v.store(scratch, here + i, score)
-            most = v.larger(most, v.tagged(score, keep, v.load(tag_values, tag)))
+            most = v.larger(most, v.tagged(v.add(score, raised), keep, v.load(tag_values, tag)))
             tag += v.LANES
         v.store(best, j * v.LANES, most)
 
@@ -215,7 +212,7 @@ def _refine(winners, mask, scores, at_scores, row_size, settings, found):
         slope = high[i] - low[i]
         ratio = slope / bend if bend > _BEND_FLOOR else ZERO
         found[0, i] = first + step * (found[0, i] + min(max(_HALF * ratio, -_HALF), _HALF))
-        found[1, i] = center[i] - _RAISED + np.float32(1 / 8) * slope * ratio
+        found[1, i] = center[i] + np.float32(1 / 8) * slope * ratio
         found[2, i] = bend * square
 
 

@@ -176,6 +176,7 @@ class AccurateChain:
         more = {} if found is None else {"taken_labels": (found.taken_px - self.labels_px[0]) / step}
         results = self.last[of_planes].run(more, ["results"])["results"].reshape(*usable.shape, 4)
         disparity, sigma, extent = self.labels_px[0] + step * results[..., 0], step * results[..., 1], results[..., 2]
+        disparity = disparity if found is None else found.taken_px  # what went up, without the rounding of its way back
         surface = judged(
             Surface(disparity, sigma, results[..., 3]), step * extent, self.labels_px,
             first_px=disparity if found is None else found.first_px,

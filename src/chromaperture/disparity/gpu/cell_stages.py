@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.disparity.gpu.correlation_stages import add_samples, chunks_of
+from chromaperture.disparity.gpu.correlation_stages import add_samples, add_samples_y, chunks_of
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes
 from chromaperture.disparity.gpu.workgroups import groups_for
@@ -29,7 +29,9 @@ LIKELIHOOD: dict[str, Any] = {
     "logarithm_terms": LOGARITHM,
     "logarithm_count": len(LOGARITHM),
 }
-_CELLS = 8  # that an invocation takes, one below the other: they share the sums of 3 of their 5 rows
+# Cells that an invocation takes, one below the other: they share the sums of 3 of their 5 rows. Software has few
+# invocations at once.
+_CELLS, _SOFTWARE_CELLS = 8, 16
 
 
 def add_cell_planes(chain: Chain, planes: Planes) -> Planes:
@@ -53,20 +55,32 @@ def add_cell_scores(
 ) -> Array:
     """Add the scores of all layers; (cells, D)."""
     pad_x, pad_y = (pad + WINDOW_REACH_PX for pad in padding(layers_px, directions, config.sampling))
+    # A second column of cells at the border reaches 2 px further, the taps that three views read with it another one.
+    pad_x += 2 * WINDOW_REACH_PX
     tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
+    three = planes.view_count == 3
     most = int(min(_CHUNK_BYTES, chain.device.largest_bytes) // (4 * tall * wide))
     chunks = chunks_of(layers_px, directions, config.sampling, most, len(layers_px), whole=True)
-    samples_y = chain.array("samples_y", tall * planes.width * max(len(chunk.phases_y) for chunk in chunks))
-    samples = chain.array("samples", tall * wide * max(len(chunk.phases_x) for chunk in chunks))
+    margin = pad_x if three else 0
+    most_phases = max(len(chunk.phases_y) for chunk in chunks)
+    samples = samples_y = chain.array("samples_y", tall * (planes.width + 2 * margin) * most_phases)
+    if not three:
+        samples = chain.array("samples", tall * wide * max(len(chunk.phases_x) for chunk in chunks))
     score = chain.array("score", cells.pixels * len(layers_px))
+    cells_each = _SOFTWARE_CELLS if chain.device.info.is_software else _CELLS
     for number, chunk in enumerate(chunks):
-        add_samples(chain, planes, chunk, number, samples_y, samples, pad_x=pad_x, pad_y=pad_y, whole=True)
+        if three:
+            add_samples_y(chain, planes, chunk, number, samples_y, margin=margin, pad_y=pad_y, whole=True)
+            further = [chain.constant(f"taps_x{number}", chunk.phases_x)]
+        else:
+            add_samples(chain, planes, chunk, number, samples_y, samples, pad_x=pad_x, pad_y=pad_y, whole=True)
+            further = []
         chain.add(
-            "cell_scores", [samples, chain.constant(f"places{number}", chunk.places), planes.stats, score],
-            groups=groups_for(-(-cells.height // _CELLS) * cells.width * chunk.size),
-            uses=(*SHARED, "cells_two" if planes.view_count == 2 else "cells_three"), views=planes.view_count,
-            cells_each=_CELLS, cells_wide=cells.width, cells_tall=cells.height,
-            entry_count=len(chunk.phases_x), layer_count=chunk.size,
+            "cell_scores", [samples, chain.constant(f"places{number}", chunk.places), planes.stats, score, *further],
+            groups=groups_for(-(-cells.height // cells_each) * -(-cells.width // 2) * chunk.size),
+            uses=(*SHARED, "cells_three" if three else "cells_two"), views=planes.view_count,
+            cells_each=cells_each, cells_wide=cells.width, cells_tall=cells.height,
+            entry_count=len(chunk.phases_x), phase_count=len(chunk.phases_y), layer_count=chunk.size,
             first_layer=chunk.first, all_layers=len(layers_px), reach=WINDOW_REACH_PX,
             score_parts=SCORE_PARTS, relative_epsilon=sum(CELL_TAPS) ** 4 * RELATIVE_EPSILON,
             least_floor=sum(CELL_TAPS) ** 4 * LEAST_FLOOR, width=planes.width, pad_x=pad_x, pad_y=pad_y,

@@ -1,6 +1,7 @@
 // Sums of two views for `cell_scores.wgsl`.
 
-alias Starts = vec2u;
+// Where in `samples`, (h + 2 pad_y, w + 2 pad_x, E), the windows of an invocation begin.
+alias Reader = vec2u;
 
 // Of a row of a window: nine times the means, 81 times both variances and the covariance.
 struct Row {
@@ -8,21 +9,41 @@ struct Row {
     products: vec3f,  // 00, 11, 01
 }
 
-fn starts_of(layer: u32, x: u32, y: u32) -> Starts {
-    return Starts(start_of(0u, layer, x, y), start_of(1u, layer, x, y));
+struct Rows {
+    left: Row,
+    right: Row,
 }
 
-fn samples_at(at: Starts) -> vec2f {
+fn start_of(view: u32, layer: u32, x: u32, y: u32) -> u32 {
+    let place = places[view * layer_count + layer];
+    let column = u32(i32(x + pad_x - reach) + place.y);
+    let row = u32(i32(y + pad_y - reach) + place.z);
+    return (row * wide + column) * entry_count + u32(place.x);
+}
+
+fn reader_of(layer: u32, x: u32, y: u32) -> Reader {
+    return Reader(start_of(0u, layer, x, y), start_of(1u, layer, x, y));
+}
+
+fn samples_at(at: Reader) -> vec2f {
     return vec2f(samples[at.x], samples[at.y]);
 }
 
+// Of a row of both cells, whose windows share three samples.
+fn row_sums(reader: Reader, row: u32) -> Rows {
+    let at = reader + row * wide * entry_count;
+    let s0 = samples_at(at);
+    let s1 = samples_at(at + entry_count);
+    let s2 = samples_at(at + 2u * entry_count);
+    let s3 = samples_at(at + 3u * entry_count);
+    let s4 = samples_at(at + 4u * entry_count);
+    let s5 = samples_at(at + 5u * entry_count);
+    let s6 = samples_at(at + 6u * entry_count);
+    return Rows(row_of(s2, s0 - s2, s1 - s2, s3 - s2, s4 - s2), row_of(s4, s2 - s4, s3 - s4, s5 - s4, s6 - s4));
+}
+
 // Of differences from the middle, which are small: so their sums are exact.
-fn row_sums(middle: Starts) -> Row {
-    let light = samples_at(middle);
-    let outer = samples_at(middle - 2u * entry_count) - light;
-    let inner = samples_at(middle - entry_count) - light;
-    let beyond = samples_at(middle + entry_count) - light;
-    let last = samples_at(middle + 2u * entry_count) - light;
+fn row_of(light: vec2f, outer: vec2f, inner: vec2f, beyond: vec2f, last: vec2f) -> Row {
     let sums = outer + last + 2.0 * (inner + beyond);
     let products = outer.xyx * outer.xyy + last.xyx * last.xyy + 2.0 * (inner.xyx * inner.xyy + beyond.xyx * beyond.xyy);
     return Row(9.0 * light + sums, (8.0 * products + products) - sums.xyx * sums.xyy);

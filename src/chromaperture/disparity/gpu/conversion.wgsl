@@ -2,14 +2,10 @@
 
 @group(0) @binding(0) var<storage, read> disparity: array<u32>;  // (H, W)
 @group(0) @binding(1) var<storage, read> sigma: array<u32>;  // (H, W)
-@group(0) @binding(2) var<storage, read> fields: array<f32>;  // A, B, delta and six covariances, each (H, W) or one number
+@group(0) @binding(2) var<storage, read> fields: array<f32>;  // of which `field` makes A, B, delta and six covariances
 @group(0) @binding(3) var<storage, read> curve: array<f32>;  // (table_count, 5): linear disparity, four errors
 @group(0) @binding(4) var<storage, read_write> depth_mm: array<u32>;  // (H, W)
 @group(0) @binding(5) var<storage, read_write> sigma_mm: array<u32>;  // (H, W)
-
-fn field(number: u32, i: u32) -> f32 {
-    return fields[u32(field_at[number]) + select(0u, i, field_is_map[number] > 0.0)];
-}
 
 // d measured / d linear disparity: Clenshaw's rule for Chebyshev polynomials.
 fn slope_at(linear: f32) -> f32 {

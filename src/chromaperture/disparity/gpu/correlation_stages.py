@@ -155,6 +155,14 @@ def add_correlation(
     # Of an entry, two deviations; of a layer of its own, score and weight.
     most_entries = max(1, int(most_bytes // (8 * (tall + reach) * (wide + reach))))
     most_layers = max(1, int(most_bytes // (4 * tall * wide)) - 1) if chunked else len(layers_px)
+    words = 4 if planes.view_count == 2 else 12  # of the covariances of all pairs, of four layers
+    (block_x, blocks_x), (block_y, blocks_y) = (_even_blocks(chain, side) for side in (planes.width, planes.height))
+    steps_x, steps_y = block_x + reach, block_y + reach
+    of_quad = words * max(tall * blocks_x * steps_x, planes.width * blocks_y * steps_y)  # numbers that wait in `ahead`
+    waiting = chain.device.largest_bytes // 4 - words * GROUP * max(
+        steps_x, steps_y
+    )  # the last workgroup is a whole one
+    most_layers = min(most_layers, 4 * int(waiting // of_quad))
     chunks = chunks_of(layers_px, directions, config.sampling, most_entries, most_layers)
     kept = kept or Kept("score", ("scores_kept",), {})
     volume = _largest(chain, kept.name, [planes.pixels * (pitch or c.size + kept.more) for c in chunks])
@@ -165,11 +173,8 @@ def add_correlation(
     apart_y = _largest(chain, "deviations_y", [2 * (tall + reach) * wide * len(c.phases_x) for c in chunks])
     gains = _largest(chain, "gains", [(tall + reach) * wide * len(c.phases_x) for c in chunks])
     quads = [-(-chunk.size // 4) for chunk in chunks]
-    words = 4 if planes.view_count == 2 else 12  # of the covariances of all pairs, of four layers
     covariances = _largest(chain, "covariances", [words * tall * planes.width * count for count in quads])
-    (block_x, blocks_x), (block_y, blocks_y) = (_even_blocks(chain, side) for side in (planes.width, planes.height))
     invocations = [(tall * blocks_x * count, planes.width * blocks_y * count) for count in quads]
-    steps_x, steps_y = block_x + reach, block_y + reach
     most_steps = [max(-(-x // GROUP) * steps_x, -(-y // GROUP) * steps_y) for x, y in invocations]
     ahead = _largest(chain, "ahead", [words * GROUP * steps for steps in most_steps])
     pairs = "pairs_two" if planes.view_count == 2 else "pairs_three"
@@ -226,20 +231,29 @@ def add_samples(
     Where ``whole``, light counts in whole units.
     """
     tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
-    entries, phases = len(chunk.phases_x), len(chunk.phases_y)
-    taps_y = chain.constant(f"taps_y{number}", chunk.phases_y)
+    entries = len(chunk.phases_x)
+    taps_y = add_samples_y(chain, planes, chunk, number, samples_y, margin=0, pad_y=pad_y, whole=whole)
     taps_x = chain.constant(f"taps_x{number}", chunk.phases_x)
-    size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_y": pad_y, "phase_count": phases}
-    size |= {"whole": whole, "each": _EACH}
-    chain.add(
-        "sample_y", [planes.planes, taps_y, planes.stats, samples_y],
-        groups=groups_for(-(-tall // _EACH) * planes.width * phases), uses=SHARED, **size,
-    )  # fmt: skip
     chain.add(
         "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * -(-wide // _EACH) * entries), uses=SHARED,
-        pad_x=pad_x, entry_count=entries, **size,
+        width=planes.width, height=planes.height, pad_y=pad_y, phase_count=len(chunk.phases_y), whole=whole,
+        each=_EACH, pad_x=pad_x, entry_count=entries,
     )  # fmt: skip
     return taps_y, taps_x
+
+
+def add_samples_y(
+    chain: Chain, planes: Planes, chunk: Chunk, number: int, samples_y: Array, *, margin: int, pad_y: int, whole: bool
+) -> Array:
+    """Add the samples of a chunk between rows, (h + 2 pad_y, w + 2 margin, Ey); return the taps along y."""
+    tall, wide, phases = planes.height + 2 * pad_y, planes.width + 2 * margin, len(chunk.phases_y)
+    taps_y = chain.constant(f"taps_y{number}", chunk.phases_y)
+    chain.add(
+        "sample_y", [planes.planes, taps_y, planes.stats, samples_y],
+        groups=groups_for(-(-tall // _EACH) * wide * phases), uses=SHARED, width=planes.width, height=planes.height,
+        margin=margin, pad_y=pad_y, phase_count=phases, whole=whole, each=_EACH,
+    )  # fmt: skip
+    return taps_y
 
 
 def _whole_quads(places: np.ndarray) -> np.ndarray:

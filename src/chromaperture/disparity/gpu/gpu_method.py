@@ -142,7 +142,7 @@ class GpuMethod:
     def _composed(self, size: tuple[int, int], further: Further) -> Chain:
         """Return the chain for a size, kept until another is needed."""
         key = (size, *further)
-        if self._chain is None or self._key[0] != size or not _same(self._key[1:], further):
+        if self._chain is None or self._key[0] != size or not same(self._key[1:], further):
             self._chain = None
             chain = Chain(self.device)
             image = chain.array("image", 3 * size[0] * size[1])
@@ -168,7 +168,7 @@ class GpuMethod:
             raise TypeError(type(self.config).__name__)
 
 
-def _same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
+def same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
     """Whether two tuples hold the same objects."""
     return all(a is b for a, b in zip(one, other, strict=True))
 
@@ -217,7 +217,7 @@ class DeviceMethod:
         try:
             return Waiting(image, self.on_gpu.start(image, further))
         except (DeviceError, OutOfMemoryError) as error:
-            self._fall_back(error)
+            self.fall_back(error)
             return Waiting(image)
 
     def finish(self, waiting: Waiting) -> Measured:
@@ -225,13 +225,13 @@ class DeviceMethod:
         try:
             if waiting.started is not None and isinstance(self.on_gpu, GpuMethod):
                 return self.on_gpu.finish(waiting.started)
-            if not self.has_failed and isinstance(self.on_gpu, AccurateOnDevice):  # its depth is made on the CPU
+            if not self.has_failed and isinstance(self.on_gpu, AccurateOnDevice):  # the rest: `further_maps.py`
                 return Measured(self.on_gpu.match(waiting.image))
         except (DeviceError, OutOfMemoryError) as error:
-            self._fall_back(error)
+            self.fall_back(error)
         return Measured(self.on_cpu.match(waiting.image))
 
-    def _fall_back(self, error: ChromapertureError) -> None:
+    def fall_back(self, error: ChromapertureError) -> None:
         """Go on with the CPU, which is said once, or raise the error."""
         if not self.may_fall_back:
             raise error
@@ -306,3 +306,9 @@ def on_device(method: Method, choice: str, note: Callable[[str], None], *, pixel
     if device.info.is_software:
         note(f"{device.info.name} is software: slower than --device cpu, with the same results")
     return DeviceMethod(opened(device), method, not asked_for)
+
+
+def device_method(method: Method) -> DeviceMethod | None:
+    """Return the part of a method that works on a device; None where there is none."""
+    inner = method.method if isinstance(method, ScaledMethod) else method
+    return inner if isinstance(inner, DeviceMethod) else None

@@ -20,7 +20,7 @@ from chromaperture.disparity.gpu.cell_stages import (
 from chromaperture.disparity.gpu.correlation_stages import Kept, add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes, add_halved_views
-from chromaperture.disparity.gpu.workgroups import MOST_GROUPS, groups_for
+from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.labels import MOST_APART_PX, LabelMap, labels_between
 from chromaperture.disparity.stages.bilateral import even_link
 from chromaperture.disparity.stages.correlation import SCORE_PARTS
@@ -188,13 +188,15 @@ def add_recursions(
 ) -> Array:
     """Add the recursions of ``smoothing.wgsl`` along x, then along y; return the sums, in place of the maps."""
     between = chain.arrays.get(f"{maps.name}_x") or chain.array(f"{maps.name}_x", maps.size)
+    constants: dict[str, Any] = {"width": planes.width, "height": planes.height, "map_count": map_count}
     for along_x, source, target in ((True, maps, between), (False, between, maps)):
         lines = (planes.height if along_x else planes.width) * map_count
-        groups = -(-lines // 8)
-        across = min(groups, MOST_GROUPS)
+        stage, groups = "smoothing_of_lines", groups_for(lines)
+        if not chain.device.info.is_software:
+            stage, groups = "smoothing", groups_for(lines, 8)
         chain.add(
-            "smoothing", [source, links, target], groups=(across, -(-groups // across)), uses=SHARED,
-            width=planes.width, height=planes.height, map_count=map_count, along_x=along_x, gain=gain, own=own,
+            stage, [source, links, target], groups=groups, uses=SHARED, along_x=along_x, gain=gain, own=own,
+            **constants,
         )  # fmt: skip
     return maps
 
