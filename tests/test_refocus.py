@@ -44,6 +44,18 @@ def test_it_is_what_a_lens_focused_there_sees(world, focus_mm, strength):
     assert error < 0.45 * before
 
 
+@pytest.mark.parametrize("tile_px", [48, 100])
+@pytest.mark.parametrize("focus_mm", [800.0, 1500.0])
+def test_tiles_leave_no_seams(focus_mm, tile_px):
+    rng = np.random.default_rng(4)
+    color = cv2.GaussianBlur(rng.random((230, 310, 3)).astype(np.float32), (0, 0), 1.5)
+    y, x = np.mgrid[:230, :310]
+    radius = np.where(np.hypot(x - 190, y - 90) < 40, -3.0, 3 + x / 150).astype(np.float32)
+    focus = Focus(float(CAMERA.blur_radius_px(focus_mm)), 1.3)
+    whole, tiled = refocus(color, radius, focus, tile_px=512), refocus(color, radius, focus, tile_px=tile_px)
+    np.testing.assert_allclose(tiled, whole, atol=1e-6)  # the last bit
+
+
 def test_no_halo(world):
     _, radius = world
     blue, red = np.float32([0.2, 0.2, 0.9]), np.float32([0.9, 0.2, 0.2])

@@ -109,9 +109,9 @@ def parallel_map(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
         for task in tasks:
             task()
 
-    with ThreadPoolExecutor(max(threads - 1, 1)) as pool:
-        _start(pool, [some] * (threads - 1))
-        return _run(tasks)
+    if threads > 1:
+        _start(_pool(), [some] * (threads - 1))
+    return _run(tasks)
 
 
 def each_band(work: Callable[[slice], object], rows: int, *, rows_a_band: int = BAND_ROWS) -> None:

@@ -30,7 +30,7 @@ _MIN_SIGMA_PX = 0.05  # bias of shift matching: up to 0.06 px on mirrored halves
 # Smoothing of boards before quality "real-time" reads them through two filters, px. Prints are finer than what is
 # photographed later, and fine texture is displaced more: film leaks, lenses aberrate (docs/measurements.md, *Boards as
 # coarse as scenes*; there, why not through three filters).
-_COARSER_PX = 1.0
+_COARSER_PX = 0.8
 _SEARCH = (1.5, 1.0)  # the nominal range is searched times the first, px the second wider: the lens is known to 20 %
 
 

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from chromaperture.disparity.planar import Planes
+from chromaperture.threads import parallel_map
 
 AGREEMENT_SIGMAS = 2.0  # docs/measurements.md has 1, 1.5, 2, 3 and none
 AGREEMENT_WINDOW_PX = 9  # two sigmas of the correlation window and the pixel: neighbours decide alike
@@ -46,15 +47,25 @@ def where_they_agree(planes: Planes, surface_px: np.ndarray, sigma_px: np.ndarra
 def _beside_nearer(planes: Planes, label_px: np.ndarray, surface_px: np.ndarray, sigma_px: np.ndarray) -> np.ndarray:
     """Find the pixels next to a nearer plane whose surface lies between theirs and that one; (H, W) bool."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BESIDE_PX + 1, 2 * BESIDE_PX + 1))
-    y, x = np.ogrid[: label_px.shape[0], : label_px.shape[1]]
     found = np.zeros(label_px.shape, bool)
-    not_beyond_own = surface_px <= label_px + sigma_px  # labels grow with distance
-    for k in np.unique(planes.choice):
-        here = planes.choice == k
+
+    def of_plane(k: int) -> tuple[tuple[slice, slice], np.ndarray]:
+        everywhere = (planes.choice == k).view(np.uint8)
+        left, top, width, height = cv2.boundingRect(everywhere)
+        box = (
+            slice(max(0, top - BESIDE_PX), top + height + BESIDE_PX),
+            slice(max(0, left - BESIDE_PX), left + width + BESIDE_PX),
+        )
+        y, x = (np.arange(part.start, min(part.stop, n)) for part, n in zip(box, label_px.shape, strict=True))
         a, b, c = planes.planes[k]
-        near_px = (a * x + b * y + c).astype(np.float32)
-        beside = (cv2.dilate(here.astype(np.uint8), disc) > 0) & ~here & (near_px < label_px)
-        found |= beside & not_beyond_own & (surface_px >= near_px - sigma_px)
+        near_px = (a * x + b * y[:, None] + c).astype(np.float32)
+        here, own_px, at_px, sigma = everywhere[box], label_px[box], surface_px[box], sigma_px[box]
+        beside = (cv2.dilate(here, disc) > here) & (near_px < own_px)
+        # Labels grow with distance: the surface is not beyond its own plane.
+        return box, beside & (at_px <= own_px + sigma) & (at_px >= near_px - sigma)
+
+    for box, beside in parallel_map(of_plane, np.unique(planes.choice).tolist()):
+        found[box] |= beside
     return found
 
 

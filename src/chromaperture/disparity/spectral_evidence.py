@@ -164,11 +164,17 @@ def _at_labels(
     disparity = maps.offset_px[..., None] + maps.scale[..., None] * labels_px
     place = np.clip((disparity - layers_px[0]) / (layers_px[1] - layers_px[0]), 0, len(layers_px) - 1)
     place = np.broadcast_to(place, (*volume.shape[:2], len(labels_px)))
-    below = np.clip(place.astype(np.intp), 0, len(layers_px) - 2)
     # Two more layers at either end.
     wide = np.pad(volume, ((0, 0), (0, 0), (2, 2)), mode="reflect", reflect_type="odd")
-    taps = (np.take_along_axis(wide, below + k, axis=2) for k in range(6))
-    return np.asarray(sum(w * tap for w, tap in zip(lagrange_weights(place - below), taps, strict=True)))
+    out = np.empty(place.shape)
+
+    def interpolate(row: int) -> None:
+        below = np.clip(place[row].astype(np.intp), 0, len(layers_px) - 2)
+        taps = (np.take_along_axis(wide[row], below + k, axis=1) for k in range(6))
+        out[row] = sum(w * tap for w, tap in zip(lagrange_weights(place[row] - below), taps, strict=True))
+
+    parallel_map(interpolate, range(len(out)))
+    return out
 
 
 def _tempered(log_likelihood: np.ndarray, config: SpectralConfig) -> np.ndarray:
@@ -188,10 +194,15 @@ def _add_enlarged(at_windows: np.ndarray, stride: int, likelihood: np.ndarray) -
 
     height, width = likelihood.shape[:2]
     first, second, part = between(width, at_windows.shape[1])
-    along = at_windows[:, first] * (1 - part[:, None]) + at_windows[:, second] * part[:, None]
     upper, lower, share = between(height, at_windows.shape[0])
 
-    def add(row: int) -> None:
-        likelihood[row] += along[upper[row]] * (1 - share[row]) + along[lower[row]] * share[row]
+    def add(window: int) -> None:
+        rows = slice(window * stride, min((window + 1) * stride, height) if window < len(at_windows) - 1 else height)
+        above, below = (
+            at_windows[k, first] * (1 - part[:, None]) + at_windows[k, second] * part[:, None]
+            for k in (upper[rows.start], lower[rows.start])
+        )
+        for row in range(rows.start, rows.stop):
+            likelihood[row] += above * (1 - share[row]) + below * share[row]
 
-    parallel_map(add, range(height))
+    parallel_map(add, range(len(at_windows)))

@@ -17,6 +17,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy.fft
+from numpy.lib.stride_tricks import sliding_window_view
 
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.stages.tiles import high_pass
@@ -32,6 +33,7 @@ _LEAST_TILE_PX = 64  # side of the tile of a point-spread function
 _LAG_TAPERS = 31 / 8  # sigmas of the taper at which its autocorrelation is cut off, falling from 0.02 of its peak
 _SIDE_TAPERS = 3.0  # half the side of a window, in sigmas of its taper
 _NODES_AT_ONCE = 16  # 30 MB
+_COLUMNS_AT_ONCE = 256  # of products with waves: small enough to stay in one thread
 _SPACINGS = 11  # of the nodes, along the width; a blur of 20 px varies by a tenth of a px between them
 
 
@@ -58,23 +60,42 @@ class Windows:
         self.redundancy = (self.period / (np.sqrt(2 * np.pi) * config.taper_px)) ** 2
 
     def spectra(self, image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Compute the spectra of windows around pixels, of unit gain for white noise; (len(rows) * ..., 3, F)."""
-        half = self.side // 2
-        padded = np.pad(image, ((half, half), (half, half), (0, 0)), mode="symmetric")
-        taper = np.outer(self.along, self.along)[..., None].astype(np.float32)
-        offset = np.arange(self.side)
+        """Compute the spectra of windows around pixels, of unit gain for white noise; (len(rows) * ..., 3, F).
+
+        Products with the few waves of the band, along y and then along x, take a fraction of transforms' time.
+        """
+        half, waves = self.side // 2, self._waves
+        padded = np.pad(image.transpose(2, 0, 1), ((0, 0), (half, half), (half, half)), mode="symmetric")
+        sums = waves.sum(axis=1, dtype=float)
+        taper = self._of_products(np.outer(sums, sums) / sums[0] ** 2)
         out = np.empty((len(rows), len(columns), 3, len(self.rows)), np.complex64)
 
         def fill(row: int) -> None:
-            band = padded[rows[row] : rows[row] + self.side]
-            cuts = band[:, columns[:, None] + offset].transpose(1, 0, 2, 3) * taper
-            cuts -= taper / taper.sum() * cuts.sum(axis=(1, 2), keepdims=True)
-            folded = cuts.reshape(len(columns), 2, self.period, 2, self.period, 3).sum(axis=(1, 3))
-            spectra = scipy.fft.rfft2(folded, axes=(1, 2))
-            out[row] = spectra[:, self.rows, self.columns].transpose(0, 2, 1)
+            band = padded[:, rows[row] : rows[row] + self.side]
+            along_y = np.empty((3, len(waves), band.shape[2]), np.float32)
+            for first in range(0, band.shape[2], _COLUMNS_AT_ONCE):
+                part = np.s_[:, :, first : first + _COLUMNS_AT_ONCE]
+                np.matmul(waves, band[part], out=along_y[part])
+            cuts = sliding_window_view(along_y.reshape(-1, band.shape[2]), self.side, axis=1)[:, columns]
+            products = (cuts.transpose(1, 0, 2) @ waves.T).reshape(len(columns), 3, len(waves), len(waves))
+            out[row] = self._of_products(products) - products[..., 0, :1] * taper  # less the mean under the taper
 
         parallel_map(fill, range(len(rows)))
         return out.reshape(-1, 3, len(self.rows))
+
+    @cached_property
+    def _waves(self) -> np.ndarray:
+        """Cosines, then sines, of 0, 1, 2, ... waves a period under the taper; (2 * (K + 1), side) float32."""
+        angle = 2 * np.pi / self.period * np.outer(np.arange(self.columns.max() + 1), np.arange(self.side))
+        return (self.along * np.concatenate([np.cos(angle), np.sin(angle)])).astype(np.float32)
+
+    def _of_products(self, products: np.ndarray) -> np.ndarray:
+        """Spectra from products with the waves along y and x, (..., W, W); (..., F) complex64."""
+        few = len(self._waves) // 2
+        y, x, sign = np.rint(np.abs(self.fy) * self.period).astype(np.intp), self.columns, np.where(self.fy < 0, -1, 1)
+        real = products[..., y, x] - sign * products[..., few + y, few + x]
+        imaginary = sign * products[..., few + y, x] + products[..., y, few + x]
+        return np.asarray(real - 1j * imaginary, np.complex64)
 
 
 class SpectralModel:

@@ -13,10 +13,18 @@ import numpy as np
 
 from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions, view_reach
-from chromaperture.disparity.whole_light import even_mean, in_whole_units, light_unit, plane_variance, smooth_whole
+from chromaperture.disparity.whole_light import (
+    even_mean,
+    halved_whole,
+    in_whole_units,
+    light_unit,
+    plane_variance,
+    smooth_whole,
+)
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids, channel_transmission
 from chromaperture.stage_config import ViewsConfig
+from chromaperture.threads import parallel_map
 
 FILL_SIGMA_PX = 6.0  # of the mean that replaces unusable pixels, px of the halved picture; chosen by hand
 FILL_UNITS = 16.0  # to which that mean is rounded, so that executions seldom round it apart; below a picture's noise
@@ -264,23 +272,16 @@ def smoothed_views(
     directions: np.ndarray,
     config: ViewsConfig,
     noise: ViewNoise | None = None,
-    unit: float = 0.0,
 ) -> Views:
-    """Take the mean off the views, smooth them and the guide; see `mixed` for shapes. Raises InputError.
-
-    With a ``unit`` the views are, and stay, multiples of it.
-    """
+    """Take the mean off the views, smooth them and the guide; see `mixed` for shapes. Raises InputError."""
     planes = np.empty((len(views), *mask.shape), np.float32)  # one plane a view: fast to smooth and to match
     for plane, view in zip(planes, views, strict=True):
-        if unit:
-            smooth_whole(view, config.presmooth_sigma_px, unit, out=plane)
-        else:
-            smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
-    if min(plane_variance(plane) for plane in planes) <= constant_variance(unit):
+        smooth(view - np.float32(cv2.mean(view)[0]), config.presmooth_sigma_px, out=plane)
+    if min(plane_variance(plane) for plane in planes) <= constant_variance(0):
         raise constant_view()
     guide = smooth(guide, GUIDE_SIGMA_PX)
     guide *= _guide_scale(guide, config)
-    return Views(np.moveaxis(planes, 0, -1), np.asarray(directions, float), guide, mask.astype(np.float32), noise, unit)
+    return Views(np.moveaxis(planes, 0, -1), np.asarray(directions, float), guide, mask.astype(np.float32), noise)
 
 
 def halved(
@@ -289,14 +290,28 @@ def halved(
     """Halve and smooth the views; see `halved_views`, and `mixed` for the shapes. Raises InputError."""
     is_whole = bool(mask.all())
     unit = light_unit(cv2.mean(guide, None if is_whole else mask.view(np.uint8))[0])
-    if is_whole:
-        whole = np.empty(mask.shape, np.float32)
-        small = [cv2.pyrDown(in_whole_units(view, unit, out=whole)) for view in views]
-        usable = mask[::2, ::2]
-    else:
-        small, usable = _halved_around(views, mask.astype(np.float32), unit)
-    smoothed = smoothed_views(small, cv2.pyrDown(guide), usable, directions=directions, config=config, unit=unit)
-    return smoothed, guide * _guide_scale(guide, config)
+    usable = mask[::2, ::2]
+    if not is_whole:
+        views, usable = _halved_around(views, mask.astype(np.float32), unit)
+    planes = np.empty((len(views), *usable.shape), np.float32)
+    variances = [0.0] * len(planes)
+    guides: list[np.ndarray] = [guide, guide]
+
+    def prepare(i: int) -> None:
+        """Smooth a view, or bring the halved or the whole guide to its units."""
+        if i < len(planes):
+            small = halved_whole(views[i], unit) if is_whole else views[i]
+            smooth_whole(small, config.presmooth_sigma_px, unit, out=planes[i])
+            variances[i] = plane_variance(planes[i])
+        else:
+            part = smooth(cv2.pyrDown(guide), GUIDE_SIGMA_PX) if i == len(planes) else guide
+            guides[i - len(planes)] = part * _guide_scale(part, config)
+
+    parallel_map(prepare, range(len(planes) + 2))
+    if min(variances) <= constant_variance(unit):
+        raise constant_view()
+    pictures, axes = np.moveaxis(planes, 0, -1), np.asarray(directions, float)
+    return Views(pictures, axes, guides[0], usable.astype(np.float32), None, unit), guides[1]
 
 
 def _halved_around(views: Sequence[np.ndarray], mask: np.ndarray, unit: float) -> tuple[list[np.ndarray], np.ndarray]:

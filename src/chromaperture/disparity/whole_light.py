@@ -13,8 +13,6 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from chromaperture.threads import in_parallel
-
 # The mean light is 2^11 to 2^12 units: a unit of a well exposed picture is 1e-4 of the white level, and rounding adds
 # 3e-5 of noise. docs/measurements.md compares.
 LIGHT_BITS = 11
@@ -45,14 +43,10 @@ def in_whole_units(values: np.ndarray, unit: float, *, less: float = 0.0, out: n
     """
     rounder = 1.5 * 2**23 * unit
     out = np.empty(values.shape, np.float32) if out is None else out
-
-    def rows(_: int, top: int, bottom: int) -> None:
-        for first in range(top, bottom, _STRIP_ROWS):
-            part = np.s_[first : min(first + _STRIP_ROWS, bottom)]
-            np.add(values[part], np.float32(rounder - less), out=out[part])
-            np.subtract(out[part], np.float32(rounder), out=out[part])
-
-    in_parallel(rows, len(values))
+    for first in range(0, len(values), _STRIP_ROWS):
+        part = np.s_[first : first + _STRIP_ROWS]
+        np.add(values[part], np.float32(rounder - less), out=out[part])
+        np.subtract(out[part], np.float32(rounder), out=out[part])
     return out
 
 
@@ -61,6 +55,17 @@ def whole_taps(taps: Sequence[float] | np.ndarray) -> np.ndarray:
     parts = np.round(TAP_PARTS * np.asarray(taps, float))
     parts[np.argmax(parts)] += TAP_PARTS - parts.sum()
     return parts / TAP_PARTS
+
+
+def halved_whole(view: np.ndarray, unit: float) -> np.ndarray:
+    """Halve a picture by `cv2.pyrDown` in whole units of light, strip by strip; exact while it is below 2^16 units."""
+    height, width = ((n + 1) // 2 for n in view.shape)
+    out = np.empty((height, width), np.float32)
+    for first in range(0, height, _STRIP_ROWS):
+        last, above = min(first + _STRIP_ROWS, height), max(2 * first - 2, 0)  # a row comes of five
+        part = in_whole_units(view[above : 2 * last + 1], unit)
+        out[first:last] = cv2.pyrDown(part)[first - above // 2 :][: last - first]
+    return out
 
 
 def smooth_whole(view: np.ndarray, sigma_px: float, unit: float, *, out: np.ndarray) -> None:

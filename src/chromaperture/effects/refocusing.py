@@ -6,6 +6,9 @@ The picture is divided into layers of equal new blur, near to far in the scene. 
 
 so that a sharp edge occludes the blurred background, and the background shows through a blurred edge. What near
 surfaces hide is extrapolated from the far side of the edge. All in linear light: highlights become spots.
+
+A large picture is computed tile by tile, each with as much around it as can reach into it: memory stays that of a tile,
+beside the pictures that come in and go out.
 """
 
 from __future__ import annotations
@@ -30,6 +33,9 @@ _EDGE_PX = 1.0  # jump of the capture's blur radius that separates two surfaces
 _GROWTH = 0.12  # distance of two layers, of their radius
 _SCALES = ((3.0, 1), (7.0, 2), (16.0, 4), (math.inf, 8))  # blur up to this radius is computed at this reduction
 _MAX_PX = 120.0  # bounds time and margins
+_COARSEST = 8  # of these reductions
+# Side of a tile without what is around it: 0.3 GB. A device, which plans anew for every shape, takes full HD in one.
+_TILE_PX, _DEVICE_TILE_PX = 1024, 2048
 
 
 @dataclass(frozen=True)
@@ -56,7 +62,12 @@ Compositor = Callable[..., np.ndarray | None]
 
 
 def refocus(
-    color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, compositor: Compositor | None = None
+    color: np.ndarray,
+    radius_px: np.ndarray,
+    focus: Focus,
+    *,
+    compositor: Compositor | None = None,
+    tile_px: int | None = None,
 ) -> np.ndarray:
     """Blur a sharp picture as a lens with another focus would.
 
@@ -68,6 +79,8 @@ def refocus(
     focus : Focus
     compositor : callable, optional
         A camera's device, see `refocus_device.compositor_of`.
+    tile_px : int, optional
+        Side of the parts that are computed one after the other.
 
     Returns
     -------
@@ -85,26 +98,49 @@ def refocus(
     if not (math.isfinite(focus.strength) and focus.strength >= 0):
         raise InputError(f"the new pupil must have a size >= 0, got {focus.strength:g}")
     color, radius = np.ascontiguousarray(color, np.float32), np.ascontiguousarray(radius_px, np.float32)
-    new = (radius - np.float32(focus.radius_px)) * np.float32(focus.strength)
-    largest = float(np.abs(new).max())
+    low, high = (float(np.float32(focus.strength) * (end - focus.radius_px)) for end in (radius.min(), radius.max()))
+    largest = max(-low, high)
     if largest > min(_MAX_PX, min(radius.shape) / 2):
         raise InputError(f"the new blur would reach {largest:.0f} px: choose a larger f-number or a farther focus")
     if largest < _SHARP_PX:
         return color.copy()
+    # New blur rises with depth, because the pupil's scale is positive; hidden surfaces lie where others are seen.
+    radii = layer_radii(np.array([low, high], np.float32), growth=_GROWTH)
     reach = math.ceil(largest) + 1
+    # What is hidden comes from up to twice as far; of the blur, whole pixels of the coarsest scale.
+    margin = -(-(3 * reach + 2) // _COARSEST) * _COARSEST + 4 * _COARSEST
+    tile_px = tile_px or (_TILE_PX if compositor is None else _DEVICE_TILE_PX)
+    out = np.empty_like(color)
+    for top in range(0, len(radius), tile_px):
+        for left in range(0, radius.shape[1], tile_px):
+            above, before = (max(first - margin, 0) // _COARSEST * _COARSEST for first in (top, left))
+            around = np.s_[above : top + tile_px + margin, before : left + tile_px + margin]
+            inner = np.s_[top - above : top - above + tile_px, left - before : left - before + tile_px]
+            part = _refocused(color[around], radius[around], radii, reach, focus, compositor)
+            out[top : top + tile_px, left : left + tile_px] = part[inner]
+    return out
+
+
+def _refocused(
+    color: np.ndarray, radius: np.ndarray, radii: np.ndarray, reach: int, focus: Focus, compositor: Compositor | None
+) -> np.ndarray:
+    """Refocus a part of a picture by layers that are the same everywhere."""
+    color, radius = np.ascontiguousarray(color), np.ascontiguousarray(radius)
     behind, behind_radius = behind_edges(color, radius, reach, _EDGE_PX)
     hidden = behind_radius != radius
-    behind_new = (behind_radius - np.float32(focus.radius_px)) * np.float32(focus.strength)
-    parts = (color, behind), (new, behind_new), hidden, _layers(new, behind_new, hidden, focus)
+    new, behind_new = (
+        (part - np.float32(focus.radius_px)) * np.float32(focus.strength) for part in (radius, behind_radius)
+    )
+    parts = (color, behind), (new, behind_new), hidden, _layers(new, behind_new, hidden, radii, focus)
     found = None if compositor is None else compositor(*parts)
     return _composite(*parts) if found is None else found
 
 
-def _layers(new: np.ndarray, behind_new: np.ndarray, hidden: np.ndarray, focus: Focus) -> list[RefocusLayer]:
+def _layers(
+    new: np.ndarray, behind_new: np.ndarray, hidden: np.ndarray, radii: np.ndarray, focus: Focus
+) -> list[RefocusLayer]:
     """Divide a picture into layers, near to far; those without any pixel are left out."""
     mask = bokeh_mask(focus.bokeh)
-    # New blur rises with depth, because the pupil's scale is positive.
-    radii = layer_radii(np.stack([new, behind_new]), growth=_GROWTH)
     nodes = np.array([-np.inf, *radii, np.inf], np.float32)
     if len(radii) == 1:
         nodes = np.array([radii[0] - 1, radii[0], radii[0] + 1], np.float32)
@@ -128,8 +164,9 @@ def _layers(new: np.ndarray, behind_new: np.ndarray, hidden: np.ndarray, focus: 
         pending.append((radius, len(found)))
         scale = _scale(radius)
         reach = math.ceil(abs(radius)) + 2 * scale
-        top, bottom = max(int(rows[0]) - reach, 0), min(int(rows[-1]) + reach + 1, height)
-        left, right = max(int(extent[:, 0].min()) - reach, 0), min(int(extent[:, 1].max()) + reach + 1, width)
+        # Pixels of the coarser picture lie alike in every tile.
+        top, left = (max(int(first) - reach, 0) // scale * scale for first in (rows[0], extent[:, 0].min()))
+        bottom, right = min(int(rows[-1]) + reach + 1, height), min(int(extent[:, 1].max()) + reach + 1, width)
         is_sharp = abs(radius) < _SHARP_PX
         kernel = np.ones((1, 1), np.float32) if is_sharp else bokeh_kernel(mask, radius / scale)
         found.append(RefocusLayer((below, here, above), (top, left, bottom, right), scale, kernel, tuple(joined)))
@@ -156,7 +193,7 @@ def _composite(
         over_rows(layer_planes, len(planes), color, new, behind, behind_new, hidden, layer.nodes, corner, planes)
         blurred = _blurred(planes, layer)
         over_rows(add_layer, len(blurred), total, before, blurred, corner)
-        covers[number] = blurred[..., 3]
+        covers[number] = blurred[..., 3].copy()  # all of `blurred` would stay in memory
     out = np.empty((height, width, 3), np.float32)
     over_rows(normalise, height, total, out)
     return out

@@ -33,7 +33,8 @@ def point_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, samp
     reach = max(1, math.ceil(float(np.abs(points_px).max(initial=0))))
     if reach > most or 2 * reach + 1 > size:
         return _fast_transforms(points_px, weights, size, samples)
-    out = np.zeros((len(points_px), samples, samples // 2 + 1), np.complex64)
+    out = np.empty((len(points_px), samples, samples // 2 + 1), np.complex64)
+    out[:, kept : samples - kept + 1], out[:, :, kept:] = 0, 0  # the highest frequency, where others are left out
     direct_transforms(points_px, weights, reach, *_waves(size, kept, most + 1), out.view(np.float32))
     return out
 

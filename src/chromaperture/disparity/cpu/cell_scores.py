@@ -15,6 +15,7 @@ Memory: 2 bytes a score and 0.5 MB a thread at 1280 px width.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,27 +101,37 @@ def cell_scores(views: Views, layers_px: np.ndarray, memory: Workspace, *, confi
 
 
 def _plan(views: Views, layers_px: np.ndarray, config: CorrelationConfig) -> _Plan:
-    offsets = layers_px[:, None, None] * views.directions  # (D, K, 2)
+    layers = np.asarray(layers_px, float)
+    directions = np.asarray(views.directions, float)
+    samples = _samples(layers.tobytes(), directions.tobytes(), len(directions), config.sampling)
+    pairs = np.array(view_pairs(len(directions)))
+    scale, rounder = (np.float32(1 / views.unit), _ROUNDER) if views.unit else (ONE, ZERO)
+    return _Plan(*samples[:4], pairs, cell_variance_floor(views), scale, rounder, samples[4])
+
+
+@lru_cache(maxsize=4)  # a millisecond, for every picture alike
+def _samples(
+    layers: bytes, directions: bytes, count: int, sampling: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
+    """``order``, ``fresh``, ``taps``, ``whole`` and ``margin`` of a plan; layers and directions as bytes of float64."""
+    offsets = np.frombuffer(layers)[:, None, None] * np.frombuffer(directions).reshape(count, 2)  # (D, K, 2)
     whole = np.floor(offsets + 1e-9)  # 1e-9: a whole shift but for rounding is whole
     phases = np.round(np.maximum(offsets - whole, 0), 9)
     whole = whole.astype(np.int64)
-    keys = [tuple((*phases[s].ravel(), *whole[s, :, 1])) for s in range(len(layers_px))]
+    keys = [tuple((*phases[s].ravel(), *whole[s, :, 1])) for s in range(len(phases))]
     order = np.array(sorted(range(len(keys)), key=lambda s: keys[s]))
-    fresh = np.ones((len(order), len(views.directions)), np.bool_)
+    fresh = np.ones((len(order), count), np.bool_)
     for i in range(1, len(order)):
         now, last = order[i], order[i - 1]
-        for k in range(len(views.directions)):
+        for k in range(count):
             same = (phases[now, k] == phases[last, k]).all() and whole[now, k, 1] == whole[last, k, 1]
             fresh[i, k] = not same
     unique, places = np.unique(phases, return_inverse=True)
-    taps = np.array([whole_taps(SAMPLING[config.sampling](t)) for t in unique], np.float32)
+    taps = np.array([whole_taps(SAMPLING[sampling](t)) for t in unique], np.float32)
     taps = taps[places.reshape(phases.shape)]
     # Whole vectors: the first and the last one of a row are not sampled.
     margin = v.LANES * (2 + math.ceil((np.abs(whole[..., 0]).max() + _REACH + 3) / v.LANES))
-    pairs = np.array(view_pairs(len(views.directions)))
-    floors = cell_variance_floor(views)
-    scale, rounder = (np.float32(1 / views.unit), _ROUNDER) if views.unit else (ONE, ZERO)
-    return _Plan(order, fresh, taps, whole, pairs, floors, scale, rounder, margin)
+    return order, fresh, taps, whole, margin
 
 
 @kernel

@@ -19,47 +19,53 @@ def enlarge(surface: Surface, guide: np.ndarray) -> Surface:
     guide = np.ascontiguousarray(guide, np.float32)
     out = Surface(*(np.empty(guide.shape, np.float32) for _ in range(3)))
     small = Surface(*(np.ascontiguousarray(part, np.float32) for part in surface))
-    in_parallel(lambda _, top, bottom: _fill_columns(small, guide, top, bottom, out), len(small.peak))
-    in_parallel(lambda _, top, bottom: _fill_rows(guide, top, bottom, out), len(guide) // 2)
+    in_parallel(lambda _, top, bottom: _fill(small, guide, top, bottom, out), len(small.peak))
     return out
 
 
 @kernel
-def _fill_columns(small, guide, top, bottom, out):
-    """Every second row of the enlarged maps, from the rows ``top`` to before ``bottom`` of the small ones."""
-    width = guide.shape[1]
-    odd = width // 2
-    weight, after = np.empty(odd, np.float32), np.empty(odd, np.float32)
-    before_guide, here_guide = np.empty(odd, np.float32), np.empty(odd, np.float32)
-    after_guide = np.empty(odd, np.float32)
-    for y in range(top, bottom):
-        row = guide[2 * y]
-        for x in range(odd):
-            before_guide[x], here_guide[x] = row[2 * x], row[2 * x + 1]
-            after_guide[x] = row[min(2 * x + 2, width - 1)]
-        _shift_left(small.disparity_px[y], after)
-        _weigh(small.disparity_px[y], after, before_guide, here_guide, after_guide, weight)
-        _fill_row(small.disparity_px[y], after, weight, out.disparity_px[2 * y])
-        _shift_left(small.sigma_px[y], after)
-        _fill_row(small.sigma_px[y], after, weight, out.sigma_px[2 * y])
-        _shift_left(small.peak[y], after)
-        _fill_row(small.peak[y], after, weight, out.peak[2 * y])
-
-
-@kernel
-def _fill_rows(guide, top, bottom, out):
-    """Fill in the odd rows, 2 top + 1 to before 2 bottom + 1, between the even ones."""
+def _fill(small, guide, top, bottom, out):
+    """Fill the rows 2 top to before 2 bottom of the enlarged maps; the next thread's first row is computed as well."""
     height, width = guide.shape
+    lines, spare = np.empty((5, width // 2), np.float32), np.empty((3, width), np.float32)
     weight = np.empty(width, np.float32)
-    for y in range(top, bottom):
-        here = 2 * y + 1
-        below = here + 1 if here + 1 < height else here - 1
-        at_below = min(here + 1, height - 1)
-        disparity, sigma, peak = out.disparity_px, out.sigma_px, out.peak
-        _weigh(disparity[here - 1], disparity[below], guide[here - 1], guide[here], guide[at_below], weight)
-        _mix_row(disparity[here - 1], disparity[below], weight, disparity[here])
-        _mix_row(sigma[here - 1], sigma[below], weight, sigma[here])
-        _mix_row(peak[here - 1], peak[below], weight, peak[here])
+    now = (spare[0], spare[1], spare[2])
+    for y in range(top, min(bottom + 1, len(small.peak))):
+        before, now = now, (spare[0], spare[1], spare[2])
+        if y < bottom:
+            now = (out.disparity_px[2 * y], out.sigma_px[2 * y], out.peak[2 * y])
+        _fill_columns(small, guide[2 * y], y, lines, now)
+        if y > top:
+            _fill_between(before, now, guide[2 * y - 2], guide[2 * y - 1], guide[2 * y], weight, 2 * y - 1, out)
+    if bottom == len(small.peak) and height % 2 == 0:
+        end = height - 1
+        _fill_between(now, now, guide[end - 1], guide[end], guide[end], weight, end, out)
+
+
+@inner
+def _fill_between(before, after, before_guide, here_guide, after_guide, weight, y, out):
+    """Fill a row of the three maps between two others."""
+    _weigh(before[0], after[0], before_guide, here_guide, after_guide, weight)
+    _mix_row(before[0], after[0], weight, out.disparity_px[y])
+    _mix_row(before[1], after[1], weight, out.sigma_px[y])
+    _mix_row(before[2], after[2], weight, out.peak[y])
+
+
+@inner
+def _fill_columns(small, guide, y, lines, rows):
+    """Enlarge a row of the small maps along x."""
+    width, odd = len(guide), lines.shape[1]
+    weight, after, before_guide, here_guide, after_guide = lines[0], lines[1], lines[2], lines[3], lines[4]
+    for x in range(odd):
+        before_guide[x], here_guide[x] = guide[2 * x], guide[2 * x + 1]
+        after_guide[x] = guide[min(2 * x + 2, width - 1)]
+    _shift_left(small.disparity_px[y], after)
+    _weigh(small.disparity_px[y], after, before_guide, here_guide, after_guide, weight)
+    _fill_row(small.disparity_px[y], after, weight, rows[0])
+    _shift_left(small.sigma_px[y], after)
+    _fill_row(small.sigma_px[y], after, weight, rows[1])
+    _shift_left(small.peak[y], after)
+    _fill_row(small.peak[y], after, weight, rows[2])
 
 
 @inner

@@ -75,7 +75,8 @@ def halved_surface(
         _finish(*(part[band] for part in (*parts, extent, scale)), last, step, widest, *(part[band] for part in out))
 
     in_parallel(rows, len(disparity))
-    np.copyto(out.disparity_px, np.float32(np.nan), where=~near_usable(mask))
+    if not mask.all():
+        np.copyto(out.disparity_px, np.float32(np.nan), where=~near_usable(mask))
     return out
 
 

@@ -72,8 +72,9 @@ def potts_beliefs(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.nda
     """Min-sum belief propagation on the pixel grid, as `stages.potts_beliefs`; (H, W, K) float32."""
     height, width, count = cost.shape
     padded = -(-count // v.LANES) * v.LANES
-    beliefs = np.full((height, width, padded), _NEVER, np.float32)  # the cost and all four messages
-    beliefs[..., :count] = cost
+    beliefs = np.empty((height, width, padded), np.float32)  # the cost and all four messages
+    beliefs[..., count:] = _NEVER
+    in_parallel(lambda _, top, bottom: np.copyto(beliefs[top:bottom, :, :count], cost[top:bottom]), height)
     messages = np.zeros((4, height, width, padded), np.float32)
     links = np.ascontiguousarray(links, np.float32)
     for _ in range(sweeps):

@@ -24,6 +24,7 @@ from chromaperture.threads import in_parallel, parallel_map, thread_count
 SWEEP = 10  # iterations in one sweep: seven arrays of so many rows of 2000 px fill a level-2 cache of 512 kB
 AHEAD = 16  # pixels whose layers are fetched into the cache before they are needed: 2.4 times as fast
 _LINE = 16  # numbers of a line of the cache
+_CACHED = 1 << 18  # numbers in half of a level-2 cache of 2 MB
 EXTRAPOLATED, U, DUAL_X, DUAL_Y = range(4)
 
 
@@ -32,7 +33,9 @@ def coupled_variation(
 ) -> np.ndarray:
     """Refine a disparity map, as `stages.coupled_variation`; (H, W) float32, px."""
     likelihood = np.ascontiguousarray(likelihood, np.float32)
-    ends = parallel_map(lambda rows: (rows.min(), rows.max()), np.array_split(likelihood, thread_count()))
+    few = max(1, _CACHED // (likelihood.shape[1] * likelihood.shape[2]))  # rows that are read from memory once
+    bands = np.array_split(likelihood, max(thread_count(), len(likelihood) // few))
+    ends = parallel_map(lambda rows: (rows.min(), rows.max()), bands)
     range_nats = float(max(high for _, high in ends) - min(low for low, _ in ends))
 
     def decouple(u: np.ndarray, likelihood: np.ndarray, fidelity: float) -> np.ndarray:
@@ -49,7 +52,7 @@ def iterate_variation(
     count = max(1, min(bands or thread_count(), height // 4))
     sweep = max(1, min(sweep, height // count, total))
     rows = -(-height // count)
-    kept = [_Band(state, i * rows, min(height, (i + 1) * rows), sweep) for i in range(count) if i * rows < height]
+    kept = parallel_map(lambda top: _Band(state, top, min(height, top + rows), sweep), range(0, height, rows))
     lo, hi, huber = (np.float32(value) for value in (*problem.bounds, problem.huber))
     sizes, edges = np.stack(steps).astype(np.float32), _edges(problem)
     for done in range(0, total, sweep):
@@ -66,8 +69,7 @@ def iterate_variation(
                 )  # fmt: skip
 
         in_parallel(advance, len(kept))
-    for band in kept:
-        band.store(state)
+    parallel_map(lambda band: band.store(state), kept)
 
 
 class _Band:

@@ -31,7 +31,14 @@ _LEAST_SPACING_PX = 40.0  # of the nodes; closer ones would only filter the same
 
 def without_shading(image: np.ndarray) -> np.ndarray:
     """Subtract the parts that vary slowly over the picture; (H, W, 3) float32."""
-    return np.asarray(image - cv2.GaussianBlur(image, (0, 0), BACKGROUND_PX))
+    out = np.empty(image.shape, np.float32)
+
+    def subtract(k: int) -> None:
+        channel = np.ascontiguousarray(image[..., k], np.float32)
+        np.subtract(channel, cv2.GaussianBlur(channel, (0, 0), BACKGROUND_PX), out=out[..., k])
+
+    parallel_map(subtract, range(image.shape[2]))
+    return out
 
 
 def high_pass(frequency: np.ndarray) -> np.ndarray:
