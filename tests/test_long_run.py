@@ -77,7 +77,7 @@ class Camera(FileSource):
 class Eye:
     """Measures at once, unless its gate is closed."""
 
-    measures_ahead = False
+    measures_ahead, device_method = False, None
 
     def __init__(self) -> None:
         real = load_camera(SAMPLE)
