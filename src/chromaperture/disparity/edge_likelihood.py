@@ -39,11 +39,11 @@ HALF = 9  # samples on either side of a border; with 8 and 11 as many edges are 
 SHIFTS = 7  # places to either side
 OUTER = 5  # samples at either end, whose power tells how strong the texture there is
 LOW_PASS_PX = 1.0  # sigma of the Gaussian before sampling
-# Coarser steps than these would still do: a quarter of the layer, nine times as many nodes and amplitudes of all powers
-# of 2 place no more edges within 4 px (docs/measurements.md).
+# Finer steps gain nothing: with half of the layer, 7 x 5 nodes and steps of 2 octaves lines find as many edges within
+# 4 px, and steps of 4 octaves lose .0005 of the pixels within 5 % (docs/measurements.md).
 LAYER_PX = 0.5
 NODES = 3  # along either side of the frame
-AMPLITUDE_OCTAVES = 3.0
+AMPLITUDE_OCTAVES = 3.0  # steps of the power of textures
 SLOPE = 1.3  # of the power spectrum f^(-2 slope) of textures; 1 and 1.6 do as well
 SOFTEST = 0.01  # cycles a px, at which the spectrum levels off
 OWN_COLOUR = 0.03  # share of a channel's texture that no other channel has; 0.01 does as well
