@@ -37,7 +37,7 @@ from chromaperture.threads import parallel_map
 GRID_PX = 2  # distance of a line's samples, and of two places of an edge
 HALF = 9  # samples on either side of a border; with 8 and 11 as many edges are found (docs/measurements.md)
 SHIFTS = 7  # places to either side
-OUTER = 5  # samples at either end, whose power tells how strong the texture there is
+OUTER = 5  # samples at either end, whose power tells how strong the texture there is; with 7 as good
 LOW_PASS_PX = 1.0  # sigma of the Gaussian before sampling
 # Finer steps gain nothing: with half of the layer, 7 x 5 nodes and steps of 2 octaves lines find as many edges within
 # 4 px, and steps of 4 octaves lose .0005 of the pixels within 5 % (docs/measurements.md).
@@ -47,10 +47,8 @@ AMPLITUDE_OCTAVES = 3.0  # steps of the power of textures
 SLOPE = 1.3  # of the power spectrum f^(-2 slope) of textures; 1 and 1.6 do as well
 SOFTEST = 0.01  # cycles a px, at which the spectrum levels off
 OWN_COLOUR = 0.03  # share of a channel's texture that no other channel has; 0.01 does as well
-SHADES_PX = (
-    6.0,
-    20.0,
-)  # sigmas of the Gaussians whose difference tells the covariance of colours: wider than most blur
+# Sigmas of the Gaussians whose difference tells the covariance of colours: wider than most blur. Chosen by hand.
+SHADES_PX = (6.0, 20.0)
 LEAST_TEXTURE = 0.05  # of the noise, where an end of a line holds only noise
 _UNKNOWN_LEVEL = 0.3  # standard deviation of a surface's mean light, over the mean light of its line; chosen by hand
 
