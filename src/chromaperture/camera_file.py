@@ -111,6 +111,10 @@ class Calibration:
         Blur of the lens over the frame, for PSF-aware matching; ``depth["accurate"]`` is then the curve of its layers.
     board : Board or None
         The chessboard of the session, for `chromaperture check`; None in files of older versions.
+    channel_moves_px : (rows, columns, 3, 2) float64 or None
+        Displacement (x, y) of R, G, B by the lens at every disparity alike, px, at places evenly spaced over the frame,
+        which quality ``real-time`` takes off before it matches three channels; its depth curve was measured so. None
+        where the blur is not known, in files of older versions, and for designs that match two channels.
     """
 
     design: str
@@ -123,6 +127,7 @@ class Calibration:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     blur: BlurModel | None = None
     board: Board | None = None
+    channel_moves_px: np.ndarray | None = None
 
     @property
     def aperture(self) -> Aperture:
@@ -254,6 +259,7 @@ class Calibration:
                 "depth": {quality: field_to_tree(field) for quality, field in self.depth.items()},
                 "lens": plain(dataclasses.asdict(self.lens)),
                 "blur": None if self.blur is None else dataclasses.asdict(self.blur),
+                "channel_moves_px": None if self.channel_moves_px is None else plain(self.channel_moves_px),
                 "board": None if self.board is None else plain(dataclasses.asdict(self.board)),
                 "sensor": plain(dataclasses.asdict(self.sensor)),
                 "film": {
@@ -321,6 +327,7 @@ def _from_tree(tree: CameraTree, *, provenance: dict[str, Any]) -> Calibration:
         provenance=provenance,
         blur=None if tree.blur is None else _blur_from_tree(tree.blur),
         board=None if tree.board is None else Board(tree.board.inner_corners, tree.board.square_mm),
+        channel_moves_px=None if tree.channel_moves_px is None else np.array(tree.channel_moves_px, float),
     )
     _check(calibration)
     return calibration
