@@ -14,6 +14,7 @@ import numpy as np
 from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions, view_reach
 from chromaperture.disparity.moved_views import PixelMaps, pixel_maps
+from chromaperture.disparity.nothing_to_match import constant_view, no_usable_pixel
 from chromaperture.disparity.whole_light import (
     even_mean,
     halved_whole,
@@ -367,22 +368,6 @@ def percentile_spacing(pixels: int) -> int:
 def constant_variance(unit: float) -> float:
     """Return the variance of a view at which it is constant but for rounding to whole units."""
     return max(CONSTANT, unit / 2) ** 2
-
-
-def no_usable_pixel() -> InputError:
-    """Return the error of a picture without usable pixels."""
-    return InputError(
-        "no usable pixel: the whole image is saturated or not finite; lower the exposure, or check "
-        "--black-level and --white-level"
-    )
-
-
-def constant_view() -> InputError:
-    """Return the error of a picture without texture."""
-    return InputError(
-        "the image is constant in at least one view of the aperture: nothing to match. A lens cap, an even "
-        "wall, a grey-scale file and a wrong aperture design look like this"
-    )
 
 
 def _mix(image: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from chromaperture.color.image import SATURATION
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.moved_views import MOVE_PARTS, halved_moves
+from chromaperture.disparity.nothing_to_match import constant_view, no_usable_pixel
 from chromaperture.disparity.views import (
     CONSTANT,
     FILL_SIGMA_PX,
@@ -19,8 +20,6 @@ from chromaperture.disparity.views import (
     GUIDE_SIGMA_PX,
     USABLE,
     ViewSpace,
-    constant_view,
-    no_usable_pixel,
     percentile_spacing,
 )
 from chromaperture.disparity.whole_light import LEAST_EXPONENT, LIGHT_BITS, smoothing_taps
