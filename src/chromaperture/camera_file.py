@@ -42,8 +42,8 @@ _ABOUT = (
     "covariance is that of A, B and sensor_to_pupil_mm, or of all coefficients in that order, then those of the "
     "nonlinearity. nonlinearity is what the matcher measures beyond that disparity: Chebyshev coefficients of T2, T3, "
     "... over low_px..high_px. local is to be added to the fields: maps on a grid over the frame, or null. "
-    "channel_moves_px is the displacement (x, y) of R, G, B by the lens at every disparity alike, px, in rows and columns "
-    "of places evenly spaced over the frame; real-time takes it off before it matches three channels."
+    "channel_moves_px is the displacement (x, y) of R, G, B by the lens at every disparity alike, px, in rows and "
+    "columns of places evenly spaced over the frame; real-time takes it off before it matches three channels."
 )
 
 
