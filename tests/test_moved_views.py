@@ -10,6 +10,9 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import map_coordinates
 
 from chromaperture.calibration.lens_moves import beyond_disparity, lens_moves
+from chromaperture.calibration.measurement_cache import Store
+from chromaperture.calibration.progress import silent
+from chromaperture.calibration.read_boards import BoardMeasurement, measure_again
 from chromaperture.camera_file import Calibration, Film
 from chromaperture.camera_scale import resized
 from chromaperture.config import RealTimeConfig
@@ -24,7 +27,7 @@ from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel
 from devices import needs_device
-from worlds import MARGIN_PX, capture, halves_camera, ideal_film, texture, wavy_capture
+from worlds import MARGIN_PX, Boards, capture, halves_camera, ideal_film, texture, wavy_capture
 
 W, H = 97, 80
 SMALL = RealTimeConfig().with_range(-3.0, 3.0)
@@ -129,6 +132,22 @@ def test_a_plane_through_a_lens_with_lateral_colour(execution):
     # Cells near the frame's sides are .9 px off without; .02 px are the plane's own errors (tests/test_real_time.py).
     assert np.nanquantile(np.abs(disparity(lens, None) - 1.2), 0.9) > 0.15
     assert np.nanquantile(np.abs(disparity(lens, values) - 1.2), 0.9) < 0.05
+
+
+def test_boards_are_measured_again_with_them():
+    rng = np.random.default_rng(1)
+    values = table(rng, largest_px=1.0)
+    image = spoiled(capture(texture(rng, H, W, blur_px=2.0), "rgb_squares", 1.2), values).astype(np.float32)
+    board = BoardMeasurement(
+        "a.png", 1500.0, {"paper": 7.0, "real-time": 7.0}, {"paper": 1.0, "real-time": 1.0}, {"paper": np.zeros(1)}
+    )
+    session = Boards({1500.0: image})
+    made = replace(camera(THIN), channel_moves_px=values)
+    (again,) = measure_again([board], session, made, store=Store(), progress=silent)
+    assert again.disparity_px["paper"] == 7.0
+    # .004 and .006 px are found; without the displacement .09 and .45.
+    assert again.disparity_px["real-time"] == pytest.approx(1.2, abs=0.03)
+    assert np.nanquantile(np.abs(again.grid_px["real-time"][3:-3, 3:-3] - 1.2), 0.9) < 0.05
 
 
 def test_designs_of_two_channels_ignore_them(rng):
