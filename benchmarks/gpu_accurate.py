@@ -62,6 +62,19 @@ def operations(dispatch: Dispatch) -> float:
         "band_correlation": lambda: 4.0 * pixels * c["bands"] * c["layers_of_round"] * c["pair_count"],
         "pair_evidence": lambda: 16.0 * c["samples"] * c["count"] * c["pairs"] * c["bands"],
         "labels_read": lambda: pixels * (8.0 * c["layers"] + 45 * c["count"]),
+        "window_rows": lambda: 10.0 * c["side"] * 3 * c["width"] * c["window_rows"] * c["pairs"],
+        "window_spectra": lambda: 27.0 * c["side"] * c["window_rows"] * c["window_columns"] * c["frequencies"],
+        # 250 of a round of a frequency, without those that the last one leaves out
+        "spectral_likelihood": lambda: (
+            250.0
+            * c["windows"]
+            * c["slopes"]
+            * c["frequencies"]
+            * (c["layers"] * (c["rounds"] + 1) + c["first_rounds"])
+        ),
+        "slope_evidence": lambda: 6.0 * c["windows"] * c["slopes"] * c["layers"],
+        "slope_shares": lambda: 12.0 * c["windows"] * c["slopes"] * c["rounds"],
+        "window_labels": lambda: c["windows"] * (8.0 * c["slopes"] * c["layers"] + 50.0 * c["count"]),
         "windows_added": lambda: 8.0 * entries,
         "volume_paths": lambda: 15.0 * entries,
         "volume_winner": lambda: 3.0 * entries,

@@ -22,6 +22,7 @@ from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError
 from chromaperture.disparity.gpu.evidence_plan import EvidencePlan, plan_evidence
 from chromaperture.disparity.gpu.evidence_stages import add_evidence, add_labels, add_views_evidence
 from chromaperture.disparity.gpu.plane_stages import BlockChoice, PlaneChoice, refined_planes
+from chromaperture.disparity.gpu.spectral_stages import WindowGrid, add_windows
 from chromaperture.disparity.gpu.surface_stages import (
     Grid,
     SurfaceArrays,
@@ -129,21 +130,31 @@ class AccurateChain:
 
     @property
     def uses_windows(self) -> bool:
-        """Whether windows of all channels together are evidence, too; they are computed on the CPU."""
+        """Whether windows of all channels together are evidence, too."""
         evidence = self.method.evidence
         return isinstance(evidence, SpectralEvidence) and evidence.is_used(self.method.config.layers.values_px)
 
     def _add_windows(self, chain: Chain, usable: Array, likelihood: Array) -> None:
         evidence = self.method.evidence
         assert isinstance(evidence, SpectralEvidence)
-        stride = evidence.config.stride_px
-        rows, columns = -(-self.grid.height // stride), -(-self.grid.width // stride)
-        windows = chain.array("windows", rows * columns * self.grid.layers)
+        grid = self.windows
+        noise = chain.array("window_noise", 3 * grid.count)
+        windows = add_windows(
+            chain, evidence, grid, (chain.arrays["image"], chain.arrays["shading"], noise),
+            self.method.config.layers.values_px, self.labels_px,
+        )  # fmt: skip
         chain.add(
             "windows_added", [windows, usable, likelihood], groups=groups_for(self.grid.pixels, 1),
-            height=self.grid.height, width=self.grid.width, count=self.grid.layers, window_rows=rows,
-            window_columns=columns, stride=stride,
+            height=self.grid.height, width=self.grid.width, count=self.grid.layers, window_rows=len(grid.rows),
+            window_columns=len(grid.columns), stride=grid.stride,
         )  # fmt: skip
+
+    @property
+    def windows(self) -> WindowGrid:
+        """Where windows of all channels are."""
+        evidence = self.method.evidence
+        assert isinstance(evidence, SpectralEvidence)
+        return WindowGrid(self.grid.height, self.grid.width, evidence.config.stride_px)
 
     def _last_chain(self, arrays: SurfaceArrays, of_planes: bool) -> Chain:
         chain = Chain(self.device)
@@ -169,7 +180,8 @@ class AccurateChain:
             own = method.evidence.own_detail(image) if isinstance(method.evidence, SpectralEvidence) else None
             inputs["counted"] = usable if own is None else usable * own
         if isinstance(method.evidence, SpectralEvidence) and self.uses_windows:
-            inputs["windows"] = method.evidence.of_windows(image, method.config.layers.values_px, self.labels_px)
+            grid = self.windows
+            inputs["window_noise"] = method.evidence.noise_of_windows(image, grid.rows, grid.columns)
         found = self._planes(inputs, views.guide, method.line_costs(image))
         of_planes = found is not None
         step = float(self.labels_px[1] - self.labels_px[0])
