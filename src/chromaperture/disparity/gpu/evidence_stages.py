@@ -19,9 +19,9 @@ from chromaperture.disparity.correlation_evidence import MAX_CORRELATION2, Corre
 from chromaperture.disparity.gpu.correlation_stages import add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain, DeviceError
 from chromaperture.disparity.gpu.evidence_plan import MOST_TRANSFORMED, EvidencePlan, RoundSizes
-from chromaperture.disparity.gpu.surface_stages import add_gaussian, gaussian_taps
+from chromaperture.disparity.gpu.surface_stages import AT_ONCE, add_gaussian, gaussian_taps
 from chromaperture.disparity.gpu.view_stages import add_views
-from chromaperture.disparity.gpu.workgroups import groups_for
+from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.paths import EDGE_LAYERS, LEAST_UNEXPLAINED
 from chromaperture.disparity.stages.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis
@@ -213,7 +213,7 @@ def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
     )  # fmt: skip
     spectra, power, signal = (
         chain.array(name, parts * pictures * size * columns)
-        for name, parts in (("spectra", 2), ("power", 2), ("signal", 1))
+        for name, parts in (("spectra", 2), ("power", 1), ("signal", 1))
     )
     add_transform(
         chain, "tile_columns", [rows, spectra], size_px, pictures * kept, backwards=False,
@@ -223,11 +223,13 @@ def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
     lags = np.minimum(np.arange(size), size - np.arange(size))
     window = scipy.fft.fft(np.exp(-(lags**2) / (2 * (LAG_PX / SAMPLING_PX) ** 2))).real / size
     reach = int(np.flatnonzero(window[: size // 2] > _NEGLIGIBLE * window[0]).max())
-    taps = chain.constant("lag_taps", np.concatenate([window[reach:0:-1], window[: reach + 1]]))
-    between = chain.array("power_columns", 2 * pictures * size * columns)
+    taps = chain.constant("lag_taps", np.concatenate([window[reach:0:-1], window[: reach + 1], np.zeros(AT_ONCE - 1)]))
+    between = chain.array("power_columns", pictures * size * columns)
     for before, after, along_x in ((spectra, between, False), (between, power, True)):
         chain.add(
-            "tile_smoothing", [before, taps, after], groups=groups_for(pictures * size * columns), uses=("indexing",),
+            "tile_smoothing", [before, taps, after],
+            groups=groups_for(pictures * (size * -(-columns // AT_ONCE) if along_x else columns * -(-size // AT_ONCE))),
+            uses=("indexing",),
             pictures=pictures, size=size, reach=reach, along_x=along_x, is_spectrum=not along_x,
         )  # fmt: skip
     chain.add(
@@ -255,7 +257,7 @@ def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: 
         starts=chain.constant(
             "starts", np.concatenate([plan.nodes.across.starts, plan.nodes.down.starts]).astype(np.float32)
         ),
-        band_taps=chain.constant("band_taps", sizes.band_taps),
+        band_taps=chain.constant("band_taps", sizes.smooths.taps),
     )
     chain.add("count_up", [round_], groups=(1,), to_zero=True)
     for i in range(math.ceil(count / layers)):
@@ -310,7 +312,7 @@ def _add_transfers(
     )  # fmt: skip
     chain.add(
         "point_columns", [factors, defocus, round_, made["point_rows"], made["transfers"]],
-        groups=(sizes.kept**2 / 64, sizes.pictures, sizes.layers), size=sizes.size, **same,
+        groups=(sizes.kept * -(-sizes.kept // AT_ONCE) / GROUP, sizes.pictures, sizes.layers), size=sizes.size, **same,
     )  # fmt: skip
 
 
@@ -360,12 +362,19 @@ def _add_windows(
     small = -(-height // 2), -(-width // 2)
     pictures, config = sizes.layers * sizes.pairs, plan.source.config
     planes = sizes.bands * pictures
-    for stage, before, after in (("rows", "joined", "smooth_rows"), ("columns", "smooth_rows", "band_views")):
-        chain.add(
-            f"bands_{stage}", [made[before], band_taps, made[after]], groups=groups_for(planes * height * width),
-            uses=("indexing",), height=height, width=width, pictures=pictures, bands=sizes.bands,
-            reach=sizes.band_reach,
-        )  # fmt: skip
+    smooths = sizes.smooths
+    same: dict[str, Any] = dict(
+        height=height, width=width, pictures=pictures, smooths=smooths.taps.shape[1], reach=smooths.reach
+    )
+    chain.add(
+        "bands_rows", [made["joined"], band_taps, made["smooth_rows"]],
+        groups=groups_for(pictures * height * -(-width // AT_ONCE)), uses=("indexing",), **same,
+    )  # fmt: skip
+    chain.add(
+        "bands_columns", [made["joined"], made["smooth_rows"], band_taps, made["band_views"]],
+        groups=groups_for(pictures * -(-height // AT_ONCE) * width), uses=("indexing",), bands=sizes.bands,
+        fine=smooths.fine, coarse=smooths.coarse, **same,
+    )  # fmt: skip
     chain.add(
         "band_products", [made["band_views"], made["products"]], groups=groups_for(planes * small[0] * small[1]),
         uses=("indexing",), height=height, width=width, planes=planes,

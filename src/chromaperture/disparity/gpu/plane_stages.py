@@ -11,7 +11,7 @@ import numpy as np
 
 from chromaperture.disparity.gpu.device import Array, Chain, Device
 from chromaperture.disparity.gpu.surface_stages import Grid
-from chromaperture.disparity.gpu.workgroups import groups_for
+from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
 from chromaperture.disparity.plane_fit import CONDITION, GAINED, NEWTON_STEPS, REACH, Proposal
 from chromaperture.disparity.stages.planes import PlaneCosts
 
@@ -83,9 +83,11 @@ class PlaneChoice:
             chain.add("fill_zero", [messages], groups=groups_for(messages.size), uses=("indexing",), size=messages.size)
         for _ in range(sweeps):
             for along_x, (ahead, back) in ((True, sent[:2]), (False, sent[2:])):
+                lines, single = shape[0] if along_x else shape[1], device.info.is_software
                 chain.add(
                     "potts_lines", [self.beliefs, ahead, back, links, self.count],
-                    groups=(shape[0] if along_x else shape[1],), height=shape[0], width=shape[1], along_x=along_x,
+                    groups=(lines / (GROUP if single else 1),), uses=("choices_single" if single else "choices_shared",),
+                    height=shape[0], width=shape[1], along_x=along_x,
                 )  # fmt: skip
 
     def beliefs_of(self, cost: np.ndarray, links: np.ndarray) -> np.ndarray:

@@ -1,4 +1,5 @@
-// Transfer functions: the transforms of `point_rows.wgsl` along the columns, of a frequency and its negative at once.
+// Transfer functions: the transforms of `point_rows.wgsl` along the columns, of frequencies and their negatives at once.
+// An invocation has four frequencies, which share what is read.
 
 @group(0) @binding(0) var<storage, read> factors: array<vec2f>;  // (tile_px,)
 @group(0) @binding(1) var<storage, read> layers: array<vec2f>;
@@ -6,27 +7,44 @@
 @group(0) @binding(3) var<storage, read> rows: array<vec2f>;  // (layers of a round, tiles, channels, side, kept)
 @group(0) @binding(4) var<storage, read_write> transfers: array<vec2f>;  // (..., size, size / 2 + 1)
 
+const fours = (kept + 3u) / 4u;
+
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let i = group.x * 64u + local;
-    if (i >= kept * kept) { return; }
+    if (i >= kept * fours) { return; }
     let layer = min(round[0] * layers_of_round + group.z, layer_count - 1u);
     let reach = u32(layers[layer].y);
     let x = i % kept;
-    let y = i / kept;
+    let y = 4u * (i / kept) + vec4u(0u, 1u, 2u, 3u);
     let picture = group.z * pictures + group.y;
     var at = (tile_px - y * reach % tile_px) % tile_px;
-    var even = vec2f();
-    var odd = vec2f();
+    var cosines_x = vec4f();
+    var cosines_y = vec4f();
+    var sines_x = vec4f();
+    var sines_y = vec4f();
     for (var row = 0u; row < 2u * reach + 2u; row++) {
         let here = rows[(picture * side + row) * kept + x];
-        let f = factors[at];
-        even += here * f.x;
-        odd += vec2f(-here.y, here.x) * f.y;
+        let f0 = factors[at.x];
+        let f1 = factors[at.y];
+        let f2 = factors[at.z];
+        let f3 = factors[at.w];
+        let cosines = vec4f(f0.x, f1.x, f2.x, f3.x);
+        let sines = vec4f(f0.y, f1.y, f2.y, f3.y);
+        cosines_x += here.x * cosines;
+        cosines_y += here.y * cosines;
+        sines_x -= here.y * sines;
+        sines_y += here.x * sines;
         at += y;
-        at = select(at, at - tile_px, at >= tile_px);
+        at = select(at, at - tile_px, at >= vec4u(tile_px));
     }
-    let first = picture * size * (size / 2u + 1u) + x;
-    transfers[first + y * (size / 2u + 1u)] = even + odd;
-    if (y > 0u) { transfers[first + (size - y) * (size / 2u + 1u)] = even - odd; }
+    let columns = size / 2u + 1u;
+    let first = picture * size * columns + x;
+    for (var n = 0u; n < 4u; n++) {
+        if (y[n] >= kept) { break; }
+        let even = vec2f(cosines_x[n], cosines_y[n]);
+        let odd = vec2f(sines_x[n], sines_y[n]);
+        transfers[first + y[n] * columns] = even + odd;
+        if (y[n] > 0u) { transfers[first + (size - y[n]) * columns] = even - odd; }
+    }
 }
