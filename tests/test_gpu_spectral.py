@@ -1,7 +1,5 @@
 """Evidence of all channels together on a GPU agrees with the CPU's, stage by stage."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,7 +16,7 @@ from chromaperture.disparity.stages.tiles import without_shading
 from chromaperture.spectral_config import SpectralConfig
 from chromaperture.stage_config import CrossFilterConfig
 from test_gpu_evidence import LENS, bent
-from test_gpu_surface import any_device
+from test_gpu_surface import any_device, device_as
 from test_spectral_evidence import example
 from worlds import blurred, lens_blur
 
@@ -70,9 +68,7 @@ def likelihood_on_device(spectra, powers, node, noise, config, *, as_software=Tr
     from chromaperture.disparity.gpu.device import Chain
     from chromaperture.disparity.gpu.spectral_stages import add_likelihood
 
-    device = any_device()
-    info = device.info._replace(kind="CPU" if as_software else "DiscreteGPU")
-    chain = Chain(replace(device, info=info))
+    chain = Chain(device_as(software=as_software))
     parts = np.stack([spectra.real, spectra.imag], axis=2)
     arrays = [
         chain.constant(name, values)

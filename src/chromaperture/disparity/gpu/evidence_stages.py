@@ -171,15 +171,15 @@ def add_transform(
     chain.add(
         stage, [_factors(chain, span), *arrays], groups=groups_for(lines, MOST_TRANSFORMED // span),
         uses=("indexing", "fourier"), span=span, lines=lines, passes=len(radices),
-        radices=sum(radix << 3 * i for i, radix in enumerate(radices)),
+        radices=sum(radix << 4 * i for i, radix in enumerate(radices)),
         backwards=backwards, **constants,
     )  # fmt: skip
 
 
 def _radices(span: int) -> list[int]:
-    """Cut a length into factors of 4, 2, 3 and 5; raises DeviceError where there are others."""
+    """Cut a length into factors of 8, 6, 5, 4, 3 and 2; raises DeviceError where there are others."""
     found = []
-    for radix in (4, 2, 3, 5):
+    for radix in (8, 6, 5, 4, 3, 2):
         while span % radix == 0:
             found.append(radix)
             span //= radix

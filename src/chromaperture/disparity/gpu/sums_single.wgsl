@@ -1,4 +1,4 @@
-// The form of `sums_shared.wgsl` for a device in software, where barriers take longer than a window: one invocation has it alone.
+// The form of `sums_shared.wgsl` for a device in software, where barriers take long: one invocation has a window alone.
 const lanes = 1u;
 var<private> lane_here: u32;
 

@@ -208,9 +208,9 @@ def add_variation(chain: Chain, a: SurfaceArrays, grid: Grid, layers_px: np.ndar
             chain.add(
                 "coupling_steps", [before, after, a.goal, a.links, a.couplings, a.round],
                 groups=(grid.width / (64 - 2 * steps), grid.height / (16 * BLOCK_ROWS - 2 * steps)),
-                height=grid.height, width=grid.width, tall=BLOCK_ROWS, steps=steps, is_fresh=i == 0, primal_step=primal_step,
-                dual_step=1 / (OPERATOR_NORM_SQUARED * primal_step), huber=float(config.huber_layers),
-                highest=float(grid.layers - 1),
+                height=grid.height, width=grid.width, tall=BLOCK_ROWS, steps=steps, is_fresh=i == 0,
+                primal_step=primal_step, dual_step=1 / (OPERATOR_NORM_SQUARED * primal_step),
+                huber=float(config.huber_layers), highest=float(grid.layers - 1),
             )  # fmt: skip
         chain.add("count_up", [a.round], groups=(1,), to_zero=False)
 
