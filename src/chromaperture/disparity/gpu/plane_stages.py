@@ -87,7 +87,8 @@ class PlaneChoice:
                 chain.add(
                     "potts_lines", [self.beliefs, ahead, back, links, self.count],
                     groups=(lines / (GROUP if single else 1),),
-                    uses=("choices_single" if single else "choices_shared",), height=shape[0], width=shape[1], along_x=along_x,
+                    uses=("choices_single" if single else "choices_shared",),
+                    height=shape[0], width=shape[1], along_x=along_x,
                 )  # fmt: skip
 
     def beliefs_of(self, cost: np.ndarray, links: np.ndarray) -> np.ndarray:
