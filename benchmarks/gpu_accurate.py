@@ -164,7 +164,7 @@ def main() -> None:
         "mbytes_down": round(16 * chain.grid.pixels / 1e6, 1),
     }  # fmt: skip
     if chain.blocks is not None:
-        result["mbytes_down_between"] = round(4 * (5 * chain.grid.pixels + chain.blocks.size) / 1e6, 1)
+        result["mbytes_down_between"] = round(4 * (2 * chain.grid.pixels + chain.blocks.size) / 1e6, 1)
         result["mbytes_up_between"] = round(4 * chain.grid.pixels / 1e6, 1)
     if arguments.device:
         result |= timed(camera, image, arguments.device)

@@ -8,7 +8,7 @@ import scipy.stats
 from chromaperture.disparity import edge_likelihood
 from chromaperture.disparity.edge_likelihood import GRID_PX, HALF, SHIFTS, EdgeLikelihood, Lines
 from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.plane_edges import placed_edges
+from chromaperture.disparity.plane_edges import choices_of, placed_edges
 from chromaperture.disparity.result import NoiseModel
 from chromaperture.disparity.stages.planes import potts_beliefs
 from chromaperture.optics.lens_blur import BlurModel
@@ -136,7 +136,7 @@ def test_borders_move_to_the_edges_of_layers(likelihood, rng, grown_px):
     choice = np.zeros((H, W), int) + (np.arange(W) >= EDGE + grown_px)
     planes = np.array([[0, 0, NEAR_PX], [0, 0, FAR_PX]])
     moved = placed_edges(
-        choice, planes, np.zeros((H, W)), reach_px=8, apart_px=0.3, beliefs=potts_beliefs,
+        choice, planes, np.zeros((H, W)), reach_px=8, apart_px=0.3, choices=choices_of(potts_beliefs),
         line_costs=lambda lines: likelihood.costs(image, lines),
     )  # fmt: skip
     edge = (moved == 0).sum(axis=1)

@@ -205,9 +205,9 @@ class AccurateChain:
         if self.blocks is None:
             self.first.run(inputs, ["round"])
             return None
-        got = self.first.run(inputs, ["surface", "sigma", "blocks"])
+        got = self.first.run(inputs, ["label", "sigma", "blocks"])
         shape = self.grid.height, self.grid.width
-        label = self.labels_px[0] + step * got["surface"].reshape(*shape, 4)[..., 0]
+        label = self.labels_px[0] + step * got["label"].reshape(shape)
         sigma = step * got["sigma"].reshape(shape)
         found = proposals(label, sigma, step, config.tiles_px, run=self.method.run)
         likelihood = self.first.arrays["likelihood"]
@@ -223,12 +223,12 @@ class AccurateChain:
         links = links_of_blocks(guide, config=config, surface=self.method.config.surface)
         chooser = BlockChoice(self.device, self.blocks, blocks, len(planes), config.sweeps, self.labels_px, costs)
 
-        def beliefs(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
-            return PlaneChoice(self.device, cost.shape[:2], cost.shape[2], sweeps).beliefs_of(cost, links)
+        def choices(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
+            return PlaneChoice(self.device, cost.shape[:2], cost.shape[2], sweeps).choices_of(cost, links)
 
         volume = Volume(sums, self.labels_px, costs, self.method.run)
         fitting = fitting_planes(
-            planes, volume, guide, lambda some: chooser.choose(some, links), config=config, beliefs=beliefs,
+            planes, volume, guide, lambda some: chooser.choose(some, links), config=config, choices=choices,
             line_costs=line_costs,
         )  # fmt: skip
         return PlanesFound(fitting, label, where_they_agree(fitting, label, np.hypot(sigma, step)))

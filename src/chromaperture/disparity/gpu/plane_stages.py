@@ -91,13 +91,25 @@ class PlaneChoice:
                     height=shape[0], width=shape[1], along_x=along_x,
                 )  # fmt: skip
 
+        choice = chain.array("choice", pixels, np.uint32)
+        chain.add(
+            "least_choice", [self.beliefs, self.count, choice], groups=groups_for(pixels), uses=("indexing",),
+            pixels=pixels,
+        )  # fmt: skip
+
     def beliefs_of(self, cost: np.ndarray, links: np.ndarray) -> np.ndarray:
         """Return `stages.potts_beliefs` of a cost (h, w, K)."""
+        return self._run(cost, links, "beliefs")[: cost.size].reshape(cost.shape)
+
+    def choices_of(self, cost: np.ndarray, links: np.ndarray) -> np.ndarray:
+        """Return the choices of least cost, (h, w) int: beliefs stay on the device."""
+        return self._run(cost, links, "choice").reshape(self.shape).astype(np.intp)
+
+    def _run(self, cost: np.ndarray, links: np.ndarray, output: str) -> np.ndarray:
         filled = np.zeros(self.beliefs.size, np.float32)
         filled[: cost.size] = cost.ravel()
         number = np.array([cost.shape[2]], np.uint32)
-        found = self.chain.run({"beliefs": filled, "plane_count": number, "plane_links": links}, ["beliefs"])
-        return found["beliefs"][: cost.size].reshape(cost.shape)
+        return self.chain.run({"beliefs": filled, "plane_count": number, "plane_links": links}, [output])[output]
 
 
 class BlockChoice(PlaneChoice):
@@ -128,19 +140,14 @@ class BlockChoice(PlaneChoice):
     ) -> None:
         super().__init__(device, (grid.height, grid.width), capacity, sweeps)
         self.labels_px, self.costs = labels_px, costs
-        propagation = self.chain.dispatches[:]
+        following = self.chain.dispatches[:]
         self.chain.dispatches.clear()
         planes = self.chain.array("block_planes", 4 * capacity)
         self.chain.add(
             "plane_costs", [blocks, planes, self.count, self.beliefs], groups=groups_for(grid.pixels, 1),
             height=grid.height, width=grid.width, count=grid.layers, outside=float(costs.outside),
         )  # fmt: skip
-        self.chain.dispatches += propagation
-        choice = self.chain.array("choice", grid.pixels, np.uint32)
-        self.chain.add(
-            "least_choice", [self.beliefs, self.count, choice], groups=groups_for(grid.pixels), uses=("indexing",),
-            pixels=grid.pixels,
-        )  # fmt: skip
+        self.chain.dispatches += following
 
     def choose(self, planes: np.ndarray, links: np.ndarray) -> np.ndarray:
         """Return the plane of every block, (h, w) int, of planes (K, 3) of blocks."""

@@ -157,6 +157,7 @@ class SurfaceArrays(NamedTuple):
     other: Array  # (h, w, 4): the iterations go to and fro
     posterior: Array  # (h, w, 2): mean and variance
     sigma: Array  # (h, w)
+    label: Array  # (h, w): layer
     couplings: Array  # (rounds,)
     round: Array  # (1,)
 
@@ -167,7 +168,7 @@ def surface_arrays(chain: Chain, grid: Grid, config: SurfaceConfig) -> SurfaceAr
     sizes = dict(
         likelihood=grid.size, guide=pixels, cost=grid.size, winner=4 * pixels, offset=pixels, tangents=2 * pixels,
         averages=2 * pixels, links=2 * pixels, goal=pixels, surface=4 * pixels, other=4 * pixels,
-        posterior=2 * pixels, sigma=pixels,
+        posterior=2 * pixels, sigma=pixels, label=pixels,
     )  # fmt: skip
     made = {name: chain.array(name, size) for name, size in sizes.items()}
     rounds = np.geomspace(*config.coupling_layers2, max(1, config.coupling_rounds))
@@ -232,7 +233,7 @@ def add_posterior(chain: Chain, a: SurfaceArrays, grid: Grid, *, config: Surface
 
 def add_sigma(chain: Chain, a: SurfaceArrays, grid: Grid) -> None:
     """Append the error bar that the posterior gives the surface, `Posterior.sigma_px`."""
-    per_pixel(chain, "surface_sigma", [a.surface, a.posterior, a.sigma], grid)
+    per_pixel(chain, "surface_sigma", [a.surface, a.posterior, a.sigma, a.label], grid)
 
 
 def add_block_sums(chain: Chain, a: SurfaceArrays, grid: Grid, size: int) -> Array:
