@@ -23,7 +23,8 @@ class Case:
     def __init__(self, design, shape, noise, label_map, *, half_range=5):
         from chromaperture.disparity.gpu.device import Chain
         from chromaperture.disparity.gpu.evidence_plan import plan_evidence
-        from chromaperture.disparity.gpu.evidence_stages import add_evidence, add_labels
+        from chromaperture.disparity.gpu.evidence_stages import add_evidence
+        from chromaperture.disparity.gpu.label_stages import add_labels
 
         height, width = shape
         self.blur = lens_blur(LENS, width, height, design)

@@ -20,7 +20,8 @@ from chromaperture.disparity.correlation_evidence import CorrelationEvidence
 from chromaperture.disparity.error_bar import sigma_of_range
 from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError
 from chromaperture.disparity.gpu.evidence_plan import EvidencePlan, plan_evidence
-from chromaperture.disparity.gpu.evidence_stages import add_evidence, add_labels, add_views_evidence
+from chromaperture.disparity.gpu.evidence_stages import add_evidence
+from chromaperture.disparity.gpu.label_stages import WindowsEarned, add_labels, add_views_evidence
 from chromaperture.disparity.gpu.plane_stages import BlockChoice, PlaneChoice, refined_planes
 from chromaperture.disparity.gpu.spectral_stages import WindowGrid, add_windows
 from chromaperture.disparity.gpu.surface_stages import (
@@ -36,7 +37,6 @@ from chromaperture.disparity.gpu.surface_stages import (
     add_variation,
     surface_arrays,
 )
-from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.planar import Planes, block_costs, fitting_planes, links_of_blocks
 from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.plane_edges import LineCosts
@@ -114,9 +114,8 @@ class AccurateChain:
             unexplained = add_evidence(chain, self.plan, image, noise)
             # What counts of the pairs' evidence: nothing where the picture is not usable, else what is a pixel's own.
             counted = chain.array("counted", self.grid.pixels)
-            add_labels(chain, self.plan, unexplained, counted, likelihood, self.labels_px)
-            if self.uses_windows:
-                self._add_windows(chain, usable, likelihood)
+            windows = self._windows(chain, usable) if self.uses_windows else None
+            add_labels(chain, self.plan, unexplained, counted, likelihood, self.labels_px, windows=windows)
         else:
             source = self.method.evidence
             assert isinstance(source, CorrelationEvidence)
@@ -134,20 +133,16 @@ class AccurateChain:
         evidence = self.method.evidence
         return isinstance(evidence, SpectralEvidence) and evidence.is_used(self.method.config.layers.values_px)
 
-    def _add_windows(self, chain: Chain, usable: Array, likelihood: Array) -> None:
+    def _windows(self, chain: Chain, usable: Array) -> WindowsEarned:
         evidence = self.method.evidence
         assert isinstance(evidence, SpectralEvidence)
         grid = self.windows
         noise = chain.array("window_noise", 3 * grid.count)
-        windows = add_windows(
+        earned = add_windows(
             chain, evidence, grid, (chain.arrays["image"], chain.arrays["shading"], noise),
             self.method.config.layers.values_px, self.labels_px,
         )  # fmt: skip
-        chain.add(
-            "windows_added", [windows, usable, likelihood], groups=groups_for(self.grid.pixels, 1),
-            height=self.grid.height, width=self.grid.width, count=self.grid.layers, window_rows=len(grid.rows),
-            window_columns=len(grid.columns), stride=grid.stride,
-        )  # fmt: skip
+        return WindowsEarned(earned, usable, grid)
 
     @property
     def windows(self) -> WindowGrid:

@@ -14,16 +14,11 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from chromaperture.disparity.blur_evidence import MAX_CORRELATION2_OF_BANDS, SPACING_PX, finest_px
-from chromaperture.disparity.correlation_evidence import MAX_CORRELATION2, CorrelationEvidence
-from chromaperture.disparity.gpu.correlation_stages import add_correlation
+from chromaperture.disparity.blur_evidence import MAX_CORRELATION2_OF_BANDS, finest_px
 from chromaperture.disparity.gpu.device import Array, Chain, DeviceError
 from chromaperture.disparity.gpu.evidence_plan import MOST_TRANSFORMED, EvidencePlan, RoundSizes
 from chromaperture.disparity.gpu.surface_stages import AT_ONCE, add_gaussian, gaussian_taps
-from chromaperture.disparity.gpu.view_stages import add_views
 from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
-from chromaperture.disparity.labels import LabelMap
-from chromaperture.disparity.stages.paths import EDGE_LAYERS, LEAST_UNEXPLAINED
 from chromaperture.disparity.stages.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis
 
 MOST_PASSES = 6  # of `fourier.wgsl`
@@ -57,110 +52,6 @@ def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
         factors=plan.factors,
     )  # fmt: skip
     return unexplained
-
-
-def add_labels(
-    chain: Chain, plan: EvidencePlan, unexplained: Array, usable: Array, likelihood: Array, labels_px: np.ndarray
-) -> None:
-    """Append `stages.read_at_labels`, at the pixels of the photograph and 0 where these are not usable."""
-    source = plan.source
-    add_read_labels(
-        chain, [unexplained, usable, likelihood], (source.blur.height_px, source.blur.width_px), plan.layers_px,
-        labels_px, source.label_map, spacing=SPACING_PX, samples=plan.samples, factors=plan.factors,
-    )  # fmt: skip
-
-
-def add_views_evidence(
-    chain: Chain,
-    source: CorrelationEvidence,
-    shape: tuple[int, int],
-    arrays: tuple[Array, Array, Array],
-    layers_px: np.ndarray,
-    labels_px: np.ndarray,
-) -> None:
-    """Append the evidence of shifted views, `CorrelationEvidence.at`.
-
-    Parameters
-    ----------
-    chain : Chain
-    source : CorrelationEvidence
-    shape : (int, int)
-        Height and width of the photograph.
-    arrays : three Array
-        Image, where it is usable, likelihood; the last is written.
-    layers_px, labels_px : float, px
-    """
-    image, usable, likelihood = arrays
-    for i, (space, label_map) in enumerate(zip(source.spaces, source.label_maps, strict=True)):
-        planes = add_views(chain, image, shape, space, source.views)
-        score: Array | None = None
-        for volume, _ in add_correlation(
-            chain, planes, layers_px, space.directions, source.config.correlation, pitch=len(layers_px)
-        ):
-            score = volume
-        assert score is not None
-        views = len(space.rows)
-        add_read_labels(
-            chain, [score, usable, likelihood], shape, layers_px, labels_px, label_map, spacing=1, samples=shape,
-            factors=views - 1.0, views=views, is_first=i == 0, weight=1 / len(source.spaces),
-        )  # fmt: skip
-
-
-def add_read_labels(
-    chain: Chain,
-    arrays: list[Array],
-    shape: tuple[int, int],
-    layers_px: np.ndarray,
-    labels_px: np.ndarray,
-    label_map: LabelMap,
-    *,
-    spacing: int,
-    samples: tuple[int, int],
-    factors: float,
-    views: int = 0,
-    is_first: bool = True,
-    weight: float = 1.0,
-) -> None:
-    """Append `stages.read_at_labels`, set or added where the photograph is usable.
-
-    Parameters
-    ----------
-    chain : Chain
-    arrays : three Array
-        Unexplained fractions or scores, where the photograph is usable, likelihood.
-    shape : (int, int)
-    layers_px, labels_px : float, px
-    label_map : LabelMap
-    spacing : int
-        Px between two samples.
-    samples : (int, int)
-        Of the first array.
-    factors : float
-    views : {0, 2, 3}
-        Whose scores the first array holds; 0: unexplained fractions.
-    is_first : bool
-        Set the likelihood; else add to it.
-    weight : float
-    """
-    step = float(layers_px[1] - layers_px[0])
-    height, width = shape
-    first, usable, likelihood = arrays
-    chain.add(
-        "labels_read", [first, _label_map(chain, label_map, layers_px), usable, likelihood],
-        groups=groups_for(height * width, 1), height=height, width=width, count=len(labels_px), layers=len(layers_px),
-        spacing=spacing, sample_height=samples[0], sample_width=samples[1], one_map=label_map.is_identity,
-        first_label=float((labels_px[0] - layers_px[0]) / step),
-        label_step=float((labels_px[1] - labels_px[0]) / step), factors=float(factors),
-        least_unexplained=LEAST_UNEXPLAINED, edge_layers=EDGE_LAYERS, views_of_score=views,
-        most_correlation2=MAX_CORRELATION2, is_first=is_first, weight=float(weight),
-    )  # fmt: skip
-
-
-def _label_map(chain: Chain, label_map: LabelMap, layers_px: np.ndarray) -> Array:
-    """Offset and scale of a label at every pixel, in layers from the first."""
-    step = float(layers_px[1] - layers_px[0])
-    begin = (label_map.offset_px + (label_map.scale - 1) * layers_px[0]) / step
-    return chain.constant("label_map", np.stack(np.broadcast_arrays(begin, label_map.scale), axis=-1))
 
 
 def add_transform(
@@ -376,8 +267,9 @@ def _add_windows(
         fine=smooths.fine, coarse=smooths.coarse, **same,
     )  # fmt: skip
     chain.add(
-        "band_products", [made["band_views"], made["products"]], groups=groups_for(planes * small[0] * small[1]),
-        uses=("indexing",), height=height, width=width, planes=planes,
+        "band_products", [made["band_views"], made["products"]],
+        groups=groups_for(planes * -(-small[0] // AT_ONCE) * small[1]), uses=("indexing",), height=height, width=width,
+        planes=planes,
     )  # fmt: skip
     rest_px = math.sqrt(max(config.window_sigma_px**2 - SAMPLING_PX**2, 0.01))  # as `blur_evidence`
     add_gaussian(
