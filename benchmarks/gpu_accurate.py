@@ -50,9 +50,9 @@ def operations(dispatch: Dispatch) -> float:
         "tile_columns": transforms,
         "tile_smoothing": lambda: 2 * taps() * c["pictures"] * c["size"] * (c["size"] // 2 + 1),
         "point_rows": lambda: (
-            c["pictures"] * c["layers_of_round"] * (4.0 * c["side"] ** 2 * c["kept"] + 40 * c["points"])
+            c["pictures"] * c["layers_of_round"] * (10.0 * c["side"] ** 2 * c["kept"] + 40 * c["points"])
         ),
-        "point_columns": lambda: 8.0 * c["pictures"] * c["layers_of_round"] * c["side"] * c["kept"] ** 2,
+        "point_columns": lambda: 14.0 * c["pictures"] * c["layers_of_round"] * c["side"] * c["kept"] ** 2,
         "cross_rows": lambda: transforms() + 40.0 * c["lines"] * c["span"],
         "cross_columns": transforms,
         "tiles_joined": lambda: 20.0 * pixels * c["layers_of_round"] * c["pair_count"],
@@ -61,7 +61,7 @@ def operations(dispatch: Dispatch) -> float:
         "band_products": lambda: 30 * 6.0 * pixels / 4 * c["planes"],
         "band_correlation": lambda: 4.0 * pixels * c["bands"] * c["layers_of_round"] * c["pair_count"],
         "pair_evidence": lambda: 16.0 * c["samples"] * c["count"] * c["pairs"] * c["bands"],
-        "labels_read": lambda: pixels * (8.0 * c["layers"] + 45 * c["count"]),
+        "labels_read": lambda: pixels * (6.0 * c["layers"] + 45 * c["count"]),
         "window_rows": lambda: 10.0 * c["side"] * 3 * c["width"] * c["window_rows"] * c["pairs"],
         "window_spectra": lambda: 27.0 * c["side"] * c["window_rows"] * c["window_columns"] * c["frequencies"],
         # 250 of a round of a frequency, without those that the last one leaves out
@@ -75,7 +75,10 @@ def operations(dispatch: Dispatch) -> float:
         "slope_evidence": lambda: 6.0 * c["windows"] * c["slopes"] * c["layers"],
         "slope_shares": lambda: 12.0 * c["windows"] * c["slopes"] * c["rounds"],
         "window_labels": lambda: c["windows"] * (8.0 * c["slopes"] * c["layers"] + 50.0 * c["count"]),
-        "windows_added": lambda: 8.0 * entries,
+        "labels_of_samples": lambda: (
+            c["sample_height"] * c["sample_width"] * (2.0 * c["layers"] + 45 * c["count"])
+        ),
+        "labels_between": lambda: entries * (14.0 + 9 * ("stride" in c)),
         "volume_paths": lambda: 15.0 * entries,
         "volume_winner": lambda: 3.0 * entries,
         "layer_tangents": lambda: 8.0 * pixels,
