@@ -75,9 +75,7 @@ def operations(dispatch: Dispatch) -> float:
         "slope_evidence": lambda: 6.0 * c["windows"] * c["slopes"] * c["layers"],
         "slope_shares": lambda: 12.0 * c["windows"] * c["slopes"] * c["rounds"],
         "window_labels": lambda: c["windows"] * (8.0 * c["slopes"] * c["layers"] + 50.0 * c["count"]),
-        "labels_of_samples": lambda: (
-            c["sample_height"] * c["sample_width"] * (2.0 * c["layers"] + 45 * c["count"])
-        ),
+        "labels_of_samples": lambda: c["sample_height"] * c["sample_width"] * (2.0 * c["layers"] + 45 * c["count"]),
         "labels_between": lambda: entries * (14.0 + 9 * ("stride" in c)),
         "volume_paths": lambda: 15.0 * entries,
         "volume_winner": lambda: 3.0 * entries,

@@ -52,11 +52,17 @@ STAGES = {
     ),
     "labels": Stage(
         ("pair_evidence", "labels_of_samples", "labels_between"),
-        ("cpu:read_at_labels", "blur_evidence:with_midpoints", "blur_evidence:_nats", "spectral_evidence:_add_enlarged"),
+        (
+            "cpu:read_at_labels", "blur_evidence:with_midpoints", "blur_evidence:_nats",
+            "spectral_evidence:_add_enlarged",
+        ),
     ),
     "likelihood of all channels": Stage(
         ("window_rows", "window_spectra", "spectral_likelihood", "slope_evidence", "slope_shares", "window_labels"),
-        ("spectral_evidence:SpectralEvidence.at_windows", "spectral_evidence:_at_labels", "spectral_evidence:_tempered"),
+        (
+            "spectral_evidence:SpectralEvidence.at_windows", "spectral_evidence:_at_labels",
+            "spectral_evidence:_tempered",
+        ),
     ),
     "paths": Stage(("volume_paths",), ("cpu:aggregate_paths",)),
     "place between layers": Stage(
@@ -113,9 +119,9 @@ class Clock:
 
         setattr(owner, attribute, replacement)
         for other in list(sys.modules.values()):
-            if not owners and getattr(other, "__name__", "").startswith("chromaperture"):
-                if getattr(other, attribute, None) is original:
-                    setattr(other, attribute, replacement)
+            ours = not owners and getattr(other, "__name__", "").startswith("chromaperture")
+            if ours and getattr(other, attribute, None) is original:
+                setattr(other, attribute, replacement)
 
 
 def named(dispatch: Dispatch) -> str:
