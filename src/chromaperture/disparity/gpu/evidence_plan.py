@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chromaperture.disparity.blur_evidence import BANDS_MARGIN_PX, SHARP_PX, SPACING_PX, BlurEvidence, finest_px
+from chromaperture.disparity.blur_evidence import SHARP_PX, SPACING_PX, TAILS_PX, BlurEvidence, finest_px, in_fours
 from chromaperture.disparity.gpu.device import DeviceError
 from chromaperture.disparity.gpu.surface_stages import gaussian_taps
 from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
@@ -55,8 +55,7 @@ class EvidencePlan:
 
 def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
     """Choose layers and tiles; raises DeviceError where a tile is too large for the device."""
-    step = layers_px[1] - layers_px[0]
-    layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
+    layers_px = in_fours(layers_px)
     between = layers_px[1::2]
     sharp = np.abs(between) < SHARP_PX * source.blur.reach
     computed = np.concatenate([layers_px[::2], between[sharp]])
@@ -64,7 +63,7 @@ def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
     evens = (len(layers_px) + 1) // 2
     places[::2] = np.arange(evens)
     places[1::2][sharp] = evens + np.arange(int(sharp.sum()))
-    margin = 2 * float(np.abs(layers_px).max()) / source.blur.reach + BANDS_MARGIN_PX
+    margin = 2 * float(np.abs(layers_px).max()) / source.blur.reach + TAILS_PX
     nodes = Nodes(source.blur.height_px, source.blur.width_px, margin_px=margin)
     if nodes.size_px > MOST_TRANSFORMED:
         raise DeviceError(
