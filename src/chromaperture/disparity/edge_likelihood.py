@@ -252,14 +252,14 @@ class _Model:
         """Negative log-likelihoods of lines (P, 6 HALF) whose textures have known powers."""
         count = 2 * HALF
         level = (_UNKNOWN_LEVEL * self.mean) ** 2 / np.mean(np.diag(self.colours))
-        sides = (
+        near, far = (
             (self.colours[:, :, None, None] * (power * texture.covariance + level))
             .transpose(0, 2, 1, 3)
             .reshape(3 * count, 3 * count)
             for power, texture in ((near_power, self.near), (far_power, self.far))
         )
         share = self._near_share.reshape(-1, 3 * count)
-        return self.run.edge_costs(lines, *sides, share, np.kron(np.diag(self.noise), _noise_covariance()))
+        return self.run.edge_costs(lines, near, far, share, np.kron(np.diag(self.noise), _noise_covariance()))
 
     @cached_property
     def _near_share(self) -> np.ndarray:
