@@ -44,7 +44,8 @@ _ROWS = 4  # whose correlations are explained at once: 5 MB at 720 columns stay 
 # Beyond the reach of both blurs, for the tails of damped filters. 10 px make tiles of 180 samples in place of 160
 # (720 px wide), and change no surface: docs/performance.md.
 TAILS_PX = 8
-# Of the layers, for secondary pairs: their views lie half as far apart as those of the primary, or less.
+# Of the layers, for secondary pairs: their views lie about half as far apart as the widest. Twice as many where blur is
+# narrow change no surface: docs/performance.md.
 EVERY_OF_SECONDARY = 4
 
 
@@ -72,8 +73,10 @@ class BlurEvidence:
         """Return nats a pixel; (H, W, N).
 
         Where blur is wide, correlations are computed at every second layer, those of secondary pairs everywhere at
-        every fourth, and interpolated: see `with_midpoints`.
+        every fourth, and interpolated: see `with_midpoints`. That may take two layers more than there are, of which
+        nothing is read: beyond the range a label has no evidence.
         """
+        count = len(layers_px) // 2 * 2 + 1
         layers_px = in_fours(layers_px)
         between = layers_px[1::2]
         sharp = np.abs(between) < SHARP_PX * self.blur.reach
@@ -82,7 +85,7 @@ class BlurEvidence:
         layers_of = {pair: len(fourths) for pair in self.all_pairs[primary:]}
         in_turn = fourths, layers_px[2::EVERY_OF_SECONDARY], between[sharp]
         computed = self._correlations(image, np.concatenate(in_turn), layers_of)
-        likelihood = np.empty((*computed.shape[2:4], len(layers_px)), np.float32)
+        likelihood = np.empty((*computed.shape[2:4], count), np.float32)
 
         def explain(rows: slice) -> None:
             part = np.ascontiguousarray(computed[:, :, rows])
@@ -94,11 +97,11 @@ class BlurEvidence:
             correlation[:primary, ..., 1::2][..., sharp] = part[:primary, ..., evens:]
             if primary < len(part):
                 correlation[primary:] = with_midpoints(with_midpoints(part[primary:, ..., : len(fourths)]))
-            likelihood[rows] = self._explained(correlation)
+            likelihood[rows] = self._explained(correlation[..., :count])
 
         each_band(explain, len(likelihood), rows_a_band=_ROWS)
         return self.run.read_at_labels(
-            likelihood, layers_px, labels_px, self.label_map,
+            likelihood, layers_px[:count], labels_px, self.label_map,
             factors=sum(self.config.band_weights), shape=image.shape[:2], spacing_px=SPACING_PX,
         )  # fmt: skip
 
@@ -224,7 +227,7 @@ class _Tile(NamedTuple):
 
 
 def in_fours(layers_px: np.ndarray) -> np.ndarray:
-    """Continue layers until the last one is one of the secondary pairs' too; (4 n + 1,) float64, px."""
+    """Continue layers until the last one is one of every fourth; (4 n + 1,) float64, px."""
     fours = math.ceil((len(layers_px) - 1) / EVERY_OF_SECONDARY)
     return np.asarray(layers_px[0] + (layers_px[1] - layers_px[0]) * np.arange(fours * EVERY_OF_SECONDARY + 1))
 

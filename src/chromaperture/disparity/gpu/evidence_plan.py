@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chromaperture.disparity.blur_evidence import SHARP_PX, SPACING_PX, TAILS_PX, BlurEvidence, finest_px, in_fours
+from chromaperture.disparity.blur_evidence import SHARP_PX, SPACING_PX, TAILS_PX, BlurEvidence, finest_px
 from chromaperture.disparity.gpu.device import DeviceError
 from chromaperture.disparity.gpu.surface_stages import gaussian_taps
 from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
@@ -55,7 +55,8 @@ class EvidencePlan:
 
 def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
     """Choose layers and tiles; raises DeviceError where a tile is too large for the device."""
-    layers_px = in_fours(layers_px)
+    step = layers_px[1] - layers_px[0]
+    layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
     between = layers_px[1::2]
     sharp = np.abs(between) < SHARP_PX * source.blur.reach
     computed = np.concatenate([layers_px[::2], between[sharp]])
