@@ -45,8 +45,8 @@ FULL_WELL, READ_NOISE = 20_000.0, 3.0  # electrons, of a pixel of the large sens
 DESIGN = "cy_halves"
 WALLS_MM = tuple(1 / np.linspace(1 / 980, 1 / 4000, 14))
 LAYER_PX = 1.0  # of blur in 720 x 480 pixels, the distance of the renderer's layers
-# Surfaces, far to near, at 3690, 2753, 2200, 1695, 1382 and 1169 mm: blur in whole layers, because a surface between two
-# would be rendered as a mixture of both; left, top, right, bottom as fractions of the frame; colour.
+# Surfaces, far to near, at 3690, 2753, 2200, 1695, 1382 and 1169 mm: blur in whole layers, because a surface between
+# two would be rendered as a mixture of both; left, top, right, bottom as fractions of the frame; colour.
 SURFACES = (
     (5, (0.0, 0.0, 1.0, 1.0), (0.80, 0.85, 0.90)),
     (3, (0.55, 0.08, 0.97, 0.55), (0.90, 0.80, 0.65)),
