@@ -44,9 +44,6 @@ _ROWS = 4  # whose correlations are explained at once: 5 MB at 720 columns stay 
 # Beyond the reach of both blurs, for the tails of damped filters. 10 px make tiles of 180 samples in place of 160
 # (720 px wide), and change no surface: docs/performance.md.
 TAILS_PX = 8
-# Of the layers, for secondary pairs: their views lie about half as far apart as the widest. Twice as many where blur is
-# narrow change no surface: docs/performance.md.
-EVERY_OF_SECONDARY = 4
 
 
 @dataclass(frozen=True)
@@ -73,35 +70,35 @@ class BlurEvidence:
         """Return nats a pixel; (H, W, N).
 
         Where blur is wide, correlations are computed at every second layer, those of secondary pairs everywhere at
-        every fourth, and interpolated: see `with_midpoints`. That may take two layers more than there are, of which
-        nothing is read: beyond the range a label has no evidence.
+        every fourth and at the last, and interpolated: see `with_midpoints`. Their views lie about half as far apart as the
+        widest; twice as many layers where blur is narrow change no surface.
         """
-        count = len(layers_px) // 2 * 2 + 1
-        layers_px = in_fours(layers_px)
-        between = layers_px[1::2]
+        step = layers_px[1] - layers_px[0]
+        layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
+        evens, between = layers_px[::2], layers_px[1::2]
         sharp = np.abs(between) < SHARP_PX * self.blur.reach
-        evens, primary = len(between) + 1, len(self.blur.pairs)
-        fourths = layers_px[::EVERY_OF_SECONDARY]
-        layers_of = {pair: len(fourths) for pair in self.all_pairs[primary:]}
-        in_turn = fourths, layers_px[2::EVERY_OF_SECONDARY], between[sharp]
-        computed = self._correlations(image, np.concatenate(in_turn), layers_of)
-        likelihood = np.empty((*computed.shape[2:4], count), np.float32)
+        primary, few, count = len(self.blur.pairs), len(evens[::2]), len(evens)
+        at_last = count % 2 == 0  # the last layer is not one of every fourth: it is the first of those that follow these
+        layers_of = {pair: few + at_last for pair in self.all_pairs[primary:]}
+        in_turn = np.concatenate([evens[::2], evens[1::2][::-1], between[sharp]])
+        computed = self._correlations(image, in_turn, layers_of)
+        likelihood = np.empty((*computed.shape[2:4], len(layers_px)), np.float32)
 
         def explain(rows: slice) -> None:
             part = np.ascontiguousarray(computed[:, :, rows])
-            correlation = np.empty((*part.shape[:-1], len(layers_px)), np.float32)
-            every_second = np.empty((primary, *part.shape[1:-1], evens), np.float32)
-            every_second[..., ::2] = part[:primary, ..., : len(fourths)]
-            every_second[..., 1::2] = part[:primary, ..., len(fourths) : evens]
-            correlation[:primary] = with_midpoints(every_second)
-            correlation[:primary, ..., 1::2][..., sharp] = part[:primary, ..., evens:]
-            if primary < len(part):
-                correlation[primary:] = with_midpoints(with_midpoints(part[primary:, ..., : len(fourths)]))
-            likelihood[rows] = self._explained(correlation[..., :count])
+            every_second = np.empty((*part.shape[:-1], count), np.float32)
+            every_second[..., ::2] = part[..., :few]
+            every_second[:primary, ..., 1::2] = part[:primary, ..., few:count][..., ::-1]
+            every_second[primary:, ..., : 2 * few - 1] = with_midpoints(part[primary:, ..., :few])
+            if at_last:
+                every_second[primary:, ..., -1] = part[primary:, ..., few]
+            correlation = with_midpoints(every_second)
+            correlation[:primary, ..., 1::2][..., sharp] = part[:primary, ..., count:]
+            likelihood[rows] = self._explained(correlation)
 
         each_band(explain, len(likelihood), rows_a_band=_ROWS)
         return self.run.read_at_labels(
-            likelihood, layers_px[:count], labels_px, self.label_map,
+            likelihood, layers_px, labels_px, self.label_map,
             factors=sum(self.config.band_weights), shape=image.shape[:2], spacing_px=SPACING_PX,
         )  # fmt: skip
 
@@ -224,12 +221,6 @@ class _Tile(NamedTuple):
     weight: np.ndarray
     rays: Rays
     pairs: list[tuple[np.ndarray, np.ndarray]]
-
-
-def in_fours(layers_px: np.ndarray) -> np.ndarray:
-    """Continue layers until the last one is one of every fourth; (4 n + 1,) float64, px."""
-    fours = math.ceil((len(layers_px) - 1) / EVERY_OF_SECONDARY)
-    return np.asarray(layers_px[0] + (layers_px[1] - layers_px[0]) * np.arange(fours * EVERY_OF_SECONDARY + 1))
 
 
 def with_midpoints(volume: np.ndarray) -> np.ndarray:
