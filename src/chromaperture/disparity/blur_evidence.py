@@ -78,7 +78,8 @@ class BlurEvidence:
         evens, between = layers_px[::2], layers_px[1::2]
         sharp = np.abs(between) < SHARP_PX * self.blur.reach
         primary, few, count = len(self.blur.pairs), len(evens[::2]), len(evens)
-        at_last = count % 2 == 0  # the last layer is not one of every fourth: it is the first of those that follow these
+        # Else the last layer is one of every fourth; now it is the first of those that follow them.
+        at_last = count % 2 == 0
         layers_of = {pair: few + at_last for pair in self.all_pairs[primary:]}
         in_turn = np.concatenate([evens[::2], evens[1::2][::-1], between[sharp]])
         computed = self._correlations(image, in_turn, layers_of)
