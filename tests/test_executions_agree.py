@@ -370,10 +370,9 @@ def assert_real_time_agrees(image, design, config=REAL_TIME, label_map=IDENTITY)
 @pytest.mark.parametrize("labelled", [False, True])
 def test_places_and_surfaces_agree(rng, shape, view_count, labelled):
     layers_px = np.arange(9) * 0.25 - 1
-    likelihoods = rng.exponential(0.5, (3, *shape)).astype(np.float32) * (rng.random(shape) > 0.1)
-    winner = PathWinner(
-        rng.integers(0, 9, shape).astype(np.float32), *likelihoods, rng.uniform(0, 0.9, shape).astype(np.float32)
-    )
+    likelihoods = rng.exponential(0.5, (5, *shape)).astype(np.float32) * (rng.random(shape) > 0.1)
+    sigma_px = rng.uniform(0, 0.9, shape).astype(np.float32)
+    winner = PathWinner(rng.integers(0, 9, shape).astype(np.float32), *likelihoods[:3], sigma_px, *likelihoods[3:])
     labels = LabelMap(*rng.uniform(0.5, 1, (2, *shape)).astype(np.float32)) if labelled else IDENTITY
     fast, slow = (run.place_by_correlation(winner, 9, view_count=view_count) for run in (FAST, SLOW))
     # Float32: where all three correlations are alike, their rounding, 1e-7, is divided by their bend.

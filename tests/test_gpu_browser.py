@@ -100,10 +100,11 @@ pytestmark = [
 ]
 
 
-@pytest.mark.parametrize("design", ["cy_halves", "rgb_squares"])
-def test_a_frame_in_a_browser_is_that_of_python(design, tmp_path):
+@pytest.mark.parametrize(("design", "moved"), [("cy_halves", False), ("rgb_squares", False), ("rgb_squares", True)])
+def test_a_frame_in_a_browser_is_that_of_python(design, moved, tmp_path, rng):
     config = RealTimeConfig().with_range(-4.0, 4.0)
-    method = method_for(config, aperture=design, execution="numpy")
+    moves = rng.uniform(-1, 1, (4, 5, 3, 2)) if moved else None
+    method = method_for(config, aperture=design, channel_moves_px=moves, execution="numpy")
     image = wavy_capture(design, shape=SHAPE)
     image[3, 4] = np.nan
     on_device = GpuMethod(config, method.space, IDENTITY, open_device("gpu"))

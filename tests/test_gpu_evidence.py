@@ -82,8 +82,8 @@ def test_evidence_agrees(design, shape, noise, label_map):
     np.testing.assert_allclose(found["correlation"].reshape(correlation.shape), correlation, atol=1e-4)
     expected = case.source.at(case.image, case.layers, case.labels) * case.usable[..., None]
     off = np.abs(found["likelihood"].reshape(expected.shape) - expected)
-    # Near its limit of 0.999 the squared correlation's logarithm enlarges a difference 500 times. The device goes between
-    # pixels before labels: with a map that bends, a label at an end of the range has a part of its evidence only there.
+    # Near its limit of 0.999 the squared correlation's logarithm enlarges a difference 500 times. The device goes
+    # between pixels before labels: with a map that bends, an end of the range has a part of its evidence only there.
     assert off[..., 1:-1].max() < 5e-3
     assert off.max() < 0.03
     assert off.mean() < 1e-4

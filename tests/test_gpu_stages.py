@@ -171,8 +171,9 @@ def test_scores_paths_and_the_surface_behind_them(case, labelled, cell_px):
     assert np.quantile(np.abs(step * sigma_layers - expected.sigma_px)[same], 0.99) < 0.01  # px; half a layer is 0.06
 
     inside = np.clip(layer.astype(int), 1, layer_count - 2)
-    around = [np.take_along_axis(likelihood, (inside + o)[..., None], 2)[..., 0] for o in (-1, 0, 1)]
-    winner = PathWinner(layer, *(part.astype(np.float32) for part in around), (step * sigma_layers).astype(np.float32))
+    at = [np.clip(inside + o, 0, layer_count - 1)[..., None] for o in (-1, 0, 1, -2, 2)]
+    around = [np.take_along_axis(likelihood, place, 2)[..., 0].astype(np.float32) for place in at]
+    winner = PathWinner(layer, *around[:3], (step * sigma_layers).astype(np.float32), *around[3:])
     place, weight = place_by_correlation(winner, layer_count, view_count=count)
     even = views.guide[::cell_px, ::cell_px] / np.float32(config.smoothing_edge_range)
     sigma_px = config.smoothing_sigma_px / cell_px

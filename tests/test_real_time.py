@@ -60,17 +60,19 @@ def test_a_plane_of_even_disparity_is_found_through_any_labels():
 @pytest.mark.parametrize("view_count", [2, 3])
 @pytest.mark.parametrize("place", [4.0, 4.3, 3.6])
 def test_the_place_between_layers_is_the_vertex_of_the_correlation(view_count, place):
-    layers = np.arange(3, 6)
+    layers = np.array([3, 4, 5, 2, 6])
     rho = 0.8 - 0.1 * (layers - place) ** 2
     likelihood = -0.5 * np.log(1 - rho**2) if view_count == 2 else -np.log(1 - rho)
-    around = (np.full((1, 1), value, np.float32) for value in likelihood)
+    around = [np.full((1, 1), value, np.float32) for value in likelihood]
     nearest = np.full((1, 1), 4.0, np.float32)
-    found, information = place_by_correlation(PathWinner(nearest, *around, nearest), 9, view_count=view_count)
+    winner = PathWinner(nearest, *around[:3], nearest, *around[3:])
+    found, information = place_by_correlation(winner, 9, view_count=view_count)
     assert found[0, 0] == pytest.approx(place, abs=1e-5)  # float32
-    left = 1 - 0.8**2 if view_count == 2 else 1 - 0.8
+    peak = 0.8 if view_count == 2 else 0.8 - 0.1 * (4 - place) ** 2  # of three views at the layer
+    left = 1 - peak**2 if view_count == 2 else 1 - peak
     # rho rho'' / (1 - rho^2), whose denominator has a floor of 3e-3: at most 2 % of what is left here
     power = 1.25 if view_count == 2 else 1.0
-    assert information[0, 0] ** (1 / power) == pytest.approx(0.2 * 0.8 / left, rel=0.02)
+    assert information[0, 0] ** (1 / power) == pytest.approx(0.2 * peak / left, rel=0.02)
 
 
 @pytest.mark.parametrize("design", ["cy_halves", "rgb_squares", "cmy_circles"])
@@ -126,7 +128,7 @@ def test_next_to_a_step_the_error_bar_is_wide():
     layer = np.full((20, 30), 4, np.float32)
     layer[:, 15:] = 8
     sure = np.full(layer.shape, 1.0, np.float32)
-    winner = PathWinner(layer, sure, 2 * sure, sure, np.zeros_like(sure))
+    winner = PathWinner(layer, sure, 2 * sure, sure, np.zeros_like(sure), sure, sure)
     much = np.full(layer.shape, 1e12, np.float32)  # information: no error bar of its own
     surface = halved_surface(winner, layer, much, np.arange(13) * 0.25, IDENTITY, np.ones(layer.shape, np.float32))
     np.testing.assert_allclose(surface.sigma_px[:, 12:18], EDGE_SHARE * 4 * 0.25, rtol=1e-6)
@@ -137,7 +139,7 @@ def test_next_to_a_step_the_error_bar_is_wide():
 def test_the_error_bar_is_that_of_the_information(information):
     layer = np.full((3, 4), 4, np.float32)
     sure = np.ones_like(layer)
-    winner = PathWinner(layer, sure, 2 * sure, sure, np.zeros_like(sure))
+    winner = PathWinner(layer, sure, 2 * sure, sure, np.zeros_like(sure), sure, sure)
     layers_px = np.arange(13) * 0.25
     surface = halved_surface(winner, layer, information * sure, layers_px, IDENTITY, sure)
     expected = 0.25 * math.hypot(SCATTER / math.sqrt(information), BIAS / information)

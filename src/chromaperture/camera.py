@@ -346,6 +346,7 @@ def scaled_method(
         unmixing=working.unmixing,
         label_maps=label_maps(working, config.matcher),
         blur=working.field_blur(),
+        channel_moves_px=working.channel_moves_px,
         noise=noise_model(working),
         execution=execution,
     )

@@ -41,7 +41,9 @@ _ABOUT = (
     "products in x and y over [-1, 1] by rising degree in x, then in y; a single number holds for the whole frame. "
     "covariance is that of A, B and sensor_to_pupil_mm, or of all coefficients in that order, then those of the "
     "nonlinearity. nonlinearity is what the matcher measures beyond that disparity: Chebyshev coefficients of T2, T3, "
-    "... over low_px..high_px. local is to be added to the fields: maps on a grid over the frame, or null."
+    "... over low_px..high_px. local is to be added to the fields: maps on a grid over the frame, or null. "
+    "channel_moves_px is the displacement (x, y) of R, G, B by the lens at every disparity alike, px, in rows and "
+    "columns of places evenly spaced over the frame; real-time takes it off before it matches three channels."
 )
 
 
@@ -111,6 +113,10 @@ class Calibration:
         Blur of the lens over the frame, for PSF-aware matching; ``depth["accurate"]`` is then the curve of its layers.
     board : Board or None
         The chessboard of the session, for `chromaperture check`; None in files of older versions.
+    channel_moves_px : (rows, columns, 3, 2) float64 or None
+        Displacement (x, y) of R, G, B by the lens at every disparity alike, px, at places evenly spaced over the frame,
+        which quality ``real-time`` takes off before it matches three channels; its depth curve was measured so. None
+        where the blur is not known, in files of older versions, and for designs that match two channels.
     """
 
     design: str
@@ -123,6 +129,7 @@ class Calibration:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     blur: BlurModel | None = None
     board: Board | None = None
+    channel_moves_px: np.ndarray | None = None
 
     @property
     def aperture(self) -> Aperture:
@@ -254,6 +261,7 @@ class Calibration:
                 "depth": {quality: field_to_tree(field) for quality, field in self.depth.items()},
                 "lens": plain(dataclasses.asdict(self.lens)),
                 "blur": None if self.blur is None else dataclasses.asdict(self.blur),
+                "channel_moves_px": None if self.channel_moves_px is None else plain(self.channel_moves_px),
                 "board": None if self.board is None else plain(dataclasses.asdict(self.board)),
                 "sensor": plain(dataclasses.asdict(self.sensor)),
                 "film": {
@@ -321,6 +329,7 @@ def _from_tree(tree: CameraTree, *, provenance: dict[str, Any]) -> Calibration:
         provenance=provenance,
         blur=None if tree.blur is None else _blur_from_tree(tree.blur),
         board=None if tree.board is None else Board(tree.board.inner_corners, tree.board.square_mm),
+        channel_moves_px=None if tree.channel_moves_px is None else np.array(tree.channel_moves_px, float),
     )
     _check(calibration)
     return calibration

@@ -85,6 +85,7 @@ def resized(calibration: Calibration, width_px: int, height_px: int) -> Calibrat
         lens=replace(lens, camera_matrix=_camera_matrix(lens.camera_matrix, across, down)),
         depth={quality: resized_field(field, before, after) for quality, field in calibration.depth.items()},
         blur=None if calibration.blur is None else resized_blur(calibration.blur, across),
+        channel_moves_px=None if calibration.channel_moves_px is None else calibration.channel_moves_px / across,
     )
 
 

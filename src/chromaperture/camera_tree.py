@@ -10,6 +10,10 @@ from chromaperture.validation import LARGEST_SIDE, Finite, Name, NotNegative, Po
 
 Side = Annotated[int, Field(gt=0, le=LARGEST_SIDE)]
 Triple = tuple[Finite, Finite, Finite]
+Length = Field(min_length=2, max_length=100)  # of a table's side
+Moved = Annotated[Finite, Field(ge=-100, le=100)]  # px, by the lens
+Pair = tuple[Moved, Moved]
+Moves = Annotated[tuple[Annotated[tuple[tuple[Pair, Pair, Pair], ...], Length], ...], Length]
 Corners = Annotated[int, Field(gt=2, le=1000)]  # of a side of the chessboard
 
 
@@ -75,3 +79,4 @@ class CameraTree(CameraTable):
     provenance: dict[str, Any]
     blur: dict[str, Finite] | None = None
     board: BoardTable | None = None
+    channel_moves_px: Moves | None = None

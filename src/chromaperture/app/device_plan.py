@@ -29,8 +29,9 @@ from chromaperture.disparity.gpu.conversion_stage import add_conversion
 from chromaperture.disparity.gpu.picture_stages import add_colored_maps, add_light_of_counts, add_sparse_maps, row_pitch
 from chromaperture.disparity.gpu.planned_chain import Exchange, PlannedChain
 from chromaperture.disparity.gpu.real_time_chain import add_real_time
+from chromaperture.disparity.nothing_to_match import constant_view, no_usable_pixel
 from chromaperture.disparity.real_time import RealTimeMethod
-from chromaperture.disparity.views import CONSTANT, constant_view, no_usable_pixel
+from chromaperture.disparity.views import CONSTANT
 from chromaperture.errors import InputError
 
 MOST_PX = (

@@ -51,6 +51,7 @@ def assemble_camera(
     config: CalibrationConfig,
     *,
     blur: BlurModel | None = None,
+    channel_moves_px: np.ndarray | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> Calibration:
     """Put the results of the steps together; without intrinsics the pinhole is the nominal one."""
@@ -79,5 +80,6 @@ def assemble_camera(
         far_mm=max(rulers) * config.range_margin[1],
         provenance=provenance or {},
         blur=blur,
+        channel_moves_px=channel_moves_px,
         board=Board(session.inner_corners, session.square_mm),
     )

@@ -25,11 +25,12 @@ from chromaperture.calibration.curves import (
     without_outliers,
 )
 from chromaperture.calibration.fit_curve import DepthFit
+from chromaperture.calibration.lens_moves import lens_moves
 from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.place_boards import Pinhole, PlacedBoards, measure_pinhole, place_boards
 from chromaperture.calibration.progress import Progress, silent
 from chromaperture.calibration.provenance import origin
-from chromaperture.calibration.read_boards import BoardMeasurement, grid, measure_boards, pixel_sigma
+from chromaperture.calibration.read_boards import BoardMeasurement, grid, measure_again, measure_boards, pixel_sigma
 from chromaperture.calibration.rendered_boards import rendered_nonlinearity
 from chromaperture.calibration.session import Session, read_session
 from chromaperture.calibration.tone_curve import disparity_error
@@ -117,15 +118,20 @@ def calibrate_session(
     shifted = fit_curves(selected, config, progress=progress)
     start = dataclasses.replace(draft, depth=with_accurate(shifted))
     blurred = calibrate_blur(start, session, selected, config, lens=lens, store=store, progress=progress)
-    rendered = rendered_nonlinearity(blurred.camera, session, selected, config, store=store, progress=progress)
+    moves = lens_moves(blurred.camera)
+    matched = dataclasses.replace(blurred.camera, channel_moves_px=moves)
+    if moves is not None:
+        boards = measure_again(boards, session, matched, store=store, progress=progress)
+        selected = dataclasses.replace(selected, boards=boards)
+    rendered = rendered_nonlinearity(matched, session, selected, config, store=store, progress=progress)
     evidence = dataclasses.replace(selected, rendered=rendered)
-    curves = fit_curves(evidence, config, progress=progress) if rendered else shifted
+    curves = shifted if moves is None and not rendered else fit_curves(evidence, config, progress=progress)
     steps = _Steps(session, config, sheets, pinhole, placed, evidence, curves, blurred)
     depth = {**with_accurate(curves), "accurate": blurred.camera.depth["accurate"]}
     depth = {quality: with_scale_error(curve, steps.tone) for quality, curve in depth.items()}
     made_from = origin(session.folder, steps.files, config, command=command, lens_from=lens_from)
     camera = assemble_camera(
-        session, sheets, placed.intrinsics, depth, config, blur=blurred.camera.blur,
+        session, sheets, placed.intrinsics, depth, config, blur=blurred.camera.blur, channel_moves_px=moves,
         provenance=made_from | steps.figures,
     )  # fmt: skip
     return steps.result(camera)

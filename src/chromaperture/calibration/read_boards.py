@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -27,10 +27,11 @@ _KNOWN = 1 / 4  # of the pixels there must have a disparity; chosen by hand
 _GRID_PX = 6  # pitch of the grid: neighbours have the matcher's window in common
 _GRID_COLUMNS = 120  # at most, so that memory does not grow with the sensor
 _MIN_SIGMA_PX = 0.05  # bias of shift matching: up to 0.06 px on mirrored halves (tests/test_rendered_boards.py)
-# Smoothing of boards before quality "real-time" reads them through two filters, px. Prints are finer than what is
-# photographed later, and fine texture is displaced more: film leaks, lenses aberrate (docs/measurements.md, *Boards as
-# coarse as scenes*; there, why not through three filters).
-_COARSER_PX = 0.8
+# Smoothing of boards before quality "real-time" reads them, px: through two filters, and through three whose channels
+# are taken where the lens moves them. Prints are finer than what is photographed later, and fine texture is displaced
+# more: film leaks, lenses aberrate (docs/measurements.md, *Boards as coarse as scenes*, *Channels where the lens moves
+# them*; there, why not through three filters otherwise).
+_COARSER_PX, _COARSER_MOVED_PX = 0.8, 1.5
 _SEARCH = (1.5, 1.0)  # the nominal range is searched times the first, px the second wider: the lens is known to 20 %
 
 
@@ -60,14 +61,9 @@ def measure_boards(
 
     ``draft`` has the true film and sensor; its depth curves only set the search range and may be off by 20 %.
     """
-    configs, film = _configs(draft), {name: color.tolist() for name, color in draft.film.filters.items()}
+    readings = _readings(session, draft, MEASURED, store=store, progress=progress)
     boards = []
-    for i, path in enumerate(reported(list(session.boards), "board disparity", progress)):
-
-        def measured(path: Path = path) -> dict[str, np.ndarray]:
-            return read_board(session.read(path), draft)
-
-        kept = store.arrays(path, ("board", draft.design, draft.sensor, film, configs, _COARSER_PX), measured)
+    for i, (path, kept) in enumerate(readings):
         boards.append(
             BoardMeasurement(
                 name=path.name,
@@ -82,7 +78,43 @@ def measure_boards(
     return boards
 
 
-def read_board(image: np.ndarray, draft: Calibration) -> dict[str, np.ndarray]:
+def measure_again(
+    boards: list[BoardMeasurement], session: Session, camera: Calibration, *, store: Store, progress: Progress
+) -> list[BoardMeasurement]:
+    """Return boards whose disparity of "real-time" is measured with the camera's ``channel_moves_px``."""
+    quality: Quality = "real-time"
+    return [
+        replace(
+            board,
+            disparity_px={**board.disparity_px, quality: float(kept[f"{quality} middle"][0])},
+            sigma_px={**board.sigma_px, quality: float(kept[f"{quality} middle"][1])},
+            grid_px={**board.grid_px, quality: kept[quality]},
+        )
+        for board, (_, kept) in zip(
+            boards, _readings(session, camera, (quality,), store=store, progress=progress), strict=True
+        )
+    ]
+
+
+def _readings(
+    session: Session, draft: Calibration, qualities: tuple[Quality, ...], *, store: Store, progress: Progress
+) -> Iterator[tuple[Path, Mapping[str, np.ndarray]]]:
+    """Yield every board's photograph and what `read_board` measures on it."""
+    film = {name: color.tolist() for name, color in draft.film.filters.items()}
+    configs = {quality: config for quality, config in _configs(draft).items() if quality in qualities}
+    moves = None if draft.channel_moves_px is None else draft.channel_moves_px.tolist()
+    for path in reported(list(session.boards), "board disparity", progress):
+
+        def measured(path: Path = path) -> dict[str, np.ndarray]:
+            return read_board(session.read(path), draft, qualities=qualities)
+
+        what = ("board", draft.design, draft.sensor, film, configs, _COARSER_PX, _COARSER_MOVED_PX, moves)
+        yield path, store.arrays(path, what, measured)
+
+
+def read_board(
+    image: np.ndarray, draft: Calibration, *, qualities: tuple[Quality, ...] = MEASURED
+) -> dict[str, np.ndarray]:
     """Match a photograph of a board at every quality.
 
     Parameters
@@ -90,6 +122,7 @@ def read_board(image: np.ndarray, draft: Calibration) -> dict[str, np.ndarray]:
     image : (H, W, 3) float32
     draft : Calibration
         True film and sensor; depth curves to 20 %, which only set the search range.
+    qualities : tuple of str
 
     Returns
     -------
@@ -101,25 +134,32 @@ def read_board(image: np.ndarray, draft: Calibration) -> dict[str, np.ndarray]:
     found = {}
     rows, columns = (grid(n, draft.sensor.width_px).astype(int) for n in image.shape[:2])
     for quality, config in _configs(draft).items():
-        seen = coarser(image) if quality == "real-time" and _has_two_views(draft) else image
+        if quality not in qualities:
+            continue
+        seen = coarser(image, _coarser_px(draft)) if quality == "real-time" else image
         disparity = estimate_disparity(
-            seen, aperture=draft.aperture, unmixing=draft.unmixing, noise_variance=noise, config=config
-        ).value_px
+            seen, aperture=draft.aperture, unmixing=draft.unmixing, noise_variance=noise, config=config,
+            channel_moves_px=draft.channel_moves_px,
+        ).value_px  # fmt: skip
         found[f"{quality} middle"] = np.array(_middle_median(disparity, config))
         found[quality] = disparity[np.ix_(rows, columns)]
     return found
 
 
-def coarser(image: np.ndarray) -> np.ndarray:
-    """Smooth a photograph by `_COARSER_PX`; pixels that are saturated or not finite stay so; (H, W, 3) float32."""
+def coarser(image: np.ndarray, sigma_px: float) -> np.ndarray:
+    """Smooth a photograph; pixels that are saturated or not finite stay so; (H, W, 3) float32."""
+    if sigma_px == 0:
+        return image
     finite = np.isfinite(image)
     clean = np.where(finite, image, np.float32(0)).astype(np.float32)
-    smooth = cv2.GaussianBlur(clean, (0, 0), _COARSER_PX, borderType=cv2.BORDER_REPLICATE)
+    smooth = cv2.GaussianBlur(clean, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE)
     return np.where(finite & (image < SATURATION), smooth, image)
 
 
-def _has_two_views(draft: Calibration) -> bool:
-    return len(view_spaces(draft.aperture, draft.unmixing, RealTimeConfig().space)[0].directions) == 2
+def _coarser_px(draft: Calibration) -> float:
+    if len(view_spaces(draft.aperture, draft.unmixing, RealTimeConfig().space)[0].directions) == 2:
+        return _COARSER_PX
+    return 0.0 if draft.channel_moves_px is None else _COARSER_MOVED_PX
 
 
 def _configs(draft: Calibration) -> dict[Quality, PaperConfig | RealTimeConfig]:

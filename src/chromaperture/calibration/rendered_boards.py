@@ -78,7 +78,9 @@ def rendered_nonlinearity(
             readings.append(read_board(image, camera))
         return {quality: np.stack([reading[quality] for reading in readings]) for quality in MEASURED}
 
-    kept = (store or Store()).arrays(path, ("rendered", blur.model, steps.tolist(), camera.sensor), read)
+    kept = (store or Store()).arrays(
+        path, ("rendered", blur.model, steps.tolist(), camera.sensor, camera.channel_moves_px is None), read
+    )
     exact = replace(
         evidence.distances,
         from_pupil_mm=1 / steps,

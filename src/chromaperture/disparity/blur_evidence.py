@@ -70,8 +70,8 @@ class BlurEvidence:
         """Return nats a pixel; (H, W, N).
 
         Where blur is wide, correlations are computed at every second layer, those of secondary pairs everywhere at
-        every fourth and at the last, and interpolated: see `with_midpoints`. Their views lie about half as far apart as the
-        widest; twice as many layers where blur is narrow change no surface.
+        every fourth and at the last, and interpolated: see `with_midpoints`. Their views lie about half as far apart as
+        the widest; twice as many layers where blur is narrow change no surface.
         """
         step = layers_px[1] - layers_px[0]
         layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,6 +35,7 @@ def estimate_disparity(
     noise_variance: np.ndarray | None = None,
     label_maps: Sequence[LabelMap] = (),
     blur: LensBlur | None = None,
+    channel_moves_px: np.ndarray | None = None,
     execution: ExecutionName = "numba",
 ) -> Disparity:
     """Estimate the disparity of every pixel of one photograph.
@@ -41,7 +43,7 @@ def estimate_disparity(
     Parameters
     ----------
     image : (H, W, 3) array, linear RGB, 1.0 = white level
-    aperture, unmixing, config, label_maps, blur, execution
+    aperture, unmixing, config, label_maps, blur, channel_moves_px, execution
         As `method_for`.
     noise_variance : (H, W, 3) float, optional
         Noise variance of the image. Estimated from the image when absent, and then not subtracted from the scores.
@@ -62,6 +64,7 @@ def estimate_disparity(
         unmixing=unmixing,
         label_maps=label_maps,
         blur=blur,
+        channel_moves_px=channel_moves_px,
         noise=ESTIMATED_NOISE if noise_variance is None else NoiseModel(lambda _: noise_variance, is_known=True),
         execution=execution,
     )
@@ -75,6 +78,7 @@ def method_for(
     unmixing: np.ndarray | None = None,
     label_maps: Sequence[LabelMap] = (),
     blur: LensBlur | None = None,
+    channel_moves_px: np.ndarray | None = None,
     noise: NoiseModel = ESTIMATED_NOISE,
     execution: ExecutionName = "numba",
 ) -> Method:
@@ -92,6 +96,9 @@ def method_for(
         for surfaces of even disparity, and ``accurate`` matches its first view space only.
     blur : LensBlur, optional
         The camera's blur, which ``accurate`` with a `CrossFilterConfig` needs.
+    channel_moves_px : (rows, columns, 3, 2) float, optional
+        Displacement of R, G, B by the lens, which ``real-time`` takes off where it matches all three; see
+        `disparity.moved_views.halved_moves`.
     noise : NoiseModel
         Of the camera's images.
     execution : {"numba", "numpy"}
@@ -109,6 +116,8 @@ def method_for(
         case RealTimeConfig():
             label_map = label_maps[0] if label_maps else IDENTITY
             space = view_spaces(aperture, unmixing, config.space)[0]
+            if channel_moves_px is not None and np.array_equal(space.rows, np.eye(3)):
+                space = replace(space, moves_px=np.asarray(channel_moves_px, float))
             return RealTimeMethod(config.for_views(space.directions), space, label_map, run)
         case AccurateConfig(evidence=CrossFilterConfig() as cross_filter):
             if blur is None or not label_maps:

@@ -13,6 +13,8 @@ import numpy as np
 
 from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions, view_reach
+from chromaperture.disparity.moved_views import PixelMaps, pixel_maps
+from chromaperture.disparity.nothing_to_match import constant_view, no_usable_pixel
 from chromaperture.disparity.whole_light import (
     even_mean,
     halved_whole,
@@ -47,11 +49,15 @@ class ViewSpace:
         Weights of R, G, B in each view.
     guide_rgb : (3,) float64
         Weights of R, G, B in the guide.
+    moves_px : (rows, columns, K, 2) float64, px, or None
+        Displacement of each view by the lens, whatever the disparity, which `halved_views` takes off; see
+        `disparity.moved_views.halved_moves`.
     """
 
     directions: np.ndarray
     rows: np.ndarray
     guide_rgb: np.ndarray
+    moves_px: np.ndarray | None = None
 
 
 def moved_px(directions: np.ndarray) -> float:
@@ -240,7 +246,8 @@ def halved_views(image: np.ndarray, space: ViewSpace, *, config: ViewsConfig) ->
         As `filtered_views`.
     """
     views, guide, mask = mixed(image, space)
-    return halved(views, guide, mask, directions=space.directions, config=config)
+    maps = None if space.moves_px is None else pixel_maps(space.moves_px, mask.shape)
+    return halved(views, guide, mask, directions=space.directions, config=config, maps=maps)
 
 
 def mixed(image: np.ndarray, space: ViewSpace) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
@@ -285,9 +292,15 @@ def smoothed_views(
 
 
 def halved(
-    views: Sequence[np.ndarray], guide: np.ndarray, mask: np.ndarray, *, directions: np.ndarray, config: ViewsConfig
+    views: Sequence[np.ndarray],
+    guide: np.ndarray,
+    mask: np.ndarray,
+    *,
+    directions: np.ndarray,
+    config: ViewsConfig,
+    maps: Sequence[PixelMaps] | None = None,
 ) -> tuple[Views, np.ndarray]:
-    """Halve and smooth the views; see `halved_views`, and `mixed` for the shapes. Raises InputError."""
+    """Halve and smooth the views, sampled at ``maps``; see `halved_views`, and `mixed` for the shapes."""
     is_whole = bool(mask.all())
     unit = light_unit(cv2.mean(guide, None if is_whole else mask.view(np.uint8))[0])
     usable = mask[::2, ::2]
@@ -301,7 +314,7 @@ def halved(
         """Smooth a view, or bring the halved or the whole guide to its units."""
         if i < len(planes):
             small = halved_whole(views[i], unit) if is_whole else views[i]
-            smooth_whole(small, config.presmooth_sigma_px, unit, out=planes[i])
+            smooth_whole(small, config.presmooth_sigma_px, unit, out=planes[i], maps=maps[i] if maps else None)
             variances[i] = plane_variance(planes[i])
         else:
             part = smooth(cv2.pyrDown(guide), GUIDE_SIGMA_PX) if i == len(planes) else guide
@@ -355,22 +368,6 @@ def percentile_spacing(pixels: int) -> int:
 def constant_variance(unit: float) -> float:
     """Return the variance of a view at which it is constant but for rounding to whole units."""
     return max(CONSTANT, unit / 2) ** 2
-
-
-def no_usable_pixel() -> InputError:
-    """Return the error of a picture without usable pixels."""
-    return InputError(
-        "no usable pixel: the whole image is saturated or not finite; lower the exposure, or check "
-        "--black-level and --white-level"
-    )
-
-
-def constant_view() -> InputError:
-    """Return the error of a picture without texture."""
-    return InputError(
-        "the image is constant in at least one view of the aperture: nothing to match. A lens cap, an even "
-        "wall, a grey-scale file and a wrong aperture design look like this"
-    )
 
 
 def _mix(image: np.ndarray, weights: np.ndarray) -> np.ndarray:

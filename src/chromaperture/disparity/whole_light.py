@@ -13,6 +13,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from chromaperture.disparity.moved_views import PixelMaps, moved
+
 # The mean light is 2^11 to 2^12 units: a unit of a well exposed picture is 1e-4 of the white level, and rounding adds
 # 3e-5 of noise. docs/measurements.md compares.
 LIGHT_BITS = 11
@@ -68,9 +70,16 @@ def halved_whole(view: np.ndarray, unit: float) -> np.ndarray:
     return out
 
 
-def smooth_whole(view: np.ndarray, sigma_px: float, unit: float, *, out: np.ndarray) -> None:
-    """As `views.smooth`, without the mean, in whole units of light; exact while light is below 2^14 of them."""
+def smooth_whole(
+    view: np.ndarray, sigma_px: float, unit: float, *, out: np.ndarray, maps: PixelMaps | None = None
+) -> None:
+    """As `views.smooth`, without the mean, in whole units of light; exact while light is below 2^14 of them.
+
+    With ``maps`` the view is sampled there first.
+    """
     in_whole_units(view, unit, less=even_mean(view, unit), out=out)
+    if maps is not None:
+        in_whole_units(moved(out, maps), unit, out=out)
     taps = smoothing_taps(sigma_px).astype(np.float32)
     for taps_x, taps_y in ((taps, _ALONE), (_ALONE, taps)) if len(taps) > 1 else ():
         cv2.sepFilter2D(out, -1, taps_x, taps_y, dst=out, borderType=cv2.BORDER_REPLICATE)

@@ -46,6 +46,7 @@ class PathWinner(NamedTuple):
     before, at, after : nats; log-likelihoods of the layer's neighbours and of the layer, which is moved inside the
         range by one where it is an end.
     sigma_px : px; root mean square distance of the layers from the best, weighted by how little more they cost.
+    far_before, far_after : nats; log-likelihoods two layers from the layer, or at the end of the range.
     """
 
     layer: np.ndarray
@@ -53,6 +54,8 @@ class PathWinner(NamedTuple):
     at: np.ndarray
     after: np.ndarray
     sigma_px: np.ndarray
+    far_before: np.ndarray
+    far_after: np.ndarray
 
 
 def parabola_winner(score: np.ndarray, layers_px: np.ndarray, *, lower_is_better: bool = False) -> Winner:

@@ -273,6 +273,7 @@ def _compare(image: np.ndarray, calibration: Calibration, board: Board, corners:
         unmixing=calibration.unmixing,
         noise_variance=sensor_noise(image, calibration),
         config=preset(_QUALITY).with_range(-reach, reach),
+        channel_moves_px=calibration.channel_moves_px,
     ).value_px[rows, columns]
     known = np.isfinite(disparity) & np.isfinite(expected)
     if known.mean() < _LEAST_MEASURED:

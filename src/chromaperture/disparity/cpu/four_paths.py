@@ -50,7 +50,7 @@ def four_path_winner(
     )
     mask = np.ascontiguousarray(mask, np.float32)
     two_views = views.pictures.shape[2] == 2
-    winner = PathWinner(*(np.empty((height, width), np.float32) for _ in range(5)))
+    winner = PathWinner(*(np.empty((height, width), np.float32) for _ in PathWinner._fields))
     with workspace() as memory:
         if correlation.cell_px == 2:
             volume = cell_scores(views, layers_px, memory, config=correlation)

@@ -148,6 +148,8 @@ def along_columns(volume, sums, links, settings, first_block, last_block, winner
                 _put_likelihood(volume, at, inside - 1, winner.before, i)
                 _put_likelihood(volume, at, inside, winner.at, i)
                 _put_likelihood(volume, at, inside + 1, winner.after, i)
+                _put_likelihood(volume, at, max(inside - 2, 0), winner.far_before, i)
+                _put_likelihood(volume, at, min(inside + 2, settings.layers - 1), winner.far_after, i)
                 v.put(winner.sigma_px, i, settings.step * _posterior_sigma(decision, slabs, best, settings))
 
 

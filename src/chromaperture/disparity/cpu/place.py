@@ -13,6 +13,7 @@ from chromaperture.disparity.stages.place import (
     BIAS,
     EDGE_REACH_PX,
     EDGE_SHARE,
+    FARTHEST_OF_FIVE,
     LEAST_INFORMATION,
     LEAST_UNEXPLAINED,
     SCATTER,
@@ -28,6 +29,7 @@ _EDGE, _WIDEST = np.float32(EDGE_SHARE), np.float32(WIDEST_SHARE)
 _SCATTER2, _BIAS2 = np.float32(SCATTER**2), np.float32(BIAS**2)
 _FLAT = np.float32(1e-9)  # a flat top has no vertex
 _TWO, _QUARTER = np.float32(2), np.float32(0.25)
+_SEVENTH, _FIFTH, _FARTHEST = np.float32(1 / 7), np.float32(1 / 5), np.float32(FARTHEST_OF_FIVE)
 
 
 def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -37,7 +39,7 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
         return readable_place(winner, layer_count, view_count=view_count)
     maps = [
         np.ascontiguousarray(part, np.float32).reshape(-1)
-        for part in (winner.layer, winner.before, winner.at, winner.after)
+        for part in (winner.layer, winner.far_before, winner.before, winner.at, winner.after, winner.far_after)
     ]
     place, information = np.empty((2, winner.layer.size), np.float32)
 
@@ -81,7 +83,7 @@ def halved_surface(
 
 
 @kernel
-def _place(layer, before, at, after, place, information, count, layers, two_views):
+def _place(layer, far_before, before, at, after, far_after, place, information, count, layers, two_views):
     """So many vectors."""
     one, two, floor, flat = v.broadcast(ONE), v.broadcast(_TWO), v.broadcast(ZERO), v.broadcast(_FLAT)
     first, last = v.broadcast(ONE), v.broadcast(np.float32(layers - 2))
@@ -91,14 +93,22 @@ def _place(layer, before, at, after, place, information, count, layers, two_view
             _correlation(v.load(at, i), two_views),
             _correlation(v.load(after, i), two_views),
         )
-        bend = v.larger(v.sub(v.sub(v.add(middle, middle), low), high), floor)
-        rise = v.sub(high, low)
-        offset = v.larger(v.smaller(v.div(rise, v.fma(two, bend, flat)), one), v.broadcast(-ONE))
-        peak = v.smaller(v.fma(v.mul(offset, rise), v.broadcast(_QUARTER), middle), one)
-        left = v.fnma(peak, peak, one) if two_views else v.sub(one, peak)
-        found = v.div(v.mul(bend, peak), v.add(left, v.broadcast(_UNEXPLAINED)))
         if two_views:
+            bend = v.larger(v.sub(v.sub(v.add(middle, middle), low), high), floor)
+            rise = v.sub(high, low)
+            offset = v.larger(v.smaller(v.div(rise, v.fma(two, bend, flat)), one), v.broadcast(-ONE))
+            peak = v.smaller(v.fma(v.mul(offset, rise), v.broadcast(_QUARTER), middle), one)
+            left = v.fnma(peak, peak, one)
+            found = v.div(v.mul(bend, peak), v.add(left, v.broadcast(_UNEXPLAINED)))
             found = v.mul(found, v.root(v.root(found)))
+        else:
+            far_low, far_high = _correlation(v.load(far_before, i), False), _correlation(v.load(far_after, i), False)
+            near = v.add(v.add(low, high), v.add(middle, middle))
+            bend = v.larger(v.mul(v.fnma(two, v.add(far_low, far_high), near), v.broadcast(_SEVENTH)), floor)
+            rise = v.mul(v.fma(two, v.sub(far_high, far_low), v.sub(high, low)), v.broadcast(_FIFTH))
+            vertex = v.div(rise, v.fma(two, bend, flat))
+            offset = v.larger(v.smaller(vertex, v.broadcast(_FARTHEST)), v.broadcast(-_FARTHEST))
+            found = v.div(v.mul(bend, middle), v.add(v.sub(one, middle), v.broadcast(_UNEXPLAINED)))
         v.store(information, i, v.add(found, v.broadcast(_INFORMATION)))
         v.store(place, i, v.add(v.smaller(v.larger(v.load(layer, i), first), last), offset))
 

@@ -63,13 +63,21 @@ fn main(
     let low = correlation_of(likelihood_of(pixel, middle - 1u));
     let here = correlation_of(at);
     let high = correlation_of(likelihood_of(pixel, middle + 1u));
-    let bend = max(2.0 * here - low - high, 0.0);
-    let offset = clamp((high - low) / (2.0 * bend + 1.0e-9), -1.0, 1.0);  // 1e-9: a flat top has no vertex
-    let peak = min(here + offset * (high - low) / 4.0, 1.0);
-    var left = 1.0 - peak;
-    if (view_count == 2u) { left = 1.0 - peak * peak; }
-    var information = bend * peak / (left + least_unexplained);
-    if (view_count == 2u) { information *= sqrt(sqrt(information)); }
-    information += least_information;
+    var offset = 0.0;
+    var information = least_information;
+    if (view_count == 2u) {
+        let bend = max(2.0 * here - low - high, 0.0);
+        offset = clamp((high - low) / (2.0 * bend + 1.0e-9), -1.0, 1.0);  // 1e-9: a flat top has no vertex
+        let peak = min(here + offset * (high - low) / 4.0, 1.0);
+        let found = bend * peak / (1.0 - peak * peak + least_unexplained);
+        information += found * sqrt(sqrt(found));
+    } else {
+        let far_low = correlation_of(likelihood_of(pixel, max(middle, 2u) - 2u));
+        let far_high = correlation_of(likelihood_of(pixel, min(middle + 2u, layer_count - 1u)));
+        let bend = max((2.0 * here + low + high - 2.0 * (far_low + far_high)) / 7.0, 0.0);
+        let rise = (2.0 * (far_high - far_low) + high - low) / 5.0;
+        offset = clamp(rise / (2.0 * bend + 1.0e-9), -farthest_of_five, farthest_of_five);
+        information += bend * here / (1.0 - here + least_unexplained);
+    }
     places[pixel] = vec2f(information, (f32(middle) + offset) * information);
 }

@@ -30,6 +30,7 @@ from chromaperture.disparity.stages.place import (
     BIAS,
     EDGE_REACH_PX,
     EDGE_SHARE,
+    FARTHEST_OF_FIVE,
     LEAST_INFORMATION,
     LEAST_UNEXPLAINED,
     SCATTER,
@@ -159,7 +160,8 @@ def _add_paths(
         "path_winner", [likelihood, *costs, winner, places], groups=groups_for(planes.pixels),
         uses=(*SHARED, "packed_costs"), row_parts=parts, cost_parts=last_parts,
         view_count=planes.view_count, temperature=paths.temperature,
-        least_unexplained=LEAST_UNEXPLAINED, least_information=LEAST_INFORMATION, **size, **of_layers,
+        farthest_of_five=FARTHEST_OF_FIVE, least_unexplained=LEAST_UNEXPLAINED,
+        least_information=LEAST_INFORMATION, **size, **of_layers,
     )  # fmt: skip
     return winner, places
 

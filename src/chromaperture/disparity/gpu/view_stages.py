@@ -11,6 +11,8 @@ import numpy as np
 from chromaperture.color.image import SATURATION
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.workgroups import groups_for
+from chromaperture.disparity.moved_views import MOVE_PARTS, halved_moves
+from chromaperture.disparity.nothing_to_match import constant_view, no_usable_pixel
 from chromaperture.disparity.views import (
     CONSTANT,
     FILL_SIGMA_PX,
@@ -18,8 +20,6 @@ from chromaperture.disparity.views import (
     GUIDE_SIGMA_PX,
     USABLE,
     ViewSpace,
-    constant_view,
-    no_usable_pixel,
     percentile_spacing,
 )
 from chromaperture.disparity.whole_light import LEAST_EXPONENT, LIGHT_BITS, smoothing_taps
@@ -111,7 +111,8 @@ def add_halved_views(
         "fill", [around, stats, raw, smoothed], groups=groups_for(plane), uses=SHARED,
         plane=plane, view_count=count, usable_share=USABLE, fill_units=FILL_UNITS,
     )  # fmt: skip
-    _add_smoothing(chain, raw, planes, config, whole=True)
+    views = raw if space.moves_px is None else _add_moves(chain, raw, planes, space.moves_px, size)
+    _add_smoothing(chain, raw, planes, config, whole=True, views=views)
     _add_guide_scale(chain, full_guide, stats, (height, width), config, first=0, slot=1)
     return planes
 
@@ -143,12 +144,27 @@ def _mixing(space: ViewSpace, width: int, height: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _add_smoothing(chain: Chain, raw: Array, planes: Planes, config: ViewsConfig, *, whole: bool) -> None:
+def _add_moves(chain: Chain, raw: Array, planes: Planes, moves_px: np.ndarray, size: tuple[int, int]) -> Array:
+    """Add what takes the displacement by the lens off the views; return them, in an array of their own."""
+    moves = halved_moves(moves_px, size)
+    packed = moves[..., 0].astype(np.uint16) | (moves[..., 1].astype(np.uint16).astype(np.uint32) << 16)
+    views = chain.array("planes_moved", planes.view_count * planes.pixels)
+    chain.add(
+        "moved_views", [raw, chain.constant("moves", packed.astype(np.uint32)), planes.stats, views],
+        groups=groups_for(views.size), uses=SHARED,
+        width=planes.width, height=planes.height, view_count=planes.view_count, move_parts=MOVE_PARTS,
+    )  # fmt: skip
+    return views
+
+
+def _add_smoothing(
+    chain: Chain, raw: Array, planes: Planes, config: ViewsConfig, *, whole: bool, views: Array | None = None
+) -> None:
     """Smooth views, in ``whole`` units of light or not, and guide; then the views' variance and the guide's unit."""
     count = planes.view_count
     sigma_px = config.presmooth_sigma_px
     taps = smoothing_taps(sigma_px).tolist() if whole else _smoothing_taps(sigma_px)
-    _add_blur(chain, raw, planes, taps, first=0, count=count, whole=whole)
+    _add_blur(chain, views or raw, planes, taps, first=0, count=count, whole=whole)
     taps = _smoothing_taps(GUIDE_SIGMA_PX)
     _add_blur(chain, raw, planes, taps, first=count, count=1)
     parts = min(_PARTS, -(-planes.pixels // 256))

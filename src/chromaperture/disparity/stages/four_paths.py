@@ -66,8 +66,12 @@ def four_path_winner(
     cost = summed_costs(-likelihood, guide, paths, parts=path_parts(paths.jump_penalty))
     layer = cost.argmin(axis=2)
     inside = np.clip(layer, 1, len(labels_px) - 2)
-    before, at, after = (np.take_along_axis(likelihood, (inside + o)[..., None], axis=2)[..., 0] for o in (-1, 0, 1))
-    return PathWinner(layer, before, at, after, _posterior_sigma(cost, layer, labels_px, paths))
+    far_before, before, at, after, far_after = (
+        np.take_along_axis(likelihood, np.clip(inside + o, 0, len(labels_px) - 1)[..., None], axis=2)[..., 0]
+        for o in (-2, -1, 0, 1, 2)
+    )
+    sigma_px = _posterior_sigma(cost, layer, labels_px, paths)
+    return PathWinner(layer, before, at, after, sigma_px, far_before, far_after)
 
 
 def path_parts(jump: float) -> float:

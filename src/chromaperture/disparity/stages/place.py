@@ -24,6 +24,7 @@ SEEN_REACH = 1  # cells or px; farther from usable pixels a surface is only carr
 # Of the range of the disparity within so many px of the halved picture: next to depth edges a pixel may belong to
 # either side.
 EDGE_SHARE, EDGE_REACH_PX = 0.35, 7
+FARTHEST_OF_FIVE = 1.5  # layers from the middle of five to the vertex of their parabola; docs/measurements.md
 LEAST_INFORMATION = 1e-4  # where correlations have no peak the place is that of the layer
 LEAST_UNEXPLAINED = 3e-3  # by the best correlation; keeps the information of noiseless pictures finite
 
@@ -35,8 +36,10 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
     At its peak a correlation rho earns information rho rho'' / (1 - rho^2) a sample. Taken at the layer instead it
     would be least for peaks between the layers, and averages over neighbours would be biased to the layers.
 
-    Of two views it counts to the power of 1.25: noise draws the places of weak texture to the layer and leaves only its
-    coarse part, so that clear texture knows more than its information tells (docs/measurements.md, *Clear texture*).
+    Of two views the parabola goes through three layers, and the information counts to the power of 1.25: noise draws
+    the places of weak texture to the layer and leaves only its coarse part, so that clear texture knows more than its
+    information tells. Of three views it goes through five, by least squares, and rho is that at the layer: flat boards
+    are drawn less to the layers so (docs/measurements.md, *Clear texture*, *Channels where the lens moves them*).
 
     Parameters
     ----------
@@ -49,16 +52,23 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
     place, information : two (H, W) float32; the place in layers
     """
     inside = np.clip(winner.layer, 1, layer_count - 2)
-    around = (winner.before, winner.at, winner.after)
-    unexplained = [np.exp(np.float32(-view_count if view_count == 2 else -1) * part) for part in around]
-    low, middle, high = (np.sqrt(np.maximum(1 - u, 0)) if view_count == 2 else 1 - u for u in unexplained)
-    bend = np.maximum(2 * middle - low - high, 0)
-    offset = np.clip((high - low) / (2 * bend + 1e-9), -1, 1)  # 1e-9: a flat top has no vertex
-    peak = np.minimum(middle + offset * (high - low) / 4, 1)
-    left = 1 - peak**2 if view_count == 2 else 1 - peak
-    information = bend * peak / (left + LEAST_UNEXPLAINED)
     if view_count == 2:
+        low, middle, high = (
+            np.sqrt(np.maximum(1 - np.exp(np.float32(-2) * part), 0))
+            for part in (winner.before, winner.at, winner.after)
+        )
+        bend = np.maximum(2 * middle - low - high, 0)
+        offset = np.clip((high - low) / (2 * bend + 1e-9), -1, 1)  # 1e-9: a flat top has no vertex
+        peak = np.minimum(middle + offset * (high - low) / 4, 1)
+        information = bend * peak / (1 - peak**2 + LEAST_UNEXPLAINED)
         information = information * np.sqrt(np.sqrt(information))
+    else:
+        around = (winner.far_before, winner.before, winner.at, winner.after, winner.far_after)
+        far_low, low, middle, high, far_high = (1 - np.exp(-part) for part in around)
+        bend = np.maximum((2 * middle + low + high - 2 * (far_low + far_high)) / 7, 0)
+        rise = (2 * (far_high - far_low) + high - low) / 5
+        offset = np.clip(rise / (2 * bend + 1e-9), -FARTHEST_OF_FIVE, FARTHEST_OF_FIVE)
+        information = bend * middle / (1 - middle + LEAST_UNEXPLAINED)
     return (inside + offset).astype(np.float32), (information + LEAST_INFORMATION).astype(np.float32)
 
 
