@@ -66,7 +66,8 @@ def test_the_likeliest_place_is_that_of_the_edge(likelihood, rng, along_rows, ne
     near, together = [], []
     for _ in range(6):
         image = two_layers(rng, likelihood.blur, along_rows=along_rows, near_first=near_first)
-        cost = likelihood.costs(likelihood.photograph(image), lines_beside(shifted, along_rows=along_rows, near_first=near_first))
+        lines = lines_beside(shifted, along_rows=along_rows, near_first=near_first)
+        cost = likelihood.costs(likelihood.photograph(image), lines)
         assert (cost.min(axis=1) == 0).all()
         near.append(np.abs(cost.argmin(axis=1) - SHIFTS - shifted) <= 2)
         together.append(cost.sum(axis=0))

@@ -21,7 +21,7 @@ P. Favaro, S. Soatto: Seeing beyond occlusions (and other marvels of a finite le
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -138,6 +138,10 @@ class EdgeLikelihood:
     label_map: LabelMap
     noise: NoiseModel
     run: Execution
+    # Of a node, a layer and a direction, 23 kB each: kept for the next photograph.
+    _textures: dict[tuple[int, int, bool], _Texture] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def photograph(self, image: np.ndarray) -> Photograph:
         """Return an image (H, W, 3), linear RGB, as `costs` needs it."""
@@ -160,9 +164,10 @@ class EdgeLikelihood:
         samples = photograph.samples(lines)
         mean, noise = samples.mean(axis=(1, 2)), photograph.noise_at(lines)
         nodes, near, far = self._depths(lines)
-        each = {(node, layer) for side in (near, far) for node, layer in zip(nodes, side, strict=True)}
-        keys = sorted(each)
-        textures = dict(zip(keys, parallel_map(lambda key: self._texture(*key, lines.along_rows), keys), strict=True))
+        sides = zip(nodes * 2, near + far, strict=True)
+        missing = sorted({(*side, lines.along_rows) for side in sides} - self._textures.keys())
+        found = parallel_map(lambda key: self._texture(*key), missing)
+        self._textures.update(zip(missing, found, strict=True))
         out = np.empty((len(samples), 2 * SHIFTS + 1))
         groups: dict[tuple[int, int, int, bool], list[int]] = {}
         for i, key in enumerate(zip(nodes, near, far, lines.near_first.tolist(), strict=True)):
@@ -172,8 +177,8 @@ class EdgeLikelihood:
             node, near, far, near_first = key
             members = np.array(groups[key])
             model = _Model(
-                textures[node, near], textures[node, far], near_first, photograph.colours, noise[members].mean(axis=0),
-                float(mean[members].mean()), self.run,
+                self._textures[node, near, lines.along_rows], self._textures[node, far, lines.along_rows], near_first,
+                photograph.colours, noise[members].mean(axis=0), float(mean[members].mean()), self.run,
             )  # fmt: skip
             out[members] = model.costs(samples[members])
 
@@ -252,14 +257,14 @@ class _Model:
         """Negative log-likelihoods of lines (P, 6 HALF) whose textures have known powers."""
         count = 2 * HALF
         level = (_UNKNOWN_LEVEL * self.mean) ** 2 / np.mean(np.diag(self.colours))
-        sides = (
+        near, far = (
             (self.colours[:, :, None, None] * (power * texture.covariance + level))
             .transpose(0, 2, 1, 3)
             .reshape(3 * count, 3 * count)
             for power, texture in ((near_power, self.near), (far_power, self.far))
         )
         share = self._near_share.reshape(-1, 3 * count)
-        return self.run.edge_costs(lines, *sides, share, np.kron(np.diag(self.noise), _noise_covariance()))
+        return self.run.edge_costs(lines, near, far, share, np.kron(np.diag(self.noise), _noise_covariance()))
 
     @cached_property
     def _near_share(self) -> np.ndarray:

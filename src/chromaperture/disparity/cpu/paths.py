@@ -89,7 +89,9 @@ def read_at_labels(
     unexplained = np.exp(np.float32(-2 / factors) * np.asarray(likelihood, np.float32))
     labels = ((np.asarray(labels_px, float) - layers_px[0]) / step).astype(np.float32)
     begin = ((label_map.offset_px + (label_map.scale - 1) * layers_px[0]) / step).astype(np.float32)
-    rows, columns = (np.minimum(spacing_px * np.arange(n), m - 1) for n, m in zip(likelihood.shape, shape, strict=False))
+    rows, columns = (
+        np.minimum(spacing_px * np.arange(n), m - 1) for n, m in zip(likelihood.shape, shape, strict=False)
+    )
     offset, scale = (
         np.array(np.broadcast_to(part, shape)[np.ix_(rows, columns)], np.float32) for part in (begin, label_map.scale)
     )

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.disparity.blur_evidence import BANDS_MARGIN_PX, SHARP_PX, SPACING_PX, BlurEvidence, finest_px
+from chromaperture.disparity.blur_evidence import SHARP_PX, SPACING_PX, TAILS_PX, BlurEvidence, finest_px
 from chromaperture.disparity.gpu.device import DeviceError
 from chromaperture.disparity.gpu.surface_stages import AT_ONCE, gaussian_taps
 from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
@@ -67,7 +67,7 @@ def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
     evens = (len(layers_px) + 1) // 2
     places[::2] = np.arange(evens)
     places[1::2][sharp] = evens + np.arange(int(sharp.sum()))
-    margin = 2 * float(np.abs(layers_px).max()) / source.blur.reach + BANDS_MARGIN_PX
+    margin = 2 * float(np.abs(layers_px).max()) / source.blur.reach + TAILS_PX
     nodes = Nodes(source.blur.height_px, source.blur.width_px, margin_px=margin)
     if nodes.size_px > MOST_TRANSFORMED:
         raise DeviceError(

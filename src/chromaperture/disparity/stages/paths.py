@@ -179,7 +179,9 @@ def read_at_labels(
     ends = [2 * before - unexplained[..., 0], before, after, 2 * after - unexplained[..., -1]]
     wide = np.concatenate([np.stack(ends[:2], -1), unexplained, np.stack(ends[2:], -1)], axis=2)
     shape = shape or likelihood.shape[:2]
-    rows, columns = (np.minimum(spacing_px * np.arange(n), m - 1) for n, m in zip(likelihood.shape, shape, strict=False))
+    rows, columns = (
+        np.minimum(spacing_px * np.arange(n), m - 1) for n, m in zip(likelihood.shape, shape, strict=False)
+    )
     offset, scale = (np.broadcast_to(part, shape)[np.ix_(rows, columns)][..., None] for part in label_map)
     place = (offset + scale * labels_px - layers_px[0]) / (layers_px[1] - layers_px[0])
     below = np.clip(np.floor(place).astype(np.intp), 0, len(layers_px) - 2)
