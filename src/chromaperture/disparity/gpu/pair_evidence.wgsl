@@ -10,21 +10,51 @@ const evens = (count + 1u) / 2u;
 
 var<workgroup> most: array<f32, 64>;
 
-fn even_layer(first: u32, k: i32) -> f32 {
+// Half way between the inner two of six numbers by a polynomial, sums of the outermost, the next and the inner two.
+fn halfway(far: f32, near: f32, inner: f32) -> f32 {
+    return (3.0 * far - 25.0 * near + 150.0 * inner) / 256.0;
+}
+
+// Every fourth layer, and its odd continuation.
+fn fourth_layer(first: u32, k: i32) -> f32 {
+    let last = (i32(evens) - 1i) / 2i;
+    if (k < 0i) { return 2.0 * correlation[first] - correlation[first + 2u * u32(min(-k, last))]; }
+    if (k > last) {
+        return 2.0 * correlation[first + 2u * u32(last)] - correlation[first + 2u * u32(max(2i * last - k, 0i))];
+    }
+    return correlation[first + 2u * u32(k)];
+}
+
+// Secondary pairs change half as fast with the layer: they count at every fourth, and at the last.
+fn second_layer(first: u32, k: u32, is_primary: bool) -> f32 {
+    if (is_primary || k % 2u == 0u || k == evens - 1u) { return correlation[first + k]; }
+    let j = i32(k / 2u);
+    return halfway(
+        fourth_layer(first, j - 2i) + fourth_layer(first, j + 3i), fourth_layer(first, j - 1i) + fourth_layer(first, j + 2i),
+        fourth_layer(first, j) + fourth_layer(first, j + 1i)
+    );
+}
+
+fn even_layer(first: u32, k: i32, is_primary: bool) -> f32 {
     let last = i32(evens) - 1i;
-    if (k < 0i) { return 2.0 * correlation[first] - correlation[first + u32(min(-k, last))]; }
-    if (k > last) { return 2.0 * correlation[first + u32(last)] - correlation[first + u32(max(2i * last - k, 0i))]; }
-    return correlation[first + u32(k)];
+    if (k < 0i) {
+        return 2.0 * correlation[first] - second_layer(first, u32(min(-k, last)), is_primary);
+    }
+    if (k > last) {
+        return 2.0 * correlation[first + u32(last)] - second_layer(first, u32(max(2i * last - k, 0i)), is_primary);
+    }
+    return second_layer(first, u32(k), is_primary);
 }
 
 fn at_layer(first: u32, layer: u32, is_primary: bool) -> f32 {
-    // Secondary pairs are interpolated at all odd layers.
-    if (places[layer] >= 0i && (is_primary || layer % 2u == 0u)) { return correlation[first + u32(places[layer])]; }
-    // A polynomial through six even layers, half way between two.
+    if (layer % 2u == 0u) { return second_layer(first, layer / 2u, is_primary); }
+    if (places[layer] >= 0i && is_primary) { return correlation[first + u32(places[layer])]; }
     let k = i32(layer / 2u);
-    let far = even_layer(first, k - 2i) + even_layer(first, k + 3i);
-    let near = even_layer(first, k - 1i) + even_layer(first, k + 2i);
-    return (3.0 * far - 25.0 * near + 150.0 * (even_layer(first, k) + even_layer(first, k + 1i))) / 256.0;
+    return halfway(
+        even_layer(first, k - 2i, is_primary) + even_layer(first, k + 3i, is_primary),
+        even_layer(first, k - 1i, is_primary) + even_layer(first, k + 2i, is_primary),
+        even_layer(first, k, is_primary) + even_layer(first, k + 1i, is_primary)
+    );
 }
 
 fn nats(from_pair: u32, to_pair: u32, sample: u32, layer: u32) -> f32 {
