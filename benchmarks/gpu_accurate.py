@@ -50,25 +50,39 @@ def operations(dispatch: Dispatch) -> float:
         "tile_columns": transforms,
         "tile_smoothing": lambda: 2 * taps() * c["pictures"] * c["size"] * (c["size"] // 2 + 1),
         "point_rows": lambda: (
-            c["pictures"] * c["layers_of_round"] * (4.0 * c["side"] ** 2 * c["kept"] + 40 * c["points"])
+            c["pictures"] * c["layers_of_round"] * (10.0 * c["side"] ** 2 * c["kept"] + 40 * c["points"])
         ),
-        "point_columns": lambda: 8.0 * c["pictures"] * c["layers_of_round"] * c["side"] * c["kept"] ** 2,
+        "point_columns": lambda: 14.0 * c["pictures"] * c["layers_of_round"] * c["side"] * c["kept"] ** 2,
         "cross_rows": lambda: transforms() + 40.0 * c["lines"] * c["span"],
         "cross_columns": transforms,
         "tiles_joined": lambda: 20.0 * pixels * c["layers_of_round"] * c["pair_count"],
-        "bands_rows": lambda: 8 * taps() * pixels * c["pictures"] * c["bands"],
-        "bands_columns": lambda: 8 * taps() * pixels * c["pictures"] * c["bands"],
+        "bands_rows": lambda: 4.0 * (taps() + 3) * pixels * c["pictures"] * c["smooths"],
+        "bands_columns": lambda: (4.0 * (taps() + 3) * c["smooths"] + 2 * c["bands"]) * pixels * c["pictures"],
         "band_products": lambda: 30 * 6.0 * pixels / 4 * c["planes"],
         "band_correlation": lambda: 4.0 * pixels * c["bands"] * c["layers_of_round"] * c["pair_count"],
         "pair_evidence": lambda: 16.0 * c["samples"] * c["count"] * c["pairs"] * c["bands"],
-        "labels_read": lambda: pixels * (8.0 * c["layers"] + 45 * c["count"]),
-        "windows_added": lambda: 8.0 * entries,
+        "labels_read": lambda: pixels * (6.0 * c["layers"] + 45 * c["count"]),
+        "window_rows": lambda: 10.0 * c["side"] * 3 * c["width"] * c["window_rows"] * c["pairs"],
+        "window_spectra": lambda: 27.0 * c["side"] * c["window_rows"] * c["window_columns"] * c["frequencies"],
+        # 250 of a round of a frequency, without those that the last one leaves out
+        "spectral_likelihood": lambda: (
+            250.0
+            * c["windows"]
+            * c["slopes"]
+            * c["frequencies"]
+            * (c["layers"] * (c["rounds"] + 1) + c["first_rounds"])
+        ),
+        "slope_evidence": lambda: 6.0 * c["windows"] * c["slopes"] * c["layers"],
+        "slope_shares": lambda: 12.0 * c["windows"] * c["slopes"] * c["rounds"],
+        "window_labels": lambda: c["windows"] * (8.0 * c["slopes"] * c["layers"] + 50.0 * c["count"]),
+        "labels_of_samples": lambda: c["sample_height"] * c["sample_width"] * (2.0 * c["layers"] + 45 * c["count"]),
+        "labels_between": lambda: entries * (14.0 + 9 * ("stride" in c)),
         "volume_paths": lambda: 15.0 * entries,
         "volume_winner": lambda: 3.0 * entries,
         "layer_tangents": lambda: 8.0 * pixels,
         "layer_offsets": lambda: 6.0 * pixels,
         "coupling_target": lambda: 60.0 * pixels,  # some six layers a pixel
-        "coupling_steps": lambda: 28.0 * c["steps"] * (32 / (32 - 2 * c["steps"])) ** 2 * pixels,
+        "coupling_steps": lambda: 28.0 * c["steps"] * pixels * 64 * 32 / (64 - 2 * c["steps"]) / (32 - 2 * c["steps"]),
         "volume_posterior": lambda: 10.0 * entries,
         "surface_sigma": lambda: 4.0 * pixels,
         "block_sums": lambda: 1.0 * entries,
@@ -151,7 +165,7 @@ def main() -> None:
         "mbytes_down": round(16 * chain.grid.pixels / 1e6, 1),
     }  # fmt: skip
     if chain.blocks is not None:
-        result["mbytes_down_between"] = round(4 * (5 * chain.grid.pixels + chain.blocks.size) / 1e6, 1)
+        result["mbytes_down_between"] = round(4 * (2 * chain.grid.pixels + chain.blocks.size) / 1e6, 1)
         result["mbytes_up_between"] = round(4 * chain.grid.pixels / 1e6, 1)
     if arguments.device:
         result |= timed(camera, image, arguments.device)

@@ -44,20 +44,29 @@ NEAR_MM, FAR_MM = 950.0, 4200.0
 FULL_WELL, READ_NOISE = 20_000.0, 3.0  # electrons, of a pixel of the large sensor
 DESIGN = "cy_halves"
 WALLS_MM = tuple(1 / np.linspace(1 / 980, 1 / 4000, 14))
-# Surfaces, near to far: depth, mm; left, top, right, bottom as fractions of the frame; colour.
+LAYER_PX = 1.0  # of blur in 720 x 480 pixels, the distance of the renderer's layers
+# Surfaces, far to near, at 3690, 2753, 2200, 1695, 1382 and 1169 mm: blur in whole layers, because a surface between
+# two would be rendered as a mixture of both; left, top, right, bottom as fractions of the frame; colour.
 SURFACES = (
-    (3600.0, (0.0, 0.0, 1.0, 1.0), (0.80, 0.85, 0.90)),
-    (2900.0, (0.55, 0.08, 0.97, 0.55), (0.90, 0.80, 0.65)),
-    (2300.0, (0.05, 0.10, 0.35, 0.75), (0.75, 0.90, 0.75)),
-    (1750.0, (0.30, 0.45, 0.62, 0.95), (0.90, 0.75, 0.80)),
-    (1400.0, (0.66, 0.50, 0.90, 1.0), (0.85, 0.85, 0.70)),
-    (1150.0, (0.10, 0.65, 0.27, 1.0), (0.80, 0.80, 0.90)),
+    (5, (0.0, 0.0, 1.0, 1.0), (0.80, 0.85, 0.90)),
+    (3, (0.55, 0.08, 0.97, 0.55), (0.90, 0.80, 0.65)),
+    (1, (0.05, 0.10, 0.35, 0.75), (0.75, 0.90, 0.75)),
+    (-2, (0.30, 0.45, 0.62, 0.95), (0.90, 0.75, 0.80)),
+    (-5, (0.66, 0.50, 0.90, 1.0), (0.85, 0.85, 0.70)),
+    (-8, (0.10, 0.65, 0.27, 1.0), (0.80, 0.80, 0.90)),
 )
 
 
 def pupil_camera(size: tuple[int, int]) -> PupilCamera:
     pitch = SENSOR_MM / size[0]
     return PupilCamera(*size, FOCAL_MM / pitch, 12.5, FOCUS_MM, PUPIL_MM, pitch)
+
+
+def depth_of_blur(blur_px: float) -> float:
+    """Distance from the sensor, mm, whose blur has a radius of so many of the 720 x 480 pixels, + beyond focus."""
+    camera = pupil_camera(SMALL)
+    at_infinity = float(camera.blur_radius_px(np.inf))
+    return PUPIL_MM + camera.focal_px * camera.pupil_radius_mm / (at_infinity - blur_px)
 
 
 def aperture():
@@ -130,20 +139,20 @@ def scene(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     width, height = size
     grey = noise((height, width), exponent=1.0, seed=4, mean=0.42, contrast=0.16)
     color, depth = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
-    for i, (z, (left, top, right, bottom), tint) in enumerate(SURFACES):
+    for i, (layer, (left, top, right, bottom), tint) in enumerate(SURFACES):
         place = np.s_[round(top * height) : round(bottom * height), round(left * width) : round(right * width)]
         turned = np.roll(grey, (i * height // 7, i * width // 5), axis=(0, 1))[place]
         color[place] = turned[..., None] * np.asarray(tint, np.float32)
-        depth[place] = z
+        depth[place] = depth_of_blur(LAYER_PX * layer)
     return color, depth
 
 
 def light_and_truth(folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Render the scene once: 2 minutes on two cores, 8 GB."""
+    """Render the scene once: a minute on two cores, 8 GB."""
     stored = folder / "light.npy"
     if not stored.exists():
         color, depth = scene(LARGE)
-        pitch = 1.0 * LARGE[0] / SMALL[0]  # px of blur between layers; surfaces between two are divided among them
+        pitch = LAYER_PX * LARGE[0] / SMALL[0]
         image = render_layers(color, depth, camera=pupil_camera(LARGE), aperture=aperture(), pitch_px=pitch).image
         np.save(stored, 0.85 * image / np.percentile(image[::8, ::8], 99.9))
         np.save(folder / "truth.npy", depth)

@@ -5,10 +5,10 @@ import pytest
 import scipy.fft
 import scipy.stats
 
-from chromaperture.disparity import edge_likelihood
+from chromaperture.disparity import cpu, edge_likelihood, stages
 from chromaperture.disparity.edge_likelihood import GRID_PX, HALF, SHIFTS, EdgeLikelihood, Lines
 from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.plane_edges import placed_edges
+from chromaperture.disparity.plane_edges import choices_of, placed_edges
 from chromaperture.disparity.result import NoiseModel
 from chromaperture.disparity.stages.planes import potts_beliefs
 from chromaperture.optics.lens_blur import BlurModel
@@ -24,7 +24,7 @@ EDGE = 81  # first column, or row, of the far side
 def likelihood():
     blur = lens_blur(BlurModel(6.0, 12000.0), W, H)
     known = NoiseModel(lambda image: np.full(image.shape, NOISE**2, np.float32), is_known=True)
-    return EdgeLikelihood(blur, IDENTITY, known)
+    return EdgeLikelihood(blur, IDENTITY, known, cpu)
 
 
 def texture(rng):
@@ -66,7 +66,8 @@ def test_the_likeliest_place_is_that_of_the_edge(likelihood, rng, along_rows, ne
     near, together = [], []
     for _ in range(6):
         image = two_layers(rng, likelihood.blur, along_rows=along_rows, near_first=near_first)
-        cost = likelihood.costs(image, lines_beside(shifted, along_rows=along_rows, near_first=near_first))
+        lines = lines_beside(shifted, along_rows=along_rows, near_first=near_first)
+        cost = likelihood.costs(likelihood.photograph(image), lines)
         assert (cost.min(axis=1) == 0).all()
         near.append(np.abs(cost.argmin(axis=1) - SHIFTS - shifted) <= 2)
         together.append(cost.sum(axis=0))
@@ -98,10 +99,10 @@ def test_the_cost_is_that_of_a_gaussian_density(likelihood, rng):
             expected = whole[0, GRID_PX * (one - other)]
             # float32 transfer functions
             assert found.covariance[j, k, one, other] == pytest.approx(expected, rel=1e-4, abs=1e-5 * whole[0, 0])
-    samples = edge_likelihood._samples(image.astype(np.float32), lines)
-    colours = edge_likelihood._covariance_of_colours(image.astype(np.float32))
+    photograph = likelihood.photograph(image)
+    samples, colours = photograph.samples(lines), photograph.colours
     noise, mean = np.full(3, NOISE**2), float(samples.mean())
-    model = edge_likelihood._Model(textures[NEAR_PX], textures[FAR_PX], True, colours, noise, mean)
+    model = edge_likelihood._Model(textures[NEAR_PX], textures[FAR_PX], True, colours, noise, mean, stages)
     powers = 2.0**-12, 2.0**-10
     given = samples[:4].reshape(4, -1)
     costs = model._of_powers(given, *powers)
@@ -122,11 +123,21 @@ def test_the_cost_is_that_of_a_gaussian_density(likelihood, rng):
         np.testing.assert_allclose(costs[:, shift], -density.logpdf(given) - constant, rtol=1e-3)
 
 
+@pytest.mark.parametrize(("lines", "noise"), [(1, 1e-2), (7, 1e-8)])
+def test_both_executions_agree(rng, lines, noise):
+    count = 30
+    near, far = (part @ part.T for part in rng.standard_normal((2, count, 2 * count)))
+    share = np.sort(rng.uniform(0, 1, (5, count)), axis=1)
+    given = rng.standard_normal((lines, count)), near, far, share, noise * np.eye(count)
+    # Doubles: a condition of 1e9 leaves 1e-7.
+    np.testing.assert_allclose(cpu.edge_costs(*given), stages.edge_costs(*given), rtol=1e-7)
+
+
 def test_empty_channels_and_pixels_without_light_are_no_trouble(likelihood, rng):
     image = two_layers(rng, likelihood.blur, along_rows=True, near_first=True)
     lines = lines_beside(2, along_rows=True, near_first=True)
     for spoiled in (image * [1, 1, 0], np.zeros_like(image), np.where(image > 0.5, np.nan, image), np.ones_like(image)):
-        assert np.isfinite(likelihood.costs(spoiled, lines)).all()
+        assert np.isfinite(likelihood.costs(likelihood.photograph(spoiled), lines)).all()
 
 
 @pytest.mark.parametrize("grown_px", [8, -6])
@@ -136,8 +147,8 @@ def test_borders_move_to_the_edges_of_layers(likelihood, rng, grown_px):
     choice = np.zeros((H, W), int) + (np.arange(W) >= EDGE + grown_px)
     planes = np.array([[0, 0, NEAR_PX], [0, 0, FAR_PX]])
     moved = placed_edges(
-        choice, planes, np.zeros((H, W)), reach_px=8, apart_px=0.3, beliefs=potts_beliefs,
-        line_costs=lambda lines: likelihood.costs(image, lines),
+        choice, planes, np.zeros((H, W)), reach_px=8, apart_px=0.3, choices=choices_of(potts_beliefs),
+        line_costs=lambda lines: likelihood.costs(likelihood.photograph(image), lines),
     )  # fmt: skip
     edge = (moved == 0).sum(axis=1)
     assert np.abs(edge - EDGE).mean() < 2.0  # the grid's spacing

@@ -23,7 +23,8 @@ class Case:
     def __init__(self, design, shape, noise, label_map, *, half_range=5):
         from chromaperture.disparity.gpu.device import Chain
         from chromaperture.disparity.gpu.evidence_plan import plan_evidence
-        from chromaperture.disparity.gpu.evidence_stages import add_evidence, add_labels
+        from chromaperture.disparity.gpu.evidence_stages import add_evidence
+        from chromaperture.disparity.gpu.label_stages import add_labels
 
         height, width = shape
         self.blur = lens_blur(LENS, width, height, design)
@@ -81,9 +82,12 @@ def test_evidence_agrees(design, shape, noise, label_map):
     correlation = case.source._correlations(case.image, case.plan.computed_px)
     np.testing.assert_allclose(found["correlation"].reshape(correlation.shape), correlation, atol=1e-4)
     expected = case.source.at(case.image, case.layers, case.labels) * case.usable[..., None]
-    # Near its limit of 0.999 the squared correlation's logarithm enlarges a difference 500 times.
-    np.testing.assert_allclose(found["likelihood"].reshape(expected.shape), expected, atol=5e-3)
-    assert np.abs(found["likelihood"].reshape(expected.shape) - expected).mean() < 2e-5
+    off = np.abs(found["likelihood"].reshape(expected.shape) - expected)
+    # Near its limit of 0.999 the squared correlation's logarithm enlarges a difference 500 times. The device goes
+    # between pixels before labels: with a map that bends, an end of the range has a part of its evidence only there.
+    assert off[..., 1:-1].max() < 5e-3
+    assert off.max() < 0.03
+    assert off.mean() < 1e-4
 
 
 def test_layers_in_rounds_are_the_same(monkeypatch):

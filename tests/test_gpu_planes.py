@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from chromaperture.disparity import stages
 from chromaperture.disparity.plane_fit import Volume, log_likelihood, proposals, refined
 from chromaperture.disparity.stages.planes import PlaneCosts
-from test_gpu_surface import any_device
+from test_gpu_surface import any_device, device_as
 
 pytestmark = pytest.mark.extra("gpu", "wgpu")
 
@@ -48,15 +48,15 @@ def test_refined_planes_agree(rng):
         assert np.abs((got - expected) @ at).max() < 0.1 * step
 
 
-@settings(max_examples=6, deadline=None)
-@given(st.integers(1, 70), st.integers(0, 2**32 - 1))
-def test_beliefs_agree(count, seed):
+@settings(max_examples=10, deadline=None)
+@given(st.booleans(), st.integers(1, 70), st.integers(0, 2**32 - 1))
+def test_beliefs_agree(software, count, seed):
     from chromaperture.disparity.gpu.plane_stages import PlaneChoice
 
     rng = np.random.default_rng(seed)
     cost = rng.gamma(1.0, 2.0, (9, 14, count)).astype(np.float32)
     links = rng.uniform(0.1, 3, (2, 9, 14)).astype(np.float32)
-    found = PlaneChoice(any_device(), (9, 14), 70, sweeps=3).beliefs_of(cost, links)
+    found = PlaneChoice(device_as(software=software), (9, 14), 70, sweeps=3).beliefs_of(cost, links)
     # Sums of some twenty numbers up to 30 in single precision.
     np.testing.assert_allclose(found, stages.potts_beliefs(cost, links, sweeps=3), atol=1e-4)
 

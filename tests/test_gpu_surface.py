@@ -1,6 +1,7 @@
 """The stages of quality "accurate" on a GPU agree with their NumPy twins, from the volume to the surface."""
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,6 +27,12 @@ def any_device():
         if os.environ.get(EXPECTED):
             raise
         pytest.skip(f"{error}: this is NOT tested")
+
+
+def device_as(*, software):
+    """Any device, for which stages take the form for software, where invocations share nothing, or that for GPUs."""
+    device = any_device()
+    return replace(device, info=device.info._replace(kind="CPU" if software else "DiscreteGPU"))
 
 
 def volume(rng, height, width, count):

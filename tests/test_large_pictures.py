@@ -14,7 +14,7 @@ from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.camera_memory import fitting_jobs, needed_bytes
-from chromaperture.camera_scale import at_scale, working_scale
+from chromaperture.camera_scale import accurate_scale, at_scale, working_scale
 from chromaperture.capture.files import read_image
 from chromaperture.cli.depth import jobs_in_memory
 from chromaperture.cli.options import working_scale as option
@@ -184,7 +184,26 @@ def test_scales_of_real_sensors(full):
     assert working_scale(full) == 1
 
 
-@pytest.mark.parametrize(("text", "scale"), [("auto", "auto"), ("1", 1), ("1/4", 4), (" 1 / 12 ", 12)])
+@pytest.mark.parametrize("width_px", [720, 840, 960, 1200, 1440, 2000, 6000])
+def test_accurate_matches_as_many_pixels_of_blur_at_every_size(width_px):
+    """The same lens and sensor with other pixels; the widest blur of 720 px is 14 px."""
+    factor = width_px / 720
+    camera = replace(
+        halves_camera(CURVE, width_px, round(480 * factor)),
+        blur=BlurModel(10.0 * factor, 20000.0 * factor), near_mm=900.0, far_mm=4000.0,
+    )  # fmt: skip
+    scale = accurate_scale(camera)
+    assert scale == working_scale(camera) or not float(scale).is_integer()
+    pupil_mm = camera.on_axis("accurate").sensor_to_pupil_mm
+    blur_px = (20000 / (900 - pupil_mm) - 10) * factor / scale
+    assert 11 < blur_px < 13.5 * 1.126  # time grows with the third power: by 2.5 at most
+    assert default_config(camera, "accurate").scale == scale
+    assert default_config(camera, "real-time").scale == working_scale(camera)
+
+
+@pytest.mark.parametrize(
+    ("text", "scale"), [("auto", "auto"), ("1", 1), ("1/4", 4), (" 1 / 12 ", 12), ("1/1.25", 1.25)]
+)
 def test_the_option_is_a_fraction(text, scale):
     assert option(text) == scale
 

@@ -127,6 +127,23 @@ def test_layers_and_rays_agree_away_from_depth_edges_and_nearly_at_them():
     assert (np.sqrt((error[~away] ** 2).mean(axis=0)) < 0.06 * level).all()
 
 
+def test_a_wall_between_two_coarse_layers_is_divided_and_does_not_hide_itself():
+    camera, aperture = replace(CAMERA, width_px=96, height_px=64), made_of(DESIGNS["cy_halves"], "real")
+    color = np.repeat(noise((64, 96), exponent=1.0, seed=3, mean=0.5, contrast=0.2)[..., None], 3, axis=2)
+    at_infinity = float(camera.blur_radius_px(np.inf))
+    pitch = at_infinity / 3
+
+    def wall(layer):
+        depth = camera.sensor_to_pupil_mm + camera.focal_px * camera.pupil_radius_mm / (at_infinity - layer * pitch)
+        assert camera.blur_radius_px(depth) == pytest.approx(layer * pitch)
+        return render_layers(color, np.full((64, 96), depth), camera=camera, aperture=aperture, pitch_px=pitch).image
+
+    assert pitch > 0.7  # so far apart two surfaces would be
+    # Borders are mirrored as far as blur reaches: they are alike for layers that are.
+    divided = 0.75 * wall(1.0) + 0.25 * wall(2.0)
+    np.testing.assert_allclose(wall(1.25)[16:-16, 16:-16], divided[16:-16, 16:-16], atol=2e-4)
+
+
 def test_a_blurred_near_rim_shows_the_background_and_not_itself():
     """A black card before a white wall: under its soft rim green follows the disc's integral from 1 to 0."""
     camera = replace(CAMERA, width_px=96, height_px=48)

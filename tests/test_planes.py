@@ -13,7 +13,7 @@ from chromaperture.disparity.accurate import judged
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.planar import Planes, block_links, block_sums, planes_of_surface
 from chromaperture.disparity.plane_agreement import BESIDE_PX, beside_borders, where_they_agree
-from chromaperture.disparity.plane_edges import placed_edges
+from chromaperture.disparity.plane_edges import choices_of, placed_edges
 from chromaperture.disparity.plane_fit import Candidate, Volume, candidates, distinct, refined
 from chromaperture.disparity.plane_merging import merged_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
@@ -201,7 +201,7 @@ def test_the_guide_decides_where_a_near_plane_ends(grown_px: int) -> None:
     guide[20:60, 20:60] = 1.0
     choice = np.zeros((80, 80), int)
     choice[20 - grown_px : 60 + grown_px, 20 - grown_px : 60 + grown_px] = 1
-    moved = placed_edges(choice, planes, guide, reach_px=8, apart_px=0.1, beliefs=FAST.potts_beliefs)
+    moved = placed_edges(choice, planes, guide, reach_px=8, apart_px=0.1, choices=choices_of(FAST.potts_beliefs))
     wrong = (moved == 1) != (guide > 0)
     # Borders are found on every second pixel, and corners of a band are cut: a px along a border of 160.
     assert wrong.sum() < 160 * 1.2 < ((choice == 1) != (guide > 0)).sum()

@@ -56,10 +56,17 @@ def example(rng, windows=7, layers=4, frequencies=20):
 
 
 @pytest.mark.parametrize("rounds", [1, 3])
-def test_compiled_and_readable_agree(rng, rounds):
-    given = example(rng)
-    fast, slow = (run.spectral_likelihood(*given, channel_error=0.01, rounds=rounds) for run in (FAST, SLOW))
-    np.testing.assert_allclose(fast, slow, rtol=1e-5)  # doubles in both; the result is a float32
+@pytest.mark.parametrize(("channel_error", "noise_power", "rtol"), [(0.01, 0.1, 1e-5), (0.002, 1e-4, 2e-4)])
+def test_compiled_and_readable_agree(rng, rounds, channel_error, noise_power, rtol):
+    """Float32 against doubles; in the second case channels have 0.002 of their power for themselves, and no noise."""
+    spectra, powers, node, noise = example(rng)
+    if channel_error < 0.01:
+        alike = np.repeat(spectra[:, :1], 3, axis=1)
+        spectra = alike * np.array([1, 0.9, 0.8], np.float32)[:, None] + 0.03 * spectra
+        powers[:, :, 1:3], powers[:, :, 3::2], powers[:, :, 4::2] = powers[:, :, :1], powers[:, :, :1], 0
+    given = spectra.astype(np.complex64), powers, node, np.full_like(noise, noise_power)
+    fast, slow = (run.spectral_likelihood(*given, channel_error=channel_error, rounds=rounds) for run in (FAST, SLOW))
+    np.testing.assert_allclose(fast, slow, rtol=rtol)
 
 
 def test_colours_are_those_of_highest_likelihood(rng):

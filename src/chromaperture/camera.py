@@ -314,7 +314,7 @@ class CodedApertureCamera:
         """What a device needs to align the channels as `ChannelAlignment.align` does."""
         lens = self.alignment.lens_moves
         white = np.asarray(self.calibration.film.aperture, float)
-        return Alignment(np.asarray(self.alignment.shifts, float), white.max() / white, self.config.scale, lens)
+        return Alignment(np.asarray(self.alignment.shifts, float), white.max() / white, round(self.config.scale), lens)
 
     def __repr__(self) -> str:
         return f"CodedApertureCamera({self.calibration.title}, quality {self.config.quality})"
@@ -363,7 +363,7 @@ def load_camera(
     path: str | Path,
     *,
     quality: Quality = "real-time",
-    scale: int | Literal["auto"] = "auto",
+    scale: float | Literal["auto"] = "auto",
     execution: ExecutionName = "numba",
     device: str = "auto",
 ) -> CodedApertureCamera:
@@ -373,7 +373,7 @@ def load_camera(
     ----------
     path : str or Path
     quality : {"paper", "real-time", "accurate"}
-    scale : int or "auto"
+    scale : float or "auto"
         Match pictures reduced to 1 / scale; ``auto`` takes what the blur allows, see `camera_scale.working_scale`.
     execution : {"numba", "numpy"}
     device : str

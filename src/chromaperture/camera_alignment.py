@@ -66,8 +66,8 @@ class ChannelAlignment:
         along = None if self.uses_blur else row_moves(self.shifts)
         if along is not None and image.shape[:2] == disparity_px.shape:
             gains = white_gains(self.calibration.film.aperture)
-            return align_by_rows(image, rows_filler(disparity_px, step=self.config.scale), along, gains)
-        filled = fill_unknown(disparity_px, step=self.config.scale)
+            return align_by_rows(image, rows_filler(disparity_px, step=round(self.config.scale)), along, gains)
+        filled = fill_unknown(disparity_px, step=round(self.config.scale))
         height, width = filled.shape
         halo = self._rows_beyond(filled)
         rows = max(1, _BAND_PX // width, math.ceil(halo / _MOST_HALO))
@@ -88,7 +88,7 @@ class ChannelAlignment:
         largest = max(float(filled.max()), -float(filled.min()))
         if self.uses_blur:
             moved = _MOST_BEYOND * largest * max(1.0, float(np.abs(self.shifts).max()))
-            return math.ceil(moved) + _AROUND_PX + _LATERAL_PX * self.config.scale
+            return math.ceil(moved + _LATERAL_PX * self.config.scale) + _AROUND_PX
         return math.ceil(largest * float(np.abs(self.shifts[:, 1]).max())) + _AROUND_PX
 
     def _aligned(self, image: np.ndarray, filled: np.ndarray, first_row: int, height: int) -> np.ndarray:

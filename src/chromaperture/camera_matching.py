@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from chromaperture.camera_file import Calibration
-from chromaperture.camera_scale import at_scale, working_scale
+from chromaperture.camera_scale import accurate_scale, at_scale, working_scale
 from chromaperture.color.noise import photon_noise_variance
 from chromaperture.config import AccurateConfig, Config, MatcherConfig, Quality, preset
 from chromaperture.disparity.labels import LabelMap, label_map
@@ -16,7 +16,7 @@ from chromaperture.disparity.result import ESTIMATED_NOISE, NoiseModel
 
 
 def default_config(
-    calibration: Calibration, quality: Quality = "real-time", *, scale: int | Literal["auto"] = "auto"
+    calibration: Calibration, quality: Quality = "real-time", *, scale: float | Literal["auto"] = "auto"
 ) -> Config:
     """Return the settings for a camera: the quality's preset over the camera's own working range.
 
@@ -24,10 +24,12 @@ def default_config(
     ----------
     calibration : Calibration
     quality : {"paper", "real-time", "accurate"}
-    scale : int or "auto"
-        Match pictures reduced to 1 / scale; ``auto`` is `chromaperture.camera_scale.working_scale`.
+    scale : float or "auto"
+        Match pictures reduced to 1 / scale; ``auto`` is `chromaperture.camera_scale.working_scale`, for ``accurate``
+        `accurate_scale`.
     """
-    scale = working_scale(calibration) if scale == "auto" else scale
+    if scale == "auto":
+        scale = accurate_scale(calibration) if quality == "accurate" else working_scale(calibration)
     calibration = at_scale(calibration, scale)
     matcher = preset(quality)
     blur = calibration.field_blur()

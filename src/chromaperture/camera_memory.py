@@ -14,7 +14,7 @@ _MATCHED_BYTES = {"paper": (120, 3.0), "real-time": (120, 0.8), "accurate": (200
 _SMALL_BYTES = 1e9  # not checked: asking the system for every frame of a video is not worth it
 
 
-def needed_bytes(calibration: Calibration, config: Config, *, scale: int | None = None) -> float:
+def needed_bytes(calibration: Calibration, config: Config, *, scale: float | None = None) -> float:
     """Estimate the most memory that measuring a photograph and writing its files takes.
 
     Parameters
@@ -22,7 +22,7 @@ def needed_bytes(calibration: Calibration, config: Config, *, scale: int | None 
     calibration : Calibration
         Of the photograph's size.
     config : Config
-    scale : int, optional
+    scale : float, optional
         Instead of the configuration's: at a coarser one the range holds fewer layers.
     """
     sensor, scale = calibration.sensor, scale or config.scale
@@ -65,4 +65,4 @@ def check_camera_memory(what: str, calibration: Calibration, config: Config) -> 
     fitting = (s for s in SCALES if s > scale and needed_bytes(calibration, config, scale=s) <= free)
     coarser = next((f"match at a coarser scale (--scale 1/{s}), " for s in fitting), "")
     advice = f"{coarser}take smaller pictures, or close other programs"
-    check_memory(f"{what}, {megapixels:.3g} megapixels at scale 1/{scale}", needed, advice=advice)
+    check_memory(f"{what}, {megapixels:.3g} megapixels at scale 1/{scale:g}", needed, advice=advice)

@@ -30,18 +30,23 @@ _DISTANCES = 7  # of the working range, evenly spaced in 1 / z; 15 change the gr
 # Px by which the widest blur displaces the pupil's edge, in a reduced picture: no design of bench50 allows fewer, so
 # that scales below need no computation.
 _LEAST_RADIUS_PX = 8.0
+# The same in the picture that quality accurate matches, where it chooses between whole scales: its time and memory grow
+# with the third power. Bench50's pictures of 720 x 480 px, whose pixels suffice, have 14.4, a larger camera's 12.6 px.
+MOST_RADIUS_PX = 13.5
+# From this factor on pixels are divided by no whole number: less would cost as much detail, and gain less.
+_LEAST_FACTOR = 1.125
 
 
-def reduced_size(size_px: tuple[int, int], scale: int) -> tuple[int, int]:
+def reduced_size(size_px: tuple[int, int], scale: float) -> tuple[int, int]:
     """Return width and height, px, of a picture reduced to 1 / scale; sides that it does not divide are rounded."""
     width, height = (max(1, round(side / scale)) for side in size_px)
     return width, height
 
 
-def at_scale(calibration: Calibration, scale: int) -> Calibration:
+def at_scale(calibration: Calibration, scale: float) -> Calibration:
     """Return the camera of pictures reduced to 1 / scale by area averages; raises InputError for a scale below 1."""
     if scale < 1:
-        raise InputError(f"a working scale is 1, 1/2, 1/3 ...; got 1/{scale}")
+        raise InputError(f"a working scale is 1, 1/2, 1/3 ...; got 1/{scale:g}")
     sensor = calibration.sensor
     return resized(calibration, *reduced_size((sensor.width_px, sensor.height_px), scale))
 
@@ -129,13 +134,37 @@ def working_scale(calibration: Calibration) -> int:
     blur, sensor = calibration.field_blur(), calibration.sensor
     if blur is None or not calibration.is_calibrated:
         return 1
-    pupil_mm = float(calibration.on_axis("accurate").sensor_to_pupil_mm)
-    nearest, farthest = 1 / (calibration.near_mm - pupil_mm), 1 / (calibration.far_mm - pupil_mm)
-    inverse_mm = np.linspace(nearest, farthest, _DISTANCES)
-    widest = float(np.abs(blur.model.infinity_px - blur.model.scale_px_mm * inverse_mm).max())
+    inverse_mm = _inverse_distances(calibration)
+    widest = _widest_px(blur.model, inverse_mm)
     side = min(sensor.width_px, sensor.height_px)
     possible = [s for s in SCALES if s * _LEAST_RADIUS_PX <= widest and side >= s * LEAST_SIDE_PX]
     if not possible[1:]:
         return 1
     undivided, *bars = mean_bars(blur, inverse_mm, [0, *possible])
     return max(s for s, bar in zip(possible, bars, strict=True) if s == 1 or bar <= MOST_GROWTH * undivided)
+
+
+def accurate_scale(calibration: Calibration) -> float:
+    """Return the scale at which quality accurate matches: `working_scale`, or more where blur is wider than it needs.
+
+    Its curve holds no bias of windows, so any scale does, also between whole ones: pictures of 1.2 times as many px a
+    side would take twice the time, and what their finer pixels tell lies beyond its bands.
+    """
+    scale, blur, sensor = working_scale(calibration), calibration.field_blur(), calibration.sensor
+    if blur is None or not calibration.is_calibrated:
+        return scale
+    needed = _widest_px(blur.model, _inverse_distances(calibration)) / MOST_RADIUS_PX
+    needed = min(needed, min(sensor.width_px, sensor.height_px) / LEAST_SIDE_PX)
+    return needed if needed >= _LEAST_FACTOR * scale else scale
+
+
+def _inverse_distances(calibration: Calibration) -> np.ndarray:
+    """Return distances of the working range, from the entrance pupil, evenly spaced in 1 / z; 1/mm."""
+    pupil_mm = float(calibration.on_axis("accurate").sensor_to_pupil_mm)
+    nearest, farthest = 1 / (calibration.near_mm - pupil_mm), 1 / (calibration.far_mm - pupil_mm)
+    return np.linspace(nearest, farthest, _DISTANCES)
+
+
+def _widest_px(model: BlurModel, inverse_mm: np.ndarray) -> float:
+    """Return the largest displacement of the pupil's edge."""
+    return float(np.abs(model.infinity_px - model.scale_px_mm * inverse_mm).max())

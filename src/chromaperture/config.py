@@ -255,7 +255,7 @@ class Config:
     matcher : MatcherConfig
         Counts px of the picture that is matched, whose sides are 1 / ``scale`` of the photograph's.
     depth : DepthConfig
-    scale : int
+    scale : float
         Working scale, see `chromaperture.camera_scale.working_scale`.
     crop_origin_px : (int, int), optional
         Photographs show a part of the sensor: column and row of its first pixel. None: they show the whole frame.
@@ -264,11 +264,11 @@ class Config:
     quality: Quality = "real-time"
     matcher: MatcherConfig = RealTimeConfig()
     depth: DepthConfig = DepthConfig()
-    scale: int = 1
+    scale: float = 1
     crop_origin_px: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        require(self.scale >= 1, f"a working scale is 1, 1/2, 1/3 ...; got 1/{self.scale}")
+        require(self.scale >= 1, f"a working scale is 1, 1/2, 1/3 ...; got 1/{self.scale:g}")
         origin = self.crop_origin_px
         require(origin is None or min(origin) >= 0, f"a part of the frame begins at a pixel of it, not at {origin}")
 

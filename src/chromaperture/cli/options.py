@@ -100,14 +100,15 @@ NearestMm = Annotated[float, typer.Option(help="First board distance, mm.", rich
 FarthestMm = Annotated[float, typer.Option(help="Last board distance, mm.", rich_help_panel=BOARDS_PANEL)]
 
 
-def working_scale(text: str) -> int | Literal["auto"]:
+def working_scale(text: str) -> float | Literal["auto"]:
     """Read a working scale, ``auto`` or 1/N; raises InputError."""
     if text.strip() == "auto":
         return "auto"
-    found = re.fullmatch(r"\s*1(?:\s*/\s*([1-9][0-9]{0,2}))?\s*", text)
+    found = re.fullmatch(r"\s*1(?:\s*/\s*([1-9][0-9]{0,2}(?:\.[0-9]{1,4})?))?\s*", text)
     if not found:
         raise InputError(f"--scale {text!r} is not understood: give auto, 1, or a fraction such as 1/4")
-    return int(found[1] or 1)
+    scale = float(found[1] or 1)
+    return int(scale) if scale.is_integer() else scale
 
 
 def crop_origin(text: str | None) -> tuple[int, int] | None:

@@ -108,7 +108,7 @@ class AccurateMethod:
         """Return what tells where edges are in an image, as `clipped_filled` has it."""
         if self.edges is None or not self.config.planes.edge_lines:
             return None
-        return partial(self.edges.costs, image)
+        return partial(self.edges.costs, self.edges.photograph(image))
 
     def of_labels(self, surface: Surface, image: np.ndarray, usable: np.ndarray, labels_px: np.ndarray) -> Disparity:
         """Return the disparity of a surface of labels; image and where it is usable as `clipped_filled` has them."""

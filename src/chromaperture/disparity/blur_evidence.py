@@ -41,9 +41,9 @@ SPACING_PX = round(2 * SAMPLING_PX)  # of the evidence: windows of sigma 4 px le
 # 0.013 px of half disparity (2.2 px of blur), of less sharp texture by 0.003 px (3.4 px).
 SHARP_PX = 4.0
 _ROWS = 4  # whose correlations are explained at once: 5 MB at 720 columns stay in the cache; chosen by hand
-# Three sigmas of the coarsest band. Bands are taken of whole frames and need none of it, but the tiles' noise is
-# estimated on their whole area: docs/performance.md has 8 px.
-BANDS_MARGIN_PX = 10
+# Beyond the reach of both blurs, for the tails of damped filters. 10 px make tiles of 180 samples in place of 160
+# (720 px wide), and change no surface: docs/performance.md.
+TAILS_PX = 8
 
 
 @dataclass(frozen=True)
@@ -69,22 +69,32 @@ class BlurEvidence:
     def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
         """Return nats a pixel; (H, W, N).
 
-        Where blur is wide, correlations are computed at every second layer, and interpolated: see `with_midpoints`.
-        Those of secondary pairs are everywhere: they change half as fast with the layer.
+        Where blur is wide, correlations are computed at every second layer, those of secondary pairs everywhere at
+        every fourth and at the last, and interpolated: see `with_midpoints`. Their views lie about half as far apart as
+        the widest; twice as many layers where blur is narrow change no surface.
         """
         step = layers_px[1] - layers_px[0]
         layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
-        between = layers_px[1::2]
+        evens, between = layers_px[::2], layers_px[1::2]
         sharp = np.abs(between) < SHARP_PX * self.blur.reach
-        evens, primary = len(between) + 1, len(self.blur.pairs)
-        layers_of = {pair: evens for pair in self.all_pairs[primary:]}
-        computed = self._correlations(image, np.concatenate([layers_px[::2], between[sharp]]), layers_of)
+        primary, few, count = len(self.blur.pairs), len(evens[::2]), len(evens)
+        # Else the last layer is one of every fourth; now it is the first of those that follow them.
+        at_last = count % 2 == 0
+        layers_of = {pair: few + at_last for pair in self.all_pairs[primary:]}
+        in_turn = np.concatenate([evens[::2], evens[1::2][::-1], between[sharp]])
+        computed = self._correlations(image, in_turn, layers_of)
         likelihood = np.empty((*computed.shape[2:4], len(layers_px)), np.float32)
 
         def explain(rows: slice) -> None:
             part = np.ascontiguousarray(computed[:, :, rows])
-            correlation = with_midpoints(part[..., :evens])
-            correlation[:primary, ..., 1::2][..., sharp] = part[:primary, ..., evens:]
+            every_second = np.empty((*part.shape[:-1], count), np.float32)
+            every_second[..., ::2] = part[..., :few]
+            every_second[:primary, ..., 1::2] = part[:primary, ..., few:count][..., ::-1]
+            every_second[primary:, ..., : 2 * few - 1] = with_midpoints(part[primary:, ..., :few])
+            if at_last:
+                every_second[primary:, ..., -1] = part[primary:, ..., few]
+            correlation = with_midpoints(every_second)
+            correlation[:primary, ..., 1::2][..., sharp] = part[:primary, ..., count:]
             likelihood[rows] = self._explained(correlation)
 
         each_band(explain, len(likelihood), rows_a_band=_ROWS)
@@ -141,7 +151,7 @@ class BlurEvidence:
         image = np.where(np.isfinite(image), image, np.float32(0))
         self.check_size(image)
         height, width = image.shape[:2]
-        margin = 2 * float(np.abs(layers_px).max()) / blur.reach + BANDS_MARGIN_PX  # both blurs, and the bands
+        margin = 2 * float(np.abs(layers_px).max()) / blur.reach + TAILS_PX  # both blurs
         nodes = Nodes(height, width, margin_px=margin)
         spectra = nodes.spectra(
             np.ascontiguousarray(image, np.float32), noise_variance, noise_margin=self.config.noise_margin

@@ -21,7 +21,7 @@ P. Favaro, S. Soatto: Seeing beyond occlusions (and other marvels of a finite le
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -29,6 +29,7 @@ import cv2
 import numpy as np
 import scipy.fft
 
+from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import NoiseModel
 from chromaperture.optics.lens_blur import LensBlur
@@ -83,6 +84,44 @@ class _Texture(NamedTuple):
     cumulative: np.ndarray
 
 
+class Photograph:
+    """What lines in both directions need of a photograph, (H, W, 3) float linear RGB; computed when it is asked for."""
+
+    def __init__(self, image: np.ndarray, noise: NoiseModel) -> None:
+        self._image, self._noise = image, noise
+
+    def samples(self, lines: Lines) -> np.ndarray:
+        """Sample lines; (P, 3, 2 HALF) float64."""
+        along = np.arange(-HALF + 1, HALF + 1)
+        if lines.along_rows:
+            found = self._smooth[lines.y[:, None], lines.x[:, None] + along]
+        else:
+            found = self._smooth[lines.y[:, None] + along, lines.x[:, None]]
+        return found.transpose(0, 2, 1).astype(float)
+
+    def noise_at(self, lines: Lines) -> np.ndarray:
+        """Return the variance of noise at lines; (P, 3)."""
+        return self._noise_variance[lines.y, lines.x]
+
+    @cached_property
+    def colours(self) -> np.ndarray:
+        """Covariance of the channels' texture, of unit mean variance; (3, 3)."""
+        return _covariance_of_colours(self._known)
+
+    @cached_property
+    def _known(self) -> np.ndarray:
+        return np.where(np.isfinite(self._image), self._image, np.float32(0)).astype(np.float32)
+
+    @cached_property
+    def _smooth(self) -> np.ndarray:
+        return cv2.GaussianBlur(self._known, (0, 0), LOW_PASS_PX)[::GRID_PX, ::GRID_PX]
+
+    @cached_property
+    def _noise_variance(self) -> np.ndarray:
+        variance = np.nan_to_num(np.asarray(self._noise.variance(self._known), np.float32), posinf=0, neginf=0)
+        return cv2.GaussianBlur(variance, (0, 0), SHADES_PX[0])[::GRID_PX, ::GRID_PX]
+
+
 @dataclass(frozen=True)
 class EdgeLikelihood:
     """Finds the likely places of edges in photographs of one camera.
@@ -92,18 +131,28 @@ class EdgeLikelihood:
     blur : LensBlur
     label_map : LabelMap
     noise : NoiseModel
+    run : Execution
     """
 
     blur: LensBlur
     label_map: LabelMap
     noise: NoiseModel
+    run: Execution
+    # Of a node, a layer and a direction, 23 kB each: kept for the next photograph.
+    _textures: dict[tuple[int, int, bool], _Texture] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
-    def costs(self, image: np.ndarray, lines: Lines) -> np.ndarray:
+    def photograph(self, image: np.ndarray) -> Photograph:
+        """Return an image (H, W, 3), linear RGB, as `costs` needs it."""
+        return Photograph(image, self.noise)
+
+    def costs(self, photograph: Photograph, lines: Lines) -> np.ndarray:
         """Compute the negative log-likelihood of the places of edges.
 
         Parameters
         ----------
-        image : (H, W, 3) float, linear RGB
+        photograph : Photograph
         lines : Lines
             All of their `HALF` samples to either side lie within the image.
 
@@ -112,14 +161,13 @@ class EdgeLikelihood:
         (P, 2 SHIFTS + 1) float64, nats, 0 for the best place of a line
             Of an edge that lies ``i - SHIFTS`` grid points beyond the border.
         """
-        image = np.where(np.isfinite(image), image, np.float32(0)).astype(np.float32)
-        samples = _samples(image, lines)
-        mean, noise = samples.mean(axis=(1, 2)), self._noise_at(image, lines)
-        colours = _covariance_of_colours(image)
+        samples = photograph.samples(lines)
+        mean, noise = samples.mean(axis=(1, 2)), photograph.noise_at(lines)
         nodes, near, far = self._depths(lines)
-        each = {(node, layer) for side in (near, far) for node, layer in zip(nodes, side, strict=True)}
-        keys = sorted(each)
-        textures = dict(zip(keys, parallel_map(lambda key: self._texture(*key, lines.along_rows), keys), strict=True))
+        sides = zip(nodes * 2, near + far, strict=True)
+        missing = sorted({(*side, lines.along_rows) for side in sides} - self._textures.keys())
+        found = parallel_map(lambda key: self._texture(*key), missing)
+        self._textures.update(zip(missing, found, strict=True))
         out = np.empty((len(samples), 2 * SHIFTS + 1))
         groups: dict[tuple[int, int, int, bool], list[int]] = {}
         for i, key in enumerate(zip(nodes, near, far, lines.near_first.tolist(), strict=True)):
@@ -129,19 +177,13 @@ class EdgeLikelihood:
             node, near, far, near_first = key
             members = np.array(groups[key])
             model = _Model(
-                textures[node, near], textures[node, far], near_first, colours, noise[members].mean(axis=0),
-                float(mean[members].mean()),
+                self._textures[node, near, lines.along_rows], self._textures[node, far, lines.along_rows], near_first,
+                photograph.colours, noise[members].mean(axis=0), float(mean[members].mean()), self.run,
             )  # fmt: skip
             out[members] = model.costs(samples[members])
 
         parallel_map(of_group, sorted(groups))
         return out - out.min(axis=1, keepdims=True)
-
-    def _noise_at(self, image: np.ndarray, lines: Lines) -> np.ndarray:
-        """Return the variance of noise at lines; (P, 3)."""
-        variance = np.nan_to_num(np.asarray(self.noise.variance(image), np.float32), posinf=0, neginf=0)
-        mean = cv2.GaussianBlur(variance, (0, 0), SHADES_PX[0])
-        return np.asarray(mean[lines.y * GRID_PX, lines.x * GRID_PX])
 
     def _depths(self, lines: Lines) -> tuple[list[int], list[int], list[int]]:
         """Return the nearest node of the blur, and the nearest layers of both sides, of every line."""
@@ -186,6 +228,7 @@ class _Model:
     colours: np.ndarray  # (3, 3)
     noise: np.ndarray  # (3,)
     mean: float
+    run: Execution
 
     def costs(self, lines: np.ndarray) -> np.ndarray:
         """Negative log-likelihoods (P, 2 SHIFTS + 1) of lines (P, 3, 2 HALF)."""
@@ -214,22 +257,14 @@ class _Model:
         """Negative log-likelihoods of lines (P, 6 HALF) whose textures have known powers."""
         count = 2 * HALF
         level = (_UNKNOWN_LEVEL * self.mean) ** 2 / np.mean(np.diag(self.colours))
-        sides = (
+        near, far = (
             (self.colours[:, :, None, None] * (power * texture.covariance + level))
             .transpose(0, 2, 1, 3)
             .reshape(3 * count, 3 * count)
             for power, texture in ((near_power, self.near), (far_power, self.far))
         )
         share = self._near_share.reshape(-1, 3 * count)
-        near, far = (
-            part[:, :, None] * part[:, None] * side for part, side in zip((share, 1 - share), sides, strict=True)
-        )
-        both = near + far + np.kron(np.diag(self.noise), _noise_covariance())
-        least = 1e-9 * np.trace(both[0]) / (3 * count)  # for the inverse, where there is no noise
-        factors = np.linalg.cholesky(both + least * np.eye(3 * count))
-        log_determinant = 2 * np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
-        whitened = np.linalg.solve(factors, lines.T[None])
-        return np.asarray((np.square(whitened).sum(axis=1).T + log_determinant) / 2)
+        return self.run.edge_costs(lines, near, far, share, np.kron(np.diag(self.noise), _noise_covariance()))
 
     @cached_property
     def _near_share(self) -> np.ndarray:
@@ -240,17 +275,6 @@ class _Model:
         at = place - edge[:, None] + size / 2 - 0.5
         before = np.stack([np.interp(at, np.arange(size), sums) for sums in self.near.cumulative], axis=1)
         return 1 - before if self.near_first else before
-
-
-def _samples(image: np.ndarray, lines: Lines) -> np.ndarray:
-    """Sample lines; (P, 3, 2 HALF) float64."""
-    smooth = cv2.GaussianBlur(image, (0, 0), LOW_PASS_PX)[::GRID_PX, ::GRID_PX]
-    along = np.arange(-HALF + 1, HALF + 1)
-    if lines.along_rows:
-        found = smooth[lines.y[:, None], lines.x[:, None] + along]
-    else:
-        found = smooth[lines.y[:, None] + along, lines.x[:, None]]
-    return found.transpose(0, 2, 1).astype(float)
 
 
 def _covariance_of_colours(image: np.ndarray) -> np.ndarray:

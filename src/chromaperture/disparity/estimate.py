@@ -125,7 +125,8 @@ def method_for(
             evidence: Evidence = SpectralEvidence(
                 config.spectral, BlurEvidence(cross_filter, blur, label_maps[0], noise, run)
             )
-            space, edges = view_spaces(aperture, unmixing, "unmixed")[0], EdgeLikelihood(blur, label_maps[0], noise)
+            space = view_spaces(aperture, unmixing, "unmixed")[0]
+            edges = EdgeLikelihood(blur, label_maps[0], noise, run)
             return AccurateMethod(config, space, evidence, label_maps[0], run, edges)
         case AccurateConfig(evidence=CorrelationEvidenceConfig() as correlation):
             maps = tuple(label_maps) or (IDENTITY,)

@@ -168,6 +168,11 @@ class Execution(Protocol):
     def potts_beliefs(self, cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
         """Cost of every choice at every pixel, with the best of all others; (H, W, K)."""
 
+    def edge_costs(
+        self, lines: np.ndarray, near: np.ndarray, far: np.ndarray, share: np.ndarray, noise: np.ndarray
+    ) -> np.ndarray:
+        """Compute negative log-likelihoods of Gaussian lines, at every place of their edge; (P, T)."""
+
     def iterate_variation(self, problem: Problem, state: State, steps: Steps) -> None:
         """Run primal-dual iterations in place."""
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from chromaperture.disparity.execution import Execution
-from chromaperture.disparity.plane_edges import Beliefs, LineCosts, placed_edges
+from chromaperture.disparity.plane_edges import Choices, LineCosts, choices_of, placed_edges
 from chromaperture.disparity.plane_fit import Volume, candidates
 from chromaperture.disparity.plane_merging import merged_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
@@ -101,7 +101,7 @@ def planes_of_surface(
         return np.asarray(run.potts_beliefs(cost, links, sweeps=config.sweeps).argmin(axis=2))
 
     return fitting_planes(
-        planes, blocks, guide, choose, config=config, beliefs=run.potts_beliefs, line_costs=line_costs
+        planes, blocks, guide, choose, config=config, choices=choices_of(run.potts_beliefs), line_costs=line_costs
     )
 
 
@@ -126,7 +126,7 @@ def fitting_planes(
     choose: Callable[[np.ndarray], np.ndarray],
     *,
     config: PlanesConfig,
-    beliefs: Beliefs,
+    choices: Choices,
     line_costs: LineCosts | None = None,
 ) -> Planes:
     """Let blocks choose planes, join planes, and let blocks choose again.
@@ -141,8 +141,8 @@ def fitting_planes(
     choose : callable
         From planes of blocks to the best choice of every block.
     config : PlanesConfig
-    beliefs : callable
-        `stages.potts_beliefs`.
+    choices : callable
+        See `choices_of`.
     line_costs : callable, optional
         See `placed_edges`.
     """
@@ -159,7 +159,7 @@ def fitting_planes(
     if config.edge_band_px == 0:
         return found
     choice = placed_edges(
-        found.choice, planes, guide, reach_px=config.edge_band_px, apart_px=BORDER_APART_LABELS * step, beliefs=beliefs,
+        found.choice, planes, guide, reach_px=config.edge_band_px, apart_px=BORDER_APART_LABELS * step, choices=choices,
         line_costs=line_costs,
     )  # fmt: skip
     return Planes(planes, choice, blocks)

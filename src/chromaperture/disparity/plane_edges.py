@@ -21,11 +21,20 @@ from chromaperture.threads import parallel_map
 LineCosts = Callable[[Lines], np.ndarray]  # `EdgeLikelihood.costs` of a photograph
 
 
-class Beliefs(Protocol):
-    """`stages.potts_beliefs`."""
+class Choices(Protocol):
+    """Choices of least cost by `stages.potts_beliefs`."""
 
     def __call__(self, cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
-        """Cost of every choice at every pixel, with the best of all others; (H, W, K)."""
+        """Return the best choice of every pixel, with the best of all others; (H, W) int."""
+
+
+def choices_of(beliefs: Callable[..., np.ndarray]) -> Choices:
+    """Return the choices of least cost by an execution's `potts_beliefs`."""
+
+    def choose(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
+        return np.asarray(beliefs(cost, links, sweeps=sweeps).argmin(axis=2))
+
+    return choose
 
 
 OUTWARD_PX = 3  # by which a near plane may also grow
@@ -39,7 +48,7 @@ LINE_WEIGHT = 0.03
 LEAST_OF_PAIR = 0.7  # share of a line's middle that must lie on its two planes; .5 and .9 do as well
 LEAST_ACROSS = 0.3  # of the squared cosine between a line and the border's normal; chosen by hand
 NORMAL_SIGMA = 4.0  # grid points, over which a border's normal is found; chosen by hand
-_FORBIDDEN = 1e3
+_FORBIDDEN = 1e3  # more than all links and lines of a pixel together
 _SWEEPS = 10
 
 
@@ -50,7 +59,7 @@ def placed_edges(
     *,
     reach_px: int,
     apart_px: float,
-    beliefs: Beliefs,
+    choices: Choices,
     line_costs: LineCosts | None = None,
 ) -> np.ndarray:
     """Move the borders of near planes to where their edges are.
@@ -65,8 +74,8 @@ def placed_edges(
         Width of the band inside a near plane's border.
     apart_px : float
         Labels by which two planes must differ for one to be near.
-    beliefs : callable
-        `stages.potts_beliefs`.
+    choices : callable
+        See `choices_of`.
     line_costs : callable, optional
         Costs of the places of edges; without, the guide alone decides.
 
@@ -88,8 +97,7 @@ def placed_edges(
         for along_rows in (True, False):
             _add_lines(cost, possible, coarse, label, along_rows, apart_px, line_costs)
     cost[~possible] = _FORBIDDEN
-    believed = beliefs(cost, _links(guide, reach_px)[:, ::GRID_PX, ::GRID_PX], sweeps=_SWEEPS)
-    moved = np.where(possible, believed, np.inf).argmin(axis=2)
+    moved = choices(cost, _links(guide, reach_px)[:, ::GRID_PX, ::GRID_PX], sweeps=_SWEEPS)
     rows, columns = np.arange(height) // GRID_PX, np.arange(width) // GRID_PX
     free = (possible.sum(axis=2) > 1)[rows[:, None], columns]
     return np.where(free, used[moved[rows[:, None], columns]], choice)

@@ -36,8 +36,8 @@ from chromaperture.threads import parallel_map
 
 EVERY_LAYER = 2  # layers are 0.3 px of blur apart, for small windows; these see half of them
 LEAST_LAYERS = 4  # that the interpolation needs
-_LEARNING_ROUNDS = 10
-_LEAST_SHARE = 1e-9  # of a slope, before its logarithm
+LEARNING_ROUNDS = 10
+LEAST_SHARE = 1e-9  # of a slope, before its logarithm
 
 
 @dataclass(frozen=True)
@@ -98,14 +98,11 @@ class SpectralEvidence:
         rows, columns : int
             Of the windows' middles.
         """
-        config, run, blur = self.config, self.pairs.run, self.pairs.blur
-        windows = Windows(config)
-        model = SpectralModel(blur, layers_px, windows, config.slopes, run)
-        variance = np.nan_to_num(np.asarray(self.pairs.noise.variance(image), np.float32), posinf=0, neginf=0)
+        config, run = self.config, self.pairs.run
+        model = self.model(layers_px)
+        windows = model.windows
+        noise = self.noise_of_windows(image, rows, columns)
         image = np.where(np.isfinite(image), image, np.float32(0))
-        # The noise's power in a window: the mean over the square of its taper.
-        mean = cv2.GaussianBlur(variance, (0, 0), config.taper_px / math.sqrt(2), borderType=cv2.BORDER_REFLECT)
-        noise = mean[np.ix_(rows, columns)].reshape(-1, 3)
         spectra = windows.spectra(without_shading(image), rows, columns)
         node = model.nodes(rows, columns)
         by_slope = np.stack(
@@ -113,13 +110,24 @@ class SpectralEvidence:
                 run.spectral_likelihood(
                     spectra, powers, node, noise, channel_error=config.channel_error, rounds=config.rounds
                 )
-                for powers in self._powers_of(model)
+                for powers in self.powers_of(model)
             ]
         )
-        area = 2 * np.pi * config.taper_px**2  # px that a window is worth
-        return (over_slopes(by_slope / windows.redundancy) / area).reshape(len(rows), len(columns), -1)
+        return (over_slopes(by_slope / windows.redundancy) / windows.area_px2).reshape(len(rows), len(columns), -1)
 
-    def _powers_of(self, model: SpectralModel) -> np.ndarray:
+    def model(self, layers_px: np.ndarray) -> SpectralModel:
+        """Return what the blur of layers passes on."""
+        return SpectralModel(self.pairs.blur, layers_px, Windows(self.config), self.config.slopes, self.pairs.run)
+
+    def noise_of_windows(self, image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return the noise's power in windows around pixels; (len(rows) * len(columns), 3) float32."""
+        variance = np.nan_to_num(np.asarray(self.pairs.noise.variance(image), np.float32), posinf=0, neginf=0)
+        # The mean over the square of a window's taper.
+        sigma = self.config.taper_px / math.sqrt(2)
+        mean = cv2.GaussianBlur(variance, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+        return np.asarray(mean[np.ix_(rows, columns)].reshape(-1, 3))
+
+    def powers_of(self, model: SpectralModel) -> np.ndarray:
         """Compute the powers of a model, or take those of the last photograph by the same layers."""
         key = model.layers_px.tobytes()
         if key not in self._powers:
@@ -145,10 +153,10 @@ def over_slopes(by_slope: np.ndarray) -> np.ndarray:
     best = by_slope.max(axis=(0, 2), keepdims=True)
     of_slope = logsumexp(by_slope - best, axis=2)  # whatever the layer
     share = np.full(len(by_slope), 1 / len(by_slope))
-    for _ in range(_LEARNING_ROUNDS):
-        logs = np.log(share + _LEAST_SHARE)[:, None] + of_slope
+    for _ in range(LEARNING_ROUNDS):
+        logs = np.log(share + LEAST_SHARE)[:, None] + of_slope
         share = np.exp(logs - logsumexp(logs, axis=0)).mean(axis=1)
-    return np.asarray(logsumexp(by_slope - best + np.log(share + _LEAST_SHARE)[:, None, None], axis=0) + best[0])
+    return np.asarray(logsumexp(by_slope - best + np.log(share + LEAST_SHARE)[:, None, None], axis=0) + best[0])
 
 
 def _at_labels(

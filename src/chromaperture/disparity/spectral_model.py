@@ -58,16 +58,16 @@ class Windows:
         self.fy, self.fx = scipy.fft.fftfreq(self.period)[self.rows], scipy.fft.rfftfreq(self.period)[self.columns]
         # Frequencies of one window are correlated: so many of them count as one.
         self.redundancy = (self.period / (np.sqrt(2 * np.pi) * config.taper_px)) ** 2
+        self.area_px2 = 2 * np.pi * config.taper_px**2  # that a window is worth
 
     def spectra(self, image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Compute the spectra of windows around pixels, of unit gain for white noise; (len(rows) * ..., 3, F).
 
         Products with the few waves of the band, along y and then along x, take a fraction of transforms' time.
         """
-        half, waves = self.side // 2, self._waves
+        half, waves = self.side // 2, self.waves
         padded = np.pad(image.transpose(2, 0, 1), ((0, 0), (half, half), (half, half)), mode="symmetric")
-        sums = waves.sum(axis=1, dtype=float)
-        taper = self._of_products(np.outer(sums, sums) / sums[0] ** 2)
+        taper = self.taper
         out = np.empty((len(rows), len(columns), 3, len(self.rows)), np.complex64)
 
         def fill(row: int) -> None:
@@ -84,15 +84,27 @@ class Windows:
         return out.reshape(-1, 3, len(self.rows))
 
     @cached_property
-    def _waves(self) -> np.ndarray:
+    def waves(self) -> np.ndarray:
         """Cosines, then sines, of 0, 1, 2, ... waves a period under the taper; (2 * (K + 1), side) float32."""
         angle = 2 * np.pi / self.period * np.outer(np.arange(self.columns.max() + 1), np.arange(self.side))
         return (self.along * np.concatenate([np.cos(angle), np.sin(angle)])).astype(np.float32)
 
+    @cached_property
+    def taper(self) -> np.ndarray:
+        """Spectrum of an even picture whose mean under the taper is 1; (F,) complex64."""
+        sums = self.waves.sum(axis=1, dtype=float)
+        return self._of_products(np.outer(sums, sums) / sums[0] ** 2)
+
+    @cached_property
+    def wave_numbers(self) -> tuple[np.ndarray, np.ndarray]:
+        """Waves a period of every frequency, along y and x; (F,) int each."""
+        return np.rint(self.fy * self.period).astype(np.intp), self.columns
+
     def _of_products(self, products: np.ndarray) -> np.ndarray:
         """Spectra from products with the waves along y and x, (..., W, W); (..., F) complex64."""
-        few = len(self._waves) // 2
-        y, x, sign = np.rint(np.abs(self.fy) * self.period).astype(np.intp), self.columns, np.where(self.fy < 0, -1, 1)
+        few = len(self.waves) // 2
+        down, x = self.wave_numbers
+        y, sign = np.abs(down), np.where(down < 0, -1, 1)
         real = products[..., y, x] - sign * products[..., few + y, few + x]
         imaginary = sign * products[..., few + y, x] + products[..., y, few + x]
         return np.asarray(real - 1j * imaginary, np.complex64)

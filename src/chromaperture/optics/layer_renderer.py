@@ -76,6 +76,8 @@ def render_layers(
     before = np.zeros((3, *size), np.float32)  # coverage by surfaces that are clearly nearer
     waiting: list[tuple[int, np.ndarray]] = []
     count = 0
+    # The light of one surface is divided between two layers, which do not hide each other.
+    apart = max(math.floor(_EDGE_PX / pitch_px), 1)
     first, last = math.floor(float(radius.min()) / pitch_px), math.ceil(float(behind_radius.max()) / pitch_px)
     for level in range(first, last + 1):  # near to far
         front = _matte(radius / np.float32(pitch_px) - level)
@@ -83,7 +85,7 @@ def render_layers(
         if not (front.any() or back.any()):
             continue
         count += 1
-        while waiting and (level - waiting[0][0]) * pitch_px > _EDGE_PX:
+        while waiting and level - waiting[0][0] > apart:
             before += waiting.pop(0)[1]
         shown = color * front[..., None] + behind_color * back[..., None]
         planes = np.concatenate([shown.transpose(2, 0, 1), (front + back)[None]])

@@ -4,6 +4,7 @@ from chromaperture.disparity.cpu.band_correlation import band_correlation
 from chromaperture.disparity.cpu.bilateral import bilateral_winner
 from chromaperture.disparity.cpu.correlation import correlate, texture_weights
 from chromaperture.disparity.cpu.cross_filter import cross_filter
+from chromaperture.disparity.cpu.edge_costs import edge_costs
 from chromaperture.disparity.cpu.enlarge import enlarge
 from chromaperture.disparity.cpu.four_paths import four_path_winner
 from chromaperture.disparity.cpu.paths import aggregate_paths, posterior, read_at_labels
@@ -23,6 +24,7 @@ __all__ = [
     "correlate",
     "coupled_variation",
     "cross_filter",
+    "edge_costs",
     "enlarge",
     "four_path_winner",
     "halved_surface",

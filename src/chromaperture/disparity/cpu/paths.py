@@ -83,17 +83,23 @@ def read_at_labels(
     spacing_px: int = 1,
 ) -> np.ndarray:
     """Interpolate a volume at the labels of a map, as `stages.read_at_labels`; (H, W, N) float32."""
-    out = np.empty((*(shape or likelihood.shape[:2]), len(labels_px)), np.float32)
+    shape = shape or likelihood.shape[:2]
+    out = np.empty((*shape, len(labels_px)), np.float32)
     step = float(layers_px[1] - layers_px[0])
     unexplained = np.exp(np.float32(-2 / factors) * np.asarray(likelihood, np.float32))
     labels = ((np.asarray(labels_px, float) - layers_px[0]) / step).astype(np.float32)
     begin = ((label_map.offset_px + (label_map.scale - 1) * layers_px[0]) / step).astype(np.float32)
-    offset, scale = (np.array(np.broadcast_to(part, out.shape[:2]), np.float32) for part in (begin, label_map.scale))
+    rows, columns = (
+        np.minimum(spacing_px * np.arange(n), m - 1) for n, m in zip(likelihood.shape, shape, strict=False)
+    )
+    offset, scale = (
+        np.array(np.broadcast_to(part, shape)[np.ix_(rows, columns)], np.float32) for part in (begin, label_map.scale)
+    )
 
-    def rows(_: int, top: int, bottom: int) -> None:
+    def fill(_: int, top: int, bottom: int) -> None:
         _read_at_labels(unexplained, labels, offset, scale, np.float32(factors), spacing_px, top, bottom, out)
 
-    in_parallel(rows, len(out))
+    in_parallel(fill, len(out))
     return out
 
 
@@ -232,60 +238,81 @@ def _posterior(cost, temperature, mean, variance):  # type: ignore[no-untyped-de
             variance[y, x] = v.lane(v.div(v.sum_lanes(spread), mass), 0)
 
 
-@compiled(fastmath={"contract"}, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def _read_at_labels(unexplained, labels, offset, scale, factors, spacing, top, bottom, out):  # type: ignore[no-untyped-def]
     """Rows from ``top`` to before ``bottom``; labels and offset count in layers from the first one."""
-    height, width, layers = unexplained.shape
+    height, width = unexplained.shape[:2]
     count = len(labels)
-    least, edge = np.float32(LEAST_UNEXPLAINED), np.float32(EDGE_LAYERS)
-    zero, one, two, three = np.float32(0), np.float32(1), np.float32(2), np.float32(3)
-    twelve, twentyfour, hundredtwenty = np.float32(12), np.float32(24), np.float32(120)  # of Lagrange's weights
-    row = np.empty((width, layers), np.float32)
-    samples = np.empty(layers + 4, np.float32)  # with a straight continuation at both ends
-    values = np.ones((count + v.LANES - 1) // v.LANES * v.LANES, np.float32)
-    q0, q1, q2, q3, q4, q5 = np.empty((6, count), np.float32)
-    lows, ts, insides = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.bool_)
-    nats, nothing = v.broadcast(-factors / two), v.broadcast(zero)
+    padded = (count + v.LANES - 1) // v.LANES * v.LANES
+    whole = count // v.LANES * v.LANES
+    at_labels = np.ones((2, width, padded), np.float32)  # two rows of samples
+    mixed = np.empty((width, padded), np.float32)
+    part = np.empty(padded, np.float32)
+    nats, nothing = v.broadcast(-factors / np.float32(2)), v.broadcast(np.float32(0))
+    lines, values, sums = at_labels.reshape(-1), mixed.reshape(-1), out.reshape(-1)
+    held = -1  # row of samples up to which `at_labels` has been computed
     for y in range(top, bottom):
         above = min(y // spacing, height - 1)
         below = min(above + 1, height - 1)
-        weight = np.float32(y - above * spacing) / np.float32(spacing)
-        for x in range(width):
-            for k in range(layers):
-                row[x, k] = (one - weight) * unexplained[above, x, k] + weight * unexplained[below, x, k]
+        for row in range(max(held + 1, above), below + 1):
+            _labels_of_row(unexplained[row], labels, offset[row], scale[row], at_labels[row % 2])
+            held = row
+        weight = v.broadcast(np.float32(y - above * spacing) / np.float32(spacing))
+        upper, lower = (above % 2) * width * padded, (below % 2) * width * padded
+        for k in range(0, width * padded, v.LANES):
+            first = v.load(lines, upper + k)
+            v.store(values, k, v.fma(weight, v.sub(v.load(lines, lower + k), first), first))
         for x in range(out.shape[1]):
             left = min(x // spacing, width - 1)
-            right = min(left + 1, width - 1)
-            weight = np.float32(x - left * spacing) / np.float32(spacing)
-            for k in range(layers):
-                samples[k + 2] = (one - weight) * row[left, k] + weight * row[right, k]
-            samples[1] = two * samples[2] - samples[3]
-            samples[0] = two * samples[1] - samples[2]
-            samples[layers + 2] = two * samples[layers + 1] - samples[layers]
-            samples[layers + 3] = two * samples[layers + 2] - samples[layers + 1]
-            for n in range(count):
-                place = offset[y, x] + scale[y, x] * labels[n]
-                low = min(max(np.int32(np.floor(place)), np.int32(0)), np.int32(layers - 2))
-                lows[n] = low
-                t = place - np.float32(low)
-                ts[n] = t
-                insides[n] = -edge < place < np.float32(layers - 1) + edge
-            for n in range(count):  # apart from the sums, which become vectors
-                low = np.uint64(lows[n])
-                q0[n], q1[n], q2[n] = samples[low], samples[low + np.uint64(1)], samples[low + np.uint64(2)]
-                q3[n], q4[n], q5[n] = (
-                    samples[low + np.uint64(3)], samples[low + np.uint64(4)], samples[low + np.uint64(5)]
-                )  # fmt: skip
-            for n in range(count):
-                t = ts[n]
-                a, b, c, d, e = t + two, t + one, t - one, t - two, t - three
-                inner, outer = b * t * c, a * b * t * c * d
-                value = a * e * (t * b * d * q3[n] - b * c * d * q2[n]) / twelve
-                value += t * c * a * e * (d * q1[n] - b * q4[n]) / twentyfour
-                value += (outer * q5[n] - inner * d * e * q0[n]) / hundredtwenty
-                value = max(value, least * min(q2[n], q3[n]))
-                values[n] = value if insides[n] else one
-            for n in range(0, len(values), v.LANES):
-                v.store(values, n, v.larger(v.mul(nats, v.logarithm(v.load(values, n))), nothing))
-            for n in range(count):
-                out[y, x, n] = values[n]
+            here, beside = left * padded, min(left + 1, width - 1) * padded
+            weight = v.broadcast(np.float32(x - left * spacing) / np.float32(spacing))
+            at = (y * out.shape[1] + x) * count
+            for k in range(0, padded, v.LANES):
+                first = v.load(values, here + k)
+                between = v.fma(weight, v.sub(v.load(values, beside + k), first), first)
+                found = v.larger(v.mul(nats, v.logarithm(between)), nothing)
+                if k < whole:
+                    v.store(sums, at + k, found)
+                else:
+                    v.store(part, 0, found)
+                    for i in range(count - whole):
+                        sums[at + whole + i] = part[i]
+
+
+@inlined(fastmath={"contract"}, error_model="numpy")
+def _labels_of_row(row, labels, offset, scale, out):  # type: ignore[no-untyped-def]
+    """Interpolate a row of samples (w, D) at its labels; (w, N or more)."""
+    layers, count = row.shape[1], len(labels)
+    least, edge = np.float32(LEAST_UNEXPLAINED), np.float32(EDGE_LAYERS)
+    one, two, three = np.float32(1), np.float32(2), np.float32(3)
+    twelve, twentyfour, hundredtwenty = np.float32(12), np.float32(24), np.float32(120)  # of Lagrange's weights
+    samples = np.empty(layers + 4, np.float32)  # with a straight continuation at both ends
+    q0, q1, q2, q3, q4, q5 = np.empty((6, count), np.float32)
+    lows, ts, insides = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.bool_)
+    for x in range(len(row)):
+        samples[2 : layers + 2] = row[x]
+        samples[1] = two * samples[2] - samples[3]
+        samples[0] = two * samples[1] - samples[2]
+        samples[layers + 2] = two * samples[layers + 1] - samples[layers]
+        samples[layers + 3] = two * samples[layers + 2] - samples[layers + 1]
+        for n in range(count):
+            place = offset[x] + scale[x] * labels[n]
+            low = min(max(np.int32(np.floor(place)), np.int32(0)), np.int32(layers - 2))
+            lows[n] = low
+            ts[n] = place - np.float32(low)
+            insides[n] = -edge < place < np.float32(layers - 1) + edge
+        for n in range(count):  # apart from the sums, which become vectors
+            low = np.uint64(lows[n])
+            q0[n], q1[n], q2[n] = samples[low], samples[low + np.uint64(1)], samples[low + np.uint64(2)]
+            q3[n], q4[n], q5[n] = (
+                samples[low + np.uint64(3)], samples[low + np.uint64(4)], samples[low + np.uint64(5)]
+            )  # fmt: skip
+        for n in range(count):
+            t = ts[n]
+            a, b, c, d, e = t + two, t + one, t - one, t - two, t - three
+            inner, outer = b * t * c, a * b * t * c * d
+            value = a * e * (t * b * d * q3[n] - b * c * d * q2[n]) / twelve
+            value += t * c * a * e * (d * q1[n] - b * q4[n]) / twentyfour
+            value += (outer * q5[n] - inner * d * e * q0[n]) / hundredtwenty
+            value = max(value, least * min(q2[n], q3[n]))
+            out[x, n] = value if insides[n] else one

@@ -20,8 +20,10 @@ from chromaperture.disparity.correlation_evidence import CorrelationEvidence
 from chromaperture.disparity.error_bar import sigma_of_range
 from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError
 from chromaperture.disparity.gpu.evidence_plan import EvidencePlan, plan_evidence
-from chromaperture.disparity.gpu.evidence_stages import add_evidence, add_labels, add_views_evidence
+from chromaperture.disparity.gpu.evidence_stages import add_evidence
+from chromaperture.disparity.gpu.label_stages import WindowsEarned, add_labels, add_views_evidence
 from chromaperture.disparity.gpu.plane_stages import BlockChoice, PlaneChoice, refined_planes
+from chromaperture.disparity.gpu.spectral_stages import WindowGrid, add_windows
 from chromaperture.disparity.gpu.surface_stages import (
     Grid,
     SurfaceArrays,
@@ -35,7 +37,6 @@ from chromaperture.disparity.gpu.surface_stages import (
     add_variation,
     surface_arrays,
 )
-from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.planar import Planes, block_costs, fitting_planes, links_of_blocks
 from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.plane_edges import LineCosts
@@ -113,9 +114,8 @@ class AccurateChain:
             unexplained = add_evidence(chain, self.plan, image, noise)
             # What counts of the pairs' evidence: nothing where the picture is not usable, else what is a pixel's own.
             counted = chain.array("counted", self.grid.pixels)
-            add_labels(chain, self.plan, unexplained, counted, likelihood, self.labels_px)
-            if self.uses_windows:
-                self._add_windows(chain, usable, likelihood)
+            windows = self._windows(chain, usable) if self.uses_windows else None
+            add_labels(chain, self.plan, unexplained, counted, likelihood, self.labels_px, windows=windows)
         else:
             source = self.method.evidence
             assert isinstance(source, CorrelationEvidence)
@@ -129,21 +129,27 @@ class AccurateChain:
 
     @property
     def uses_windows(self) -> bool:
-        """Whether windows of all channels together are evidence, too; they are computed on the CPU."""
+        """Whether windows of all channels together are evidence, too."""
         evidence = self.method.evidence
         return isinstance(evidence, SpectralEvidence) and evidence.is_used(self.method.config.layers.values_px)
 
-    def _add_windows(self, chain: Chain, usable: Array, likelihood: Array) -> None:
+    def _windows(self, chain: Chain, usable: Array) -> WindowsEarned:
         evidence = self.method.evidence
         assert isinstance(evidence, SpectralEvidence)
-        stride = evidence.config.stride_px
-        rows, columns = -(-self.grid.height // stride), -(-self.grid.width // stride)
-        windows = chain.array("windows", rows * columns * self.grid.layers)
-        chain.add(
-            "windows_added", [windows, usable, likelihood], groups=groups_for(self.grid.pixels, 1),
-            height=self.grid.height, width=self.grid.width, count=self.grid.layers, window_rows=rows,
-            window_columns=columns, stride=stride,
+        grid = self.windows
+        noise = chain.array("window_noise", 3 * grid.count)
+        earned = add_windows(
+            chain, evidence, grid, (chain.arrays["image"], chain.arrays["shading"], noise),
+            self.method.config.layers.values_px, self.labels_px,
         )  # fmt: skip
+        return WindowsEarned(earned, usable, grid)
+
+    @property
+    def windows(self) -> WindowGrid:
+        """Where windows of all channels are."""
+        evidence = self.method.evidence
+        assert isinstance(evidence, SpectralEvidence)
+        return WindowGrid(self.grid.height, self.grid.width, evidence.config.stride_px)
 
     def _last_chain(self, arrays: SurfaceArrays, of_planes: bool) -> Chain:
         chain = Chain(self.device)
@@ -169,7 +175,8 @@ class AccurateChain:
             own = method.evidence.own_detail(image) if isinstance(method.evidence, SpectralEvidence) else None
             inputs["counted"] = usable if own is None else usable * own
         if isinstance(method.evidence, SpectralEvidence) and self.uses_windows:
-            inputs["windows"] = method.evidence.of_windows(image, method.config.layers.values_px, self.labels_px)
+            grid = self.windows
+            inputs["window_noise"] = method.evidence.noise_of_windows(image, grid.rows, grid.columns)
         found = self._planes(inputs, views.guide, method.line_costs(image))
         of_planes = found is not None
         step = float(self.labels_px[1] - self.labels_px[0])
@@ -193,9 +200,9 @@ class AccurateChain:
         if self.blocks is None:
             self.first.run(inputs, ["round"])
             return None
-        got = self.first.run(inputs, ["surface", "sigma", "blocks"])
+        got = self.first.run(inputs, ["label", "sigma", "blocks"])
         shape = self.grid.height, self.grid.width
-        label = self.labels_px[0] + step * got["surface"].reshape(*shape, 4)[..., 0]
+        label = self.labels_px[0] + step * got["label"].reshape(shape)
         sigma = step * got["sigma"].reshape(shape)
         found = proposals(label, sigma, step, config.tiles_px, run=self.method.run)
         likelihood = self.first.arrays["likelihood"]
@@ -211,12 +218,12 @@ class AccurateChain:
         links = links_of_blocks(guide, config=config, surface=self.method.config.surface)
         chooser = BlockChoice(self.device, self.blocks, blocks, len(planes), config.sweeps, self.labels_px, costs)
 
-        def beliefs(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
-            return PlaneChoice(self.device, cost.shape[:2], cost.shape[2], sweeps).beliefs_of(cost, links)
+        def choices(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
+            return PlaneChoice(self.device, cost.shape[:2], cost.shape[2], sweeps).choices_of(cost, links)
 
         volume = Volume(sums, self.labels_px, costs, self.method.run)
         fitting = fitting_planes(
-            planes, volume, guide, lambda some: chooser.choose(some, links), config=config, beliefs=beliefs,
+            planes, volume, guide, lambda some: chooser.choose(some, links), config=config, choices=choices,
             line_costs=line_costs,
         )  # fmt: skip
         return PlanesFound(fitting, label, where_they_agree(fitting, label, np.hypot(sigma, step)))

@@ -24,7 +24,7 @@ from chromaperture.stage_config import CorrelationConfig
 # Share of a window's weight that lies beyond the samples a block of a line starts from, where the picture counts as
 # even.
 _NEGLIGIBLE = 1e-6
-_BLOCK, _SOFTWARE_BLOCK = 64, 128  # most px of a line that an invocation takes; software has few invocations at once
+_BLOCK, _SOFTWARE_BLOCK = 64, 4096  # most px of a line that an invocation takes; in software whole lines
 _CHUNK_BYTES = 128e6  # of the largest array of a chunk: WebGPU's default limit of a binding
 _EACH = 16  # neighbours that an invocation samples: 5 % more taps are read than with all of a line
 _PHASES = 1e6  # sub-pixel phases that differ by less than one part are one

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.disparity.blur_evidence import BANDS_MARGIN_PX, SHARP_PX, SPACING_PX, BlurEvidence, finest_px
+from chromaperture.disparity.blur_evidence import SHARP_PX, SPACING_PX, TAILS_PX, BlurEvidence, finest_px
 from chromaperture.disparity.gpu.device import DeviceError
-from chromaperture.disparity.gpu.surface_stages import gaussian_taps
+from chromaperture.disparity.gpu.surface_stages import AT_ONCE, gaussian_taps
 from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
+from chromaperture.stage_config import CrossFilterConfig
 
 MOST_TRANSFORMED = 1024  # complex numbers of a line: two of them fill 16 KB of shared memory
+MOST_BANDS = 8  # whose numbers fit into 32 bits
 ROUND_BYTES = 1 << 28  # of the arrays that a round of layers works on; chosen by hand
 
 
@@ -64,7 +67,7 @@ def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
     evens = (len(layers_px) + 1) // 2
     places[::2] = np.arange(evens)
     places[1::2][sharp] = evens + np.arange(int(sharp.sum()))
-    margin = 2 * float(np.abs(layers_px).max()) / source.blur.reach + BANDS_MARGIN_PX
+    margin = 2 * float(np.abs(layers_px).max()) / source.blur.reach + TAILS_PX
     nodes = Nodes(source.blur.height_px, source.blur.width_px, margin_px=margin)
     if nodes.size_px > MOST_TRANSFORMED:
         raise DeviceError(
@@ -90,7 +93,7 @@ class RoundSizes:
         self.rays = [source.blur.rays(*place, plan.channels) for place in nodes.places]
         self.reach = self._reach(source.blur.pupil.points)
         self.side = 2 * int(self.reach.max()) + 2
-        self.band_taps, self.band_reach = _band_taps(plan)
+        self.smooths = _smooths(source.config)
         height, width = nodes.shape
         frame, small = self.pairs * height * width, self.pairs * -(-height // 2) * -(-width // 2)
         self.arrays = dict(  # numbers a layer
@@ -99,7 +102,7 @@ class RoundSizes:
             cross_rows=2 * self.tiles * self.pairs * self.size * self.middle,
             tile_views=2 * self.tiles * self.pairs * self.middle**2,
             joined=2 * frame,
-            smooth_rows=4 * self.bands * frame,
+            smooth_rows=2 * self.smooths.taps.shape[1] * frame,
             band_views=2 * self.bands * frame,
             products=3 * self.bands * small,
             product_rows=3 * self.bands * small,
@@ -115,15 +118,33 @@ class RoundSizes:
         return np.array([math.ceil(np.abs((at_infinity - d * points) * lit).max()) for d in self.defocus])
 
 
-def _band_taps(plan: EvidencePlan) -> tuple[np.ndarray, int]:
-    """Taps of both Gaussians of every band, (bands, 2, 2 reach + 1), after the finest of all."""
-    config = plan.source.config
+class Smooths(NamedTuple):
+    """Gaussians of all bands, after the finest of all, which is number 0.
+
+    Attributes
+    ----------
+    taps : (2 reach + `AT_ONCE`, S) float32
+        Of the others, numbers 1, 2, ..., zeros at the end.
+    reach : int
+    fine, coarse : int
+        Number of the Gaussian of every band, four bits each.
+    """
+
+    taps: np.ndarray
+    reach: int
+    fine: int
+    coarse: int
+
+
+def _smooths(config: CrossFilterConfig) -> Smooths:
     finest = finest_px(config)
-
-    def taps_of(sigma: float) -> np.ndarray:
-        return gaussian_taps(math.sqrt(sigma**2 - finest**2) / SAMPLING_PX) if sigma > finest else np.ones(1)
-
-    each = [taps_of(sigma) for band in config.bands_px for sigma in band]
+    others = sorted({sigma for band in config.bands_px for sigma in band} - {finest})
+    if len(config.bands_px) > MOST_BANDS or len(others) >= 16:
+        raise DeviceError(f"{len(config.bands_px)} bands are too many for the GPU, at most {MOST_BANDS}")
+    each = [gaussian_taps(math.sqrt(sigma**2 - finest**2) / SAMPLING_PX) for sigma in others]
     reach = max(len(taps) // 2 for taps in each)
-    wide = [np.pad(taps, reach - len(taps) // 2) for taps in each]
-    return np.array(wide, np.float32).reshape(-1, 2, 2 * reach + 1), reach
+    wide = [np.pad(taps, (reach - len(taps) // 2, reach - len(taps) // 2 + AT_ONCE - 1)) for taps in each]
+    fine, coarse = (
+        sum(([finest, *others].index(band[k])) << 4 * i for i, band in enumerate(config.bands_px)) for k in (0, 1)
+    )
+    return Smooths(np.stack(wide, axis=-1).astype(np.float32), reach, fine, coarse)

@@ -14,16 +14,11 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from chromaperture.disparity.blur_evidence import MAX_CORRELATION2_OF_BANDS, SPACING_PX, finest_px
-from chromaperture.disparity.correlation_evidence import MAX_CORRELATION2, CorrelationEvidence
-from chromaperture.disparity.gpu.correlation_stages import add_correlation
+from chromaperture.disparity.blur_evidence import MAX_CORRELATION2_OF_BANDS, finest_px
 from chromaperture.disparity.gpu.device import Array, Chain, DeviceError
 from chromaperture.disparity.gpu.evidence_plan import MOST_TRANSFORMED, EvidencePlan, RoundSizes
-from chromaperture.disparity.gpu.surface_stages import add_gaussian, gaussian_taps
-from chromaperture.disparity.gpu.view_stages import add_views
-from chromaperture.disparity.gpu.workgroups import groups_for
-from chromaperture.disparity.labels import LabelMap
-from chromaperture.disparity.stages.paths import EDGE_LAYERS, LEAST_UNEXPLAINED
+from chromaperture.disparity.gpu.surface_stages import AT_ONCE, add_gaussian, gaussian_taps
+from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
 from chromaperture.disparity.stages.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis
 
 MOST_PASSES = 6  # of `fourier.wgsl`
@@ -59,110 +54,6 @@ def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
     return unexplained
 
 
-def add_labels(
-    chain: Chain, plan: EvidencePlan, unexplained: Array, usable: Array, likelihood: Array, labels_px: np.ndarray
-) -> None:
-    """Append `stages.read_at_labels`, at the pixels of the photograph and 0 where these are not usable."""
-    source = plan.source
-    add_read_labels(
-        chain, [unexplained, usable, likelihood], (source.blur.height_px, source.blur.width_px), plan.layers_px,
-        labels_px, source.label_map, spacing=SPACING_PX, samples=plan.samples, factors=plan.factors,
-    )  # fmt: skip
-
-
-def add_views_evidence(
-    chain: Chain,
-    source: CorrelationEvidence,
-    shape: tuple[int, int],
-    arrays: tuple[Array, Array, Array],
-    layers_px: np.ndarray,
-    labels_px: np.ndarray,
-) -> None:
-    """Append the evidence of shifted views, `CorrelationEvidence.at`.
-
-    Parameters
-    ----------
-    chain : Chain
-    source : CorrelationEvidence
-    shape : (int, int)
-        Height and width of the photograph.
-    arrays : three Array
-        Image, where it is usable, likelihood; the last is written.
-    layers_px, labels_px : float, px
-    """
-    image, usable, likelihood = arrays
-    for i, (space, label_map) in enumerate(zip(source.spaces, source.label_maps, strict=True)):
-        planes = add_views(chain, image, shape, space, source.views)
-        score: Array | None = None
-        for volume, _ in add_correlation(
-            chain, planes, layers_px, space.directions, source.config.correlation, pitch=len(layers_px)
-        ):
-            score = volume
-        assert score is not None
-        views = len(space.rows)
-        add_read_labels(
-            chain, [score, usable, likelihood], shape, layers_px, labels_px, label_map, spacing=1, samples=shape,
-            factors=views - 1.0, views=views, is_first=i == 0, weight=1 / len(source.spaces),
-        )  # fmt: skip
-
-
-def add_read_labels(
-    chain: Chain,
-    arrays: list[Array],
-    shape: tuple[int, int],
-    layers_px: np.ndarray,
-    labels_px: np.ndarray,
-    label_map: LabelMap,
-    *,
-    spacing: int,
-    samples: tuple[int, int],
-    factors: float,
-    views: int = 0,
-    is_first: bool = True,
-    weight: float = 1.0,
-) -> None:
-    """Append `stages.read_at_labels`, set or added where the photograph is usable.
-
-    Parameters
-    ----------
-    chain : Chain
-    arrays : three Array
-        Unexplained fractions or scores, where the photograph is usable, likelihood.
-    shape : (int, int)
-    layers_px, labels_px : float, px
-    label_map : LabelMap
-    spacing : int
-        Px between two samples.
-    samples : (int, int)
-        Of the first array.
-    factors : float
-    views : {0, 2, 3}
-        Whose scores the first array holds; 0: unexplained fractions.
-    is_first : bool
-        Set the likelihood; else add to it.
-    weight : float
-    """
-    step = float(layers_px[1] - layers_px[0])
-    height, width = shape
-    first, usable, likelihood = arrays
-    chain.add(
-        "labels_read", [first, _label_map(chain, label_map, layers_px), usable, likelihood],
-        groups=groups_for(height * width, 1), height=height, width=width, count=len(labels_px), layers=len(layers_px),
-        spacing=spacing, sample_height=samples[0], sample_width=samples[1], one_map=label_map.is_identity,
-        first_label=float((labels_px[0] - layers_px[0]) / step),
-        label_step=float((labels_px[1] - labels_px[0]) / step), factors=float(factors),
-        least_unexplained=LEAST_UNEXPLAINED, edge_layers=EDGE_LAYERS, views_of_score=views,
-        most_correlation2=MAX_CORRELATION2, is_first=is_first, weight=float(weight),
-    )  # fmt: skip
-
-
-def _label_map(chain: Chain, label_map: LabelMap, layers_px: np.ndarray) -> Array:
-    """Offset and scale of a label at every pixel, in layers from the first."""
-    step = float(layers_px[1] - layers_px[0])
-    begin = (label_map.offset_px + (label_map.scale - 1) * layers_px[0]) / step
-    return chain.constant("label_map", np.stack(np.broadcast_arrays(begin, label_map.scale), axis=-1))
-
-
 def add_transform(
     chain: Chain, stage: str, arrays: list[Array], span: int, lines: int, *, backwards: bool, **constants: Any
 ) -> None:
@@ -171,15 +62,15 @@ def add_transform(
     chain.add(
         stage, [_factors(chain, span), *arrays], groups=groups_for(lines, MOST_TRANSFORMED // span),
         uses=("indexing", "fourier"), span=span, lines=lines, passes=len(radices),
-        radices=sum(radix << 3 * i for i, radix in enumerate(radices)),
+        radices=sum(radix << 4 * i for i, radix in enumerate(radices)),
         backwards=backwards, **constants,
     )  # fmt: skip
 
 
 def _radices(span: int) -> list[int]:
-    """Cut a length into factors of 4, 2, 3 and 5; raises DeviceError where there are others."""
+    """Cut a length into factors of 8, 6, 5, 4, 3 and 2; raises DeviceError where there are others."""
     found = []
-    for radix in (4, 2, 3, 5):
+    for radix in (8, 6, 5, 4, 3, 2):
         while span % radix == 0:
             found.append(radix)
             span //= radix
@@ -213,7 +104,7 @@ def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
     )  # fmt: skip
     spectra, power, signal = (
         chain.array(name, parts * pictures * size * columns)
-        for name, parts in (("spectra", 2), ("power", 2), ("signal", 1))
+        for name, parts in (("spectra", 2), ("power", 1), ("signal", 1))
     )
     add_transform(
         chain, "tile_columns", [rows, spectra], size_px, pictures * kept, backwards=False,
@@ -223,11 +114,13 @@ def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
     lags = np.minimum(np.arange(size), size - np.arange(size))
     window = scipy.fft.fft(np.exp(-(lags**2) / (2 * (LAG_PX / SAMPLING_PX) ** 2))).real / size
     reach = int(np.flatnonzero(window[: size // 2] > _NEGLIGIBLE * window[0]).max())
-    taps = chain.constant("lag_taps", np.concatenate([window[reach:0:-1], window[: reach + 1]]))
-    between = chain.array("power_columns", 2 * pictures * size * columns)
+    taps = chain.constant("lag_taps", np.concatenate([window[reach:0:-1], window[: reach + 1], np.zeros(AT_ONCE - 1)]))
+    between = chain.array("power_columns", pictures * size * columns)
     for before, after, along_x in ((spectra, between, False), (between, power, True)):
         chain.add(
-            "tile_smoothing", [before, taps, after], groups=groups_for(pictures * size * columns), uses=("indexing",),
+            "tile_smoothing", [before, taps, after],
+            groups=groups_for(pictures * (size * -(-columns // AT_ONCE) if along_x else columns * -(-size // AT_ONCE))),
+            uses=("indexing",),
             pictures=pictures, size=size, reach=reach, along_x=along_x, is_spectrum=not along_x,
         )  # fmt: skip
     chain.add(
@@ -255,7 +148,7 @@ def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: 
         starts=chain.constant(
             "starts", np.concatenate([plan.nodes.across.starts, plan.nodes.down.starts]).astype(np.float32)
         ),
-        band_taps=chain.constant("band_taps", sizes.band_taps),
+        band_taps=chain.constant("band_taps", sizes.smooths.taps),
     )
     chain.add("count_up", [round_], groups=(1,), to_zero=True)
     for i in range(math.ceil(count / layers)):
@@ -310,7 +203,7 @@ def _add_transfers(
     )  # fmt: skip
     chain.add(
         "point_columns", [factors, defocus, round_, made["point_rows"], made["transfers"]],
-        groups=(sizes.kept**2 / 64, sizes.pictures, sizes.layers), size=sizes.size, **same,
+        groups=(sizes.kept * -(-sizes.kept // AT_ONCE) / GROUP, sizes.pictures, sizes.layers), size=sizes.size, **same,
     )  # fmt: skip
 
 
@@ -360,15 +253,23 @@ def _add_windows(
     small = -(-height // 2), -(-width // 2)
     pictures, config = sizes.layers * sizes.pairs, plan.source.config
     planes = sizes.bands * pictures
-    for stage, before, after in (("rows", "joined", "smooth_rows"), ("columns", "smooth_rows", "band_views")):
-        chain.add(
-            f"bands_{stage}", [made[before], band_taps, made[after]], groups=groups_for(planes * height * width),
-            uses=("indexing",), height=height, width=width, pictures=pictures, bands=sizes.bands,
-            reach=sizes.band_reach,
-        )  # fmt: skip
+    smooths = sizes.smooths
+    same: dict[str, Any] = dict(
+        height=height, width=width, pictures=pictures, smooths=smooths.taps.shape[1], reach=smooths.reach
+    )
     chain.add(
-        "band_products", [made["band_views"], made["products"]], groups=groups_for(planes * small[0] * small[1]),
-        uses=("indexing",), height=height, width=width, planes=planes,
+        "bands_rows", [made["joined"], band_taps, made["smooth_rows"]],
+        groups=groups_for(pictures * height * -(-width // AT_ONCE)), uses=("indexing",), **same,
+    )  # fmt: skip
+    chain.add(
+        "bands_columns", [made["joined"], made["smooth_rows"], band_taps, made["band_views"]],
+        groups=groups_for(pictures * -(-height // AT_ONCE) * width), uses=("indexing",), bands=sizes.bands,
+        fine=smooths.fine, coarse=smooths.coarse, **same,
+    )  # fmt: skip
+    chain.add(
+        "band_products", [made["band_views"], made["products"]],
+        groups=groups_for(planes * -(-small[0] // AT_ONCE) * small[1]), uses=("indexing",), height=height, width=width,
+        planes=planes,
     )  # fmt: skip
     rest_px = math.sqrt(max(config.window_sigma_px**2 - SAMPLING_PX**2, 0.01))  # as `blur_evidence`
     add_gaussian(

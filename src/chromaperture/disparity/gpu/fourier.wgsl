@@ -1,6 +1,7 @@
-// Fourier transforms of lines of `span` complex numbers, at most 1024, in shared memory: Stockham's, of radices 2 to 5.
-// A workgroup of 128 transforms as many lines as fit. Factors come from a table, because sine and cosine of a shader
-// are good to 2^-11 only.
+// Fourier transforms of lines of `span` complex numbers, at most 1024, in shared memory: Stockham's, of radices 2, 3, 4, 5,
+// 6 and 8.
+// A workgroup of 128 transforms as many lines as fit, an even number. Factors come from a table, because
+// sine and cosine of a shader are good to 2^-11 only.
 
 @group(0) @binding(0) var<storage, read> factors: array<vec2f>;  // (span,): exp(-2 pi i k / span)
 
@@ -22,14 +23,14 @@ fn factor(k: u32) -> vec2f {
     return vec2f(f.x, select(f.y, -f.y, backwards));
 }
 
-// Radices of the passes, three bits each, and how many numbers are done before each pass. They are constants, so that
+// Radices of the passes, four bits each, and how many numbers are done before each pass. They are constants, so that
 // every pass is compiled for itself: its divisions become multiplications.
-const r0 = radices & 7u;
-const r1 = (radices >> 3u) & 7u;
-const r2 = (radices >> 6u) & 7u;
-const r3 = (radices >> 9u) & 7u;
-const r4 = (radices >> 12u) & 7u;
-const r5 = (radices >> 15u) & 7u;
+const r0 = radices & 15u;
+const r1 = (radices >> 4u) & 15u;
+const r2 = (radices >> 8u) & 15u;
+const r3 = (radices >> 12u) & 15u;
+const r4 = (radices >> 16u) & 15u;
+const r5 = (radices >> 20u) & 15u;
 const d2 = r0 * r1;
 const d3 = d2 * r2;
 const d4 = d3 * r3;
@@ -47,6 +48,29 @@ fn transformed(local: u32) -> u32 {
     return (passes & 1u) * 1024u;
 }
 
+const sin60 = 0.8660254f;  // of a third of a turn, too
+const sin45 = 0.70710678f;
+
+struct Thirds { a: vec2f, b: vec2f, c: vec2f }
+struct Fourths { a: vec2f, b: vec2f, c: vec2f, d: vec2f }
+
+fn of_three(a: vec2f, b: vec2f, c: vec2f) -> Thirds {
+    let sum = b + c;
+    let away = turned(b - c) * sin60;
+    return Thirds(a + sum, a - 0.5 * sum + away, a - 0.5 * sum - away);
+}
+
+fn of_four(a: vec2f, b: vec2f, c: vec2f, d: vec2f) -> Fourths {
+    let away = turned(b - d);
+    return Fourths(a + c + b + d, a - c + away, a + c - b - d, a - c - away);
+}
+
+// A number that a pass begins with, times its factor; factors of the first pass are 1.
+fn taken(at: u32, k: u32, done: u32) -> vec2f {
+    if (done == 1u) { return line[at]; }
+    return product(line[at], factor(k));
+}
+
 fn one_pass(radix: u32, done: u32, start: u32, local: u32) {
     let part = span / radix;
     workgroupBarrier();
@@ -58,42 +82,72 @@ fn one_pass(radix: u32, done: u32, start: u32, local: u32) {
         let at = start + first + j;
         let to = 1024u - start + first + (j - k) * radix + k;
         let a = line[at];
-        let b = product(line[at + part], factor(step));
+        let b = taken(at + part, step, done);
         if (radix == 2u) {
             line[to] = a + b;
             line[to + done] = a - b;
             continue;
         }
-        let c = product(line[at + 2u * part], factor(2u * step));
+        let c = taken(at + 2u * part, 2u * step, done);
         if (radix == 3u) {
-            let sum = b + c;
-            let away = turned(b - c) * 0.8660254;  // sine of a third of a turn
-            line[to] = a + sum;
-            line[to + done] = a - 0.5 * sum + away;
-            line[to + 2u * done] = a - 0.5 * sum - away;
+            let three = of_three(a, b, c);
+            line[to] = three.a;
+            line[to + done] = three.b;
+            line[to + 2u * done] = three.c;
             continue;
         }
-        let d = product(line[at + 3u * part], factor(3u * step));
+        let d = taken(at + 3u * part, 3u * step, done);
         if (radix == 4u) {
-            let away = turned(b - d);
-            line[to] = a + c + b + d;
-            line[to + done] = a - c + away;
-            line[to + 2u * done] = a + c - b - d;
-            line[to + 3u * done] = a - c - away;
+            let four = of_four(a, b, c, d);
+            line[to] = four.a;
+            line[to + done] = four.b;
+            line[to + 2u * done] = four.c;
+            line[to + 3u * done] = four.d;
             continue;
         }
-        // Cosines and sines of a fifth and two fifths of a turn.
-        let e = product(line[at + 4u * part], factor(4u * step));
-        let outer = b + e;
-        let inner = c + d;
-        let near = a + 0.30901699 * outer - 0.80901699 * inner;
-        let far = a - 0.80901699 * outer + 0.30901699 * inner;
-        let near_away = turned(0.95105652 * (b - e) + 0.58778525 * (c - d));
-        let far_away = turned(0.58778525 * (b - e) - 0.95105652 * (c - d));
-        line[to] = a + outer + inner;
-        line[to + done] = near + near_away;
-        line[to + 2u * done] = far + far_away;
-        line[to + 3u * done] = far - far_away;
-        line[to + 4u * done] = near - near_away;
+        let e = taken(at + 4u * part, 4u * step, done);
+        if (radix == 5u) {
+            // Cosines and sines of a fifth and two fifths of a turn.
+            let outer = b + e;
+            let inner = c + d;
+            let near = a + 0.30901699 * outer - 0.80901699 * inner;
+            let far = a - 0.80901699 * outer + 0.30901699 * inner;
+            let near_away = turned(0.95105652 * (b - e) + 0.58778525 * (c - d));
+            let far_away = turned(0.58778525 * (b - e) - 0.95105652 * (c - d));
+            line[to] = a + outer + inner;
+            line[to + done] = near + near_away;
+            line[to + 2u * done] = far + far_away;
+            line[to + 3u * done] = far - far_away;
+            line[to + 4u * done] = near - near_away;
+            continue;
+        }
+        let f = taken(at + 5u * part, 5u * step, done);
+        if (radix == 6u) {
+            let even = of_three(a + d, b + e, c + f);
+            let second = b - e;
+            let third = c - f;
+            let odd = of_three(a - d, 0.5 * second + sin60 * turned(second), sin60 * turned(third) - 0.5 * third);
+            line[to] = even.a;
+            line[to + done] = odd.a;
+            line[to + 2u * done] = even.b;
+            line[to + 3u * done] = odd.b;
+            line[to + 4u * done] = even.c;
+            line[to + 5u * done] = odd.c;
+            continue;
+        }
+        let g = taken(at + 6u * part, 6u * step, done);
+        let h = taken(at + 7u * part, 7u * step, done);
+        let even = of_four(a + e, b + f, c + g, d + h);
+        let second = b - f;
+        let fourth = d - h;
+        let odd = of_four(a - e, sin45 * (second + turned(second)), turned(c - g), sin45 * (turned(fourth) - fourth));
+        line[to] = even.a;
+        line[to + done] = odd.a;
+        line[to + 2u * done] = even.b;
+        line[to + 3u * done] = odd.b;
+        line[to + 4u * done] = even.c;
+        line[to + 5u * done] = odd.c;
+        line[to + 6u * done] = even.d;
+        line[to + 7u * done] = odd.d;
     }
 }

@@ -8,34 +8,49 @@
 
 const evens = (count + 1u) / 2u;
 
+var<workgroup> known: array<f32, evens>;  // every second layer of a pair's band
 var<workgroup> most: array<f32, 64>;
 
-fn even_layer(first: u32, k: i32) -> f32 {
+// Half way between the inner two of six numbers by a polynomial, sums of the outermost, the next and the inner two.
+fn halfway(far: f32, near: f32, inner: f32) -> f32 {
+    return (3.0 * far - 25.0 * near + 150.0 * inner) / 256.0;
+}
+
+// Every fourth layer, and its odd continuation.
+fn fourth_layer(first: u32, k: i32) -> f32 {
+    let last = (i32(evens) - 1i) / 2i;
+    if (k < 0i) { return 2.0 * correlation[first] - correlation[first + 2u * u32(min(-k, last))]; }
+    if (k > last) {
+        return 2.0 * correlation[first + 2u * u32(last)] - correlation[first + 2u * u32(max(2i * last - k, 0i))];
+    }
+    return correlation[first + 2u * u32(k)];
+}
+
+// Secondary pairs change half as fast with the layer: they count at every fourth, and at the last.
+fn second_layer(first: u32, k: u32, is_primary: bool) -> f32 {
+    if (is_primary || k % 2u == 0u || k == evens - 1u) { return correlation[first + k]; }
+    let j = i32(k / 2u);
+    return halfway(
+        fourth_layer(first, j - 2i) + fourth_layer(first, j + 3i), fourth_layer(first, j - 1i) + fourth_layer(first, j + 2i),
+        fourth_layer(first, j) + fourth_layer(first, j + 1i)
+    );
+}
+
+fn even_layer(k: i32) -> f32 {
     let last = i32(evens) - 1i;
-    if (k < 0i) { return 2.0 * correlation[first] - correlation[first + u32(min(-k, last))]; }
-    if (k > last) { return 2.0 * correlation[first + u32(last)] - correlation[first + u32(max(2i * last - k, 0i))]; }
-    return correlation[first + u32(k)];
+    if (k < 0i) { return 2.0 * known[0] - known[min(-k, last)]; }
+    if (k > last) { return 2.0 * known[last] - known[max(2i * last - k, 0i)]; }
+    return known[k];
 }
 
 fn at_layer(first: u32, layer: u32, is_primary: bool) -> f32 {
-    // Secondary pairs are interpolated at all odd layers.
-    if (places[layer] >= 0i && (is_primary || layer % 2u == 0u)) { return correlation[first + u32(places[layer])]; }
-    // A polynomial through six even layers, half way between two.
     let k = i32(layer / 2u);
-    let far = even_layer(first, k - 2i) + even_layer(first, k + 3i);
-    let near = even_layer(first, k - 1i) + even_layer(first, k + 2i);
-    return (3.0 * far - 25.0 * near + 150.0 * (even_layer(first, k) + even_layer(first, k + 1i))) / 256.0;
-}
-
-fn nats(from_pair: u32, to_pair: u32, sample: u32, layer: u32) -> f32 {
-    var sum = 0.0;
-    for (var pair = from_pair; pair < to_pair; pair++) {
-        for (var band = 0u; band < bands; band++) {
-            let rho = max(at_layer(((pair * bands + band) * samples + sample) * computed, layer, pair < primary_pairs), 0.0);
-            sum -= 0.5 * weights[band] * log(1.0 - min(rho * rho, most_correlation2));
-        }
-    }
-    return sum / f32(to_pair - from_pair);
+    if (layer % 2u == 0u) { return known[k]; }
+    if (places[layer] >= 0i && is_primary) { return correlation[first + u32(places[layer])]; }
+    return halfway(
+        even_layer(k - 2i) + even_layer(k + 3i), even_layer(k - 1i) + even_layer(k + 2i),
+        even_layer(k) + even_layer(k + 1i)
+    );
 }
 
 @compute @workgroup_size(64)
@@ -46,11 +61,27 @@ fn main(
     let sample = group.x + group.y * groups.x;
     if (sample >= samples) { return; }
     var likelihood: array<f32, (count + 63u) / 64u>;
-    var best = 0.0;  // no log-likelihood is below 0
-    for (var layer = local; layer < count; layer += 64u) {
-        likelihood[layer / 64u] = nats(0u, primary_pairs, sample, layer);
-        best = max(best, likelihood[layer / 64u]);
+    var further: array<f32, (count + 63u) / 64u>;  // of secondary pairs
+    for (var pair = 0u; pair < pairs; pair++) {
+        let is_primary = pair < primary_pairs;
+        for (var band = 0u; band < bands; band++) {
+            let first = ((pair * bands + band) * samples + sample) * computed;
+            workgroupBarrier();
+            for (var k = local; k < evens; k += 64u) { known[k] = second_layer(first, k, is_primary); }
+            workgroupBarrier();
+            for (var layer = local; layer < count; layer += 64u) {
+                let rho = max(at_layer(first, layer, is_primary), 0.0);
+                let nats = -0.5 * weights[band] * log(1.0 - min(rho * rho, most_correlation2));
+                if (is_primary) {
+                    likelihood[layer / 64u] += nats / f32(primary_pairs);
+                } else {
+                    further[layer / 64u] += nats / f32(pairs - primary_pairs);
+                }
+            }
+        }
     }
+    var best = 0.0;  // no log-likelihood is below 0
+    for (var layer = local; layer < count; layer += 64u) { best = max(best, likelihood[layer / 64u]); }
     most[local] = best;
     workgroupBarrier();
     for (var half = 32u; half > 0u; half /= 2u) {
@@ -60,7 +91,7 @@ fn main(
     let weight = fallback_weight * exp(-most[0] / fallback_nats);
     for (var layer = local; layer < count; layer += 64u) {
         var found = likelihood[layer / 64u];
-        if (pairs > primary_pairs) { found += weight * nats(primary_pairs, pairs, sample, layer); }
+        if (pairs > primary_pairs) { found += weight * further[layer / 64u]; }
         unexplained[sample * count + layer] = exp(-2.0 / factors * found);
     }
 }

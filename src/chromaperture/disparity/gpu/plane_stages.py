@@ -11,7 +11,7 @@ import numpy as np
 
 from chromaperture.disparity.gpu.device import Array, Chain, Device
 from chromaperture.disparity.gpu.surface_stages import Grid
-from chromaperture.disparity.gpu.workgroups import groups_for
+from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
 from chromaperture.disparity.plane_fit import CONDITION, GAINED, NEWTON_STEPS, REACH, Proposal
 from chromaperture.disparity.stages.planes import PlaneCosts
 
@@ -83,18 +83,33 @@ class PlaneChoice:
             chain.add("fill_zero", [messages], groups=groups_for(messages.size), uses=("indexing",), size=messages.size)
         for _ in range(sweeps):
             for along_x, (ahead, back) in ((True, sent[:2]), (False, sent[2:])):
+                lines, single = shape[0] if along_x else shape[1], device.info.is_software
                 chain.add(
                     "potts_lines", [self.beliefs, ahead, back, links, self.count],
-                    groups=(shape[0] if along_x else shape[1],), height=shape[0], width=shape[1], along_x=along_x,
+                    groups=(lines / (GROUP if single else 1),),
+                    uses=("choices_single" if single else "choices_shared",),
+                    height=shape[0], width=shape[1], along_x=along_x,
                 )  # fmt: skip
+
+        choice = chain.array("choice", pixels, np.uint32)
+        chain.add(
+            "least_choice", [self.beliefs, self.count, choice], groups=groups_for(pixels), uses=("indexing",),
+            pixels=pixels,
+        )  # fmt: skip
 
     def beliefs_of(self, cost: np.ndarray, links: np.ndarray) -> np.ndarray:
         """Return `stages.potts_beliefs` of a cost (h, w, K)."""
+        return self._run(cost, links, "beliefs")[: cost.size].reshape(cost.shape)
+
+    def choices_of(self, cost: np.ndarray, links: np.ndarray) -> np.ndarray:
+        """Return the choices of least cost, (h, w) int: beliefs stay on the device."""
+        return self._run(cost, links, "choice").reshape(self.shape).astype(np.intp)
+
+    def _run(self, cost: np.ndarray, links: np.ndarray, output: str) -> np.ndarray:
         filled = np.zeros(self.beliefs.size, np.float32)
         filled[: cost.size] = cost.ravel()
         number = np.array([cost.shape[2]], np.uint32)
-        found = self.chain.run({"beliefs": filled, "plane_count": number, "plane_links": links}, ["beliefs"])
-        return found["beliefs"][: cost.size].reshape(cost.shape)
+        return self.chain.run({"beliefs": filled, "plane_count": number, "plane_links": links}, [output])[output]
 
 
 class BlockChoice(PlaneChoice):
@@ -125,19 +140,14 @@ class BlockChoice(PlaneChoice):
     ) -> None:
         super().__init__(device, (grid.height, grid.width), capacity, sweeps)
         self.labels_px, self.costs = labels_px, costs
-        propagation = self.chain.dispatches[:]
+        following = self.chain.dispatches[:]
         self.chain.dispatches.clear()
         planes = self.chain.array("block_planes", 4 * capacity)
         self.chain.add(
             "plane_costs", [blocks, planes, self.count, self.beliefs], groups=groups_for(grid.pixels, 1),
             height=grid.height, width=grid.width, count=grid.layers, outside=float(costs.outside),
         )  # fmt: skip
-        self.chain.dispatches += propagation
-        choice = self.chain.array("choice", grid.pixels, np.uint32)
-        self.chain.add(
-            "least_choice", [self.beliefs, self.count, choice], groups=groups_for(grid.pixels), uses=("indexing",),
-            pixels=grid.pixels,
-        )  # fmt: skip
+        self.chain.dispatches += following
 
     def choose(self, planes: np.ndarray, links: np.ndarray) -> np.ndarray:
         """Return the plane of every block, (h, w) int, of planes (K, 3) of blocks."""

@@ -20,10 +20,11 @@ from chromaperture.disparity.stages.paths import LEAST_UNEXPLAINED, LINES, penal
 from chromaperture.disparity.stages.variation import OPERATOR_NORM_SQUARED
 from chromaperture.stage_config import SurfaceConfig
 
+AT_ONCE = 4  # neighbours that an invocation of a filter has: what they read overlaps
 LANES = 8  # invocations of a path: 9 to 17 layers each for 65 to 129; a subgroup of 8 or more holds whole paths
 MOST_LAYERS = 512  # of a path: 64 in the registers of each of 8 invocations
-SQUARE_PX = 32  # of `coupling_steps.wgsl`, as far as 16 KB of shared memory reach
-_MOST_STEPS = 5  # iterations in shared memory: of 32 x 32 px loaded 22 x 22 are stored
+BLOCK_ROWS = 2  # of the pixels that an invocation of `coupling_steps.wgsl` has in registers; 4 take longer in software
+_MOST_STEPS = 5  # iterations in shared memory: of 64 x 32 px loaded 54 x 22 are stored
 
 
 class Grid(NamedTuple):
@@ -124,12 +125,13 @@ def add_gaussian(
     """
     height, width = shape
     # A constant array that is indexed by a variable is copied for every invocation: half the time of a software device.
-    filter_taps = chain.constant(f"taps_of_{values.name}", taps)
+    filter_taps = chain.constant(f"taps_of_{values.name}", np.concatenate([taps, np.zeros(AT_ONCE - 1)]))
     for before, after, along_x in ((source or values, between, True), (between, values, False)):
+        lines, across = (height, width) if along_x else (width, height)
         chain.add(
-            "gaussian_line", [before, filter_taps, after], groups=groups_for(planes * height * width * parts),
-            uses=("indexing",), height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2,
-            along_x=along_x,
+            "gaussian_line", [before, filter_taps, after],
+            groups=groups_for(planes * lines * -(-across // AT_ONCE) * parts), uses=("indexing",),
+            height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2, along_x=along_x,
         )  # fmt: skip
 
 
@@ -155,6 +157,7 @@ class SurfaceArrays(NamedTuple):
     other: Array  # (h, w, 4): the iterations go to and fro
     posterior: Array  # (h, w, 2): mean and variance
     sigma: Array  # (h, w)
+    label: Array  # (h, w): layer
     couplings: Array  # (rounds,)
     round: Array  # (1,)
 
@@ -165,7 +168,7 @@ def surface_arrays(chain: Chain, grid: Grid, config: SurfaceConfig) -> SurfaceAr
     sizes = dict(
         likelihood=grid.size, guide=pixels, cost=grid.size, winner=4 * pixels, offset=pixels, tangents=2 * pixels,
         averages=2 * pixels, links=2 * pixels, goal=pixels, surface=4 * pixels, other=4 * pixels,
-        posterior=2 * pixels, sigma=pixels,
+        posterior=2 * pixels, sigma=pixels, label=pixels,
     )  # fmt: skip
     made = {name: chain.array(name, size) for name, size in sizes.items()}
     rounds = np.geomspace(*config.coupling_layers2, max(1, config.coupling_rounds))
@@ -203,13 +206,12 @@ def add_variation(chain: Chain, a: SurfaceArrays, grid: Grid, layers_px: np.ndar
         )  # fmt: skip
         for i, steps in enumerate(parts):
             before, after = (a.surface, a.other) if i % 2 == 0 else (a.other, a.surface)
-            inner = SQUARE_PX - 2 * steps
             chain.add(
                 "coupling_steps", [before, after, a.goal, a.links, a.couplings, a.round],
-                groups=(grid.width / inner, grid.height / inner),
-                height=grid.height, width=grid.width, steps=steps, is_fresh=i == 0, primal_step=primal_step,
-                dual_step=1 / (OPERATOR_NORM_SQUARED * primal_step), huber=float(config.huber_layers),
-                highest=float(grid.layers - 1),
+                groups=(grid.width / (64 - 2 * steps), grid.height / (16 * BLOCK_ROWS - 2 * steps)),
+                height=grid.height, width=grid.width, tall=BLOCK_ROWS, steps=steps, is_fresh=i == 0,
+                primal_step=primal_step, dual_step=1 / (OPERATOR_NORM_SQUARED * primal_step),
+                huber=float(config.huber_layers), highest=float(grid.layers - 1),
             )  # fmt: skip
         chain.add("count_up", [a.round], groups=(1,), to_zero=False)
 
@@ -231,7 +233,7 @@ def add_posterior(chain: Chain, a: SurfaceArrays, grid: Grid, *, config: Surface
 
 def add_sigma(chain: Chain, a: SurfaceArrays, grid: Grid) -> None:
     """Append the error bar that the posterior gives the surface, `Posterior.sigma_px`."""
-    per_pixel(chain, "surface_sigma", [a.surface, a.posterior, a.sigma], grid)
+    per_pixel(chain, "surface_sigma", [a.surface, a.posterior, a.sigma, a.label], grid)
 
 
 def add_block_sums(chain: Chain, a: SurfaceArrays, grid: Grid, size: int) -> Array:

@@ -4,6 +4,7 @@ from chromaperture.disparity.stages.band_correlation import band_correlation
 from chromaperture.disparity.stages.bilateral import bilateral_winner
 from chromaperture.disparity.stages.correlation import correlate, texture_weights
 from chromaperture.disparity.stages.cross_filter import cross_filter
+from chromaperture.disparity.stages.edge_costs import edge_costs
 from chromaperture.disparity.stages.enlarge import enlarge
 from chromaperture.disparity.stages.four_paths import four_path_winner
 from chromaperture.disparity.stages.paths import aggregate_paths, posterior, read_at_labels
@@ -25,6 +26,7 @@ __all__ = [
     "correlate",
     "coupled_variation",
     "cross_filter",
+    "edge_costs",
     "enlarge",
     "four_path_winner",
     "halved_surface",

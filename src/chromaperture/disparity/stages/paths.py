@@ -149,9 +149,10 @@ def read_at_labels(
     shape: tuple[int, ...] | None = None,
     spacing_px: int = 1,
 ) -> np.ndarray:
-    """Interpolate a volume of log-likelihoods at the pixels and the labels of a map.
+    """Interpolate a volume of log-likelihoods at the labels and the pixels of a map.
 
-    Between layers by a polynomial through six of them, between pixels linearly. Both go through the unexplained
+    Between layers by a polynomial through six of them, then between pixels linearly: a map varies so little from sample
+    to sample that the other order gives the same, for as many polynomials as pixels. Both go through the unexplained
     fraction, exp(-2 l / factors): near a match that is a parabola, while l has a cusp there, and surfaces would be
     biased to whatever layers l itself is interpolated between.
 
@@ -174,21 +175,25 @@ def read_at_labels(
         At the disparities ``offset_px + scale * labels_px``; 0, no evidence, beyond the volume.
     """
     unexplained = np.exp(-2 / factors * likelihood)
-    for axis, count in enumerate(shape or likelihood.shape[:2]):
-        unexplained = _between_samples(unexplained, count, spacing_px, axis=axis)
     before, after = (2 * unexplained[..., end] - unexplained[..., next_] for end, next_ in ((0, 1), (-1, -2)))
     ends = [2 * before - unexplained[..., 0], before, after, 2 * after - unexplained[..., -1]]
     wide = np.concatenate([np.stack(ends[:2], -1), unexplained, np.stack(ends[2:], -1)], axis=2)
-    disparity = label_map.offset_px[..., None] + label_map.scale[..., None] * labels_px
-    place = (disparity - layers_px[0]) / (layers_px[1] - layers_px[0])
-    place = np.broadcast_to(place, (*unexplained.shape[:2], len(labels_px)))
+    shape = shape or likelihood.shape[:2]
+    rows, columns = (
+        np.minimum(spacing_px * np.arange(n), m - 1) for n, m in zip(likelihood.shape, shape, strict=False)
+    )
+    offset, scale = (np.broadcast_to(part, shape)[np.ix_(rows, columns)][..., None] for part in label_map)
+    place = (offset + scale * labels_px - layers_px[0]) / (layers_px[1] - layers_px[0])
     below = np.clip(np.floor(place).astype(np.intp), 0, len(layers_px) - 2)
     weights = lagrange_weights(place - below)
     taps = [np.take_along_axis(wide, below + k, axis=2) for k in range(6)]
     value = sum(weight * tap for weight, tap in zip(weights, taps, strict=True))
     value = np.maximum(value, LEAST_UNEXPLAINED * np.minimum(taps[2], taps[3]))
     inside = (place > -EDGE_LAYERS) & (place < len(layers_px) - 1 + EDGE_LAYERS)
-    return np.where(inside, np.maximum(-factors / 2 * np.log(value), 0), 0).astype(np.float32)
+    value = np.where(inside, value, 1)
+    for axis, count in enumerate(shape):
+        value = _between_samples(value, count, spacing_px, axis=axis)
+    return np.maximum(-factors / 2 * np.log(value), 0).astype(np.float32)
 
 
 def _between_samples(volume: np.ndarray, count: int, spacing_px: int, *, axis: int) -> np.ndarray:

@@ -1,0 +1,136 @@
+"""Evidence of all channels together on a GPU agrees with the CPU's, stage by stage."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from chromaperture.disparity import stages
+from chromaperture.disparity.blur_evidence import BlurEvidence
+from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.labels import IDENTITY
+from chromaperture.disparity.result import NoiseModel
+from chromaperture.disparity.spectral_evidence import SpectralEvidence
+from chromaperture.disparity.spectral_model import Windows
+from chromaperture.disparity.stages.tiles import without_shading
+from chromaperture.spectral_config import SpectralConfig
+from chromaperture.stage_config import CrossFilterConfig
+from test_gpu_evidence import LENS, bent
+from test_gpu_surface import any_device, device_as
+from test_spectral_evidence import example
+from worlds import blurred, lens_blur
+
+pytestmark = pytest.mark.extra("gpu", "wgpu")
+
+SHAPE = (70, 97)
+
+
+def source_for(label_map, config=None):
+    """Evidence of an open aperture whose noise is known."""
+    blur = lens_blur(LENS, SHAPE[1], SHAPE[0], "cy_open")
+    noise = NoiseModel(lambda image: np.full(image.shape, 0.004**2, np.float32), is_known=True)
+    pairs = BlurEvidence(CrossFilterConfig(), blur, label_map, noise, execution_named("numpy"))
+    return SpectralEvidence(config or SpectralConfig(), pairs)
+
+
+def picture(source, seed):
+    """A noisy texture behind the blur of one depth, with a bright even part."""
+    rng = np.random.default_rng(seed)
+    blur = source.pairs.blur
+    at_infinity, scale = blur.reference
+    image = blurred(0.5 + rng.normal(0, 0.15, (256, 256)), blur, (at_infinity - 1.2 * blur.reach) / scale)
+    image[:30, :30] = 0.8
+    return (image + rng.normal(0, 0.004, image.shape)).astype(np.float32)
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.sampled_from([(8.0, 10), (11.0, 7)]), st.integers(0, 2**32 - 1))
+def test_spectra_agree(window, seed):
+    from chromaperture.disparity.gpu.device import Chain
+    from chromaperture.disparity.gpu.spectral_stages import WindowGrid, add_spectra
+
+    source = source_for(IDENTITY, SpectralConfig(taper_px=window[0], stride_px=window[1]))
+    image = picture(source, seed)
+    chain = Chain(any_device())
+    windows, grid = Windows(source.config), WindowGrid(*SHAPE, window[1])
+    arrays = [chain.array(name, image.size) for name in ("image", "shading")]
+    spectra = add_spectra(chain, windows, grid, *arrays)
+    detail = without_shading(image)
+    found = chain.run({"image": image, "shading": image - detail}, [spectra.name])[spectra.name]
+    expected = windows.spectra(detail, grid.rows, grid.columns)
+    found = found.reshape(*expected.shape[:2], 2, -1)
+    # Sums of a few thousand products in single precision.
+    np.testing.assert_allclose(found[:, :, 0] + 1j * found[:, :, 1], expected, atol=1e-5 * np.abs(expected).max())
+
+
+def likelihood_on_device(spectra, powers, node, noise, config, *, as_software=True):
+    """In the form for software, where one invocation has a window, or in that for GPUs, where eight share it."""
+    from chromaperture.disparity.gpu.device import Chain
+    from chromaperture.disparity.gpu.spectral_stages import add_likelihood
+
+    chain = Chain(device_as(software=as_software))
+    parts = np.stack([spectra.real, spectra.imag], axis=2)
+    arrays = [
+        chain.constant(name, values)
+        for name, values in (("spectra", parts), ("nodes", node.astype(np.uint32)), ("noise", noise))
+    ]
+    source = source_for(IDENTITY, config)
+    found = add_likelihood(chain, arrays[0], powers[None], *arrays[1:], source=source)
+    return chain.run({}, [found.name])[found.name].reshape(powers.shape[1], len(spectra)).T
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.booleans(), st.integers(0, 2**32 - 1))
+def test_likelihoods_of_any_covariance_agree(as_software, seed):
+    config = SpectralConfig(slopes=(1.0,), channel_error=0.01)
+    made = example(np.random.default_rng(seed))
+    expected = stages.spectral_likelihood(*made, channel_error=config.channel_error, rounds=config.rounds)
+    # Single precision, of some hundred nats.
+    found = likelihood_on_device(*made, config, as_software=as_software)
+    np.testing.assert_allclose(found, expected, atol=5e-4)  # found: 5e-5
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_likelihoods_of_alike_colours_agree(seed):
+    """Real textures: colours that correlate to 0.998 and powers that nearly do."""
+    source = source_for(IDENTITY)
+    blur, config = source.pairs.blur, source.config
+    layers = np.arange(-4, 5) * 0.9 * blur.reach
+    model = source.model(layers)
+    rows, columns = (np.arange(0, n, config.stride_px) for n in SHAPE)
+    image = picture(source, seed)
+    spectra = model.windows.spectra(without_shading(image), rows, columns)
+    powers, node = model.powers()[1], model.nodes(rows, columns)
+    noise = source.noise_of_windows(image, rows, columns)
+    expected = stages.spectral_likelihood(
+        spectra, powers, node, noise, channel_error=config.channel_error, rounds=config.rounds
+    )
+    found = likelihood_on_device(spectra, powers, node, noise, config, as_software=seed == 1)
+    away = np.abs(found - expected)
+    # Nats of a window, 402 px. The picture is grey, so that S nearly is of rank one, and near its limit rounding
+    # decides whether a step is taken as a whole.
+    assert np.median(away) < 2e-3
+    assert np.quantile(away, 0.99) < 0.5
+
+
+@pytest.mark.parametrize("label_map", [IDENTITY, bent(SHAPE)])
+def test_what_labels_earn_agrees(label_map):
+    from chromaperture.disparity.gpu.device import Chain
+    from chromaperture.disparity.gpu.spectral_stages import WindowGrid, add_windows
+
+    source = source_for(label_map)
+    layers = np.arange(-9, 10) * 0.9 * source.pairs.blur.reach
+    labels = np.linspace(layers[0], layers[-1], 71)
+    image = picture(source, 3)
+    grid = WindowGrid(*SHAPE, source.config.stride_px)
+    chain = Chain(any_device())
+    arrays = [chain.array(name, n) for name, n in (("i", image.size), ("s", image.size), ("n", 3 * grid.count))]
+    earned = add_windows(chain, source, grid, arrays, layers, labels)
+    noise = source.noise_of_windows(image, grid.rows, grid.columns)
+    found = chain.run({"i": image, "s": image - without_shading(image), "n": noise}, [earned.name])[earned.name]
+    expected = source.of_windows(image, layers, labels)
+    away = np.abs(found.reshape(expected.shape) - expected)
+    assert expected.max() > 0.4
+    # Nats a pixel, at most `cap_nats` = 0.5.
+    assert np.quantile(away, 0.99) < 1e-3
+    assert away.max() < 0.01
