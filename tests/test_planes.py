@@ -14,7 +14,7 @@ from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.planar import Planes, block_links, block_sums, planes_of_surface
 from chromaperture.disparity.plane_agreement import BESIDE_PX, beside_borders, where_they_agree
 from chromaperture.disparity.plane_edges import choices_of, placed_edges
-from chromaperture.disparity.plane_fit import Candidate, Volume, candidates, distinct, refined
+from chromaperture.disparity.plane_fit import Candidate, Volume, candidates, distinct, log_likelihood, refined
 from chromaperture.disparity.plane_merging import merged_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.winner import Surface
@@ -134,6 +134,30 @@ def test_parts_of_one_plane_are_joined_and_two_planes_are_not(gap_px: float, lef
     assert len(found) == left == joined.max() + 1
     explained = np.stack([plane_label(plane, 30, 40) for plane in found])
     assert np.abs(np.take_along_axis(explained, joined[None], axis=0)[0] - label).max() < 0.03  # a third of a layer
+
+
+def test_two_even_walls_are_not_one_sloped_plane_which_takes_more_numbers() -> None:
+    walls, slopes = np.array([[0, 0, 0.0], [0, 0, 0.4]]), np.array([[0.015, 0, -0.1], [0.015, 0, -0.1]])
+    choice = np.zeros((30, 40), int)
+    choice[:, 20:] = 1
+
+    def joined(planes: np.ndarray) -> np.ndarray:
+        label = np.where(choice == 0, plane_label(planes[0], 30, 40), plane_label(planes[1], 30, 40))
+        config = PlanesConfig(plane_penalty=60.0, plane_tolerance=0.0)
+        return merged_planes(choice, planes, of(volume_about(label)), config=config, border=2)[0]
+
+    even = joined(walls)
+    assert len(even) == 2
+    assert not even[:, :2].any()
+    assert len(joined(slopes)) == 1
+    # One sloped plane would lose less than the 60 nats that a plane costs: only the numbers keep the walls apart.
+    label = np.where(choice == 0, 0.0, 0.4)
+    pixels = of(volume_about(label))
+    y, x = (part.ravel() for part in np.indices(label.shape))
+    one = refined(np.array([0.015, 0, -0.1]), x, y, pixels)
+    sides = [choice.ravel() == k for k in range(2)]
+    apart = sum(log_likelihood(wall, x[side], y[side], pixels) for wall, side in zip(walls, sides, strict=True))
+    assert 0 < apart - log_likelihood(one, x, y, pixels) < 60
 
 
 def test_blocks_add_up_and_keep_the_weakest_link() -> None:

@@ -343,7 +343,7 @@ class PlanesConfig:
     boundary_penalty : float
         Nats that a px of boundary between two planes costs on an even guide.
     plane_penalty : float
-        Nats that a plane costs.
+        Nats that a plane costs: its three numbers. Joining that saves one number may lose a third.
     plane_tolerance : float
         Share of its log-likelihood that a plane may lose when it is joined to a neighbour. The blur that was
         calibrated is not exact, so the log-likelihood of a large plane never peaks where its neighbour's does.

@@ -1,4 +1,8 @@
-"""Join planes that one plane explains as well: minimum description length on a map of planes."""
+"""Join planes that one plane explains as well: minimum description length on a map of planes.
+
+A plane of one label is one number, a sloped one three. Joining may lose as much as the numbers that it saves are worth:
+two walls of one label each are not one sloped plane, which would take more.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +20,13 @@ from chromaperture.threads import parallel_map
 LEAST_CORE = 0.25  # share of a plane's pixels away from its border below which all of them count; chosen by hand
 FAR_APART_LAYERS = 12  # at the smaller plane's middle: such planes are never one; chosen by hand
 _STEPS = 3  # of Newton's method for every pair
+_NUMBERS_OF_PLANE = 3  # slope along x and y, and the label
 
 
 Pixels = tuple[np.ndarray, np.ndarray]  # y and x
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Part:
     """Pixels of one plane: all of them, and those that its fit counts."""
 
@@ -57,6 +62,16 @@ def merged_planes(
     choice : (H, W) int
     """
     parts = dict(enumerate(_parts(choice, planes, volume, border)))
+    simplest: dict[Part, np.ndarray] = {}
+
+    def simplest_of(part: Part) -> np.ndarray:
+        if part not in simplest:
+            simplest[part] = _simplest(part, volume, config.slope_tolerance)
+        return simplest[part]
+
+    def numbers_of(part: Part) -> int:
+        return _NUMBERS_OF_PLANE if simplest_of(part)[:2].any() else 1
+
     renumbered = np.searchsorted(np.unique(choice), choice)
     pairs = neighbouring_pairs(renumbered)
     queue: list[tuple[float, int, int, Part]] = []
@@ -69,6 +84,10 @@ def merged_planes(
         joined = _joined(one, other, volume)
         loss = one.value + other.value - joined.value
         allowed = config.plane_penalty + config.plane_tolerance * min(one.value, other.value)
+        if loss >= allowed:
+            return None
+        saved = numbers_of(one) + numbers_of(other) - numbers_of(joined)
+        allowed *= min(max(saved / _NUMBERS_OF_PLANE, 0.0), 1.0)
         return (loss - allowed, *pair, joined) if loss < allowed else None
 
     def consider(some: Iterable[tuple[int, int]]) -> None:
@@ -91,7 +110,7 @@ def merged_planes(
     out = np.empty_like(choice)
     for k, part in enumerate(parts.values()):
         out[part.every] = k
-    return np.array(parallel_map(lambda part: _simplest(part, volume, config.slope_tolerance), parts.values())), out
+    return np.array(parallel_map(simplest_of, parts.values())), out
 
 
 def _parts(choice: np.ndarray, planes: np.ndarray, volume: Volume, border: int) -> list[Part]:
