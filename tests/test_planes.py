@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from chromaperture.disparity.accurate import judged
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.planar import Planes, block_links, block_sums, planes_of_surface
-from chromaperture.disparity.plane_agreement import BESIDE_PX, beside_borders, where_they_agree
+from chromaperture.disparity.plane_agreement import BESIDE_PX, beside_borders, known_planes, where_they_agree
 from chromaperture.disparity.plane_edges import choices_of, placed_edges
 from chromaperture.disparity.plane_fit import Candidate, Volume, candidates, distinct, log_likelihood, refined
 from chromaperture.disparity.plane_merging import merged_planes
@@ -274,14 +274,33 @@ def test_planes_are_known_beside_their_borders_whatever_the_posterior_says() -> 
     np.testing.assert_array_equal(beside, (away <= BESIDE_PX)[None].repeat(40, 0))
     assert not beside_borders(planes, 2.5).any()
 
-    disparity, wide = planes.label_px.copy(), np.full((40, 100), 2.0)
+    disparity = planes.label_px.copy()
     disparity[:, 45] = 0.0  # not on a plane
-    surface = judged(
-        Surface(disparity, wide, np.ones((40, 100))), np.zeros((40, 100)), LABELS_PX,
-        first_px=disparity, explained_by=planes, learned=False, known_within_px=1.0,
-    )  # fmt: skip
-    known = np.isfinite(surface.disparity_px)
-    np.testing.assert_array_equal(known, beside & (np.arange(100) != 45))
+
+    def known(sigma_px: np.ndarray) -> np.ndarray:
+        surface = judged(
+            Surface(disparity, sigma_px, np.ones((40, 100))), np.zeros((40, 100)), LABELS_PX,
+            first_px=disparity, explained_by=planes, learned=False, known_within_px=1.0,
+        )  # fmt: skip
+        return np.isfinite(surface.disparity_px)
+
+    wide = np.where(beside, 2.0, 0.1)
+    np.testing.assert_array_equal(known(wide), np.broadcast_to(np.arange(100) != 45, wide.shape))
+    # Of a plane that is certain nowhere else nothing is known, as in noise.
+    wide[choice == 1] = 2.0
+    np.testing.assert_array_equal(known(wide), (choice == 0) & (np.arange(100) != 45))
+
+
+def test_a_plane_that_lies_beside_its_border_everywhere_is_judged_by_all_of_its_pixels() -> None:
+    choice = np.zeros((40, 100), int)
+    choice[:, 50:60] = 1
+    planes = Planes(np.array([[0.0, 0, -1], [0, 0, 1]]), choice)
+    beside = beside_borders(planes, 0.5)
+    assert beside[choice == 1].all()
+    certain = np.ones((40, 100), bool)
+    np.testing.assert_array_equal(known_planes(planes, certain, beside), [True, True])
+    certain[:, 50:56] = False  # three fifths of the strip
+    np.testing.assert_array_equal(known_planes(planes, certain, beside), [True, False])
 
 
 def test_a_far_plane_holds_beside_a_nearer_one_where_the_surface_lies_between() -> None:

@@ -26,7 +26,7 @@ from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.learned_error_bar import learned_sigma
 from chromaperture.disparity.planar import BORDER_APART_LABELS, Planes, planes_of_surface
-from chromaperture.disparity.plane_agreement import beside_borders, where_they_agree
+from chromaperture.disparity.plane_agreement import beside_borders, known_planes, where_they_agree
 from chromaperture.disparity.plane_edges import LineCosts
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.stages.between_layers import between_layers
@@ -240,7 +240,9 @@ def judged(
     certain = sigma < known_within_px
     if explained_by is not None:
         # Beside a border the posterior is no witness: windows there see the other plane.
-        certain |= beside_borders(explained_by, BORDER_APART_LABELS * step) & (disparity == explained_by.label_px)
+        beside = beside_borders(explained_by, BORDER_APART_LABELS * step)
+        on_known = known_planes(explained_by, certain, beside)[explained_by.choice]
+        certain |= beside & on_known & (disparity == explained_by.label_px)
     known = inside & certain
     bias = 0.0 if explained_by is None else BIAS_OF_PLANES * step
     if learned:

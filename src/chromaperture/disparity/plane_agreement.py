@@ -79,6 +79,29 @@ def beside_borders(planes: Planes, apart_px: float) -> np.ndarray:
     return np.asarray(from_step <= BESIDE_PX)
 
 
+def known_planes(planes: Planes, certain: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """Find the planes of which at least half of the pixels are certain; (K,) bool.
+
+    Pixels beside borders count where a plane has no others. Planes in noise are certain nowhere.
+
+    Parameters
+    ----------
+    planes : Planes
+    certain : (H, W) bool
+    beside : (H, W) bool
+        As `beside_borders`.
+    """
+
+    def shares(counted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        pixels, sure = (
+            np.bincount(planes.choice[part], minlength=len(planes.planes)) for part in (counted, counted & certain)
+        )
+        return pixels, sure / np.maximum(pixels, 1)
+
+    (away, of_away), (_, of_all) = shares(~beside), shares(np.ones_like(beside))
+    return np.asarray(np.where(away > 0, of_away, of_all) >= 0.5)
+
+
 def _without_noise(apart: np.ndarray, choice: np.ndarray) -> np.ndarray:
     """Leave out the spots of disagreement that lie inside an area of agreement; (H, W) bool."""
     apart = apart.copy()
