@@ -26,6 +26,7 @@ from timing import fastest_ms
 
 from chromaperture.calibration import read_boards
 from chromaperture.calibration.calibrate_session import calibrate_session
+from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
@@ -85,7 +86,7 @@ ACCURATE = ("everything", "shifted views", "walls not placed between layers", "w
 def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertureCamera:
     """A calibrated camera with one ingredient of quality accurate changed or taken away."""
     if name == "shifted views":
-        plain = calibrate_session(session, lens_blur=False).calibration
+        plain = calibrate_session(session, CalibrationConfig(lens_blur=False)).calibration
         return CodedApertureCamera(plain, default_config(plain, "accurate"))
     calibration = Calibration.load(camera_file)
     if name == "one curve for the frame":
