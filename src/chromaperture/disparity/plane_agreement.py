@@ -21,6 +21,7 @@ AGREEMENT_WINDOW_PX = 9  # two sigmas of the correlation window and the pixel: n
 WHOLE_AREA_SHARE = 0.9
 SURROUNDED_SHARE = 0.6
 BESIDE_PX = 12  # a nearer plane; docs/measurements.md has 8 to 24
+KNOWN_SHARE = 0.5  # of a plane's pixels that must be certain for it to be known beside borders; chosen by hand
 BORDER_PX = 2  # a spot closer to the border of its area touches it; chosen by hand
 
 
@@ -80,7 +81,7 @@ def beside_borders(planes: Planes, apart_px: float) -> np.ndarray:
 
 
 def known_planes(planes: Planes, certain: np.ndarray, beside: np.ndarray) -> np.ndarray:
-    """Find the planes of which at least half of the pixels are certain; (K,) bool.
+    """Find the planes of which at least `KNOWN_SHARE` of the pixels are certain; (K,) bool.
 
     Pixels beside borders count where a plane has no others. Planes in noise are certain nowhere.
 
@@ -99,7 +100,7 @@ def known_planes(planes: Planes, certain: np.ndarray, beside: np.ndarray) -> np.
         return pixels, sure / np.maximum(pixels, 1)
 
     (away, of_away), (_, of_all) = shares(~beside), shares(np.ones_like(beside))
-    return np.asarray(np.where(away > 0, of_away, of_all) >= 0.5)
+    return np.asarray(np.where(away > 0, of_away, of_all) >= KNOWN_SHARE)
 
 
 def _without_noise(apart: np.ndarray, choice: np.ndarray) -> np.ndarray:

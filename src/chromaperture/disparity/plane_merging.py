@@ -26,7 +26,7 @@ _NUMBERS_OF_PLANE = 3  # slope along x and y, and the label
 Pixels = tuple[np.ndarray, np.ndarray]  # y and x
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False)  # a key of dictionaries: equal only to itself
 class Part:
     """Pixels of one plane: all of them, and those that its fit counts."""
 
