@@ -14,7 +14,8 @@ import numpy as np
 from chromaperture.config import ExecutionName
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.paths import Posterior
-from chromaperture.disparity.stages.planes import PlaneCosts, PlaneSums
+from chromaperture.disparity.stages.plane_refining import PointSets
+from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.upsample import Coarse
 from chromaperture.disparity.stages.variation import Problem, State, Steps
 from chromaperture.disparity.views import Views
@@ -140,17 +141,18 @@ class Execution(Protocol):
     ) -> np.ndarray:
         """Cost of every plane at every pixel; (H, W, K)."""
 
-    def plane_sums(
+    def best_planes(
         self,
         likelihood: np.ndarray,
-        x: np.ndarray,
-        y: np.ndarray,
-        plane: np.ndarray,
+        points: PointSets,
+        planes: np.ndarray,
         labels_px: np.ndarray,
+        costs: PlaneCosts,
         *,
-        reach: int,
-    ) -> PlaneSums:
-        """Sum the log-likelihood of a plane and its derivatives over pixels."""
+        steps: int,
+        even: bool = False,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the most likely plane of every set of points, near one of its first planes; (S, 3) and nats, (S,)."""
 
     def agreed_plane(
         self,

@@ -8,7 +8,7 @@ import numpy as np
 from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.paths import FAST
-from chromaperture.disparity.stages.planes import LEAST_POINTS, NEAR, PlaneCosts, PlaneSums
+from chromaperture.disparity.stages.planes import LEAST_POINTS, NEAR, PlaneCosts
 from chromaperture.threads import in_parallel
 
 _CACHED = 1 << 18  # numbers in half of a level-2 cache of 2 MB
@@ -28,18 +28,6 @@ def plane_costs(likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarra
         len(out),
     )
     return out
-
-
-def plane_sums(
-    likelihood: np.ndarray, x: np.ndarray, y: np.ndarray, plane: np.ndarray, labels_px: np.ndarray, *, reach: int
-) -> PlaneSums:
-    """Sum the log-likelihood of a plane and its derivatives over pixels, as `stages.plane_sums`."""
-    step = float(labels_px[1] - labels_px[0])
-    place = np.asarray(plane, float) / step
-    sums = np.zeros(10)
-    _plane_sums(likelihood, x, y, place[0], place[1], place[2] - labels_px[0] / step, reach, sums)
-    value, (ga, gb, gc), (aa, ab, ac, bb, bc, cc) = sums[0], sums[1:4] / step, sums[4:] / step**2
-    return PlaneSums(float(value), np.array([ga, gb, gc]), np.array([[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]]))
 
 
 def agreed_plane(
@@ -138,32 +126,6 @@ def _fit_near(place, reach, plane):
     plane[1] = (q * xl + s * yl + t * l1) / determinant
     plane[2] = (r * xl + t * yl + u * l1) / determinant
     return True
-
-
-@compiled(fastmath=FAST)
-def _plane_sums(likelihood, xs, ys, a, b, c, reach, sums):
-    last = likelihood.shape[2] - 1 - reach
-    for i in range(len(xs)):
-        x, y = xs[i], ys[i]
-        place = a * x + b * y + c
-        if place < reach or place >= last:
-            continue
-        below = int(place)
-        t = place - below
-        before = (1 - t) * likelihood[y, x, below - reach] + t * likelihood[y, x, below - reach + 1]
-        here = (1 - t) * likelihood[y, x, below] + t * likelihood[y, x, below + 1]
-        after = (1 - t) * likelihood[y, x, below + reach] + t * likelihood[y, x, below + reach + 1]
-        first, second = (after - before) / (2 * reach), (after + before - 2 * here) / (reach * reach)
-        sums[0] += here
-        sums[1] += first * x
-        sums[2] += first * y
-        sums[3] += first
-        sums[4] += second * x * x
-        sums[5] += second * x * y
-        sums[6] += second * x
-        sums[7] += second * y * y
-        sums[8] += second * y
-        sums[9] += second
 
 
 @inlined(fastmath=FAST)

@@ -26,14 +26,6 @@ class PlaneCosts(NamedTuple):
     outside: float  # where the plane leaves the range of the labels
 
 
-class PlaneSums(NamedTuple):
-    """Log-likelihood of a plane over a set of pixels, and its derivatives by (a, b, c)."""
-
-    value: float
-    gradient: np.ndarray  # (3,)
-    hessian: np.ndarray  # (3, 3)
-
-
 def plane_costs(likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarray, costs: PlaneCosts) -> np.ndarray:
     """Cost of every plane at every pixel: minus the log-likelihood, linear between two labels.
 
@@ -60,36 +52,6 @@ def plane_costs(likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarra
         out[..., k] = np.where(inside, -(1 - t) * low - t * high, costs.outside)
         out[..., k] += costs.slope / 2 * (a * a + b * b) / step**2
     return out
-
-
-def plane_sums(
-    likelihood: np.ndarray, x: np.ndarray, y: np.ndarray, plane: np.ndarray, labels_px: np.ndarray, *, reach: int
-) -> PlaneSums:
-    """Sum the log-likelihood of a plane and its derivatives over pixels.
-
-    Derivatives are differences over ``reach`` labels to either side, which smooths the noise of a single label's;
-    pixels whose label lies closer to an end of the range count nothing.
-
-    Parameters
-    ----------
-    likelihood : (H, W, N) float, nats a pixel
-    x, y : (P,) int
-    plane : (3,) float
-    labels_px : (N,) float, px
-    reach : int
-    """
-    step = float(labels_px[1] - labels_px[0])
-    place = (plane[0] * x + plane[1] * y + plane[2] - labels_px[0]) / step
-    inside = (place >= reach) & (place < likelihood.shape[2] - 1 - reach)
-    x, y, place = x[inside], y[inside], place[inside]
-    below = np.floor(place).astype(np.intp)
-    t = place - below
-    before, here, after = (
-        (1 - t) * likelihood[y, x, below + o] + t * likelihood[y, x, below + o + 1] for o in (-reach, 0, reach)
-    )
-    first, second = (after - before) / (2 * reach * step), (after + before - 2 * here) / (reach * step) ** 2
-    terms = np.stack([x, y, np.ones_like(x)]).astype(float)
-    return PlaneSums(float(here.sum()), terms @ first, (terms * second) @ terms.T)
 
 
 def agreed_plane(
