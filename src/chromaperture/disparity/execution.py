@@ -156,7 +156,7 @@ class Execution(Protocol):
 
     def agreed_plane(
         self,
-        planes: np.ndarray,
+        corners: np.ndarray,
         x: np.ndarray,
         y: np.ndarray,
         label: np.ndarray,
@@ -165,7 +165,7 @@ class Execution(Protocol):
         tolerance_px: float,
         rounds: int,
     ) -> np.ndarray:
-        """Find the plane that most points agree with, and fit it to these; (3,)."""
+        """Find the plane through three points that most points agree with, and fit it to these; (3,)."""
 
     def potts_beliefs(self, cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
         """Cost of every choice at every pixel, with the best of all others; (H, W, K)."""

@@ -148,34 +148,16 @@ def _planes_of_points(
     for _ in range(PLANES_OF_A_TILE):
         if len(left) < max(60, LEAST_SHARE * len(x)):
             break
-        plane = _consensus(x[left], y[left], label[left], weight[left], INLIER_LAYERS * step_px, rng, run)
-        if plane is None:
+        places = x[left], y[left], label[left], weight[left]
+        corners = rng.integers(0, len(left), (TRIALS, 3))
+        plane = run.agreed_plane(corners, *places, tolerance_px=INLIER_LAYERS * step_px, rounds=_ROUNDS)
+        if not np.isfinite(plane[2]):
             break
-        near = np.abs(_at(plane, x[left], y[left]) - label[left]) < NEAR * INLIER_LAYERS * step_px
+        near = np.abs(_at(plane, *places[:2]) - places[2]) < NEAR * INLIER_LAYERS * step_px
         if near.sum() >= LEAST_SHARE * len(x):
             out.append((left[near], plane))
         left = left[~near]
     return out
-
-
-def _consensus(
-    x: np.ndarray,
-    y: np.ndarray,
-    label: np.ndarray,
-    weight: np.ndarray,
-    tolerance_px: float,
-    rng: np.random.Generator,
-    run: Execution,
-) -> np.ndarray | None:
-    """Return the plane through three random points that most points agree with, fitted to these; None without."""
-    picked = rng.integers(0, len(x), (TRIALS, 3))
-    corners = np.stack([x[picked], y[picked], np.ones(picked.shape)], axis=-1)
-    picked, corners = (part[np.abs(np.linalg.det(corners)) > 50] for part in (picked, corners))  # 25 px^2: no sliver
-    if not len(picked):
-        return None
-    planes = np.linalg.solve(corners, label[picked][..., None].astype(float))[..., 0]
-    plane = run.agreed_plane(planes, x, y, label, weight, tolerance_px=tolerance_px, rounds=_ROUNDS)
-    return plane if np.isfinite(plane).all() else None
 
 
 def _at(plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

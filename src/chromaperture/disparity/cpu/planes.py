@@ -8,7 +8,7 @@ import numpy as np
 from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.paths import FAST
-from chromaperture.disparity.stages.planes import LEAST_POINTS, NEAR, PlaneCosts
+from chromaperture.disparity.stages.planes import LEAST_AREA, LEAST_POINTS, NEAR, PlaneCosts
 from chromaperture.threads import in_parallel
 
 _CACHED = 1 << 18  # numbers in half of a level-2 cache of 2 MB
@@ -31,7 +31,7 @@ def plane_costs(likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarra
 
 
 def agreed_plane(
-    planes: np.ndarray,
+    corners: np.ndarray,
     x: np.ndarray,
     y: np.ndarray,
     label: np.ndarray,
@@ -41,19 +41,9 @@ def agreed_plane(
     rounds: int,
 ) -> np.ndarray:
     """Find the plane that most points agree with, and fit it, as `stages.agreed_plane`."""
-    # About the middle of the points, in single precision: half the time, and enough to compare planes.
-    middle = np.array([x.mean(), y.mean()])
-    place = np.stack([x - middle[0], y - middle[1], label, weight]).astype(np.float32)
-    planes = np.asarray(planes, float).copy()
-    planes[:, 2] += planes[:, :2] @ middle
-    votes = np.empty(len(planes), np.float32)
-    _plane_votes(planes.astype(np.float32), place, np.float32(1 / tolerance_px), votes)
-    plane = planes[votes.argmax()]
-    for _ in range(rounds):
-        if not _fit_near(place, NEAR * tolerance_px, plane):
-            return np.full(3, np.nan)
-    plane[2] -= plane[:2] @ middle
-    return np.asarray(plane)
+    plane = np.empty(3)
+    found = _agreed_plane(corners, x, y, label, weight, tolerance_px, rounds, plane)
+    return plane if found else np.full(3, np.nan)
 
 
 def potts_beliefs(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
@@ -87,19 +77,47 @@ def _plane_costs(likelihood, places, slopes, outside, top, bottom, out):
                     out[y, x, k] = slopes[k] - low - t * (high - low)
 
 
-@compiled(fastmath=FAST)
-def _plane_votes(planes, place, sharpness, votes):
-    x, y, label, weight = place[0], place[1], place[2], place[3]
-    for k in range(len(planes)):
-        a, b, c = planes[k, 0], planes[k, 1], planes[k, 2]
-        total = np.float32(0)
-        for i in range(len(x)):
-            away = (a * x[i] + b * y[i] + c - label[i]) * sharpness
-            total += max(np.float32(0), np.float32(1) - away * away) * weight[i]
-        votes[k] = total
-
-
 @compiled()
+def _agreed_plane(corners, x, y, label, weight, tolerance, rounds, plane):
+    """Find the plane of most votes and fit it, into ``plane``; returns whether enough points agree."""
+    # About the middle of the points, in single precision: half the time, and enough to compare planes.
+    middle_x, middle_y = x.mean(), y.mean()
+    place = np.empty((4, len(x)), np.float32)
+    for i in range(len(x)):
+        place[0, i], place[1, i], place[2, i], place[3, i] = x[i] - middle_x, y[i] - middle_y, label[i], weight[i]
+    most = np.float32(-1)
+    for k in range(len(corners)):
+        i, j, n = corners[k]
+        jx, jy, nx, ny = float(x[j] - x[i]), float(y[j] - y[i]), float(x[n] - x[i]), float(y[n] - y[i])
+        area = jx * ny - nx * jy
+        if abs(area) <= LEAST_AREA:
+            continue
+        rise_j, rise_n = float(label[j]) - float(label[i]), float(label[n]) - float(label[i])
+        a, b = (rise_j * ny - rise_n * jy) / area, (jx * rise_n - nx * rise_j) / area
+        c = label[i] - a * (x[i] - middle_x) - b * (y[i] - middle_y)
+        votes = _votes(np.float32(a), np.float32(b), np.float32(c), place, np.float32(1 / tolerance))
+        if votes > most:
+            most, plane[0], plane[1], plane[2] = votes, a, b, c
+    if most < 0:
+        return False
+    for _ in range(rounds):
+        if not _fit_near(place, NEAR * tolerance, plane):
+            return False
+    plane[2] -= plane[0] * middle_x + plane[1] * middle_y
+    return True
+
+
+@inlined(fastmath=FAST)
+def _votes(a, b, c, place, sharpness):
+    x, y, label, weight = place[0], place[1], place[2], place[3]
+    total = np.float32(0)
+    for i in range(len(x)):
+        away = (a * x[i] + b * y[i] + c - label[i]) * sharpness
+        total += max(np.float32(0), np.float32(1) - away * away) * weight[i]
+    return total
+
+
+@inlined()
 def _fit_near(place, reach, plane):
     """Fit a plane to the points within reach of it, in place; returns whether there are enough."""
     count = 0

@@ -17,6 +17,7 @@ import numpy as np
 
 NEAR = 1.5  # tolerances, within which points are fitted
 LEAST_POINTS = 30  # of a plane; chosen by hand
+LEAST_AREA = 50  # px^2, twice that of a triangle: no sliver
 
 
 class PlaneCosts(NamedTuple):
@@ -55,7 +56,7 @@ def plane_costs(likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarra
 
 
 def agreed_plane(
-    planes: np.ndarray,
+    corners: np.ndarray,
     x: np.ndarray,
     y: np.ndarray,
     label: np.ndarray,
@@ -64,11 +65,12 @@ def agreed_plane(
     tolerance_px: float,
     rounds: int,
 ) -> np.ndarray:
-    """Find the plane that most points agree with, and fit it to these by least squares.
+    """Find the plane through three points that most points agree with, and fit it to these by least squares.
 
     Parameters
     ----------
-    planes : (K, 3) float
+    corners : (K, 3) int
+        Three points each, of which triangles of at most half `LEAST_AREA` are left out.
     x, y : (P,) int
     label : (P,) float, px
     weight : (P,) float
@@ -80,9 +82,14 @@ def agreed_plane(
     Returns
     -------
     (3,) float64
-        NaN where fewer than `LEAST_POINTS` agree.
+        NaN where fewer than `LEAST_POINTS` agree, or no triangle is left.
     """
     terms = np.stack([x, y, np.ones(len(x))]).astype(float)
+    triangles = terms.T[corners]
+    wide = np.abs(np.linalg.det(triangles)) > LEAST_AREA
+    if not wide.any():
+        return np.full(3, np.nan)
+    planes = np.linalg.solve(triangles[wide], label[corners[wide]][..., None].astype(float))[..., 0]
     votes = np.maximum(0, 1 - ((planes @ terms - label) / tolerance_px) ** 2) @ weight
     plane = planes[votes.argmax()]
     for _ in range(rounds):
