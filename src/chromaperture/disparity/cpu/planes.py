@@ -8,6 +8,7 @@ import numpy as np
 from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.paths import FAST
+from chromaperture.disparity.cpu.workspace import workspace
 from chromaperture.disparity.stages.planes import LEAST_AREA, LEAST_POINTS, NEAR, PlaneCosts
 from chromaperture.threads import in_parallel
 
@@ -49,16 +50,22 @@ def agreed_plane(
 def potts_beliefs(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
     """Min-sum belief propagation on the pixel grid, as `stages.potts_beliefs`; (H, W, K) float32."""
     height, width, count = cost.shape
-    padded = -(-count // v.LANES) * v.LANES
-    beliefs = np.empty((height, width, padded), np.float32)  # the cost and all four messages
-    beliefs[..., count:] = _NEVER
-    in_parallel(lambda _, top, bottom: np.copyto(beliefs[top:bottom, :, :count], cost[top:bottom]), height)
-    messages = np.zeros((4, height, width, padded), np.float32)
+    shape = height, width, -(-count // v.LANES) * v.LANES
     links = np.ascontiguousarray(links, np.float32)
-    for _ in range(sweeps):
-        in_parallel(lambda _, first, last: _along_rows(beliefs, messages, links[0], first, last), height)
-        in_parallel(lambda _, first, last: _along_columns(beliefs, messages, links[1], first, last), width)
-    return np.ascontiguousarray(beliefs[..., :count])
+    with workspace() as memory:
+        beliefs = memory.array("beliefs", shape, np.float32)  # the cost and all four messages
+        messages = memory.array("messages", (4, *shape), np.float32)
+
+        def begin(_: int, top: int, bottom: int) -> None:
+            beliefs[top:bottom, :, :count] = cost[top:bottom]
+            beliefs[top:bottom, :, count:] = _NEVER
+            messages[:, top:bottom] = 0
+
+        in_parallel(begin, height)
+        for _ in range(sweeps):
+            in_parallel(lambda _, first, last: _along_rows(beliefs, messages, links[0], first, last), height)
+            in_parallel(lambda _, first, last: _along_columns(beliefs, messages, links[1], first, last), width)
+        return beliefs[..., :count].copy()
 
 
 @compiled(fastmath=FAST)
