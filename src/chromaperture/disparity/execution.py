@@ -13,6 +13,7 @@ import numpy as np
 
 from chromaperture.config import ExecutionName
 from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.stages.cross_filter import Tile
 from chromaperture.disparity.stages.paths import Posterior
 from chromaperture.disparity.stages.plane_refining import PointSets
 from chromaperture.disparity.stages.planes import PlaneCosts
@@ -85,9 +86,16 @@ class Execution(Protocol):
         """Transform point-spread functions; (C, samples, samples // 2 + 1)."""
 
     def cross_filter(
-        self, spectra: tuple[np.ndarray, np.ndarray], transfers: tuple[np.ndarray, np.ndarray], damping: float
-    ) -> np.ndarray:
-        """Filter two channels of a tile with each other's blur; (n, n, 2)."""
+        self,
+        tiles: Sequence[Tile],
+        channels: np.ndarray,
+        defocus_px: np.ndarray,
+        canvas: np.ndarray,
+        *,
+        size_px: int,
+        damping: float,
+    ) -> None:
+        """Filter channels of tiles with each other's blur, and add them to a canvas, (P, H, W, 2)."""
 
     def band_correlation(self, fine: np.ndarray, coarse: np.ndarray, *, sigma: float) -> np.ndarray:
         """Correlate both pictures of a pair in one band, in windows around every second sample; (H / 2, W / 2)."""

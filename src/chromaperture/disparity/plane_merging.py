@@ -66,7 +66,7 @@ def merged_planes(
     queue: list[tuple[float, int, int, Part]] = []
 
     def consider(some: Iterable[tuple[int, int]]) -> None:
-        near = [pair for pair in sorted(some) if not _far_apart(*(parts[k] for k in pair), volume)]
+        near = [(i, j) for i, j in sorted(some) if not _far_apart(parts[i], parts[j], volume)]
         likely = []
         for pair, joined in zip(near, _joined([(parts[i], parts[j]) for i, j in near], volume), strict=True):
             one, other = (parts[k].value for k in pair)

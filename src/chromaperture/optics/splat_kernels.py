@@ -26,16 +26,20 @@ MOST_PRODUCTS = 3
 _FAST: set[str] = {"contract", "arcp", "nsz", "reassoc", "nnan"}
 
 
-def point_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, samples: int) -> np.ndarray:
+def point_transforms(
+    points_px: np.ndarray, weights: np.ndarray, size: int, samples: int, *, out: np.ndarray | None = None
+) -> np.ndarray:
     """Fourier transform of weighted points, as `lens_blur.point_transforms`; (C, n, n // 2 + 1) complex64."""
     kept = samples // 2 + 1 if samples == size else (samples + 1) // 2
     most = MOST_PRODUCTS * size**2 // kept**2
-    reach = max(1, math.ceil(float(np.abs(points_px).max(initial=0))))
-    if reach > most or 2 * reach + 1 > size:
-        return _fast_transforms(points_px, weights, size, samples)
-    out = np.empty((len(points_px), samples, samples // 2 + 1), np.complex64)
+    reach = max(1, math.ceil(max(float(points_px.max(initial=0)), -float(points_px.min(initial=0)))))
+    if out is None:
+        out = np.empty((len(points_px), samples, samples // 2 + 1), np.complex64)
     out[:, kept : samples - kept + 1], out[:, :, kept:] = 0, 0  # the highest frequency, where others are left out
-    direct_transforms(points_px, weights, reach, *_waves(size, kept, most + 1), out.view(np.float32))
+    if reach > most or 2 * reach + 1 > size:
+        _fast_transforms(points_px, weights, size, out)
+    else:
+        direct_transforms(points_px, weights, reach, *_waves(size, kept, most + 1), out.view(np.float32))
     return out
 
 
@@ -46,14 +50,12 @@ def _waves(size: int, kept: int, reach: int) -> tuple[np.ndarray, np.ndarray]:
     return np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
 
 
-def _fast_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, samples: int) -> np.ndarray:
-    out = np.zeros((len(points_px), samples, samples // 2 + 1), np.complex64)
+def _fast_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, out: np.ndarray) -> None:
     for first in range(0, len(points_px), 2):
         pictures = np.zeros((size, size, 2), np.float32)
         for i, (points, weight) in enumerate(zip(points_px[first : first + 2], weights[first:], strict=False)):
             splat(points, weight, pictures[..., i])
         split_transform(cv2.dft(pictures).view(np.complex64)[..., 0], out[first : first + 2])
-    return out
 
 
 @compiled()

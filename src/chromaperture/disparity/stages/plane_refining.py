@@ -160,12 +160,7 @@ def plane_sums(
 
 
 def _log_likelihood(
-    plane: np.ndarray,
-    x: np.ndarray,
-    y: np.ndarray,
-    likelihood: np.ndarray,
-    labels_px: np.ndarray,
-    costs: PlaneCosts,
+    plane: np.ndarray, x: np.ndarray, y: np.ndarray, likelihood: np.ndarray, labels_px: np.ndarray, costs: PlaneCosts
 ) -> float:
     """Sum the log-likelihood of a plane over points, less what it costs besides; nats."""
     place = (plane[0] * x + plane[1] * y + plane[2] - labels_px[0]) / (labels_px[1] - labels_px[0])
