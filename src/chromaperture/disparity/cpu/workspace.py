@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 
 _CACHE_LINE = 64  # bytes: a vector that straddles two lines costs two loads
+_SMALL = 1 << 26  # bytes: so much is not given back when less is asked for
 
 
 class Workspace:
@@ -22,7 +23,7 @@ class Workspace:
         """Return an array with whatever finite numbers an earlier call left in it."""
         size = math.prod(shape) * np.dtype(dtype).itemsize
         raw = self._kept.get(name)
-        if raw is None or not size + _CACHE_LINE <= len(raw) <= 2 * size + _CACHE_LINE:
+        if raw is None or not size + _CACHE_LINE <= len(raw) <= max(2 * size, _SMALL) + _CACHE_LINE:
             raw = self._kept[name] = np.zeros(size + _CACHE_LINE, np.uint8)
         start = -raw.ctypes.data % _CACHE_LINE
         return raw[start : start + size].view(dtype).reshape(shape)
