@@ -147,22 +147,30 @@ def _column_transforms(even, odd, cosines, sines, out):  # type: ignore[no-untyp
     sums = np.empty((4, 2 * kept), np.float32)
     for row in range(0, kept, 2):  # two frequencies and four px at a time: less is loaded for as many products
         second = min(row + 1, kept - 1)
-        _weighted_sums(even, cosines, row, second, True, sums[0], sums[1])
-        _weighted_sums(odd, sines, row, second, False, sums[2], sums[3])
+        _weighted_sums(even, cosines, row, second, sums[0], sums[1])
+        _weighted_sums(odd, sines, row, second, sums[2], sums[3])
         _put_rows(sums[0], sums[2], row, samples, out)
         if second > row:
             _put_rows(sums[1], sums[3], second, samples, out)
 
 
 @inlined(fastmath=_FAST)
-def _weighted_sums(rows, waves, first, second, with_middle, one, other):  # type: ignore[no-untyped-def]
-    """Add up an odd number of rows, the middle one with or without weight, the others by two waves."""
-    if with_middle:
-        one[:], other[:] = rows[0], rows[0]
+def _weighted_sums(rows, waves, first, second, one, other):  # type: ignore[no-untyped-def]
+    """Add up an odd number of rows, three or more: the middle one, and the others by two waves."""
+    middle, e, e2 = rows[0], rows[1], rows[2]
+    c, c2, d, d2 = waves[1, first], waves[2, first], waves[1, second], waves[2, second]
+    r = 3
+    if len(rows) % 4 == 3:
+        for f in range(len(one)):
+            one[f] = middle[f] + c * e[f] + c2 * e2[f]
+            other[f] = middle[f] + d * e[f] + d2 * e2[f]
     else:
-        one[:], other[:] = 0, 0
-    r = 1
-    while r + 3 < len(rows):
+        e3, e4, c3, c4, d3, d4 = rows[3], rows[4], waves[3, first], waves[4, first], waves[3, second], waves[4, second]
+        for f in range(len(one)):
+            one[f] = middle[f] + c * e[f] + c2 * e2[f] + c3 * e3[f] + c4 * e4[f]
+            other[f] = middle[f] + d * e[f] + d2 * e2[f] + d3 * e3[f] + d4 * e4[f]
+        r = 5
+    while r < len(rows):
         c, c2, c3, c4 = waves[r, first], waves[r + 1, first], waves[r + 2, first], waves[r + 3, first]
         d, d2, d3, d4 = waves[r, second], waves[r + 1, second], waves[r + 2, second], waves[r + 3, second]
         e, e2, e3, e4 = rows[r], rows[r + 1], rows[r + 2], rows[r + 3]
@@ -170,12 +178,6 @@ def _weighted_sums(rows, waves, first, second, with_middle, one, other):  # type
             one[f] += c * e[f] + c2 * e2[f] + c3 * e3[f] + c4 * e4[f]
             other[f] += d * e[f] + d2 * e2[f] + d3 * e3[f] + d4 * e4[f]
         r += 4
-    if r < len(rows):
-        c, c2, d, d2 = waves[r, first], waves[r + 1, first], waves[r, second], waves[r + 1, second]
-        e, e2 = rows[r], rows[r + 1]
-        for f in range(len(one)):
-            one[f] += c * e[f] + c2 * e2[f]
-            other[f] += d * e[f] + d2 * e2[f]
 
 
 @inlined(fastmath=_FAST)
