@@ -45,8 +45,9 @@ def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
     unexplained = chain.array("unexplained", samples * len(plan.layers_px))
     chain.add(
         "pair_evidence", [correlation, chain.constant("places", plan.places), unexplained],
-        groups=groups_for(samples, 1), samples=samples, count=len(plan.layers_px), computed=len(plan.computed_px),
-        pairs=len(pairs), primary_pairs=len(plan.source.blur.pairs), bands=len(config.bands_px),
+        groups=groups_for(samples, 1), uses=("correlations",), samples=samples, count=len(plan.layers_px), computed=len(plan.computed_px),
+        pairs=len(pairs), primary_pairs=len(plan.source.blur.pairs), of_all_pairs=plan.parts[0].end,
+        bands=len(config.bands_px),
         weights=[float(w) for w in config.band_weights], most_correlation2=MAX_CORRELATION2_OF_BANDS,
         fallback_weight=float(config.fallback_weight), fallback_nats=float(config.fallback_nats),
         factors=plan.factors,
@@ -131,16 +132,15 @@ def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
 
 
 def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: Array) -> Array:
-    """Append what all layers need, in rounds; correlations (pairs, bands, h, w, E)."""
-    sizes = RoundSizes(plan)
-    layers, round_ = sizes.layers, chain.array("evidence_round", 1, np.uint32)
-    made = {name: chain.array(name, layers * size) for name, size in sizes.arrays.items()}
-    rays, pupil, defocus = _rays(chain, plan, sizes)
-    samples = plan.samples[0] * plan.samples[1]
-    pairs, config = plan.source.all_pairs, plan.source.config
-    bands, count = len(config.bands_px), len(plan.computed_px)
-    correlation = chain.array("correlation", len(pairs) * bands * samples * count)
-    low_pass = np.exp(-((2 * np.pi * scipy.fft.fftfreq(sizes.size) * finest_px(config) / SAMPLING_PX) ** 2) / 2)
+    """Append what all layers need, in rounds; correlations, see `correlations.wgsl`."""
+    sizes = [RoundSizes(plan, part) for part in plan.parts]
+    needed = {name: max(one.layers * one.arrays[name] for one in sizes) for name in sizes[0].arrays}
+    made = {name: chain.array(name, size) for name, size in needed.items()}
+    round_, config, samples = chain.array("evidence_round", 1, np.uint32), plan.source.config, math.prod(plan.samples)
+    correlation = chain.array(
+        "correlation", len(config.bands_px) * samples * sum(one.pairs * one.count for one in sizes)
+    )
+    low_pass = np.exp(-((2 * np.pi * scipy.fft.fftfreq(sizes[0].size) * finest_px(config) / SAMPLING_PX) ** 2) / 2)
     constants = dict(
         low_pass=chain.constant("low_pass", low_pass),
         across=_near_nodes(chain, "across", plan.nodes.across, plan.nodes.shape[1]),
@@ -148,26 +148,26 @@ def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: 
         starts=chain.constant(
             "starts", np.concatenate([plan.nodes.across.starts, plan.nodes.down.starts]).astype(np.float32)
         ),
-        band_taps=chain.constant("band_taps", sizes.smooths.taps),
+        band_taps=chain.constant("band_taps", sizes[0].smooths.taps),
     )
-    chain.add("count_up", [round_], groups=(1,), to_zero=True)
-    for i in range(math.ceil(count / layers)):
-        if i > 0:
-            chain.add("count_up", [round_], groups=(1,), to_zero=False)
-        _add_transfers(chain, plan, sizes, made, (rays, pupil, defocus, round_))
-        _add_views(chain, plan, sizes, made, (spectra, signal), constants)
-        _add_windows(chain, plan, sizes, made, constants["band_taps"], round_, correlation)
+    for number, part in enumerate(sizes):
+        rays = _rays(chain, plan, part, number)
+        for i in range(part.rounds):
+            chain.add("count_up", [round_], groups=(1,), to_zero=i == 0)
+            _add_transfers(chain, plan, part, made, (*rays, round_))
+            _add_views(chain, plan, part, made, (spectra, signal), constants)
+            _add_windows(chain, plan, part, made, constants["band_taps"], round_, correlation)
     return correlation
 
 
-def _rays(chain: Chain, plan: EvidencePlan, sizes: RoundSizes) -> tuple[Array, Array, Array]:
-    """Send traced rays up: of every tile and channel, and what a layer adds to them."""
+def _rays(chain: Chain, plan: EvidencePlan, sizes: RoundSizes, number: int) -> tuple[Array, Array, Array]:
+    """Send traced rays of a part up: of every tile and channel, and what a layer adds to them."""
     blank = np.zeros((*np.shape(sizes.rays[0].light), 1))
     rays = np.stack([np.concatenate([r.at_infinity_px, r.light[..., None], blank], axis=-1) for r in sizes.rays])
     return (
-        chain.constant("rays", rays),
-        chain.constant("pupil", plan.source.blur.pupil.points),
-        chain.constant("defocus", np.stack([sizes.defocus, sizes.reach], axis=-1)),
+        chain.constant(f"rays_{number}", rays),
+        chain.constant(f"pupil_{number}", plan.source.blur.pupil.points),
+        chain.constant(f"defocus_{number}", np.stack([sizes.defocus, sizes.reach], axis=-1)),
     )
 
 
@@ -193,7 +193,7 @@ def _add_transfers(
         raise DeviceError(f"a blur of {sizes.side} px is too wide for the GPU, at most {CELLS}: use --device cpu")
     same = dict(
         tile_px=plan.nodes.size_px, pictures=sizes.pictures, side=sizes.side, kept=sizes.kept,
-        layers_of_round=sizes.layers, layer_count=len(plan.computed_px),
+        layers_of_round=sizes.layers, layer_count=sizes.count,
     )  # fmt: skip
     chain.add(
         "point_rows", [factors, rays, pupil, defocus, round_, made["point_rows"]],
@@ -217,12 +217,12 @@ def _add_views(
 ) -> None:
     """Append P and Q of the frame, for all pairs and layers of a round."""
     pictures = sizes.layers * sizes.tiles * sizes.pairs
-    place_of = plan.channels.index
-    numbers = [n for a, b in plan.source.all_pairs for n in (a, b, place_of(a), place_of(b))]
+    place_of = sizes.part.channels.index
+    numbers = [n for a, b in sizes.part.pairs for n in (a, b, place_of(a), place_of(b))]
     pairs = sum(n << 2 * i for i, n in enumerate(numbers))
     add_transform(
         chain, "cross_rows", [*spectra, made["transfers"], constants["low_pass"], made["cross_rows"]],
-        sizes.size, pictures * sizes.size, backwards=True, tiles=sizes.tiles, channels=len(plan.channels),
+        sizes.size, pictures * sizes.size, backwards=True, tiles=sizes.tiles, channels=len(sizes.part.channels),
         pair_count=sizes.pairs, pairs=pairs, middle=sizes.middle, damping=float(plan.source.config.damping),
     )  # fmt: skip
     add_transform(
@@ -283,7 +283,8 @@ def _add_windows(
     )
     chain.add(
         "band_correlation", [made["products"], round_, correlation],
-        groups=groups_for(planes * small[0] * small[1]), uses=("indexing",), height=small[0], width=small[1],
-        bands=sizes.bands, layers_of_round=sizes.layers, pair_count=sizes.pairs, layer_count=len(plan.computed_px),
-        kept_height=plan.samples[0], kept_width=plan.samples[1],
+        groups=groups_for(planes * small[0] * small[1]), uses=("indexing", "correlations"), height=small[0], width=small[1],
+        bands=sizes.bands, layers_of_round=sizes.layers, pair_count=sizes.pairs, first_layer=sizes.part.begin,
+        layer_count=sizes.part.end, primary_pairs=len(plan.source.blur.pairs), computed=len(plan.computed_px),
+        of_all_pairs=plan.parts[0].end, kept_height=plan.samples[0], kept_width=plan.samples[1],
     )  # fmt: skip

@@ -1,14 +1,16 @@
 // What all pairs and bands of a sample earn at every layer, as the unexplained fraction exp(-2 l / factors), in which
 // `labels_read.wgsl` interpolates. A workgroup has one sample. See `blur_evidence.py`.
 
-@group(0) @binding(0) var<storage, read> correlation: array<f32>;  // (pairs, bands, samples, computed)
+@group(0) @binding(0) var<storage, read> correlation: array<f32>;  // see `correlations.wgsl`
 // (count,): where a layer's correlation is; odd ones may lie between even ones: -1
 @group(0) @binding(1) var<storage, read> places: array<i32>;
 @group(0) @binding(2) var<storage, read_write> unexplained: array<f32>;  // (samples, count)
 
 const evens = (count + 1u) / 2u;
+const fourths = (evens + 1u) / 2u;
 
 var<workgroup> known: array<f32, evens>;  // every second layer of a pair's band
+var<workgroup> few: array<f32, fourths>;  // every fourth one of a secondary pair
 var<workgroup> most: array<f32, 64>;
 
 // Half way between the inner two of six numbers by a polynomial, sums of the outermost, the next and the inner two.
@@ -17,22 +19,21 @@ fn halfway(far: f32, near: f32, inner: f32) -> f32 {
 }
 
 // Every fourth layer, and its odd continuation.
-fn fourth_layer(first: u32, k: i32) -> f32 {
-    let last = (i32(evens) - 1i) / 2i;
-    if (k < 0i) { return 2.0 * correlation[first] - correlation[first + 2u * u32(min(-k, last))]; }
-    if (k > last) {
-        return 2.0 * correlation[first + 2u * u32(last)] - correlation[first + 2u * u32(max(2i * last - k, 0i))];
-    }
-    return correlation[first + 2u * u32(k)];
+fn fourth_layer(k: i32) -> f32 {
+    let last = i32(fourths) - 1i;
+    if (k < 0i) { return 2.0 * few[0] - few[min(-k, last)]; }
+    if (k > last) { return 2.0 * few[last] - few[max(2i * last - k, 0i)]; }
+    return few[k];
 }
 
 // Secondary pairs change half as fast with the layer: they count at every fourth, and at the last.
-fn second_layer(first: u32, k: u32, is_primary: bool) -> f32 {
-    if (is_primary || k % 2u == 0u || k == evens - 1u) { return correlation[first + k]; }
+fn second_layer(first: u32, k: u32) -> f32 {
+    if (k % 2u == 0u) { return few[k / 2u]; }
+    if (k == evens - 1u) { return correlation[first + fourths]; }
     let j = i32(k / 2u);
     return halfway(
-        fourth_layer(first, j - 2i) + fourth_layer(first, j + 3i), fourth_layer(first, j - 1i) + fourth_layer(first, j + 2i),
-        fourth_layer(first, j) + fourth_layer(first, j + 1i)
+        fourth_layer(j - 2i) + fourth_layer(j + 3i), fourth_layer(j - 1i) + fourth_layer(j + 2i),
+        fourth_layer(j) + fourth_layer(j + 1i)
     );
 }
 
@@ -65,9 +66,15 @@ fn main(
     for (var pair = 0u; pair < pairs; pair++) {
         let is_primary = pair < primary_pairs;
         for (var band = 0u; band < bands; band++) {
-            let first = ((pair * bands + band) * samples + sample) * computed;
+            let first = correlations_of(pair, band, samples, sample);
             workgroupBarrier();
-            for (var k = local; k < evens; k += 64u) { known[k] = second_layer(first, k, is_primary); }
+            if (is_primary) {
+                for (var k = local; k < evens; k += 64u) { known[k] = correlation[first + u32(places[2u * k])]; }
+            } else {
+                for (var k = local; k < fourths; k += 64u) { few[k] = correlation[first + k]; }
+                workgroupBarrier();
+                for (var k = local; k < evens; k += 64u) { known[k] = second_layer(first, k); }
+            }
             workgroupBarrier();
             for (var layer = local; layer < count; layer += 64u) {
                 let rho = max(at_layer(first, layer, is_primary), 0.0);
