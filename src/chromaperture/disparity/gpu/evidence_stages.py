@@ -22,6 +22,7 @@ from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
 from chromaperture.disparity.stages.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis
 
 MOST_PASSES = 6  # of `fourier.wgsl`
+SHARED_NUMBERS = 4000  # of the correlations of a sample in 16 KB of shared memory
 CELLS = 4096  # pixels of a point-spread function in 16 KB of shared memory
 _NEGLIGIBLE = 1e-8  # of a window's transform
 
@@ -43,6 +44,9 @@ def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
     config, pairs = plan.source.config, plan.source.all_pairs
     samples = plan.samples[0] * plan.samples[1]
     unexplained = chain.array("unexplained", samples * len(plan.layers_px))
+    evens, lists = len(plan.layers_px) // 2 + 1, len(pairs) * len(config.bands_px)
+    if lists * (evens + evens // 2 + 9) > SHARED_NUMBERS:
+        raise DeviceError(f"{lists} bands of pairs at {len(plan.layers_px)} layers are too many for the GPU")
     chain.add(
         "pair_evidence", [correlation, chain.constant("places", plan.places), unexplained],
         groups=groups_for(samples, 1), uses=("correlations",), samples=samples, count=len(plan.layers_px), computed=len(plan.computed_px),
