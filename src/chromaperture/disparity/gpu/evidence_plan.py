@@ -14,7 +14,7 @@ from chromaperture.disparity.gpu.surface_stages import AT_ONCE, gaussian_taps
 from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
 from chromaperture.stage_config import CrossFilterConfig
 
-MOST_TRANSFORMED = 1024  # complex numbers of a line: two of them fill 16 KB of shared memory
+MOST_TRANSFORMED = 1024  # complex numbers of two lines: they fill 16 KB of shared memory
 MOST_BANDS = 8  # whose numbers fit into 32 bits
 ROUND_BYTES = 1 << 28  # of the arrays that a round of layers works on; chosen by hand
 
@@ -126,7 +126,7 @@ class RoundSizes:
         self.arrays = dict(  # numbers a layer
             point_rows=2 * self.pictures * self.side * self.kept,
             transfers=2 * self.pictures * self.size * self.columns,
-            cross_rows=2 * self.tiles * self.pairs * self.size * self.middle,
+            cross_columns=4 * self.tiles * self.pairs * self.kept * self.middle,
             tile_views=2 * self.tiles * self.pairs * self.middle**2,
             joined=2 * frame,
             smooth_rows=2 * self.smooths.taps.shape[1] * frame,

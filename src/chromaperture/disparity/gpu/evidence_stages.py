@@ -9,6 +9,7 @@ time as a quarter of a gigabyte holds; what a round works on is used again by th
 from __future__ import annotations
 
 import math
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from chromaperture.disparity.gpu.surface_stages import AT_ONCE, add_gaussian, ga
 from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
 from chromaperture.disparity.stages.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis
 
-MOST_PASSES = 6  # of `fourier.wgsl`
+RADICES = (16, 12, 10, 9, 8, 6, 5, 4, 3, 2)  # of `fourier.wgsl`
 SHARED_NUMBERS = 4000  # of the correlations of a sample in 16 KB of shared memory
 CELLS = 4096  # pixels of a point-spread function in 16 KB of shared memory
 _NEGLIGIBLE = 1e-8  # of a window's transform
@@ -49,7 +50,8 @@ def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
         raise DeviceError(f"{lists} bands of pairs at {len(plan.layers_px)} layers are too many for the GPU")
     chain.add(
         "pair_evidence", [correlation, chain.constant("places", plan.places), unexplained],
-        groups=groups_for(samples, 1), uses=("correlations",), samples=samples, count=len(plan.layers_px), computed=len(plan.computed_px),
+        groups=groups_for(samples, 1), uses=("correlations",), samples=samples, count=len(plan.layers_px),
+        computed=len(plan.computed_px),
         pairs=len(pairs), primary_pairs=len(plan.source.blur.pairs), of_all_pairs=plan.parts[0].end,
         bands=len(config.bands_px),
         weights=[float(w) for w in config.band_weights], most_correlation2=MAX_CORRELATION2_OF_BANDS,
@@ -60,28 +62,39 @@ def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
 
 
 def add_transform(
-    chain: Chain, stage: str, arrays: list[Array], span: int, lines: int, *, backwards: bool, **constants: Any
+    chain: Chain,
+    stage: str,
+    arrays: list[Array],
+    span: int,
+    lines: int,
+    *,
+    backwards: bool,
+    beside_lines: bool,
+    **constants: Any,
 ) -> None:
-    """Append transforms of so many lines of ``span`` numbers; ``arrays`` follow the table of factors."""
+    """Append transforms of so many pairs of lines of ``span`` numbers; ``arrays`` follow the table of factors.
+
+    ``beside_lines`` tells that the same numbers of neighbouring lines are neighbours in memory, not those of a line.
+    """
     radices = _radices(span)
+    most_butterflies = span // min(radices)
+    group_size = GROUP * -(-most_butterflies // GROUP)
+    lines_of_group = max(1, min(group_size // most_butterflies, MOST_TRANSFORMED // span))
     chain.add(
-        stage, [_factors(chain, span), *arrays], groups=groups_for(lines, MOST_TRANSFORMED // span),
-        uses=("indexing", "fourier"), span=span, lines=lines, passes=len(radices),
-        radices=sum(radix << 4 * i for i, radix in enumerate(radices)),
-        backwards=backwards, **constants,
+        stage, [_factors(chain, span), *arrays], groups=groups_for(lines, lines_of_group),
+        uses=("indexing", "fourier"), span=span, lines=lines, lines_of_group=lines_of_group, group_size=group_size,
+        passes=len(radices), radices=sum(radix << 8 * i for i, radix in enumerate(radices)), last_radix=radices[-1],
+        backwards=backwards, beside_lines=beside_lines, **constants,
     )  # fmt: skip
 
 
-def _radices(span: int) -> list[int]:
-    """Cut a length into factors of 8, 6, 5, 4, 3 and 2; raises DeviceError where there are others."""
-    found = []
-    for radix in (8, 6, 5, 4, 3, 2):
-        while span % radix == 0:
-            found.append(radix)
-            span //= radix
-    if span != 1 or len(found) > MOST_PASSES:
-        raise DeviceError("a tile's side has too many or too large factors for the GPU; use --device cpu")
-    return found
+def _radices(span: int) -> tuple[int, ...]:
+    """Cut a length into two to four radices, as few and as even as can be; raises DeviceError where it has others."""
+    for passes in (2, 3, 4):
+        cuts = [cut for cut in combinations_with_replacement(RADICES, passes) if math.prod(cut) == span]
+        if cuts:
+            return max(cuts, key=min)
+    raise DeviceError(f"a tile's side of {span} has too large factors for the GPU; use --device cpu")
 
 
 def _factors(chain: Chain, span: int) -> Array:
@@ -104,15 +117,15 @@ def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
     corners = chain.constant("corners", np.array(nodes.corners_px, np.int32))
     rows = chain.array("tile_rows", 2 * pictures * size_px * kept)
     add_transform(
-        chain, "tile_rows", [image, shading, corners, rows], size_px, pictures * size_px, backwards=False,
-        height=blur.height_px, width=blur.width_px, kept=kept,
+        chain, "tile_rows", [image, shading, corners, rows], size_px, pictures * size_px // 2, backwards=False,
+        beside_lines=False, height=blur.height_px, width=blur.width_px, kept=kept,
     )  # fmt: skip
     spectra, power, signal = (
         chain.array(name, parts * pictures * size * columns)
         for name, parts in (("spectra", 2), ("power", 1), ("signal", 1))
     )
     add_transform(
-        chain, "tile_columns", [rows, spectra], size_px, pictures * kept, backwards=False,
+        chain, "tile_columns", [rows, spectra], size_px, pictures * kept // 2, backwards=False, beside_lines=True,
         size=size, kept=kept, gain=1 / SAMPLING_PX**2,
     )  # fmt: skip
     # The autocorrelation under a lag window is the power averaged with the window's transform.
@@ -145,8 +158,15 @@ def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: 
         "correlation", len(config.bands_px) * samples * sum(one.pairs * one.count for one in sizes)
     )
     low_pass = np.exp(-((2 * np.pi * scipy.fft.fftfreq(sizes[0].size) * finest_px(config) / SAMPLING_PX) ** 2) / 2)
+    tiles, span, all_pairs = len(plan.nodes.places), sizes[0].size, plan.source.all_pairs
+    of_pairs = chain.array("pair_spectra", 4 * tiles * len(all_pairs) * span * (span // 2))
+    chain.add(
+        "pair_spectra", [spectra, signal, chain.constant("low_pass", low_pass), of_pairs],
+        groups=groups_for(of_pairs.size // 4), uses=("indexing",), tiles=tiles, pair_count=len(all_pairs), span=span,
+        pairs=sum((a | b << 2) << 4 * i for i, (a, b) in enumerate(all_pairs)),
+    )  # fmt: skip
     constants = dict(
-        low_pass=chain.constant("low_pass", low_pass),
+        pair_spectra=of_pairs,
         across=_near_nodes(chain, "across", plan.nodes.across, plan.nodes.shape[1]),
         down=_near_nodes(chain, "down", plan.nodes.down, plan.nodes.shape[0]),
         starts=chain.constant(
@@ -159,7 +179,7 @@ def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: 
         for i in range(part.rounds):
             chain.add("count_up", [round_], groups=(1,), to_zero=i == 0)
             _add_transfers(chain, plan, part, made, (*rays, round_))
-            _add_views(chain, plan, part, made, (spectra, signal), constants)
+            _add_views(chain, plan, part, made, constants)
             _add_windows(chain, plan, part, made, constants["band_taps"], round_, correlation)
     return correlation
 
@@ -212,26 +232,21 @@ def _add_transfers(
 
 
 def _add_views(
-    chain: Chain,
-    plan: EvidencePlan,
-    sizes: RoundSizes,
-    made: dict[str, Array],
-    spectra: tuple[Array, Array],
-    constants: dict[str, Array],
+    chain: Chain, plan: EvidencePlan, sizes: RoundSizes, made: dict[str, Array], constants: dict[str, Array]
 ) -> None:
     """Append P and Q of the frame, for all pairs and layers of a round."""
     pictures = sizes.layers * sizes.tiles * sizes.pairs
     place_of = sizes.part.channels.index
-    numbers = [n for a, b in sizes.part.pairs for n in (a, b, place_of(a), place_of(b))]
-    pairs = sum(n << 2 * i for i, n in enumerate(numbers))
+    pairs = sum((place_of(a) | place_of(b) << 2) << 4 * i for i, (a, b) in enumerate(sizes.part.pairs))
     add_transform(
-        chain, "cross_rows", [*spectra, made["transfers"], constants["low_pass"], made["cross_rows"]],
-        sizes.size, pictures * sizes.size, backwards=True, tiles=sizes.tiles, channels=len(sizes.part.channels),
-        pair_count=sizes.pairs, pairs=pairs, middle=sizes.middle, damping=float(plan.source.config.damping),
+        chain, "cross_columns", [constants["pair_spectra"], made["transfers"], made["cross_columns"]],
+        sizes.size, pictures * sizes.kept, backwards=True, beside_lines=True, tiles=sizes.tiles,
+        channels=len(sizes.part.channels), pair_count=sizes.pairs, all_pairs=len(plan.source.all_pairs), pairs=pairs,
+        middle=sizes.middle, damping=float(plan.source.config.damping),
     )  # fmt: skip
     add_transform(
-        chain, "cross_columns", [made["cross_rows"], made["tile_views"]],
-        sizes.size, pictures * sizes.middle, backwards=True, middle=sizes.middle,
+        chain, "cross_rows", [made["cross_columns"], made["tile_views"]],
+        sizes.size, pictures * sizes.middle // 2, backwards=True, beside_lines=False, middle=sizes.middle,
     )  # fmt: skip
     height, width = plan.nodes.shape
     chain.add(
@@ -287,7 +302,8 @@ def _add_windows(
     )
     chain.add(
         "band_correlation", [made["products"], round_, correlation],
-        groups=groups_for(planes * small[0] * small[1]), uses=("indexing", "correlations"), height=small[0], width=small[1],
+        groups=groups_for(planes * small[0] * small[1]), uses=("indexing", "correlations"), height=small[0],
+        width=small[1],
         bands=sizes.bands, layers_of_round=sizes.layers, pair_count=sizes.pairs, first_layer=sizes.part.begin,
         layer_count=sizes.part.end, primary_pairs=len(plan.source.blur.pairs), computed=len(plan.computed_px),
         of_all_pairs=plan.parts[0].end, kept_height=plan.samples[0], kept_width=plan.samples[1],
