@@ -35,7 +35,7 @@ fn main(
     }
     let column_pitch = width * quads;
     let own = (i - local) * (block + reach) + local;
-    let begin = first - i32(reach);
+    let begin = max(first - i32(reach), -i32(pad_y));  // before that all is even
     var state = covariances[inside(begin + i32(pad_y), tall) * column_pitch + column];
     for (var y = begin; y < end + i32(reach); y++) {
         var forward: array<vec4f, view_count>;

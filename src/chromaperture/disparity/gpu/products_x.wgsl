@@ -30,7 +30,7 @@ fn main(
     }
     let own = (i - local) * (block + reach) + local;  // a private array would be set to 0 first
     var state = Covariances();
-    for (var x = first - i32(reach); x < end + i32(reach); x++) {
+    for (var x = max(first - i32(reach), -i32(pad_x)); x < end + i32(reach); x++) {
         var forward: array<vec4f, view_count>;
         var backward: array<vec4f, view_count>;
         for (var k = 0u; k < view_count; k++) {
