@@ -110,7 +110,7 @@ class RoundSizes:
 
     def __init__(self, plan: EvidencePlan, part: Part) -> None:
         nodes, source = plan.nodes, plan.source
-        self.size, self.columns, self.kept = nodes.size, nodes.size // 2 + 1, nodes.size // 2
+        self.size, self.kept = nodes.size, nodes.size // 2
         self.tiles, self.middle = len(nodes.places), 2 * nodes.half
         self.pairs, self.bands = len(part.pairs), len(source.config.bands_px)
         self.part, self.pictures = part, self.tiles * len(part.channels)
@@ -125,7 +125,7 @@ class RoundSizes:
         frame, small = self.pairs * height * width, self.pairs * -(-height // 2) * -(-width // 2)
         self.arrays = dict(  # numbers a layer
             point_rows=2 * self.pictures * self.side * self.kept,
-            transfers=2 * self.pictures * self.size * self.columns,
+            transfers=2 * self.pictures * self.size * self.kept,
             cross_columns=4 * self.tiles * self.pairs * self.kept * self.middle,
             tile_views=2 * self.tiles * self.pairs * self.middle**2,
             joined=2 * frame,

@@ -186,8 +186,10 @@ def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: 
 
 def _rays(chain: Chain, plan: EvidencePlan, sizes: RoundSizes, number: int) -> tuple[Array, Array, Array]:
     """Send traced rays of a part up: of every tile and channel, and what a layer adds to them."""
-    blank = np.zeros((*np.shape(sizes.rays[0].light), 1))
-    rays = np.stack([np.concatenate([r.at_infinity_px, r.light[..., None], blank], axis=-1) for r in sizes.rays])
+    parts = [np.stack([getattr(rays, name) for rays in sizes.rays]) for name in ("at_infinity_px", "light")]
+    order = np.argsort(parts[1] <= 0, axis=-1, kind="stable")[..., None]  # those without light at the end
+    every = [parts[0], parts[1][..., None]]
+    rays = np.concatenate([*(np.take_along_axis(part, order, axis=2) for part in every), order], axis=-1)
     return (
         chain.constant(f"rays_{number}", rays),
         chain.constant(f"pupil_{number}", plan.source.blur.pupil.points),
@@ -212,7 +214,7 @@ def _add_transfers(
     """Append `LensBlur.transfer_of` for all tiles, channels and layers of a round."""
     rays, pupil, defocus, round_ = inputs
     factors = _factors(chain, plan.nodes.size_px)
-    rows_of_group = CELLS // sizes.side
+    rows_of_group = min(CELLS // sizes.side, sizes.side)
     if rows_of_group == 0:
         raise DeviceError(f"a blur of {sizes.side} px is too wide for the GPU, at most {CELLS}: use --device cpu")
     same = dict(
@@ -227,7 +229,7 @@ def _add_transfers(
     )  # fmt: skip
     chain.add(
         "point_columns", [factors, defocus, round_, made["point_rows"], made["transfers"]],
-        groups=(sizes.kept * -(-sizes.kept // AT_ONCE) / GROUP, sizes.pictures, sizes.layers), size=sizes.size, **same,
+        groups=(sizes.kept // 2 * -(-sizes.kept // AT_ONCE) / GROUP, sizes.pictures, sizes.layers), size=sizes.size, **same,
     )  # fmt: skip
 
 
