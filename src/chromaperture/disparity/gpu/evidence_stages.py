@@ -25,6 +25,7 @@ from chromaperture.disparity.stages.tiles import BACKGROUND_PX, LAG_PX, SAMPLING
 RADICES = (16, 12, 10, 9, 8, 6, 5, 4, 3, 2)  # of `fourier.wgsl`
 SHARED_NUMBERS = 4000  # of the correlations of a sample in 16 KB of shared memory
 CELLS = 4096  # pixels of a point-spread function in 16 KB of shared memory
+FEW = 4  # neighbours that an invocation of the other filters has
 _NEGLIGIBLE = 1e-8  # of a window's transform
 
 
@@ -132,12 +133,12 @@ def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
     lags = np.minimum(np.arange(size), size - np.arange(size))
     window = scipy.fft.fft(np.exp(-(lags**2) / (2 * (LAG_PX / SAMPLING_PX) ** 2))).real / size
     reach = int(np.flatnonzero(window[: size // 2] > _NEGLIGIBLE * window[0]).max())
-    taps = chain.constant("lag_taps", np.concatenate([window[reach:0:-1], window[: reach + 1], np.zeros(AT_ONCE - 1)]))
+    taps = chain.constant("lag_taps", np.concatenate([window[reach:0:-1], window[: reach + 1], np.zeros(FEW - 1)]))
     between = chain.array("power_columns", pictures * size * columns)
     for before, after, along_x in ((spectra, between, False), (between, power, True)):
         chain.add(
             "tile_smoothing", [before, taps, after],
-            groups=groups_for(pictures * (size * -(-columns // AT_ONCE) if along_x else columns * -(-size // AT_ONCE))),
+            groups=groups_for(pictures * (size * -(-columns // FEW) if along_x else columns * -(-size // FEW))),
             uses=("indexing",),
             pictures=pictures, size=size, reach=reach, along_x=along_x, is_spectrum=not along_x,
         )  # fmt: skip
@@ -229,7 +230,7 @@ def _add_transfers(
     )  # fmt: skip
     chain.add(
         "point_columns", [factors, defocus, round_, made["point_rows"], made["transfers"]],
-        groups=(sizes.kept // 2 * -(-sizes.kept // AT_ONCE) / GROUP, sizes.pictures, sizes.layers), size=sizes.size, **same,
+        groups=(sizes.kept // 2 * -(-sizes.kept // FEW) / GROUP, sizes.pictures, sizes.layers), size=sizes.size, **same,
     )  # fmt: skip
 
 
@@ -280,16 +281,16 @@ def _add_windows(
     )
     chain.add(
         "bands_rows", [made["joined"], band_taps, made["smooth_rows"]],
-        groups=groups_for(pictures * height * -(-width // AT_ONCE)), uses=("indexing",), **same,
+        groups=groups_for(pictures * height * -(-width // AT_ONCE)), uses=("indexing", "eight_sums"), **same,
     )  # fmt: skip
     chain.add(
         "bands_columns", [made["joined"], made["smooth_rows"], band_taps, made["band_views"]],
-        groups=groups_for(pictures * -(-height // AT_ONCE) * width), uses=("indexing",), bands=sizes.bands,
+        groups=groups_for(pictures * -(-height // AT_ONCE) * width), uses=("indexing", "eight_sums"), bands=sizes.bands,
         fine=smooths.fine, coarse=smooths.coarse, **same,
     )  # fmt: skip
     chain.add(
         "band_products", [made["band_views"], made["products"]],
-        groups=groups_for(planes * -(-small[0] // AT_ONCE) * small[1]), uses=("indexing",), height=height, width=width,
+        groups=groups_for(planes * -(-small[0] // FEW) * small[1]), uses=("indexing",), height=height, width=width,
         planes=planes,
     )  # fmt: skip
     rest_px = math.sqrt(max(config.window_sigma_px**2 - SAMPLING_PX**2, 0.01))  # as `blur_evidence`

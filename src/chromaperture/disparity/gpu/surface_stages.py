@@ -20,7 +20,7 @@ from chromaperture.disparity.stages.paths import LEAST_UNEXPLAINED, LINES, penal
 from chromaperture.disparity.stages.variation import OPERATOR_NORM_SQUARED
 from chromaperture.stage_config import SurfaceConfig
 
-AT_ONCE = 4  # neighbours that an invocation of a filter has: what they read overlaps
+AT_ONCE = 8  # neighbours that an invocation of a filter has: what they read overlaps
 LANES = 8  # invocations of a path: 9 to 17 layers each for 65 to 129; a subgroup of 8 or more holds whole paths
 MOST_LAYERS = 512  # of a path: 64 in the registers of each of 8 invocations
 STEPS_SIDE = 64  # px that a workgroup of `coupling_steps.wgsl` loads along either axis
