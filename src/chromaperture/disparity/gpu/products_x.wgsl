@@ -46,8 +46,9 @@ fn main(
         state = decay * state + products(forward);
         if (x >= first) { ahead[own + 64u * u32(x - first)] = (1.0 - decay) * state + products(backward); }
     }
-    for (var x = end + i32(reach) - 1i; x >= first; x--) {
+    for (var x = end + i32(reach) - 1i; x >= end; x--) { state = decay * state + ahead[own + 64u * u32(x - first)]; }
+    for (var x = end - 1i; x >= first; x--) {
         state = decay * state + ahead[own + 64u * u32(x - first)];
-        if (x < end) { windows[(row * width + u32(x)) * quads + quad] = state; }
+        windows[(row * width + u32(x)) * quads + quad] = state;
     }
 }
