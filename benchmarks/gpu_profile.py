@@ -1,6 +1,6 @@
 """Quality "accurate" on a device and by Numba, stage by stage: processor time of both in one run.
 
-    LP_NUM_THREADS=1 python benchmarks/gpu_profile.py [--sample still_life_cy_open] [--size 360x240] [--device gpu]
+    LP_NUM_THREADS=1 python benchmarks/gpu_profile.py [--sample still_life_cy_open] [--size 360x240] [--device gpu] [--shaders]
 
 For rasterisers in software only, whose time is the processor's: of a real GPU it would count the waiting. The depths
 are compared before anything is timed. Every dispatch is waited for alone, and functions of the CPU count without those
@@ -136,6 +136,7 @@ def main() -> None:
     parser.add_argument("--sample", default="still_life_cy_open")
     parser.add_argument("--size", default="360x240")
     parser.add_argument("--device", default="gpu")
+    parser.add_argument("--shaders", action="store_true", help="each shader's time besides")
     arguments = parser.parse_args()
     width, height = (int(side) for side in arguments.size.split("x"))
     camera, image = open_sample(arguments.sample, quality="accurate")
@@ -184,6 +185,9 @@ def main() -> None:
         chain.match(image)
     print(f"{arguments.sample} {arguments.size}, {chain.device.info.name}, agreeing {close:.4f}")
     print(f"whole: device {1e3 * whole_device:.0f} ms, Numba {1e3 * whole_cpu:.0f} ms, {whole_device / whole_cpu:.1f}")
+    if arguments.shaders:
+        for name, taken_ms in sorted(on_device.taken_ms.items(), key=lambda item: -item[1]):
+            print(f"{name:28s} {taken_ms:10.1f}")
     print(f"\n{'stage':28s} {'device ms':>10s} {'Numba ms':>10s} {'ratio':>6s}")
     for name, stage in STAGES.items():
         device_ms = sum(on_device.taken_ms.pop(part, 0.0) for part in stage.device) or on_cpu.taken_ms.get(name, 0.0)

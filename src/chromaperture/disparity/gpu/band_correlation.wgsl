@@ -2,7 +2,7 @@
 
 @group(0) @binding(0) var<storage, read> products: array<f32>;  // (bands, layers of a round, pairs, h, w, 3)
 @group(0) @binding(1) var<storage, read> round: array<u32>;
-@group(0) @binding(2) var<storage, read_write> correlation: array<f32>;  // (pairs, bands, h, w, layers)
+@group(0) @binding(2) var<storage, read_write> correlation: array<f32>;  // see `correlations.wgsl`
 
 @compute @workgroup_size(64)
 fn main(
@@ -13,12 +13,11 @@ fn main(
     if (i >= bands * layers_of_round * pair_count * width * height) { return; }
     let pixel = i % (width * height);
     let pair = i / (width * height) % pair_count;
-    let layer = round[0] * layers_of_round + i / (width * height * pair_count) % layers_of_round;
+    let layer = first_layer + round[0] * layers_of_round + i / (width * height * pair_count) % layers_of_round;
     let band = i / (width * height * pair_count * layers_of_round);
     let x = pixel % width;
     let y = pixel / width;
     if (layer >= layer_count || x >= kept_width || y >= kept_height) { return; }
     let found = products[3u * i] * inverseSqrt(products[3u * i + 1u] * products[3u * i + 2u] + 1.0e-12);  // even areas
-    let at = ((pair * bands + band) * kept_height + y) * kept_width + x;
-    correlation[at * layer_count + layer] = found;
+    correlation[correlations_of(pair, band, kept_width * kept_height, y * kept_width + x) + layer] = found;
 }

@@ -1,12 +1,12 @@
-// All Gaussians of the bands along the columns, and their differences: the bands of P and Q. An invocation has four
+// All Gaussians of the bands along the columns, and their differences: the bands of P and Q. An invocation has eight
 // neighbours, whose pixels overlap. The finest Gaussian is that of P and Q themselves: number 0.
 
 @group(0) @binding(0) var<storage, read> joined: array<vec2f>;  // (pictures, h, w)
 @group(0) @binding(1) var<storage, read> smooth_rows: array<vec2f>;  // (smooths, pictures, h, w)
-@group(0) @binding(2) var<storage, read> taps: array<f32>;  // (2 reach + 4, smooths)
+@group(0) @binding(2) var<storage, read> taps: array<f32>;  // (2 reach + 8, smooths)
 @group(0) @binding(3) var<storage, read_write> band_views: array<vec2f>;  // (bands, pictures, h, w)
 
-const fours = (height + 3u) / 4u;
+const eights = (height + 7u) / 8u;
 const size = pictures * height * width;
 
 @compute @workgroup_size(64)
@@ -15,32 +15,33 @@ fn main(
     @builtin(local_invocation_index) local: u32
 ) {
     let i = invocation(group, groups, local);
-    if (i >= pictures * fours * width) { return; }
-    let y = 4u * (i / width % fours);
-    let first = i / (width * fours) * width * height + i % width;
-    var weights: array<vec4f, smooths>;
-    var p: array<vec4f, smooths + 1u>;
-    var q: array<vec4f, smooths + 1u>;
-    let rest = min(4u, height - y);
-    for (var n = 0u; n < rest; n++) {
-        let here = joined[first + (y + n) * width];
-        p[0][n] = here.x;
-        q[0][n] = here.y;
+    if (i >= pictures * eights * width) { return; }
+    let y = 8u * (i / width % eights);
+    let first = i / (width * eights) * width * height + i % width;
+    var sums: array<Sums, smooths + 1u>;
+    for (var n = 0u; n < 4u; n++) {
+        let near = joined[first + min(y + n, height - 1u) * width];
+        let far = joined[first + min(y + n + 4u, height - 1u) * width];
+        sums[0].near_p[n] = near.x;
+        sums[0].near_q[n] = near.y;
+        sums[0].far_p[n] = far.x;
+        sums[0].far_q[n] = far.y;
     }
-    for (var k = 0u; k < 2u * reach + 4u; k++) {
+    for (var k = 0u; k < 2u * reach + 8u; k++) {
         let at = first + mirrored(i32(y + k) - i32(reach), height) * width;
         for (var s = 0u; s < smooths; s++) {
-            let here = smooth_rows[s * size + at];
-            weights[s] = vec4f(taps[k * smooths + s], weights[s].xyz);
-            p[s + 1u] += weights[s] * here.x;
-            q[s + 1u] += weights[s] * here.y;
+            sums[s + 1u] = added(sums[s + 1u], taps[k * smooths + s], smooth_rows[s * size + at]);
         }
     }
     for (var band = 0u; band < bands; band++) {
-        let a = (fine >> (4u * band)) & 15u;
-        let b = (coarse >> (4u * band)) & 15u;
-        let of_p = p[a] - p[b];
-        let of_q = q[a] - q[b];
-        for (var n = 0u; n < rest; n++) { band_views[band * size + first + (y + n) * width] = vec2f(of_p[n], of_q[n]); }
+        let a = sums[(fine >> (4u * band)) & 15u];
+        let b = sums[(coarse >> (4u * band)) & 15u];
+        let to = band * size + first + y * width;
+        for (var n = 0u; n < 4u; n++) {
+            if (y + n < height) { band_views[to + n * width] = vec2f(a.near_p[n] - b.near_p[n], a.near_q[n] - b.near_q[n]); }
+            if (y + n + 4u < height) {
+                band_views[to + (n + 4u) * width] = vec2f(a.far_p[n] - b.far_p[n], a.far_q[n] - b.far_q[n]);
+            }
+        }
     }
 }

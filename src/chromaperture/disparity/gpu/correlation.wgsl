@@ -35,7 +35,7 @@ fn main(
     }
     let column_pitch = width * quads;
     let own = (i - local) * (block + reach) + local;
-    let begin = first - i32(reach);
+    let begin = max(first - i32(reach), -i32(pad_y));  // before that all is even
     var state = covariances[inside(begin + i32(pad_y), tall) * column_pitch + column];
     for (var y = begin; y < end + i32(reach); y++) {
         var forward: array<vec4f, view_count>;
@@ -54,15 +54,14 @@ fn main(
         state = decay * state + (1.0 - decay) * here + products(forward);
         if (y >= first) { ahead[own + 64u * u32(y - first)] = (1.0 - decay) * state + products(backward); }
     }
-    for (var y = end + i32(reach) - 1i; y >= first; y--) {
+    for (var y = end + i32(reach) - 1i; y >= end; y--) { state = decay * state + ahead[own + 64u * u32(y - first)]; }
+    for (var y = end - 1i; y >= first; y--) {
         state = decay * state + ahead[own + 64u * u32(y - first)];
-        if (y < end) {
-            var gain: array<vec4f, view_count>;
-            for (var k = 0u; k < view_count; k++) {
-                let at = starts[k] + clamp(rows[k] + y, vec4i(), vec4i(i32(tall) - 1i)) * row_pitch;
-                gain[k] = vec4f(gains[at.x], gains[at.y], gains[at.z], gains[at.w]);
-            }
-            keep(u32(y) * width + x, 4u * quad, scores_of(state, products(gain)));
+        var gain: array<vec4f, view_count>;
+        for (var k = 0u; k < view_count; k++) {
+            let at = starts[k] + clamp(rows[k] + y, vec4i(), vec4i(i32(tall) - 1i)) * row_pitch;
+            gain[k] = vec4f(gains[at.x], gains[at.y], gains[at.z], gains[at.w]);
         }
+        keep(u32(y) * width + x, 4u * quad, scores_of(state, products(gain)));
     }
 }

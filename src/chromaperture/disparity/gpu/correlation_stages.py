@@ -43,12 +43,19 @@ class Kept(NamedTuple):
         What these need.
     more : int
         Further maps of a pixel behind those of a chunk's layers.
+    together : int
+        The maps of a pixel are filled up to a multiple of this.
     """
 
     name: str
     uses: tuple[str, ...]
     constants: dict[str, Any]
     more: int = 0
+    together: int = 1
+
+    def pitch_of(self, layers: int) -> int:
+        """Return the maps of a pixel in a chunk of so many layers."""
+        return -(-(layers + self.more) // self.together) * self.together
 
 
 class Chunk(NamedTuple):
@@ -165,7 +172,7 @@ def add_correlation(
     most_layers = min(most_layers, 4 * int(waiting // of_quad))
     chunks = chunks_of(layers_px, directions, config.sampling, most_entries, most_layers)
     kept = kept or Kept("score", ("scores_kept",), {})
-    volume = _largest(chain, kept.name, [planes.pixels * (pitch or c.size + kept.more) for c in chunks])
+    volume = _largest(chain, kept.name, [planes.pixels * (pitch or kept.pitch_of(c.size)) for c in chunks])
     samples_y = _largest(chain, "samples_y", [tall * planes.width * len(c.phases_y) for c in chunks])
     samples = _largest(chain, "samples", [tall * wide * len(c.phases_x) for c in chunks])
     windows = _largest(chain, "windows", [2 * tall * (wide + reach) * len(c.phases_x) for c in chunks])
@@ -208,7 +215,7 @@ def add_correlation(
         chain.add(
             "correlation", [covariances, places, apart_y, gains, ahead, volume, *mask],
             groups=groups_for(invocations[number][1]), uses=(*SHARED, pairs, *kept.uses),
-            pitch=pitch or chunk.size + kept.more, first_layer=chunk.first if pitch else 0, block=block_y,
+            pitch=pitch or kept.pitch_of(chunk.size), first_layer=chunk.first if pitch else 0, block=block_y,
             layer_count=chunk.size, **layers, **kept.constants,
         )  # fmt: skip
         yield volume, chunk

@@ -1,7 +1,7 @@
 // `steps` primal-dual iterations of total variation with a quadratic data term; see `stages/variation.py`. A workgroup
 // loads 16 x 16 blocks, iterates and stores the inner pixels, which nothing beyond has reached: an iteration reaches one
-// pixel further. An invocation keeps a block of 4 columns and `tall` rows in registers; only what its neighbours read
-// goes through shared memory.
+// pixel further. An invocation keeps a block of 4 x 4 in registers; only what its neighbours read goes through shared
+// memory. Rows have names, because arrays of registers cost a software device half of its time.
 
 @group(0) @binding(0) var<storage, read> before: array<vec4f>;  // (h, w): u, its extrapolation, dual
 @group(0) @binding(1) var<storage, read_write> after: array<vec4f>;
@@ -11,13 +11,75 @@
 @group(0) @binding(5) var<storage, read> round: array<u32>;
 
 // Of every block: the extrapolation of its first column and row, the flow (dual times links) out of its last ones.
-var<workgroup> first_column: array<f32, 256u * tall>;
-var<workgroup> last_column: array<f32, 256u * tall>;
+var<workgroup> first_column: array<vec4f, 256>;
+var<workgroup> last_column: array<vec4f, 256>;
 var<workgroup> first_row: array<vec4f, 256>;
 var<workgroup> last_row: array<vec4f, 256>;
 
+// Four neighbours of a row.
+struct Row { u: vec4f, ahead: vec4f, dual_x: vec4f, dual_y: vec4f, link_x: vec4f, link_y: vec4f, goal: vec4f }
+
 fn is_inside(at: vec2i) -> bool {
     return all(at >= vec2i(0i)) && at.x < i32(width) && at.y < i32(height);
+}
+
+fn loaded(corner: vec2i) -> Row {
+    var row: Row;
+    for (var x = 0u; x < 4u; x++) {
+        let at = corner + vec2i(i32(x), 0i);
+        if (is_inside(at)) {
+            let pixel = u32(at.y) * width + u32(at.x);
+            let state = before[pixel];
+            // No link beyond the last column and row: the gradient is 0 there.
+            let link = links[pixel] * vec2f(f32(at.x + 1i < i32(width)), f32(at.y + 1i < i32(height)));
+            row.u[x] = state.x;
+            row.ahead[x] = select(state.y, state.x, is_fresh);
+            row.dual_x[x] = state.z;
+            row.dual_y[x] = state.w;
+            row.link_x[x] = link.x;
+            row.link_y[x] = link.y;
+            row.goal[x] = goal[pixel];
+        }
+    }
+    return row;
+}
+
+// The flow to the right of four rows.
+fn out_of(first: Row, second: Row, third: Row, fourth: Row) -> vec4f {
+    return vec4f(first.dual_x.w, second.dual_x.w, third.dual_x.w, fourth.dual_x.w)
+        * vec4f(first.link_x.w, second.link_x.w, third.link_x.w, fourth.link_x.w);
+}
+
+// Links are 0 outside of the picture, where the dual stays 0.
+fn dual(row: Row, beside: vec4f, under: vec4f) -> Row {
+    var next = row;
+    let damping = 1.0 / (1.0 + dual_step * huber);
+    let along = (row.dual_x + dual_step * row.link_x * (beside - row.ahead)) * damping;
+    let down = (row.dual_y + dual_step * row.link_y * (under - row.ahead)) * damping;
+    let shorter = inverseSqrt(max(vec4f(1.0), along * along + down * down));
+    next.dual_x = along * shorter;
+    next.dual_y = down * shorter;
+    return next;
+}
+
+fn primal(row: Row, before: f32, over: vec4f, pull: f32, share: f32) -> Row {
+    var next = row;
+    let flow = row.dual_x * row.link_x;
+    let divergence = flow - vec4f(before, flow.xyz) + row.dual_y * row.link_y - over;
+    next.u = clamp((row.u + primal_step * divergence + pull * row.goal) * share, vec4f(), vec4f(highest));
+    next.ahead = next.u + (next.u - row.u);
+    return next;
+}
+
+fn store(row: Row, slot: vec2u, corner: vec2i) {
+    for (var x = 0u; x < 4u; x++) {
+        let place = slot + vec2u(x, 0u);
+        let at = corner + vec2i(i32(x), 0i);
+        let kept = all(place >= vec2u(steps)) && all(place < vec2u(64u, 64u) - steps);
+        if (kept && is_inside(at)) {
+            after[u32(at.y) * width + u32(at.x)] = vec4f(row.u[x], row.ahead[x], row.dual_x[x], row.dual_y[x]);
+        }
+    }
 }
 
 @compute @workgroup_size(16, 16)
@@ -25,86 +87,41 @@ fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u,
     @builtin(local_invocation_index) number: u32
 ) {
-    let weight = 1.0 / couplings[round[0]];
-    // A vector has the four columns of a row.
-    var u: array<vec4f, tall>;
-    var ahead: array<vec4f, tall>;  // extrapolated
-    var dual_x: array<vec4f, tall>;
-    var dual_y: array<vec4f, tall>;
-    var link_x: array<vec4f, tall>;
-    var link_y: array<vec4f, tall>;
-    var flow_x: array<vec4f, tall>;
-    var flow_y: array<vec4f, tall>;
-    var target_u: array<vec4f, tall>;
-    let corner = vec2i(group.xy * (vec2u(64u, 16u * tall) - 2u * steps) + vec2u(4u, tall) * local.xy) - i32(steps);
-    for (var y = 0u; y < tall; y++) {
-        for (var x = 0u; x < 4u; x++) {
-            let at = corner + vec2i(i32(x), i32(y));
-            var state = vec4f();
-            if (is_inside(at)) {
-                let pixel = u32(at.y) * width + u32(at.x);
-                state = before[pixel];
-                target_u[y][x] = goal[pixel];
-                // No link beyond the last column and row: the gradient is 0 there.
-                let link = links[pixel] * vec2f(f32(at.x + 1i < i32(width)), f32(at.y + 1i < i32(height)));
-                link_x[y][x] = link.x;
-                link_y[y][x] = link.y;
-            }
-            u[y][x] = state.x;
-            ahead[y][x] = select(state.y, state.x, is_fresh);
-            dual_x[y][x] = state.z;
-            dual_y[y][x] = state.w;
-        }
-        first_column[number * tall + y] = ahead[y].x;
-    }
-    first_row[number] = ahead[0];
+    let corner = vec2i(group.xy * (vec2u(64u, 64u) - 2u * steps) + vec2u(4u, 4u) * local.xy) - i32(steps);
+    var first = loaded(corner);
+    var second = loaded(corner + vec2i(0i, 1i));
+    var third = loaded(corner + vec2i(0i, 2i));
+    var fourth = loaded(corner + vec2i(0i, 3i));
+    first_column[number] = vec4f(first.ahead.x, second.ahead.x, third.ahead.x, fourth.ahead.x);
+    first_row[number] = first.ahead;
     workgroupBarrier();
-    let right = min(number + 1u, 255u) * tall;
-    let left = (max(number, 1u) - 1u) * tall;
+    let right = min(number + 1u, 255u);
+    let left = max(number, 1u) - 1u;
     let below = min(number + 16u, 255u);
     let above = max(number, 16u) - 16u;
-    let pull = primal_step * weight;
-    let damping = 1.0 / (1.0 + dual_step * huber);
+    let pull = primal_step / couplings[round[0]];
     let share = 1.0 / (1.0 + pull);
     for (var n = 0u; n < steps; n++) {
-        for (var y = 0u; y < tall; y++) {
-            let here = ahead[y];
-            let beside = vec4f(here.yzw, first_column[right + y]);
-            var under: vec4f;
-            if (y + 1u < tall) { under = ahead[y + 1u]; } else { under = first_row[below]; }
-            // Links are 0 outside of the picture, where the dual stays 0.
-            let along = (dual_x[y] + dual_step * link_x[y] * (beside - here)) * damping;
-            let down = (dual_y[y] + dual_step * link_y[y] * (under - here)) * damping;
-            let shorter = inverseSqrt(max(vec4f(1.0), along * along + down * down));
-            dual_x[y] = along * shorter;
-            dual_y[y] = down * shorter;
-            flow_x[y] = dual_x[y] * link_x[y];
-            flow_y[y] = dual_y[y] * link_y[y];
-            last_column[number * tall + y] = flow_x[y].w;
-        }
-        last_row[number] = flow_y[tall - 1u];
+        let beside = first_column[right];
+        first = dual(first, vec4f(first.ahead.yzw, beside.x), second.ahead);
+        second = dual(second, vec4f(second.ahead.yzw, beside.y), third.ahead);
+        third = dual(third, vec4f(third.ahead.yzw, beside.z), fourth.ahead);
+        fourth = dual(fourth, vec4f(fourth.ahead.yzw, beside.w), first_row[below]);
+        last_column[number] = out_of(first, second, third, fourth);
+        last_row[number] = fourth.dual_y * fourth.link_y;
         workgroupBarrier();
-        for (var y = 0u; y < tall; y++) {
-            let beside = vec4f(select(last_column[left + y], 0.0, local.x == 0u), flow_x[y].xyz);
-            var over: vec4f;
-            if (y > 0u) { over = flow_y[y - 1u]; } else { over = select(last_row[above], vec4f(), local.y == 0u); }
-            let divergence = flow_x[y] - beside + flow_y[y] - over;
-            let next = clamp((u[y] + primal_step * divergence + pull * target_u[y]) * share, vec4f(), vec4f(highest));
-            ahead[y] = next + (next - u[y]);
-            u[y] = next;
-            first_column[number * tall + y] = ahead[y].x;
-        }
-        first_row[number] = ahead[0];
+        let before = select(last_column[left], vec4f(), local.x == 0u);
+        let over = select(last_row[above], vec4f(), local.y == 0u);
+        fourth = primal(fourth, before.w, third.dual_y * third.link_y, pull, share);
+        third = primal(third, before.z, second.dual_y * second.link_y, pull, share);
+        second = primal(second, before.y, first.dual_y * first.link_y, pull, share);
+        first = primal(first, before.x, over, pull, share);
+        first_column[number] = vec4f(first.ahead.x, second.ahead.x, third.ahead.x, fourth.ahead.x);
+        first_row[number] = first.ahead;
         workgroupBarrier();
     }
-    for (var y = 0u; y < tall; y++) {
-        for (var x = 0u; x < 4u; x++) {
-            let slot = vec2u(4u, tall) * local.xy + vec2u(x, y);
-            let at = corner + vec2i(i32(x), i32(y));
-            let kept = all(slot >= vec2u(steps)) && all(slot < vec2u(64u, 16u * tall) - steps);
-            if (kept && is_inside(at)) {
-                after[u32(at.y) * width + u32(at.x)] = vec4f(u[y][x], ahead[y][x], dual_x[y][x], dual_y[y][x]);
-            }
-        }
-    }
+    store(first, vec2u(4u, 4u) * local.xy, corner);
+    store(second, vec2u(4u, 4u) * local.xy + vec2u(0u, 1u), corner + vec2i(0i, 1i));
+    store(third, vec2u(4u, 4u) * local.xy + vec2u(0u, 2u), corner + vec2i(0i, 2i));
+    store(fourth, vec2u(4u, 4u) * local.xy + vec2u(0u, 3u), corner + vec2i(0i, 3i));
 }

@@ -1,27 +1,34 @@
-// The transform of `cross_rows.wgsl` along the columns: P and Q of the middle of every tile.
+// Two channels of a tile filtered with each other's blur, P and Q, transformed back along the columns; see
+// `blur_evidence.py`. Frequencies of half a cycle a sample are left out.
 
-@group(0) @binding(1) var<storage, read> rows: array<vec2f>;  // (layers of a round, tiles, pairs, span, middle)
-@group(0) @binding(2) var<storage, read_write> views: array<vec2f>;  // (..., middle, middle)
+@group(0) @binding(1) var<storage, read> pair_spectra: array<vec4f>;  // (tiles, all pairs, span, kept)
+@group(0) @binding(2) var<storage, read> transfers: array<vec2f>;  // (layers of a round, tiles, channels, span, kept)
+// (layers of a round, tiles, pairs, middle, kept): P and Q of the middle rows
+@group(0) @binding(3) var<storage, read_write> columns: array<vec4f>;
 
-@compute @workgroup_size(128)
+const kept = span / 2u;
+
+fn taken(line: u32, y: u32) -> vec4f {
+    let pair = line / kept % pair_count;
+    let picture = line / (kept * pair_count);
+    let place = y * kept + line % kept;
+    let packed = pairs >> (4u * pair);  // where both channels are among those of the transfer functions
+    let both = pair_spectra[((picture % tiles * all_pairs + pair) * span + y) * kept + line % kept];
+    let blur_a = transfers[(picture * channels + (packed & 3u)) * span * kept + place];
+    let blur_b = transfers[(picture * channels + ((packed >> 2u) & 3u)) * span * kept + place];
+    let gain = inverseSqrt((dot(blur_a, blur_a) + dot(blur_b, blur_b)) * 0.5 + damping);
+    return vec4f(times(both.xy, blur_b), times(both.zw, blur_a)) * gain;
+}
+
+fn given(line: u32, y: u32, value: vec4f) {
+    let row = y - (span - middle) / 2u;
+    if (row < middle) { columns[(line / kept * middle + row) * kept + line % kept] = value; }
+}
+
+@compute @workgroup_size(group_size)
 fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32
 ) {
-    let first = (group.x + group.y * groups.x) * lines_of_group;
-    for (var i = local; i < lines_of_group * span; i += 128u) {
-        // Neighbouring invocations read neighbouring columns.
-        let column = min(first + i % lines_of_group, lines - 1u);
-        let y = i / lines_of_group;
-        line[i % lines_of_group * span + y] = rows[(column / middle * span + y) * middle + column % middle];
-    }
-    let start = transformed(local);
-    for (var i = local; i < lines_of_group * middle; i += 128u) {
-        let column = first + i % lines_of_group;
-        let y = i / lines_of_group;
-        if (column < lines) {
-            let at = start + i % lines_of_group * span + (span - middle) / 2u + y;
-            views[(column / middle * middle + y) * middle + column % middle] = line[at] / f32(span * span);
-        }
-    }
+    transform((group.x + group.y * groups.x) * lines_of_group, local);
 }

@@ -14,9 +14,30 @@ from chromaperture.disparity.gpu.surface_stages import AT_ONCE, gaussian_taps
 from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
 from chromaperture.stage_config import CrossFilterConfig
 
-MOST_TRANSFORMED = 1024  # complex numbers of a line: two of them fill 16 KB of shared memory
+MOST_TRANSFORMED = 1024  # complex numbers of two lines: they fill 16 KB of shared memory
 MOST_BANDS = 8  # whose numbers fit into 32 bits
 ROUND_BYTES = 1 << 28  # of the arrays that a round of layers works on; chosen by hand
+
+
+class Part(NamedTuple):
+    """Computed layers that have the same pairs of channels.
+
+    Attributes
+    ----------
+    pairs : tuple of (int, int)
+        The first of `BlurEvidence.all_pairs`, or all.
+    begin, end : int
+        Of the computed layers.
+    """
+
+    pairs: tuple[tuple[int, int], ...]
+    begin: int
+    end: int
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """Channels that the pairs use."""
+        return tuple(sorted({k for pair in self.pairs for k in pair}))
 
 
 @dataclass(frozen=True)
@@ -29,20 +50,20 @@ class EvidencePlan:
     layers_px : (D,) float, px
         An odd number; see `BlurEvidence.at`.
     computed_px : (E,) float, px
-        Those whose correlations are computed: every second one, then the others where blur is narrow.
+        Those whose correlations are computed: every second one, and the others where blur is narrow. First those of
+        secondary pairs, too: every fourth, and the last.
     places : (D,) int32
         Where a layer is among these, -1 where it is interpolated.
+    parts : tuple of Part
     nodes : Nodes
-    channels : tuple of int
-        That the pairs use.
     """
 
     source: BlurEvidence
     layers_px: np.ndarray
     computed_px: np.ndarray
     places: np.ndarray
+    parts: tuple[Part, ...]
     nodes: Nodes
-    channels: tuple[int, ...]
 
     @property
     def samples(self) -> tuple[int, int]:
@@ -60,13 +81,18 @@ def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
     """Choose layers and tiles; raises DeviceError where a tile is too large for the device."""
     step = layers_px[1] - layers_px[0]
     layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
-    between = layers_px[1::2]
-    sharp = np.abs(between) < SHARP_PX * source.blur.reach
-    computed = np.concatenate([layers_px[::2], between[sharp]])
+    numbers = np.arange(len(layers_px))
+    sharp = (numbers % 2 == 1) & (np.abs(layers_px) < SHARP_PX * source.blur.reach)
+    of_all_pairs = (numbers % 4 == 0) | (numbers == numbers[-1])
+    computed = np.concatenate([numbers[of_all_pairs], numbers[~of_all_pairs & ((numbers % 2 == 0) | sharp)]])
     places = np.full(len(layers_px), -1, np.int32)
-    evens = (len(layers_px) + 1) // 2
-    places[::2] = np.arange(evens)
-    places[1::2][sharp] = evens + np.arange(int(sharp.sum()))
+    places[computed] = np.arange(len(computed))
+    parts = [
+        Part(source.all_pairs, 0, int(of_all_pairs.sum())),
+        Part(source.blur.pairs, int(of_all_pairs.sum()), len(computed)),
+    ]
+    if source.all_pairs == source.blur.pairs:
+        parts = [Part(source.all_pairs, 0, len(computed))]
     margin = 2 * float(np.abs(layers_px).max()) / source.blur.reach + TAILS_PX
     nodes = Nodes(source.blur.height_px, source.blur.width_px, margin_px=margin)
     if nodes.size_px > MOST_TRANSFORMED:
@@ -74,23 +100,24 @@ def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
             f"tiles of {nodes.size_px} px are too large for the GPU, at most {MOST_TRANSFORMED}: "
             "use --device cpu, or a smaller --scale"
         )
-    channels = tuple(sorted({k for pair in source.all_pairs for k in pair}))
-    return EvidencePlan(source, layers_px, computed, places, nodes, channels)
+    return EvidencePlan(
+        source, layers_px, layers_px[computed], places, tuple(part for part in parts if part.end > part.begin), nodes
+    )
 
 
 class RoundSizes:
-    """Sizes of what a round of layers works on."""
+    """Sizes of what a round of layers of a part works on."""
 
-    def __init__(self, plan: EvidencePlan) -> None:
+    def __init__(self, plan: EvidencePlan, part: Part) -> None:
         nodes, source = plan.nodes, plan.source
-        self.size, self.columns, self.kept = nodes.size, nodes.size // 2 + 1, nodes.size // 2
+        self.size, self.kept = nodes.size, nodes.size // 2
         self.tiles, self.middle = len(nodes.places), 2 * nodes.half
-        self.pairs, self.bands = len(source.all_pairs), len(source.config.bands_px)
-        self.pictures = self.tiles * len(plan.channels)
+        self.pairs, self.bands = len(part.pairs), len(source.config.bands_px)
+        self.part, self.pictures = part, self.tiles * len(part.channels)
         at_infinity, scale = source.blur.reference
-        inverse = (at_infinity - plan.computed_px) / scale
+        inverse = (at_infinity - plan.computed_px[part.begin : part.end]) / scale
         self.defocus = source.blur.model.scale_px_mm * inverse
-        self.rays = [source.blur.rays(*place, plan.channels) for place in nodes.places]
+        self.rays = [source.blur.rays(*place, part.channels) for place in nodes.places]
         self.reach = self._reach(source.blur.pupil.points)
         self.side = 2 * int(self.reach.max()) + 2
         self.smooths = _smooths(source.config)
@@ -98,8 +125,8 @@ class RoundSizes:
         frame, small = self.pairs * height * width, self.pairs * -(-height // 2) * -(-width // 2)
         self.arrays = dict(  # numbers a layer
             point_rows=2 * self.pictures * self.side * self.kept,
-            transfers=2 * self.pictures * self.size * self.columns,
-            cross_rows=2 * self.tiles * self.pairs * self.size * self.middle,
+            transfers=2 * self.pictures * self.size * self.kept,
+            cross_columns=4 * self.tiles * self.pairs * self.kept * self.middle,
             tile_views=2 * self.tiles * self.pairs * self.middle**2,
             joined=2 * frame,
             smooth_rows=2 * self.smooths.taps.shape[1] * frame,
@@ -108,8 +135,9 @@ class RoundSizes:
             product_rows=3 * self.bands * small,
         )
         most = ROUND_BYTES // (4 * sum(self.arrays.values()))
-        rounds = math.ceil(len(plan.computed_px) / max(1, most))
-        self.layers = math.ceil(len(plan.computed_px) / rounds)
+        self.count = part.end - part.begin
+        self.rounds = math.ceil(self.count / max(1, most))
+        self.layers = math.ceil(self.count / self.rounds)
 
     def _reach(self, points: np.ndarray) -> np.ndarray:
         """Px from the chief ray that light reaches at every layer."""

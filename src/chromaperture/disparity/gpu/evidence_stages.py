@@ -9,6 +9,7 @@ time as a quarter of a gigabyte holds; what a round works on is used again by th
 from __future__ import annotations
 
 import math
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,10 @@ from chromaperture.disparity.gpu.surface_stages import AT_ONCE, add_gaussian, ga
 from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
 from chromaperture.disparity.stages.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis
 
-MOST_PASSES = 6  # of `fourier.wgsl`
+RADICES = (16, 12, 10, 9, 8, 6, 5, 4, 3, 2)  # of `fourier.wgsl`
+SHARED_NUMBERS = 4000  # of the correlations of a sample in 16 KB of shared memory
 CELLS = 4096  # pixels of a point-spread function in 16 KB of shared memory
+FEW = 4  # neighbours that an invocation of the other filters has
 _NEGLIGIBLE = 1e-8  # of a window's transform
 
 
@@ -43,10 +46,15 @@ def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
     config, pairs = plan.source.config, plan.source.all_pairs
     samples = plan.samples[0] * plan.samples[1]
     unexplained = chain.array("unexplained", samples * len(plan.layers_px))
+    evens, lists = len(plan.layers_px) // 2 + 1, len(pairs) * len(config.bands_px)
+    if lists * (evens + evens // 2 + 9) > SHARED_NUMBERS:
+        raise DeviceError(f"{lists} bands of pairs at {len(plan.layers_px)} layers are too many for the GPU")
     chain.add(
         "pair_evidence", [correlation, chain.constant("places", plan.places), unexplained],
-        groups=groups_for(samples, 1), samples=samples, count=len(plan.layers_px), computed=len(plan.computed_px),
-        pairs=len(pairs), primary_pairs=len(plan.source.blur.pairs), bands=len(config.bands_px),
+        groups=groups_for(samples, 1), uses=("correlations",), samples=samples, count=len(plan.layers_px),
+        computed=len(plan.computed_px),
+        pairs=len(pairs), primary_pairs=len(plan.source.blur.pairs), of_all_pairs=plan.parts[0].end,
+        bands=len(config.bands_px),
         weights=[float(w) for w in config.band_weights], most_correlation2=MAX_CORRELATION2_OF_BANDS,
         fallback_weight=float(config.fallback_weight), fallback_nats=float(config.fallback_nats),
         factors=plan.factors,
@@ -55,28 +63,39 @@ def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
 
 
 def add_transform(
-    chain: Chain, stage: str, arrays: list[Array], span: int, lines: int, *, backwards: bool, **constants: Any
+    chain: Chain,
+    stage: str,
+    arrays: list[Array],
+    span: int,
+    lines: int,
+    *,
+    backwards: bool,
+    beside_lines: bool,
+    **constants: Any,
 ) -> None:
-    """Append transforms of so many lines of ``span`` numbers; ``arrays`` follow the table of factors."""
+    """Append transforms of so many pairs of lines of ``span`` numbers; ``arrays`` follow the table of factors.
+
+    ``beside_lines`` tells that the same numbers of neighbouring lines are neighbours in memory, not those of a line.
+    """
     radices = _radices(span)
+    most_butterflies = span // min(radices)
+    group_size = GROUP * -(-most_butterflies // GROUP)
+    lines_of_group = max(1, min(group_size // most_butterflies, MOST_TRANSFORMED // span))
     chain.add(
-        stage, [_factors(chain, span), *arrays], groups=groups_for(lines, MOST_TRANSFORMED // span),
-        uses=("indexing", "fourier"), span=span, lines=lines, passes=len(radices),
-        radices=sum(radix << 4 * i for i, radix in enumerate(radices)),
-        backwards=backwards, **constants,
+        stage, [_factors(chain, span), *arrays], groups=groups_for(lines, lines_of_group),
+        uses=("indexing", "fourier"), span=span, lines=lines, lines_of_group=lines_of_group, group_size=group_size,
+        passes=len(radices), radices=sum(radix << 8 * i for i, radix in enumerate(radices)), last_radix=radices[-1],
+        backwards=backwards, beside_lines=beside_lines, **constants,
     )  # fmt: skip
 
 
-def _radices(span: int) -> list[int]:
-    """Cut a length into factors of 8, 6, 5, 4, 3 and 2; raises DeviceError where there are others."""
-    found = []
-    for radix in (8, 6, 5, 4, 3, 2):
-        while span % radix == 0:
-            found.append(radix)
-            span //= radix
-    if span != 1 or len(found) > MOST_PASSES:
-        raise DeviceError("a tile's side has too many or too large factors for the GPU; use --device cpu")
-    return found
+def _radices(span: int) -> tuple[int, ...]:
+    """Cut a length into two to four radices, as few and as even as can be; raises DeviceError where it has others."""
+    for passes in (2, 3, 4):
+        cuts = [cut for cut in combinations_with_replacement(RADICES, passes) if math.prod(cut) == span]
+        if cuts:
+            return max(cuts, key=min)
+    raise DeviceError(f"a tile's side of {span} has too large factors for the GPU; use --device cpu")
 
 
 def _factors(chain: Chain, span: int) -> Array:
@@ -99,27 +118,27 @@ def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
     corners = chain.constant("corners", np.array(nodes.corners_px, np.int32))
     rows = chain.array("tile_rows", 2 * pictures * size_px * kept)
     add_transform(
-        chain, "tile_rows", [image, shading, corners, rows], size_px, pictures * size_px, backwards=False,
-        height=blur.height_px, width=blur.width_px, kept=kept,
+        chain, "tile_rows", [image, shading, corners, rows], size_px, pictures * size_px // 2, backwards=False,
+        beside_lines=False, height=blur.height_px, width=blur.width_px, kept=kept,
     )  # fmt: skip
     spectra, power, signal = (
         chain.array(name, parts * pictures * size * columns)
         for name, parts in (("spectra", 2), ("power", 1), ("signal", 1))
     )
     add_transform(
-        chain, "tile_columns", [rows, spectra], size_px, pictures * kept, backwards=False,
+        chain, "tile_columns", [rows, spectra], size_px, pictures * kept // 2, backwards=False, beside_lines=True,
         size=size, kept=kept, gain=1 / SAMPLING_PX**2,
     )  # fmt: skip
     # The autocorrelation under a lag window is the power averaged with the window's transform.
     lags = np.minimum(np.arange(size), size - np.arange(size))
     window = scipy.fft.fft(np.exp(-(lags**2) / (2 * (LAG_PX / SAMPLING_PX) ** 2))).real / size
     reach = int(np.flatnonzero(window[: size // 2] > _NEGLIGIBLE * window[0]).max())
-    taps = chain.constant("lag_taps", np.concatenate([window[reach:0:-1], window[: reach + 1], np.zeros(AT_ONCE - 1)]))
+    taps = chain.constant("lag_taps", np.concatenate([window[reach:0:-1], window[: reach + 1], np.zeros(FEW - 1)]))
     between = chain.array("power_columns", pictures * size * columns)
     for before, after, along_x in ((spectra, between, False), (between, power, True)):
         chain.add(
             "tile_smoothing", [before, taps, after],
-            groups=groups_for(pictures * (size * -(-columns // AT_ONCE) if along_x else columns * -(-size // AT_ONCE))),
+            groups=groups_for(pictures * (size * -(-columns // FEW) if along_x else columns * -(-size // FEW))),
             uses=("indexing",),
             pictures=pictures, size=size, reach=reach, along_x=along_x, is_spectrum=not along_x,
         )  # fmt: skip
@@ -131,43 +150,51 @@ def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
 
 
 def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: Array) -> Array:
-    """Append what all layers need, in rounds; correlations (pairs, bands, h, w, E)."""
-    sizes = RoundSizes(plan)
-    layers, round_ = sizes.layers, chain.array("evidence_round", 1, np.uint32)
-    made = {name: chain.array(name, layers * size) for name, size in sizes.arrays.items()}
-    rays, pupil, defocus = _rays(chain, plan, sizes)
-    samples = plan.samples[0] * plan.samples[1]
-    pairs, config = plan.source.all_pairs, plan.source.config
-    bands, count = len(config.bands_px), len(plan.computed_px)
-    correlation = chain.array("correlation", len(pairs) * bands * samples * count)
-    low_pass = np.exp(-((2 * np.pi * scipy.fft.fftfreq(sizes.size) * finest_px(config) / SAMPLING_PX) ** 2) / 2)
+    """Append what all layers need, in rounds; correlations, see `correlations.wgsl`."""
+    sizes = [RoundSizes(plan, part) for part in plan.parts]
+    needed = {name: max(one.layers * one.arrays[name] for one in sizes) for name in sizes[0].arrays}
+    made = {name: chain.array(name, size) for name, size in needed.items()}
+    round_, config, samples = chain.array("evidence_round", 1, np.uint32), plan.source.config, math.prod(plan.samples)
+    correlation = chain.array(
+        "correlation", len(config.bands_px) * samples * sum(one.pairs * one.count for one in sizes)
+    )
+    low_pass = np.exp(-((2 * np.pi * scipy.fft.fftfreq(sizes[0].size) * finest_px(config) / SAMPLING_PX) ** 2) / 2)
+    tiles, span, all_pairs = len(plan.nodes.places), sizes[0].size, plan.source.all_pairs
+    of_pairs = chain.array("pair_spectra", 4 * tiles * len(all_pairs) * span * (span // 2))
+    chain.add(
+        "pair_spectra", [spectra, signal, chain.constant("low_pass", low_pass), of_pairs],
+        groups=groups_for(of_pairs.size // 4), uses=("indexing",), tiles=tiles, pair_count=len(all_pairs), span=span,
+        pairs=sum((a | b << 2) << 4 * i for i, (a, b) in enumerate(all_pairs)),
+    )  # fmt: skip
     constants = dict(
-        low_pass=chain.constant("low_pass", low_pass),
+        pair_spectra=of_pairs,
         across=_near_nodes(chain, "across", plan.nodes.across, plan.nodes.shape[1]),
         down=_near_nodes(chain, "down", plan.nodes.down, plan.nodes.shape[0]),
         starts=chain.constant(
             "starts", np.concatenate([plan.nodes.across.starts, plan.nodes.down.starts]).astype(np.float32)
         ),
-        band_taps=chain.constant("band_taps", sizes.smooths.taps),
+        band_taps=chain.constant("band_taps", sizes[0].smooths.taps),
     )
-    chain.add("count_up", [round_], groups=(1,), to_zero=True)
-    for i in range(math.ceil(count / layers)):
-        if i > 0:
-            chain.add("count_up", [round_], groups=(1,), to_zero=False)
-        _add_transfers(chain, plan, sizes, made, (rays, pupil, defocus, round_))
-        _add_views(chain, plan, sizes, made, (spectra, signal), constants)
-        _add_windows(chain, plan, sizes, made, constants["band_taps"], round_, correlation)
+    for number, part in enumerate(sizes):
+        rays = _rays(chain, plan, part, number)
+        for i in range(part.rounds):
+            chain.add("count_up", [round_], groups=(1,), to_zero=i == 0)
+            _add_transfers(chain, plan, part, made, (*rays, round_))
+            _add_views(chain, plan, part, made, constants)
+            _add_windows(chain, plan, part, made, constants["band_taps"], round_, correlation)
     return correlation
 
 
-def _rays(chain: Chain, plan: EvidencePlan, sizes: RoundSizes) -> tuple[Array, Array, Array]:
-    """Send traced rays up: of every tile and channel, and what a layer adds to them."""
-    blank = np.zeros((*np.shape(sizes.rays[0].light), 1))
-    rays = np.stack([np.concatenate([r.at_infinity_px, r.light[..., None], blank], axis=-1) for r in sizes.rays])
+def _rays(chain: Chain, plan: EvidencePlan, sizes: RoundSizes, number: int) -> tuple[Array, Array, Array]:
+    """Send traced rays of a part up: of every tile and channel, and what a layer adds to them."""
+    parts = [np.stack([getattr(rays, name) for rays in sizes.rays]) for name in ("at_infinity_px", "light")]
+    order = np.argsort(parts[1] <= 0, axis=-1, kind="stable")[..., None]  # those without light at the end
+    every = [parts[0], parts[1][..., None]]
+    rays = np.concatenate([*(np.take_along_axis(part, order, axis=2) for part in every), order], axis=-1)
     return (
-        chain.constant("rays", rays),
-        chain.constant("pupil", plan.source.blur.pupil.points),
-        chain.constant("defocus", np.stack([sizes.defocus, sizes.reach], axis=-1)),
+        chain.constant(f"rays_{number}", rays),
+        chain.constant(f"pupil_{number}", plan.source.blur.pupil.points),
+        chain.constant(f"defocus_{number}", np.stack([sizes.defocus, sizes.reach], axis=-1)),
     )
 
 
@@ -188,12 +215,12 @@ def _add_transfers(
     """Append `LensBlur.transfer_of` for all tiles, channels and layers of a round."""
     rays, pupil, defocus, round_ = inputs
     factors = _factors(chain, plan.nodes.size_px)
-    rows_of_group = CELLS // sizes.side
+    rows_of_group = min(CELLS // sizes.side, sizes.side)
     if rows_of_group == 0:
         raise DeviceError(f"a blur of {sizes.side} px is too wide for the GPU, at most {CELLS}: use --device cpu")
     same = dict(
         tile_px=plan.nodes.size_px, pictures=sizes.pictures, side=sizes.side, kept=sizes.kept,
-        layers_of_round=sizes.layers, layer_count=len(plan.computed_px),
+        layers_of_round=sizes.layers, layer_count=sizes.count,
     )  # fmt: skip
     chain.add(
         "point_rows", [factors, rays, pupil, defocus, round_, made["point_rows"]],
@@ -203,31 +230,26 @@ def _add_transfers(
     )  # fmt: skip
     chain.add(
         "point_columns", [factors, defocus, round_, made["point_rows"], made["transfers"]],
-        groups=(sizes.kept * -(-sizes.kept // AT_ONCE) / GROUP, sizes.pictures, sizes.layers), size=sizes.size, **same,
+        groups=(sizes.kept // 2 * -(-sizes.kept // FEW) / GROUP, sizes.pictures, sizes.layers), size=sizes.size, **same,
     )  # fmt: skip
 
 
 def _add_views(
-    chain: Chain,
-    plan: EvidencePlan,
-    sizes: RoundSizes,
-    made: dict[str, Array],
-    spectra: tuple[Array, Array],
-    constants: dict[str, Array],
+    chain: Chain, plan: EvidencePlan, sizes: RoundSizes, made: dict[str, Array], constants: dict[str, Array]
 ) -> None:
     """Append P and Q of the frame, for all pairs and layers of a round."""
     pictures = sizes.layers * sizes.tiles * sizes.pairs
-    place_of = plan.channels.index
-    numbers = [n for a, b in plan.source.all_pairs for n in (a, b, place_of(a), place_of(b))]
-    pairs = sum(n << 2 * i for i, n in enumerate(numbers))
+    place_of = sizes.part.channels.index
+    pairs = sum((place_of(a) | place_of(b) << 2) << 4 * i for i, (a, b) in enumerate(sizes.part.pairs))
     add_transform(
-        chain, "cross_rows", [*spectra, made["transfers"], constants["low_pass"], made["cross_rows"]],
-        sizes.size, pictures * sizes.size, backwards=True, tiles=sizes.tiles, channels=len(plan.channels),
-        pair_count=sizes.pairs, pairs=pairs, middle=sizes.middle, damping=float(plan.source.config.damping),
+        chain, "cross_columns", [constants["pair_spectra"], made["transfers"], made["cross_columns"]],
+        sizes.size, pictures * sizes.kept, backwards=True, beside_lines=True, tiles=sizes.tiles,
+        channels=len(sizes.part.channels), pair_count=sizes.pairs, all_pairs=len(plan.source.all_pairs), pairs=pairs,
+        middle=sizes.middle, damping=float(plan.source.config.damping),
     )  # fmt: skip
     add_transform(
-        chain, "cross_columns", [made["cross_rows"], made["tile_views"]],
-        sizes.size, pictures * sizes.middle, backwards=True, middle=sizes.middle,
+        chain, "cross_rows", [made["cross_columns"], made["tile_views"]],
+        sizes.size, pictures * sizes.middle // 2, backwards=True, beside_lines=False, middle=sizes.middle,
     )  # fmt: skip
     height, width = plan.nodes.shape
     chain.add(
@@ -259,16 +281,16 @@ def _add_windows(
     )
     chain.add(
         "bands_rows", [made["joined"], band_taps, made["smooth_rows"]],
-        groups=groups_for(pictures * height * -(-width // AT_ONCE)), uses=("indexing",), **same,
+        groups=groups_for(pictures * height * -(-width // AT_ONCE)), uses=("indexing", "eight_sums"), **same,
     )  # fmt: skip
     chain.add(
         "bands_columns", [made["joined"], made["smooth_rows"], band_taps, made["band_views"]],
-        groups=groups_for(pictures * -(-height // AT_ONCE) * width), uses=("indexing",), bands=sizes.bands,
+        groups=groups_for(pictures * -(-height // AT_ONCE) * width), uses=("indexing", "eight_sums"), bands=sizes.bands,
         fine=smooths.fine, coarse=smooths.coarse, **same,
     )  # fmt: skip
     chain.add(
         "band_products", [made["band_views"], made["products"]],
-        groups=groups_for(planes * -(-small[0] // AT_ONCE) * small[1]), uses=("indexing",), height=height, width=width,
+        groups=groups_for(planes * -(-small[0] // FEW) * small[1]), uses=("indexing",), height=height, width=width,
         planes=planes,
     )  # fmt: skip
     rest_px = math.sqrt(max(config.window_sigma_px**2 - SAMPLING_PX**2, 0.01))  # as `blur_evidence`
@@ -283,7 +305,9 @@ def _add_windows(
     )
     chain.add(
         "band_correlation", [made["products"], round_, correlation],
-        groups=groups_for(planes * small[0] * small[1]), uses=("indexing",), height=small[0], width=small[1],
-        bands=sizes.bands, layers_of_round=sizes.layers, pair_count=sizes.pairs, layer_count=len(plan.computed_px),
-        kept_height=plan.samples[0], kept_width=plan.samples[1],
+        groups=groups_for(planes * small[0] * small[1]), uses=("indexing", "correlations"), height=small[0],
+        width=small[1],
+        bands=sizes.bands, layers_of_round=sizes.layers, pair_count=sizes.pairs, first_layer=sizes.part.begin,
+        layer_count=sizes.part.end, primary_pairs=len(plan.source.blur.pairs), computed=len(plan.computed_px),
+        of_all_pairs=plan.parts[0].end, kept_height=plan.samples[0], kept_width=plan.samples[1],
     )  # fmt: skip

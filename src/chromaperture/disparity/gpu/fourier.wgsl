@@ -1,21 +1,84 @@
-// Fourier transforms of lines of `span` complex numbers, at most 1024, in shared memory: Stockham's, of radices 2, 3, 4, 5,
-// 6 and 8.
-// A workgroup of 128 transforms as many lines as fit, an even number. Factors come from a table, because
-// sine and cosine of a shader are good to 2^-11 only.
+// Fourier transforms of lines of `span` complex numbers, at most 1024: Stockham's, of radices 2 to 16. An entry is a vector
+// of two numbers, of two lines that go side by side. A stage has two functions of its own:
+//     fn taken(line: u32, place: u32) -> vec4f          an entry of a line before
+//     fn given(line: u32, place: u32, value: vec4f)     an entry of its transform, not divided by `span`
+// The first pass reads what is taken, the last one gives; what lies between goes through shared memory. An invocation has
+// one butterfly of a pass. Factors come from a table, because sine and cosine of a shader are good to 2^-11 only.
 
 @group(0) @binding(0) var<storage, read> factors: array<vec2f>;  // (span,): exp(-2 pi i k / span)
 
-const lines_of_group = 1024u / span;
+var<workgroup> shared_line: array<vec4f, lines_of_group * span>;
 
-var<workgroup> line: array<vec2f, 2048>;  // before and after a pass
+// Radices of the passes, eight bits each, and how many numbers are done before each pass. They are constants, so that
+// every pass is compiled for itself: its divisions become multiplications.
+const r0 = radices & 255u;
+const r1 = (radices >> 8u) & 255u;
+const r2 = (radices >> 16u) & 255u;  // of the last one `last_radix`
 
-fn product(a: vec2f, b: vec2f) -> vec2f {
-    return vec2f(a.x * b.x - a.y * b.y, a.x * b.y + a.y * b.x);
+// An invocation's butterfly: its line among those of the workgroup, its place there.
+struct Butterfly { line: u32, place: u32, is_used: bool }
+
+fn butterfly_of(local: u32, radix: u32) -> Butterfly {
+    let part = span / radix;
+    // Neighbouring invocations have neighbouring numbers of what is taken and given.
+    let by_line = select(local / part, local % lines_of_group, beside_lines);
+    let place = select(local % part, local / lines_of_group, beside_lines);
+    return Butterfly(by_line, place, local < lines_of_group * part);
 }
 
-// Times -i, or i backwards.
-fn turned(a: vec2f) -> vec2f {
-    return select(vec2f(a.y, -a.x), vec2f(-a.y, a.x), backwards);
+// Transforms `lines_of_group` lines from `first` on; every invocation of the workgroup calls it.
+fn transform(first: u32, local: u32) {
+    var values: array<vec4f, 16>;
+    let begin = butterfly_of(local, r0);
+    if (begin.is_used && first + begin.line < lines) {
+        for (var m = 0u; m < r0; m++) { values[m] = taken(first + begin.line, begin.place + span / r0 * m); }
+        turn_all(&values, r0);
+        for (var m = 0u; m < r0; m++) { shared_line[begin.line * span + begin.place * r0 + m] = values[m]; }
+    }
+    if (passes > 2u) { middle_pass(r1, r0, local); }
+    if (passes > 3u) { middle_pass(r2, r0 * r1, local); }
+    workgroupBarrier();
+    let done = span / last_radix;
+    let end = butterfly_of(local, last_radix);
+    if (end.is_used && first + end.line < lines) {
+        read_turned(&values, last_radix, done, end);
+        for (var m = 0u; m < last_radix; m++) { given(first + end.line, end.place + done * m, values[m]); }
+    }
+}
+
+// All read before any writes: one list of numbers is enough.
+fn middle_pass(radix: u32, done: u32, local: u32) {
+    var values: array<vec4f, 16>;
+    workgroupBarrier();
+    let own = butterfly_of(local, radix);
+    if (own.is_used) { read_turned(&values, radix, done, own); }
+    workgroupBarrier();
+    let k = own.place % done;
+    if (own.is_used) {
+        for (var m = 0u; m < radix; m++) {
+            shared_line[own.line * span + (own.place - k) * radix + k + done * m] = values[m];
+        }
+    }
+}
+
+// Reads the numbers of a butterfly, times their factors, and transforms them.
+fn read_turned(values: ptr<function, array<vec4f, 16>>, radix: u32, done: u32, own: Butterfly) {
+    let part = span / radix;
+    let at = own.line * span + own.place;
+    let one = factor(part / done * (own.place % done));
+    let two = square(one);
+    let three = times(two, one);
+    let four = square(two);
+    let eight = square(four);
+    let twelve = times(eight, four);
+    (*values)[0] = shared_line[at];
+    for (var m = 1u; m < radix; m++) {
+        let high = select(select(twelve, eight, m < 12u), four, m < 8u);
+        let low = select(select(three, two, m % 4u == 2u), one, m % 4u == 1u);
+        let turn = select(select(times(high, low), low, m < 4u), high, m % 4u == 0u);
+        (*values)[m] = product(shared_line[at + part * m], turn);
+    }
+    turn_all(values, radix);
 }
 
 fn factor(k: u32) -> vec2f {
@@ -23,131 +86,197 @@ fn factor(k: u32) -> vec2f {
     return vec2f(f.x, select(f.y, -f.y, backwards));
 }
 
-// Radices of the passes, four bits each, and how many numbers are done before each pass. They are constants, so that
-// every pass is compiled for itself: its divisions become multiplications.
-const r0 = radices & 15u;
-const r1 = (radices >> 4u) & 15u;
-const r2 = (radices >> 8u) & 15u;
-const r3 = (radices >> 12u) & 15u;
-const r4 = (radices >> 16u) & 15u;
-const r5 = (radices >> 20u) & 15u;
-const d2 = r0 * r1;
-const d3 = d2 * r2;
-const d4 = d3 * r3;
-const d5 = d4 * r4;
-
-// Transforms what lies at the places 0, 1, ... of `line`; returns where the result begins. Not divided by `span`.
-fn transformed(local: u32) -> u32 {
-    one_pass(r0, 1u, 0u, local);
-    if (passes > 1u) { one_pass(r1, r0, 1024u, local); }
-    if (passes > 2u) { one_pass(r2, d2, 0u, local); }
-    if (passes > 3u) { one_pass(r3, d3, 1024u, local); }
-    if (passes > 4u) { one_pass(r4, d4, 0u, local); }
-    if (passes > 5u) { one_pass(r5, d5, 1024u, local); }
-    workgroupBarrier();
-    return (passes & 1u) * 1024u;
+fn times(a: vec2f, b: vec2f) -> vec2f {
+    return vec2f(a.x * b.x - a.y * b.y, a.x * b.y + a.y * b.x);
 }
 
-const sin60 = 0.8660254f;  // of a third of a turn, too
-const sin45 = 0.70710678f;
+fn square(a: vec2f) -> vec2f {
+    return times(a, a);
+}
 
-struct Thirds { a: vec2f, b: vec2f, c: vec2f }
-struct Fourths { a: vec2f, b: vec2f, c: vec2f, d: vec2f }
+fn product(a: vec4f, b: vec2f) -> vec4f {
+    return a * b.x + vec4f(-a.y, a.x, -a.w, a.z) * b.y;
+}
 
-fn of_three(a: vec2f, b: vec2f, c: vec2f) -> Thirds {
+// Times -i, or i backwards.
+fn turned(a: vec4f) -> vec4f {
+    return select(vec4f(a.y, -a.x, a.w, -a.z), vec4f(-a.y, a.x, -a.w, a.z), backwards);
+}
+
+// Times exp(-i angle), or exp(i angle) backwards.
+fn turned_by(a: vec4f, cosine: f32, sine: f32) -> vec4f {
+    return a * cosine + turned(a) * sine;
+}
+
+struct Thirds { a: vec4f, b: vec4f, c: vec4f }
+struct Fourths { a: vec4f, b: vec4f, c: vec4f, d: vec4f }
+struct Fifths { a: vec4f, b: vec4f, c: vec4f, d: vec4f, e: vec4f }
+
+const cos20 = 0.93969262f;  // cosines of degrees
+const cos40 = 0.76604444f;
+const cos50 = 0.64278761f;
+const cos70 = 0.34202014f;
+const cos80 = 0.17364818f;
+const cos10 = 0.98480775f;
+const cos30 = 0.86602540f;
+const cos45 = 0.70710678f;
+const cos22 = 0.92387953f;  // of a sixteenth of a turn
+const cos67 = 0.38268343f;
+const cos36 = 0.80901699f;
+const cos54 = 0.58778525f;
+const cos72 = 0.30901699f;
+const cos18 = 0.95105652f;
+
+fn of_three(a: vec4f, b: vec4f, c: vec4f) -> Thirds {
     let sum = b + c;
-    let away = turned(b - c) * sin60;
+    let away = turned(b - c) * cos30;
     return Thirds(a + sum, a - 0.5 * sum + away, a - 0.5 * sum - away);
 }
 
-fn of_four(a: vec2f, b: vec2f, c: vec2f, d: vec2f) -> Fourths {
+fn of_four(a: vec4f, b: vec4f, c: vec4f, d: vec4f) -> Fourths {
     let away = turned(b - d);
     return Fourths(a + c + b + d, a - c + away, a + c - b - d, a - c - away);
 }
 
-// A number that a pass begins with, times its factor; factors of the first pass are 1.
-fn taken(at: u32, k: u32, done: u32) -> vec2f {
-    if (done == 1u) { return line[at]; }
-    return product(line[at], factor(k));
+fn of_five(a: vec4f, b: vec4f, c: vec4f, d: vec4f, e: vec4f) -> Fifths {
+    let outer = b + e;
+    let inner = c + d;
+    let near = a + cos72 * outer - cos36 * inner;
+    let far = a - cos36 * outer + cos72 * inner;
+    let near_away = turned(cos18 * (b - e) + cos54 * (c - d));
+    let far_away = turned(cos54 * (b - e) - cos18 * (c - d));
+    return Fifths(a + outer + inner, near + near_away, far + far_away, far - far_away, near - near_away);
 }
 
-fn one_pass(radix: u32, done: u32, start: u32, local: u32) {
-    let part = span / radix;
-    workgroupBarrier();
-    for (var i = local; i < lines_of_group * part; i += 128u) {
-        let first = i / part * span;
-        let j = i % part;
-        let k = j % done;
-        let step = part / done * k;
-        let at = start + first + j;
-        let to = 1024u - start + first + (j - k) * radix + k;
-        let a = line[at];
-        let b = taken(at + part, step, done);
-        if (radix == 2u) {
-            line[to] = a + b;
-            line[to + done] = a - b;
-            continue;
-        }
-        let c = taken(at + 2u * part, 2u * step, done);
-        if (radix == 3u) {
-            let three = of_three(a, b, c);
-            line[to] = three.a;
-            line[to + done] = three.b;
-            line[to + 2u * done] = three.c;
-            continue;
-        }
-        let d = taken(at + 3u * part, 3u * step, done);
-        if (radix == 4u) {
-            let four = of_four(a, b, c, d);
-            line[to] = four.a;
-            line[to + done] = four.b;
-            line[to + 2u * done] = four.c;
-            line[to + 3u * done] = four.d;
-            continue;
-        }
-        let e = taken(at + 4u * part, 4u * step, done);
-        if (radix == 5u) {
-            // Cosines and sines of a fifth and two fifths of a turn.
-            let outer = b + e;
-            let inner = c + d;
-            let near = a + 0.30901699 * outer - 0.80901699 * inner;
-            let far = a - 0.80901699 * outer + 0.30901699 * inner;
-            let near_away = turned(0.95105652 * (b - e) + 0.58778525 * (c - d));
-            let far_away = turned(0.58778525 * (b - e) - 0.95105652 * (c - d));
-            line[to] = a + outer + inner;
-            line[to + done] = near + near_away;
-            line[to + 2u * done] = far + far_away;
-            line[to + 3u * done] = far - far_away;
-            line[to + 4u * done] = near - near_away;
-            continue;
-        }
-        let f = taken(at + 5u * part, 5u * step, done);
-        if (radix == 6u) {
-            let even = of_three(a + d, b + e, c + f);
-            let second = b - e;
-            let third = c - f;
-            let odd = of_three(a - d, 0.5 * second + sin60 * turned(second), sin60 * turned(third) - 0.5 * third);
-            line[to] = even.a;
-            line[to + done] = odd.a;
-            line[to + 2u * done] = even.b;
-            line[to + 3u * done] = odd.b;
-            line[to + 4u * done] = even.c;
-            line[to + 5u * done] = odd.c;
-            continue;
-        }
-        let g = taken(at + 6u * part, 6u * step, done);
-        let h = taken(at + 7u * part, 7u * step, done);
-        let even = of_four(a + e, b + f, c + g, d + h);
-        let second = b - f;
-        let fourth = d - h;
-        let odd = of_four(a - e, sin45 * (second + turned(second)), turned(c - g), sin45 * (turned(fourth) - fourth));
-        line[to] = even.a;
-        line[to + done] = odd.a;
-        line[to + 2u * done] = even.b;
-        line[to + 3u * done] = odd.b;
-        line[to + 4u * done] = even.c;
-        line[to + 5u * done] = odd.c;
-        line[to + 6u * done] = even.d;
-        line[to + 7u * done] = odd.d;
-    }
+// The transform of the first numbers of a list.
+fn turn_all(values: ptr<function, array<vec4f, 16>>, radix: u32) {
+    if (radix == 2u) { turn_two(values); }
+    if (radix == 3u) { turn_three(values); }
+    if (radix == 4u) { turn_four(values); }
+    if (radix == 5u) { turn_five(values); }
+    if (radix == 6u) { turn_six(values); }
+    if (radix == 8u) { turn_eight(values); }
+    if (radix == 9u) { turn_nine(values); }
+    if (radix == 10u) { turn_ten(values); }
+    if (radix == 12u) { turn_twelve(values); }
+    if (radix == 16u) { turn_sixteen(values); }
+}
+
+fn turn_two(values: ptr<function, array<vec4f, 16>>) {
+    let a = (*values)[0];
+    let b = (*values)[1];
+    (*values)[0] = a + b;
+    (*values)[1] = a - b;
+}
+
+fn turn_three(values: ptr<function, array<vec4f, 16>>) {
+    let f = of_three((*values)[0], (*values)[1], (*values)[2]);
+    (*values)[0] = f.a;
+    (*values)[1] = f.b;
+    (*values)[2] = f.c;
+}
+
+fn turn_four(values: ptr<function, array<vec4f, 16>>) {
+    let f = of_four((*values)[0], (*values)[1], (*values)[2], (*values)[3]);
+    put_fourths(values, 0u, 1u, f);
+}
+
+fn turn_five(values: ptr<function, array<vec4f, 16>>) {
+    let f = of_five((*values)[0], (*values)[1], (*values)[2], (*values)[3], (*values)[4]);
+    (*values)[0] = f.a;
+    (*values)[1] = f.b;
+    (*values)[2] = f.c;
+    (*values)[3] = f.d;
+    (*values)[4] = f.e;
+}
+
+fn turn_six(values: ptr<function, array<vec4f, 16>>) {
+    let even = of_three((*values)[0], (*values)[2], (*values)[4]);
+    let odd = of_three((*values)[1], (*values)[3], (*values)[5]);
+    let b = turned_by(odd.b, 0.5, cos30);
+    let c = turned_by(odd.c, -0.5, cos30);
+    (*values)[0] = even.a + odd.a;
+    (*values)[1] = even.b + b;
+    (*values)[2] = even.c + c;
+    (*values)[3] = even.a - odd.a;
+    (*values)[4] = even.b - b;
+    (*values)[5] = even.c - c;
+}
+
+fn turn_eight(values: ptr<function, array<vec4f, 16>>) {
+    let even = of_four((*values)[0], (*values)[2], (*values)[4], (*values)[6]);
+    let odd = of_four((*values)[1], (*values)[3], (*values)[5], (*values)[7]);
+    let b = turned_by(odd.b, cos45, cos45);
+    let c = turned(odd.c);
+    let d = turned_by(odd.d, -cos45, cos45);
+    put_fourths(values, 0u, 1u, Fourths(even.a + odd.a, even.b + b, even.c + c, even.d + d));
+    put_fourths(values, 4u, 1u, Fourths(even.a - odd.a, even.b - b, even.c - c, even.d - d));
+}
+
+fn turn_nine(values: ptr<function, array<vec4f, 16>>) {
+    let f = of_three((*values)[0], (*values)[3], (*values)[6]);
+    let g = of_three((*values)[1], (*values)[4], (*values)[7]);
+    let h = of_three((*values)[2], (*values)[5], (*values)[8]);
+    let a = of_three(f.a, g.a, h.a);
+    let b = of_three(f.b, turned_by(g.b, cos40, cos50), turned_by(h.b, cos80, cos10));
+    let c = of_three(f.c, turned_by(g.c, cos80, cos10), turned_by(h.c, -cos20, cos70));
+    (*values)[0] = a.a;
+    (*values)[1] = b.a;
+    (*values)[2] = c.a;
+    (*values)[3] = a.b;
+    (*values)[4] = b.b;
+    (*values)[5] = c.b;
+    (*values)[6] = a.c;
+    (*values)[7] = b.c;
+    (*values)[8] = c.c;
+}
+
+fn turn_ten(values: ptr<function, array<vec4f, 16>>) {
+    let even = of_five((*values)[0], (*values)[2], (*values)[4], (*values)[6], (*values)[8]);
+    let odd = of_five((*values)[1], (*values)[3], (*values)[5], (*values)[7], (*values)[9]);
+    let b = turned_by(odd.b, cos36, cos54);
+    let c = turned_by(odd.c, cos72, cos18);
+    let d = turned_by(odd.d, -cos72, cos18);
+    let e = turned_by(odd.e, -cos36, cos54);
+    put_fourths(values, 0u, 1u, Fourths(even.a + odd.a, even.b + b, even.c + c, even.d + d));
+    (*values)[4] = even.e + e;
+    put_fourths(values, 5u, 1u, Fourths(even.a - odd.a, even.b - b, even.c - c, even.d - d));
+    (*values)[9] = even.e - e;
+}
+
+fn turn_twelve(values: ptr<function, array<vec4f, 16>>) {
+    let f = of_four((*values)[0], (*values)[3], (*values)[6], (*values)[9]);
+    let g = of_four((*values)[1], (*values)[4], (*values)[7], (*values)[10]);
+    let h = of_four((*values)[2], (*values)[5], (*values)[8], (*values)[11]);
+    put_thirds(values, 0u, 4u, of_three(f.a, g.a, h.a));
+    put_thirds(values, 1u, 4u, of_three(f.b, turned_by(g.b, cos30, 0.5), turned_by(h.b, 0.5, cos30)));
+    put_thirds(values, 2u, 4u, of_three(f.c, turned_by(g.c, 0.5, cos30), turned_by(h.c, -0.5, cos30)));
+    put_thirds(values, 3u, 4u, of_three(f.d, turned(g.d), -h.d));
+}
+
+fn turn_sixteen(values: ptr<function, array<vec4f, 16>>) {
+    let f = of_four((*values)[0], (*values)[4], (*values)[8], (*values)[12]);
+    let g = of_four((*values)[1], (*values)[5], (*values)[9], (*values)[13]);
+    let h = of_four((*values)[2], (*values)[6], (*values)[10], (*values)[14]);
+    let i = of_four((*values)[3], (*values)[7], (*values)[11], (*values)[15]);
+    put_fourths(values, 0u, 4u, of_four(f.a, g.a, h.a, i.a));
+    let b = of_four(f.b, turned_by(g.b, cos22, cos67), turned_by(h.b, cos45, cos45), turned_by(i.b, cos67, cos22));
+    put_fourths(values, 1u, 4u, b);
+    let c = of_four(f.c, turned_by(g.c, cos45, cos45), turned(h.c), turned_by(i.c, -cos45, cos45));
+    put_fourths(values, 2u, 4u, c);
+    let d = of_four(f.d, turned_by(g.d, cos67, cos22), turned_by(h.d, -cos45, cos45), turned_by(i.d, -cos22, -cos67));
+    put_fourths(values, 3u, 4u, d);
+}
+
+fn put_thirds(values: ptr<function, array<vec4f, 16>>, first: u32, step: u32, f: Thirds) {
+    (*values)[first] = f.a;
+    (*values)[first + step] = f.b;
+    (*values)[first + 2u * step] = f.c;
+}
+
+fn put_fourths(values: ptr<function, array<vec4f, 16>>, first: u32, step: u32, f: Fourths) {
+    (*values)[first] = f.a;
+    (*values)[first + step] = f.b;
+    (*values)[first + 2u * step] = f.c;
+    (*values)[first + 3u * step] = f.d;
 }

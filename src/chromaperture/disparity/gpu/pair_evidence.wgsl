@@ -1,56 +1,77 @@
 // What all pairs and bands of a sample earn at every layer, as the unexplained fraction exp(-2 l / factors), in which
 // `labels_read.wgsl` interpolates. A workgroup has one sample. See `blur_evidence.py`.
 
-@group(0) @binding(0) var<storage, read> correlation: array<f32>;  // (pairs, bands, samples, computed)
+@group(0) @binding(0) var<storage, read> correlation: array<f32>;  // see `correlations.wgsl`
 // (count,): where a layer's correlation is; odd ones may lie between even ones: -1
 @group(0) @binding(1) var<storage, read> places: array<i32>;
 @group(0) @binding(2) var<storage, read_write> unexplained: array<f32>;  // (samples, count)
 
 const evens = (count + 1u) / 2u;
+const fourths = (evens + 1u) / 2u;
+const primary_lists = primary_pairs * bands;
+const lists = pairs * bands;
+const first_few = lists * (evens + 4u);
+const chunks = (count + 63u) / 64u;
 
-var<workgroup> known: array<f32, evens>;  // every second layer of a pair's band
+// Every second layer of all pairs' bands, then every fourth of those of secondary pairs: lists between two numbers
+// to either side that continue them.
+var<workgroup> ladder: array<f32, first_few + (lists - primary_lists) * (fourths + 4u)>;
 var<workgroup> most: array<f32, 64>;
 
-// Half way between the inner two of six numbers by a polynomial, sums of the outermost, the next and the inner two.
-fn halfway(far: f32, near: f32, inner: f32) -> f32 {
-    return (3.0 * far - 25.0 * near + 150.0 * inner) / 256.0;
+fn seconds_of(list: u32) -> u32 {
+    return list * (evens + 4u) + 2u;
 }
 
-// Every fourth layer, and its odd continuation.
-fn fourth_layer(first: u32, k: i32) -> f32 {
-    let last = (i32(evens) - 1i) / 2i;
-    if (k < 0i) { return 2.0 * correlation[first] - correlation[first + 2u * u32(min(-k, last))]; }
-    if (k > last) {
-        return 2.0 * correlation[first + 2u * u32(last)] - correlation[first + 2u * u32(max(2i * last - k, 0i))];
-    }
-    return correlation[first + 2u * u32(k)];
+fn fourths_of(list: u32) -> u32 {
+    return first_few + (list - primary_lists) * (fourths + 4u) + 2u;
+}
+
+// An odd continuation, by the nearer number (0) or the further one (1) at either end.
+fn continue_list(first: u32, length: u32, further: u32) {
+    let away = min(further + 1u, length - 1u);
+    let last = first + length - 1u;
+    ladder[first - 1u - further] = 2.0 * ladder[first] - ladder[first + away];
+    ladder[last + 1u + further] = 2.0 * ladder[last] - ladder[last - away];
+}
+
+// Half way to the next number of a list, by a polynomial through six.
+fn halfway(at: u32) -> f32 {
+    let inner = ladder[at] + ladder[at + 1u];
+    let near = ladder[at - 1u] + ladder[at + 2u];
+    return (3.0 * (ladder[at - 2u] + ladder[at + 3u]) - 25.0 * near + 150.0 * inner) / 256.0;
 }
 
 // Secondary pairs change half as fast with the layer: they count at every fourth, and at the last.
-fn second_layer(first: u32, k: u32, is_primary: bool) -> f32 {
-    if (is_primary || k % 2u == 0u || k == evens - 1u) { return correlation[first + k]; }
-    let j = i32(k / 2u);
-    return halfway(
-        fourth_layer(first, j - 2i) + fourth_layer(first, j + 3i), fourth_layer(first, j - 1i) + fourth_layer(first, j + 2i),
-        fourth_layer(first, j) + fourth_layer(first, j + 1i)
-    );
-}
-
-fn even_layer(k: i32) -> f32 {
-    let last = i32(evens) - 1i;
-    if (k < 0i) { return 2.0 * known[0] - known[min(-k, last)]; }
-    if (k > last) { return 2.0 * known[last] - known[max(2i * last - k, 0i)]; }
-    return known[k];
-}
-
-fn at_layer(first: u32, layer: u32, is_primary: bool) -> f32 {
-    let k = i32(layer / 2u);
-    if (layer % 2u == 0u) { return known[k]; }
-    if (places[layer] >= 0i && is_primary) { return correlation[first + u32(places[layer])]; }
-    return halfway(
-        even_layer(k - 2i) + even_layer(k + 3i), even_layer(k - 1i) + even_layer(k + 2i),
-        even_layer(k) + even_layer(k + 1i)
-    );
+fn fill_lists(sample: u32, local: u32) {
+    for (var i = local; i < primary_lists * evens; i += 64u) {
+        let k = i % evens;
+        let first = correlations_of(i / evens / bands, i / evens % bands, samples, sample);
+        ladder[seconds_of(i / evens) + k] = correlation[first + u32(places[2u * k])];
+    }
+    for (var i = primary_lists * fourths + local; i < lists * fourths; i += 64u) {
+        let first = correlations_of(i / fourths / bands, i / fourths % bands, samples, sample);
+        ladder[fourths_of(i / fourths) + i % fourths] = correlation[first + i % fourths];
+    }
+    workgroupBarrier();
+    for (var i = 2u * primary_lists + local; i < 2u * lists; i += 64u) {
+        continue_list(fourths_of(i / 2u), fourths, i % 2u);
+    }
+    workgroupBarrier();
+    for (var i = primary_lists * evens + local; i < lists * evens; i += 64u) {
+        let list = i / evens;
+        let k = i % evens;
+        let at = fourths_of(list) + k / 2u;
+        var value = ladder[at];
+        if (k == evens - 1u && k % 2u == 1u) {
+            value = correlation[correlations_of(list / bands, list % bands, samples, sample) + fourths];
+        } else if (k % 2u == 1u) {
+            value = halfway(at);
+        }
+        ladder[seconds_of(list) + k] = value;
+    }
+    workgroupBarrier();
+    for (var i = local; i < 2u * lists; i += 64u) { continue_list(seconds_of(i / 2u), evens, i % 2u); }
+    workgroupBarrier();
 }
 
 @compute @workgroup_size(64)
@@ -60,28 +81,32 @@ fn main(
 ) {
     let sample = group.x + group.y * groups.x;
     if (sample >= samples) { return; }
-    var likelihood: array<f32, (count + 63u) / 64u>;
-    var further: array<f32, (count + 63u) / 64u>;  // of secondary pairs
-    for (var pair = 0u; pair < pairs; pair++) {
-        let is_primary = pair < primary_pairs;
-        for (var band = 0u; band < bands; band++) {
-            let first = ((pair * bands + band) * samples + sample) * computed;
-            workgroupBarrier();
-            for (var k = local; k < evens; k += 64u) { known[k] = second_layer(first, k, is_primary); }
-            workgroupBarrier();
-            for (var layer = local; layer < count; layer += 64u) {
-                let rho = max(at_layer(first, layer, is_primary), 0.0);
-                let nats = -0.5 * weights[band] * log(1.0 - min(rho * rho, most_correlation2));
-                if (is_primary) {
-                    likelihood[layer / 64u] += nats / f32(primary_pairs);
-                } else {
-                    further[layer / 64u] += nats / f32(pairs - primary_pairs);
-                }
-            }
-        }
-    }
+    fill_lists(sample, local);
+    var earned: array<vec2f, chunks>;  // of primary and of secondary pairs
     var best = 0.0;  // no log-likelihood is below 0
-    for (var layer = local; layer < count; layer += 64u) { best = max(best, likelihood[layer / 64u]); }
+    for (var chunk = 0u; chunk < chunks; chunk++) {
+        let layer = min(64u * chunk + local, count - 1u);
+        let is_even = layer % 2u == 0u;
+        let place = places[layer];
+        var sums = vec2f();
+        for (var list = 0u; list < lists; list++) {
+            let is_primary = list < primary_lists;
+            let at = seconds_of(list) + layer / 2u;
+            var rho = 0.0;
+            if (is_even) {
+                rho = ladder[at];
+            } else if (place >= 0i && is_primary) {
+                rho = correlation[correlations_of(list / bands, list % bands, samples, sample) + u32(place)];
+            } else {
+                rho = halfway(at);
+            }
+            rho = max(rho, 0.0);
+            let nats = -0.5 * weights[list % bands] * log(1.0 - min(rho * rho, most_correlation2));
+            sums += select(vec2f(0.0, nats), vec2f(nats, 0.0), is_primary);
+        }
+        earned[chunk] = sums / max(vec2f(1.0), vec2f(f32(primary_pairs), f32(pairs - primary_pairs)));
+        best = max(best, earned[chunk].x);
+    }
     most[local] = best;
     workgroupBarrier();
     for (var half = 32u; half > 0u; half /= 2u) {
@@ -89,9 +114,10 @@ fn main(
         workgroupBarrier();
     }
     let weight = fallback_weight * exp(-most[0] / fallback_nats);
-    for (var layer = local; layer < count; layer += 64u) {
-        var found = likelihood[layer / 64u];
-        if (pairs > primary_pairs) { found += weight * further[layer / 64u]; }
-        unexplained[sample * count + layer] = exp(-2.0 / factors * found);
+    for (var chunk = 0u; chunk < chunks; chunk++) {
+        let layer = 64u * chunk + local;
+        if (layer < count) {
+            unexplained[sample * count + layer] = exp(-2.0 / factors * (earned[chunk].x + weight * earned[chunk].y));
+        }
     }
 }

@@ -52,15 +52,18 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
     even = even_link(config.bilateral.sigma_px)
     best = chain.array("best", 5 * planes.pixels)
     links = add_links(chain, planes, best, even=even, edge_range=1.0, by_layer=False)
-    kept = Kept("weighted", ("scores_weighted",), {"least_weight": MIN_WEIGHT}, more=1)
+    kept = Kept("weighted", ("scores_weighted",), {"least_weight": MIN_WEIGHT}, more=1, together=4)
     directions = space.directions
     for maps, chunk in add_correlation(
         chain, planes, layers_px, directions, config.correlation, chunked=True, kept=kept
     ):
-        add_recursions(chain, planes, maps, links, map_count=chunk.size + 1, gain=1 - even, own=0.0)
+        pitch = kept.pitch_of(chunk.size)
+        add_recursions(
+            chain, planes, maps, links, map_count=chunk.size + 1, gain=1 - even, own=0.0, pitch=pitch
+        )  # fmt: skip
         chain.add(
             "running_winner", [maps, best], groups=groups_for(planes.pixels), uses=SHARED,
-            pixels=planes.pixels, layer_count=chunk.size, first_layer=chunk.first,
+            pixels=planes.pixels, pitch=pitch, layer_count=chunk.size, first_layer=chunk.first,
         )  # fmt: skip
     samples = effective_samples(config.correlation.window_decay)
     samples /= noise_correlation_factor(config.views.presmooth_sigma_px)

@@ -1,22 +1,33 @@
 // Transfer functions: the transforms of `point_rows.wgsl` along the columns, of frequencies and their negatives at once.
-// An invocation has four frequencies, which share what is read.
+// An invocation has two columns at four frequencies, which share what is read.
 
 @group(0) @binding(0) var<storage, read> factors: array<vec2f>;  // (tile_px,)
 @group(0) @binding(1) var<storage, read> layers: array<vec2f>;
 @group(0) @binding(2) var<storage, read> round: array<u32>;
-@group(0) @binding(3) var<storage, read> rows: array<vec2f>;  // (layers of a round, tiles, channels, side, kept)
-@group(0) @binding(4) var<storage, read_write> transfers: array<vec2f>;  // (..., size, size / 2 + 1)
+@group(0) @binding(3) var<storage, read> rows: array<vec4f>;  // (layers of a round, tiles, channels, side, kept / 2)
+@group(0) @binding(4) var<storage, read_write> transfers: array<vec4f>;  // (..., size, kept / 2)
 
 const fours = (kept + 3u) / 4u;
+const twos = kept / 2u;
+
+// Sums of a column's numbers times cosines, and times sines and the imaginary unit.
+struct Waves { cosines_x: vec4f, cosines_y: vec4f, sines_x: vec4f, sines_y: vec4f }
+
+fn add(sums: ptr<function, Waves>, here: vec2f, cosines: vec4f, sines: vec4f) {
+    (*sums).cosines_x += here.x * cosines;
+    (*sums).cosines_y += here.y * cosines;
+    (*sums).sines_x -= here.y * sines;
+    (*sums).sines_y += here.x * sines;
+}
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let i = group.x * 64u + local;
-    if (i >= kept * fours) { return; }
+    if (i >= twos * fours) { return; }
     let layer = min(round[0] * layers_of_round + group.z, layer_count - 1u);
     let reach = u32(layers[layer].y);
-    let x = i % kept;
-    let y = 4u * (i / kept) + vec4u(0u, 1u, 2u, 3u);
+    let x = i % twos;
+    let y = 4u * (i / twos) + vec4u(0u, 1u, 2u, 3u);
     let picture = group.z * pictures + group.y;
     // The waves at the first row, and from one row to the next: a few dozen products keep 1e-6 of them.
     let at = (tile_px - y * reach % tile_px) % tile_px;
@@ -25,27 +36,23 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     let to = y % tile_px;
     let turn_x = vec4f(factors[to.x].x, factors[to.y].x, factors[to.z].x, factors[to.w].x);
     let turn_y = vec4f(factors[to.x].y, factors[to.y].y, factors[to.z].y, factors[to.w].y);
-    var cosines_x = vec4f();
-    var cosines_y = vec4f();
-    var sines_x = vec4f();
-    var sines_y = vec4f();
+    var left = Waves();
+    var right = Waves();
     for (var row = 0u; row < 2u * reach + 2u; row++) {
-        let here = rows[(picture * side + row) * kept + x];
-        cosines_x += here.x * cosines;
-        cosines_y += here.y * cosines;
-        sines_x -= here.y * sines;
-        sines_y += here.x * sines;
+        let here = rows[(picture * side + row) * twos + x];
+        add(&left, here.xy, cosines, sines);
+        add(&right, here.zw, cosines, sines);
         let next = cosines * turn_x - sines * turn_y;
         sines = cosines * turn_y + sines * turn_x;
         cosines = next;
     }
-    let columns = size / 2u + 1u;
-    let first = picture * size * columns + x;
+    let first = picture * size * twos + x;
     for (var n = 0u; n < 4u; n++) {
-        if (y[n] >= kept) { break; }
-        let even = vec2f(cosines_x[n], cosines_y[n]);
-        let odd = vec2f(sines_x[n], sines_y[n]);
-        transfers[first + y[n] * columns] = even + odd;
-        if (y[n] > 0u) { transfers[first + (size - y[n]) * columns] = even - odd; }
+        if (y[n] < kept) {
+            let even = vec4f(left.cosines_x[n], left.cosines_y[n], right.cosines_x[n], right.cosines_y[n]);
+            let odd = vec4f(left.sines_x[n], left.sines_y[n], right.sines_x[n], right.sines_y[n]);
+            transfers[first + y[n] * twos] = even + odd;
+            if (y[n] > 0u) { transfers[first + (size - y[n]) * twos] = even - odd; }
+        }
     }
 }

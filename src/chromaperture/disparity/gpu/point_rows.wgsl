@@ -1,14 +1,15 @@
 // Point-spread functions from traced rays, and the Fourier transforms of their rows. A workgroup adds the rays of one
 // tile, channel and layer to the four pixels around each, as whole numbers in shared memory (`cells` pixels: some rows),
-// and transforms those rows at the frequencies that the samples of a tile have.
+// and transforms those rows at the frequencies that the samples of a tile have: an invocation has four of a row.
 
 @group(0) @binding(0) var<storage, read> factors: array<vec2f>;  // (tile_px,)
-@group(0) @binding(1) var<storage, read> rays: array<vec4f>;  // (tiles, channels, points): x, y at infinity, px; light
+@group(0) @binding(1) var<storage, read> rays: array<vec4f>;  // (tiles, channels, points): x, y at infinity, px; light; point
 @group(0) @binding(2) var<storage, read> pupil: array<vec2f>;  // (points,)
 @group(0) @binding(3) var<storage, read> layers: array<vec2f>;  // (layers,): defocus at the pupil's edge, reach, px
 @group(0) @binding(4) var<storage, read> round: array<u32>;
-@group(0) @binding(5) var<storage, read_write> rows: array<vec2f>;  // (layers of a round, tiles, channels, side, kept)
+@group(0) @binding(5) var<storage, read_write> rows: array<vec4f>;  // (layers of a round, tiles, channels, side, kept / 2)
 
+const fours = (kept + 3u) / 4u;
 const ONE = 1073741824.0f;  // 2^30: all light of a point falls into one pixel at the most
 
 var<workgroup> light: array<atomic<u32>, cells>;
@@ -25,7 +26,8 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     workgroupBarrier();
     for (var j = local; j < points; j += 128u) {
         let ray = rays[picture * points + j];
-        let place = ray.xy - layers[layer].x * pupil[j];
+        if (ray.z <= 0.0) { break; }  // nor have those behind it light
+        let place = ray.xy - layers[layer].x * pupil[u32(ray.w)];
         let corner = floor(place);
         let share = place - corner;
         let at = vec2i(corner) + i32(reach);
@@ -41,17 +43,28 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     }
     workgroupBarrier();
     let count = min(rows_of_group, used - top);
-    for (var i = local; i < count * kept; i += 128u) {
-        let frequency = i % kept;
-        let row = i / kept;
-        // The wave at the first pixel, and from one pixel to the next: a few dozen products keep 1e-6 of it.
-        var wave = factors[(tile_px - frequency * reach % tile_px) % tile_px];
-        let turn = factors[frequency];
-        var sum = vec2f();
+    for (var i = local; i < count * fours; i += 128u) {
+        let frequency = 4u * (i % fours) + vec4u(0u, 1u, 2u, 3u);
+        let row = i / fours;
+        // The waves at the first pixel, and from one pixel to the next: a few dozen products keep 1e-6 of them.
+        let at = (tile_px - frequency * reach % tile_px) % tile_px;
+        var cosines = vec4f(factors[at.x].x, factors[at.y].x, factors[at.z].x, factors[at.w].x);
+        var sines = vec4f(factors[at.x].y, factors[at.y].y, factors[at.z].y, factors[at.w].y);
+        let to = frequency % tile_px;
+        let turn_x = vec4f(factors[to.x].x, factors[to.y].x, factors[to.z].x, factors[to.w].x);
+        let turn_y = vec4f(factors[to.x].y, factors[to.y].y, factors[to.z].y, factors[to.w].y);
+        var sums_x = vec4f();
+        var sums_y = vec4f();
         for (var x = 0u; x < used; x++) {
-            sum += f32(atomicLoad(&light[row * side + x])) * wave;
-            wave = vec2f(wave.x * turn.x - wave.y * turn.y, wave.x * turn.y + wave.y * turn.x);
+            let here = f32(atomicLoad(&light[row * side + x])) / ONE;
+            sums_x += here * cosines;
+            sums_y += here * sines;
+            let next = cosines * turn_x - sines * turn_y;
+            sines = cosines * turn_y + sines * turn_x;
+            cosines = next;
         }
-        rows[(((group.z * pictures) + picture) * side + top + row) * kept + frequency] = sum / ONE;
+        let first = (((group.z * pictures) + picture) * side + top + row) * (kept / 2u) + 2u * (i % fours);
+        rows[first] = vec4f(sums_x.x, sums_y.x, sums_x.y, sums_y.y);
+        if (frequency.z < kept) { rows[first + 1u] = vec4f(sums_x.z, sums_y.z, sums_x.w, sums_y.w); }
     }
 }

@@ -30,7 +30,7 @@ fn main(
     }
     let own = (i - local) * (block + reach) + local;  // a private array would be set to 0 first
     var state = Covariances();
-    for (var x = first - i32(reach); x < end + i32(reach); x++) {
+    for (var x = max(first - i32(reach), -i32(pad_x)); x < end + i32(reach); x++) {
         var forward: array<vec4f, view_count>;
         var backward: array<vec4f, view_count>;
         for (var k = 0u; k < view_count; k++) {
@@ -46,8 +46,9 @@ fn main(
         state = decay * state + products(forward);
         if (x >= first) { ahead[own + 64u * u32(x - first)] = (1.0 - decay) * state + products(backward); }
     }
-    for (var x = end + i32(reach) - 1i; x >= first; x--) {
+    for (var x = end + i32(reach) - 1i; x >= end; x--) { state = decay * state + ahead[own + 64u * u32(x - first)]; }
+    for (var x = end - 1i; x >= first; x--) {
         state = decay * state + ahead[own + 64u * u32(x - first)];
-        if (x < end) { windows[(row * width + u32(x)) * quads + quad] = state; }
+        windows[(row * width + u32(x)) * quads + quad] = state;
     }
 }

@@ -186,20 +186,33 @@ def add_links(chain: Chain, planes: Planes, layers: Array, *, even: float, edge_
 
 
 def add_recursions(
-    chain: Chain, planes: Planes, maps: Array, links: Array, *, map_count: int, gain: float, own: float
+    chain: Chain,
+    planes: Planes,
+    maps: Array,
+    links: Array,
+    *,
+    map_count: int,
+    gain: float,
+    own: float,
+    pitch: int | None = None,
 ) -> Array:
-    """Add the recursions of ``smoothing.wgsl`` along x, then along y; return the sums, in place of the maps."""
+    """Add the recursions of ``smoothing.wgsl`` along x, then along y; return the sums, in place of the maps.
+
+    ``pitch`` is the distance of two pixels' maps where it is not their number.
+    """
+    pitch = pitch or map_count
     between = chain.arrays.get(f"{maps.name}_x") or chain.array(f"{maps.name}_x", maps.size)
-    constants: dict[str, Any] = {"width": planes.width, "height": planes.height, "map_count": map_count}
+    together = 4 if pitch % 4 == 0 else 2 if pitch % 2 == 0 else 1
+    sets = {4: "maps_by_four", 2: "maps_by_two", 1: "maps_single"}[together]
     for along_x, source, target in ((True, maps, between), (False, between, maps)):
-        lines = (planes.height if along_x else planes.width) * map_count
-        stage, groups = "smoothing_of_lines", groups_for(lines)
-        if not chain.device.info.is_software:
-            stage, groups = "smoothing", groups_for(lines, 8)
-        chain.add(
-            stage, [source, links, target], groups=groups, uses=SHARED, along_x=along_x, gain=gain, own=own,
-            **constants,
-        )  # fmt: skip
+        lines = planes.height if along_x else planes.width
+        constants: dict[str, Any] = dict(width=planes.width, height=planes.height, along_x=along_x, gain=gain, own=own)
+        if chain.device.info.is_software:
+            constants |= dict(groups=groups_for(lines * pitch // together), map_count=pitch, together=together)
+            chain.add("smoothing_of_lines", [source, links, target], uses=(*SHARED, sets), **constants)
+        else:
+            constants |= dict(groups=groups_for(lines * map_count, 8), map_count=map_count, pitch=pitch)
+            chain.add("smoothing", [source, links, target], uses=SHARED, **constants)
     return maps
 
 

@@ -1,7 +1,7 @@
 // The best layer so far, from one chunk of filtered scores after the other, with the scores before and after it. Where
 // it is an end of the range the disparity is unknown, and nobody reads the score beyond.
 
-@group(0) @binding(0) var<storage, read> maps: array<f32>;  // (h, w, C + 1): scores times weights, weights
+@group(0) @binding(0) var<storage, read> maps: array<vec4f>;  // (h, w, pitch): scores times weights, weights
 @group(0) @binding(1) var<storage, read_write> best: array<f32>;  // (5, h, w): layer, before, at, after, last score
 
 @compute @workgroup_size(64)
@@ -23,18 +23,20 @@ fn main(
         after = best[3u * pixels + i];
         last = best[4u * pixels + i];
     }
-    let start = i * (layer_count + 1u);
-    let weight = maps[start + layer_count];
-    for (var c = 0u; c < layer_count; c++) {
-        let here = maps[start + c] / weight;
-        let number = f32(first_layer + c);
-        if (number == layer + 1.0) { after = here; }
-        if (here > at) {
-            layer = number;
-            before = last;
-            at = here;
+    let start = i * pitch / 4u;
+    let weight = maps[start + layer_count / 4u][layer_count % 4u];
+    for (var c = 0u; c < layer_count; c += 4u) {
+        let four = maps[start + c / 4u] / weight;
+        for (var j = 0u; j < 4u; j++) {
+            let here = select(-2.0e30, four[j], c + j < layer_count);
+            let number = f32(first_layer + c + j);
+            let is_better = here > at;
+            after = select(after, here, number == layer + 1.0);
+            layer = select(layer, number, is_better);
+            before = select(before, last, is_better);
+            at = max(at, here);
+            last = select(last, here, c + j < layer_count);
         }
-        last = here;
     }
     best[i] = layer;
     best[pixels + i] = before;

@@ -4,9 +4,9 @@
 // comes in from its two sides before it is walked again. Used by the smoothing along the surface and by the bilateral
 // filter of the scores.
 
-@group(0) @binding(0) var<storage, read> maps: array<f32>;  // (h, w, C)
+@group(0) @binding(0) var<storage, read> maps: array<f32>;  // (h, w, pitch)
 @group(0) @binding(1) var<storage, read> links: array<f32>;  // (2, h, w): along x, along y
-@group(0) @binding(2) var<storage, read_write> sums: array<f32>;  // (h, w, C)
+@group(0) @binding(2) var<storage, read_write> sums: array<f32>;  // (h, w, pitch)
 
 struct Segment {
     ahead: f32,  // what it hands on to the next segment, of what comes in none
@@ -46,7 +46,7 @@ fn main(
     var own_sums = Segment(0.0, 1.0, 0.0, 1.0);
     var product = 1.0;  // of the links within
     for (var i = first; i < end; i++) {
-        let value = maps[pixel_of(line, i) * map_count + map];
+        let value = maps[pixel_of(line, i) * pitch + map];
         let link = select(link_to(line, i), 1.0, i == first);
         product *= link;
         own_sums.ahead = select(gain, 1.0, i == 0u) * value + select(link * own_sums.ahead, 0.0, i == first);
@@ -66,7 +66,7 @@ fn main(
         state = other.back + other.through_back * state;
     }
     for (var i = end; i > first; i--) {
-        let at = pixel_of(line, i - 1u) * map_count + map;
+        let at = pixel_of(line, i - 1u) * pitch + map;
         let link = select(link_to(line, i), leaving, i == end);
         state = select(gain, 1.0, i == length) * maps[at] + link * state;
         sums[at] = state;
@@ -77,7 +77,7 @@ fn main(
         state = other.ahead + other.through * state;
     }
     for (var i = first; i < end; i++) {
-        let at = pixel_of(line, i) * map_count + map;
+        let at = pixel_of(line, i) * pitch + map;
         let value = maps[at];
         state = select(gain, 1.0, i == 0u) * value + link_to(line, i) * state;
         sums[at] += state - own * value;

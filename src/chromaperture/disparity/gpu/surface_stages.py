@@ -20,11 +20,11 @@ from chromaperture.disparity.stages.paths import LEAST_UNEXPLAINED, LINES, penal
 from chromaperture.disparity.stages.variation import OPERATOR_NORM_SQUARED
 from chromaperture.stage_config import SurfaceConfig
 
-AT_ONCE = 4  # neighbours that an invocation of a filter has: what they read overlaps
+AT_ONCE = 8  # neighbours that an invocation of a filter has: what they read overlaps
 LANES = 8  # invocations of a path: 9 to 17 layers each for 65 to 129; a subgroup of 8 or more holds whole paths
 MOST_LAYERS = 512  # of a path: 64 in the registers of each of 8 invocations
-BLOCK_ROWS = 2  # of the pixels that an invocation of `coupling_steps.wgsl` has in registers; 4 take longer in software
-_MOST_STEPS = 5  # iterations in shared memory: of 64 x 32 px loaded 54 x 22 are stored
+STEPS_SIDE = 64  # px that a workgroup of `coupling_steps.wgsl` loads along either axis
+_MOST_STEPS = 5  # iterations in shared memory: of 64 x 64 px loaded 54 x 54 are stored
 
 
 class Grid(NamedTuple):
@@ -208,8 +208,8 @@ def add_variation(chain: Chain, a: SurfaceArrays, grid: Grid, layers_px: np.ndar
             before, after = (a.surface, a.other) if i % 2 == 0 else (a.other, a.surface)
             chain.add(
                 "coupling_steps", [before, after, a.goal, a.links, a.couplings, a.round],
-                groups=(grid.width / (64 - 2 * steps), grid.height / (16 * BLOCK_ROWS - 2 * steps)),
-                height=grid.height, width=grid.width, tall=BLOCK_ROWS, steps=steps, is_fresh=i == 0,
+                groups=tuple(side / (STEPS_SIDE - 2 * steps) for side in (grid.width, grid.height)),
+                height=grid.height, width=grid.width, steps=steps, is_fresh=i == 0,
                 primal_step=primal_step, dual_step=1 / (OPERATOR_NORM_SQUARED * primal_step),
                 huber=float(config.huber_layers), highest=float(grid.layers - 1),
             )  # fmt: skip

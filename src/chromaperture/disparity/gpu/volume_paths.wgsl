@@ -70,18 +70,16 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         let counts = used && s < length;
         least = NEVER;
         for (var r = 0u; r < own_layers; r++) {
-            if (begin + r >= count) {
-                cost[r] = NEVER;  // the scans have reached it
-            } else {
-                let gain = likelihood[at + r];
-                let from_below = below + bend * f32(r + 1u);
-                let from_above = above + bend * f32(own_layers - r);
-                let last = min(min(cost[r], limit), min(from_below, from_above)) - lowest - gain;
-                cost[r] = last;
-                least = min(least, last);
-                if (counts) {
-                    if (starts_total) { total[at + r] = own * gain + last; } else { total[at + r] += last; }
-                }
+            let is_layer = begin + r < count;
+            let entry = min(at + r, width * height * count - 1u);
+            let gain = likelihood[entry];
+            let from_below = below + bend * f32(r + 1u);
+            let from_above = above + bend * f32(own_layers - r);
+            let last = min(min(cost[r], limit), min(from_below, from_above)) - lowest - gain;
+            cost[r] = select(NEVER, last, is_layer);  // beyond the last layer the scans have reached it
+            least = min(least, cost[r]);
+            if (counts && is_layer) {
+                total[entry] = last + select(total[entry], own * gain, starts_total);
             }
         }
     }

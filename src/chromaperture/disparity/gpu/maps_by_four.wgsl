@@ -1,0 +1,2 @@
+// Maps that a walk takes together.
+alias Maps = vec4f;
