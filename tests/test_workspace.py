@@ -6,7 +6,7 @@ import gc
 
 import numpy as np
 
-from chromaperture.disparity.cpu.workspace import volume
+from chromaperture.disparity.cpu.workspace import _MOST_KEPT, _volumes, volume
 
 SHAPE = (7, 11, 13)
 
@@ -36,3 +36,11 @@ def test_memory_of_a_much_larger_volume_is_not_taken() -> None:
     del large
     gc.collect()
     assert volume((3, 11, 13)).ctypes.data != address
+
+
+def test_a_large_volume_is_given_back() -> None:
+    large = volume((_MOST_KEPT // 4 + 1, 1, 1))  # its pages are never touched
+    size = large.size
+    del large
+    gc.collect()
+    assert all(len(raw) < size for raw in _volumes)

@@ -60,26 +60,26 @@ def _best_planes(likelihood, xs, ys, starts, planes, slope, outside, steps, even
     for i in range(first, last):
         x, y = xs[starts[i] : starts[i + 1]], ys[starts[i] : starts[i + 1]]
         for m in range(planes.shape[1]):
-            plane[:] = planes[i, m]
+            _copy(planes[i, m], plane)
             if steps > 0:
                 _refine(likelihood, x, y, plane, slope, steps, even)
             value = _log_likelihood(likelihood, x, y, plane, outside)
             value -= slope / 2 * len(x) * (plane[0] ** 2 + plane[1] ** 2)
             if m == 0 or value > values[i]:
                 values[i] = value
-                out[i] = plane
+                _copy(plane, out[i])
 
 
 @inlined(fastmath=FAST)
 def _refine(likelihood, x, y, plane, slope, steps, even):
     """Move a plane in place."""
     every = max(1, -(-len(x) // MOST_POINTS))
-    x, y = x[::every], y[::every]
-    middle_x, middle_y, bend = x.mean(), y.mean(), np.zeros((3, 3))
+    middle_x, middle_y, count = _middle(x, y, every)
     plane[2] += plane[0] * middle_x + plane[1] * middle_y
-    penalty = slope * len(x)
+    penalty = slope * count
     move, trial, uphill, sums, further = np.zeros(3), np.empty(3), np.empty(3), np.empty(10), np.empty(10)
-    _sum(likelihood, x, y, middle_x, middle_y, plane, penalty, sums)
+    bend = np.empty((3, 3))
+    _sum(likelihood, x, y, every, middle_x, middle_y, plane, penalty, sums)
     for _ in range(steps):
         _, uphill[0], uphill[1], uphill[2], xx, xy, x1, yy, y1, one = sums
         if even:
@@ -93,30 +93,49 @@ def _refine(likelihood, x, y, plane, slope, steps, even):
             bend[1, 2] = bend[2, 1] = -y1
             size, axes = np.linalg.eigh(bend)
             least = CONDITION * max(size[2], LEAST_BEND)
-            move[:] = 0
-            for k in range(3):
-                part = axes[0, k] * uphill[0] + axes[1, k] * uphill[1] + axes[2, k] * uphill[2]
-                move += part / max(size[k], least) * axes[:, k]
+            for i in range(3):
+                move[i] = 0.0
+                for k in range(3):
+                    part = axes[0, k] * uphill[0] + axes[1, k] * uphill[1] + axes[2, k] * uphill[2]
+                    move[i] += part / max(size[k], least) * axes[i, k]
         before = sums[0]
         for shorter in SHORTENED:
-            trial[:] = plane + shorter * move
-            _sum(likelihood, x, y, middle_x, middle_y, trial, penalty, further)
+            for i in range(3):
+                trial[i] = plane[i] + shorter * move[i]
+            _sum(likelihood, x, y, every, middle_x, middle_y, trial, penalty, further)
             if further[0] > sums[0]:
-                plane[:] = trial
-                sums[:] = further
+                _copy(trial, plane)
+                _copy(further, sums)
                 break
         if sums[0] - before <= GAINED * abs(sums[0]):
             break
     plane[2] -= plane[0] * middle_x + plane[1] * middle_y
 
 
+@inlined()
+def _copy(numbers, out):
+    for i in range(len(out)):
+        out[i] = numbers[i]
+
+
+@inlined()
+def _middle(xs, ys, every):
+    """Mean of every so many points, and their count."""
+    x, y, count = 0.0, 0.0, 0
+    for i in range(0, len(xs), every):
+        x += xs[i]
+        y += ys[i]
+        count += 1
+    return x / count, y / count, count
+
+
 @inlined(fastmath=FAST)
-def _sum(likelihood, xs, ys, middle_x, middle_y, plane, penalty, sums):
+def _sum(likelihood, xs, ys, every, middle_x, middle_y, plane, penalty, sums):
     """Value less the slope's cost, then gradient (3) and upper triangle of the Hessian (6) of the value alone."""
     last = likelihood.shape[2] - 1 - REACH
     a, b, c = plane
     value = gx = gy = g1 = xx = xy = x1 = yy = y1 = one = 0.0
-    for i in range(len(xs)):
+    for i in range(0, len(xs), every):
         x, y = xs[i] - middle_x, ys[i] - middle_y
         place = a * x + b * y + c
         if place < REACH or place >= last:

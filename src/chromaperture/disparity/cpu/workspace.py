@@ -46,12 +46,17 @@ def workspace() -> Iterator[Workspace]:
 
 
 _VOLUMES = 2  # of evidence and of costs: so many are used at a time
+# Bytes of a volume that is kept; of 720 x 480 px and 143 labels it is 2e8. Larger ones are given back: other programs
+# may need that memory more than this one needs the tenth of its time that handing it out takes.
+_MOST_KEPT = 1 << 28
 _volumes: deque[np.ndarray] = deque(maxlen=_VOLUMES)  # memory that no array uses
 
 
 def volume(shape: tuple[int, ...]) -> np.ndarray:
     """Return a float32 array with whatever numbers an earlier one left in it; its memory is kept for later ones."""
     size = math.prod(shape)
+    if 4 * size > _MOST_KEPT:
+        return np.empty(shape, np.float32)
     for _ in range(len(_volumes)):
         try:
             raw = _volumes.popleft()
