@@ -43,7 +43,7 @@ STAGES = {
     ),
     "transfer functions": Stage(("point_rows", "point_columns"), ("cpu:point_transforms",)),
     "P and Q": Stage(
-        ("cross_rows", "cross_columns", "tiles_joined"),
+        ("pair_spectra", "cross_columns", "cross_rows", "tiles_joined"),
         ("cpu:cross_filter", "blur_evidence:BlurEvidence._cross_filtered"),
     ),
     "bands and windows": Stage(
