@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from chromaperture.disparity import stages
-from chromaperture.disparity.plane_fit import Volume, log_likelihood, proposals, refined
+from chromaperture.disparity.plane_fit import Volume, best_planes, proposals
 from chromaperture.disparity.stages.planes import PlaneCosts
 from test_gpu_surface import any_device, device_as
 
@@ -40,8 +40,9 @@ def test_refined_planes_agree(rng):
     planes = refined_planes(chain.device, array, Grid(*likelihood.shape), found, LABELS, slope_penalty=COSTS.slope)
     volume = Volume(likelihood, LABELS, COSTS, stages)
     for got, part in zip(planes, found, strict=True):
-        expected = refined(part.plane, part.x, part.y, volume)
-        values = [log_likelihood(plane, part.x, part.y, volume) for plane in (got, expected)]
+        sets = [(part.y, part.x)]
+        (expected,), _ = best_planes(part.plane[None, None], sets, volume)
+        values = [best_planes(plane[None, None], sets, volume, steps=0)[1][0] for plane in (got, expected)]
         # Newton's method stops when a step gains a hundred thousandth of the value.
         assert values[0] == pytest.approx(values[1], rel=2e-4)
         at = np.stack([part.x, part.y, np.ones(len(part.x))])

@@ -14,8 +14,9 @@ from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.planar import Planes, block_links, block_sums, planes_of_surface
 from chromaperture.disparity.plane_agreement import BESIDE_PX, beside_borders, known_planes, where_they_agree
 from chromaperture.disparity.plane_edges import choices_of, placed_edges
-from chromaperture.disparity.plane_fit import Candidate, Volume, candidates, distinct, log_likelihood, refined
+from chromaperture.disparity.plane_fit import Candidate, Volume, best_planes, candidates, distinct
 from chromaperture.disparity.plane_merging import merged_planes
+from chromaperture.disparity.stages.plane_refining import PointSets, plane_sums
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.winner import Surface
 from chromaperture.errors import InputError
@@ -43,6 +44,14 @@ def of(likelihood: np.ndarray, costs: PlaneCosts = NO_COSTS) -> Volume:
     return Volume(likelihood, LABELS_PX, costs, FAST)
 
 
+def refined(plane: np.ndarray, x: np.ndarray, y: np.ndarray, volume: Volume, *, even: bool = False) -> np.ndarray:
+    return best_planes(plane[None, None], [(y, x)], volume, even=even)[0][0]
+
+
+def log_likelihood(plane: np.ndarray, x: np.ndarray, y: np.ndarray, volume: Volume) -> float:
+    return float(best_planes(plane[None, None], [(y, x)], volume, steps=0)[1][0])
+
+
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**31), height=st.integers(1, 9), width=st.integers(1, 9), count=st.integers(1, 4))
 def test_compiled_planes_agree_with_numpy(seed: int, height: int, width: int, count: int) -> None:
@@ -53,13 +62,47 @@ def test_compiled_planes_agree_with_numpy(seed: int, height: int, width: int, co
     np.testing.assert_allclose(fast, slow, atol=ROUNDING)
 
     y, x = (a.ravel() for a in np.mgrid[:height, :width])
-    one, other = (run.plane_sums(likelihood, x, y, planes[0], LABELS_PX, reach=2) for run in (SLOW, FAST))
-    for a, b in zip(one, other, strict=True):
-        np.testing.assert_allclose(b, a, rtol=1e-5, atol=ROUNDING * 100 * height * width)  # divided by (0.2 px)^2
+    points = PointSets.of([(y, x), (y[:2], x[:2])])
+    starts = np.stack([planes, planes[::-1]])
+    (slow_planes, slow_values), (fast_planes, fast_values) = (
+        run.best_planes(likelihood, points, starts, LABELS_PX, COSTS, steps=0) for run in (SLOW, FAST)
+    )
+    np.testing.assert_allclose(fast_planes, slow_planes, atol=1e-9)
+    np.testing.assert_allclose(fast_values, slow_values, atol=ROUNDING)
 
     links = rng.random((2, height, width), np.float32)
     slow, fast = (run.potts_beliefs(slow_costs, links, sweeps=3) for run, slow_costs in ((SLOW, slow), (FAST, slow)))
     np.testing.assert_allclose(fast, slow, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("even", [False, True])
+def test_compiled_refining_agrees_with_numpy(even: bool) -> None:
+    rng = np.random.default_rng(4)
+    label = plane_label(np.array([0.01, -0.02, 0.3]), 80, 90)
+    likelihood = volume_about(label + rng.normal(0, 0.05, label.shape))
+    y, x = (a.ravel() for a in np.mgrid[:80, :90])  # more points than a fit takes
+    points = PointSets.of([(y, x), (y[:4000], x[:4000]), (y[::90], x[::90])])  # the last on a line: no slope across
+    starts = np.array([0.01, -0.02, 0.3]) + rng.normal(0, (2e-3, 2e-3, 0.1), (3, 2, 3))
+    slow, fast = (
+        run.best_planes(likelihood, points, starts, LABELS_PX, COSTS, steps=6, even=even) for run in (SLOW, FAST)
+    )
+    for one, other in zip(slow, fast, strict=True):  # doubles, of sums in another order
+        np.testing.assert_allclose(other, one, rtol=1e-7, atol=1e-9)
+
+
+def test_derivatives_of_a_plane_are_its_differences() -> None:
+    rng = np.random.default_rng(6)
+    label = plane_label(np.array([0.01, -0.02, 0.3]), 20, 30)
+    likelihood = volume_about(label, nats=0.5, width_px=2.0).astype(float)
+    y, x = (a.ravel() for a in np.mgrid[:20, :30])
+    plane = np.array([0.01, -0.02, 0.35])
+    sums = plane_sums(likelihood, x, y, plane, LABELS_PX)
+    direction, step = rng.normal(0, (0.01, 0.01, 0.2), 3), 0.1
+    values = [plane_sums(likelihood, x, y, plane + k * step * direction, LABELS_PX).value for k in (-1, 0, 1)]
+    # Evidence is a parabola, read linearly between labels that are 0.1 px apart.
+    assert direction @ sums.gradient == pytest.approx((values[2] - values[0]) / (2 * step), rel=0.02)
+    bend = (values[2] - 2 * values[1] + values[0]) / step**2
+    assert direction @ sums.hessian @ direction == pytest.approx(bend, rel=0.05)
 
 
 @pytest.mark.parametrize("axis", [0, 1])

@@ -29,10 +29,6 @@ from chromaperture.stage_config import (
     require_space,
 )
 
-# Px of half disparity for a px of blur. Planes gain 0.02 to 0.09 of the pixels within 2 % for designs of 0.20 to 0.42;
-# for cy_open (0.09), where errors of the blur count four times, they lose 0.04 of them (docs/measurements.md).
-_LEAST_REACH_OF_PLANES = 0.15
-
 _HALVES_APART = 2.0  # px by which two halves move apart a px of half disparity
 Quality = Literal["paper", "real-time", "accurate"]
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
@@ -225,10 +221,7 @@ class AccurateConfig(MatcherConfig):
         )
         layers = LayersConfig(step_px=0.3 * reach)
         evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
-        planes = PlanesConfig() if reach >= _LEAST_REACH_OF_PLANES else PlanesConfig(rounds=0)
-        return cls(
-            layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=SpectralConfig.for_blur(reach)
-        )
+        return cls(layers=layers, evidence=evidence, surface=surface, spectral=SpectralConfig.for_blur(reach))
 
 
 @dataclass(frozen=True)

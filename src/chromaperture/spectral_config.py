@@ -8,7 +8,7 @@ from chromaperture.stage_config import all_finite, require
 
 # Of px of half disparity for a px of the pupil edge's displacement: the open aperture has .09, circles .20, halves
 # .33, three squares .42. docs/measurements.md (*All channels at once*) has what this evidence gains for each.
-LEAST_REACH_OF_PAIRS = 0.15  # as `PlanesConfig`
+LEAST_REACH_OF_PAIRS = 0.15
 LEAST_REACH_OF_PAIRS_ALONE = 0.37
 
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -27,10 +26,11 @@ import scipy.fft
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.result import NoiseModel
+from chromaperture.disparity.stages.cross_filter import Tile
 from chromaperture.disparity.stages.paths import lagrange_weights
 from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes
 from chromaperture.errors import InputError
-from chromaperture.optics.lens_blur import LensBlur, Rays
+from chromaperture.optics.lens_blur import LensBlur
 from chromaperture.stage_config import CrossFilterConfig
 from chromaperture.threads import each_band, parallel_map
 
@@ -160,21 +160,30 @@ class BlurEvidence:
             nodes.size, finest_px(self.config) / SAMPLING_PX
         )  # the same at all depths, hence done once
 
-        def of_tile(i: int) -> _Tile:
-            pairs = [(a * low_pass, b * low_pass) for a, b in (spectra[i].pair(*pair) for pair in self.all_pairs)]
-            return _Tile(nodes.places[i], nodes.weights[i], blur.rays(*nodes.places[i]), pairs)
+        def of_tile(i: int) -> Tile:
+            filtered = [part * low_pass for pair in self.all_pairs for part in spectra[i].pair(*pair)]
+            pairs = np.stack(filtered).reshape(-1, 2, *low_pass.shape)
+            x, y = nodes.places[i]
+            return Tile(blur.rays(x, y), pairs, nodes.in_tile(), nodes.weights[i], nodes.on_canvas((x, y)))
 
         tiles = parallel_map(of_tile, range(len(spectra)))
         at_infinity, scale = blur.reference
         shape = (len(self.all_pairs), len(self.config.bands_px), -(-height // SPACING_PX), -(-width // SPACING_PX))
         correlation, most = np.empty((len(layers_px), *shape), np.float32), layers_of or {}
 
+        pairs_of = [
+            tuple(i for i, pair in enumerate(self.all_pairs) if layer < most.get(pair, len(layers_px)))
+            for layer in range(len(layers_px))
+        ]
+        used = {pairs: self._used(tiles, pairs) for pairs in set(pairs_of)}
+
         def fill(layer: int) -> None:
-            inverse_mm = (at_infinity - layers_px[layer]) / scale
-            pairs = [i for i, pair in enumerate(self.all_pairs) if layer < most.get(pair, len(layers_px))]
-            used = tuple(sorted({k for i in pairs for k in self.all_pairs[i]}))
-            views = self._cross_filtered(used, pairs, nodes, tiles, inverse_mm)
-            for i, both in zip(pairs, views, strict=True):
+            canvas = nodes.canvas(len(pairs_of[layer]))
+            defocus = blur.defocus_px((at_infinity - layers_px[layer]) / scale)
+            self.run.cross_filter(
+                *used[pairs_of[layer]], defocus, canvas, size_px=nodes.size_px, damping=self.config.damping
+            )
+            for i, both in zip(pairs_of[layer], nodes.in_frame(canvas), strict=True):
                 self._correlate(both, correlation[layer, i])
 
         parallel_map(fill, range(len(layers_px)))
@@ -189,23 +198,12 @@ class BlurEvidence:
                 f"{width} x {height}"
             )
 
-    def _cross_filtered(
-        self, channels: tuple[int, ...], pairs: Sequence[int], nodes: Nodes, tiles: Sequence[_Tile], inverse_mm: float
-    ) -> np.ndarray:
-        """P and Q of pairs of channels, numbers of `all_pairs`, at one distance; (pairs, H, W, 2) float32 samples."""
-        canvas = nodes.canvas(len(pairs))
-        inner = nodes.in_tile()
-        for tile in tiles:
-            rays = tile.rays if len(channels) == 3 else Rays(*(part[list(channels)] for part in tile.rays))
-            transfers = self.blur.transfer_of(
-                rays, inverse_mm, nodes.size_px, samples=nodes.size, transform=self.run.point_transforms
-            )
-            transfer = dict(zip(channels, transfers, strict=True))
-            for part, i in zip(canvas, pairs, strict=True):
-                a, b = self.all_pairs[i]
-                filtered = self.run.cross_filter(tile.pairs[i], (transfer[a], transfer[b]), self.config.damping)
-                cv2.accumulateProduct(filtered[inner, inner], tile.weight, part[nodes.on_canvas(tile.place)])
-        return nodes.in_frame(canvas)
+    def _used(self, tiles: list[Tile], pairs: tuple[int, ...]) -> tuple[list[Tile], np.ndarray]:
+        """Return tiles with only the channels of some pairs, numbers of `all_pairs`; and their places in these."""
+        used, channels = np.unique([self.all_pairs[i] for i in pairs], return_inverse=True)
+        if len(pairs) < len(self.all_pairs):
+            tiles = [tile._replace(rays=tile.rays.of(used), spectra=tile.spectra[list(pairs)]) for tile in tiles]
+        return tiles, channels.reshape(-1, 2)
 
     def _correlate(self, both: np.ndarray, out: np.ndarray) -> None:
         """Correlate P and Q, (H, W, 2), in windows around every second sample, for every band; (bands, h, w)."""
@@ -213,15 +211,6 @@ class BlurEvidence:
         sigma = self.config.window_sigma_px / SAMPLING_PX
         for band, (fine, coarse) in zip(out, _bands(both, self.config), strict=True):
             band[:] = self.run.band_correlation(fine, coarse, sigma=sigma)[:height, :width]
-
-
-class _Tile(NamedTuple):
-    """The parts of a tile that are the same at all depths: its rays, and the spectra of both channels of every pair."""
-
-    place: tuple[float, float]
-    weight: np.ndarray
-    rays: Rays
-    pairs: list[tuple[np.ndarray, np.ndarray]]
 
 
 def with_midpoints(volume: np.ndarray) -> np.ndarray:

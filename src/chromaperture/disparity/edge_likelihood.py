@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import cv2
@@ -264,7 +264,12 @@ class _Model:
             for power, texture in ((near_power, self.near), (far_power, self.far))
         )
         share = self._near_share.reshape(-1, 3 * count)
-        return self.run.edge_costs(lines, near, far, share, np.kron(np.diag(self.noise), _noise_covariance()))
+        return self.run.edge_costs(lines, near, far, share, self._noise_of_line)
+
+    @cached_property
+    def _noise_of_line(self) -> np.ndarray:
+        """Covariance of the noise of a line's samples; (6 HALF, 6 HALF)."""
+        return np.kron(np.diag(self.noise), _noise_covariance())
 
     @cached_property
     def _near_share(self) -> np.ndarray:
@@ -289,6 +294,7 @@ def _covariance_of_colours(image: np.ndarray) -> np.ndarray:
     return np.asarray((1 - OWN_COLOUR) * covariance + OWN_COLOUR * own)
 
 
+@cache
 def _noise_covariance() -> np.ndarray:
     """Return the covariance of a line's samples of white noise of unit variance; (2 HALF, 2 HALF)."""
     lag2 = (GRID_PX * (np.arange(2 * HALF)[:, None] - np.arange(2 * HALF))) ** 2

@@ -13,8 +13,10 @@ import numpy as np
 
 from chromaperture.config import ExecutionName
 from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.stages.cross_filter import Tile
 from chromaperture.disparity.stages.paths import Posterior
-from chromaperture.disparity.stages.planes import PlaneCosts, PlaneSums
+from chromaperture.disparity.stages.plane_refining import PointSets
+from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.upsample import Coarse
 from chromaperture.disparity.stages.variation import Problem, State, Steps
 from chromaperture.disparity.views import Views
@@ -84,9 +86,16 @@ class Execution(Protocol):
         """Transform point-spread functions; (C, samples, samples // 2 + 1)."""
 
     def cross_filter(
-        self, spectra: tuple[np.ndarray, np.ndarray], transfers: tuple[np.ndarray, np.ndarray], damping: float
-    ) -> np.ndarray:
-        """Filter two channels of a tile with each other's blur; (n, n, 2)."""
+        self,
+        tiles: Sequence[Tile],
+        channels: np.ndarray,
+        defocus_px: np.ndarray,
+        canvas: np.ndarray,
+        *,
+        size_px: int,
+        damping: float,
+    ) -> None:
+        """Filter channels of tiles with each other's blur, and add them to a canvas, (P, H, W, 2)."""
 
     def band_correlation(self, fine: np.ndarray, coarse: np.ndarray, *, sigma: float) -> np.ndarray:
         """Correlate both pictures of a pair in one band, in windows around every second sample; (H / 2, W / 2)."""
@@ -140,21 +149,22 @@ class Execution(Protocol):
     ) -> np.ndarray:
         """Cost of every plane at every pixel; (H, W, K)."""
 
-    def plane_sums(
+    def best_planes(
         self,
         likelihood: np.ndarray,
-        x: np.ndarray,
-        y: np.ndarray,
-        plane: np.ndarray,
+        points: PointSets,
+        planes: np.ndarray,
         labels_px: np.ndarray,
+        costs: PlaneCosts,
         *,
-        reach: int,
-    ) -> PlaneSums:
-        """Sum the log-likelihood of a plane and its derivatives over pixels."""
+        steps: int,
+        even: bool = False,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the most likely plane of every set of points, near one of its first planes; (S, 3) and nats, (S,)."""
 
     def agreed_plane(
         self,
-        planes: np.ndarray,
+        corners: np.ndarray,
         x: np.ndarray,
         y: np.ndarray,
         label: np.ndarray,
@@ -163,7 +173,7 @@ class Execution(Protocol):
         tolerance_px: float,
         rounds: int,
     ) -> np.ndarray:
-        """Find the plane that most points agree with, and fit it to these; (3,)."""
+        """Find the plane through three points that most points agree with, and fit it to these; (3,)."""
 
     def potts_beliefs(self, cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
         """Cost of every choice at every pixel, with the best of all others; (H, W, K)."""

@@ -13,7 +13,7 @@ R. Koenker, G. Bassett: Regression quantiles. Econometrica 46, 1978. doi:10.2307
 from __future__ import annotations
 
 import json
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +25,7 @@ from chromaperture.disparity.evidence_signs import signs_of_evidence
 from chromaperture.disparity.planar import Planes
 from chromaperture.disparity.plane_fit import Volume
 from chromaperture.disparity.winner import Surface
+from chromaperture.threads import each_band, parallel_map
 
 POOLED_PX = 8.0  # sigma of the windows in which signs are averaged; else they follow paths and blocks
 WIDE_PX = 24.0  # the same, wider; chosen by hand
@@ -76,8 +77,12 @@ def learned_sigma(surface: Surface, step_px: float, *, first_px: np.ndarray, exp
     model = weights()["planes" if explained_by is not None else "surface"]
     found = signs(surface, step_px, first_px=first_px, explained_by=explained_by)
     logarithm = np.full(first_px.shape, model.constant, np.float32)
-    for name, weight, least, most in zip(model.names, model.weights, model.least, model.most, strict=True):
-        logarithm += np.float32(weight) * np.clip(found[name], np.float32(least), np.float32(most))
+
+    def add(rows: slice) -> None:
+        for name, weight, least, most in zip(model.names, model.weights, model.least, model.most, strict=True):
+            logarithm[rows] += np.float32(weight) * np.clip(found[name][rows], np.float32(least), np.float32(most))
+
+    each_band(add, len(logarithm))
     return np.asarray(step_px * np.exp(pooled(logarithm, SMOOTHED_PX)), np.float32)
 
 
@@ -92,18 +97,24 @@ def signs(
     `signs_of_evidence`, ``spread_of_frame`` the mean of one: photographs differ in what their evidence is worth.
     """
     label = np.asarray(surface.disparity_px, np.float32) / np.float32(step_px)
-    posterior = pooled_sigma(surface.sigma_px, POOLED_PX) / np.float32(step_px)
-    found = {
-        "posterior": np.log(posterior + np.float32(0.02)),  # steps: below, nothing is told apart
-        **{f"range_{reach}": np.log(part + np.float32(0.1)) for reach, part in ranges(label).items()},
-    }
+
+    def of_posterior() -> dict[str, np.ndarray]:
+        posterior = pooled_sigma(surface.sigma_px, POOLED_PX) / np.float32(step_px)
+        return {"posterior": np.log(posterior + np.float32(0.02))}  # steps: below, nothing is told apart
+
+    def of_ranges() -> dict[str, np.ndarray]:
+        return {f"range_{reach}": np.log(part + np.float32(0.1)) for reach, part in ranges(label).items()}
+
+    each = [of_ranges, of_posterior]
     if explained_by is not None:
-        first = np.asarray(first_px, np.float32) / np.float32(step_px)
-        found |= of_planes(label, first, explained_by, step_px)
         if explained_by.blocks is None:
             raise ValueError("the signs of the evidence need the blocks that chose the planes")
-        found |= of_blocks(surface, explained_by.blocks, explained_by.choice)
-    return found
+        first = np.asarray(first_px, np.float32) / np.float32(step_px)
+        each += [
+            partial(of_blocks, surface, explained_by.blocks, explained_by.choice),
+            partial(of_planes, label, first, explained_by, step_px),
+        ]
+    return {name: sign for part in parallel_map(lambda work: work(), each) for name, sign in part.items()}
 
 
 def of_blocks(surface: Surface, blocks: Volume, choice: np.ndarray) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ edge is (`edge_likelihood.py`); a border is cheaper where the picture changes mo
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -87,27 +87,32 @@ def placed_edges(
     coarse = choice[::GRID_PX, ::GRID_PX]
     used, coarse = np.unique(coarse, return_inverse=True)
     coarse = coarse.reshape(-(-height // GRID_PX), -(-width // GRID_PX))
-    y, x = np.mgrid[0:height:GRID_PX, 0:width:GRID_PX]
-    label = planes[used, 0] * x[..., None] + planes[used, 1] * y[..., None] + planes[used, 2]
-    possible = _possible(coarse, label, reach_px / GRID_PX, apart_px)
-    if not (possible.sum(axis=2) > 1).any():
+    planes = planes[used] * (GRID_PX, GRID_PX, 1)  # of grid points
+    possible = _possible(coarse, planes, reach_px / GRID_PX, apart_px)
+    if np.count_nonzero(possible) == coarse.size:
         return choice
-    cost = np.zeros(label.shape, np.float32)
+    cost = np.zeros(possible.shape, np.float32)
     if line_costs is not None:
         for along_rows in (True, False):
-            _add_lines(cost, possible, coarse, label, along_rows, apart_px, line_costs)
-    cost[~possible] = _FORBIDDEN
+            _add_lines(cost, possible, coarse, planes, along_rows, apart_px, line_costs)
+    np.putmask(cost, ~possible, np.float32(_FORBIDDEN))
     moved = choices(cost, _links(guide, reach_px)[:, ::GRID_PX, ::GRID_PX], sweeps=_SWEEPS)
     rows, columns = np.arange(height) // GRID_PX, np.arange(width) // GRID_PX
-    free = (possible.sum(axis=2) > 1)[rows[:, None], columns]
+    free = (np.count_nonzero(possible, axis=2) > 1)[rows[:, None], columns]
     return np.where(free, used[moved[rows[:, None], columns]], choice)
+
+
+def _label(planes: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Labels of planes (..., 3) at grid points, px."""
+    a, b, c = np.moveaxis(planes, -1, 0)
+    return np.asarray(a * x + b * y + c)
 
 
 def _add_lines(
     cost: np.ndarray,
     possible: np.ndarray,
     choice: np.ndarray,
-    label: np.ndarray,
+    planes: np.ndarray,
     along_rows: bool,
     apart_px: float,
     line_costs: LineCosts,
@@ -121,18 +126,19 @@ def _add_lines(
     possible : (h, w, K) bool
         Is added to.
     choice : (h, w) int
-    label : (h, w, K) float, px
+    planes : (K, 3) float
+        Of grid points.
     along_rows : bool
     apart_px : float
     line_costs : callable
     """
     if not along_rows:
-        cost, possible, label = (part.transpose(1, 0, 2) for part in (cost, possible, label))
-        choice = choice.T
+        cost, possible = (part.transpose(1, 0, 2) for part in (cost, possible))
+        choice, planes = choice.T, planes[:, [1, 0, 2]]
     width = choice.shape[1]
     y, x = np.nonzero(choice[:, :-1] != choice[:, 1:])
     here, beyond = choice[y, x], choice[y, x + 1]
-    gap = label[y, x, beyond] - label[y, x, here]  # of both planes at one pixel
+    gap = _label(planes[beyond], y, x) - _label(planes[here], y, x)  # of both planes at one pixel
     near_first = gap > 0
     near, far = np.where(near_first, here, beyond), np.where(near_first, beyond, here)
     across = _across(choice, y, x, near)
@@ -145,7 +151,7 @@ def _add_lines(
     if not kept.any():
         return
     y, x, near, far, near_first, across = (part[kept] for part in (y, x, near, far, near_first, across))
-    near_px, far_px = (label[y, x, side] for side in (near, far))
+    near_px, far_px = (_label(planes[side], y, x) for side in (near, far))
     row, column = (y, x) if along_rows else (x, y)
     costs = across[:, None] * LINE_WEIGHT * line_costs(Lines(along_rows, row, column, near_px, far_px, near_first))
     # A pixel that becomes near moves the edge beyond it.
@@ -170,31 +176,41 @@ def _across(choice: np.ndarray, y: np.ndarray, x: np.ndarray, near: np.ndarray) 
     return out
 
 
-def _possible(choice: np.ndarray, label: np.ndarray, reach: float, apart_px: float) -> np.ndarray:
+def _possible(choice: np.ndarray, planes: np.ndarray, reach: float, apart_px: float) -> np.ndarray:
     """Planes that a pixel may lie on: its own, and next to a border between near and far the other; (h, w, K)."""
-    possible = np.zeros(label.shape, bool)
-    np.put_along_axis(possible, choice[..., None], True, axis=2)
+    possible = np.arange(len(planes))[:, None, None] == choice
     pairs = neighbouring_pairs(choice)
-    if not pairs:
-        return possible
     wide = np.ones((int(2 * reach) + 1, int(2 * reach) + 1), np.uint8)
+    y, x = np.arange(choice.shape[0])[:, None], np.arange(choice.shape[1])
 
-    def of_plane(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where the plane is, the distance of all pixels from it, and the core that stays of it where it is thin."""
-        here = choice == k
+    def of_plane(k: int) -> _Area:
+        here = possible[k].copy()
         inside = _distance(here)
         half_width = cv2.dilate(inside, wide)
-        return here, _distance(~here), (inside >= CORE * half_width) & (half_width < reach)
+        thin_core = (inside >= CORE * half_width) & (half_width < reach)
+        return _Area(here, _distance(~here), thin_core, _label(planes[k], y, x))
 
     each = sorted({k for pair in pairs for k in pair})
-    parts = parallel_map(of_plane, each)
-    here, away, thin_core = (dict(zip(each, maps, strict=True)) for maps in zip(*parts, strict=True))
-    for i, j in sorted(pairs):
-        for near, far in ((i, j), (j, i)):
-            nearer = label[..., far] > label[..., near] + apart_px
-            possible[..., far] |= here[near] & nearer & (away[far] <= reach) & ~thin_core[near]
-            possible[..., near] |= here[far] & nearer & (away[near] <= OUTWARD_PX / GRID_PX)
-    return possible
+    areas = dict(zip(each, parallel_map(of_plane, each), strict=True))
+
+    def add(k: int) -> None:
+        one = areas[k]
+        for other in (areas[i if j == k else j] for i, j in pairs if k in (i, j)):
+            near = (one.label_px > other.label_px + apart_px) & (one.away <= reach) & ~other.thin_core
+            far = (other.label_px > one.label_px + apart_px) & (one.away <= OUTWARD_PX / GRID_PX)
+            possible[k] |= other.here & (near | far)
+
+    parallel_map(add, each)
+    return np.ascontiguousarray(possible.transpose(1, 2, 0))
+
+
+class _Area(NamedTuple):
+    """Where a plane is, the distance of all pixels from it, the core that stays of it where it is thin, its labels."""
+
+    here: np.ndarray
+    away: np.ndarray
+    thin_core: np.ndarray
+    label_px: np.ndarray
 
 
 def _links(guide: np.ndarray, reach_px: int) -> np.ndarray:

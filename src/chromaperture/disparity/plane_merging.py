@@ -9,11 +9,12 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
-from chromaperture.disparity.plane_fit import Volume, log_likelihood, refined
+from chromaperture.disparity.plane_fit import Pixels, Volume, best_planes
 from chromaperture.stage_config import PlanesConfig
 from chromaperture.threads import parallel_map
 
@@ -21,9 +22,6 @@ LEAST_CORE = 0.25  # share of a plane's pixels away from its border below which 
 FAR_APART_LAYERS = 12  # at the smaller plane's middle: such planes are never one; chosen by hand
 _STEPS = 3  # of Newton's method for every pair
 _NUMBERS_OF_PLANE = 3  # slope along x and y, and the label
-
-
-Pixels = tuple[np.ndarray, np.ndarray]  # y and x
 
 
 @dataclass(frozen=True, eq=False)  # a key of dictionaries: equal only to itself
@@ -35,7 +33,7 @@ class Part:
     plane: np.ndarray
     value: float  # log-likelihood of the core, nats
 
-    @property
+    @cached_property
     def middle(self) -> np.ndarray:
         """(x, y, 1) of the middle of the core."""
         return np.array([self.core[1].mean(), self.core[0].mean(), 1.0])
@@ -62,38 +60,26 @@ def merged_planes(
     choice : (H, W) int
     """
     parts = dict(enumerate(_parts(choice, planes, volume, border)))
-    simplest: dict[Part, np.ndarray] = {}
-
-    def simplest_of(part: Part) -> np.ndarray:
-        if part not in simplest:
-            simplest[part] = _simplest(part, volume, config.slope_tolerance)
-        return simplest[part]
-
-    def numbers_of(part: Part) -> int:
-        return _NUMBERS_OF_PLANE if simplest_of(part)[:2].any() else 1
-
+    simplest = _Simplest(volume, config.slope_tolerance)
     renumbered = np.searchsorted(np.unique(choice), choice)
     pairs = neighbouring_pairs(renumbered)
     queue: list[tuple[float, int, int, Part]] = []
 
-    def tried(pair: tuple[int, int]) -> tuple[float, int, int, Part] | None:
-        one, other = (parts[k] for k in pair)
-        smaller = min(one, other, key=lambda part: len(part.core[0]))
-        if abs((one.plane - other.plane) @ smaller.middle) > FAR_APART_LAYERS * volume.step_px:
-            return None
-        joined = _joined(one, other, volume)
-        loss = one.value + other.value - joined.value
-        allowed = config.plane_penalty + config.plane_tolerance * min(one.value, other.value)
-        if loss >= allowed:
-            return None
-        saved = numbers_of(one) + numbers_of(other) - numbers_of(joined)
-        allowed *= min(max(saved / _NUMBERS_OF_PLANE, 0.0), 1.0)
-        return (loss - allowed, *pair, joined) if loss < allowed else None
-
     def consider(some: Iterable[tuple[int, int]]) -> None:
-        for entry in parallel_map(tried, sorted(some)):
-            if entry is not None:
-                heapq.heappush(queue, entry)
+        near = [(i, j) for i, j in sorted(some) if not _far_apart(parts[i], parts[j], volume)]
+        likely = []
+        for pair, joined in zip(near, _joined([(parts[i], parts[j]) for i, j in near], volume), strict=True):
+            one, other = (parts[k].value for k in pair)
+            loss = one + other - joined.value
+            allowed = config.plane_penalty + config.plane_tolerance * min(one, other)
+            if loss < allowed:
+                likely.append((loss, allowed, pair, joined))
+        simplest.find(part for *_, (i, j), joined in likely for part in (parts[i], parts[j], joined))
+        for loss, allowed, (i, j), joined in likely:
+            saved = simplest.numbers_of(parts[i]) + simplest.numbers_of(parts[j]) - simplest.numbers_of(joined)
+            allowed *= min(max(saved / _NUMBERS_OF_PLANE, 0.0), 1.0)
+            if loss < allowed:
+                heapq.heappush(queue, (loss - allowed, i, j, joined))
 
     consider(pairs)
     following = len(parts)
@@ -110,7 +96,8 @@ def merged_planes(
     out = np.empty_like(choice)
     for k, part in enumerate(parts.values()):
         out[part.every] = k
-    return np.array(parallel_map(simplest_of, parts.values())), out
+    simplest.find(parts.values())
+    return np.array([simplest.planes[part] for part in parts.values()]), out
 
 
 def _parts(choice: np.ndarray, planes: np.ndarray, volume: Volume, border: int) -> list[Part]:
@@ -118,30 +105,51 @@ def _parts(choice: np.ndarray, planes: np.ndarray, volume: Volume, border: int) 
     numbers = choice.astype(np.float32)
     core = cv2.dilate(numbers, square) == cv2.erode(numbers, square)
 
-    def of_plane(k: int) -> Part:
+    used = np.unique(choice)
+
+    def pixels(k: int) -> tuple[Pixels, Pixels]:
         every, inner = _places(choice == k), _places((choice == k) & core)
-        if len(inner[0]) < LEAST_CORE * len(every[0]):
-            inner = every
-        plane = refined(planes[k], inner[1], inner[0], volume)
-        return Part(every, inner, plane, log_likelihood(plane, inner[1], inner[0], volume))
+        return every, inner if len(inner[0]) >= LEAST_CORE * len(every[0]) else every
 
-    return parallel_map(of_plane, np.unique(choice).tolist())
-
-
-def _simplest(part: Part, volume: Volume, tolerance: float) -> np.ndarray:
-    """Return the plane of one label if it is nearly as likely: the blur that was calibrated tilts planes by itself."""
-    y, x = part.core
-    even = refined(np.array([0, 0, part.plane @ part.middle]), x, y, volume, even=True)
-    loss = part.value - log_likelihood(even, x, y, volume)
-    return even if loss <= tolerance * part.value else part.plane
+    both = parallel_map(pixels, used.tolist())
+    found, values = best_planes(planes[used][:, None], [inner for _, inner in both], volume)
+    return [Part(*pair, plane, float(value)) for pair, plane, value in zip(both, found, values, strict=True)]
 
 
-def _joined(one: Part, other: Part, volume: Volume) -> Part:
-    """Return both parts under the better of the planes that either's plane leads to."""
-    every, core = _both(one.every, other.every), _both(one.core, other.core)
-    fits = (refined(part.plane, core[1], core[0], volume, steps=_STEPS) for part in (one, other))
-    value, plane = max(((log_likelihood(fit, core[1], core[0], volume), fit) for fit in fits), key=lambda pair: pair[0])
-    return Part(every, core, plane, value)
+class _Simplest:
+    """Planes of one label where they are nearly as likely: the blur that was calibrated tilts planes by itself."""
+
+    def __init__(self, volume: Volume, tolerance: float) -> None:
+        self.planes: dict[Part, np.ndarray] = {}
+        self._volume, self._tolerance = volume, tolerance
+
+    def find(self, parts: Iterable[Part]) -> None:
+        """Find the planes of parts that are not known yet."""
+        new = [part for part in dict.fromkeys(parts) if part not in self.planes]
+        level = np.array([[[0, 0, part.plane @ part.middle]] for part in new])
+        even, values = best_planes(level, [part.core for part in new], self._volume, even=True)
+        for part, plane, value in zip(new, even, values, strict=True):
+            self.planes[part] = plane if part.value - value <= self._tolerance * part.value else part.plane
+
+    def numbers_of(self, part: Part) -> int:
+        """How many numbers a part's plane takes."""
+        return _NUMBERS_OF_PLANE if self.planes[part][:2].any() else 1
+
+
+def _far_apart(one: Part, other: Part, volume: Volume) -> bool:
+    smaller = min(one, other, key=lambda part: len(part.core[0]))
+    return bool(abs((one.plane - other.plane) @ smaller.middle) > FAR_APART_LAYERS * volume.step_px)
+
+
+def _joined(pairs: list[tuple[Part, Part]], volume: Volume) -> list[Part]:
+    """Return both parts of every pair under the better of the planes that either's plane leads to."""
+    cores = [_both(one.core, other.core) for one, other in pairs]
+    starts = np.array([[one.plane, other.plane] for one, other in pairs])
+    planes, values = best_planes(starts, cores, volume, steps=_STEPS)
+    return [
+        Part(_both(one.every, other.every), core, plane, float(value))
+        for (one, other), core, plane, value in zip(pairs, cores, planes, values, strict=True)
+    ]
 
 
 def _places(where: np.ndarray) -> Pixels:

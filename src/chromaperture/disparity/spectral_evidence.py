@@ -57,12 +57,18 @@ class SpectralEvidence:
 
     def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
         """Return nats a pixel; (H, W, N) float32. Without known noise the pairs alone: faint detail would be noise."""
-        likelihood = self.pairs.at(image, layers_px, labels_px)
-        own = self.own_detail(image)
-        if own is not None:
-            likelihood *= own[..., None]
-        if self.is_used(layers_px):
-            _add_enlarged(self.of_windows(image, layers_px, labels_px), self.config.stride_px, likelihood)
+
+        def of_pairs() -> np.ndarray:
+            likelihood = self.pairs.at(image, layers_px, labels_px)
+            own = self.own_detail(image)
+            return likelihood if own is None else np.multiply(likelihood, own[..., None], out=likelihood)
+
+        # Side by side: what either does on one core the other fills up. The calling thread takes the first, which takes
+        # longer; other threads help it when they have done the second.
+        both = [of_pairs, lambda: self.of_windows(image, layers_px, labels_px)]
+        likelihood, *more = parallel_map(lambda work: work(), both[: 1 + self.is_used(layers_px)])
+        for at_windows in more:
+            _add_enlarged(at_windows, self.config.stride_px, likelihood)
         return likelihood
 
     def own_detail(self, image: np.ndarray) -> np.ndarray | None:

@@ -97,6 +97,10 @@ class Rays(NamedTuple):
     at_infinity_px: np.ndarray
     light: np.ndarray
 
+    def of(self, channels: np.ndarray) -> Rays:
+        """Return the rays of some channels."""
+        return Rays(self.at_infinity_px[channels], self.light[channels])
+
 
 def sample_pupil(aperture: Aperture) -> PupilSamples:
     """Sample the pupil evenly on a Fermat spiral; a square lattice would alias with the pixels."""
@@ -277,8 +281,11 @@ class LensBlur:
             from chromaperture.optics import splat_kernels  # compiling starts here, not at import
 
             transform = splat_kernels.point_transforms
-        defocus = self.model.scale_px_mm * inverse_mm * self.pupil.points
-        return transform(rays.at_infinity_px - defocus, rays.light, size_px, samples or size_px)
+        return transform(rays.at_infinity_px - self.defocus_px(inverse_mm), rays.light, size_px, samples or size_px)
+
+    def defocus_px(self, inverse_mm: float) -> np.ndarray:
+        """How far a distance moves the rays of the pupil's points, against infinity; (N, 2) float64."""
+        return self.model.scale_px_mm * inverse_mm * self.pupil.points
 
     @cached_property
     def separations(self) -> dict[tuple[int, int], float]:

@@ -26,16 +26,20 @@ MOST_PRODUCTS = 3
 _FAST: set[str] = {"contract", "arcp", "nsz", "reassoc", "nnan"}
 
 
-def point_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, samples: int) -> np.ndarray:
+def point_transforms(
+    points_px: np.ndarray, weights: np.ndarray, size: int, samples: int, *, out: np.ndarray | None = None
+) -> np.ndarray:
     """Fourier transform of weighted points, as `lens_blur.point_transforms`; (C, n, n // 2 + 1) complex64."""
     kept = samples // 2 + 1 if samples == size else (samples + 1) // 2
     most = MOST_PRODUCTS * size**2 // kept**2
-    reach = max(1, math.ceil(float(np.abs(points_px).max(initial=0))))
-    if reach > most or 2 * reach + 1 > size:
-        return _fast_transforms(points_px, weights, size, samples)
-    out = np.empty((len(points_px), samples, samples // 2 + 1), np.complex64)
+    reach = max(1, math.ceil(max(float(points_px.max(initial=0)), -float(points_px.min(initial=0)))))
+    if out is None:
+        out = np.empty((len(points_px), samples, samples // 2 + 1), np.complex64)
     out[:, kept : samples - kept + 1], out[:, :, kept:] = 0, 0  # the highest frequency, where others are left out
-    direct_transforms(points_px, weights, reach, *_waves(size, kept, most + 1), out.view(np.float32))
+    if reach > most or 2 * reach + 1 > size:
+        _fast_transforms(points_px, weights, size, out)
+    else:
+        direct_transforms(points_px, weights, reach, *_waves(size, kept, most + 1), out.view(np.float32))
     return out
 
 
@@ -46,14 +50,12 @@ def _waves(size: int, kept: int, reach: int) -> tuple[np.ndarray, np.ndarray]:
     return np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
 
 
-def _fast_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, samples: int) -> np.ndarray:
-    out = np.zeros((len(points_px), samples, samples // 2 + 1), np.complex64)
+def _fast_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, out: np.ndarray) -> None:
     for first in range(0, len(points_px), 2):
         pictures = np.zeros((size, size, 2), np.float32)
         for i, (points, weight) in enumerate(zip(points_px[first : first + 2], weights[first:], strict=False)):
             splat(points, weight, pictures[..., i])
         split_transform(cv2.dft(pictures).view(np.complex64)[..., 0], out[first : first + 2])
-    return out
 
 
 @compiled()
@@ -145,22 +147,30 @@ def _column_transforms(even, odd, cosines, sines, out):  # type: ignore[no-untyp
     sums = np.empty((4, 2 * kept), np.float32)
     for row in range(0, kept, 2):  # two frequencies and four px at a time: less is loaded for as many products
         second = min(row + 1, kept - 1)
-        _weighted_sums(even, cosines, row, second, True, sums[0], sums[1])
-        _weighted_sums(odd, sines, row, second, False, sums[2], sums[3])
+        _weighted_sums(even, cosines, row, second, sums[0], sums[1])
+        _weighted_sums(odd, sines, row, second, sums[2], sums[3])
         _put_rows(sums[0], sums[2], row, samples, out)
         if second > row:
             _put_rows(sums[1], sums[3], second, samples, out)
 
 
 @inlined(fastmath=_FAST)
-def _weighted_sums(rows, waves, first, second, with_middle, one, other):  # type: ignore[no-untyped-def]
-    """Add up an odd number of rows, the middle one with or without weight, the others by two waves."""
-    if with_middle:
-        one[:], other[:] = rows[0], rows[0]
+def _weighted_sums(rows, waves, first, second, one, other):  # type: ignore[no-untyped-def]
+    """Add up an odd number of rows, three or more: the middle one, and the others by two waves."""
+    middle, e, e2 = rows[0], rows[1], rows[2]
+    c, c2, d, d2 = waves[1, first], waves[2, first], waves[1, second], waves[2, second]
+    r = 3
+    if len(rows) % 4 == 3:
+        for f in range(len(one)):
+            one[f] = middle[f] + c * e[f] + c2 * e2[f]
+            other[f] = middle[f] + d * e[f] + d2 * e2[f]
     else:
-        one[:], other[:] = 0, 0
-    r = 1
-    while r + 3 < len(rows):
+        e3, e4, c3, c4, d3, d4 = rows[3], rows[4], waves[3, first], waves[4, first], waves[3, second], waves[4, second]
+        for f in range(len(one)):
+            one[f] = middle[f] + c * e[f] + c2 * e2[f] + c3 * e3[f] + c4 * e4[f]
+            other[f] = middle[f] + d * e[f] + d2 * e2[f] + d3 * e3[f] + d4 * e4[f]
+        r = 5
+    while r < len(rows):
         c, c2, c3, c4 = waves[r, first], waves[r + 1, first], waves[r + 2, first], waves[r + 3, first]
         d, d2, d3, d4 = waves[r, second], waves[r + 1, second], waves[r + 2, second], waves[r + 3, second]
         e, e2, e3, e4 = rows[r], rows[r + 1], rows[r + 2], rows[r + 3]
@@ -168,12 +178,6 @@ def _weighted_sums(rows, waves, first, second, with_middle, one, other):  # type
             one[f] += c * e[f] + c2 * e2[f] + c3 * e3[f] + c4 * e4[f]
             other[f] += d * e[f] + d2 * e2[f] + d3 * e3[f] + d4 * e4[f]
         r += 4
-    if r < len(rows):
-        c, c2, d, d2 = waves[r, first], waves[r + 1, first], waves[r, second], waves[r + 1, second]
-        e, e2 = rows[r], rows[r + 1]
-        for f in range(len(one)):
-            one[f] += c * e[f] + c2 * e2[f]
-            other[f] += d * e[f] + d2 * e2[f]
 
 
 @inlined(fastmath=_FAST)

@@ -9,7 +9,8 @@ from chromaperture.disparity.cpu.enlarge import enlarge
 from chromaperture.disparity.cpu.four_paths import four_path_winner
 from chromaperture.disparity.cpu.paths import aggregate_paths, posterior, read_at_labels
 from chromaperture.disparity.cpu.place import halved_surface, place_by_correlation
-from chromaperture.disparity.cpu.planes import agreed_plane, plane_costs, plane_sums, potts_beliefs
+from chromaperture.disparity.cpu.plane_refining import best_planes
+from chromaperture.disparity.cpu.planes import agreed_plane, plane_costs, potts_beliefs
 from chromaperture.disparity.cpu.smoothing import smooth_along_surface
 from chromaperture.disparity.cpu.spectral_likelihood import spectral_likelihood
 from chromaperture.disparity.cpu.upsample import upsample
@@ -20,6 +21,7 @@ __all__ = [
     "aggregate_paths",
     "agreed_plane",
     "band_correlation",
+    "best_planes",
     "bilateral_winner",
     "correlate",
     "coupled_variation",
@@ -31,7 +33,6 @@ __all__ = [
     "iterate_variation",
     "place_by_correlation",
     "plane_costs",
-    "plane_sums",
     "point_transforms",
     "posterior",
     "potts_beliefs",

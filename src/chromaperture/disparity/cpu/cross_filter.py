@@ -1,32 +1,55 @@
-"""Filtering two channels with each other's blur, compiled; ``stages/cross_filter.py`` explains what is computed.
+"""Filtering channels with each other's blur, compiled; ``stages/cross_filter.py`` explains what is computed.
 
 P and Q are the real and the imaginary part of one picture, whose spectrum is transformed back at once.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
-from chromaperture.compilation import compiled
+from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu.paths import FAST
+from chromaperture.disparity.stages.cross_filter import Tile
+from chromaperture.optics.splat_kernels import point_transforms
 
 
 def cross_filter(
-    spectra: tuple[np.ndarray, np.ndarray], transfers: tuple[np.ndarray, np.ndarray], damping: float
-) -> np.ndarray:
-    """Compute P and Q, as `stages.cross_filter`; (n, n, 2) float32."""
-    size = len(spectra[0])
-    both = np.empty((size, 2 * size), np.float32)
-    # As pairs of floats: loops over these become vectors.
-    parts = (part.view(np.float32) for part in (*spectra, *transfers))
-    # OpenCV's own scaling takes a fifth of the time of its transform (160 samples).
-    _cross_filter(*parts, np.float32(damping), np.float32(1 / size**2), both)
-    return np.asarray(cv2.dft(both.reshape(size, size, 2), flags=cv2.DFT_INVERSE))
+    tiles: Sequence[Tile],
+    channels: np.ndarray,
+    defocus_px: np.ndarray,
+    canvas: np.ndarray,
+    *,
+    size_px: int,
+    damping: float,
+) -> None:
+    """Add P and Q of tiles at one distance to a canvas, as `stages.cross_filter`."""
+    pairs, _, size, columns = tiles[0].spectra.shape
+    transfers = np.empty((len(tiles[0].rays.light), size, columns), np.complex64)
+    both, views = np.empty((pairs, size, size, 2), np.float32), np.empty((size, size, 2), np.float32)
+    for tile in tiles:
+        point_transforms(tile.rays.at_infinity_px - defocus_px, tile.rays.light, size_px, size, out=transfers)
+        # As pairs of floats: loops over these become vectors. OpenCV's own scaling takes a fifth of the time of its
+        # transform (160 samples).
+        spectra, of_channels = tile.spectra.view(np.float32), transfers.view(np.float32)
+        _cross_filter(spectra, of_channels, channels, np.float32(damping), np.float32(1 / size**2), both)
+        for spectrum, part in zip(both, canvas, strict=True):
+            cv2.dft(spectrum, dst=views, flags=cv2.DFT_INVERSE)
+            cv2.accumulateProduct(views[tile.inner, tile.inner], tile.weight, part[tile.place])
 
 
 @compiled(fastmath=FAST, error_model="numpy")
-def _cross_filter(view_a, view_b, transfer_a, transfer_b, damping, scale, both):  # type: ignore[no-untyped-def]
+def _cross_filter(spectra, transfers, channels, damping, scale, both):  # type: ignore[no-untyped-def]
+    """Spectra of P + i Q of all pairs, times ``scale``."""
+    for pair in range(len(channels)):
+        of_a, of_b = transfers[channels[pair, 0]], transfers[channels[pair, 1]]
+        _both(spectra[pair, 0], spectra[pair, 1], of_a, of_b, damping, scale, both[pair].reshape(len(of_a), -1))
+
+
+@inlined(fastmath=FAST, error_model="numpy")
+def _both(view_a, view_b, transfer_a, transfer_b, damping, scale, both):  # type: ignore[no-untyped-def]
     """Spectrum of P + i Q from halves of spectra, times ``scale``: at -w it is P* + i Q*."""
     size = both.shape[0]
     columns = size // 2 + 1

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.compilation import compiled
+from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu.paths import FAST
 from chromaperture.disparity.stages.edge_costs import LEAST_OF_TRACE
 
@@ -42,14 +42,29 @@ def _edge_costs(lines, near, far, share, noise, out):
         for i in range(count):
             rows[i, i] += least
         out[:, t] = 0.0
-        for k in range(count):
-            pivot = rows[k]
-            log_variance, part = np.log(pivot[k]), 1.0 / np.sqrt(pivot[k])
-            for j in range(k, total):
-                pivot[j] *= part
-            for i in range(k + 1, count):
-                row, factor = rows[i], pivot[i]
+        for k in range(0, count, 2):  # two rows at a time: what they are taken from is loaded half as often
+            pivot, other = rows[k], rows[min(k + 1, count - 1)]
+            logs = _scale(pivot, k)
+            if k + 1 < count:
+                factor = pivot[k + 1]
+                for j in range(k + 1, total):
+                    other[j] -= factor * pivot[j]
+                logs += _scale(other, k + 1)
+            for i in range(k + 2, count):
+                row, factor, further = rows[i], pivot[i], other[i]
                 for j in range(i, total):
-                    row[j] -= factor * pivot[j]
+                    row[j] -= factor * pivot[j] + further * other[j]
             for p in range(len(out)):
-                out[p, t] += 0.5 * (pivot[count + p] ** 2 + log_variance)
+                out[p, t] += 0.5 * (pivot[count + p] ** 2 + logs)
+                if k + 1 < count:
+                    out[p, t] += 0.5 * other[count + p] ** 2
+
+
+@inlined(fastmath=FAST, error_model="numpy")
+def _scale(row, k):
+    """Divide a row by the standard deviation of its first number, whose logarithm of the variance is returned."""
+    variance = row[k]
+    part = 1.0 / np.sqrt(variance)
+    for j in range(k, len(row)):
+        row[j] *= part
+    return np.log(variance)

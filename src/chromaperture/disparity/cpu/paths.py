@@ -13,6 +13,7 @@ import numpy as np
 
 from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu import simd as v
+from chromaperture.disparity.cpu.workspace import volume
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.paths import EDGE_LAYERS, LEAST_UNEXPLAINED, LINES, Posterior, penalties_of
 from chromaperture.stage_config import SurfaceConfig
@@ -43,7 +44,7 @@ def aggregate_paths(
     """Sum the path costs, as `stages.aggregate_paths`; (H, W, D) float32."""
     likelihood, guide = (np.ascontiguousarray(maps, np.float32) for maps in (likelihood, guide))
     penalties = Penalties(*map(np.float32, penalties_of(config, layers_px)))
-    total = np.empty_like(likelihood)
+    total = volume(likelihood.shape)
     own = np.float32(config.paths - 1)  # is taken off: a pixel's log-likelihood counts once, not once a path
     for line in LINES[: config.paths // 2]:
         starts = line_starts(guide.shape[0], guide.shape[1], *line)
@@ -84,7 +85,7 @@ def read_at_labels(
 ) -> np.ndarray:
     """Interpolate a volume at the labels of a map, as `stages.read_at_labels`; (H, W, N) float32."""
     shape = shape or likelihood.shape[:2]
-    out = np.empty((*shape, len(labels_px)), np.float32)
+    out = volume((*shape, len(labels_px)))
     step = float(layers_px[1] - layers_px[0])
     unexplained = np.exp(np.float32(-2 / factors) * np.asarray(likelihood, np.float32))
     labels = ((np.asarray(labels_px, float) - layers_px[0]) / step).astype(np.float32)

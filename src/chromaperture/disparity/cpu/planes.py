@@ -8,7 +8,8 @@ import numpy as np
 from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.paths import FAST
-from chromaperture.disparity.stages.planes import LEAST_POINTS, NEAR, PlaneCosts, PlaneSums
+from chromaperture.disparity.cpu.workspace import workspace
+from chromaperture.disparity.stages.planes import LEAST_AREA, LEAST_POINTS, NEAR, PlaneCosts
 from chromaperture.threads import in_parallel
 
 _CACHED = 1 << 18  # numbers in half of a level-2 cache of 2 MB
@@ -30,20 +31,8 @@ def plane_costs(likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarra
     return out
 
 
-def plane_sums(
-    likelihood: np.ndarray, x: np.ndarray, y: np.ndarray, plane: np.ndarray, labels_px: np.ndarray, *, reach: int
-) -> PlaneSums:
-    """Sum the log-likelihood of a plane and its derivatives over pixels, as `stages.plane_sums`."""
-    step = float(labels_px[1] - labels_px[0])
-    place = np.asarray(plane, float) / step
-    sums = np.zeros(10)
-    _plane_sums(likelihood, x, y, place[0], place[1], place[2] - labels_px[0] / step, reach, sums)
-    value, (ga, gb, gc), (aa, ab, ac, bb, bc, cc) = sums[0], sums[1:4] / step, sums[4:] / step**2
-    return PlaneSums(float(value), np.array([ga, gb, gc]), np.array([[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]]))
-
-
 def agreed_plane(
-    planes: np.ndarray,
+    corners: np.ndarray,
     x: np.ndarray,
     y: np.ndarray,
     label: np.ndarray,
@@ -53,34 +42,30 @@ def agreed_plane(
     rounds: int,
 ) -> np.ndarray:
     """Find the plane that most points agree with, and fit it, as `stages.agreed_plane`."""
-    # About the middle of the points, in single precision: half the time, and enough to compare planes.
-    middle = np.array([x.mean(), y.mean()])
-    place = np.stack([x - middle[0], y - middle[1], label, weight]).astype(np.float32)
-    planes = np.asarray(planes, float).copy()
-    planes[:, 2] += planes[:, :2] @ middle
-    votes = np.empty(len(planes), np.float32)
-    _plane_votes(planes.astype(np.float32), place, np.float32(1 / tolerance_px), votes)
-    plane = planes[votes.argmax()]
-    for _ in range(rounds):
-        if not _fit_near(place, NEAR * tolerance_px, plane):
-            return np.full(3, np.nan)
-    plane[2] -= plane[:2] @ middle
-    return np.asarray(plane)
+    plane = np.empty(3)
+    found = _agreed_plane(corners, x, y, label, weight, tolerance_px, rounds, plane)
+    return plane if found else np.full(3, np.nan)
 
 
 def potts_beliefs(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
     """Min-sum belief propagation on the pixel grid, as `stages.potts_beliefs`; (H, W, K) float32."""
     height, width, count = cost.shape
-    padded = -(-count // v.LANES) * v.LANES
-    beliefs = np.empty((height, width, padded), np.float32)  # the cost and all four messages
-    beliefs[..., count:] = _NEVER
-    in_parallel(lambda _, top, bottom: np.copyto(beliefs[top:bottom, :, :count], cost[top:bottom]), height)
-    messages = np.zeros((4, height, width, padded), np.float32)
+    shape = height, width, -(-count // v.LANES) * v.LANES
     links = np.ascontiguousarray(links, np.float32)
-    for _ in range(sweeps):
-        in_parallel(lambda _, first, last: _along_rows(beliefs, messages, links[0], first, last), height)
-        in_parallel(lambda _, first, last: _along_columns(beliefs, messages, links[1], first, last), width)
-    return np.ascontiguousarray(beliefs[..., :count])
+    with workspace() as memory:
+        beliefs = memory.array("beliefs", shape, np.float32)  # the cost and all four messages
+        messages = memory.array("messages", (4, *shape), np.float32)
+
+        def begin(_: int, top: int, bottom: int) -> None:
+            beliefs[top:bottom, :, :count] = cost[top:bottom]
+            beliefs[top:bottom, :, count:] = _NEVER
+            messages[:, top:bottom] = 0
+
+        in_parallel(begin, height)
+        for _ in range(sweeps):
+            in_parallel(lambda _, first, last: _along_rows(beliefs, messages, links[0], first, last), height)
+            in_parallel(lambda _, first, last: _along_columns(beliefs, messages, links[1], first, last), width)
+        return beliefs[..., :count].copy()
 
 
 @compiled(fastmath=FAST)
@@ -99,19 +84,47 @@ def _plane_costs(likelihood, places, slopes, outside, top, bottom, out):
                     out[y, x, k] = slopes[k] - low - t * (high - low)
 
 
-@compiled(fastmath=FAST)
-def _plane_votes(planes, place, sharpness, votes):
-    x, y, label, weight = place[0], place[1], place[2], place[3]
-    for k in range(len(planes)):
-        a, b, c = planes[k, 0], planes[k, 1], planes[k, 2]
-        total = np.float32(0)
-        for i in range(len(x)):
-            away = (a * x[i] + b * y[i] + c - label[i]) * sharpness
-            total += max(np.float32(0), np.float32(1) - away * away) * weight[i]
-        votes[k] = total
-
-
 @compiled()
+def _agreed_plane(corners, x, y, label, weight, tolerance, rounds, plane):
+    """Find the plane of most votes and fit it, into ``plane``; returns whether enough points agree."""
+    # About the middle of the points, in single precision: half the time, and enough to compare planes.
+    middle_x, middle_y = x.mean(), y.mean()
+    place = np.empty((4, len(x)), np.float32)
+    for i in range(len(x)):
+        place[0, i], place[1, i], place[2, i], place[3, i] = x[i] - middle_x, y[i] - middle_y, label[i], weight[i]
+    most = np.float32(-1)
+    for k in range(len(corners)):
+        i, j, n = corners[k]
+        jx, jy, nx, ny = float(x[j] - x[i]), float(y[j] - y[i]), float(x[n] - x[i]), float(y[n] - y[i])
+        area = jx * ny - nx * jy
+        if abs(area) <= LEAST_AREA:
+            continue
+        rise_j, rise_n = float(label[j]) - float(label[i]), float(label[n]) - float(label[i])
+        a, b = (rise_j * ny - rise_n * jy) / area, (jx * rise_n - nx * rise_j) / area
+        c = label[i] - a * (x[i] - middle_x) - b * (y[i] - middle_y)
+        votes = _votes(np.float32(a), np.float32(b), np.float32(c), place, np.float32(1 / tolerance))
+        if votes > most:
+            most, plane[0], plane[1], plane[2] = votes, a, b, c
+    if most < 0:
+        return False
+    for _ in range(rounds):
+        if not _fit_near(place, NEAR * tolerance, plane):
+            return False
+    plane[2] -= plane[0] * middle_x + plane[1] * middle_y
+    return True
+
+
+@inlined(fastmath=FAST)
+def _votes(a, b, c, place, sharpness):
+    x, y, label, weight = place[0], place[1], place[2], place[3]
+    total = np.float32(0)
+    for i in range(len(x)):
+        away = (a * x[i] + b * y[i] + c - label[i]) * sharpness
+        total += max(np.float32(0), np.float32(1) - away * away) * weight[i]
+    return total
+
+
+@inlined()
 def _fit_near(place, reach, plane):
     """Fit a plane to the points within reach of it, in place; returns whether there are enough."""
     count = 0
@@ -138,32 +151,6 @@ def _fit_near(place, reach, plane):
     plane[1] = (q * xl + s * yl + t * l1) / determinant
     plane[2] = (r * xl + t * yl + u * l1) / determinant
     return True
-
-
-@compiled(fastmath=FAST)
-def _plane_sums(likelihood, xs, ys, a, b, c, reach, sums):
-    last = likelihood.shape[2] - 1 - reach
-    for i in range(len(xs)):
-        x, y = xs[i], ys[i]
-        place = a * x + b * y + c
-        if place < reach or place >= last:
-            continue
-        below = int(place)
-        t = place - below
-        before = (1 - t) * likelihood[y, x, below - reach] + t * likelihood[y, x, below - reach + 1]
-        here = (1 - t) * likelihood[y, x, below] + t * likelihood[y, x, below + 1]
-        after = (1 - t) * likelihood[y, x, below + reach] + t * likelihood[y, x, below + reach + 1]
-        first, second = (after - before) / (2 * reach), (after + before - 2 * here) / (reach * reach)
-        sums[0] += here
-        sums[1] += first * x
-        sums[2] += first * y
-        sums[3] += first
-        sums[4] += second * x * x
-        sums[5] += second * x * y
-        sums[6] += second * x
-        sums[7] += second * y * y
-        sums[8] += second * y
-        sums[9] += second
 
 
 @inlined(fastmath=FAST)

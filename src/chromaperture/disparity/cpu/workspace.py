@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
 
 _CACHE_LINE = 64  # bytes: a vector that straddles two lines costs two loads
+_SMALL = 1 << 26  # bytes: so much is not given back when less is asked for
 
 
 class Workspace:
@@ -21,7 +23,7 @@ class Workspace:
         """Return an array with whatever finite numbers an earlier call left in it."""
         size = math.prod(shape) * np.dtype(dtype).itemsize
         raw = self._kept.get(name)
-        if raw is None or not size + _CACHE_LINE <= len(raw) <= 2 * size + _CACHE_LINE:
+        if raw is None or not size + _CACHE_LINE <= len(raw) <= max(2 * size, _SMALL) + _CACHE_LINE:
             raw = self._kept[name] = np.zeros(size + _CACHE_LINE, np.uint8)
         start = -raw.ctypes.data % _CACHE_LINE
         return raw[start : start + size].view(dtype).reshape(shape)
@@ -41,3 +43,31 @@ def workspace() -> Iterator[Workspace]:
         yield lent
     finally:
         _spare.append(lent)
+
+
+_VOLUMES = 2  # of evidence and of costs: so many are used at a time
+_volumes: deque[np.ndarray] = deque(maxlen=_VOLUMES)  # memory that no array uses
+
+
+def volume(shape: tuple[int, ...]) -> np.ndarray:
+    """Return a float32 array with whatever numbers an earlier one left in it; its memory is kept for later ones."""
+    size = math.prod(shape)
+    for _ in range(len(_volumes)):
+        try:
+            raw = _volumes.popleft()
+        except IndexError:  # another thread took it
+            break
+        if size <= len(raw) <= 2 * size:
+            return np.asarray(_Lent(raw))[:size].reshape(shape)
+        _volumes.append(raw)
+    return np.asarray(_Lent(np.empty(size, np.float32))).reshape(shape)
+
+
+class _Lent:
+    """Memory of arrays; when the last of them is gone it may be lent again."""
+
+    def __init__(self, raw: np.ndarray) -> None:
+        self._raw, self.__array_interface__ = raw, raw.__array_interface__
+
+    def __del__(self, keep: Callable[[np.ndarray], None] = _volumes.append) -> None:
+        keep(self._raw)

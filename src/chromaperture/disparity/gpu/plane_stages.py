@@ -12,14 +12,15 @@ import numpy as np
 from chromaperture.disparity.gpu.device import Array, Chain, Device
 from chromaperture.disparity.gpu.surface_stages import Grid
 from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
-from chromaperture.disparity.plane_fit import CONDITION, GAINED, NEWTON_STEPS, REACH, Proposal
+from chromaperture.disparity.plane_fit import NEWTON_STEPS, Proposal
+from chromaperture.disparity.stages.plane_refining import CONDITION, GAINED, REACH
 from chromaperture.disparity.stages.planes import PlaneCosts
 
 
 def refined_planes(
     device: Device, likelihood: Array, grid: Grid, found: list[Proposal], labels_px: np.ndarray, *, slope_penalty: float
 ) -> np.ndarray:
-    """Move planes to the most likely place near them, as `plane_fit.refined`; (K, 3) float64.
+    """Move planes to the most likely place near them, as `stages.best_planes`; (K, 3) float64.
 
     Parameters
     ----------

@@ -9,7 +9,8 @@ from chromaperture.disparity.stages.enlarge import enlarge
 from chromaperture.disparity.stages.four_paths import four_path_winner
 from chromaperture.disparity.stages.paths import aggregate_paths, posterior, read_at_labels
 from chromaperture.disparity.stages.place import halved_surface, place_by_correlation
-from chromaperture.disparity.stages.planes import agreed_plane, plane_costs, plane_sums, potts_beliefs
+from chromaperture.disparity.stages.plane_refining import best_planes
+from chromaperture.disparity.stages.planes import agreed_plane, plane_costs, potts_beliefs
 from chromaperture.disparity.stages.smoothing import smooth_along_surface
 from chromaperture.disparity.stages.spectral_likelihood import spectral_likelihood
 from chromaperture.disparity.stages.upsample import upsample
@@ -22,6 +23,7 @@ __all__ = [
     "aggregate_paths",
     "agreed_plane",
     "band_correlation",
+    "best_planes",
     "bilateral_winner",
     "correlate",
     "coupled_variation",
@@ -33,7 +35,6 @@ __all__ = [
     "iterate_variation",
     "place_by_correlation",
     "plane_costs",
-    "plane_sums",
     "point_transforms",
     "posterior",
     "potts_beliefs",

@@ -17,6 +17,7 @@ import numpy as np
 
 NEAR = 1.5  # tolerances, within which points are fitted
 LEAST_POINTS = 30  # of a plane; chosen by hand
+LEAST_AREA = 50  # px^2, twice that of a triangle: no sliver
 
 
 class PlaneCosts(NamedTuple):
@@ -24,14 +25,6 @@ class PlaneCosts(NamedTuple):
 
     slope: float  # of a slope of one label per px; it grows with the square
     outside: float  # where the plane leaves the range of the labels
-
-
-class PlaneSums(NamedTuple):
-    """Log-likelihood of a plane over a set of pixels, and its derivatives by (a, b, c)."""
-
-    value: float
-    gradient: np.ndarray  # (3,)
-    hessian: np.ndarray  # (3, 3)
 
 
 def plane_costs(likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarray, costs: PlaneCosts) -> np.ndarray:
@@ -62,38 +55,8 @@ def plane_costs(likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarra
     return out
 
 
-def plane_sums(
-    likelihood: np.ndarray, x: np.ndarray, y: np.ndarray, plane: np.ndarray, labels_px: np.ndarray, *, reach: int
-) -> PlaneSums:
-    """Sum the log-likelihood of a plane and its derivatives over pixels.
-
-    Derivatives are differences over ``reach`` labels to either side, which smooths the noise of a single label's;
-    pixels whose label lies closer to an end of the range count nothing.
-
-    Parameters
-    ----------
-    likelihood : (H, W, N) float, nats a pixel
-    x, y : (P,) int
-    plane : (3,) float
-    labels_px : (N,) float, px
-    reach : int
-    """
-    step = float(labels_px[1] - labels_px[0])
-    place = (plane[0] * x + plane[1] * y + plane[2] - labels_px[0]) / step
-    inside = (place >= reach) & (place < likelihood.shape[2] - 1 - reach)
-    x, y, place = x[inside], y[inside], place[inside]
-    below = np.floor(place).astype(np.intp)
-    t = place - below
-    before, here, after = (
-        (1 - t) * likelihood[y, x, below + o] + t * likelihood[y, x, below + o + 1] for o in (-reach, 0, reach)
-    )
-    first, second = (after - before) / (2 * reach * step), (after + before - 2 * here) / (reach * step) ** 2
-    terms = np.stack([x, y, np.ones_like(x)]).astype(float)
-    return PlaneSums(float(here.sum()), terms @ first, (terms * second) @ terms.T)
-
-
 def agreed_plane(
-    planes: np.ndarray,
+    corners: np.ndarray,
     x: np.ndarray,
     y: np.ndarray,
     label: np.ndarray,
@@ -102,11 +65,12 @@ def agreed_plane(
     tolerance_px: float,
     rounds: int,
 ) -> np.ndarray:
-    """Find the plane that most points agree with, and fit it to these by least squares.
+    """Find the plane through three points that most points agree with, and fit it to these by least squares.
 
     Parameters
     ----------
-    planes : (K, 3) float
+    corners : (K, 3) int
+        Three points each, of which triangles of at most half `LEAST_AREA` are left out.
     x, y : (P,) int
     label : (P,) float, px
     weight : (P,) float
@@ -118,9 +82,14 @@ def agreed_plane(
     Returns
     -------
     (3,) float64
-        NaN where fewer than `LEAST_POINTS` agree.
+        NaN where fewer than `LEAST_POINTS` agree, or no triangle is left.
     """
     terms = np.stack([x, y, np.ones(len(x))]).astype(float)
+    triangles = terms.T[corners]
+    wide = np.abs(np.linalg.det(triangles)) > LEAST_AREA
+    if not wide.any():
+        return np.full(3, np.nan)
+    planes = np.linalg.solve(triangles[wide], label[corners[wide]][..., None].astype(float))[..., 0]
     votes = np.maximum(0, 1 - ((planes @ terms - label) / tolerance_px) ** 2) @ weight
     plane = planes[votes.argmax()]
     for _ in range(rounds):

@@ -1,0 +1,38 @@
+"""Memory of volumes that is used again."""
+
+from __future__ import annotations
+
+import gc
+
+import numpy as np
+
+from chromaperture.disparity.cpu.workspace import volume
+
+SHAPE = (7, 11, 13)
+
+
+def test_memory_is_lent_again_when_no_array_uses_it() -> None:
+    first = volume(SHAPE)
+    assert first.shape == SHAPE
+    assert first.dtype == np.float32
+    assert first.flags.c_contiguous
+    first[:] = 3
+    address, part = first.ctypes.data, first[2:, ::2]
+    del first
+    gc.collect()
+    second = volume(SHAPE)
+    second[:] = 5  # part is of the first one's memory
+    assert (part == 3).all()
+    del part
+    gc.collect()
+    third = volume((6, 11, 13))  # smaller, but not by half
+    assert third.ctypes.data == address
+    assert not np.shares_memory(second, third)
+
+
+def test_memory_of_a_much_larger_volume_is_not_taken() -> None:
+    large = volume(SHAPE)
+    address = large.ctypes.data
+    del large
+    gc.collect()
+    assert volume((3, 11, 13)).ctypes.data != address
