@@ -44,7 +44,7 @@ STAGES = {
     "transfer functions": Stage(("point_rows", "point_columns"), ("cpu:point_transforms",)),
     "P and Q": Stage(
         ("pair_spectra", "cross_columns", "cross_rows", "tiles_joined"),
-        ("cpu:cross_filter", "blur_evidence:BlurEvidence._cross_filtered"),
+        ("cpu:cross_filter",),
     ),
     "bands and windows": Stage(
         ("bands_rows", "bands_columns", "band_products", "gaussian_line:products", "band_correlation"),
