@@ -39,7 +39,7 @@ def operations(dispatch: Dispatch) -> float:
     entries = pixels * c.get("count", 0)
 
     def transforms() -> float:
-        return 5.0 * c["lines"] * c["span"] * math.log2(c["span"])
+        return 10.0 * c["lines"] * c["span"] * math.log2(c["span"])  # two numbers go side by side
 
     def taps() -> float:
         return 2.0 * c["reach"] + 1
@@ -53,8 +53,9 @@ def operations(dispatch: Dispatch) -> float:
             c["pictures"] * c["layers_of_round"] * (10.0 * c["side"] ** 2 * c["kept"] + 40 * c["points"])
         ),
         "point_columns": lambda: 14.0 * c["pictures"] * c["layers_of_round"] * c["side"] * c["kept"] ** 2,
-        "cross_rows": lambda: transforms() + 40.0 * c["lines"] * c["span"],
-        "cross_columns": transforms,
+        "pair_spectra": lambda: 7.0 * c["tiles"] * c["pair_count"] * c["span"] ** 2 / 2,
+        "cross_columns": lambda: transforms() + 30.0 * c["lines"] * c["span"],
+        "cross_rows": transforms,
         "tiles_joined": lambda: 20.0 * pixels * c["layers_of_round"] * c["pair_count"],
         "bands_rows": lambda: 4.0 * (taps() + 3) * pixels * c["pictures"] * c["smooths"],
         "bands_columns": lambda: (4.0 * (taps() + 3) * c["smooths"] + 2 * c["bands"]) * pixels * c["pictures"],

@@ -1,6 +1,6 @@
 """Quality "accurate" on a device and by Numba, stage by stage: processor time of both in one run.
 
-    LP_NUM_THREADS=1 python benchmarks/gpu_profile.py [--sample still_life_cy_open] [--size 360x240] [--device gpu] [--shaders]
+    LP_NUM_THREADS=1 python benchmarks/gpu_profile.py [--sample still_life_cy_open] [--size 360x240] [--shaders]
 
 For rasterisers in software only, whose time is the processor's: of a real GPU it would count the waiting. The depths
 are compared before anything is timed. Every dispatch is waited for alone, and functions of the CPU count without those
@@ -43,7 +43,7 @@ STAGES = {
     ),
     "transfer functions": Stage(("point_rows", "point_columns"), ("cpu:point_transforms",)),
     "P and Q": Stage(
-        ("cross_rows", "cross_columns", "tiles_joined"),
+        ("pair_spectra", "cross_columns", "cross_rows", "tiles_joined"),
         ("cpu:cross_filter",),
     ),
     "bands and windows": Stage(

@@ -93,6 +93,28 @@ def test_evidence_agrees(design, shape, noise, label_map):
     assert off.mean() < 1e-4
 
 
+# One to three passes behind the first, every radix of `fourier.wgsl`; 1024 is the longest line.
+@pytest.mark.parametrize("span", [6, 20, 40, 48, 54, 64, 90, 108, 160, 192, 256, 432, 1000, 1024])
+def test_transforms_of_every_radix_are_those_of_numpy(span, rng):
+    from chromaperture.disparity.gpu.device import Chain
+    from chromaperture.disparity.gpu.evidence_stages import add_transform
+
+    height, kept = 8, span // 2
+    image, shading = rng.normal(0, 1, (2, height, span, 3)).astype(np.float32)
+    chain = Chain(any_device())
+    arrays = [chain.constant("image", image), chain.constant("shading", shading)]
+    rows = chain.array("rows", 2 * 3 * span * kept)
+    arrays += [chain.constant("corners", np.zeros(2, np.int32)), rows]
+    add_transform(
+        chain, "tile_rows", arrays, span, 3 * span // 2, backwards=False, beside_lines=False,
+        height=height, width=span, kept=kept,
+    )  # fmt: skip
+    found = chain.run({}, ["rows"])["rows"].view(np.complex64).reshape(3, span, kept)[:, : min(height, span)]
+    expected = np.fft.fft((image - shading).astype(float), axis=1)[: min(height, span), :kept].transpose(2, 0, 1)
+    # Single precision: some 1e-7 a pass and a power of a factor.
+    np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())
+
+
 def test_layers_in_rounds_are_the_same(monkeypatch):
     """Where memory holds few layers at once, they go through one after the other."""
     from chromaperture.disparity.gpu import evidence_plan

@@ -70,8 +70,8 @@ def camera_for(image: np.ndarray, calibration: Calibration, quality: Quality) ->
 
     Where it matches with the blur, evidence counts as far as it is a pixel's own (``disparity/own_detail.py``). The
     error bar is not the learned one, which knows other evidence: with it .67 and .94 of the errors of boxes lie within
-    one and two bars, .54 and .76 of casual scenes, without .71, .96, .56 and .79. Nor are there planes: with them boxes read
-    AbsRel .056, ratio .970 and casual scenes .426, .847, without .048, .976 and .421, .826.
+    one and two bars, .54 and .76 of casual scenes, without .71, .96, .56 and .79. Nor are there planes: with them boxes
+    read AbsRel .056, ratio .970 and casual scenes .426, .847, without .048, .976 and .421, .818.
     """
     config = default_config(calibration, quality)
     matcher = config.matcher

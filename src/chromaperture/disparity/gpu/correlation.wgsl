@@ -6,7 +6,7 @@
 @group(0) @binding(1) var<storage, read> places: array<vec4i>;  // (K, 4 Q): entry, whole px along x, along y, 0
 @group(0) @binding(2) var<storage, read> deviations: array<vec2f>;  // (h + 2 pad_y + reach, w + 2 pad_x, E), along y
 @group(0) @binding(3) var<storage, read> gains: array<f32>;  // (h + 2 pad_y + reach, w + 2 pad_x, E)
-@group(0) @binding(4) var<storage, read_write> ahead: array<Covariances>;  // (groups, block + reach, 64), of one at a time
+@group(0) @binding(4) var<storage, read_write> ahead: array<Covariances>;  // (groups, block + reach, 8), of one at a time
 
 @compute @workgroup_size(64)
 fn main(
@@ -34,7 +34,7 @@ fn main(
         }
     }
     let column_pitch = width * quads;
-    let own = (i - local) * (block + reach) + local;
+    let own = (i - i % 8u) * (block + reach) + i % 8u;
     let begin = max(first - i32(reach), -i32(pad_y));  // before that all is even
     var state = covariances[inside(begin + i32(pad_y), tall) * column_pitch + column];
     for (var y = begin; y < end + i32(reach); y++) {
@@ -52,11 +52,11 @@ fn main(
         }
         let here = covariances[inside(y + i32(pad_y), tall) * column_pitch + column];
         state = decay * state + (1.0 - decay) * here + products(forward);
-        if (y >= first) { ahead[own + 64u * u32(y - first)] = (1.0 - decay) * state + products(backward); }
+        if (y >= first) { ahead[own + 8u * u32(y - first)] = (1.0 - decay) * state + products(backward); }
     }
-    for (var y = end + i32(reach) - 1i; y >= end; y--) { state = decay * state + ahead[own + 64u * u32(y - first)]; }
+    for (var y = end + i32(reach) - 1i; y >= end; y--) { state = decay * state + ahead[own + 8u * u32(y - first)]; }
     for (var y = end - 1i; y >= first; y--) {
-        state = decay * state + ahead[own + 64u * u32(y - first)];
+        state = decay * state + ahead[own + 8u * u32(y - first)];
         var gain: array<vec4f, view_count>;
         for (var k = 0u; k < view_count; k++) {
             let at = starts[k] + clamp(rows[k] + y, vec4i(), vec4i(i32(tall) - 1i)) * row_pitch;

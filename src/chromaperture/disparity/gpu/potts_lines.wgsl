@@ -18,31 +18,33 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     let first = select(line, line * width, along_x);
     let stride = select(width, 1u, along_x);
     let link_plane = select(width * height, 0u, along_x);
-    for (var s = 0u; s < 2u * steps; s++) {
-        let forwards = s < steps;
-        let place = select(2u * steps - s, s, forwards);
-        let here = first + place * stride;
-        let next = select(here - stride, here + stride, forwards);
-        let penalty = links[link_plane + min(here, next)];
+    // Two walks with texts of their own: software takes both sides of a branch.
+    for (var s = 0u; s < steps; s++) {
+        let here = (first + s * stride) * number;
+        let next = here + stride * number;
+        let penalty = links[link_plane + first + s * stride];
         var least = 1.0e30;
-        for (var k = lane; k < number; k += lanes) {
-            let at = here * number + k;
-            least = min(least, beliefs[at] - select(ahead[at], back[at], forwards));
-        }
+        for (var k = lane; k < number; k += lanes) { least = min(least, beliefs[here + k] - back[here + k]); }
         least = least_of_all(least, local);
         if (!used) { continue; }
         for (var k = lane; k < number; k += lanes) {
-            let at = here * number + k;
-            let to = next * number + k;
-            if (forwards) {
-                let message = min(beliefs[at] - back[at] - least, penalty);
-                beliefs[to] += message - ahead[to];
-                ahead[to] = message;
-            } else {
-                let message = min(beliefs[at] - ahead[at] - least, penalty);
-                beliefs[to] += message - back[to];
-                back[to] = message;
-            }
+            let message = min(beliefs[here + k] - back[here + k] - least, penalty);
+            beliefs[next + k] += message - ahead[next + k];
+            ahead[next + k] = message;
+        }
+    }
+    for (var s = steps; s > 0u; s--) {
+        let here = (first + s * stride) * number;
+        let next = here - stride * number;
+        let penalty = links[link_plane + first + (s - 1u) * stride];
+        var least = 1.0e30;
+        for (var k = lane; k < number; k += lanes) { least = min(least, beliefs[here + k] - ahead[here + k]); }
+        least = least_of_all(least, local);
+        if (!used) { continue; }
+        for (var k = lane; k < number; k += lanes) {
+            let message = min(beliefs[here + k] - ahead[here + k] - least, penalty);
+            beliefs[next + k] += message - back[next + k];
+            back[next + k] = message;
         }
     }
 }

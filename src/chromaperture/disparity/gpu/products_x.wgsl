@@ -3,7 +3,7 @@
 
 @group(0) @binding(0) var<storage, read> deviations: array<vec2f>;  // (h + 2 pad_y, w + 2 pad_x + reach, E)
 @group(0) @binding(1) var<storage, read> places: array<vec4i>;  // (K, 4 Q): entry, whole px along x, along y, 0
-@group(0) @binding(2) var<storage, read_write> ahead: array<Covariances>;  // (groups, block + reach, 64), of one at a time
+@group(0) @binding(2) var<storage, read_write> ahead: array<Covariances>;  // (groups, block + reach, 8), of one at a time
 @group(0) @binding(3) var<storage, read_write> windows: array<Covariances>;  // (h + 2 pad_y, w, Q)
 
 @compute @workgroup_size(64)
@@ -28,7 +28,7 @@ fn main(
             columns[k][j] = place.y + i32(pad_x);
         }
     }
-    let own = (i - local) * (block + reach) + local;  // a private array would be set to 0 first
+    let own = (i - i % 8u) * (block + reach) + i % 8u;  // a private array would be set to 0 first
     var state = Covariances();
     for (var x = max(first - i32(reach), -i32(pad_x)); x < end + i32(reach); x++) {
         var forward: array<vec4f, view_count>;
@@ -44,11 +44,11 @@ fn main(
             backward[k] = vec4f(a.y, b.y, c.y, d.y);
         }
         state = decay * state + products(forward);
-        if (x >= first) { ahead[own + 64u * u32(x - first)] = (1.0 - decay) * state + products(backward); }
+        if (x >= first) { ahead[own + 8u * u32(x - first)] = (1.0 - decay) * state + products(backward); }
     }
-    for (var x = end + i32(reach) - 1i; x >= end; x--) { state = decay * state + ahead[own + 64u * u32(x - first)]; }
+    for (var x = end + i32(reach) - 1i; x >= end; x--) { state = decay * state + ahead[own + 8u * u32(x - first)]; }
     for (var x = end - 1i; x >= first; x--) {
-        state = decay * state + ahead[own + 64u * u32(x - first)];
+        state = decay * state + ahead[own + 8u * u32(x - first)];
         windows[(row * width + u32(x)) * quads + quad] = state;
     }
 }

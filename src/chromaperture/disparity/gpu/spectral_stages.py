@@ -160,6 +160,7 @@ def _add_labels(
     earned = chain.array("windows", grid.count * len(labels_px))
     chain.add(
         "window_labels", [by_slope, shares, at_windows, earned], groups=groups_for(grid.count, 1),
+        uses=("layer_polynomial",),
         layers=len(few_px), count=len(labels_px), redundancy=float(windows.redundancy),
         area_px2=float(windows.area_px2), one_map=map_.is_identity,
         first_label=float((labels_px[0] - few_px[0]) / step),

@@ -6,7 +6,6 @@
 @group(0) @binding(2) var<storage, read> label_map: array<vec2f>;  // (windows,) or (1,): offset and scale, in layers
 @group(0) @binding(3) var<storage, read_write> earned: array<f32>;  // (windows, count) nats a pixel
 
-var<workgroup> ladder: array<f32, layers + 4u>;
 var<workgroup> extremes: array<vec2f, 64>;
 
 @compute @workgroup_size(64)
@@ -44,16 +43,7 @@ fn main(
     for (var n = local; n < count; n += 64u) {
         let place = clamp(map.x + map.y * (first_label + label_step * f32(n)), 0.0, f32(layers - 1u));
         let low = min(u32(place), layers - 2u);
-        let t = place - f32(low);
-        let a = t + 2.0;
-        let b = t + 1.0;
-        let c = t - 1.0;
-        let d = t - 2.0;
-        let e = t - 3.0;
-        let between = a * e * (t * b * d * ladder[low + 3u] - b * c * d * ladder[low + 2u]) / 12.0;
-        let beside = t * c * a * e * (d * ladder[low + 1u] - b * ladder[low + 4u]) / 24.0;
-        let outer = b * t * c * d * (a * ladder[low + 5u] - e * ladder[low]) / 120.0;
-        value[n / 64u] = between + beside + outer;
+        value[n / 64u] = through_six(low, place - f32(low));
         most = max(most, value[n / 64u]);
         least = min(least, value[n / 64u]);
     }
