@@ -5,7 +5,8 @@
 A 50 mm f/2 lens focused at 2 m is simulated, without aberrations, behind a sensor of 6000 x 4000 pixels: six textured
 surfaces at different distances, blurred by up to 69 px (`optics/layer_renderer.py`). Smaller sensors see the same
 light: means over their larger pixels, then the photon noise of their larger wells. The curve of quality real-time is
-fitted to flat walls in 720 x 480 pixels, the size at which it matches; that of accurate is the optics' own. Every
+fitted to flat walls in the pixels in which the camera matches, as `calibrate` does it (720 x 480, and 750 x 500 of the
+large sensor): its bias belongs to windows of so many pixels. That of accurate is the optics' own. Every
 photograph is measured by ``chromaperture depth`` in a process of its own; ``peak_gb`` is that process's largest
 resident memory, ``cpu_s`` its processor time with start-up, ``stages_s`` the wall time of its stages.
 """
@@ -28,7 +29,7 @@ from numpy.polynomial import chebyshev
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration, CameraSensor, Film, Lens
 from chromaperture.camera_matching import default_config
-from chromaperture.camera_scale import resized
+from chromaperture.camera_scale import reduced_size, resized, working_scale
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.nonlinearity import Nonlinearity
@@ -106,7 +107,7 @@ def exposed(light: np.ndarray, sensor: CameraSensor, seed: int) -> np.ndarray:
 
 
 def with_curves(camera: Calibration) -> Calibration:
-    """Fit the curves of the shift matchers, in 720 x 480 pixels, to flat walls in the frame's middle."""
+    """Fit the curves of the shift matchers, in a camera's pixels, to flat walls in the frame's middle."""
     size = (camera.sensor.width_px, camera.sensor.height_px)
     axis = camera.on_axis("accurate")
     linear = axis.infinity_disparity_px - axis.scale_px_mm / (np.array(WALLS_MM) - PUPIL_MM)
@@ -218,10 +219,10 @@ def main() -> None:
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     light, truth = light_and_truth(args.out)
-    camera = with_curves(calibration(SMALL))
     rows = []
     for text in args.sizes:
         size = tuple(int(part) for part in text.split("x"))
+        camera = with_curves(calibration(reduced_size(size, working_scale(calibration(size)))))
         files = photograph(args.out, light, size, camera)
         for quality in args.quality:
             for scale in args.scales if size == LARGE else ["auto"]:
