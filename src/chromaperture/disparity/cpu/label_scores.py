@@ -64,8 +64,7 @@ def _log_determinant(unexplained, two_views):
 def read_at_labels(
     scores, volume, slabs, labels, map_row, many, mask, y, height, layers, settings, here, at_labels, two_views
 ):
-    """One row of scores to log-likelihoods of labels, interpolated through six layers, which
-    continue on parabolas beyond the ends; 0 beyond the layers.
+    """One row of scores to log-likelihoods of labels, interpolated through six layers; 0 beyond them.
 
     ``here`` holds lane numbers, then from `BASE` on a pixel's layers, at its end room for a vector.
     """
