@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from importlib import import_module
 
 import numpy as np
 
@@ -49,9 +50,10 @@ def test_a_large_volume_is_given_back() -> None:
 
 
 def test_maps_of_a_large_photograph_take_the_memory_of_volumes(monkeypatch) -> None:
-    monkeypatch.setattr("chromaperture.disparity.cpu.upsample._LARGE_BYTES", 100)
-    del_me = volume(SHAPE)
-    del del_me
+    monkeypatch.setattr(import_module("chromaperture.disparity.cpu.upsample"), "_LARGE_BYTES", 100)
+    used = volume(SHAPE)
+    del used
+    gc.collect()
     assert _volumes
     few = np.zeros((2, 2), np.float32)
     upsample(Coarse(few, few, few, few > 0, few), np.zeros((4, 4, 3), np.float32), np.ones(3))

@@ -12,8 +12,8 @@ from chromaperture.threads import in_parallel
 
 _JUMP, _LEAST, _HALF = np.float32(JUMP_PX), np.float32(LEAST_WEIGHT), np.float32(0.5)
 _NAN = np.float32(np.nan)
-# Of a photograph, 5.6 megapixels: from here on its maps take more memory than the volumes of its reduced picture, 0.4 GB,
-# and handing these out anew takes less than a tenth of its time.
+# Of a photograph, 5.6 megapixels: from here on its maps take more memory than the volumes of its reduced picture,
+# 0.4 GB, and handing these out anew takes less than a tenth of its time.
 _LARGE_BYTES = 1 << 26
 
 
