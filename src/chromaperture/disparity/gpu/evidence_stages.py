@@ -271,13 +271,7 @@ def _add_views(
     )  # fmt: skip
 
 
-def _add_windows(
-    chain: Chain,
-    plan: EvidencePlan,
-    sizes: RoundSizes,
-    made: dict[str, Array],
-    band_taps: Array,
-) -> None:
+def _add_windows(chain: Chain, plan: EvidencePlan, sizes: RoundSizes, made: dict[str, Array], band_taps: Array) -> None:
     """Append the bands of P and Q, and their products in windows around every second sample."""
     height, width = plan.nodes.shape
     small = -(-height // 2), -(-width // 2)
