@@ -41,6 +41,18 @@ def test_its_own_depth_brings_channels_together(camera, photograph):
     assert channel_agreement(aligned) > channel_agreement(image) + 0.1
 
 
+def test_large_pictures_are_restored_in_bands_and_tiles(camera, photograph, monkeypatch):
+    image, d = photograph
+    aligned, fast = (restore(image, d, camera, sharpness=sharpness).color for sharpness in ("aligned", "fast"))
+    monkeypatch.setattr("chromaperture.effects.restore._LARGE_PX", 1000)
+    monkeypatch.setattr("chromaperture.effects.restore._MOST_TILE_PX", 48)
+    in_bands, in_tiles = (restore(image, d, camera, sharpness=sharpness).color for sharpness in ("aligned", "fast"))
+    np.testing.assert_array_equal(in_bands, aligned)
+    assert not np.array_equal(in_tiles, fast)  # it was in tiles
+    # Far below what sharpening changes: every tile has a prior of its own contrast.
+    assert np.abs(in_tiles - fast).mean() < 0.1 * np.abs(fast - aligned).mean()
+
+
 @pytest.mark.parametrize("sharpness", ["aligned", "fast"])
 def test_holes_are_filled_from_their_surface(camera, photograph, rng, sharpness):
     image, d = photograph

@@ -13,6 +13,8 @@ from PIL import Image
 
 from chromaperture import read_image
 from chromaperture.capture.deep_png import decode_rgb16
+from chromaperture.capture.files import decode, linearise, read_light
+from chromaperture.capture.source import Encoding, develop_counts
 from chromaperture.errors import InputError
 from chromaperture.png_encoding import encode_png
 from chromaperture.rows_on_demand import RowsOnDemand
@@ -53,6 +55,24 @@ def test_every_filter_is_undone(rng, shape, name):
     coded = cv2.imencode(".png", counts[..., ::-1], [cv2.IMWRITE_PNG_FILTER, FILTERS[name]])[1].tobytes()
     np.testing.assert_array_equal(decode_rgb16(coded), counts)
     np.testing.assert_array_equal(decode_rgb16(encode_png(counts)), counts)
+
+
+@pytest.mark.parametrize("levels", [(0.0, 65535.0), (512.0, 60_000.0)])
+def test_counts_become_light_as_they_are_decoded(rng, levels):
+    counts = walk(rng, (150, 40, 3))
+    found = decode_rgb16(encode_png(counts), levels)
+    assert found.dtype == np.float32
+    np.testing.assert_array_equal(found, develop_counts(counts, Encoding(*levels)))
+
+
+def test_a_cameras_levels_give_the_same_light_with_and_without_counts(rng, tmp_path):
+    path, levels = tmp_path / "a.png", (512.0, 60_000.0)
+    path.write_bytes(encode_png(walk(rng, (70, 50, 3))))
+    for own in ({}, {"black_level": 100.0}, {"white_level": 50_000.0}):
+        expected = linearise(decode(path), **own, camera_levels=levels)
+        np.testing.assert_array_equal(read_light(path, **own, camera_levels=levels), expected)
+    with pytest.raises(InputError, match="white level 100 must be above"):
+        read_light(path, white_level=100.0, camera_levels=levels)
 
 
 def test_rows_that_are_made_on_demand_are_encoded_as_their_picture(rng):

@@ -7,6 +7,7 @@ import base64
 import gc
 import importlib.util
 import json
+import pickle
 import re
 import shutil
 import subprocess
@@ -14,6 +15,7 @@ import sys
 import types
 import warnings
 import weakref
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -28,6 +30,7 @@ from chromaperture import tasks
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.color.color_maps import UNKNOWN
 from chromaperture.frame import frame_files
+from chromaperture.frame.color_pictures import color_pictures
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.frame.preview import ColorScale, write_preview
 from chromaperture.products import archive
@@ -272,6 +275,43 @@ def test_the_preview_is_bounded_and_unknown_is_grey(frame, tmp_path):
     unknown = np.isnan(large[0]).mean() + np.isnan(large[1]).mean()
     assert unknown > 0.5
     assert grey.sum() == pytest.approx(unknown * 627 * 418, rel=0.03)  # pixels of a panel; sampled by the nearest
+
+
+def test_colours_are_made_when_they_are_asked_for(frame, tmp_path):
+    """Files of a frame without colours are those of one with them, and do not keep them."""
+    made: list[slice] = []
+
+    def bands(take, *, multiple=1):
+        for top in range(0, len(frame.color), 32 * multiple):
+            made.append(slice(top, min(top + 32 * multiple, len(frame.color))))
+            take(made[-1], frame.color[made[-1]])
+
+    maps = (frame.depth_mm, frame.sigma_mm, frame.disparity_px, frame.disparity_sigma_px, frame.confidence)
+    later = cap.DepthFrame.coloring_later(bands, maps, frame.image, (frame.calibration, frame.config))
+    assert "color" not in vars(later)
+    for one, other in zip(later.save(tmp_path / "a"), frame.save(tmp_path / "b"), strict=True):
+        if one.suffix != ".json" and ".preview" not in one.name:  # its title is the file's name
+            assert one.read_bytes() == other.read_bytes()
+    assert made
+    assert "color" not in vars(later)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(replace(later, calibration=None))).color, frame.color)
+    np.testing.assert_array_equal(later.color, frame.color)
+    count = len(made)
+    assert later.color is later.color
+    assert len(made) == count
+    with pytest.raises(AttributeError, match="colour"):
+        later.colour  # noqa: B018
+
+
+def test_the_preview_of_reduced_colours_is_that_of_all(frame, tmp_path):
+    maps = (frame.depth_mm, frame.sigma_mm, frame.disparity_px, frame.disparity_sigma_px, frame.confidence)
+    color = np.tile(frame.color, (3, 3, 1))
+    large = cap.DepthFrame(*[np.tile(values, (3, 3)) for values in maps], color)
+    small = color_pictures(large).small
+    assert small.shape[0] < len(color) / 2
+    for name, given in (("a", None), ("b", small)):
+        write_preview(tmp_path / name, None, large, title="title", color=given)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 @pytest.mark.parametrize(("low", "high"), [(1189.0, 3511.0), (0.0, 0.037), (-3.2, 1.9), (999.0, 1001.0)])

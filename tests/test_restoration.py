@@ -227,6 +227,27 @@ def test_tiles_that_do_nothing_give_the_picture_back(rng):
     assert len({x for x, _ in seen}) == 3
 
 
+@pytest.mark.parametrize("rounds", [0, 3])
+def test_tiles_leave_no_seams(rng, rounds):
+    image, radius, truth, aperture = photograph("cy_halves", rng)
+    aligned = np.maximum(align_channels(image, radius, np.nan_to_num(centroids(aperture))), 0)
+    config, kwargs = SharpenConfig(reweightings=rounds), {"noise_variance": np.full(3, 0.003**2)}
+
+    def restore(piece, _):
+        of_piece = (part[piece] for part in (image, radius))
+        return all_in_focus(*of_piece, ThinLensBlur(aperture), aligned=aligned[piece], config=config, **kwargs)
+
+    whole, overlap_px = restore(np.s_[:, :], None), int(np.ceil(np.abs(radius).max())) + 4
+    tiled = by_tiles(radius.shape, restore, tile_px=48, overlap_px=overlap_px)
+    # Each tile has its own colours and contrast, from which the prior is: below a tenth of what restoration misses.
+    assert rms(tiled, whole) < 0.1 * rms(whole, truth)
+    assert rms(tiled, truth) < 1.02 * rms(whole, truth)
+    apart, seam = np.abs(tiled - whole).mean(axis=(0, 2)), np.zeros(radius.shape[1], bool)
+    for column in np.linspace(0, len(seam), 4).astype(int)[1:-1]:  # three tiles beside each other
+        seam[column - 2 : column + 2] = True
+    assert apart[seam].mean() < 1.3 * apart[~seam].mean()  # of tiles of 32, 48 and 64 px: 0.9 to 1.2
+
+
 def test_kernels_that_are_a_little_wrong_raise_no_waves(rng):
     """A bar blurred by 8 px and sharpened as if by 8.5: between the zeros of the two a plain filter makes waves."""
     aperture, size = DESIGNS["cy_halves"], (160, 160)

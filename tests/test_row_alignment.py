@@ -14,7 +14,7 @@ from chromaperture.color.alignment import (
     white_balance,
     white_gains,
 )
-from chromaperture.color.row_alignment import align_by_rows, row_moves
+from chromaperture.color.row_alignment import align_by_rows, aligned_bands, row_moves
 from chromaperture.color.visibility import fill_hidden, visible_from
 
 HEIGHT, WIDTH = 45, 70
@@ -64,3 +64,17 @@ def test_rows_that_are_filled_are_those_of_the_filled_map(step):
     known = np.isfinite(values)
     np.testing.assert_array_equal(whole[known], values[known])
     assert np.isin(whole, values[known]).all()
+
+
+def test_bands_begin_where_they_are_wanted(monkeypatch):
+    monkeypatch.setattr("chromaperture.color.row_alignment._BAND_ROWS", 13)
+    image, disparity = scene(3)
+    taken: dict[int, np.ndarray] = {}
+
+    def keep(band, color):
+        taken[band.start] = color
+
+    aligned_bands(image, lambda rows: disparity[rows], row_moves(HALVES), keep, multiple=9)
+    assert all(first % 9 == 0 for first in taken)
+    whole = align_by_rows(image, lambda rows: disparity[rows], row_moves(HALVES))
+    np.testing.assert_array_equal(np.concatenate([taken[first] for first in sorted(taken)]), whole)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import gc
+from importlib import import_module
 
 import numpy as np
 
+from chromaperture.disparity.cpu.upsample import upsample
 from chromaperture.disparity.cpu.workspace import _MOST_KEPT, _volumes, volume
+from chromaperture.disparity.stages.upsample import Coarse
 
 SHAPE = (7, 11, 13)
 
@@ -44,3 +47,14 @@ def test_a_large_volume_is_given_back() -> None:
     del large
     gc.collect()
     assert all(len(raw) < size for raw in _volumes)
+
+
+def test_maps_of_a_large_photograph_take_the_memory_of_volumes(monkeypatch) -> None:
+    monkeypatch.setattr(import_module("chromaperture.disparity.cpu.upsample"), "_LARGE_BYTES", 100)
+    used = volume(SHAPE)
+    del used
+    gc.collect()
+    assert _volumes
+    few = np.zeros((2, 2), np.float32)
+    upsample(Coarse(few, few, few, few > 0, few), np.zeros((4, 4, 3), np.float32), np.ones(3))
+    assert not _volumes

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal, NamedTuple, cast
 
@@ -19,7 +19,7 @@ from chromaperture.camera_matching import default_config, label_maps, noise_mode
 from chromaperture.camera_memory import check_camera_memory
 from chromaperture.camera_scale import SAME_SCALE, at_scale, resized
 from chromaperture.capture.checks import check_capture
-from chromaperture.capture.files import decode, linearise
+from chromaperture.capture.files import read_light
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.config import Config, ExecutionName, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
@@ -198,10 +198,14 @@ class CodedApertureCamera:
                 depth_mm, sigma_mm = self.millimetres(disparity)
         with stage("color"):  # section 5.1
             color = measured.color
-            if color is None:
-                color = self.alignment.align(image, disparity.value_px)
-        maps = (depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence, color)
-        frame = DepthFrame(*maps, image, self.calibration, self.config)
+            maps = (depth_mm, sigma_mm, disparity.value_px, disparity.sigma_px, disparity.confidence)
+            made_by = self.calibration, self.config
+            if color is None and disparity.value_px.size > _WHOLE_PX:
+                align = partial(self.alignment.align_bands, image, disparity.value_px)
+                frame = DepthFrame.coloring_later(align, maps, image, made_by)
+            else:
+                color = self.alignment.align(image, disparity.value_px) if color is None else color
+                frame = DepthFrame(*maps, color, image, *made_by)
         return frame if origin_px is None else cut_out(frame, origin_px, begun.size_px)
 
     @property
@@ -227,8 +231,10 @@ class CodedApertureCamera:
         check_camera_memory(Path(path).name, self.calibration, self.config)
         is_known = self.calibration.is_calibrated
         size_px = self._frame_px if self.config.crop_origin_px is None else None
-        decoded = decode(path, size_px=size_px, any_scale=is_known)
-        return linearise(decoded, black_level=black_level, white_level=white_level, camera_levels=levels)
+        return read_light(
+            path, size_px=size_px, any_scale=is_known, black_level=black_level, white_level=white_level,
+            camera_levels=levels,
+        )  # fmt: skip
 
     def shows_frame_at(self, size_px: tuple[int, int]) -> bool:
         """Whether photographs of a size, width and height, have the aspect of this calibrated camera's."""

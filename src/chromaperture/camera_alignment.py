@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +19,7 @@ from chromaperture.color.alignment import (
     white_gains,
 )
 from chromaperture.color.lens_shift import LensMoves, LensShift
-from chromaperture.color.row_alignment import align_by_rows, row_moves
+from chromaperture.color.row_alignment import aligned_bands, row_moves
 from chromaperture.config import Config, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_inverse_depth
 from chromaperture.threads import each_band
@@ -52,7 +53,7 @@ class ChannelAlignment:
         return self.calibration.depth_model(self.config.quality) if self.calibration.is_calibrated else None
 
     def align(self, image: np.ndarray, disparity_px: np.ndarray) -> np.ndarray:
-        """Align the channels and white balance them, in bands of rows: displacements take 24 bytes a pixel.
+        """Align the channels and white balance them.
 
         Parameters
         ----------
@@ -63,25 +64,42 @@ class ChannelAlignment:
         -------
         (H, W, 3) float32, linear RGB
         """
+        color = np.empty(image.shape, np.float32)
+        self.align_bands(image, disparity_px, color.__setitem__)
+        return color
+
+    def align_bands(
+        self,
+        image: np.ndarray,
+        disparity_px: np.ndarray,
+        take: Callable[[slice, np.ndarray], None],
+        *,
+        multiple: int = 1,
+    ) -> None:
+        """Align the channels in bands of rows, see `align`: displacements take 24 bytes a pixel.
+
+        ``take`` gets the rows of every band and its colours, on any thread, in any order; every band begins at a
+        multiple of ``multiple`` rows.
+        """
         along = None if self.uses_blur else row_moves(self.shifts)
         if along is not None and image.shape[:2] == disparity_px.shape:
             gains = white_gains(self.calibration.film.aperture)
-            return align_by_rows(image, rows_filler(disparity_px, step=round(self.config.scale)), along, gains)
+            filler = rows_filler(disparity_px, step=round(self.config.scale))
+            return aligned_bands(image, filler, along, take, gains, multiple=multiple)
         filled = fill_unknown(disparity_px, step=round(self.config.scale))
         height, width = filled.shape
         halo = self._rows_beyond(filled)
         rows = max(1, _BAND_PX // width, math.ceil(halo / _MOST_HALO))
+        rows = -(-rows // multiple) * multiple
         if rows >= height:
-            return self._aligned(image, filled, 0, height)
-        color = np.empty(image.shape, np.float32)
+            return take(slice(0, height), self._aligned(image, filled, 0, height))
 
         def align(band: slice) -> None:
             seen = slice(max(0, band.start - halo), min(height, band.stop + halo))
             aligned = self._aligned(image[seen], filled[seen], seen.start, height)
-            color[band] = aligned[band.start - seen.start :][: band.stop - band.start]
+            take(band, aligned[band.start - seen.start :][: band.stop - band.start])
 
-        each_band(align, height, rows_a_band=rows)
-        return color
+        return each_band(align, height, rows_a_band=rows)
 
     def _rows_beyond(self, filled: np.ndarray) -> int:
         """Return how many rows a band sees beyond its own."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,6 +50,43 @@ class Decoded:
 
     array: np.ndarray
     own: Encoding | None = None
+
+
+def read_light(
+    path: str | Path,
+    *,
+    size_px: tuple[int, int] | None = None,
+    any_scale: bool = False,
+    black_level: float | None = None,
+    white_level: float | None = None,
+    camera_levels: tuple[float, float] | None = None,
+) -> np.ndarray:
+    """`decode`, then `linearise`; counts of large files of 16 bit are not kept where their levels are known before.
+
+    Parameters, errors and warnings are theirs.
+
+    Returns
+    -------
+    (H, W, 3) float32, linear RGB
+    """
+    path, levels = Path(path), {"black_level": black_level, "white_level": white_level}
+    light: list[np.ndarray] = []
+
+    def deep_png(data: bytes) -> np.ndarray | None:
+        deep = np.dtype(np.uint16)
+        try:
+            found = choose_encoding(format_encoding(deep), np.empty(0, deep), **levels, camera_levels=camera_levels)
+        except InputError:  # levels that make no sense, which `linearise` says
+            return _deep_png(data)
+        image = _deep_png(data, (found.black_level, found.white_level))
+        light.extend([] if image is None else [image])
+        return image
+
+    if camera_levels is None or is_raw(path):  # the counts may say that a white level is wrong which nobody gave
+        decoded = decode(path, size_px=size_px, any_scale=any_scale)
+    else:
+        decoded = Decoded(_colour(_decode(path, size_px, any_scale, deep_png), path))
+    return light[0] if light else linearise(decoded, **levels, camera_levels=camera_levels)
 
 
 def read_image(
@@ -206,8 +244,19 @@ def _damaged(path: Path) -> str:
     return f"{path.name} is damaged or not an image (PNG, TIFF, PPM or JPEG); copy or export the file again"
 
 
-def _decode(path: Path, size_px: tuple[int, int] | None, any_scale: bool) -> np.ndarray:
-    """Decode to an array of counts in the file's own depth, channels in R, G, B order."""
+def _deep_png(data: bytes, levels: tuple[float, float] | None = None) -> np.ndarray | None:
+    from chromaperture.capture.deep_png import decode_rgb16  # compiling starts here, not at import
+
+    return decode_rgb16(data, levels)
+
+
+def _decode(
+    path: Path,
+    size_px: tuple[int, int] | None,
+    any_scale: bool,
+    deep_png: Callable[[bytes], np.ndarray | None] = _deep_png,
+) -> np.ndarray:
+    """Decode to an array of counts in the file's own depth, or what ``deep_png`` makes, channels in R, G, B order."""
     data = _read(path)
 
     def check(width: int, height: int, file_bytes: int | None = None) -> None:
@@ -227,9 +276,7 @@ def _decode(path: Path, size_px: tuple[int, int] | None, any_scale: bool) -> np.
             if data.startswith(b"P"):
                 return _deep_pnm(data, picture)
             if data.startswith(PNG_MARK):
-                from chromaperture.capture.deep_png import decode_rgb16  # compiling starts here, not at import
-
-                found = decode_rgb16(data)
+                found = deep_png(data)
                 if found is not None:
                     return found
             counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)

@@ -17,6 +17,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from chromaperture.threads import each_band
+
 # Chosen by hand; the result on test captures is in docs/colour.md, "Alignment".
 _SMOOTH_PX = 1.0  # sigma, against noise
 _HALF, _STRIDE = 19, 16  # half side of a window and distance between windows, px
@@ -53,28 +55,53 @@ def residual_displacement(aligned: np.ndarray, disparity_px: np.ndarray, *, surf
     (3, 2, H, W) float32, px, x before y, to be added to the displacement of channel k; zero without texture
     """
     height, width = disparity_px.shape
-    tone = np.sqrt(np.maximum(np.asarray(aligned, np.float32), 0))
-    tone = np.asarray(cv2.GaussianBlur(tone, (0, 0), _SMOOTH_PX))
+    tone = np.maximum(np.asarray(aligned, np.float32), 0)
+    tone = np.asarray(cv2.GaussianBlur(np.sqrt(tone, out=tone), (0, 0), _SMOOTH_PX))
     disparity = np.asarray(disparity_px, np.float32)
-    basis = _basis(disparity)
+    scale = max(float(np.abs(disparity).max()), 1e-3)
+    x, y = np.linspace(-1, 1, width), np.linspace(-1, 1, height)
+    green = np.ascontiguousarray(tone[..., 1])
     stride = _STRIDE if surfaces else max(_STRIDE, round((height * width / _ENOUGH) ** 0.5))
     out = np.zeros((3, 2, height, width), np.float32)
-    grid_x, grid_y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     for k in (0, 2):
+        channel = np.ascontiguousarray(tone[..., k])
         for turn in range(2 * _ROUNDS if surfaces else _ROUNDS):
-            moved = cv2.remap(tone[..., k], grid_x + out[k, 0], grid_y + out[k, 1], cv2.INTER_CUBIC,
-                              borderMode=cv2.BORDER_REPLICATE)  # fmt: skip
-            places, found, error = registered_windows(np.asarray(moved), tone[..., 1], stride)
+            places, found, error = registered_windows(_moved(channel, out[k]), green, stride)
             if len(places) < _LEAST_WINDOWS:
                 break
             if turn < _ROUNDS:
-                step = _fitted(basis[:, places[:, 1], places[:, 0]].T, found, error)
-                out[k] += np.tensordot(step.T, basis, (1, 0)).astype(np.float32)
+                columns, rows = places.T
+                basis = np.stack([np.ones(len(places)), x[columns], y[rows], disparity[rows, columns] / scale])
+                _add_smooth(out[k], _fitted(basis.T, found, error), x, y, disparity / np.float32(scale))
             else:
                 out[k] += by_surface(places, found, error, disparity)
-        if np.abs(out[k]).max() > _LARGEST_PX:
+        if max(float(out[k].max()), -float(out[k].min())) > _LARGEST_PX:
             out[k] = 0
     return out
+
+
+def _moved(channel: np.ndarray, displacement_px: np.ndarray) -> np.ndarray:
+    """Sample a channel (H, W) at x + displacement, (2, H, W) px, band by band: of many megapixels maps are large."""
+    moved = np.empty_like(channel)
+    columns = np.arange(channel.shape[1], dtype=np.float32)[None]
+
+    def sample(band: slice) -> None:
+        rows = np.arange(band.start, band.stop, dtype=np.float32)[:, None]
+        x, y = columns + displacement_px[0, band], rows + displacement_px[1, band]
+        cv2.remap(channel, x, y, cv2.INTER_CUBIC, dst=moved[band], borderMode=cv2.BORDER_REPLICATE)
+
+    each_band(sample, len(channel))
+    return moved
+
+
+def _add_smooth(out: np.ndarray, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray, relative: np.ndarray) -> None:
+    """Add the smooth model of coefficients (4, 2) to a displacement (2, H, W), band by band."""
+
+    def add(band: slice) -> None:
+        for part, (constant, across, down, near) in zip(out, coefficients.T, strict=True):
+            part[band] += (constant + across * x)[None] + (down * y[band])[:, None] + near * relative[band]
+
+    each_band(add, len(y))
 
 
 def by_surface(
@@ -131,15 +158,13 @@ def registered_windows(moved: np.ndarray, fixed: np.ndarray, stride: int) -> tup
         Standard error of each.
     """
     height, width = fixed.shape
-    gy, gx = np.gradient(fixed)
     side = (2 * _HALF + 1, 2 * _HALF + 1)
-    xx, xy, yy = (cv2.boxFilter(p, -1, side) for p in (gx * gx, gx * gy, gy * gy))
-    least = (xx + yy) / 2 - np.sqrt(((xx - yy) / 2) ** 2 + xy**2)
     places, found, errors = [], [], []
     rim = _HALF + _SEARCH
     for y in range(rim, height - rim, stride):
         for x in range(rim, width - rim, stride):
-            if least[y, x] < _LEAST_GRADIENT**2:
+            wide = fixed[y - _HALF - 1 : y + _HALF + 2, x - _HALF - 1 : x + _HALF + 2]
+            if _least_gradient2(wide) < _LEAST_GRADIENT**2:
                 continue
             patch = fixed[y - _HALF : y + _HALF + 1, x - _HALF : x + _HALF + 1]
             around = moved[y - rim : y + rim + 1, x - rim : x + rim + 1]
@@ -151,6 +176,13 @@ def registered_windows(moved: np.ndarray, fixed: np.ndarray, stride: int) -> tup
             found.append((i - _SEARCH + _peak(score[j, i - 1 : i + 2]), j - _SEARCH + _peak(score[j - 1 : j + 2, i])))
             errors.append(standard_error(around[j : j + side[1], i : i + side[0]], patch))
     return np.array(places, int).reshape(-1, 2), np.array(found, float).reshape(-1, 2), np.array(errors, float)
+
+
+def _least_gradient2(wide: np.ndarray) -> float:
+    """Return the mean square of the gradient in the direction of least texture, of a window with a px around it."""
+    gx, gy = (wide[1:-1, 2:] - wide[1:-1, :-2]) / 2, (wide[2:, 1:-1] - wide[:-2, 1:-1]) / 2
+    xx, xy, yy = (float(np.vdot(a, b)) / gx.size for a, b in ((gx, gx), (gx, gy), (gy, gy)))
+    return (xx + yy) / 2 - float(np.hypot((xx - yy) / 2, xy))
 
 
 def standard_error(moved: np.ndarray, fixed: np.ndarray) -> float:
@@ -184,13 +216,6 @@ def _peak(scores: np.ndarray) -> float:
     left, middle, right = (float(s) for s in scores)
     curvature = left - 2 * middle + right
     return 0.0 if curvature >= 0 else 0.5 * (left - right) / curvature
-
-
-def _basis(disparity: np.ndarray) -> np.ndarray:
-    height, width = disparity.shape
-    y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
-    scale = max(float(np.abs(disparity).max()), 1e-3)
-    return np.stack([np.ones_like(x), x, y, disparity / scale]).astype(np.float32)
 
 
 def _fitted(rows: np.ndarray, values: np.ndarray, error: np.ndarray) -> np.ndarray:

@@ -55,6 +55,21 @@ def row_moves(directions: np.ndarray) -> RowMoves | None:
 def align_by_rows(
     image: np.ndarray, disparity_rows: Callable[[slice], np.ndarray], along: RowMoves, gains: np.ndarray | None = None
 ) -> np.ndarray:
+    """Align the channels; (H, W, 3) float32 of what `aligned_bands` makes."""
+    color = np.empty(image.shape, np.float32)
+    aligned_bands(image, disparity_rows, along, color.__setitem__, gains)
+    return color
+
+
+def aligned_bands(
+    image: np.ndarray,
+    disparity_rows: Callable[[slice], np.ndarray],
+    along: RowMoves,
+    take: Callable[[slice, np.ndarray], None],
+    gains: np.ndarray | None = None,
+    *,
+    multiple: int = 1,
+) -> None:
     """Align the channels in bands of rows, each from its first sample to its last.
 
     Parameters
@@ -63,15 +78,15 @@ def align_by_rows(
     disparity_rows : callable
         Returns the disparity of some rows, (rows, W) float32, px, finite.
     along : RowMoves
+    take : callable
+        Gets the rows of every band and its colours, (rows, W, 3) float32, as `align_channels` makes them, then
+        `white_balance`; on any thread, in any order.
     gains : (3,) float, optional
         By which the aligned channels are multiplied; what is below black then becomes black.
-
-    Returns
-    -------
-    (H, W, 3) float32, as `align_channels`, then `white_balance`
+    multiple : int
+        Of which every band's first row is one.
     """
     height = len(image)
-    color = np.empty(image.shape, np.float32)
     picture = np.ascontiguousarray(image, np.float32)
     factors = None if gains is None else np.asarray(gains, np.float32)
 
@@ -82,13 +97,12 @@ def align_by_rows(
         _align(picture[seen], disparity, along.moves, along.views, moved, visible)
         first, last = band.start - seen.start, band.stop - seen.start
         fill_hidden_rows(moved, visible, disparity, along.order, moved, first, last)
-        if factors is None:
-            color[band] = moved[first:last]
-        else:
-            scale_channels(moved[first:last], factors, color[band])
+        color = moved[first:last]
+        if factors is not None:
+            scale_channels(color, factors, color)
+        take(band, color)
 
-    each_band(align, height, rows_a_band=_BAND_ROWS)
-    return color
+    each_band(align, height, rows_a_band=-(-_BAND_ROWS // multiple) * multiple)
 
 
 @compiled(error_model="numpy")

@@ -14,6 +14,7 @@ from chromaperture.color.alignment import fill_unknown
 from chromaperture.compilation import compiled
 from chromaperture.effects.refocusing_kernels import over_rows
 from chromaperture.errors import InputError
+from chromaperture.threads import each_band
 
 # Chosen by hand; not tuned.
 _REACH_PX = 10.0  # standard deviation of the filter inside a surface: a longer one rounds depth, a shorter keeps specks
@@ -80,8 +81,8 @@ def _domain_transform(planes: np.ndarray, guide: np.ndarray) -> np.ndarray:
     """Average planes (H, W, C) along rows and columns in turn; the recursive filter of Gastal and Oliveira 2011."""
     tone = np.sqrt(np.maximum(cv2.GaussianBlur(np.asarray(guide, np.float32), (0, 0), 1.0), 0))
     tone /= max(float(np.percentile(tone, 99)), 1e-6)
-    across = np.abs(np.diff(tone, axis=1, prepend=tone[:, :1])).sum(axis=2) / np.float32(_COLOUR_RANGE)
-    down = np.abs(np.diff(tone, axis=0, prepend=tone[:1])).sum(axis=2) / np.float32(_COLOUR_RANGE)
+    across, down = _steps(tone)
+    del tone  # of many megapixels it is large
     for i in range(_ROUNDS):
         reach = _REACH_PX * np.sqrt(3) * 2.0 ** (_ROUNDS - 1 - i) / np.sqrt(4.0**_ROUNDS - 1)
         decay = np.float32(np.exp(-np.sqrt(2) / reach))
@@ -90,6 +91,20 @@ def _domain_transform(planes: np.ndarray, guide: np.ndarray) -> np.ndarray:
             over_rows(_average_rows, len(planes), planes, along)
             planes = np.ascontiguousarray(planes.transpose(1, 0, 2))
     return planes
+
+
+def _steps(tone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the steps of tone from the left and from above, in units of `_COLOUR_RANGE`; two (H, W) float32."""
+    across, down = np.zeros((2, *tone.shape[:2]), np.float32)
+
+    def fill(band: slice) -> None:
+        part = tone[max(band.start - 1, 0) : band.stop]
+        across[band, 1:] = np.abs(np.diff(tone[band], axis=1)).sum(axis=2) / np.float32(_COLOUR_RANGE)
+        steps = np.abs(np.diff(part, axis=0)).sum(axis=2) / np.float32(_COLOUR_RANGE)
+        down[band.stop - len(steps) : band.stop] = steps
+
+    each_band(fill, len(tone))
+    return across, down
 
 
 @compiled()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal, get_args
@@ -27,6 +28,12 @@ from chromaperture.effects.transfer_functions import Blur, LensTransfer, ThinLen
 from chromaperture.errors import InputError
 
 _TILES, _MIN_TILE_PX = 5, 96  # tiles along the width, in each of which the blur counts as constant; chosen by hand
+# Pictures of more pixels are restored in tiles of this side at most, without what is around them: transfer functions of
+# all layers and transforms of a tile and 150 px around it take 0.5 GB, of a whole picture 150 bytes a pixel and layer.
+_LARGE_PX, _MOST_TILE_PX = 1 << 21, 512
+# Rows around a band beyond what its channels are displaced by: the neighbourhood of an occluded pixel (7 px), and the
+# samples of Lanczos' filter (4 px).
+_AROUND_PX = 12
 _LAYER_ERROR_PX = 0.065  # of half disparity; the error of the blur radius is that over the blur's reach
 # Range of the error allowed to the kernels, as a fraction of the contrast, and of that of their transfer functions;
 # docs/colour.md, "Everything in focus", states what designs get, and the gain over a thin lens's kernels.
@@ -112,10 +119,13 @@ def restore(
             aligned=aligned[piece], radius_sigma_px=scatter[piece], saturated=saturated[piece], config=settings,
         )  # fmt: skip
 
-    if isinstance(transfer, ThinLensBlur):  # the same over the whole frame
+    changes = not isinstance(transfer, ThinLensBlur)  # over the frame
+    tile_px = max(_MIN_TILE_PX, radius.shape[1] // _TILES) if changes else max(radius.shape)
+    if radius.size > _LARGE_PX:
+        tile_px = min(tile_px, _MOST_TILE_PX)
+    elif not changes:
         return SharpPicture(sharpened((slice(None), slice(None)), None), radius)
     overlap_px = math.ceil(float(np.abs(radius).max())) + 4
-    tile_px = max(_MIN_TILE_PX, radius.shape[1] // _TILES)
     return SharpPicture(by_tiles(radius.shape, sharpened, tile_px=tile_px, overlap_px=overlap_px), radius)
 
 
@@ -139,14 +149,37 @@ def _aligned(
     disparity, scatter = filter_disparity(radius / scale, sigma_px, guide)
     radius = disparity * scale
     disparity = radius / scale
-    displacement = np.stack(list(linear_displacement(disparity, shifts))) if lens is None else lens(radius)
-    aligned = align_channels(balanced, disparity, shifts, displacement_px=displacement)
+
+    def displaced(rows: slice) -> np.ndarray:
+        if lens is None:
+            return np.stack(list(linear_displacement(disparity[rows], shifts)))
+        return lens(radius[rows], first_row=rows.start, height=len(radius))
+
+    aligned = _align_bands(balanced, disparity, shifts, displaced)
     # Three small sub-apertures, one a channel, blur in the same way, so that single surfaces can be registered.
     same_shape = len(cal.aperture.views) > 2 and pure_channels(cal.aperture) is not None
     residual = residual_displacement(aligned, disparity, surfaces=same_shape)
     if residual.any():
-        aligned = align_channels(balanced, disparity, shifts, displacement_px=displacement + residual)
-    return np.maximum(aligned, 0), radius, scatter * scale
+        aligned = _align_bands(balanced, disparity, shifts, lambda rows: displaced(rows) + residual[:, :, rows])
+    return np.maximum(aligned, 0, out=aligned), radius, scatter * scale
+
+
+def _align_bands(
+    balanced: np.ndarray, disparity: np.ndarray, shifts: np.ndarray, displaced: Callable[[slice], np.ndarray]
+) -> np.ndarray:
+    """Align the channels by displacements, (3, 2, rows, W) px, of which those of a band are made at a time."""
+    height, width = disparity.shape
+    rows_a_band = max(height if disparity.size <= _LARGE_PX else 1, _LARGE_PX // width)
+    color = np.empty(balanced.shape, np.float32)
+    for top in range(0, height, rows_a_band):
+        band = slice(top, min(top + rows_a_band, height))
+        moved = displaced(band)
+        reach = math.ceil(float(np.abs(moved[:, 1]).max())) + _AROUND_PX
+        seen = slice(max(0, top - reach), min(height, band.stop + reach))
+        moved = moved if seen == band else displaced(seen)
+        found = align_channels(balanced[seen], disparity[seen], shifts, displacement_px=moved)
+        color[band] = found[top - seen.start :][: band.stop - top]
+    return color
 
 
 def fitted_settings(reach: float, *, reweightings: int) -> SharpenConfig:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,12 +14,16 @@ from chromaperture.config import Config
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
 from chromaperture.depth.pointcloud import PointCloud, depth_to_points
 from chromaperture.errors import InputError
+from chromaperture.threads import BAND_ROWS, each_band
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from chromaperture.frame.points_view import PointsView
 
+# From a function of the rows of a band and its colours; it is called for all bands.
+ColorBands = Callable[..., None]
+_NO_COLOR = np.empty((0, 0, 3), np.float32)
 MOST_POINTS = 50_000  # that a notebook shows: 1.5 MB in its file, and smooth on a telephone
 
 
@@ -35,7 +39,8 @@ class DepthFrame:
         Signed half disparity, 0 in focus, + beyond, and its standard deviation; NaN unknown.
     confidence : float32 in [0, 1]
     color : (H, W, 3) float32
-        Linear RGB with the channels aligned and white balanced.
+        Linear RGB with the channels aligned and white balanced. Of pictures of more than 4 megapixels they are made
+        when they are asked for.
     image : (H, W, 3) float32, optional
         The photograph, linear RGB, channels not aligned.
     calibration, config : Calibration and Config, optional
@@ -51,6 +56,61 @@ class DepthFrame:
     image: np.ndarray | None = None
     calibration: Calibration | None = None
     config: Config | None = None
+
+    @classmethod
+    def coloring_later(
+        cls,
+        color_bands: ColorBands,
+        maps: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+        image: np.ndarray,
+        camera: tuple[Calibration, Config],
+    ) -> DepthFrame:
+        """Return a frame whose colours are made when somebody asks for them: of many megapixels they take much memory.
+
+        Parameters
+        ----------
+        color_bands : callable
+            See `color_bands`.
+        maps : five (H, W) arrays
+            Depth and its error, disparity and its error, confidence.
+        image : (H, W, 3) float32
+        camera : Calibration and Config
+        """
+        frame = cls(*maps, _NO_COLOR, image, *camera)
+        object.__delattr__(frame, "color")
+        object.__setattr__(frame, "_color_bands", color_bands)
+        return frame
+
+    def __getattr__(self, name: str) -> Any:
+        """Make the colours where `coloring_later` has left them out; Python asks only for what is not there."""
+        if name != "color" or "_color_bands" not in self.__dict__:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        color = np.empty((*self.disparity_px.shape, 3), np.float32)
+        self.__dict__["_color_bands"](color.__setitem__)
+        object.__setattr__(self, "color", color)
+        return color
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is copied and sent to other processes, with the colours."""
+        state = self.__dict__ | {"color": self.color}
+        state.pop("_color_bands", None)
+        return state
+
+    def color_bands(self, take: Callable[[slice, np.ndarray], None], *, multiple: int = 1) -> None:
+        """Hand on the colours in bands of rows, which are made for it where nobody has asked for all of them.
+
+        Parameters
+        ----------
+        take : callable
+            Gets the rows of every band and its colours, (rows, W, 3) float32; on any thread, in any order.
+        multiple : int
+            Of which every band's first row is one.
+        """
+        if "color" not in self.__dict__:
+            self.__dict__["_color_bands"](take, multiple=multiple)
+            return
+        color = self.color
+        each_band(lambda rows: take(rows, color[rows]), len(color), rows_a_band=-(-BAND_ROWS // multiple) * multiple)
 
     @property
     def valid(self) -> np.ndarray:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, rows_within_error
 from chromaperture.depth.pointcloud import write_depth_ply
 from chromaperture.errors import InputError
@@ -129,7 +128,11 @@ def write_maps(
     wanted = set(outputs)
     nothing = np.empty(0, np.uint8)
     # What two files have in common.
-    srgb = linear_to_srgb_bytes(frame.color) if wanted & {"color", "ply"} else nothing
+    srgb = small = nothing
+    if wanted & {"color", "ply", "preview"}:
+        from chromaperture.frame.color_pictures import color_pictures  # with what draws the preview
+
+        srgb, small = color_pictures(frame)
     certain_mm: Rows = nothing
     if wanted & {"depth-png", "ply"}:
         certain_mm = rows_within_error(frame.depth_mm, frame.sigma_mm, max_relative_sigma)
@@ -153,7 +156,7 @@ def write_maps(
                 from chromaperture.frame.preview import write_preview
 
                 texts = {"title": title or stem, "caption": caption}
-                write_preview(path, frame.image, frame, depth_range_mm=depth_range_mm, **texts)
+                write_preview(path, frame.image, frame, color=small, depth_range_mm=depth_range_mm, **texts)
             case _:
                 from chromaperture.frame.other_formats import write_format
 

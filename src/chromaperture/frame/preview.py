@@ -96,24 +96,39 @@ def reduced(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def exposed(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Scale a linear picture to (width, height) pixels and to a bright exposure; (height, width, 3) uint8 sRGB."""
+    picture = reduced_by_whole(picture, whole_factor(picture.shape, size))
     smaller = size[0] < picture.shape[1]
-    # Whole pixels first: averages over parts of pixels take three times as long. At most ``whole - 1`` of the last
-    # rows and columns are left out.
-    whole = min(picture.shape[1] // size[0], picture.shape[0] // size[1])
-    if whole > 1:
-        height, width = picture.shape[0] // whole, picture.shape[1] // whole
-        inner = picture[: height * whole, : width * whole]
-        picture = cv2.resize(inner, (width, height), interpolation=cv2.INTER_AREA)
-        smaller = size[0] < width
     small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_NEAREST)
     white = max(float(np.nanpercentile(small, 99.5)), 1e-6)
     return linear_to_srgb_bytes(small / white)
+
+
+def whole_factor(shape: tuple[int, ...], size: tuple[int, int]) -> int:
+    """Return by how many whole pixels a picture (H, W, ...) is averaged before it becomes ``size``, width and height.
+
+    Averages over parts of pixels take three times as long.
+    """
+    return max(1, min(shape[1] // size[0], shape[0] // size[1]))
+
+
+def reduced_by_whole(picture: np.ndarray, factor: int) -> np.ndarray:
+    """Average so many pixels a side; at most ``factor - 1`` of the last rows and columns are left out."""
+    if factor == 1:
+        return picture
+    height, width = picture.shape[0] // factor, picture.shape[1] // factor
+    inner = picture[: height * factor, : width * factor]
+    return np.asarray(cv2.resize(inner, (width, height), interpolation=cv2.INTER_AREA))
 
 
 def fitted_size(shape: tuple[int, ...], largest: tuple[int, int]) -> tuple[int, int]:
     """Return the width and height of a picture scaled to fit into the largest."""
     scale = min(largest[0] / shape[1], largest[1] / shape[0])
     return max(1, round(shape[1] * scale)), max(1, round(shape[0] * scale))
+
+
+def preview_size(shape: tuple[int, ...]) -> tuple[int, int]:
+    """Return width and height of each of the preview's pictures of a frame (H, W)."""
+    return fitted_size(shape, _LARGEST)
 
 
 def write_preview(
@@ -124,6 +139,7 @@ def write_preview(
     title: str,
     caption: str = "",
     depth_range_mm: tuple[float, float] | None = None,
+    color: np.ndarray | None = None,
 ) -> None:
     """Draw the preview of a capture as PNG, 1408 px wide, a caption below its title.
 
@@ -138,8 +154,10 @@ def write_preview(
     title, caption : str
     depth_range_mm : (float, float), optional
         Ends of the colour bar, to compare previews.
+    color : (h, w, 3) float32, optional
+        The frame's colours, reduced as `color_pictures` does it.
     """
-    size = fitted_size(frame.color.shape, _LARGEST)
+    size = preview_size((frame.color if color is None else frame.disparity_px).shape)
     width, height = size
     heading = _TITLE + (_HEADING if caption else 0)
     page = Image.new("RGB", (_WIDTH, heading + 2 * (_HEADING + height) + 2 * _MARGIN), _DARK)
@@ -150,7 +168,9 @@ def write_preview(
     top, below = heading, heading + _HEADING + height + _MARGIN
     if image is not None:
         _panel(page, (left, top), exposed(image, size), "capture through the colour-coded aperture")
-    _panel(page, (left, below), exposed(frame.color, size), "restored colour, channels aligned")
+    _panel(
+        page, (left, below), exposed(frame.color if color is None else color, size), "restored colour, channels aligned"
+    )
     for place, (values, scale, name) in (
         ((right, top), depth_scale(frame, depth_range_mm)),
         ((right, below), error_scale(frame)),

@@ -76,8 +76,10 @@ def read_at_labels(
         at = address(y, x, height, own_slabs)
         for s in range(own_slabs):
             v.store(here, BASE + s * v.LANES, _unexplained(scores, at + s * BLOCK * v.LANES))
-        here[BASE - 2] = here[BASE - 1] = here[BASE]
-        here[BASE + count] = here[BASE + count + 1] = here[BASE + count - 1]
+        for end in range(BASE, BASE - 2, -1):  # as `four_paths.continued`
+            here[end - 1] = _THREE * (here[end] - here[end + 1]) + here[end + 2]
+        for end in range(BASE + count - 1, BASE + count + 1):
+            here[end + 1] = _THREE * (here[end] - here[end - 1]) + here[end - 2]
         column = x if many else 0
         offset, scale = labels.offset_px[map_row, column], labels.scale[map_row, column]
         begin = (offset + scale * settings.first - layers.first) / layers.step

@@ -28,7 +28,7 @@ _INFORMATION, _UNEXPLAINED = np.float32(LEAST_INFORMATION), np.float32(LEAST_UNE
 _EDGE, _WIDEST = np.float32(EDGE_SHARE), np.float32(WIDEST_SHARE)
 _SCATTER2, _BIAS2 = np.float32(SCATTER**2), np.float32(BIAS**2)
 _FLAT = np.float32(1e-9)  # a flat top has no vertex
-_TWO, _QUARTER = np.float32(2), np.float32(0.25)
+_TWO, _THREE, _QUARTER = np.float32(2), np.float32(3), np.float32(0.25)
 _SEVENTH, _FIFTH, _FARTHEST = np.float32(1 / 7), np.float32(1 / 5), np.float32(FARTHEST_OF_FIVE)
 
 
@@ -87,12 +87,14 @@ def _place(layer, far_before, before, at, after, far_after, place, information, 
     """So many vectors."""
     one, two, floor, flat = v.broadcast(ONE), v.broadcast(_TWO), v.broadcast(ZERO), v.broadcast(_FLAT)
     first, last = v.broadcast(ONE), v.broadcast(np.float32(layers - 2))
+    third_last, three = v.broadcast(np.float32(layers - 3)), v.broadcast(_THREE)
     for i in range(0, count * v.LANES, v.LANES):
         low, middle, high = (
             _correlation(v.load(before, i), two_views),
             _correlation(v.load(at, i), two_views),
             _correlation(v.load(after, i), two_views),
         )
+        inside = v.smaller(v.larger(v.load(layer, i), first), last)
         if two_views:
             bend = v.larger(v.sub(v.sub(v.add(middle, middle), low), high), floor)
             rise = v.sub(high, low)
@@ -103,6 +105,10 @@ def _place(layer, far_before, before, at, after, far_after, place, information, 
             found = v.mul(found, v.root(v.root(found)))
         else:
             far_low, far_high = _correlation(v.load(far_before, i), False), _correlation(v.load(far_after, i), False)
+            # 1 where the range ends one layer away, else 0: there the parabola through the three others goes on.
+            at_start, at_end = v.larger(v.sub(two, inside), floor), v.larger(v.sub(inside, third_last), floor)
+            far_low = v.fma(at_start, v.sub(v.fma(three, v.sub(low, middle), high), far_low), far_low)
+            far_high = v.fma(at_end, v.sub(v.fma(three, v.sub(high, middle), low), far_high), far_high)
             near = v.add(v.add(low, high), v.add(middle, middle))
             bend = v.larger(v.mul(v.fnma(two, v.add(far_low, far_high), near), v.broadcast(_SEVENTH)), floor)
             rise = v.mul(v.fma(two, v.sub(far_high, far_low), v.sub(high, low)), v.broadcast(_FIFTH))
@@ -110,7 +116,7 @@ def _place(layer, far_before, before, at, after, far_after, place, information, 
             offset = v.larger(v.smaller(vertex, v.broadcast(_FARTHEST)), v.broadcast(-_FARTHEST))
             found = v.div(v.mul(bend, middle), v.add(v.sub(one, middle), v.broadcast(_UNEXPLAINED)))
         v.store(information, i, v.add(found, v.broadcast(_INFORMATION)))
-        v.store(place, i, v.add(v.smaller(v.larger(v.load(layer, i), first), last), offset))
+        v.store(place, i, v.add(inside, offset))
 
 
 @inner

@@ -68,6 +68,11 @@ def volume(shape: tuple[int, ...]) -> np.ndarray:
     return np.asarray(_Lent(np.empty(size, np.float32))).reshape(shape)
 
 
+def give_back_volumes() -> None:
+    """Give memory that `volume` keeps back to the system, where maps of a large photograph need as much."""
+    _volumes.clear()
+
+
 class _Lent:
     """Memory of arrays; when the last of them is gone it may be lent again."""
 

@@ -11,6 +11,18 @@ fn unexplained(at: u32) -> f32 {
     return (f32(score_parts) - score[at]) * (1.0 / f32(score_parts));
 }
 
+// The same up to two layers beyond either end, on the parabola through the three outermost layers.
+fn continued(start: u32, layer: i32) -> f32 {
+    let last = i32(all_layers) - 1i;
+    if (layer >= 0i && layer <= last) { return unexplained(start + u32(layer)); }
+    let end = select(start + u32(last), start, layer < 0i);
+    let inwards = select(-1i, 1i, layer < 0i);
+    let first = unexplained(end);
+    let second = unexplained(u32(i32(end) + inwards));
+    let beyond = 3.0 * (first - second) + unexplained(u32(i32(end) + 2i * inwards));
+    return select(3.0 * (beyond - first) + second, beyond, layer == -1i || layer == last + 1i);
+}
+
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
@@ -36,10 +48,10 @@ fn main(
         let low = unexplained(start + u32(below));
         let high = unexplained(start + u32(below) + 1u);
         let inner = fma(t, high - low, low);
-        let middle = fma(2.0 - t, unexplained(start + inside(below - 1i, all_layers)),
-            (1.0 + t) * unexplained(start + inside(below + 2i, all_layers)));
-        let outer = fma(3.0 - t, unexplained(start + inside(below - 2i, all_layers)),
-            (2.0 + t) * unexplained(start + inside(below + 3i, all_layers)));
+        let middle = fma(2.0 - t, continued(start, below - 1i),
+            (1.0 + t) * continued(start, below + 2i));
+        let outer = fma(3.0 - t, continued(start, below - 2i),
+            (2.0 + t) * continued(start, below + 3i));
         let a = t * (t - 1.0);
         let b = a - 2.0;
         let inside_four = fma(-(a * (1.0 / 24.0)), middle, b * (1.0 / 12.0) * inner);

@@ -72,8 +72,11 @@ fn main(
         let found = bend * peak / (1.0 - peak * peak + least_unexplained);
         information += found * sqrt(sqrt(found));
     } else {
-        let far_low = correlation_of(likelihood_of(pixel, max(middle, 2u) - 2u));
-        let far_high = correlation_of(likelihood_of(pixel, min(middle + 2u, layer_count - 1u)));
+        // Where the range ends one layer away the parabola through the three others goes on.
+        var far_low = 3.0 * (low - here) + high;
+        var far_high = 3.0 * (high - here) + low;
+        if (middle > 1u) { far_low = correlation_of(likelihood_of(pixel, middle - 2u)); }
+        if (middle < layer_count - 2u) { far_high = correlation_of(likelihood_of(pixel, middle + 2u)); }
         let bend = max((2.0 * here + low + high - 2.0 * (far_low + far_high)) / 7.0, 0.0);
         let rise = (2.0 * (far_high - far_low) + high - low) / 5.0;
         offset = clamp(rise / (2.0 * bend + 1.0e-9), -farthest_of_five, farthest_of_five);

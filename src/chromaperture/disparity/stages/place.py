@@ -39,7 +39,8 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
     Of two views the parabola goes through three layers, and the information counts to the power of 1.25: noise draws
     the places of weak texture to the layer and leaves only its coarse part, so that clear texture knows more than its
     information tells. Of three views it goes through five, by least squares, and rho is that at the layer: flat boards
-    are drawn less to the layers so (docs/measurements.md, *Clear texture*, *Channels where the lens moves them*).
+    are drawn less to the layers so (docs/measurements.md, *Clear texture*, *Channels where the lens moves them*). Where
+    the range ends one layer away, the fifth is that of the parabola through the three others.
 
     Parameters
     ----------
@@ -65,6 +66,8 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
     else:
         around = (winner.far_before, winner.before, winner.at, winner.after, winner.far_after)
         far_low, low, middle, high, far_high = (1 - np.exp(-part) for part in around)
+        far_low = np.where(inside == 1, 3 * (low - middle) + high, far_low)
+        far_high = np.where(inside == layer_count - 2, 3 * (high - middle) + low, far_high)
         bend = np.maximum((2 * middle + low + high - 2 * (far_low + far_high)) / 7, 0)
         rise = (2 * (far_high - far_low) + high - low) / 5
         offset = np.clip(rise / (2 * bend + 1e-9), -FARTHEST_OF_FIVE, FARTHEST_OF_FIVE)
