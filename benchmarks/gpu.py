@@ -89,6 +89,11 @@ def operations(dispatch: Dispatch) -> float:
         "windows_y": lambda: (8 * ahead + 8 * back) * invocations,
         "products_x": lambda: 4 * pairs * (3 * ahead + 5 * back) * invocations,
         "correlation": lambda: 4 * (pairs * (5 * ahead + 5 * back) + (8 * pairs + 6) * c["block"]) * invocations,
+        "products_of_lines": lambda: 4 * pairs * 8 * (c["width"] + c["pad_x"]) * invocations,
+        "correlation_of_lines": lambda: 16 * (18 * pairs + 6) * (c["height"] + c["pad_y"]) * invocations,
+        # Every sample is joined three times, once of them in the walk to the end.
+        "layers_x": lambda: 4 * (3 * 6 * c["moment_count"] + 2 * 7 * views) * c["each"] * c["blocks"] * invocations,
+        "layers_y": lambda: 4 * (3 * 8 * c["moment_count"] + 8) * c["each"] * c["blocks"] * invocations,
         # Sums of a row of two cells (three views are sampled there, 7 px by four taps), and the scores of both.
         "cell_scores": lambda: (
             ((2 * c["cells_each"] + 3) * (102 if views == 2 else 192 + 168) + 2 * c["cells_each"] * 60 * pairs)
@@ -119,6 +124,11 @@ def steps(dispatch: Dispatch) -> float:
         return 3 * math.ceil((c["width"] if c["along_x"] else c["height"]) / 32) + 2 * 31
     if dispatch.stage == "smoothing_of_lines":
         return 2.0 * (c["width"] if c["along_x"] else c["height"])
+    if dispatch.stage in ("products_of_lines", "correlation_of_lines"):
+        along_x = dispatch.stage == "products_of_lines"
+        return 2.0 * (c["width"] + 2 * c["pad_x"] if along_x else c["height"] + 2 * c["pad_y"])
+    if dispatch.stage in ("layers_x", "layers_y"):
+        return 3.0 * c["each"] * c["blocks"]
     return float(2 * c["block"] + 3 * c["reach"]) if "block" in c else 0.0  # there and back
 
 

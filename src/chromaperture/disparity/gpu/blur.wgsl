@@ -4,15 +4,18 @@
 
 @group(0) @binding(0) var<storage, read> before: array<f32>;  // (planes, h, w)
 @group(0) @binding(1) var<storage, read> unusable: array<u32>;  // (bands, w): 1 where a column of a band has one
-@group(0) @binding(2) var<storage, read> taps: array<vec4f>;  // of a pixel in the sums of four neighbours
-@group(0) @binding(3) var<storage, read> stats: array<f32>;
-@group(0) @binding(4) var<storage, read_write> after: array<f32>;  // (planes, h, w)
+@group(0) @binding(2) var<storage, read> stats: array<f32>;
+@group(0) @binding(3) var<storage, read_write> after: array<f32>;  // (planes, h, w)
 
 fn is_needed(x: u32, y: u32) -> bool {
     let band = y / band_height;  // a band is as high as the Gaussian reaches
     let above = unusable[max(band, 1u) * width - width + x];
     let below = unusable[min(band + 1u, band_count - 1u) * width + x];
     return (above | unusable[band * width + x] | below) != 0u;
+}
+
+fn pixel_at(base: u32, place: i32, length: u32, stride: u32) -> f32 {
+    return before[base + select(mirrored(place, length), inside(place, length), replicate) * stride];
 }
 
 @compute @workgroup_size(64)
@@ -38,12 +41,7 @@ fn main(
     }
     for (var plane = first_plane; plane < first_plane + plane_count; plane++) {
         let base = plane * width * height + start;
-        var sums = vec4f();
-        for (var j = 0u; j < 2u * reach + 4u; j++) {
-            let place = i32(first + j) - i32(reach);
-            let at = select(mirrored(place, length), inside(place, length), replicate);
-            sums += taps[j] * before[base + at * stride];
-        }
+        var sums = sums_of(base, i32(first) - i32(reach), length, stride);
         if (whole) { sums = stats[UNIT] * round(stats[UNIT + 1u] * sums); }
         for (var j = 0u; j < min(4u, length - first); j++) { after[base + (first + j) * stride] = sums[j]; }
     }

@@ -62,6 +62,6 @@ fn main(
             let at = starts[k] + clamp(rows[k] + y, vec4i(), vec4i(i32(tall) - 1i)) * row_pitch;
             gain[k] = vec4f(gains[at.x], gains[at.y], gains[at.z], gains[at.w]);
         }
-        keep(u32(y) * width + x, 4u * quad, scores_of(state, products(gain)));
+        keep(u32(y) * width + x, quad, scores_of(state, products(gain)));
     }
 }

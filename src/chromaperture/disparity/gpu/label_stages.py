@@ -99,7 +99,7 @@ def add_views_evidence(
     for i, (space, label_map) in enumerate(zip(source.spaces, source.label_maps, strict=True)):
         planes = add_views(chain, image, shape, space, source.views)
         score: Array | None = None
-        for volume, _ in add_correlation(
+        for volume, *_ in add_correlation(
             chain, planes, layers_px, space.directions, source.config.correlation, pitch=len(layers_px)
         ):
             score = volume

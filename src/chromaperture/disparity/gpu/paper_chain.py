@@ -54,15 +54,16 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
     links = add_links(chain, planes, best, even=even, edge_range=1.0, by_layer=False)
     kept = Kept("weighted", ("scores_weighted",), {"least_weight": MIN_WEIGHT}, more=1, together=4)
     directions = space.directions
-    for maps, chunk in add_correlation(
+    for maps, chunk, fours in add_correlation(
         chain, planes, layers_px, directions, config.correlation, chunked=True, kept=kept
     ):
-        pitch = kept.pitch_of(chunk.size)
+        pitch = kept.pitch_of(chunk.size, fours)
         add_recursions(
             chain, planes, maps, links, map_count=chunk.size + 1, gain=1 - even, own=0.0, pitch=pitch
         )  # fmt: skip
         chain.add(
-            "running_winner", [maps, best], groups=groups_for(planes.pixels), uses=SHARED,
+            "running_winner", [maps, best], groups=groups_for(planes.pixels),
+            uses=SHARED, phases=fours.phases, per_phase=fours.per_phase,
             pixels=planes.pixels, pitch=pitch, layer_count=chunk.size, first_layer=chunk.first,
         )  # fmt: skip
     samples = effective_samples(config.correlation.window_decay)
@@ -74,7 +75,12 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
         samples=float(samples), sigma_scale=config.sigma_scale, range_sigma_px=sigma_of_range(layers_px),
         max_sigma_px=MAX_SIGMA_PX,
     )  # fmt: skip
-    of_square: dict[str, Any] = {"width": size[1], "height": size[0], "reach": EDGE_REACH_PX}
+    of_square: dict[str, Any] = {
+        "width": size[1],
+        "height": size[0],
+        "reach": EDGE_REACH_PX,
+        "side": 2 * EDGE_REACH_PX + 1,
+    }
     chain.add("peak_range_x", [peaks, ranges], groups=groups_for(planes.pixels), uses=SHARED, **of_square)
     outputs = [chain.array(name, planes.pixels) for name in ("disparity", "sigma", "confidence")]
     chain.add(

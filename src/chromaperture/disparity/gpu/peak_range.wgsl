@@ -18,8 +18,8 @@ fn main(
     let y = i32(i / width);
     var low = 1.0e30;
     var high = -1.0e30;
-    for (var at = inside(y - i32(reach), height); at <= inside(y + i32(reach), height); at++) {
-        let here = ranges[at * width + x];
+    for (var n = 0u; n < side; n++) {  // unrolled
+        let here = ranges[inside(y + i32(n) - i32(reach), height) * width + x];
         low = min(low, here.x);
         high = max(high, here.y);
     }

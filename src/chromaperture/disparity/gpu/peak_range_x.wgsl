@@ -14,12 +14,10 @@ fn main(
     let first = i - i % width;
     var low = 1.0e30;
     var high = -1.0e30;
-    for (var at = inside(x - i32(reach), width); at <= inside(x + i32(reach), width); at++) {
-        let here = peaks[first + at];
-        if (is_known(here)) {
-            low = min(low, here);
-            high = max(high, here);
-        }
+    for (var n = 0u; n < side; n++) {  // unrolled
+        let here = peaks[first + inside(x + i32(n) - i32(reach), width)];
+        low = min(low, here);
+        high = max(high, select(-1.0e30, here, is_known(here)));  // unknown is larger than all that is known
     }
     ranges[i] = vec2f(low, high);
 }

@@ -40,6 +40,7 @@ from chromaperture.disparity.stages.place import (
 from chromaperture.disparity.views import ViewSpace
 
 LABELLED = (*SHARED, "half_labels")  # functions of the stages that follow equal depth
+_AT_ONCE = 8  # samples of a line: `each` of ``smoothing_of_lines.wgsl``
 _LANES = 4  # invocations that share a path
 
 
@@ -76,7 +77,7 @@ def add_real_time(
     frame: dict[str, Any] = {"width": planes.width, "height": planes.height}
     at_once = cell_px == 1 and label_map.is_identity and len(labels_px) == len(layers_px)
     if cell_px == 1:
-        kept = Kept("likelihood", ("nats", "scores_nats"), LIKELIHOOD)
+        kept = Kept("likelihood", ("nats", "scores_nats"), LIKELIHOOD, any_order=False)
         correlated = add_correlation(
             chain, planes, layers_px, space.directions, config.correlation,
             pitch=pitch if at_once else len(layers_px), kept=kept if at_once else None,
@@ -201,19 +202,33 @@ def add_recursions(
     ``pitch`` is the distance of two pixels' maps where it is not their number.
     """
     pitch = pitch or map_count
+    frame: dict[str, Any] = {"width": planes.width, "height": planes.height, "gain": gain, "own": own}
+    if chain.device.info.is_software:
+        _add_recursions_of_lines(chain, planes, maps, links, pitch=pitch, **frame)
+        return maps
     between = chain.arrays.get(f"{maps.name}_x") or chain.array(f"{maps.name}_x", maps.size)
-    together = 4 if pitch % 4 == 0 else 2 if pitch % 2 == 0 else 1
-    sets = {4: "maps_by_four", 2: "maps_by_two", 1: "maps_single"}[together]
     for along_x, source, target in ((True, maps, between), (False, between, maps)):
         lines = planes.height if along_x else planes.width
-        constants: dict[str, Any] = dict(width=planes.width, height=planes.height, along_x=along_x, gain=gain, own=own)
-        if chain.device.info.is_software:
-            constants |= dict(groups=groups_for(lines * pitch // together), map_count=pitch, together=together)
-            chain.add("smoothing_of_lines", [source, links, target], uses=(*SHARED, sets), **constants)
-        else:
-            constants |= dict(groups=groups_for(lines * map_count, 8), map_count=map_count, pitch=pitch)
-            chain.add("smoothing", [source, links, target], uses=SHARED, **constants)
+        chain.add(
+            "smoothing", [source, links, target], groups=groups_for(lines * map_count, 8), uses=SHARED,
+            along_x=along_x, map_count=map_count, pitch=pitch, **frame,
+        )  # fmt: skip
     return maps
+
+
+def _add_recursions_of_lines(
+    chain: Chain, planes: Planes, maps: Array, links: Array, *, pitch: int, **frame: Any
+) -> None:
+    together = 4 if pitch % 4 == 0 else 2 if pitch % 2 == 0 else 1
+    sets = {4: "maps_by_four", 2: "maps_by_two", 1: "maps_single"}[together]
+    lines = {True: planes.height, False: planes.width}  # along x, along y
+    blocks = max(lines[along_x] * -(-lines[not along_x] // _AT_ONCE) for along_x in lines)
+    incoming = chain.arrays.get(f"{maps.name}_in") or chain.array(f"{maps.name}_in", blocks * pitch)
+    for along_x, count in lines.items():
+        chain.add(
+            "smoothing_of_lines", [maps, links, incoming], groups=groups_for(count * pitch // together),
+            uses=(*SHARED, sets), along_x=along_x, map_count=pitch, together=together, **frame,
+        )  # fmt: skip
 
 
 def add_two_views(chain: Chain, image: Array, size: tuple[int, int], rows: np.ndarray) -> tuple[Array, dict[str, Any]]:

@@ -7,7 +7,7 @@
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     var own = Sums();
     for (var i = group.x * 256u + local; i < pixels; i += part_count * 256u) {
-        for (var k = 0u; k < view_count; k++) {
+        for (var k = 0u; k < view_count; k++) {  // unrolled
             let value = planes[k * pixels + i];
             own.values[k] += value;
             own.squares[k] += value * value;

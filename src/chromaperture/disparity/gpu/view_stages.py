@@ -27,6 +27,8 @@ from chromaperture.stage_config import ViewsConfig
 
 SHARED = ("indexing", "shared")
 _PARTS = 256  # most workgroups that sum a picture up; one workgroup sums their sums
+_MOST_CONSTANTS = 24  # pixels of a Gaussian whose weights the shader names; more would be long to compile
+_SOFTWARE_PARTS = 16  # there the barriers of a workgroup take as long as to read 3000 pixels
 _STATS = 16  # numbers of `shared.wgsl`'s `stats`
 _USABLE_AT, _VARIANCE_AT = 4, 8
 GUIDE_SCALE = 12  # place of the unit of the matched guide; that of the full one follows
@@ -125,8 +127,12 @@ def check_stats(stats: np.ndarray, view_count: int) -> None:
         raise constant_view()
 
 
+def _parts(chain: Chain, pixels: int) -> int:
+    return min(_SOFTWARE_PARTS if chain.device.info.is_software else _PARTS, -(-pixels // 256))
+
+
 def _add_light(chain: Chain, image: Array, pixels: int, space: ViewSpace) -> Array:
-    parts = min(_PARTS, -(-pixels // 256))
+    parts = _parts(chain, pixels)
     stats, sums = chain.array("stats", _STATS), chain.array("light_parts", 4 * parts)
     numbers: dict[str, Any] = {"pixels": pixels, "part_count": parts, "saturation": SATURATION}
     chain.add("light", [image, sums], groups=(parts,), uses=(*SHARED, "light_reduction"), **numbers)
@@ -167,7 +173,7 @@ def _add_smoothing(
     _add_blur(chain, views or raw, planes, taps, first=0, count=count, whole=whole)
     taps = _smoothing_taps(GUIDE_SIGMA_PX)
     _add_blur(chain, raw, planes, taps, first=count, count=1)
-    parts = min(_PARTS, -(-planes.pixels // 256))
+    parts = _parts(chain, planes.pixels)
     sums = chain.array("variance_parts", 6 * parts)
     numbers: dict[str, Any] = {"pixels": planes.pixels, "part_count": parts, "view_count": count}
     chain.add("variance", [planes.planes, sums], groups=(parts,), uses=(*SHARED, "variance_reduction"), **numbers)
@@ -227,16 +233,20 @@ def _add_pass(
     sparse: tuple[Array, dict[str, Any]] | None = None,
 ) -> None:
     """Add one direction of a Gaussian; its border is that of the CPU's."""
-    name = f"taps{len(taps)}_{first}"
-    weights = chain.arrays.get(name) or chain.constant(name, _shifted(taps))
     nowhere = chain.arrays.get("no_unusable") or chain.array("no_unusable", 1, np.uint32)
     along, across = (planes.width, planes.height) if along_x else (planes.height, planes.width)
     unusable, bands = sparse or (nowhere, {"band_height": 1, "band_count": 1})
+    arrays, uses, weights = [source, unusable, planes.stats, target], (*SHARED, "blur_short"), _shifted(taps)
+    constants: dict[str, Any] = {"taps": weights.ravel()}
+    if len(weights) > _MOST_CONSTANTS:
+        name = f"taps{len(taps)}_{first}"
+        arrays.append(chain.arrays.get(name) or chain.constant(name, weights))
+        uses, constants = (*SHARED, "blur_long"), {}
     chain.add(
-        "blur", [source, unusable, weights, planes.stats, target],
-        groups=groups_for(-(-along // 4) * across), uses=SHARED,
+        "blur", arrays, groups=groups_for(-(-along // 4) * across), uses=uses,
         width=planes.width, height=planes.height, first_plane=first, plane_count=count, along_x=along_x,
         replicate=sparse is None, sparse=sparse is not None, whole=whole, **bands, reach=len(taps) // 2,
+        span=len(weights), **constants,
     )  # fmt: skip
 
 
