@@ -24,12 +24,14 @@ from gpu import count, counting_device
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_matching import default_config
-from chromaperture.disparity.gpu.accurate_chain import AccurateChain
+from chromaperture.disparity.gpu.accurate_chain import AccurateChain, PlanesFound
 from chromaperture.disparity.gpu.device import Chain, Device, Dispatch, open_device
+from chromaperture.disparity.planar import Planes
 from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.products.samples import open_sample
 
 LEAST_AGREEING, DEPTH_TOLERANCE = 0.995, 1e-3
+PLANES = 4, 8  # down and across
 
 
 def operations(dispatch: Dispatch) -> float:
@@ -87,7 +89,19 @@ def operations(dispatch: Dispatch) -> float:
         "volume_posterior": lambda: 10.0 * entries,
         "surface_sigma": lambda: 4.0 * pixels,
         "block_sums": lambda: 1.0 * entries,
-        "planes_taken": lambda: 1.0 * pixels,
+        "agreed_planes": lambda: (7.0 * c["trials"] + 30 * c["fits"]) * c["rounds"] * c["point_count"],
+        # a sixth of the points of all tiles, three trials in each of some four steps
+        "plane_refining": lambda: 500.0 * 12 * dispatch.arrays[1].size / 6,
+        "plane_costs": lambda: 8.0 * pixels * dispatch.arrays[1].size / 4,
+        "potts_lines": lambda: 8.0 * dispatch.arrays[0].size,
+        # 54 x 54 numbers composed, and eliminated with 16 lines
+        "line_costs": lambda: dispatch.groups[0] * dispatch.groups[1] * (54 * 54 / 2 * 60 + 54**3 / 3 + 54**2 * 16),
+        "edge_possible": lambda: 12.0 * (2 * c["around"] + 1) ** 2 * pixels,
+        "planes_taken": lambda: 12.0 * pixels * (2 * c["reach"] + 1) ** 2 / 8,  # beside other planes only
+        "step_distance": lambda: 4.0 * taps() * pixels,
+        "beside_steps": lambda: 4.0 * taps() * pixels,
+        "plane_sums": lambda: 2.0 * pixels * dispatch.groups[0],
+        "learned_bar": lambda: 90.0 * pixels,
         "range_line": lambda: 2 * taps() * pixels,
         "surface_results": lambda: 6.0 * pixels,
     }
@@ -103,14 +117,25 @@ def counted(chains: dict[str, Chain], *, bandwidth: float, rate: float) -> dict[
     return found
 
 
-def composed(camera: CodedApertureCamera, device: Device) -> tuple[AccurateChain, dict[str, Chain]]:
+def composed(camera: CodedApertureCamera, image: np.ndarray, device: Device) -> tuple[AccurateChain, dict[str, Chain]]:
+    """Compose the chains of one photograph as if `PLANES` planes were left in the end, in rectangles near and far."""
     method = camera.method.method if isinstance(camera.method, ScaledMethod) else camera.method
     sensor = camera.calibration.sensor
     shape = sensor.height_px, sensor.width_px
     if isinstance(camera.method, ScaledMethod):
         shape = camera.method.size_px[::-1]
     chain = AccurateChain(method, device, shape)
-    return chain, {"first": chain.first, "last": chain.last[chain.uses_planes]}
+    if chain.chooser is None:
+        return chain, {"first": chain.first, "last": chain._last_chain(None, None)}
+    prepared = chain._prepared(cv2.resize(image, shape[::-1], interpolation=cv2.INTER_AREA), np.zeros(shape))
+    y, x = (np.arange(n) * part // n for n, part in zip(shape, PLANES, strict=True))
+    choice = y[:, None] * PLANES[1] + x
+    planes = np.zeros((math.prod(PLANES), 3))
+    near = np.indices(PLANES).sum(axis=0).ravel() % 2
+    planes[:, 2] = chain.labels_px[len(chain.labels_px) // 4 * (1 + near)]
+    last = chain._last_chain(PlanesFound(Planes(planes, choice), None, chain.chooser.choice), prepared)
+    again = {f"choice {i + 2}": chain.chooser.chain for i in range(chain.method.config.planes.rounds - 1)}
+    return chain, {"first": chain.first, **again, "last": last}
 
 
 def timed(camera: CodedApertureCamera, image: np.ndarray, device: str) -> dict[str, Any]:
@@ -151,7 +176,7 @@ def main() -> None:
     if arguments.scale:
         config = default_config(camera.calibration, "accurate", scale=arguments.scale)
         camera = CodedApertureCamera(camera.calibration, config)
-    chain, chains = composed(camera, counting_device())
+    chain, chains = composed(camera, image, counting_device())
     stages = counted(chains, bandwidth=1e9 * arguments.bandwidth, rate=1e12 * arguments.rate)
     largest = max((array for part in chains.values() for array in part.arrays.values()), key=lambda a: a.size)
     result: dict[str, Any] = {
@@ -160,14 +185,15 @@ def main() -> None:
         "layers_computed": len(chain.plan.computed_px), "tiles": len(chain.plan.nodes.places),
         "tile_samples": chain.plan.nodes.size, "pairs": len(chain.plan.source.all_pairs),
         "planes": chain.uses_planes, "dispatches": sum(len(part.dispatches) for part in chains.values()),
-        "device_mbytes": round(sum(part.device_bytes for part in chains.values()) / 1e6),
+        "device_mbytes": round(sum(part.device_bytes for part in {*chains.values()}) / 1e6),
         "largest_array": f"{largest.name}: {4 * largest.size / 1e6:.0f} MB",
         "mbytes_up": round(20 * chain.grid.pixels / 1e6, 1),
         "mbytes_down": round(16 * chain.grid.pixels / 1e6, 1),
     }  # fmt: skip
     if chain.blocks is not None:
-        result["mbytes_down_between"] = round(4 * (2 * chain.grid.pixels + chain.blocks.size) / 1e6, 1)
-        result["mbytes_up_between"] = round(4 * chain.grid.pixels / 1e6, 1)
+        result["mbytes_down_between"] = round(4 * chain.blocks.size / 1e6, 1)
+        constants = (array for array in chains["last"].arrays.values() if array.is_constant)
+        result["mbytes_up_between"] = round(4 * sum(array.size for array in constants) / 1e6, 1)
     if arguments.device:
         result |= timed(camera, image, arguments.device)
     if arguments.json:

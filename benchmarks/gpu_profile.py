@@ -75,14 +75,46 @@ STAGES = {
         ("cpu:posterior", "stages.paths:Posterior.sigma_px", "error_bar:local_range"),
     ),
     "planes": Stage(
-        ("block_sums", "plane_refining", "plane_costs", "potts_lines", "least_choice", "fill_zero", "planes_taken"),
-        ("planar:block_sums", "plane_fit:candidates", "cpu:plane_costs", "cpu:potts_beliefs"),
+        (
+            "block_sums", "agreed_planes", "plane_refining", "distinct_planes", "plane_costs", "potts_lines",
+            "least_choice", "fill_zero",
+        ),
+        (
+            "planar:block_sums", "plane_fit:proposals", "plane_fit:distinct_of", "plane_fit:candidates",
+            "cpu:plane_costs", "cpu:potts_beliefs",
+        ),
+    ),
+    "edges": Stage(
+        (
+            "chosen_on_grid", "planes_meeting", "edge_inside", "edge_possible", "line_costs", "lines_heard",
+            "edge_free", "edges_taken",
+            "gaussian_line:shades_fine", "gaussian_line:shades_coarse", "shade_products",
+        ),
+        (
+            "plane_edges:placed_edges", "edge_likelihood:EdgeLikelihood.costs", "edge_likelihood:products_of_shades",
+        ),
+    ),
+    "planes or surface": Stage(
+        (
+            "planes_apart", "votes_line", "areas_start", "areas_joined", "areas_found", "area_sums", "spot_sums",
+            "apart_kept", "choice_tiles", "planes_taken",
+        ),
+        ("plane_agreement:where_they_agree",),
+    ),
+    "known pixels and error bar": Stage(
+        (
+            "plane_steps", "step_distance", "beside_steps", "plane_sums", "plane_signs", "answer_profile",
+            "gaussian_line:profile_pooled", "block_signs", "sums_of_blocks", "sharpness_of_blocks", "known_pixels",
+            "bar_maps", "gaussian_line:pooled", "gaussian_line:wide", "learned_bar",
+            "gaussian_line:bar", "judged_results",
+        ),
+        ("accurate:judged",),
     ),
     "planes, on the CPU in both": Stage(
         (),
         (
-            "plane_fit:proposals", "plane_fit:distinct_of", "plane_merging:merged_planes", "plane_edges:placed_edges",
-            "edge_likelihood:EdgeLikelihood.costs", "plane_agreement:where_they_agree", "accurate:judged",
+            "plane_merging:merged_planes", "plane_edges:border_lines", "edge_likelihood:EdgeLikelihood.groups",
+            "plane_edges:edge_links", "planar:links_of_blocks",
         ),
     ),
 }  # fmt: skip
@@ -148,7 +180,7 @@ def main() -> None:
     if close < LEAST_AGREEING:
         raise SystemExit(f"only {close:.2%} of the depths agree with the CPU: nothing is timed")
     on_cpu, on_device = Clock(), Clock()
-    run = Chain.run
+    start = Chain.start
 
     def one_by_one(self: Chain, inputs: Any, outputs: Any) -> Any:
         for name, values in inputs.items():
@@ -157,15 +189,15 @@ def main() -> None:
 
         def alone(dispatch: Dispatch) -> None:
             self.dispatches[:] = [dispatch]
-            self.start({}, [])
+            start(self, {}, [])
             self.device.handle.queue.read_buffer(dispatch.arrays[-1].buffer, 0, 16)  # waits
 
         for dispatch in whole:
             on_device.timed(named(dispatch), functools.partial(alone, dispatch))
         self.dispatches.clear()
-        found = run(self, {}, outputs)
+        ticket = start(self, {}, outputs)
         self.dispatches[:] = whole
-        return found
+        return ticket
 
     with limited_threads(1):
         cv2.setNumThreads(1)
@@ -181,7 +213,7 @@ def main() -> None:
         camera.method.match(image)
         numba_ms = dict(on_cpu.taken_ms)
         on_cpu.taken_ms.clear()
-        Chain.run = one_by_one  # type: ignore[method-assign]
+        Chain.start = one_by_one  # type: ignore[method-assign]
         chain.match(image)
     print(f"{arguments.sample} {arguments.size}, {chain.device.info.name}, agreeing {close:.4f}")
     print(f"whole: device {1e3 * whole_device:.0f} ms, Numba {1e3 * whole_cpu:.0f} ms, {whole_device / whole_cpu:.1f}")

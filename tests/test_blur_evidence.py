@@ -168,8 +168,9 @@ def test_a_plane_is_flat_through_a_lens_of_curved_focus(design, rng):
     config = AccurateConfig.for_blur(blur.reach).evidence
     volume = likelihood((0.5 + image).astype(np.float32), blur, layers, config=config)
     found = [best_layer(volume[:, i : i + 7], layers) for i in range(0, width // SPACING_PX, 7)]
-    # In px of blur; 0.02 is what is found. Filters that do not mix leave up to 0.25 at the tiles' seams.
-    assert np.abs(np.array(found) - true).max() < 0.03 * blur.reach
+    # In px of blur; 0.032 is what is found, 0.02 if detail from elsewhere counts in full. Filters that do not mix leave
+    # up to 0.25 at the tiles' seams.
+    assert np.abs(np.array(found) - true).max() < 0.04 * blur.reach
 
 
 def test_a_whole_measurement_with_a_saturated_patch_and_a_dead_pixel(rng):

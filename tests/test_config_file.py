@@ -23,6 +23,7 @@ CONFIGS = {
 OTHER_SPACE = {"unmixed": "pure", "pure": "unmixed", "both": "pure", "channels": "pure"}
 OTHER_SAMPLING = {"catmull-rom": "b-spline", "b-spline": "catmull-rom"}
 OTHER_VALUES = {  # where nine tenths of the value would not be valid
+    "allowed_growth": 2.5,
     "paths": 4,
     "bands_px": ((0.5, 1.5), (1.5, 3.0)),
     "gain": 2.0,

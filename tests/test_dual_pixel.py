@@ -4,16 +4,17 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.camera_matching import sensor_noise
+from chromaperture.camera_matching import default_config, sensor_noise
 from chromaperture.config import AccurateConfig
 from chromaperture.depth.field import DepthField
-from chromaperture.evaluation import dual_pixel_session
+from chromaperture.evaluation import dual_pixel_camera, dual_pixel_session
 from chromaperture.evaluation.dual_pixel_camera import FOCUS_SIGMA, uncalibrated, with_focus_error
 from chromaperture.evaluation.dual_pixel_noise import camera_for, noise_scale
 from chromaperture.optics.half_pixels import HalfPixels
 from chromaperture.optics.prescription import load_lens
 
 SHAPE = (256, 384)
+SHIFTS_PX = dual_pixel_camera._SHIFTS_PX  # private: the test is of the settings that go with them
 
 
 def photograph(rng, camera, *, times, shared):
@@ -45,7 +46,30 @@ def test_settings_without_blur_are_those_of_the_calibration(rng):
     eye = camera_for(photograph(rng, camera, times=4.0, shared=0.5), camera, "accurate")
     assert isinstance(eye.config.matcher, AccurateConfig)
     assert not eye.config.matcher.uses_blur
+    assert eye.config.matcher.planes.rounds == 0
     assert eye.calibration.sensor == camera.sensor
+
+
+@pytest.mark.parametrize("quality", ["accurate", "real-time"])
+def test_flat_boards_are_read_without_planes(quality, monkeypatch):
+    """Planes replace a field that bends over the frame by a few flat pieces, and the curves would follow those."""
+    used = []
+
+    class Read(Exception):
+        """The camera was made; measuring is of no interest here."""
+
+    def camera(calibration, config):
+        used.append(config.matcher)
+        raise Read
+
+    monkeypatch.setattr(dual_pixel_camera, "CodedApertureCamera", camera)
+    boards = {mm: np.full((*SHAPE, 3), 0.4, np.float32) for mm in (600.0, 1500.0)}
+    with pytest.raises(Read):
+        dual_pixel_camera.calibrated_by_boards(boards, quality)
+    if quality == "accurate":
+        assert used[0].planes.rounds == 0
+    else:  # has none to switch off, and stays as it is
+        assert used == [default_config(uncalibrated((*SHAPE, 3)), quality).matcher.with_range(*SHIFTS_PX)]
 
 
 def test_a_focus_that_is_set_anew_widens_the_error_bar_by_as_much():

@@ -88,7 +88,7 @@ def test_the_cost_is_that_of_a_gaussian_density(likelihood, rng):
         found = likelihood._texture(node, round(layer / edge_likelihood.LAYER_PX), True)
         textures[layer] = found
         at_infinity, scale = likelihood.blur.reference
-        size = found.cumulative.shape[1]
+        size = found.size
         y, x = (part / (edge_likelihood.NODES - 1) for part in divmod(node, edge_likelihood.NODES))
         transfer = likelihood.blur.transfer(x * (W - 1), y * (H - 1), (at_infinity - layer) / scale, size)
         fy, fx = scipy.fft.fftfreq(size)[:, None], scipy.fft.rfftfreq(size)[None]
@@ -101,14 +101,19 @@ def test_the_cost_is_that_of_a_gaussian_density(likelihood, rng):
             assert found.covariance[j, k, one, other] == pytest.approx(expected, rel=1e-4, abs=1e-5 * whole[0, 0])
     photograph = likelihood.photograph(image)
     samples, colours = photograph.samples(lines), photograph.colours
-    noise, mean = np.full(3, NOISE**2), float(samples.mean())
-    model = edge_likelihood._Model(textures[NEAR_PX], textures[FAR_PX], True, colours, noise, mean, stages)
+    mean = float(samples.mean())
     powers = 2.0**-12, 2.0**-10
-    given = samples[:4].reshape(4, -1)
-    costs = model._of_powers(given, *powers)
     level = (edge_likelihood._UNKNOWN_LEVEL * mean) ** 2 / np.trace(colours) * 3
+    likelihood.groups(photograph, lines, samples)  # keeps the textures
+    groups = edge_likelihood.Groups(
+        np.zeros(4, int), *([(node, round(z / edge_likelihood.LAYER_PX), True)] for z in (NEAR_PX, FAR_PX)),
+        np.array([True]), *(np.array([power]) for power in powers), np.array([level]), np.full((1, 3), NOISE**2),
+    )  # fmt: skip
+    given = samples[:4].reshape(4, -1)
+    covariances = likelihood.covariances(groups, 0, colours)
+    costs = stages.edge_costs(given, *covariances)
     for shift in (0, SHIFTS, SHIFTS + 3):
-        share = model._near_share[shift]
+        share = covariances[2][shift].reshape(3, -1)
         whole = np.zeros((3, 2 * HALF, 3, 2 * HALF))
         for j in range(3):
             for k in range(3):
@@ -116,7 +121,7 @@ def test_the_cost_is_that_of_a_gaussian_density(likelihood, rng):
                          for p, z in zip(powers, (NEAR_PX, FAR_PX), strict=True))  # fmt: skip
                 near, far = sides
                 whole[j, :, k] = np.outer(share[j], share[k]) * near + np.outer(1 - share[j], 1 - share[k]) * far
-            whole[j, :, j] += NOISE**2 * edge_likelihood._noise_covariance()
+            whole[j, :, j] += NOISE**2 * edge_likelihood.noise_covariance()
         density = scipy.stats.multivariate_normal(cov=whole.reshape(6 * HALF, 6 * HALF), allow_singular=True)
         constant = 6 * HALF / 2 * np.log(2 * np.pi)
         # Of some hundreds; 1e-9 of the trace was added to the diagonal.

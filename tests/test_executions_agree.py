@@ -634,6 +634,14 @@ def test_correlations_of_a_band_agree(seed, height, width, sigma):
     assert found.shape == expected.shape == (-(-height // 2), -(-width // 2))
     np.testing.assert_allclose(found, expected, atol=1e-5)  # float32: sums in another order
     assert np.abs(found).max() <= 1 + 1e-5
+    seen, powers = (run.band_powers(fine, coarse, sigma=sigma) for run in (FAST, SLOW))
+    np.testing.assert_allclose(seen, powers, rtol=1e-4, atol=1e-6)
+    # Four times the powers seen in focus, where twice is allowed: half of the correlation for each of both pictures.
+    less, slow = (
+        run.band_correlation(fine, coarse, sigma=sigma, seen=powers / 4, allowed_growth=2) for run in (FAST, SLOW)
+    )
+    np.testing.assert_allclose(less, slow, atol=1e-5)
+    np.testing.assert_allclose(less, found / 4, atol=1e-4)
     same = FAST.band_correlation(fine[..., :1].repeat(2, axis=2), coarse[..., :1].repeat(2, axis=2), sigma=sigma)
     np.testing.assert_allclose(same, 1, atol=1e-4)  # a picture agrees with itself; 1e-12 of its power is added
 

@@ -61,6 +61,22 @@ def test_the_depth_is_that_of_the_cpu(name, planes):
     np.testing.assert_array_equal(again.value_px, found.value_px)  # nothing is left of the last photograph
 
 
+@pytest.mark.parametrize("learned", [True, False])
+@pytest.mark.parametrize("band", [0, 8])
+def test_edges_and_error_bars_that_are_switched_off(learned, band):
+    camera, image = small("still_life_cy_halves", 120, 80)
+    matcher = camera.config.matcher
+    matcher = replace(
+        matcher, planes=replace(matcher.planes, edge_band_px=band),
+        surface=replace(matcher.surface, learned_error_bar=learned),
+    )  # fmt: skip
+    camera = CodedApertureCamera(camera.calibration, replace(camera.config, matcher=matcher))
+    expected, found = camera.method.match(image), AccurateOnDevice(camera.method, any_device()).match(image)
+    assert share_within(camera, found, expected, relative=1e-3) > 0.995
+    known = np.isfinite(expected.sigma_px) & np.isfinite(found.sigma_px)
+    assert (np.abs(found.sigma_px / expected.sigma_px - 1) < 0.01)[known].mean() > 0.99
+
+
 def test_a_picture_of_another_size_is_refused():
     camera, image = small("still_life_cy_halves", 60, 40)
     with pytest.raises(InputError, match="60 x 40"):

@@ -24,7 +24,12 @@ from chromaperture.disparity.gpu.refocus_stages import RefocusChain, inputs_of
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.effects.refocusing import Focus, refocus
 from devices import EXPECTED, needs_device
+from test_gpu_agreement import STEP, agreement
 from test_gpu_alignment import camera_of
+from test_gpu_edges import edges_of
+from test_gpu_judging import judging
+from test_gpu_planes import candidate_chain
+from test_gpu_surface import device_as
 from worlds import wavy_capture
 
 SHAPE = (60, 84)
@@ -132,6 +137,26 @@ def test_colours_and_depth_of_a_disparity_in_a_browser(scale, tmp_path, rng):
     assert (np.abs(color - expected["color"]) < 1e-4).mean() > 0.99  # places between pixels are rounded
     depth = in_browser(recorded(chain, inputs, "depth_mm"), tmp_path / "other")
     np.testing.assert_allclose(depth, expected["depth_mm"], rtol=1e-4)  # A - d in 32 bits
+
+
+@pytest.mark.parametrize("software", [True, False])
+def test_planes_of_accurate_in_a_browser(software, tmp_path, rng):
+    """Their edges, where they are taken, and their error bars: both forms of shaders that have two."""
+    device = device_as(software=software)
+    chain, name, expected, _ = edges_of(rng, device, lines=True)
+    choice = in_browser(recorded(chain, {}, name), tmp_path / "edges").view(np.uint32).reshape(expected.shape)
+    assert (choice == expected).mean() > 0.999
+    chain, given, _, expected = agreement(rng, device, (61, 78))
+    surface = in_browser(recorded(chain, given, "surface"), tmp_path / "surface").reshape(61, 78, 4)
+    assert (np.abs(STEP * surface[..., 0] - expected) < 1e-4).mean() > 0.999
+    chain, given, expected = judging(rng, device, (61, 78), 0.3)
+    bars = in_browser(recorded(chain, given, "judged"), tmp_path / "bars").reshape(61, 78, 4)
+    np.testing.assert_allclose(STEP * bars[..., 1], expected.sigma_px, rtol=1e-3)
+    chain = candidate_chain(rng, device, (96, 120))[0]
+    planes = chain.run({}, ["candidates"])["candidates"].reshape(-1, 4)
+    found = in_browser(recorded(chain, {}, "candidates"), tmp_path / "planes").reshape(-1, 4)
+    # Newton's method ends where a step gains little: a little earlier or later.
+    assert (np.abs(found - planes)[:, :3].max(axis=1) < 0.05).mean() > 0.9
 
 
 def test_a_refocused_picture_in_a_browser(tmp_path, rng):

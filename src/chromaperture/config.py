@@ -13,7 +13,7 @@ from typing import Literal, TypeVar, get_args
 import numpy as np
 
 from chromaperture.errors import InputError
-from chromaperture.spectral_config import SpectralConfig
+from chromaperture.spectral_config import LEAST_REACH_OF_PAIRS, SpectralConfig
 from chromaperture.stage_config import (
     BilateralConfig,
     CorrelationConfig,
@@ -36,6 +36,9 @@ ExecutionName = Literal["numba", "numpy"]
 # Of quality accurate over a camera's working range. A dual-pixel camera's 2.3 px (benchmarks/dual_pixel.py) in layers
 # of 0.25, 0.125 and 0.06 px: ratio below 1.25 of casual scenes .66, .70, .73.
 LEAST_LAYERS = 32
+# Of the power in a window, see `CrossFilterConfig`. docs/measurements.md (*Detail from elsewhere*) has 1, 1.5, 2 and 4,
+# and why only views that lie close together have it.
+ALLOWED_GROWTH = 2.0
 Method = TypeVar("Method", bound="MatcherConfig")
 
 
@@ -221,6 +224,8 @@ class AccurateConfig(MatcherConfig):
         )
         layers = LayersConfig(step_px=0.3 * reach)
         evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
+        if reach < LEAST_REACH_OF_PAIRS:
+            evidence = replace(evidence, allowed_growth=ALLOWED_GROWTH)
         return cls(layers=layers, evidence=evidence, surface=surface, spectral=SpectralConfig.for_blur(reach))
 
 

@@ -229,6 +229,8 @@ class CrossFilterConfig:
         Weight of the pairs of channels whose views lie closer together, where the widest pair finds nothing; it falls
         to 1/e where that pair's best layer earns ``fallback_nats``. They agree better on strongly coloured surfaces,
         but are less exact.
+    allowed_growth : float
+        Of a window's power, beyond which detail comes from elsewhere (``stages/band_correlation.py``); 0 is any.
     """
 
     bands_px: tuple[tuple[float, float], ...] = ((0.6, 1.4), (1.4, 3.2))
@@ -239,6 +241,7 @@ class CrossFilterConfig:
     fallback_weight: float = 0.5
     fallback_nats: float = 0.1
     own_detail: bool = False
+    allowed_growth: float = 0.0
 
     def __post_init__(self) -> None:
         one_each = bool(self.bands_px) and len(self.bands_px) == len(self.band_weights)
@@ -247,10 +250,9 @@ class CrossFilterConfig:
         ordered = ordered and all_finite(*self.band_weights, *(sigma for band in self.bands_px for sigma in band))
         require(ordered and min(self.band_weights) >= 0, "every band needs 0 < fine < coarse, weights must be >= 0")
         numbers = (self.window_sigma_px, self.damping, self.noise_margin, self.fallback_nats)
-        require(
-            all_finite(*numbers, self.fallback_weight) and min(numbers) > 0 and self.fallback_weight >= 0,
-            "window_sigma_px, damping, noise_margin and fallback_nats must be positive, fallback_weight >= 0",
-        )
+        require(all_finite(*numbers) and min(numbers) > 0, "the numbers of the evidence must be positive")
+        others = (self.fallback_weight, self.allowed_growth)
+        require(all_finite(*others) and min(others) >= 0, "fallback_weight and allowed_growth must be >= 0")
 
     @classmethod
     def for_blur(cls, reach: float, *, full_well_electrons: float | None = None) -> CrossFilterConfig:

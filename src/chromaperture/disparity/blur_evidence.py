@@ -9,6 +9,9 @@ and D = P - Q is the residual of maximum likelihood over the unknown sharp pictu
 correlation of P and Q in a window, in two octaves, is the evidence for a depth. Blur changes over the frame: H is
 computed at nodes on a grid (``stages/tiles.py``), and P and Q are interpolated between them.
 
+A wide blur also spreads detail over surroundings that have none: `stages.band_correlation` takes that off where the
+settings ask for it.
+
 Noise lowers the correlation, and more so at depths whose blur leaves fine detail: with noise, more blur always agrees
 better. Frequencies that hold only noise are therefore left out beforehand, at all depths alike.
 """
@@ -40,6 +43,7 @@ SPACING_PX = round(2 * SAMPLING_PX)  # of the evidence: windows of sigma 4 px le
 # Blur, px at the pupil's edge, up to which every layer is computed: half of them would move walls of sharp texture by
 # 0.013 px of half disparity (2.2 px of blur), of less sharp texture by 0.003 px (3.4 px).
 SHARP_PX = 4.0
+IN_FOCUS_PX = 0.0  # half disparity at which views are hardly blurred: they show whose detail it is
 _ROWS = 4  # whose correlations are explained at once: 5 MB at 720 columns stay in the cache; chosen by hand
 # Beyond the reach of both blurs, for the tails of damped filters. 10 px make tiles of 180 samples in place of 160
 # (720 px wide), and change no surface: docs/performance.md.
@@ -170,21 +174,28 @@ class BlurEvidence:
         at_infinity, scale = blur.reference
         shape = (len(self.all_pairs), len(self.config.bands_px), -(-height // SPACING_PX), -(-width // SPACING_PX))
         correlation, most = np.empty((len(layers_px), *shape), np.float32), layers_of or {}
+        every = tuple(range(len(self.all_pairs)))
 
         pairs_of = [
             tuple(i for i, pair in enumerate(self.all_pairs) if layer < most.get(pair, len(layers_px)))
             for layer in range(len(layers_px))
         ]
-        used = {pairs: self._used(tiles, pairs) for pairs in set(pairs_of)}
+        used = {pairs: self._used(tiles, pairs) for pairs in {*pairs_of, every}}
+
+        def views(layer_px: float, pairs: tuple[int, ...]) -> np.ndarray:
+            """P and Q of the frame; (pairs, H, W, 2)."""
+            canvas = nodes.canvas(len(pairs))
+            defocus = blur.defocus_px((at_infinity - layer_px) / scale)
+            self.run.cross_filter(*used[pairs], defocus, canvas, size_px=nodes.size_px, damping=self.config.damping)
+            return nodes.in_frame(canvas)
+
+        takes_off = self.config.allowed_growth > 0
+        seen = parallel_map(self._powers, views(IN_FOCUS_PX, every)) if takes_off else [[None] * shape[1]] * shape[0]
 
         def fill(layer: int) -> None:
-            canvas = nodes.canvas(len(pairs_of[layer]))
-            defocus = blur.defocus_px((at_infinity - layers_px[layer]) / scale)
-            self.run.cross_filter(
-                *used[pairs_of[layer]], defocus, canvas, size_px=nodes.size_px, damping=self.config.damping
-            )
-            for i, both in zip(pairs_of[layer], nodes.in_frame(canvas), strict=True):
-                self._correlate(both, correlation[layer, i])
+            pairs = pairs_of[layer]
+            for i, both in zip(pairs, views(layers_px[layer], pairs), strict=True):
+                self._correlate(both, seen[i], correlation[layer, i])
 
         parallel_map(fill, range(len(layers_px)))
         return np.moveaxis(correlation, 0, -1)
@@ -205,12 +216,20 @@ class BlurEvidence:
             tiles = [tile._replace(rays=tile.rays.of(used), spectra=tile.spectra[list(pairs)]) for tile in tiles]
         return tiles, channels.reshape(-1, 2)
 
-    def _correlate(self, both: np.ndarray, out: np.ndarray) -> None:
+    def _correlate(self, both: np.ndarray, seen: Sequence[np.ndarray | None], out: np.ndarray) -> None:
         """Correlate P and Q, (H, W, 2), in windows around every second sample, for every band; (bands, h, w)."""
-        height, width = out.shape[1:]
-        sigma = self.config.window_sigma_px / SAMPLING_PX
-        for band, (fine, coarse) in zip(out, _bands(both, self.config), strict=True):
-            band[:] = self.run.band_correlation(fine, coarse, sigma=sigma)[:height, :width]
+        (height, width), growth = out.shape[1:], self.config.allowed_growth
+        for band, views, own in zip(out, _bands(both, self.config), seen, strict=True):
+            correlation = self.run.band_correlation(*views, sigma=self._window, seen=own, allowed_growth=growth)
+            band[:] = correlation[:height, :width]
+
+    def _powers(self, both: np.ndarray) -> list[np.ndarray]:
+        """Powers of P and Q, (H, W, 2), in the windows of every band."""
+        return [self.run.band_powers(*views, sigma=self._window) for views in _bands(both, self.config)]
+
+    @property
+    def _window(self) -> float:
+        return self.config.window_sigma_px / SAMPLING_PX  # samples
 
 
 def with_midpoints(volume: np.ndarray) -> np.ndarray:

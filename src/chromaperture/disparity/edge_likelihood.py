@@ -50,6 +50,7 @@ SOFTEST = 0.01  # cycles a px, at which the spectrum levels off
 OWN_COLOUR = 0.03  # share of a channel's texture that no other channel has; 0.01 does as well
 # Sigmas of the Gaussians whose difference tells the covariance of colours: wider than most blur. Chosen by hand.
 SHADES_PX = (6.0, 20.0)
+SHADES_EVERY = 4  # pixels along either axis: less than the finer one's sigma
 LEAST_TEXTURE = 0.05  # of the noise, where an end of a line holds only noise
 _UNKNOWN_LEVEL = 0.3  # standard deviation of a surface's mean light, over the mean light of its line; chosen by hand
 
@@ -77,11 +78,53 @@ class Lines(NamedTuple):
     near_first: np.ndarray
 
 
-class _Texture(NamedTuple):
-    """A texture at one depth along rows or columns: covariances (3, 3, 2 HALF, 2 HALF), and line spread sums (3, S)."""
+class Texture(NamedTuple):
+    """A texture of unit power at one depth, along rows or columns.
+
+    Attributes
+    ----------
+    covariance : (3, 3, 2 HALF, 2 HALF) float64
+        Of channels and samples; it depends on the distance of two samples alone.
+    before : (2 SHIFTS + 1, 3, 2 HALF) float64
+        Share of a half plane's light in every sample, for every place of its end, of one at the lower coordinates.
+    energy : (3,) float64
+        Sum of the variances about their mean of the `OUTER` samples at an end.
+    size : int
+        Pixels of the transforms.
+    """
 
     covariance: np.ndarray
-    cumulative: np.ndarray
+    before: np.ndarray
+    energy: np.ndarray
+    size: int
+
+
+TextureKey = tuple[int, int, bool]  # node of the blur, layer, whether along rows
+
+
+class Groups(NamedTuple):
+    """Lines that share their covariances, G groups.
+
+    Attributes
+    ----------
+    of_line : (P,) int
+    near, far : list of TextureKey
+    near_first : (G,) bool
+    near_power, far_power : (G,) float
+        Of the textures.
+    level : (G,) float
+        Variance of a surface's mean light.
+    noise : (G, 3) float
+    """
+
+    of_line: np.ndarray
+    near: list[TextureKey]
+    far: list[TextureKey]
+    near_first: np.ndarray
+    near_power: np.ndarray
+    far_power: np.ndarray
+    level: np.ndarray
+    noise: np.ndarray
 
 
 class Photograph:
@@ -89,6 +132,7 @@ class Photograph:
 
     def __init__(self, image: np.ndarray, noise: NoiseModel) -> None:
         self._image, self._noise = image, noise
+        self.shade_products: np.ndarray | None = None  # as `products_of_shades`, where a device has computed them
 
     def samples(self, lines: Lines) -> np.ndarray:
         """Sample lines; (P, 3, 2 HALF) float64."""
@@ -103,10 +147,16 @@ class Photograph:
         """Return the variance of noise at lines; (P, 3)."""
         return self._noise_variance[lines.y, lines.x]
 
+    def prepare(self) -> None:
+        """Compute now what lines are read of, and not when it is asked for."""
+        for part in (self._smooth, self._noise_variance):
+            del part
+
     @cached_property
     def colours(self) -> np.ndarray:
         """Covariance of the channels' texture, of unit mean variance; (3, 3)."""
-        return _covariance_of_colours(self._known)
+        products = self.shade_products
+        return _covariance_of_colours(products_of_shades(self._known) if products is None else products)
 
     @cached_property
     def _known(self) -> np.ndarray:
@@ -138,10 +188,8 @@ class EdgeLikelihood:
     label_map: LabelMap
     noise: NoiseModel
     run: Execution
-    # Of a node, a layer and a direction, 23 kB each: kept for the next photograph.
-    _textures: dict[tuple[int, int, bool], _Texture] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )
+    # Of a node, a layer and a direction, 30 kB each: kept for the next photograph.
+    _textures: dict[TextureKey, Texture] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def photograph(self, image: np.ndarray) -> Photograph:
         """Return an image (H, W, 3), linear RGB, as `costs` needs it."""
@@ -162,30 +210,77 @@ class EdgeLikelihood:
             Of an edge that lies ``i - SHIFTS`` grid points beyond the border.
         """
         samples = photograph.samples(lines)
-        mean, noise = samples.mean(axis=(1, 2)), photograph.noise_at(lines)
-        nodes, near, far = self._depths(lines)
-        sides = zip(nodes * 2, near + far, strict=True)
-        missing = sorted({(*side, lines.along_rows) for side in sides} - self._textures.keys())
-        found = parallel_map(lambda key: self._texture(*key), missing)
-        self._textures.update(zip(missing, found, strict=True))
+        groups = self.groups(photograph, lines, samples)
         out = np.empty((len(samples), 2 * SHIFTS + 1))
-        groups: dict[tuple[int, int, int, bool], list[int]] = {}
-        for i, key in enumerate(zip(nodes, near, far, lines.near_first.tolist(), strict=True)):
-            groups.setdefault(key, []).append(i)
+        order = np.argsort(groups.of_line, kind="stable")
+        ends = np.cumsum(np.bincount(groups.of_line, minlength=len(groups.near)))
 
-        def of_group(key: tuple[int, int, int, bool]) -> None:
-            node, near, far, near_first = key
-            members = np.array(groups[key])
-            model = _Model(
-                self._textures[node, near, lines.along_rows], self._textures[node, far, lines.along_rows], near_first,
-                photograph.colours, noise[members].mean(axis=0), float(mean[members].mean()), self.run,
-            )  # fmt: skip
-            out[members] = model.costs(samples[members])
+        def of_group(i: int) -> None:
+            members = order[ends[i - 1] if i else 0 : ends[i]]
+            near, far, share, noise = self.covariances(groups, i, photograph.colours)
+            out[members] = self.run.edge_costs(samples[members].reshape(-1, 6 * HALF), near, far, share, noise)
 
-        parallel_map(of_group, sorted(groups))
+        parallel_map(of_group, range(len(groups.near)))
         return out - out.min(axis=1, keepdims=True)
 
-    def _depths(self, lines: Lines) -> tuple[list[int], list[int], list[int]]:
+    def groups(self, photograph: Photograph, lines: Lines, samples: np.ndarray) -> Groups:
+        """Find the lines that share their covariances.
+
+        Parameters
+        ----------
+        photograph : Photograph
+        lines : Lines
+        samples : (P, 3, 2 HALF) float
+            As `Photograph.samples`.
+        """
+        nodes, near, far = self._depths(lines)
+        sides, member = _distinct(np.stack([nodes, near, far, lines.near_first], axis=1))
+        count = np.bincount(member)
+        mean_light = np.bincount(member, samples.mean(axis=(1, 2))) / count
+        noise_at = photograph.noise_at(lines)
+        noise = np.stack([np.bincount(member, noise_at[:, k]) / count for k in range(3)], axis=1)
+        near_keys, far_keys = (
+            [(node, layer, lines.along_rows) for node, layer in sides[:, [0, column]].tolist()] for column in (1, 2)
+        )
+        missing = sorted({*near_keys, *far_keys} - self._textures.keys())
+        found = parallel_map(lambda key: self._texture(*key), missing)
+        self._textures.update(zip(missing, found, strict=True))
+        ends = np.stack([_energy(samples[..., :OUTER]), _energy(samples[..., -OUTER:])], axis=1)  # first and last
+        of_noise = noise.sum(axis=1) * np.trace(_centred() @ noise_covariance()[:OUTER, :OUTER] @ _centred())
+        octaves = []
+        for keys, at_end in ((near_keys, ~lines.near_first), (far_keys, lines.near_first)):
+            of_unit = np.array([np.diag(photograph.colours) @ self._textures[key].energy for key in keys])
+            energy = np.take_along_axis(ends, at_end[:, None].astype(np.intp), axis=1)[:, 0]
+            least = LEAST_TEXTURE * of_noise + np.finfo(np.float32).tiny
+            power = np.maximum(energy - of_noise[member], least[member]) / of_unit[member]
+            octaves.append(AMPLITUDE_OCTAVES * np.rint(np.log2(power) / AMPLITUDE_OCTAVES))
+        kinds, of_line = _distinct(np.stack([member, *octaves], axis=1))
+        side = kinds[:, 0].astype(np.intp)
+        level = (_UNKNOWN_LEVEL * mean_light) ** 2 / np.mean(np.diag(photograph.colours))
+        return Groups(
+            of_line, [near_keys[i] for i in side], [far_keys[i] for i in side], sides[side, 3].astype(bool),
+            np.exp2(kinds[:, 1]), np.exp2(kinds[:, 2]), level[side], noise[side],
+        )  # fmt: skip
+
+    def texture(self, key: TextureKey) -> Texture:
+        """Return a texture that `groups` named."""
+        return self._textures[key]
+
+    def covariances(
+        self, groups: Groups, i: int, colours: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return what `stages.edge_costs` takes of a group besides its lines."""
+        near, far = (
+            (colours[:, :, None, None] * (power * self._textures[key].covariance + groups.level[i]))
+            .transpose(0, 2, 1, 3)
+            .reshape(6 * HALF, 6 * HALF)
+            for power, key in ((groups.near_power[i], groups.near[i]), (groups.far_power[i], groups.far[i]))
+        )
+        before = self._textures[groups.near[i]].before.reshape(-1, 6 * HALF)
+        share = before if not groups.near_first[i] else 1 - before
+        return near, far, share, np.kron(np.diag(groups.noise[i]), noise_covariance())
+
+    def _depths(self, lines: Lines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the nearest node of the blur, and the nearest layers of both sides, of every line."""
         y, x = lines.y * GRID_PX, lines.x * GRID_PX
         shape = self.blur.height_px, self.blur.width_px
@@ -193,9 +288,9 @@ class EdgeLikelihood:
         offset, scale = (np.broadcast_to(part, shape)[y, x] for part in self.label_map)
         near, far = (np.rint((offset + scale * side) / LAYER_PX) for side in (lines.near_px, lines.far_px))
         nodes = row * NODES + column
-        return (nodes.astype(int).tolist(), near.astype(int).tolist(), far.astype(int).tolist())
+        return nodes.astype(int), near.astype(int), far.astype(int)
 
-    def _texture(self, node: int, layer: int, along_rows: bool) -> _Texture:
+    def _texture(self, node: int, layer: int, along_rows: bool) -> Texture:
         """Blur the texture of unit power by the lens, as lines see it."""
         y, x = (part / (NODES - 1) for part in divmod(node, NODES))
         rays = self.blur.rays(x * (self.blur.width_px - 1), y * (self.blur.height_px - 1))
@@ -215,78 +310,47 @@ class EdgeLikelihood:
                 along = _line_of(power * transfer[j] * transfer[k].conj(), along_rows)
                 covariance[j, k] = along[lag % size]
         spread = np.stack([_projection_of(part, along_rows) for part in transfer])
-        return _Texture(covariance, np.cumsum(np.roll(spread, size // 2, axis=1), axis=1))
+        sums = np.cumsum(np.roll(spread, size // 2, axis=1), axis=1)
+        energy = np.array([np.trace(_centred() @ covariance[k, k, :OUTER, :OUTER] @ _centred()) for k in range(3)])
+        return Texture(covariance, _before(sums), energy, size)
 
 
-@dataclass(frozen=True)
-class _Model:
-    """Lines of one pair of depths, at one place of the frame."""
-
-    near: _Texture
-    far: _Texture
-    near_first: bool
-    colours: np.ndarray  # (3, 3)
-    noise: np.ndarray  # (3,)
-    mean: float
-    run: Execution
-
-    def costs(self, lines: np.ndarray) -> np.ndarray:
-        """Negative log-likelihoods (P, 2 SHIFTS + 1) of lines (P, 3, 2 HALF)."""
-        near, far = (self._powers(lines, of_near=of_near) for of_near in (True, False))
-        out = np.empty((len(lines), 2 * SHIFTS + 1))
-        pairs, member = np.unique(np.stack([near, far], axis=1), axis=0, return_inverse=True)
-        for i, powers in enumerate(pairs):
-            chosen = member.ravel() == i
-            out[chosen] = self._of_powers(lines[chosen].reshape(-1, 6 * HALF), *np.exp2(powers))
-        return out
-
-    def _powers(self, lines: np.ndarray, *, of_near: bool) -> np.ndarray:
-        """Estimate the power of one side's texture at the line's end; (P,) float, log2, in whole steps."""
-        at_start = self.near_first == of_near
-        end = slice(0, OUTER) if at_start else slice(-OUTER, None)
-        texture = (self.near if of_near else self.far).covariance[:, :, end, end]
-        ends = lines[:, :, end] - lines[:, :, end].mean(axis=2, keepdims=True)
-        centred = np.eye(OUTER) - 1 / OUTER
-        energy = np.square(ends).sum(axis=(1, 2))
-        of_unit = sum(self.colours[k, k] * np.trace(centred @ texture[k, k] @ centred) for k in range(3))
-        of_noise = self.noise.sum() * np.trace(centred @ _noise_covariance()[end, end] @ centred)
-        power = np.maximum(energy - of_noise, LEAST_TEXTURE * of_noise + np.finfo(np.float32).tiny) / of_unit
-        return np.asarray(AMPLITUDE_OCTAVES * np.rint(np.log2(power) / AMPLITUDE_OCTAVES))
-
-    def _of_powers(self, lines: np.ndarray, near_power: float, far_power: float) -> np.ndarray:
-        """Negative log-likelihoods of lines (P, 6 HALF) whose textures have known powers."""
-        count = 2 * HALF
-        level = (_UNKNOWN_LEVEL * self.mean) ** 2 / np.mean(np.diag(self.colours))
-        near, far = (
-            (self.colours[:, :, None, None] * (power * texture.covariance + level))
-            .transpose(0, 2, 1, 3)
-            .reshape(3 * count, 3 * count)
-            for power, texture in ((near_power, self.near), (far_power, self.far))
-        )
-        share = self._near_share.reshape(-1, 3 * count)
-        return self.run.edge_costs(lines, near, far, share, self._noise_of_line)
-
-    @cached_property
-    def _noise_of_line(self) -> np.ndarray:
-        """Covariance of the noise of a line's samples; (6 HALF, 6 HALF)."""
-        return np.kron(np.diag(self.noise), _noise_covariance())
-
-    @cached_property
-    def _near_share(self) -> np.ndarray:
-        """Share of the near side's light, of every place of the edge; (2 SHIFTS + 1, 3, 2 HALF)."""
-        size = self.near.cumulative.shape[1]
-        place = GRID_PX * (np.arange(2 * HALF) - HALF + 0.5)
-        edge = GRID_PX * np.arange(-SHIFTS, SHIFTS + 1)
-        at = place - edge[:, None] + size / 2 - 0.5
-        before = np.stack([np.interp(at, np.arange(size), sums) for sums in self.near.cumulative], axis=1)
-        return 1 - before if self.near_first else before
+def _before(sums: np.ndarray) -> np.ndarray:
+    """Read sums of a line spread (3, S) at every sample for every place of the edge; (2 SHIFTS + 1, 3, 2 HALF)."""
+    size = sums.shape[1]
+    place = GRID_PX * (np.arange(2 * HALF) - HALF + 0.5)
+    edge = GRID_PX * np.arange(-SHIFTS, SHIFTS + 1)
+    at = place - edge[:, None] + size / 2 - 0.5
+    return np.stack([np.interp(at, np.arange(size), of_channel) for of_channel in sums], axis=1)
 
 
-def _covariance_of_colours(image: np.ndarray) -> np.ndarray:
-    """Return the covariance of the channels' texture, of unit mean variance; (3, 3)."""
+def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the different rows, in order, and which of them each row is."""
+    found, member = np.unique(rows, axis=0, return_inverse=True)
+    return found, member.ravel()
+
+
+def _energy(ends: np.ndarray) -> np.ndarray:
+    """Sum of squares about the mean of every channel; (P,)."""
+    return np.asarray(np.square(ends - ends.mean(axis=2, keepdims=True)).sum(axis=(1, 2)))
+
+
+@cache
+def _centred() -> np.ndarray:
+    """Return the matrix that takes the mean of an end away; (OUTER, OUTER)."""
+    return np.eye(OUTER) - 1 / OUTER
+
+
+def products_of_shades(image: np.ndarray) -> np.ndarray:
+    """Sum the products of the channels' shades, at every `SHADES_EVERY`-th pixel; (3, 3)."""
     fine, coarse = (cv2.GaussianBlur(image, (0, 0), sigma) for sigma in SHADES_PX)
-    shades = (fine - coarse)[::4, ::4].reshape(-1, 3).astype(float)
-    covariance = shades.T @ shades
+    shades = (fine - coarse)[::SHADES_EVERY, ::SHADES_EVERY].reshape(-1, 3).astype(float)
+    return np.asarray(shades.T @ shades)
+
+
+def _covariance_of_colours(covariance: np.ndarray) -> np.ndarray:
+    """Return the covariance of the channels' texture, of unit mean variance, by the products of shades; (3, 3)."""
+    covariance = covariance.copy()
     # 1e-3: an empty channel; tiny: an even picture.
     covariance += max(1e-3 * np.trace(covariance), np.finfo(np.float32).tiny) * np.eye(3)
     covariance /= np.trace(covariance) / 3
@@ -295,7 +359,7 @@ def _covariance_of_colours(image: np.ndarray) -> np.ndarray:
 
 
 @cache
-def _noise_covariance() -> np.ndarray:
+def noise_covariance() -> np.ndarray:
     """Return the covariance of a line's samples of white noise of unit variance; (2 HALF, 2 HALF)."""
     lag2 = (GRID_PX * (np.arange(2 * HALF)[:, None] - np.arange(2 * HALF))) ** 2
     return np.asarray(np.exp(-lag2 / (4 * LOW_PASS_PX**2)) / (4 * np.pi * LOW_PASS_PX**2))

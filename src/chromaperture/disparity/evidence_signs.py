@@ -18,8 +18,8 @@ WINDOW_PX = 12.0  # sigma of the windows; of 4, 12 and 30 the best; docs/measure
 # Pixels of a window that say one thing: detail and windows of correlation are that wide. Chosen by hand: it only scales
 # a sign, whose weight is learned.
 PIXELS_ALIKE = 10.0
-_LEAST_SPREAD = 0.05  # steps, chosen by hand: every sign needs a finite logarithm
-_LEAST_NATS = 1e-4  # a pixel, likewise
+LEAST_SPREAD = 0.05  # steps, chosen by hand: every sign needs a finite logarithm
+LEAST_NATS = 1e-4  # a pixel, likewise
 
 
 def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> dict[str, np.ndarray]:
@@ -46,7 +46,7 @@ def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> 
     likely *= np.gradient(SHIFTS).astype(np.float32)  # every shift stands for the shifts about it
     variance = likely @ np.square(SHIFTS).astype(np.float32) / likely.sum(axis=2)
     of_blocks = {
-        "spread": np.log(np.sqrt(variance) + _LEAST_SPREAD),
+        "spread": np.log(np.sqrt(variance) + LEAST_SPREAD),
         "sharpness": _sharpness(profile, choice[middles][:height, :width]),
     }
     rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(label.shape, (height, width), strict=True))
@@ -71,4 +71,4 @@ def _sharpness(profile: np.ndarray, choice: np.ndarray) -> np.ndarray:
     falls = profile[..., middle] - (profile[..., least] + profile[..., most]) / 2
     blocks = np.maximum(np.bincount(choice.ravel()), 1)
     mean = np.bincount(choice.ravel(), falls.ravel()) / blocks
-    return np.log(np.maximum(mean, 0) + _LEAST_NATS)[choice]
+    return np.log(np.maximum(mean, 0) + LEAST_NATS)[choice]

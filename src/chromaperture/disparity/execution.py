@@ -97,8 +97,19 @@ class Execution(Protocol):
     ) -> None:
         """Filter channels of tiles with each other's blur, and add them to a canvas, (P, H, W, 2)."""
 
-    def band_correlation(self, fine: np.ndarray, coarse: np.ndarray, *, sigma: float) -> np.ndarray:
+    def band_correlation(
+        self,
+        fine: np.ndarray,
+        coarse: np.ndarray,
+        *,
+        sigma: float,
+        seen: np.ndarray | None = None,
+        allowed_growth: float = 1.0,
+    ) -> np.ndarray:
         """Correlate both pictures of a pair in one band, in windows around every second sample; (H / 2, W / 2)."""
+
+    def band_powers(self, fine: np.ndarray, coarse: np.ndarray, *, sigma: float) -> np.ndarray:
+        """Return the powers of both pictures in the same windows; (H / 2, W / 2, 2)."""
 
     def spectral_likelihood(
         self,

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from chromaperture.disparity.execution import Execution
-from chromaperture.disparity.plane_edges import Choices, LineCosts, choices_of, placed_edges
+from chromaperture.disparity.plane_edges import LineCosts, choices_of, placed_edges
 from chromaperture.disparity.plane_fit import Volume, candidates
 from chromaperture.disparity.plane_merging import merged_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
@@ -100,9 +100,14 @@ def planes_of_surface(
         cost = run.plane_costs(blocks.likelihood, planes, labels_px, costs)
         return np.asarray(run.potts_beliefs(cost, links, sweeps=config.sweeps).argmin(axis=2))
 
-    return fitting_planes(
-        planes, blocks, guide, choose, config=config, choices=choices_of(run.potts_beliefs), line_costs=line_costs
-    )
+    found = fitting_planes(planes, blocks, guide.shape, choose, config=config)
+    if config.edge_band_px == 0:
+        return found
+    choice = placed_edges(
+        found.choice, found.planes, guide, reach_px=config.edge_band_px, apart_px=BORDER_APART_LABELS * blocks.step_px,
+        choices=choices_of(run.potts_beliefs), line_costs=line_costs,
+    )  # fmt: skip
+    return found._replace(choice=choice)
 
 
 def block_costs(config: PlanesConfig) -> PlaneCosts:
@@ -122,12 +127,10 @@ def links_of_blocks(guide: np.ndarray, *, config: PlanesConfig, surface: Surface
 def fitting_planes(
     planes: np.ndarray,
     blocks: Volume,
-    guide: np.ndarray,
+    shape: tuple[int, int],
     choose: Callable[[np.ndarray], np.ndarray],
     *,
     config: PlanesConfig,
-    choices: Choices,
-    line_costs: LineCosts | None = None,
 ) -> Planes:
     """Let blocks choose planes, join planes, and let blocks choose again.
 
@@ -137,16 +140,13 @@ def fitting_planes(
         Candidates.
     blocks : Volume
         Sums of blocks.
-    guide : (H, W) float
+    shape : (int, int)
+        Height and width of the picture.
     choose : callable
         From planes of blocks to the best choice of every block.
     config : PlanesConfig
-    choices : callable
-        See `choices_of`.
-    line_costs : callable, optional
-        See `placed_edges`.
     """
-    size, step = config.block_px, blocks.step_px
+    size = config.block_px
     planes = _scaled(planes, size)
     for left in range(config.rounds - 1, -1, -1):
         choice = choose(planes)
@@ -154,15 +154,8 @@ def fitting_planes(
             break
         planes, choice = merged_planes(choice, planes, blocks, config=config, border=-(-config.border_px // size))
     planes = _scaled(planes, 1 / size)
-    rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(guide.shape, choice.shape, strict=True))
-    found = Planes(planes, choice[rows[:, None], columns], blocks)
-    if config.edge_band_px == 0:
-        return found
-    choice = placed_edges(
-        found.choice, planes, guide, reach_px=config.edge_band_px, apart_px=BORDER_APART_LABELS * step, choices=choices,
-        line_costs=line_costs,
-    )  # fmt: skip
-    return Planes(planes, choice, blocks)
+    rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(shape, choice.shape, strict=True))
+    return Planes(planes, choice[rows[:, None], columns], blocks)
 
 
 def block_sums(likelihood: np.ndarray, size: int) -> np.ndarray:

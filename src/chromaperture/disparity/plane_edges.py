@@ -48,8 +48,8 @@ LINE_WEIGHT = 0.03
 LEAST_OF_PAIR = 0.7  # share of a line's middle that must lie on its two planes; .5 and .9 do as well
 LEAST_ACROSS = 0.3  # of the squared cosine between a line and the border's normal; chosen by hand
 NORMAL_SIGMA = 4.0  # grid points, over which a border's normal is found; chosen by hand
-_FORBIDDEN = 1e3  # more than all links and lines of a pixel together
-_SWEEPS = 10
+FORBIDDEN = 1e3  # more than all links and lines of a pixel together
+SWEEPS = 10
 
 
 def placed_edges(
@@ -83,11 +83,7 @@ def placed_edges(
     -------
     (H, W) int
     """
-    height, width = choice.shape
-    coarse = choice[::GRID_PX, ::GRID_PX]
-    used, coarse = np.unique(coarse, return_inverse=True)
-    coarse = coarse.reshape(-(-height // GRID_PX), -(-width // GRID_PX))
-    planes = planes[used] * (GRID_PX, GRID_PX, 1)  # of grid points
+    used, coarse, planes = on_grid(choice, planes)
     possible = _possible(coarse, planes, reach_px / GRID_PX, apart_px)
     if np.count_nonzero(possible) == coarse.size:
         return choice
@@ -95,11 +91,18 @@ def placed_edges(
     if line_costs is not None:
         for along_rows in (True, False):
             _add_lines(cost, possible, coarse, planes, along_rows, apart_px, line_costs)
-    np.putmask(cost, ~possible, np.float32(_FORBIDDEN))
-    moved = choices(cost, _links(guide, reach_px)[:, ::GRID_PX, ::GRID_PX], sweeps=_SWEEPS)
-    rows, columns = np.arange(height) // GRID_PX, np.arange(width) // GRID_PX
+    np.putmask(cost, ~possible, np.float32(FORBIDDEN))
+    moved = choices(cost, edge_links(guide, reach_px), sweeps=SWEEPS)
+    rows, columns = (np.arange(n) // GRID_PX for n in choice.shape)
     free = (np.count_nonzero(possible, axis=2) > 1)[rows[:, None], columns]
     return np.where(free, used[moved[rows[:, None], columns]], choice)
+
+
+def on_grid(choice: np.ndarray, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the numbers of the planes that are used, and choices and planes of these on the grid."""
+    coarse = choice[::GRID_PX, ::GRID_PX]
+    used, numbers = np.unique(coarse, return_inverse=True)
+    return used, numbers.reshape(coarse.shape), planes[used] * (GRID_PX, GRID_PX, 1)
 
 
 def _label(planes: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -132,8 +135,60 @@ def _add_lines(
     apart_px : float
     line_costs : callable
     """
+    found = border_lines(choice, planes, along_rows, apart_px)
+    if found is None:
+        return
     if not along_rows:
         cost, possible = (part.transpose(1, 0, 2) for part in (cost, possible))
+    costs = found.weight[:, None] * line_costs(found.lines)
+    # A pixel that becomes near moves the edge beyond it.
+    rise = np.diff(costs, axis=1) * np.where(found.lines.near_first, 1, -1)[:, None]
+    at = found.y[:, None], found.x[:, None] + np.arange(1 - SHIFTS, SHIFTS + 1)
+    of_pair = found.of_pair
+    rows, columns, steps = at[0].repeat(rise.shape[1], axis=1)[of_pair], at[1][of_pair], rise[of_pair]
+    for side, sign in ((found.near, 0.5), (found.far, -0.5)):
+        plane = side[:, None].repeat(rise.shape[1], axis=1)[of_pair]
+        np.add.at(cost, (rows, columns, plane), sign * steps)
+        possible[rows, columns, plane] = True
+
+
+class BorderLines(NamedTuple):
+    """Lines across borders of near planes, P of one direction.
+
+    Attributes
+    ----------
+    lines : Lines
+    y, x : (P,) int
+        Grid point before the border; of lines along columns of the turned grid, in which they are rows.
+    near, far : (P,) int
+        Planes of both sides.
+    weight : (P,) float
+        Of a line's log-likelihood.
+    of_pair : (P, 2 SHIFTS) bool
+        Which of the points between the places of the edge lie on either plane.
+    """
+
+    lines: Lines
+    y: np.ndarray
+    x: np.ndarray
+    near: np.ndarray
+    far: np.ndarray
+    weight: np.ndarray
+    of_pair: np.ndarray
+
+
+def border_lines(choice: np.ndarray, planes: np.ndarray, along_rows: bool, apart_px: float) -> BorderLines | None:
+    """Find the lines that tell where the borders of near planes are; None where there are none.
+
+    Parameters
+    ----------
+    choice : (h, w) int
+    planes : (K, 3) float
+        Of grid points.
+    along_rows : bool
+    apart_px : float
+    """
+    if not along_rows:
         choice, planes = choice.T, planes[:, [1, 0, 2]]
     width = choice.shape[1]
     y, x = np.nonzero(choice[:, :-1] != choice[:, 1:])
@@ -149,20 +204,12 @@ def _add_lines(
     of_pair = (middle == near[:, None]) | (middle == far[:, None])
     kept = of_pair.mean(axis=1) >= LEAST_OF_PAIR
     if not kept.any():
-        return
+        return None
     y, x, near, far, near_first, across = (part[kept] for part in (y, x, near, far, near_first, across))
     near_px, far_px = (_label(planes[side], y, x) for side in (near, far))
     row, column = (y, x) if along_rows else (x, y)
-    costs = across[:, None] * LINE_WEIGHT * line_costs(Lines(along_rows, row, column, near_px, far_px, near_first))
-    # A pixel that becomes near moves the edge beyond it.
-    rise = np.diff(costs, axis=1) * np.where(near_first, 1, -1)[:, None]
-    at = y[:, None], x[:, None] + np.arange(1 - SHIFTS, SHIFTS + 1)
-    of_pair = of_pair[kept][:, 1:-1]
-    rows, columns, steps = at[0].repeat(rise.shape[1], axis=1)[of_pair], at[1][of_pair], rise[of_pair]
-    for side, sign in ((near, 0.5), (far, -0.5)):
-        plane = side[:, None].repeat(rise.shape[1], axis=1)[of_pair]
-        np.add.at(cost, (rows, columns, plane), sign * steps)
-        possible[rows, columns, plane] = True
+    lines = Lines(along_rows, row, column, near_px, far_px, near_first)
+    return BorderLines(lines, y, x, near, far, LINE_WEIGHT * across, of_pair[kept][:, 1:-1])
 
 
 def _across(choice: np.ndarray, y: np.ndarray, x: np.ndarray, near: np.ndarray) -> np.ndarray:
@@ -180,7 +227,7 @@ def _possible(choice: np.ndarray, planes: np.ndarray, reach: float, apart_px: fl
     """Planes that a pixel may lie on: its own, and next to a border between near and far the other; (h, w, K)."""
     possible = np.arange(len(planes))[:, None, None] == choice
     pairs = neighbouring_pairs(choice)
-    wide = np.ones((int(2 * reach) + 1, int(2 * reach) + 1), np.uint8)
+    wide = np.ones((2 * int(reach) + 1,) * 2, np.uint8)
     y, x = np.arange(choice.shape[0])[:, None], np.arange(choice.shape[1])
 
     def of_plane(k: int) -> _Area:
@@ -213,15 +260,16 @@ class _Area(NamedTuple):
     label_px: np.ndarray
 
 
-def _links(guide: np.ndarray, reach_px: int) -> np.ndarray:
-    """Cost of a border between two pixels, by the steepest edge in reach; (2, H, W) float32."""
+def edge_links(guide: np.ndarray, reach_px: int) -> np.ndarray:
+    """Return the cost of a border between two grid points, by the steepest edge in reach; (2, h, w) float32."""
     smooth = cv2.GaussianBlur(np.asarray(guide, np.float32), (0, 0), SMOOTHING_PX)
     steps = np.abs(
         np.stack([np.diff(smooth, axis=1, append=smooth[:, -1:]), np.diff(smooth, axis=0, append=smooth[-1:])])
     )
     steepest = cv2.dilate(np.hypot(*steps), np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8))
     steepest = cv2.GaussianBlur(steepest, (0, 0), reach_px / 2) + np.float32(1e-6)  # 1e-6: an even guide
-    return np.exp(-STEEPNESS * steps / steepest) + np.float32(LEAST_LINK)
+    steps, steepest = (part[..., ::GRID_PX, ::GRID_PX] for part in (steps, steepest))
+    return np.asarray(np.exp(-STEEPNESS * steps / steepest) + np.float32(LEAST_LINK))
 
 
 def _distance(inside: np.ndarray) -> np.ndarray:

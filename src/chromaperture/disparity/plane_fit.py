@@ -14,10 +14,15 @@ from chromaperture.threads import parallel_map
 
 TRIALS = 80  # of random samples: a plane on a quarter of a tile is missed once in 3.5 tiles; larger tiles see it too
 INLIER_LAYERS = 1.5  # half a label's own place, and the slopes that a surface of steps hides; chosen by hand
+DRAW_BITS = 16  # of a random number: with the number of a tile's points below 32
+LEAST_LEFT = 60  # points in which a plane is looked for; chosen by hand
 LEAST_SHARE = 0.12  # of a tile; chosen by hand
 SAMPLES_ACROSS = 32  # points of a tile along each side
 PLANES_OF_A_TILE = 2
-_ROUNDS = 4  # of least squares on the inliers
+# That blocks choose from, those of large tiles first: a device has room for as many. Of 720 x 480 px 190 are distinct.
+MOST_PLANES = 512
+DISTINCT_LAYERS = 0.7  # by which planes differ somewhere on their tile; chosen by hand
+ROUNDS = 4  # of least squares on the inliers
 NEWTON_STEPS = 6
 
 Pixels = tuple[np.ndarray, np.ndarray]  # y and x
@@ -88,28 +93,58 @@ def proposals(
     label_px: np.ndarray, sigma_px: np.ndarray, step_px: float, tiles_px: tuple[int, ...], *, run: Execution
 ) -> list[Proposal]:
     """Fit planes to tiles of a first surface; see `candidates`."""
-    height, width = label_px.shape
     weight = 1 / (np.square(sigma_px, dtype=float) + (step_px / 2) ** 2)
-    tiles = [
-        (size, top, left)
-        for size in tiles_px
-        for top in range(0, max(1, height - size // 2), size)
-        for left in range(0, max(1, width - size // 2), size)
-    ]
+    tiles = tiles_of(label_px.shape, tiles_px)
 
     def of_tile(i: int) -> list[Proposal]:
-        size, top, left = tiles[i]
-        every = max(1, size // SAMPLES_ACROSS)
-        y, x = (
-            a.ravel() for a in np.mgrid[top : min(height, top + size) : every, left : min(width, left + size) : every]
-        )
-        rng = np.random.default_rng(i)
+        y, x = tiles[i].points
         return [
-            Proposal(plane, x[inliers], y[inliers], size)
-            for inliers, plane in _planes_of_points(x, y, label_px[y, x], weight[y, x], step_px, rng, run)
+            Proposal(plane, x[inliers], y[inliers], tiles[i].size_px)
+            for inliers, plane in _planes_of_points(x, y, label_px[y, x], weight[y, x], step_px, draws_of(i), run)
         ]
 
     return [proposal for part in parallel_map(of_tile, range(len(tiles))) for proposal in part]
+
+
+class Tile(NamedTuple):
+    """Points on a grid over a square: every so manyth of so many rows and columns."""
+
+    size_px: int
+    top: int
+    left: int
+    rows: int
+    columns: int
+    every: int
+
+    @property
+    def points(self) -> Pixels:
+        """Row after row; (P,) int each."""
+        y, x = np.mgrid[: self.rows, : self.columns] * self.every
+        return (self.top + y).ravel(), (self.left + x).ravel()
+
+
+def tiles_of(shape: tuple[int, int], tiles_px: tuple[int, ...]) -> list[Tile]:
+    """Return the squares of several sizes that cover a picture."""
+    height, width = shape
+    out = []
+    for size in tiles_px:
+        every = max(1, size // SAMPLES_ACROSS)
+        for top in range(0, max(1, height - size // 2), size):
+            for left in range(0, max(1, width - size // 2), size):
+                rows, columns = (-(-min(n - start, size) // every) for n, start in ((height, top), (width, left)))
+                out.append(Tile(size, top, left, rows, columns, every))
+    return out
+
+
+def draws_of(tile: int) -> np.ndarray:
+    """Return the random numbers of a tile, of which `drawn` makes points; (PLANES_OF_A_TILE, TRIALS, 3) uint32."""
+    rng = np.random.default_rng(tile)
+    return rng.integers(0, 1 << DRAW_BITS, (PLANES_OF_A_TILE, TRIALS, 3)).astype(np.uint32)
+
+
+def drawn(draws: np.ndarray, count: int) -> np.ndarray:
+    """Return points of so many: random numbers that do not depend on the picture are the same on every device."""
+    return draws.astype(np.int64) * count >> DRAW_BITS
 
 
 def distinct_of(found: list[Proposal], planes: Sequence[np.ndarray] | np.ndarray, step_px: float) -> np.ndarray:
@@ -117,7 +152,7 @@ def distinct_of(found: list[Proposal], planes: Sequence[np.ndarray] | np.ndarray
     each = [
         Candidate(plane, part.x.mean(), part.y.mean(), part.size_px) for plane, part in zip(planes, found, strict=True)
     ]
-    return distinct(each, 0.7 * step_px)
+    return distinct(each, DISTINCT_LAYERS * step_px)[:MOST_PLANES]
 
 
 def distinct(found: list[Candidate], tolerance_px: float) -> np.ndarray:
@@ -139,18 +174,18 @@ def _planes_of_points(
     label: np.ndarray,
     weight: np.ndarray,
     step_px: float,
-    rng: np.random.Generator,
+    draws: np.ndarray,
     run: Execution,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Find the planes of points that most agree on, each with the places of its points."""
     out = []
     left = np.arange(len(x))
-    for _ in range(PLANES_OF_A_TILE):
-        if len(left) < max(60, LEAST_SHARE * len(x)):
+    for of_plane in draws:
+        if len(left) < max(LEAST_LEFT, LEAST_SHARE * len(x)):
             break
         places = x[left], y[left], label[left], weight[left]
-        corners = rng.integers(0, len(left), (TRIALS, 3))
-        plane = run.agreed_plane(corners, *places, tolerance_px=INLIER_LAYERS * step_px, rounds=_ROUNDS)
+        tolerance = INLIER_LAYERS * step_px
+        plane = run.agreed_plane(drawn(of_plane, len(left)), *places, tolerance_px=tolerance, rounds=ROUNDS)
         if not np.isfinite(plane[2]):
             break
         near = np.abs(_at(plane, *places[:2]) - places[2]) < NEAR * INLIER_LAYERS * step_px

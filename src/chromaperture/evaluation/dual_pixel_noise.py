@@ -17,7 +17,9 @@ from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, sensor_noise
 from chromaperture.config import AccurateConfig, Quality
-from chromaperture.stage_config import CrossFilterConfig, PlanesConfig
+from chromaperture.disparity.accurate import WITHOUT_PLANES
+from chromaperture.evaluation.dual_pixel_camera import without_planes
+from chromaperture.stage_config import CrossFilterConfig
 
 # Chosen by hand: squares small enough to lie between edges, and enough of them in a range of light for a percentile
 _SQUARE_PX = 16
@@ -70,16 +72,18 @@ def camera_for(image: np.ndarray, calibration: Calibration, quality: Quality) ->
 
     Where it matches with the blur, evidence counts as far as it is a pixel's own (``disparity/own_detail.py``). The
     error bar is not the learned one, which knows other evidence: with it .67 and .94 of the errors of boxes lie within
-    one and two bars, .54 and .76 of casual scenes, without .71, .96, .56 and .79. Nor are there planes: with them boxes
-    read AbsRel .056, ratio .970 and casual scenes .426, .847, without .048, .976 and .421, .818.
+    one and two bars, .54 and .76 of casual scenes, without .71, .96, .56 and .79. Nor are there planes, for either kind
+    of evidence: boxes lose by them, and by shifted views casual scenes too (docs/evaluation.md).
     """
     config = default_config(calibration, quality)
     matcher = config.matcher
-    if not (isinstance(matcher, AccurateConfig) and isinstance(matcher.evidence, CrossFilterConfig)):
+    if not isinstance(matcher, AccurateConfig):
         return CodedApertureCamera(calibration, config)
+    if not isinstance(matcher.evidence, CrossFilterConfig):
+        return CodedApertureCamera(calibration, without_planes(config))
     evidence = replace(matcher.evidence, own_detail=True)
     surface = replace(matcher.surface, learned_error_bar=False)
-    matcher = replace(matcher, evidence=evidence, surface=surface, planes=PlanesConfig(rounds=0))
+    matcher = replace(matcher, evidence=evidence, surface=surface, planes=WITHOUT_PLANES)
     config = replace(config, matcher=matcher)
     sensor, times = calibration.sensor, noise_scale(image, calibration)
     if sensor.full_well_electrons is not None and sensor.read_noise_electrons is not None:

@@ -1,6 +1,6 @@
 """Every stage compiled by Numba, under the names of ``stages/``, which explains what each computes."""
 
-from chromaperture.disparity.cpu.band_correlation import band_correlation
+from chromaperture.disparity.cpu.band_correlation import band_correlation, band_powers
 from chromaperture.disparity.cpu.bilateral import bilateral_winner
 from chromaperture.disparity.cpu.correlation import correlate, texture_weights
 from chromaperture.disparity.cpu.cross_filter import cross_filter
@@ -21,6 +21,7 @@ __all__ = [
     "aggregate_paths",
     "agreed_plane",
     "band_correlation",
+    "band_powers",
     "best_planes",
     "bilateral_winner",
     "correlate",

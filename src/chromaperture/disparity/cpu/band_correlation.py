@@ -8,20 +8,33 @@ import numpy as np
 
 from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu.paths import FAST
-from chromaperture.disparity.stages.band_correlation import LEAST_POWER, rest_of_window
+from chromaperture.disparity.stages.band_correlation import LEAST_POWER, LEAST_SEEN, rest_of_window
 
 _TAPS = 5  # 1 4 6 4 1, the window of `cv2.pyrDown`
+_ANY_POWER = np.empty((0, 0, 2), np.float32)  # as powers of views in focus: nothing is taken off
 
 
-def band_correlation(fine: np.ndarray, coarse: np.ndarray, *, sigma: float) -> np.ndarray:
+def band_correlation(
+    fine: np.ndarray, coarse: np.ndarray, *, sigma: float, seen: np.ndarray | None = None, allowed_growth: float = 1.0
+) -> np.ndarray:
     """Correlate both pictures of a pair in one band, as `stages.band_correlation`."""
+    windows = _windows(fine, coarse, sigma)
+    out = np.empty(windows.shape[:2], np.float32)
+    _normalised(windows, _ANY_POWER if seen is None else seen, np.float32(allowed_growth), out)
+    return out
+
+
+def band_powers(fine: np.ndarray, coarse: np.ndarray, *, sigma: float) -> np.ndarray:
+    """Return the powers of both pictures in the windows of `band_correlation`, as `stages.band_powers`."""
+    return np.ascontiguousarray(_windows(fine, coarse, sigma)[..., 1:])
+
+
+def _windows(fine: np.ndarray, coarse: np.ndarray, sigma: float) -> np.ndarray:
+    """P Q, P P and Q Q of the band, averaged in windows; (h, w, 3)."""
     height, width = fine.shape[:2]
     halved = np.empty((-(-height // 2), -(-width // 2), 3), np.float32)
     _halved_products(fine, coarse, halved)
-    windows = cv2.GaussianBlur(halved, (0, 0), rest_of_window(sigma), borderType=cv2.BORDER_REFLECT_101)
-    out = np.empty(halved.shape[:2], np.float32)
-    _normalised(windows, out)
-    return out
+    return np.asarray(cv2.GaussianBlur(halved, (0, 0), rest_of_window(sigma), borderType=cv2.BORDER_REFLECT_101))
 
 
 @inlined(fastmath=FAST)
@@ -65,8 +78,14 @@ def _halved_products(fine, coarse, out):
 
 
 @compiled(fastmath=FAST, error_model="numpy")
-def _normalised(windows, out):
+def _normalised(windows, seen, allowed_growth, out):
+    one = np.float32(1)
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
-            power = windows[y, x, 1] * windows[y, x, 2] + LEAST_POWER
-            out[y, x] = windows[y, x, 0] / np.sqrt(power)
+            here = windows[y, x]
+            found = here[0] / np.sqrt(here[1] * here[2] + LEAST_POWER)
+            if len(seen):
+                of_p = here[1] / (allowed_growth * (seen[y, x, 0] + LEAST_SEEN))
+                of_q = here[2] / (allowed_growth * (seen[y, x, 1] + LEAST_SEEN))
+                found /= max(one, of_p) * max(one, of_q)
+            out[y, x] = found

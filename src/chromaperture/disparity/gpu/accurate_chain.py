@@ -1,8 +1,8 @@
 """Quality "accurate" on a device.
 
-The photograph goes up once and three maps come down at the end. In between, where planes explain the surface, the first
-surface, its error bar and the sums of blocks of the volume come down, and the labels that planes and surface agree on
-go up; see ``plane_stages.py`` for what the CPU does with them. The volume itself never leaves the device.
+The photograph goes up once and one array of maps comes down at the end. In between, where planes explain the surface,
+sums of blocks of the volume, the planes that were found and the first choice of blocks come down, then a choice after
+every joining of planes; lines across borders go up. The volume itself never leaves the device.
 """
 
 from __future__ import annotations
@@ -13,16 +13,35 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.disparity.accurate import EDGE_REACH_PX, AccurateMethod, judged, with_halves
+from chromaperture.disparity.accurate import BIAS_OF_PLANES, EDGE_REACH_PX, AccurateMethod, judged, with_halves
 from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.clipped_areas import clipped_filled
 from chromaperture.disparity.correlation_evidence import CorrelationEvidence
+from chromaperture.disparity.edge_likelihood import GRID_PX, Photograph
 from chromaperture.disparity.error_bar import sigma_of_range
+from chromaperture.disparity.gpu.agreement_stages import add_agreement
+from chromaperture.disparity.gpu.candidate_stages import (
+    FIRST_CHOICE,
+    OUTPUTS,
+    add_candidates,
+    add_first_choice,
+    candidates_of,
+    most_candidates,
+)
 from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError
+from chromaperture.disparity.gpu.edge_stages import (
+    SHADES,
+    EdgeGrid,
+    add_placed_edges,
+    add_shades,
+    lines_heard,
+    products_of,
+)
 from chromaperture.disparity.gpu.evidence_plan import EvidencePlan, plan_evidence
 from chromaperture.disparity.gpu.evidence_stages import add_evidence
+from chromaperture.disparity.gpu.judging_stages import OfPlanes, add_judged
 from chromaperture.disparity.gpu.label_stages import WindowsEarned, add_labels, add_views_evidence
-from chromaperture.disparity.gpu.plane_stages import BlockChoice, PlaneChoice, refined_planes
+from chromaperture.disparity.gpu.plane_stages import BlockChoice
 from chromaperture.disparity.gpu.spectral_stages import WindowGrid, add_windows
 from chromaperture.disparity.gpu.surface_stages import (
     Grid,
@@ -33,27 +52,34 @@ from chromaperture.disparity.gpu.surface_stages import (
     add_results,
     add_sigma,
     add_start,
-    add_taken_planes,
     add_variation,
     surface_arrays,
 )
-from chromaperture.disparity.planar import Planes, block_costs, fitting_planes, links_of_blocks
-from chromaperture.disparity.plane_agreement import where_they_agree
-from chromaperture.disparity.plane_edges import LineCosts
-from chromaperture.disparity.plane_fit import Volume, distinct_of, proposals
+from chromaperture.disparity.planar import BORDER_APART_LABELS, Planes, block_costs, fitting_planes
+from chromaperture.disparity.plane_edges import edge_links
+from chromaperture.disparity.plane_fit import Volume
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.spectral_evidence import SpectralEvidence
 from chromaperture.disparity.views import filtered_views
 from chromaperture.disparity.winner import Surface
 from chromaperture.errors import OutOfMemoryError
 
+_ALIKE = 1e-4  # labels: rounding of a plane's label in single precision
+
 
 class PlanesFound(NamedTuple):
-    """Planes, the surface before them, and the labels that are taken of both; (H, W) px each."""
+    """Planes before their edges are placed, where the CPU judges the surface before them, and the planes of blocks."""
 
     planes: Planes
-    first_px: np.ndarray
-    taken_px: np.ndarray
+    first_px: np.ndarray | None
+    of_blocks: Array
+
+
+class Prepared(NamedTuple):
+    """What the CPU makes of a photograph while the device begins: links of edges, samples of lines."""
+
+    of_edges: np.ndarray
+    photograph: Photograph | None
 
 
 def pairs_of(method: AccurateMethod) -> BlurEvidence | None:
@@ -87,8 +113,10 @@ class AccurateChain:
     grid: Grid = field(init=False)
     labels_px: np.ndarray = field(init=False)
     first: Chain = field(init=False)
-    last: dict[bool, Chain] = field(init=False)  # by whether planes explain the surface
+    arrays: SurfaceArrays = field(init=False)
+    last: Chain | None = field(default=None, init=False)  # of the photograph before, whose memory the next one takes
     blocks: Array | None = field(init=False)
+    chooser: BlockChoice | None = field(init=False)
 
     def __post_init__(self) -> None:
         config = self.method.config
@@ -97,14 +125,28 @@ class AccurateChain:
         pairs = pairs_of(self.method)
         self.plan = None if pairs is None else plan_evidence(pairs, config.layers.values_px)
         self.first = chain = Chain(self.device)
-        arrays = surface_arrays(chain, self.grid, config.surface)
+        self.arrays = arrays = surface_arrays(chain, self.grid, config.surface)
         self._add_evidence(chain, arrays.likelihood)
         add_paths(chain, arrays.likelihood, arrays.guide, arrays.cost, self.grid, self.labels_px, config=config.surface)
         add_start(chain, arrays, self.grid, config=config.surface)
         add_variation(chain, arrays, self.grid, self.labels_px, config=config.surface)
         add_posterior(chain, arrays, self.grid, config=config.surface)
-        self.blocks = add_block_sums(chain, arrays, self.grid, config.planes.block_px) if self.uses_planes else None
-        self.last = {of_planes: self._last_chain(arrays, of_planes) for of_planes in (False, True)}
+        self.blocks = self.chooser = None
+        if self.uses_planes:
+            self.blocks = add_block_sums(chain, arrays, self.grid, config.planes.block_px)
+            add_candidates(
+                chain, arrays.label, arrays.sigma, arrays.likelihood, self.grid,
+                tiles_px=config.planes.tiles_px, slope_penalty=config.planes.slope_penalty,
+            )  # fmt: skip
+            size = config.planes.block_px
+            self.chooser = BlockChoice(
+                self.device, self.blocks, Grid(self.shape[0] // size, self.shape[1] // size, self.grid.layers),
+                most_candidates(self.shape, config.planes.tiles_px), config.planes.sweeps, self.labels_px,
+                block_costs(config.planes),
+            )  # fmt: skip
+            add_first_choice(chain, self.chooser, arrays.links, self.shape, config=config.planes)
+            if self.hears_lines:
+                add_shades(chain, chain.arrays["image"], self.shape)
 
     def _add_evidence(self, chain: Chain, likelihood: Array) -> None:
         image, usable = (chain.array(name, n * self.grid.pixels) for name, n in (("image", 3), ("usable", 1)))
@@ -120,6 +162,22 @@ class AccurateChain:
             source = self.method.evidence
             assert isinstance(source, CorrelationEvidence)
             add_views_evidence(chain, source, self.shape, (image, usable, likelihood), layers_px, self.labels_px)
+
+    @property
+    def step_px(self) -> float:
+        """Distance of two labels, px."""
+        return float(self.labels_px[1] - self.labels_px[0])
+
+    @property
+    def judges(self) -> bool:
+        """Whether the device finds the error bar of a surface of planes: the learned one."""
+        return self.method.config.surface.learned_error_bar
+
+    @property
+    def hears_lines(self) -> bool:
+        """Whether lines across borders tell where edges are."""
+        config = self.method.config.planes
+        return self.plan is not None and self.method.edges is not None and config.edge_lines and config.edge_band_px > 0
 
     @property
     def uses_planes(self) -> bool:
@@ -151,11 +209,33 @@ class AccurateChain:
         assert isinstance(evidence, SpectralEvidence)
         return WindowGrid(self.grid.height, self.grid.width, evidence.config.stride_px)
 
-    def _last_chain(self, arrays: SurfaceArrays, of_planes: bool) -> Chain:
-        chain = Chain(self.device)
-        if of_planes:
-            add_taken_planes(chain, arrays, self.grid)
+    def _last_chain(self, found: PlanesFound | None, prepared: Prepared | None) -> Chain:
+        """Compose what follows the joining of planes, or the first chain where there are none."""
+        chain, arrays = Chain(self.device, self.last), self.arrays
+        if found is not None and prepared is not None:
+            config, step = self.method.config.planes, self.step_px
+            planes = found.planes.planes / step - (0, 0, self.labels_px[0] / step)
+            in_layers = chain.constant("planes", np.concatenate([planes, np.zeros((len(planes), 1))], axis=1))
+            heard, grid = None, EdgeGrid(*self.shape, config.block_px)
+            if prepared.photograph is not None and self.method.edges is not None:
+                lines = lines_heard(
+                    found.planes.choice[::GRID_PX, ::GRID_PX], found.planes.planes * (GRID_PX, GRID_PX, 1),
+                    BORDER_APART_LABELS * step, self.method.edges, prepared.photograph,
+                )  # fmt: skip
+                heard = None if lines is None else (lines, prepared.photograph.colours)
+            choice = add_placed_edges(
+                chain, found.of_blocks, planes, prepared.of_edges, heard, grid,
+                reach_px=config.edge_band_px, apart=BORDER_APART_LABELS,
+            )  # fmt: skip
+            there, first = add_agreement(chain, arrays, choice, in_layers, self.grid)
             add_sigma(chain, arrays, self.grid)
+            if self.judges and self.blocks is not None:
+                add_judged(
+                    chain, arrays, self.blocks, OfPlanes(len(planes), choice, there, first), self.grid,
+                    block=config.block_px, apart=BORDER_APART_LABELS, bias=BIAS_OF_PLANES,
+                    known_within=sigma_of_range(self.labels_px) / step,
+                )  # fmt: skip
+                return chain
         add_results(chain, arrays, self.grid, reach_px=EDGE_REACH_PX)
         return chain
 
@@ -177,56 +257,77 @@ class AccurateChain:
         if isinstance(method.evidence, SpectralEvidence) and self.uses_windows:
             grid = self.windows
             inputs["window_noise"] = method.evidence.noise_of_windows(image, grid.rows, grid.columns)
-        found = self._planes(inputs, views.guide, method.line_costs(image))
-        of_planes = found is not None
-        step = float(self.labels_px[1] - self.labels_px[0])
-        more = {} if found is None else {"taken_labels": (found.taken_px - self.labels_px[0]) / step}
-        results = self.last[of_planes].run(more, ["results"])["results"].reshape(*usable.shape, 4)
+        found, prepared = self._planes(inputs, image, views.guide)
+        step = self.step_px
+        self.last = last = self._last_chain(found, prepared)
+        if "judged" in last.arrays:
+            return method.of_labels(self._judged(last), image, usable, self.labels_px)
+        got = last.run({}, ["results"] if found is None else ["results", "plane_of_pixel"])
+        results = got["results"].reshape(*usable.shape, 4)
         disparity, sigma, extent = self.labels_px[0] + step * results[..., 0], step * results[..., 1], results[..., 2]
-        disparity = disparity if found is None else found.taken_px  # what went up, without the rounding of its way back
+        planes = None
+        if found is not None:
+            planes = found.planes._replace(choice=got["plane_of_pixel"].reshape(usable.shape).astype(np.intp))
+            there = planes.label_px
+            # The plane to the bit: `judged` asks where the surface is it.
+            disparity = np.where(np.abs(disparity - there) < _ALIKE * step, there, disparity)
         surface = judged(
             Surface(disparity, sigma, results[..., 3]), step * extent, self.labels_px,
-            first_px=disparity if found is None else found.first_px,
-            explained_by=None if found is None else found.planes,
+            first_px=disparity if found is None or found.first_px is None else found.first_px,
+            explained_by=planes,
             learned=method.config.surface.learned_error_bar, known_within_px=sigma_of_range(self.labels_px),
         )  # fmt: skip
         return method.of_labels(surface, image, usable, self.labels_px)
 
+    def _judged(self, last: Chain) -> Surface:
+        """Run a chain whose end is `add_judged`."""
+        judged_px = last.run({}, ["judged"])["judged"].reshape(*self.shape, 4)
+        known = judged_px[..., 3] > 0
+        label = (self.labels_px[0] + self.step_px * judged_px[..., 0].astype(float)).astype(np.float32)
+        return Surface(np.where(known, label, np.float32(np.nan)), self.step_px * judged_px[..., 1], judged_px[..., 2])
+
     def _planes(
-        self, inputs: dict[str, np.ndarray], guide: np.ndarray, line_costs: LineCosts | None
-    ) -> PlanesFound | None:
-        """Run the first chain, and explain its surface by planes where they agree, as `optimised_surface`."""
-        config, step = self.method.config.planes, float(self.labels_px[1] - self.labels_px[0])
-        if self.blocks is None:
+        self, inputs: dict[str, np.ndarray], image: np.ndarray, guide: np.ndarray
+    ) -> tuple[PlanesFound | None, Prepared | None]:
+        """Run the first chain, and explain its surface by planes, as `planes_of_surface` does before edges."""
+        config = self.method.config.planes
+        if self.chooser is None:
             self.first.run(inputs, ["round"])
-            return None
-        got = self.first.run(inputs, ["label", "sigma", "blocks"])
-        shape = self.grid.height, self.grid.width
-        label = self.labels_px[0] + step * got["label"].reshape(shape)
-        sigma = step * got["sigma"].reshape(shape)
-        found = proposals(label, sigma, step, config.tiles_px, run=self.method.run)
-        likelihood = self.first.arrays["likelihood"]
-        planes = refined_planes(
-            self.device, likelihood, self.grid, found, self.labels_px, slope_penalty=config.slope_penalty
+            return None, None
+        begun = self.first.start(
+            inputs,
+            [
+                "blocks",
+                *OUTPUTS,
+                FIRST_CHOICE,
+                *([SHADES] if self.hears_lines else []),
+                *([] if self.judges else ["label"]),
+            ],
         )
-        planes = distinct_of(found, list(planes), step)
+        prepared = self._prepared(image, guide)
+        got = self.first.finish(begun)
+        planes = candidates_of(got, self.labels_px)
+        if prepared.photograph is not None:
+            prepared.photograph.shade_products = products_of(got[SHADES])
         if not len(planes):
-            return None
-        blocks = Grid(shape[0] // config.block_px, shape[1] // config.block_px, self.grid.layers)
-        sums = got["blocks"].reshape(blocks)
-        costs = block_costs(config)
-        links = links_of_blocks(guide, config=config, surface=self.method.config.surface)
-        chooser = BlockChoice(self.device, self.blocks, blocks, len(planes), config.sweeps, self.labels_px, costs)
-
-        def choices(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
-            return PlaneChoice(self.device, cost.shape[:2], cost.shape[2], sweeps).choices_of(cost, links)
-
-        volume = Volume(sums, self.labels_px, costs, self.method.run)
+            return None, None
+        chooser, chosen = self.chooser, [got[FIRST_CHOICE].reshape(self.chooser.shape).astype(np.intp)]
+        sums = got["blocks"].reshape(*chooser.shape, self.grid.layers)
         fitting = fitting_planes(
-            planes, volume, guide, lambda some: chooser.choose(some, links), config=config, choices=choices,
-            line_costs=line_costs,
+            planes, Volume(sums, self.labels_px, chooser.costs, self.method.run), self.shape,
+            lambda some: chosen.pop() if chosen else chooser.choose(some), config=config,
         )  # fmt: skip
-        return PlanesFound(fitting, label, where_they_agree(fitting, label, np.hypot(sigma, step)))
+        first = None if self.judges else self.labels_px[0] + self.step_px * got["label"].reshape(self.shape)
+        return PlanesFound(fitting, first, chooser.choice), prepared
+
+    def _prepared(self, image: np.ndarray, guide: np.ndarray) -> Prepared:
+        config, edges = self.method.config.planes, self.method.edges
+        photograph = edges.photograph(image) if edges is not None and self.hears_lines else None
+        if photograph is not None:
+            photograph.prepare()
+        if config.edge_band_px == 0:  # edges stay where blocks have them
+            return Prepared(np.zeros((2, *EdgeGrid(*self.shape, config.block_px).shape), np.float32), photograph)
+        return Prepared(edge_links(guide, config.edge_band_px), photograph)
 
 
 @dataclass

@@ -106,16 +106,16 @@ def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
 
 
 class RoundSizes:
-    """Sizes of what a round of layers of a part works on."""
+    """Sizes of what a round of layers of a part works on; ``layers_px`` are all that are computed."""
 
-    def __init__(self, plan: EvidencePlan, part: Part) -> None:
+    def __init__(self, plan: EvidencePlan, part: Part, layers_px: np.ndarray) -> None:
         nodes, source = plan.nodes, plan.source
         self.size, self.kept = nodes.size, nodes.size // 2
         self.tiles, self.middle = len(nodes.places), 2 * nodes.half
         self.pairs, self.bands = len(part.pairs), len(source.config.bands_px)
         self.part, self.pictures = part, self.tiles * len(part.channels)
         at_infinity, scale = source.blur.reference
-        inverse = (at_infinity - plan.computed_px[part.begin : part.end]) / scale
+        inverse = (at_infinity - layers_px[part.begin : part.end]) / scale
         self.defocus = source.blur.model.scale_px_mm * inverse
         self.rays = [source.blur.rays(*place, part.channels) for place in nodes.places]
         self.reach = self._reach(source.blur.pupil.points)

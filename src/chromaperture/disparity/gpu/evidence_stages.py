@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from chromaperture.disparity.blur_evidence import MAX_CORRELATION2_OF_BANDS, finest_px
+from chromaperture.disparity.blur_evidence import IN_FOCUS_PX, MAX_CORRELATION2_OF_BANDS, finest_px
 from chromaperture.disparity.gpu.device import Array, Chain, DeviceError
-from chromaperture.disparity.gpu.evidence_plan import MOST_TRANSFORMED, EvidencePlan, RoundSizes
+from chromaperture.disparity.gpu.evidence_plan import MOST_TRANSFORMED, EvidencePlan, Part, RoundSizes
 from chromaperture.disparity.gpu.surface_stages import AT_ONCE, add_gaussian, gaussian_taps
 from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
+from chromaperture.disparity.stages.band_correlation import LEAST_POWER, LEAST_SEEN
 from chromaperture.disparity.stages.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis
 
 RADICES = (16, 12, 10, 9, 8, 6, 5, 4, 3, 2)  # of `fourier.wgsl`
@@ -151,8 +152,10 @@ def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
 
 def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: Array) -> Array:
     """Append what all layers need, in rounds; correlations, see `correlations.wgsl`."""
-    sizes = [RoundSizes(plan, part) for part in plan.parts]
-    needed = {name: max(one.layers * one.arrays[name] for one in sizes) for name in sizes[0].arrays}
+    sizes = [RoundSizes(plan, part, plan.computed_px) for part in plan.parts]
+    in_focus = RoundSizes(plan, Part(plan.source.all_pairs, 0, 1), np.array([IN_FOCUS_PX]))
+    every = (in_focus, *sizes) if plan.source.config.allowed_growth > 0 else tuple(sizes)
+    needed = {name: max(one.layers * one.arrays[name] for one in every) for name in sizes[0].arrays}
     made = {name: chain.array(name, size) for name, size in needed.items()}
     round_, config, samples = chain.array("evidence_round", 1, np.uint32), plan.source.config, math.prod(plan.samples)
     correlation = chain.array(
@@ -175,13 +178,21 @@ def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: 
         ),
         band_taps=chain.constant("band_taps", sizes[0].smooths.taps),
     )
-    for number, part in enumerate(sizes):
+    seen = chain.array("seen", in_focus.arrays["products"] * 2 // 3 if in_focus in every else 2)
+    for number, part in enumerate(every):
         rays = _rays(chain, plan, part, number)
         for i in range(part.rounds):
             chain.add("count_up", [round_], groups=(1,), to_zero=i == 0)
             _add_transfers(chain, plan, part, made, (*rays, round_))
             _add_views(chain, plan, part, made, constants)
-            _add_windows(chain, plan, part, made, constants["band_taps"], round_, correlation)
+            _add_windows(chain, plan, part, made, constants["band_taps"])
+            if part is in_focus:
+                chain.add(
+                    "band_powers", [made["products"], seen], groups=groups_for(seen.size // 2), uses=("indexing",),
+                    windows=seen.size // 2,
+                )  # fmt: skip
+            else:
+                _add_correlation(chain, plan, part, made["products"], (seen, round_), correlation)
     return correlation
 
 
@@ -261,16 +272,8 @@ def _add_views(
     )  # fmt: skip
 
 
-def _add_windows(
-    chain: Chain,
-    plan: EvidencePlan,
-    sizes: RoundSizes,
-    made: dict[str, Array],
-    band_taps: Array,
-    round_: Array,
-    correlation: Array,
-) -> None:
-    """Append the bands of P and Q, and their correlations in windows around every second sample."""
+def _add_windows(chain: Chain, plan: EvidencePlan, sizes: RoundSizes, made: dict[str, Array], band_taps: Array) -> None:
+    """Append the bands of P and Q, and their products in windows around every second sample."""
     height, width = plan.nodes.shape
     small = -(-height // 2), -(-width // 2)
     pictures, config = sizes.layers * sizes.pairs, plan.source.config
@@ -303,11 +306,25 @@ def _add_windows(
         parts=3,
         planes=planes,
     )
+
+
+def _add_correlation(
+    chain: Chain,
+    plan: EvidencePlan,
+    sizes: RoundSizes,
+    products: Array,
+    inputs: tuple[Array, Array],
+    correlation: Array,
+) -> None:
+    """Append the correlations of P and Q, from their products in windows, and the powers seen in focus."""
+    (height, width), config = (-(-n // 2) for n in plan.nodes.shape), plan.source.config
     chain.add(
-        "band_correlation", [made["products"], round_, correlation],
-        groups=groups_for(planes * small[0] * small[1]), uses=("indexing", "correlations"), height=small[0],
-        width=small[1],
+        "band_correlation", [products, *inputs, correlation],
+        groups=groups_for(sizes.bands * sizes.layers * sizes.pairs * height * width),
+        uses=("indexing", "correlations"), height=height, width=width,
         bands=sizes.bands, layers_of_round=sizes.layers, pair_count=sizes.pairs, first_layer=sizes.part.begin,
+        all_pairs=len(plan.source.all_pairs), least_power=float(LEAST_POWER), least_seen=float(LEAST_SEEN),
+        allowed_growth=config.allowed_growth, takes_off=int(config.allowed_growth > 0),
         layer_count=sizes.part.end, primary_pairs=len(plan.source.blur.pairs), computed=len(plan.computed_px),
         of_all_pairs=plan.parts[0].end, kept_height=plan.samples[0], kept_width=plan.samples[1],
     )  # fmt: skip

@@ -3,9 +3,8 @@
 
 @group(0) @binding(0) var<storage, read> likelihood: array<f32>;  // (h, w, count)
 @group(0) @binding(1) var<storage, read> points: array<u32>;  // x and y, 16 bits each
-@group(0) @binding(2) var<storage, read> parts: array<vec4u>;  // (planes,): first point, points
-@group(0) @binding(3) var<storage, read> middles: array<vec2f>;  // (planes,)
-@group(0) @binding(4) var<storage, read_write> planes: array<vec4f>;  // (planes,)
+@group(0) @binding(2) var<storage, read> parts: array<vec4u>;  // (planes,): first point, points; their middle as bits
+@group(0) @binding(3) var<storage, read_write> planes: array<vec4f>;  // (planes,)
 
 struct Sums {
     value: f32,
@@ -94,7 +93,8 @@ fn newton(plane: vec3f, found: Sums, slope_bend: f32) -> vec3f {
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let part = parts[group.x];
-    let middle = middles[group.x];
+    if (part.y == 0u) { return; }
+    let middle = bitcast<vec2f>(part.zw);
     let slope_bend = slope_penalty * f32(part.y);
     var plane = planes[group.x].xyz;
     if (local == 0u) { trial = plane; }

@@ -26,8 +26,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         var least = 1.0e30;
         for (var k = lane; k < number; k += lanes) { least = min(least, beliefs[here + k] - back[here + k]); }
         least = least_of_all(least, local);
-        if (!used) { continue; }
-        for (var k = lane; k < number; k += lanes) {
+        for (var k = select(number, lane, used); k < number; k += lanes) {
             let message = min(beliefs[here + k] - back[here + k] - least, penalty);
             beliefs[next + k] += message - ahead[next + k];
             ahead[next + k] = message;
@@ -40,8 +39,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         var least = 1.0e30;
         for (var k = lane; k < number; k += lanes) { least = min(least, beliefs[here + k] - ahead[here + k]); }
         least = least_of_all(least, local);
-        if (!used) { continue; }
-        for (var k = lane; k < number; k += lanes) {
+        for (var k = select(number, lane, used); k < number; k += lanes) {
             let message = min(beliefs[here + k] - ahead[here + k] - least, penalty);
             beliefs[next + k] += message - back[next + k];
             back[next + k] = message;

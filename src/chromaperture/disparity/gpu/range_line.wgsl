@@ -1,5 +1,5 @@
-// Largest and smallest value along one axis within `reach` pixels, of maps whose two values are these; pixels beyond the
-// border do not count.
+// Largest and smallest value along one axis within `reach` pixels, of maps whose two values are these, or one in x where
+// `of_one`; pixels beyond the border do not count.
 
 @group(0) @binding(0) var<storage, read> before: array<vec4f>;  // (h, w): both in x, or largest and smallest in xy
 @group(0) @binding(1) var<storage, read_write> after: array<vec4f>;
@@ -17,7 +17,7 @@ fn main(
     var found = vec2f(-1.0e30, 1.0e30);
     for (var k = max(place, reach) - reach; k <= min(place + reach, last); k++) {
         let here = before[pixel + k * stride - place * stride];
-        found = vec2f(max(found.x, here.x), min(found.y, select(here.y, here.x, along_x)));
+        found = vec2f(max(found.x, here.x), min(found.y, select(here.y, here.x, of_one)));
     }
     after[pixel] = vec4f(found, 0.0, 0.0);
 }

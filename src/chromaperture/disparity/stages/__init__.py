@@ -1,6 +1,6 @@
 """Every stage in readable NumPy: what it computes. ``cpu/`` has the same names compiled; see ``execution.py``."""
 
-from chromaperture.disparity.stages.band_correlation import band_correlation
+from chromaperture.disparity.stages.band_correlation import band_correlation, band_powers
 from chromaperture.disparity.stages.bilateral import bilateral_winner
 from chromaperture.disparity.stages.correlation import correlate, texture_weights
 from chromaperture.disparity.stages.cross_filter import cross_filter
@@ -23,6 +23,7 @@ __all__ = [
     "aggregate_paths",
     "agreed_plane",
     "band_correlation",
+    "band_powers",
     "best_planes",
     "bilateral_winner",
     "correlate",

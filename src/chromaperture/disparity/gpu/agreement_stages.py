@@ -1,0 +1,85 @@
+"""Planes or the surface that they explain, pixel by pixel, on a device: the stages of `plane_agreement.py`."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from chromaperture.disparity.gpu.device import Array, Chain
+from chromaperture.disparity.gpu.surface_stages import Grid, SurfaceArrays, per_pixel
+from chromaperture.disparity.gpu.workgroups import groups_for
+from chromaperture.disparity.plane_agreement import (
+    AGREEMENT_SIGMAS,
+    AGREEMENT_WINDOW_PX,
+    BESIDE_PX,
+    BORDER_PX,
+    SURROUNDED_SHARE,
+    WHOLE_AREA_SHARE,
+)
+
+_PIXELS_COUNTED = 16  # that an invocation of `area_sums.wgsl` counts
+
+
+def disc(reach_px: int) -> list[float]:
+    """Return how far each row of OpenCV's disc reaches to either side; (2 reach + 1,)."""
+    side = 2 * reach_px + 1
+    widths = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)).sum(axis=1)
+    return [float((width - 1) // 2) for width in widths]
+
+
+def add_agreement(chain: Chain, a: SurfaceArrays, choice: Array, planes: Array, grid: Grid) -> tuple[Array, Array]:
+    """Append `plane_agreement.where_they_agree`, into ``surface``; return the layers of the planes and those before.
+
+    Parameters
+    ----------
+    chain : Chain
+    a : SurfaceArrays
+    choice : Array
+        Plane of every pixel, (h, w) uint32.
+    planes : Array
+        (K, 4); layers, of pixels.
+    grid : Grid
+    """
+    pixels = grid.pixels
+    there, first = (chain.array(name, pixels) for name in ("plane_layer", "first_layer"))
+    apart, votes = (chain.array(name, pixels, np.uint32) for name in ("planes_apart", "planes_votes"))
+    arrays = [choice, planes, a.surface, a.sigma, there, apart, first]
+    per_pixel(chain, "planes_apart", arrays, grid, sigmas=AGREEMENT_SIGMAS)
+    reach = AGREEMENT_WINDOW_PX // 2
+    per_pixel(chain, "votes_line", [apart, votes], grid, reach=reach, along_x=True, majority=0)
+    per_pixel(
+        chain, "votes_line", [votes, apart], grid, reach=reach, along_x=False, majority=AGREEMENT_WINDOW_PX**2 // 2 + 1
+    )
+    areas, of_areas = _add_areas(chain, choice, apart, grid, of_spots=False)
+    chain.add(
+        "area_sums", [areas, apart, of_areas], groups=groups_for(-(-pixels // _PIXELS_COUNTED)), uses=("indexing",),
+        height=grid.height, width=grid.width,
+    )  # fmt: skip
+    spots, of_spots = _add_areas(chain, choice, apart, grid, of_spots=True)
+    per_pixel(chain, "spot_sums", [areas, spots, apart, of_spots], grid, reach=BORDER_PX, disc=disc(BORDER_PX))
+    per_pixel(
+        chain, "apart_kept", [areas, spots, of_areas, of_spots, apart], grid,
+        whole_share=WHOLE_AREA_SHARE, surrounded_share=SURROUNDED_SHARE,
+    )  # fmt: skip
+    tiles = -(-grid.height // BESIDE_PX) * -(-grid.width // BESIDE_PX)
+    of_tiles = chain.array("choice_tiles", 2 * tiles, np.uint32)
+    chain.add(
+        "choice_tiles", [choice, of_tiles], groups=groups_for(tiles), uses=("indexing",),
+        height=grid.height, width=grid.width, tile=BESIDE_PX,
+    )  # fmt: skip
+    per_pixel(
+        chain, "planes_taken", [choice, planes, of_tiles, apart, a.sigma, there, a.surface], grid,
+        tile=BESIDE_PX, reach=BESIDE_PX, disc=disc(BESIDE_PX),
+    )  # fmt: skip
+    return there, first
+
+
+def _add_areas(chain: Chain, choice: Array, apart: Array, grid: Grid, *, of_spots: bool) -> tuple[Array, Array]:
+    """Append connected areas of one plane, or of its pixels that differ; their numbers, and room for two sums each."""
+    name = "spots" if of_spots else "areas"
+    keys, joined, found = (chain.array(f"{name}_{part}", grid.pixels, np.uint32) for part in ("key", "joined", "found"))
+    sums = chain.array(f"{name}_sums", 2 * grid.pixels, np.uint32)
+    per_pixel(chain, "areas_start", [choice, apart, keys, joined, sums], grid, of_spots=of_spots)
+    per_pixel(chain, "areas_joined", [keys, joined], grid)
+    per_pixel(chain, "areas_found", [joined, found], grid)
+    return found, sums

@@ -1,0 +1,140 @@
+"""Planes that a first surface proposes, refined by the volume, on a device: the stages of `plane_fit.candidates`.
+
+Random numbers do not depend on the picture, so they go up once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from chromaperture.disparity.gpu.device import Array, Chain
+from chromaperture.disparity.gpu.plane_stages import BlockChoice
+from chromaperture.disparity.gpu.surface_stages import Grid
+from chromaperture.disparity.gpu.workgroups import groups_for
+from chromaperture.disparity.plane_fit import (
+    DISTINCT_LAYERS,
+    DRAW_BITS,
+    INLIER_LAYERS,
+    LEAST_LEFT,
+    LEAST_SHARE,
+    MOST_PLANES,
+    NEWTON_STEPS,
+    PLANES_OF_A_TILE,
+    ROUNDS,
+    TRIALS,
+    draws_of,
+    tiles_of,
+)
+from chromaperture.disparity.stages.plane_refining import CONDITION, GAINED, REACH
+from chromaperture.disparity.stages.planes import LEAST_AREA, LEAST_POINTS, NEAR
+from chromaperture.stage_config import PlanesConfig
+
+LANES, LANES_IN_SOFTWARE = 64, 8  # invocations of a tile; in software one vector, whose barriers cost nothing
+FIRST_CHOICE = "first_choice"  # plane of every block, as `add_first_choice` leaves it
+OUTPUTS = ("candidates", "candidate_parts", "distinct")  # what `candidates_of` reads
+
+
+def add_candidates(
+    chain: Chain,
+    label: Array,
+    sigma: Array,
+    likelihood: Array,
+    grid: Grid,
+    *,
+    tiles_px: tuple[int, ...],
+    slope_penalty: float,
+) -> None:
+    """Append the consensus of points in tiles, `stages.best_planes` of what they agree on, and which are distinct.
+
+    Parameters
+    ----------
+    chain : Chain
+    label, sigma : Array
+        A first surface and its error bar, (h, w), layers.
+    likelihood : Array
+        (h, w, layers), nats a pixel.
+    grid : Grid
+    tiles_px : tuple of int
+    slope_penalty : float
+        `PlaneCosts.slope`.
+    """
+    tiles = tiles_of((grid.height, grid.width), tiles_px)
+    sizes = np.array([tile.rows * tile.columns for tile in tiles])
+    total, slots = int(sizes.sum()), PLANES_OF_A_TILE * len(tiles)
+    about = np.zeros((len(tiles), 8), np.uint32)
+    about[:, :5] = [(tile.top, tile.left, tile.rows, tile.columns, tile.every) for tile in tiles]
+    about[:, 5] = np.cumsum(sizes) - sizes
+    lanes = LANES_IN_SOFTWARE if chain.device.info.is_software else LANES
+    points, parts = chain.array("candidate_points", total, np.uint32), chain.array(OUTPUTS[1], 4 * slots, np.uint32)
+    planes = chain.array(OUTPUTS[0], 4 * slots)
+    chain.add(
+        "agreed_planes",
+        [
+            label, sigma, chain.constant("tiles", about),
+            chain.constant("draws", np.stack([draws_of(i) for i in range(len(tiles))])),
+            chain.array("points_left", 8 * total), points, parts, planes,
+        ],
+        groups=(len(tiles),), width=grid.width, lanes=lanes, rounds=PLANES_OF_A_TILE, trials=TRIALS,
+        draw_bits=DRAW_BITS, point_count=total, tolerance=INLIER_LAYERS, near=NEAR, fits=ROUNDS,
+        least_left=float(LEAST_LEFT), least_share=LEAST_SHARE, least_points=float(LEAST_POINTS),
+        least_area=float(LEAST_AREA),
+    )  # fmt: skip
+    chain.add(
+        "plane_refining", [likelihood, points, parts, planes], groups=(slots,), width=grid.width, count=grid.layers,
+        reach=REACH, slope_penalty=slope_penalty, newton_steps=NEWTON_STEPS, condition=CONDITION, gained=GAINED,
+    )  # fmt: skip
+    side = np.repeat([tile.size_px for tile in tiles], PLANES_OF_A_TILE)
+    order = np.argsort(-side, kind="stable")
+    chain.add(
+        "distinct_planes",
+        [
+            planes, parts, chain.constant("tile_order", np.stack([order, side[order]], axis=1).astype(np.uint32)),
+            chain.array(OUTPUTS[2], slots + 1, np.uint32),
+        ],
+        groups=(1,), lanes=lanes, slots=slots, tolerance=DISTINCT_LAYERS, most=MOST_PLANES,
+    )  # fmt: skip
+
+
+def most_candidates(shape: tuple[int, int], tiles_px: tuple[int, ...]) -> int:
+    """Return how many distinct planes there may be of a picture (height, width)."""
+    return min(MOST_PLANES, PLANES_OF_A_TILE * len(tiles_of(shape, tiles_px)))
+
+
+def add_first_choice(
+    chain: Chain, chooser: BlockChoice, weights: Array, shape: tuple[int, int], *, config: PlanesConfig
+) -> None:
+    """Append the choice of blocks among the distinct planes, and the links that all later choices use.
+
+    Parameters
+    ----------
+    chain : Chain
+        With `add_candidates`.
+    chooser : BlockChoice
+    weights : Array
+        Of the links between pixels, (h, w, 2).
+    shape : (int, int)
+        Height and width of the picture.
+    config : PlanesConfig
+    """
+    size, pixels = config.block_px, chooser.shape[0] * chooser.shape[1]
+    chain.add(
+        "block_links", [weights, chooser.links], groups=groups_for(pixels), uses=("indexing",), height=shape[0],
+        width=shape[1], block=size, penalty=float(config.boundary_penalty * size),
+    )  # fmt: skip
+    candidates, parts, distinct = (chain.arrays[name] for name in OUTPUTS)
+    chain.add(
+        "planes_of_blocks", [distinct, candidates, parts, chooser.planes, chooser.count],
+        groups=groups_for(chooser.capacity), uses=("indexing",), block=size, slope_penalty=float(chooser.costs.slope),
+    )  # fmt: skip
+    chain.dispatches += chooser.chain.dispatches
+    chain.arrays[FIRST_CHOICE] = chooser.choice._replace(name=FIRST_CHOICE)
+
+
+def candidates_of(found: dict[str, np.ndarray], labels_px: np.ndarray) -> np.ndarray:
+    """Return the distinct planes, (K, 3) float64, of what `add_candidates` leaves in its `OUTPUTS`."""
+    kept = found["distinct"][1 : 1 + found["distinct"][0]]
+    planes = found["candidates"].reshape(-1, 4)[kept, :3].astype(float)
+    middles = np.ascontiguousarray(found["candidate_parts"].reshape(-1, 4)[kept, 2:]).view(np.float32).astype(float)
+    step = float(labels_px[1] - labels_px[0])
+    planes[:, 2] += labels_px[0] / step - (planes[:, :2] * middles).sum(axis=1)
+    return planes * step

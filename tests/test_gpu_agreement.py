@@ -1,0 +1,56 @@
+"""Planes or their surface on a GPU: the same choice, pixel by pixel, as on the CPU."""
+
+import cv2
+import numpy as np
+import pytest
+
+from chromaperture.disparity.planar import Planes
+from chromaperture.disparity.plane_agreement import where_they_agree
+from chromaperture.stage_config import SurfaceConfig
+from test_gpu_surface import any_device
+
+pytestmark = pytest.mark.extra("gpu", "wgpu")
+
+STEP = 0.15
+
+
+def planes_and_surface(rng, height, width):
+    """Planes in blobs, a surface that follows them but for areas, spots and streaks of its own."""
+    coarse = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), 9)
+    choice = (coarse > 0.02).astype(int) + (coarse > 0.05) + 2 * (np.arange(width) > 0.8 * width)
+    planes = np.stack([rng.normal(0, 0.004, 5), rng.normal(0, 0.004, 5), rng.uniform(-2, 2, 5)], axis=1)
+    label = Planes(planes, choice).label_px
+    off = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), 5)
+    off = np.where(off > 0.7 * off.std(), 1.0, 0) + (rng.random((height, width)) < 0.1)
+    surface = label + off * rng.choice([-0.8, 0.8]) + rng.normal(0, 0.03, label.shape)
+    return Planes(planes, choice), surface.astype(np.float32), rng.uniform(0.02, 0.25, label.shape)
+
+
+def agreement(rng, device, shape):
+    """A chain that takes planes or their surface, what goes into it, the planes, and the CPU's labels."""
+    from chromaperture.disparity.gpu.agreement_stages import add_agreement
+    from chromaperture.disparity.gpu.device import Chain
+    from chromaperture.disparity.gpu.surface_stages import Grid, surface_arrays
+
+    planes, surface, sigma = planes_and_surface(rng, *shape)
+    expected = where_they_agree(planes, surface, np.hypot(sigma, STEP))
+    grid, chain = Grid(*shape, 2), Chain(device)
+    a = surface_arrays(chain, grid, SurfaceConfig())
+    choice = chain.constant("choice", planes.choice.astype(np.uint32))
+    in_layers = np.concatenate([planes.planes / STEP, np.zeros((5, 1))], axis=1)
+    add_agreement(chain, a, choice, chain.constant("planes", in_layers), grid)
+    given = np.zeros((*shape, 4), np.float32)
+    given[..., 0] = surface / STEP
+    return chain, {"surface": given, "sigma": (sigma / STEP).astype(np.float32)}, planes, expected
+
+
+@pytest.mark.parametrize("shape", [(1, 40), (37, 61), (150, 200)])
+@pytest.mark.parametrize("seed", range(3))
+def test_planes_are_taken_alike(shape, seed):
+    chain, given, planes, expected = agreement(np.random.default_rng(seed), any_device(), shape)
+    found = chain.run(given, ["surface"])["surface"].reshape(*shape, 4)[..., 0]
+    # Layers up to 20 in single precision; a difference of just two error bars may fall to either side.
+    assert (np.abs(STEP * found - expected) < 1e-4).mean() > 0.9995
+    if shape[0] > 100:
+        taken = np.abs(expected - planes.label_px) < 1e-6
+        assert 0.4 < taken.mean() < 0.99  # both occur
