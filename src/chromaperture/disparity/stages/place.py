@@ -15,8 +15,8 @@ from chromaperture.disparity.winner import PathWinner, Surface
 # Of the error bar, `error_bar`: labels where all four signs are 1, and the powers of the signs. Fitted by
 # ``benchmarks/real_time_error_bar.py`` to 96 random captures through two lenses and three designs
 # (docs/measurements.md, *Error bar by four signs*).
-BAR_LEVEL = 2.58
-BAR_POWERS = (-0.19, 0.36, 0.165, -0.14)  # of information, posterior, extent, log-likelihood
+BAR_LEVEL = 2.20
+BAR_POWERS = (-0.16, 0.37, 0.12, -0.15)  # of information, posterior, extent, log-likelihood
 LEAST_SIGNS = (1e-3, 0.05, 0.1, 0.01)  # below, they tell no more: rounding, and labels that are all alike
 # Of the width of an even posterior: what is wider is unknown. In pictures of pure noise 0 to .11 of the posteriors are
 # narrower (`tests/test_confidence.py`).
