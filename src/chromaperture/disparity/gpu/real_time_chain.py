@@ -41,7 +41,7 @@ from chromaperture.disparity.views import ViewSpace
 
 LABELLED = (*SHARED, "half_labels")  # functions of the stages that follow equal depth
 _SIGNS = ("information", "posterior", "extent", "likelihood")  # of the error bar, in the order of `stages.place`
-_BAR = {f"by_{sign}": power for sign, power in zip(_SIGNS, BAR_POWERS, strict=True)} | {
+_BAR: dict[str, Any] = {f"by_{sign}": power for sign, power in zip(_SIGNS, BAR_POWERS, strict=True)} | {
     f"least_{sign}": least for sign, least in zip(_SIGNS, LEAST_SIGNS, strict=True)
 }
 _AT_ONCE = 8  # samples of a line: `each` of ``smoothing_of_lines.wgsl``
