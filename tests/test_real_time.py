@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import cv2
@@ -15,10 +16,10 @@ from chromaperture.disparity.error_bar import sigma_of_range
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.labels import IDENTITY, LabelMap, labels_between
 from chromaperture.disparity.stages.place import (
-    BAR_POWERS,
+    BIAS,
     EDGE_REACH_PX,
-    LEAST_SIGNS,
-    error_bar,
+    EDGE_SHARE,
+    SCATTER,
     halved_surface,
     place_by_correlation,
 )
@@ -143,31 +144,22 @@ def test_next_to_a_step_the_error_bar_is_wide():
     layer = np.full((20, 30), 4, np.float32)
     layer[:, 15:] = 8
     sure = np.full(layer.shape, 1.0, np.float32)
-    winner = PathWinner(layer, sure, 2 * sure, sure, 0.1 * sure, sure, sure)
-    surface = halved_surface(winner, layer, sure, np.arange(13) * 0.25, IDENTITY, np.ones(layer.shape, np.float32))
-    beside, away = surface.sigma_px[:, 12:18], surface.sigma_px[:, : 15 - EDGE_REACH_PX]
-    # The extent is 4 labels beside the step and none away from it, where the least one counts.
-    np.testing.assert_allclose(beside / away.mean(), (4 / LEAST_SIGNS[2]) ** BAR_POWERS[2], rtol=1e-5)  # float32
+    winner = PathWinner(layer, sure, 2 * sure, sure, np.zeros_like(sure), sure, sure)
+    much = np.full(layer.shape, 1e12, np.float32)  # information: no error bar of its own
+    surface = halved_surface(winner, layer, much, np.arange(13) * 0.25, IDENTITY, np.ones(layer.shape, np.float32))
+    np.testing.assert_allclose(surface.sigma_px[:, 12:18], EDGE_SHARE * 4 * 0.25, rtol=1e-6)
+    assert (surface.sigma_px[:, : 15 - EDGE_REACH_PX] < 1e-5).all()
 
 
-@pytest.mark.parametrize("sign", range(4))
-@pytest.mark.parametrize("factor", [1 / 8, 8.0])
-def test_the_error_bar_follows_a_power_of_each_sign(sign, factor):
-    signs = [np.full((3, 4), value) for value in (4.0, 0.5, 1.0, 0.1)]
-    before = error_bar(*signs)
-    signs[sign] = factor * signs[sign]
-    np.testing.assert_allclose(error_bar(*signs) / before, factor ** BAR_POWERS[sign], rtol=1e-12)
-
-
-def test_signs_of_nothing_leave_a_finite_error_bar_no_wider_than_the_range():
-    nothing = np.zeros((3, 4), np.float32)
+@pytest.mark.parametrize("information", [1e4, 4.0, 1e-4])
+def test_the_error_bar_is_that_of_the_information(information):
     layer = np.full((3, 4), 4, np.float32)
-    winner = PathWinner(layer, nothing, nothing, nothing, nothing, nothing, nothing)
+    sure = np.ones_like(layer)
+    winner = PathWinner(layer, sure, 2 * sure, sure, np.zeros_like(sure), sure, sure)
     layers_px = np.arange(13) * 0.25
-    surface = halved_surface(winner, layer, nothing, layers_px, IDENTITY, np.ones((3, 4), np.float32))
-    assert np.isfinite(surface.sigma_px).all()
-    assert (surface.sigma_px > 0).all()
-    assert (surface.sigma_px <= np.float32(sigma_of_range(layers_px))).all()
+    surface = halved_surface(winner, layer, information * sure, layers_px, IDENTITY, sure)
+    expected = 0.25 * math.hypot(SCATTER / math.sqrt(information), BIAS / information)
+    np.testing.assert_allclose(surface.sigma_px, min(expected, sigma_of_range(layers_px)), rtol=1e-5)  # float32
 
 
 def test_a_cell_s_score_is_the_correlation_of_its_weighted_window():

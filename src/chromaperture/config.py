@@ -119,7 +119,7 @@ class RealTimeConfig(MatcherConfig):
         Difference of the guide, in units of ``guide_range``, at which a link of that average has fallen to 1/e.
     floor_px : float
         Least standard deviation of the views' displacement, px: of whole surfaces, whatever their texture, because
-        halves of a pupil blur as mirror images. Fitted to captures of known depth.
+        halves of a pupil blur as mirror images. Fitted with `disparity.stages.place.SCATTER`.
     """
 
     views: ViewsConfig = ViewsConfig(presmooth_sigma_px=0.4, guide_range=0.15)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from chromaperture.disparity.cpu import simd as v
@@ -12,13 +10,13 @@ from chromaperture.disparity.cpu.layout import ONE, ZERO, inner, kernel
 from chromaperture.disparity.error_bar import local_range, sigma_of_range
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.place import (
-    BAR_LEVEL,
-    BAR_POWERS,
+    BIAS,
     EDGE_REACH_PX,
+    EDGE_SHARE,
     FARTHEST_OF_FIVE,
     LEAST_INFORMATION,
-    LEAST_SIGNS,
     LEAST_UNEXPLAINED,
+    SCATTER,
     WIDEST_SHARE,
     near_usable,
 )
@@ -27,10 +25,8 @@ from chromaperture.disparity.winner import PathWinner, Surface
 from chromaperture.threads import in_parallel
 
 _INFORMATION, _UNEXPLAINED = np.float32(LEAST_INFORMATION), np.float32(LEAST_UNEXPLAINED)
-_WIDEST = np.float32(WIDEST_SHARE)
-_LOG_LEVEL = np.float32(math.log(BAR_LEVEL))
-_BY_INFORMATION, _BY_POSTERIOR, _BY_EXTENT, _BY_LIKELIHOOD = (np.float32(power) for power in BAR_POWERS)
-_LEAST_SUM, _LEAST_POSTERIOR, _LEAST_EXTENT, _LEAST_LIKELIHOOD = (np.float32(least) for least in LEAST_SIGNS)
+_EDGE, _WIDEST = np.float32(EDGE_SHARE), np.float32(WIDEST_SHARE)
+_SCATTER2, _BIAS2 = np.float32(SCATTER**2), np.float32(BIAS**2)
 _FLAT = np.float32(1e-9)  # a flat top has no vertex
 _TWO, _THREE, _QUARTER = np.float32(2), np.float32(3), np.float32(0.25)
 _SEVENTH, _FIFTH, _FARTHEST = np.float32(1 / 7), np.float32(1 / 5), np.float32(FARTHEST_OF_FIVE)
@@ -141,12 +137,9 @@ def _finish(layer, posterior, at, information, extent, scale, last, step, widest
     row = np.zeros(padded, np.float32)
     for y in range(len(layer)):
         for x in range(width):
-            unit = scale[y, x] * step
-            bar = _LOG_LEVEL + _BY_INFORMATION * np.log(max(information[y, x], _LEAST_SUM))
-            bar += _BY_POSTERIOR * np.log(max(posterior[y, x] / step, _LEAST_POSTERIOR))
-            bar += _BY_EXTENT * np.log(max(extent[y, x] / unit, _LEAST_EXTENT))
-            bar += _BY_LIKELIHOOD * np.log(max(at[y, x], _LEAST_LIKELIHOOD))
-            sigma[y, x] = min(unit * np.exp(bar), scale[y, x] * widest)
+            known_by, edge, unit = information[y, x], _EDGE * extent[y, x], scale[y, x] * step
+            own = unit * unit * (_SCATTER2 + _BIAS2 / known_by) / known_by
+            sigma[y, x] = min(np.sqrt(own + edge * edge), scale[y, x] * widest)
             known = layer[y, x] > ZERO and layer[y, x] < last and posterior[y, x] < _WIDEST * widest
             disparity[y, x] = disparity[y, x] if known else np.float32(np.nan)
         for x in range(width):

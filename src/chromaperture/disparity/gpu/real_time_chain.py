@@ -27,23 +27,19 @@ from chromaperture.disparity.stages.correlation import SCORE_PARTS
 from chromaperture.disparity.stages.enlarge import JUMP_PX
 from chromaperture.disparity.stages.four_paths import path_parts
 from chromaperture.disparity.stages.place import (
-    BAR_LEVEL,
-    BAR_POWERS,
+    BIAS,
     EDGE_REACH_PX,
+    EDGE_SHARE,
     FARTHEST_OF_FIVE,
     LEAST_INFORMATION,
-    LEAST_SIGNS,
     LEAST_UNEXPLAINED,
+    SCATTER,
     SEEN_REACH,
     WIDEST_SHARE,
 )
 from chromaperture.disparity.views import ViewSpace
 
 LABELLED = (*SHARED, "half_labels")  # functions of the stages that follow equal depth
-_SIGNS = ("information", "posterior", "extent", "likelihood")  # of the error bar, in the order of `stages.place`
-_BAR: dict[str, Any] = {f"by_{sign}": power for sign, power in zip(_SIGNS, BAR_POWERS, strict=True)} | {
-    f"least_{sign}": least for sign, least in zip(_SIGNS, LEAST_SIGNS, strict=True)
-}
 _AT_ONCE = 8  # samples of a line: `each` of ``smoothing_of_lines.wgsl``
 _LANES = 4  # invocations that share a path
 
@@ -113,9 +109,9 @@ def add_real_time(
     chain.add(
         "surface_range", [ranges, smoothed, winner, labels, planes.planes, surface],
         groups=groups_for(planes.width * -(-planes.height // 4)), uses=LABELLED,
-        layer_count=len(labels_px), widest_px=sigma_of_range(labels_px), bar_level=BAR_LEVEL,
+        layer_count=len(labels_px), widest_px=sigma_of_range(labels_px), scatter=SCATTER, bias=BIAS,
         widest_share=WIDEST_SHARE, seen_reach=SEEN_REACH, mask_plane=(planes.view_count + 1) * planes.pixels,
-        **_BAR, **between,
+        edge_share=EDGE_SHARE, **between,
     )  # fmt: skip
 
     if cell_px > 1:

@@ -28,11 +28,9 @@ fn finish(x: u32, y: u32, range: f32) {
     let posterior = step_px * winner[2u * width * height + i];
     var known = winner[i] > 0.0 && winner[i] < f32(layer_count - 1u) && posterior < widest_share * widest_px;
     known = known && is_near_usable(x, y);
-    let unit = scale * step_px;
-    let signs = vec4f(places[i].x, posterior / step_px, range / unit, winner[width * height + i]);
-    let least = vec4f(least_information, least_posterior, least_extent, least_likelihood);
-    let powers = vec4f(by_information, by_posterior, by_extent, by_likelihood);
-    let sigma = min(unit * bar_level * exp(dot(powers, log(max(signs, least)))), scale * widest_px);
+    let information = places[i].x;
+    let own = scale * step_px * sqrt((scatter * scatter + bias * bias / information) / information);
+    let sigma = min(length(vec2f(own, edge_share * range)), scale * widest_px);
     let peak = sqrt(max(1.0 - exp(-2.0 * winner[width * height + i]), 0.0));
     surface[i] = vec4f(select(UNKNOWN, 2.0 * disparity, known), 2.0 * sigma, peak, 0.0);
 }

@@ -12,19 +12,18 @@ from chromaperture.disparity.error_bar import local_range, sigma_of_range
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.winner import PathWinner, Surface
 
-# Of the error bar, `error_bar`: labels where all four signs are 1, and the powers of the signs. Fitted by
-# ``benchmarks/real_time_error_bar.py`` to 96 random captures through two lenses and three designs
-# (docs/measurements.md, *Error bar by four signs*).
-BAR_LEVEL = 2.20
-BAR_POWERS = (-0.16, 0.37, 0.12, -0.15)  # of information, posterior, extent, log-likelihood
-LEAST_SIGNS = (1e-3, 0.05, 0.1, 0.01)  # below, they tell no more: rounding, and labels that are all alike
+# Of the error bar, fitted to twelve simulated captures through each of three designs (docs/measurements.md, *Error bar
+# by information*). A place whose neighbourhood holds the information I scatters by SCATTER / sqrt(I) labels: cells
+# share pixels. Where I is small the place is also biased, by BIAS / I: noise leaves only the coarse part of weak
+# texture, which blur displaces less than the fine part.
+SCATTER, BIAS = 1.4, 6.0
 # Of the width of an even posterior: what is wider is unknown. In pictures of pure noise 0 to .11 of the posteriors are
 # narrower (`tests/test_confidence.py`).
 WIDEST_SHARE = 0.75
 SEEN_REACH = 1  # cells or px; farther from usable pixels a surface is only carried on from the border of a spot
-# Px of the halved picture within which the extent of the disparity is a sign: next to depth edges a pixel may belong
-# to either side.
-EDGE_REACH_PX = 7
+# Of the range of the disparity within so many px of the halved picture: next to depth edges a pixel may belong to
+# either side.
+EDGE_SHARE, EDGE_REACH_PX = 0.35, 7
 FARTHEST_OF_FIVE = 1.5  # layers from the middle of five to the vertex of their parabola; docs/measurements.md
 LEAST_INFORMATION = 1e-4  # where correlations have no peak the place is that of the layer
 LEAST_UNEXPLAINED = 3e-3  # by the best correlation; keeps the information of noiseless pictures finite
@@ -113,42 +112,12 @@ def halved_surface(
     )
     known &= near_usable(mask)
     disparity = np.asarray(label_map.disparity(first + step * place), np.float32)
-    unit = label_map.scale * step  # px
-    extent = local_range(disparity, -(-EDGE_REACH_PX // cell_px)) / unit
-    sigma = unit * error_bar(information, winner.sigma_px / step, extent, winner.at)
-    sigma = np.minimum(sigma, label_map.scale * widest)
+    variance = (SCATTER**2 + BIAS**2 / information) / information  # layers^2
+    own = label_map.scale * step * np.sqrt(variance).astype(np.float32)
+    at_edge = np.float32(EDGE_SHARE) * local_range(disparity, -(-EDGE_REACH_PX // cell_px))
+    sigma = np.minimum(np.hypot(own, at_edge), label_map.scale * widest)
     peak = np.sqrt(np.maximum(1 - np.exp(-2 * winner.at), 0)).astype(np.float32)
     return Surface(np.where(known, disparity, np.float32(np.nan)), sigma.astype(np.float32), peak)
-
-
-def error_bar(information: np.ndarray, posterior: np.ndarray, extent: np.ndarray, likelihood: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of places by four signs of their errors: a product of powers.
-
-    None of the signs tells it alone. The information summed over the average knows the noise of a whole wall, not
-    whether the wall is on the right label; the posterior of the paths knows other labels that cost hardly more; the
-    extent of the surface nearby knows edges and streaks; a cell's own log-likelihood knows whether the views agree.
-
-    Parameters
-    ----------
-    information : (h, w) float, 1 / labels^2
-        Of `place_by_correlation`, summed over all that the place is an average of.
-    posterior : (h, w) float, labels
-        Width of the posterior of the paths.
-    extent : (h, w) float, labels
-        Range of the surface within `EDGE_REACH_PX`.
-    likelihood : (h, w) float, nats
-        At the label that was chosen.
-
-    Returns
-    -------
-    (h, w) float64, labels
-    """
-    signs = information, posterior, extent, likelihood
-    logarithm = sum(
-        power * np.log(np.maximum(sign, least, dtype=float))
-        for sign, power, least in zip(signs, BAR_POWERS, LEAST_SIGNS, strict=True)
-    )
-    return np.asarray(BAR_LEVEL * np.exp(logarithm))
 
 
 def near_usable(mask: np.ndarray) -> np.ndarray:
