@@ -223,7 +223,18 @@ def test_files_written_beside_the_next_measurement_are_the_same(run, camera, tmp
         one, many = ((tmp_path / folder / name).read_bytes() for folder in ("one", "many"))
         if name.endswith(".json"):
             one, many = ({**json.loads(text), "seconds": 0, "made_from": 0} for text in (one, many))
-        assert one == many, name
+        assert one == many, f"{name}: {where_pictures_differ(*(tmp_path / f / name for f in ('one', 'many')))}"
+
+
+def where_pictures_differ(one, many):
+    """Return the box (rows, columns) and size of the difference of two PNG files; other files differ somewhere."""
+    if one.suffix != ".png":
+        return "the files differ"
+    a, b = (cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(int) for path in (one, many))
+    if a.shape != b.shape:
+        return f"{a.shape} and {b.shape}"
+    places = np.argwhere(a != b)
+    return f"from {places.min(axis=0)} to {places.max(axis=0)}, at most {abs(a - b).max()}" if len(places) else "packing"
 
 
 @pytest.mark.slow
