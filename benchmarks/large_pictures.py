@@ -1,6 +1,7 @@
 """Photographs of 24 megapixels: seconds, memory and accuracy beside the same scene in 720 x 480 pixels.
 
-    python benchmarks/large_pictures.py --out DIR [--quality real-time accurate] [--scales 8 4] [--plot FILE.png]
+    python benchmarks/large_pictures.py --out DIR [--quality real-time accurate] [--scales 8 4] [--scenes 0 1 2]
+        [--plot FILE.png]
 
 A 50 mm f/2 lens focused at 2 m is simulated, without aberrations, behind a sensor of 6000 x 4000 pixels: six textured
 surfaces at different distances, blurred by up to 69 px (`optics/layer_renderer.py`). Smaller sensors see the same
@@ -9,6 +10,10 @@ fitted to flat walls in the pixels in which the camera matches, as `calibrate` d
 large sensor): its bias belongs to windows of so many pixels. That of accurate is the optics' own. Every
 photograph is measured by ``chromaperture depth`` in a process of its own; ``peak_gb`` is that process's largest
 resident memory, ``cpu_s`` its processor time with start-up, ``stages_s`` the wall time of its stages.
+
+Scene 0 is the one of the tables of time and memory. One scene cannot say which size is more accurate: surfaces stand or
+fall as a whole. Others have other textures, places and distances; with several, the mean of the differences between
+large and small is printed with its standard error.
 """
 
 from __future__ import annotations
@@ -135,12 +140,26 @@ def with_curves(camera: Calibration) -> Calibration:
     return replace(camera, depth=dict(camera.depth) | {"real-time": DepthField.constant(model)})
 
 
-def scene(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Colours and depth of the scene, (h, w, 3) and (h, w)."""
+def surfaces(number: int) -> tuple:
+    """Return the surfaces of a scene, far to near: `SURFACES`, for others than scene 0 moved, at other distances."""
+    if number == 0:
+        return SURFACES
+    rng = np.random.default_rng(number)
+    wall, *others = SURFACES
+    layers = sorted(rng.choice(np.arange(-8, 5), len(others), replace=False), reverse=True)
+    moved = []
+    for layer, (_, (left, top, right, bottom), tint) in zip(layers, others, strict=True):
+        x, y = rng.uniform(-0.05, 0.05, 2)
+        moved.append((int(layer), (left + x, max(top + y, 0.0), right + x, min(bottom + y, 1.0)), tint))
+    return (wall, *moved)
+
+
+def scene(size: tuple[int, int], number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Colours and depth of a scene, (h, w, 3) and (h, w)."""
     width, height = size
-    grey = noise((height, width), exponent=1.0, seed=4, mean=0.42, contrast=0.16)
+    grey = noise((height, width), exponent=1.0, seed=4 + 100 * number, mean=0.42, contrast=0.16)
     color, depth = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
-    for i, (layer, (left, top, right, bottom), tint) in enumerate(SURFACES):
+    for i, (layer, (left, top, right, bottom), tint) in enumerate(surfaces(number)):
         place = np.s_[round(top * height) : round(bottom * height), round(left * width) : round(right * width)]
         turned = np.roll(grey, (i * height // 7, i * width // 5), axis=(0, 1))[place]
         color[place] = turned[..., None] * np.asarray(tint, np.float32)
@@ -148,11 +167,12 @@ def scene(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     return color, depth
 
 
-def light_and_truth(folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Render the scene once: a minute on two cores, 8 GB."""
+def light_and_truth(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Render a scene once: a minute on two cores, 8 GB."""
+    folder.mkdir(parents=True, exist_ok=True)
     stored = folder / "light.npy"
     if not stored.exists():
-        color, depth = scene(LARGE)
+        color, depth = scene(LARGE, number)
         pitch = LAYER_PX * LARGE[0] / SMALL[0]
         image = render_layers(color, depth, camera=pupil_camera(LARGE), aperture=aperture(), pitch_px=pitch).image
         np.save(stored, 0.85 * image / np.percentile(image[::8, ::8], 99.9))
@@ -215,25 +235,43 @@ def main() -> None:
     parser.add_argument("--quality", nargs="+", default=["real-time", "accurate"])
     parser.add_argument("--scales", nargs="+", default=["auto"], help="of the large picture, such as auto 1/4 1/12")
     parser.add_argument("--sizes", nargs="+", default=["720x480", "6000x4000"])
+    parser.add_argument("--scenes", nargs="+", type=int, default=[0])
     parser.add_argument("--plot", type=Path)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    light, truth = light_and_truth(args.out)
     rows = []
-    for text in args.sizes:
-        size = tuple(int(part) for part in text.split("x"))
-        camera = with_curves(calibration(reduced_size(size, working_scale(calibration(size)))))
-        files = photograph(args.out, light, size, camera)
-        for quality in args.quality:
-            for scale in args.scales if size == LARGE else ["auto"]:
-                results = args.out / f"{text}.{quality}"
-                row = {"size": text, "quality": quality} | measure(*files, quality, scale, results)
-                maps = (tifffile.imread(results / f"{text}.{name}.tiff") for name in ("depth", "sigma"))
-                rows.append(row | score(*maps, truth))
-                print(json.dumps(rows[-1]), flush=True)
+    sizes = [tuple(int(part) for part in text.split("x")) for text in args.sizes]
+    cameras = [with_curves(calibration(reduced_size(size, working_scale(calibration(size))))) for size in sizes]
+    for number in args.scenes:
+        folder = args.out / f"scene{number}"
+        light, truth = light_and_truth(folder, number)
+        for size, camera in zip(sizes, cameras, strict=True):
+            files = photograph(folder, light, size, camera)
+            for quality in args.quality:
+                for scale in args.scales if size == LARGE else ["auto"]:
+                    stem = files[0].stem
+                    results = folder / f"{stem}.{quality}"
+                    row = {"scene": number, "size": stem, "quality": quality} | measure(*files, quality, scale, results)
+                    maps = (tifffile.imread(results / f"{stem}.{name}.tiff") for name in ("depth", "sigma"))
+                    rows.append(row | score(*maps, truth))
+                    print(json.dumps(rows[-1]), flush=True)
+    compare(rows)
     (args.out / "rows.json").write_text(json.dumps(rows, indent=1))
     if args.plot:
-        plot(rows, args.plot)
+        plot([row for row in rows if row["scene"] == args.scenes[0]], args.plot)
+
+
+def compare(rows: list[dict]) -> None:
+    """Print the mean shares of each size, and of the last less the first with its standard error over scenes."""
+    sizes = list(dict.fromkeys(row["size"] for row in rows))
+    for quality in dict.fromkeys(row["quality"] for row in rows):
+        for share in ("within_1%", "within_2%", "within_5%"):
+            of = {size: [r[share] for r in rows if (r["size"], r["quality"]) == (size, quality)] for size in sizes}
+            text = ", ".join(f"{size} {np.mean(values):.3f}" for size, values in of.items())
+            more = np.subtract(of[sizes[-1]], of[sizes[0]]) if len({len(v) for v in of.values()}) == 1 else np.empty(0)
+            if len(more) > 1:
+                text += f"; difference {more.mean():+.4f} +- {more.std(ddof=1) / len(more) ** 0.5:.4f}"
+            print(f"{quality}, {share}, mean of {len(of[sizes[0]])}: {text}", flush=True)
 
 
 def plot(rows: list[dict], path: Path) -> None:

@@ -234,7 +234,9 @@ def where_pictures_differ(one, many):
     if a.shape != b.shape:
         return f"{a.shape} and {b.shape}"
     places = np.argwhere(a != b)
-    return f"from {places.min(axis=0)} to {places.max(axis=0)}, at most {abs(a - b).max()}" if len(places) else "packing"
+    if not len(places):
+        return "in their packing only"
+    return f"from {places.min(axis=0)} to {places.max(axis=0)}, at most {abs(a - b).max()}"
 
 
 @pytest.mark.slow
