@@ -12,6 +12,8 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
 import chromaperture as cap
@@ -23,6 +25,8 @@ from chromaperture.camera_file import Calibration
 from chromaperture.capture import raw as raw_files
 from chromaperture.capture.exif import read_model, read_noise_profile, turn_of
 from chromaperture.capture.files import decode, read_image
+from chromaperture.capture.raw_container import check_complete
+from chromaperture.errors import InputError
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 from worlds import INFINITY_PX, PUPIL_MM, SCALE_PX_MM, mosaic_of, write_dng
 
@@ -68,6 +72,59 @@ def test_every_channel_has_its_black_level(tmp_path):
     light = read_image(tmp_path / "a.dng")
     expected = np.array(list(LIGHT.values())) / (4000 - black.mean())  # a channel's own white is not in the file
     np.testing.assert_allclose(light, np.broadcast_to(expected, light.shape), rtol=1e-6)  # float32
+
+
+@pytest.mark.parametrize(("stated", "white"), [([15360] * 4, 15360), ([0] * 4, 16383), (None, 16383)])
+def test_the_white_level_is_where_the_camera_says_light_ends_to_be_linear(tmp_path, monkeypatch, stated, white):
+    raw = SimpleNamespace(
+        sizes=SimpleNamespace(width=96, height=64, top_margin=0, left_margin=0),
+        raw_pattern=np.array([[0, 1], [3, 2]], np.uint8), raw_image_visible=even_light("RGGB"), color_desc=b"RGBG",
+        black_level_per_channel=[512] * 4, white_level=16383, camera_white_level_per_channel=stated,
+    )  # fmt: skip
+    monkeypatch.setattr(raw_files, "_opened", lambda path: contextlib.nullcontext(raw))
+    _, encoding = raw_files.read_raw(tmp_path / "a.arw")
+    assert encoding.white_level == 2 * white
+
+
+@needs_rawpy
+@pytest.mark.parametrize("share", [0.3, 0.9, 0.999])
+def test_a_raw_file_that_ends_too_early_is_refused(run, tmp_path, share):
+    """LibRaw reads what is missing as black."""
+    mosaic = np.random.default_rng(1).integers(100, 4000, (256, 384)).astype(np.uint16)
+    write_dng(tmp_path / "a.dng", mosaic)
+    whole = (tmp_path / "a.dng").read_bytes()
+    (tmp_path / "a.dng").write_bytes(whole[: int(share * len(whole))])
+    result = run("depth", tmp_path / "a.dng", "--design", "cy_halves", "-o", tmp_path / "out")
+    assert result.returncode == 2
+    assert "copy the file again" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert not list((tmp_path / "out").glob("*"))
+
+
+def boxes(*lengths):
+    """An ISO base media file of boxes of so many bytes, the last with a length of 64 bits."""
+    *short, long = lengths
+    head = b"".join(n.to_bytes(4, "big") + (b"moov" if i else b"ftyp") + bytes(n - 8) for i, n in enumerate(short))
+    return head + (1).to_bytes(4, "big") + b"mdat" + long.to_bytes(8, "big") + bytes(long - 16)
+
+
+def test_a_file_of_boxes_is_as_long_as_these(tmp_path):
+    path, whole = tmp_path / "a.cr3", boxes(24, 100, 3000)
+    path.write_bytes(whole)
+    check_complete(path)
+    for length in (len(whole) - 1, 130 + 16, 60):
+        path.write_bytes(whole[:length])
+        with pytest.raises(InputError, match=r"a\.cr3 ends too early"):
+            check_complete(path)
+
+
+@given(st.binary(max_size=64))
+def test_whatever_a_file_begins_with_its_length_is_checked_without_a_traceback(tmp_path_factory, rest):
+    path = tmp_path_factory.mktemp("raw") / "a.raw"
+    for start in (b"", b"II*\0", b"MM\0*", b"\0\0\0\x18ftyp"):
+        path.write_bytes(start + rest)
+        with contextlib.suppress(InputError):
+            check_complete(path)
 
 
 @needs_rawpy

@@ -13,6 +13,7 @@ import numpy as np
 
 from chromaperture.capture.bayer import superpixels
 from chromaperture.capture.picture_header import check_size
+from chromaperture.capture.raw_container import check_complete
 from chromaperture.capture.source import Encoding
 from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.validation import quoted
@@ -46,7 +47,7 @@ def read_raw(path: Path, *, size_px: tuple[int, int] | None = None) -> tuple[np.
     MissingDependencyError
         rawpy is not installed.
     InputError
-        A file that cannot be read, or a sensor without a Bayer mosaic.
+        A file that cannot be read or ends too early, or a sensor without a Bayer mosaic.
     """
     with _opened(path) as raw:
         check_size(raw.sizes.width // 2, raw.sizes.height // 2, path.name, size_px)
@@ -61,12 +62,21 @@ def read_raw(path: Path, *, size_px: tuple[int, int] | None = None) -> tuple[np.
         layout = np.roll(layout, (-top, -left), axis=(0, 1))
         mosaic = raw.raw_image_visible.copy()
         black = np.array(raw.black_level_per_channel, float)[layout]
-        names, white = raw.color_desc.decode(), float(raw.white_level)
+        names, white = raw.color_desc.decode(), _white_level(raw)
     pattern = "".join(names[i] for i in layout.ravel())
     counts, encoding = superpixels(mosaic, pattern, black_level=float(black.mean()), white_level=white)
     if np.ptp(black) > 0:
         counts = _with_one_black(counts, pattern, black)
     return counts, replace(encoding, given=False)  # the levels of the camera file are more exact
+
+
+def _white_level(raw: Any) -> float:
+    """Return the count up to which all channels are linear: that of the format, or what the camera states if lower.
+
+    Sony's ARW states 15360 of 16383 counts. Neither has black subtracted (LibRaw, `libraw_colordata_t`).
+    """
+    stated = getattr(raw, "camera_white_level_per_channel", None) or ()
+    return float(min([raw.white_level, *(level for level in stated if level > 0)]))
 
 
 def _with_one_black(counts: np.ndarray, pattern: str, black: np.ndarray) -> np.ndarray:
@@ -97,6 +107,7 @@ def _opened(path: Path) -> Iterator[Any]:
         ) from None
     try:
         with rawpy.imread(str(path)) as raw:
+            check_complete(path)
             yield raw
     except rawpy.LibRawError as error:
         what = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
