@@ -16,7 +16,7 @@ from chromaperture.camera_alignment import ChannelAlignment
 from chromaperture.camera_crop import cut_out, in_whole_frame
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, label_maps, noise_model
-from chromaperture.camera_memory import check_camera_memory
+from chromaperture.camera_memory import check_camera_memory, volumes_go_to_disk
 from chromaperture.camera_scale import SAME_SCALE, at_scale, resized
 from chromaperture.capture.checks import check_capture
 from chromaperture.capture.files import read_light
@@ -34,6 +34,7 @@ from chromaperture.disparity.result import Disparity, Method
 from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.errors import CaptureWarning
 from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.scratch import volumes_on_disk
 
 _WHOLE_PX = 4_000_000  # pictures up to this size keep the curves of every pixel, 100 bytes each, from frame to frame
 
@@ -53,6 +54,8 @@ class Begun(NamedTuple):
         Width and height of the photograph.
     waiting : Waiting or None
         What a device has begun.
+    on_disk : bool
+        Whether its volumes do not fit into memory.
     """
 
     camera: CodedApertureCamera
@@ -60,6 +63,7 @@ class Begun(NamedTuple):
     image: np.ndarray
     size_px: tuple[int, int]
     waiting: Waiting | None = None
+    on_disk: bool = False
 
 
 class CodedApertureCamera:
@@ -185,9 +189,9 @@ class CodedApertureCamera:
     def _checked(self, image: np.ndarray) -> Begun:
         frame_px, size_px, origin_px = self._frame_px, image.shape[1::-1], self.config.crop_origin_px
         image = check_capture(image, *(frame_px if origin_px is None else size_px))
-        check_camera_memory("the photograph", self.calibration, self.config)
+        on_disk = volumes_go_to_disk(self.calibration, self.config)
         known, whole = (image, image) if origin_px is None else in_whole_frame(image, origin_px, frame_px)
-        return Begun(self, known, whole, (size_px[0], size_px[1]))
+        return Begun(self, known, whole, (size_px[0], size_px[1]), on_disk=on_disk)
 
     def _completed(self, begun: Begun, measured: Measured, stage: StageTimer) -> DepthFrame:
         """Return the measurement of a photograph whose disparity is known; what no device made is made here."""
@@ -227,9 +231,9 @@ class CodedApertureCamera:
             As `chromaperture.read_image`.
         """
         sensor = self.calibration.sensor
-        levels = (sensor.black_level, sensor.white_level) if self.calibration.is_calibrated else None
         check_camera_memory(Path(path).name, self.calibration, self.config)
         is_known = self.calibration.is_calibrated
+        levels = (sensor.black_level, sensor.white_level) if is_known else None
         size_px = self._frame_px if self.config.crop_origin_px is None else None
         return read_light(
             path, size_px=size_px, any_scale=is_known, black_level=black_level, white_level=white_level,
@@ -292,7 +296,8 @@ class CodedApertureCamera:
         if isinstance(self.method, DeviceMethod):
             measured = self.method.finish(begun.waiting or self.method.start(begun.known, self._further(begun)))
         else:
-            measured = Measured(self.method.match(begun.known))
+            with volumes_on_disk(begun.on_disk):
+                measured = Measured(self.method.match(begun.known))
         if self.further_maps is None:
             return measured
         return self.further_maps.added(measured, begun.known, self._further(begun))

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from chromaperture.errors import OutOfMemoryError
+from chromaperture.errors import InputError, OutOfMemoryError
+
+LIMIT = "CHROMAPERTURE_MEMORY_GB"  # environment variable: the most memory that a measurement may take
 
 # Limits of a container, and what it uses: of cgroups 2, then of cgroups 1.
 _CGROUPS = (
@@ -16,11 +18,31 @@ _MEMINFO, _STATM = "/proc/meminfo", "/proc/self/statm"
 
 
 def available_bytes() -> float:
-    """Return the memory that this process may still use: of the machine, its container and its limit.
+    """Return the memory that this process may still use: of the machine, its container, its limit, and `LIMIT`.
 
     inf where the system does not tell.
+
+    Raises
+    ------
+    InputError
+        `LIMIT` is no number.
     """
-    return max(0.0, min(_of_machine(), *(_of_container(*files) for files in _CGROUPS), _of_process()))
+    containers = (_of_container(*files) for files in _CGROUPS)
+    return max(0.0, min(_of_machine(), *containers, address_space_bytes(), limit_bytes()))
+
+
+def limit_bytes() -> float:
+    """Return what the environment variable `LIMIT` sets; inf without it. Raises InputError."""
+    text = os.environ.get(LIMIT, "").strip()
+    if not text:
+        return float("inf")
+    try:
+        found = float(text)
+    except ValueError:
+        found = 0.0
+    if not 0 < found < 1e6:  # neither NaN nor bytes
+        raise InputError(f"{LIMIT}={text[:40]} is no amount of memory: set it to gigabytes, such as 2.5, or unset it")
+    return 1e9 * found
 
 
 def check_memory(what: str, needed_bytes: float, *, advice: str) -> None:
@@ -57,7 +79,8 @@ def _of_container(limit_file: str, used_file: str) -> float:
     return limit - used / 2 if limit < float("inf") and used < float("inf") else float("inf")
 
 
-def _of_process() -> float:
+def address_space_bytes() -> float:
+    """Return what this process may still map, files included (``ulimit -v``); inf without a limit."""
     try:
         import resource
     except ImportError:  # Windows

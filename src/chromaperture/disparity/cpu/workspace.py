@@ -9,6 +9,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from chromaperture.scratch import are_volumes_on_disk, scratch_array
+
 _CACHE_LINE = 64  # bytes: a vector that straddles two lines costs two loads
 _SMALL = 1 << 26  # bytes: so much is not given back when less is asked for
 
@@ -53,7 +55,12 @@ _volumes: deque[np.ndarray] = deque(maxlen=_VOLUMES)  # memory that no array use
 
 
 def volume(shape: tuple[int, ...]) -> np.ndarray:
-    """Return a float32 array with whatever numbers an earlier one left in it; its memory is kept for later ones."""
+    """Return a float32 array with whatever numbers an earlier one left in it; its memory is kept for later ones.
+
+    Inside `chromaperture.scratch.volumes_on_disk` it is a file's; raises OutOfMemoryError where the disk is full.
+    """
+    if are_volumes_on_disk():
+        return scratch_array(shape)
     size = math.prod(shape)
     if 4 * size > _MOST_KEPT:
         return np.empty(shape, np.float32)

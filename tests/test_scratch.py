@@ -1,0 +1,144 @@
+"""Volumes that do not fit into memory: kept on disk, with the same results to the last bit."""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import chromaperture as cap
+from chromaperture import camera_memory, memory, scratch
+from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera_matching import default_config
+from chromaperture.camera_memory import check_camera_memory, needed_bytes, volume_bytes
+from chromaperture.disparity.cpu import workspace
+from chromaperture.errors import CaptureWarning, InputError, OutOfMemoryError
+from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
+
+GIGA = 1e9
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return cap.Calibration.load(sample_camera(SAMPLES[0]))
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)  # where Python keeps the folder that it found before
+    return tmp_path
+
+
+def test_an_array_on_disk_is_one_like_others_and_leaves_no_file(folder):
+    made = scratch.scratch_array((3, 4, 5))
+    assert type(made) is np.ndarray
+    assert made.dtype == np.float32
+    assert (made == 0).all()
+    made[1] = 7
+    assert made.sum() == 140
+    assert not list(folder.iterdir())
+
+
+def test_only_the_block_and_its_thread_have_volumes_on_disk(folder, monkeypatch):
+    made = []
+    monkeypatch.setattr(workspace, "scratch_array", lambda shape: made.append(shape) or np.empty(shape, np.float32))
+    with scratch.volumes_on_disk(True):
+        with scratch.volumes_on_disk(False):
+            workspace.volume((2, 3, 4))
+        assert made == []
+        workspace.volume((2, 3, 4))
+    workspace.volume((2, 3, 4))
+    assert made == [(2, 3, 4)]
+
+
+@pytest.mark.slow
+def test_results_are_the_same_to_the_bit(run, folder, tmp_path, monkeypatch):
+    """The sample needs 0.9 GB; half of that are volumes."""
+    on_disk = []
+    array = scratch.scratch_array
+    monkeypatch.setattr(workspace, "scratch_array", lambda shape: on_disk.append(shape) or array(shape))
+    options = ("--camera", sample_camera(SAMPLES[0]), "--quality", "accurate", "--device", "cpu", "--write")
+    for name, limit in (("memory", None), ("disk", "0.6")):
+        if limit is not None:
+            monkeypatch.setenv(memory.LIMIT, limit)
+        result = run("depth", sample_image(SAMPLES[0]), *options, "depth,sigma", "--out", tmp_path / name)
+        assert result.returncode == 0, result.stderr
+        assert ("kept in" in result.stderr) == (name == "disk")
+    assert len(on_disk) == 2  # evidence, and the sum of the paths' costs
+    for file in ("depth", "sigma"):
+        one, other = (next((tmp_path / name).glob(f"*.{file}.tiff")).read_bytes() for name in ("memory", "disk"))
+        assert one == other
+
+
+@pytest.mark.parametrize(
+    ("free", "room", "mapped", "goes_to_disk"),
+    [(1.1, 2, 9, False), (0.7, 2, 9, True), (0.7, 0.9, 9, None), (0.7, 2, 0.9, None), (0.1, 2, 9, None)],
+)
+def test_volumes_go_to_disk_where_that_is_what_is_missing(calibration, monkeypatch, free, room, mapped, goes_to_disk):
+    """Of memory and address space in shares of what is needed, of the disk in shares of the volumes."""
+    config = default_config(calibration, "accurate", scale=1)
+    needed, volumes = needed_bytes(calibration, config), volume_bytes(calibration, config)
+    assert 0.3 < 1 - volumes / needed < 0.7
+    monkeypatch.setattr(camera_memory, "_SMALL_BYTES", 0)
+    monkeypatch.setattr(camera_memory, "address_space_bytes", lambda: mapped * needed)
+    monkeypatch.setattr(camera_memory, "free_scratch_bytes", lambda: room * volumes)
+    for module in (memory, camera_memory):
+        monkeypatch.setattr(module, "available_bytes", lambda: free * needed)
+    if goes_to_disk is None:
+        with pytest.raises(OutOfMemoryError, match=r"photo.png, 0.346 megapixels at scale 1/1: not enough memory"):
+            check_camera_memory("photo.png", calibration, config)
+    else:
+        assert check_camera_memory("photo.png", calibration, config) == goes_to_disk
+
+
+def test_a_method_without_such_volumes_is_refused(calibration, monkeypatch):
+    config = default_config(calibration, "real-time")
+    assert volume_bytes(calibration, config) == 0
+    monkeypatch.setenv(memory.LIMIT, "0.01")
+    image = np.full((480, 720, 3), 0.5, np.float32)
+    with pytest.raises(OutOfMemoryError, match=r"0\.0 GB free"):
+        CodedApertureCamera(calibration, config).measure(image)
+
+
+def test_a_disk_that_fills_up_is_one_line_and_leaves_no_file(calibration, folder, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
+    monkeypatch.setenv(memory.LIMIT, "0.6")
+    camera = CodedApertureCamera(calibration, default_config(calibration, "accurate", scale=1))
+    image = cap.read_image(sample_image(SAMPLES[0]), black_level=16, white_level=1016)
+    with (
+        pytest.warns(CaptureWarning, match="kept in"),
+        pytest.raises(OutOfMemoryError, match=r"no room for 0.2 GB in .* \(No space left on device\); set TMPDIR"),
+    ):
+        camera.measure(image)
+    assert not list(folder.iterdir())
+
+
+@given(st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=12))
+def test_a_limit_is_a_number_of_gigabytes_or_refused(text):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(memory.LIMIT, text)
+        try:
+            found = memory.limit_bytes()
+        except InputError as error:
+            assert memory.LIMIT in str(error)
+            return
+        assert found == (float("inf") if not text.strip() else GIGA * float(text))
+        assert found > 0
+        assert not math.isnan(found)
+
+
+def test_a_wrong_limit_is_one_line(run, monkeypatch, tmp_path):
+    monkeypatch.setenv(memory.LIMIT, "2 GB")
+    result = run("depth", sample_image(SAMPLES[0]), "--camera", sample_camera(SAMPLES[0]), "--out", tmp_path / "out")
+    assert result.returncode == 2
+    assert "CHROMAPERTURE_MEMORY_GB=2 GB is no amount of memory" in result.stderr
+    assert not (tmp_path / "out").exists()
