@@ -24,11 +24,12 @@ BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "spectral_config", 
                          "camera_matching", "camera_scale", "camera_memory", "camera_alignment", "camera_crop",
                          "camera", "cluster", "formats", "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
-COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory", "rows_on_demand"}
+COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory", "rows_on_demand", "scratch"}
 ALLOWED: dict[str, set[str]] = {
     **{part: set() for part in COMMON},
     "validation": {"errors"},
     "memory": {"errors"},
+    "scratch": {"errors"},
     "threads": {"errors"},  # numbers of threads in the environment are refused like any input
     "compile_ahead": set(),
     "stage_config": {"errors"},

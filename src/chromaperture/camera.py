@@ -37,7 +37,6 @@ from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.scratch import volumes_on_disk
 
 _WHOLE_PX = 4_000_000  # pictures up to this size keep the curves of every pixel, 100 bytes each, from frame to frame
-
 StageTimer = Callable[[str], AbstractContextManager[None]]
 
 
