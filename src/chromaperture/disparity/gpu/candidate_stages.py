@@ -25,7 +25,7 @@ from chromaperture.disparity.plane_fit import (
     draws_of,
     tiles_of,
 )
-from chromaperture.disparity.stages.plane_refining import CONDITION, GAINED, REACH
+from chromaperture.disparity.stages.plane_refining import CONDITION, GAINED, LEAST_BEND, REACH
 from chromaperture.disparity.stages.planes import LEAST_AREA, LEAST_POINTS, NEAR
 from chromaperture.stage_config import PlanesConfig
 
@@ -80,8 +80,9 @@ def add_candidates(
         least_area=float(LEAST_AREA),
     )  # fmt: skip
     chain.add(
-        "plane_refining", [likelihood, points, parts, planes], groups=(slots,), width=grid.width, count=grid.layers,
-        reach=REACH, slope_penalty=slope_penalty, newton_steps=NEWTON_STEPS, condition=CONDITION, gained=GAINED,
+        "plane_refining", [likelihood, points, parts, planes], groups=(slots,), uses=("plane_newton",), lanes=lanes,
+        width=grid.width, count=grid.layers, reach=REACH, slope_penalty=slope_penalty, newton_steps=NEWTON_STEPS,
+        condition=CONDITION, least_bend=LEAST_BEND, gained=GAINED,
     )  # fmt: skip
     side = np.repeat([tile.size_px for tile in tiles], PLANES_OF_A_TILE)
     order = np.argsort(-side, kind="stable")
