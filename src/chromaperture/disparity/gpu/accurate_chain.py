@@ -21,11 +21,8 @@ from chromaperture.disparity.edge_likelihood import GRID_PX, Photograph
 from chromaperture.disparity.error_bar import sigma_of_range
 from chromaperture.disparity.gpu.agreement_stages import add_agreement
 from chromaperture.disparity.gpu.candidate_stages import (
-    FIRST_CHOICE,
-    OUTPUTS,
     add_candidates,
     add_first_choice,
-    candidates_of,
     most_candidates,
 )
 from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError
@@ -39,9 +36,10 @@ from chromaperture.disparity.gpu.edge_stages import (
 )
 from chromaperture.disparity.gpu.evidence_plan import EvidencePlan, plan_evidence
 from chromaperture.disparity.gpu.evidence_stages import add_evidence
+from chromaperture.disparity.gpu.joining_stages import add_joining
 from chromaperture.disparity.gpu.judging_stages import OfPlanes, add_judged
 from chromaperture.disparity.gpu.label_stages import WindowsEarned, add_labels, add_views_evidence
-from chromaperture.disparity.gpu.plane_stages import BlockChoice
+from chromaperture.disparity.gpu.plane_stages import BlockChoice, planes_of
 from chromaperture.disparity.gpu.spectral_stages import WindowGrid, add_windows
 from chromaperture.disparity.gpu.surface_stages import (
     Grid,
@@ -55,9 +53,8 @@ from chromaperture.disparity.gpu.surface_stages import (
     add_variation,
     surface_arrays,
 )
-from chromaperture.disparity.planar import BORDER_APART_LABELS, Planes, block_costs, fitting_planes
+from chromaperture.disparity.planar import BORDER_APART_LABELS, Planes, block_costs, planes_of_pixels
 from chromaperture.disparity.plane_edges import edge_links
-from chromaperture.disparity.plane_fit import Volume
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.spectral_evidence import SpectralEvidence
 from chromaperture.disparity.views import filtered_views
@@ -109,6 +106,7 @@ class AccurateChain:
     method: AccurateMethod
     device: Device
     shape: tuple[int, int]
+    joins: int = 40
     plan: EvidencePlan | None = field(init=False)
     grid: Grid = field(init=False)
     labels_px: np.ndarray = field(init=False)
@@ -145,6 +143,12 @@ class AccurateChain:
                 block_costs(config.planes),
             )  # fmt: skip
             add_first_choice(chain, self.chooser, arrays.links, self.shape, config=config.planes)
+            unfinished = chain.array("unfinished", 1, np.uint32)
+            for _ in range(config.planes.rounds - 1):
+                add_joining(chain, self.chooser, unfinished, rounds=self.joins, config=config.planes)
+                chain.dispatches += self.chooser.chain.dispatches
+            for array in (self.chooser.planes, self.chooser.count, self.chooser.choice):
+                chain.arrays[array.name] = array
             if self.hears_lines:
                 add_shades(chain, chain.arrays["image"], self.shape)
 
@@ -294,29 +298,21 @@ class AccurateChain:
         if self.chooser is None:
             self.first.run(inputs, ["round"])
             return None, None
+        chooser = self.chooser
+        names = [array.name for array in (chooser.planes, chooser.count, chooser.choice)]
         begun = self.first.start(
-            inputs,
-            [
-                "blocks",
-                *OUTPUTS,
-                FIRST_CHOICE,
-                *([SHADES] if self.hears_lines else []),
-                *([] if self.judges else ["label"]),
-            ],
+            inputs | {"unfinished": np.zeros(1, np.uint32)},
+            [*names, "unfinished", *([SHADES] if self.hears_lines else []), *([] if self.judges else ["label"])],
         )
         prepared = self._prepared(image, guide)
         got = self.first.finish(begun)
-        planes = candidates_of(got, self.labels_px)
+        assert not got["unfinished"][0]
+        planes, choice = planes_of(*(got[name] for name in names[:2]), self.labels_px), got["choice"].reshape(chooser.shape)
         if prepared.photograph is not None:
             prepared.photograph.shade_products = products_of(got[SHADES])
         if not len(planes):
             return None, None
-        chooser, chosen = self.chooser, [got[FIRST_CHOICE].reshape(self.chooser.shape).astype(np.intp)]
-        sums = got["blocks"].reshape(*chooser.shape, self.grid.layers)
-        fitting = fitting_planes(
-            planes, Volume(sums, self.labels_px, chooser.costs, self.method.run), self.shape,
-            lambda some: chosen.pop() if chosen else chooser.choose(some), config=config,
-        )  # fmt: skip
+        fitting = planes_of_pixels(planes, choice, self.shape, config.block_px)
         first = None if self.judges else self.labels_px[0] + self.step_px * got["label"].reshape(self.shape)
         return PlanesFound(fitting, first, chooser.choice), prepared
 
