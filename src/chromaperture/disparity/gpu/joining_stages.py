@@ -61,9 +61,7 @@ def add_joining(chain: Chain, chooser: BlockChoice, unfinished: Array, *, rounds
     )  # fmt: skip
     border = -(-config.border_px // config.block_px)
     chain.add("part_counts", [chooser.choice, cores, counts], groups=groups, uses=uses, **of_blocks, border=border)
-    chain.add(
-        "part_starts", [counts, chooser.count, segments], groups=(1,), capacity=most, least_core=LEAST_CORE
-    )
+    chain.add("part_starts", [counts, chooser.count, segments], groups=(1,), capacity=most, least_core=LEAST_CORE)
     chain.add("part_points", [chooser.choice, cores, counts, segments, points], groups=(most,), **of_blocks)
     fit: dict[str, Any] = dict(
         width=width, count=len(chooser.labels_px), reach=REACH, newton_steps=NEWTON_STEPS, condition=CONDITION,
