@@ -36,11 +36,11 @@ def patches(rng, height, width, count):
     return likelihood.astype(np.float32), choice, planes
 
 
-def joined_on_device(device, likelihood, choice, planes, config, rounds=CAPACITY):
-    """Planes, px, and choice, as `merged_planes` returns them."""
+def joining_chain(device, likelihood, choice, planes, config, rounds=CAPACITY):
+    """A chain that joins planes, what goes into it, and the name of what is left of each."""
     from chromaperture.disparity.gpu.device import Chain
     from chromaperture.disparity.gpu.joining_stages import add_joining
-    from chromaperture.disparity.gpu.plane_stages import BlockChoice, planes_of
+    from chromaperture.disparity.gpu.plane_stages import BlockChoice
     from chromaperture.disparity.gpu.surface_stages import Grid
 
     chain, grid = Chain(device), Grid(*likelihood.shape)
@@ -48,15 +48,18 @@ def joined_on_device(device, likelihood, choice, planes, config, rounds=CAPACITY
     chooser = BlockChoice(device, blocks, grid, CAPACITY, config.sweeps, LABELS, block_costs(config))
     unfinished = chain.constant("unfinished", np.zeros(1, np.uint32))
     segments = add_joining(chain, chooser, unfinished, rounds=rounds, config=config)
-    chooser.write_planes(planes)
-    chooser.chain.write(chooser.choice, choice)
-    for name in ("planes", "count"):
-        array = getattr(chooser, name)
-        chain.arrays[array.name] = array
-    found = chain.run({}, ["block_planes", "plane_count", segments.name, "unfinished"])
-    assert (found["unfinished"][0] > 0) == (rounds < CAPACITY)
-    last = found[segments.name].reshape(-1, 4)[:, 3]
-    return planes_of(found["block_planes"], found["plane_count"], LABELS), last[choice]
+    chain.arrays |= {array.name: array for array in (chooser.planes, chooser.count, chooser.choice)}
+    return chain, chooser.inputs_of(planes) | {chooser.choice.name: choice.astype(np.uint32)}, segments.name
+
+
+def joined_on_device(device, likelihood, choice, planes, config):
+    """Planes, px, and choice, as `merged_planes` returns them."""
+    from chromaperture.disparity.gpu.plane_stages import planes_of
+
+    chain, inputs, last = joining_chain(device, likelihood, choice, planes, config)
+    found = chain.run(inputs, ["block_planes", "plane_count", last, "unfinished"])
+    assert found["unfinished"][0] == 0
+    return planes_of(found["block_planes"], found["plane_count"], LABELS), found[last].reshape(-1, 4)[choice, 3]
 
 
 def assert_joined_alike(device, likelihood, choice, planes, config):
@@ -94,3 +97,12 @@ def test_a_single_plane_is_left_as_it_is(rng):
     plane = np.array([[0.01, -0.02, 0.5]])
     found, _ = joined_on_device(any_device(), likelihood, np.zeros_like(choice), plane, PlanesConfig())
     np.testing.assert_allclose(found, plane, atol=1e-5)
+
+
+def test_too_few_rounds_are_noted(rng):
+    given = patches(rng, 24, 30, 20)
+    for rounds, is_enough in ((CAPACITY, True), (3, False)):
+        chain, inputs, _ = joining_chain(any_device(), *given, PlanesConfig(), rounds=rounds)
+        got = chain.run(inputs, ["unfinished", "plane_count"])
+        assert (got["unfinished"][0] == 0) == is_enough
+        assert got["plane_count"][0] < 20

@@ -95,11 +95,11 @@ class AccurateChain:
     device : Device
     shape : (int, int)
         Height and width of its photographs.
+    room : Room
     plan : EvidencePlan or None
         None where the blur is not known: evidence is that of shifted views.
     grid : Grid
     labels_px : (N,) float64, px
-    room : Room
     first, last : Chain
         Up to the planes, or to the surface where none are looked for; what follows.
     """
@@ -107,10 +107,10 @@ class AccurateChain:
     method: AccurateMethod
     device: Device
     shape: tuple[int, int]
+    room: Room = field(default_factory=Room)
     plan: EvidencePlan | None = field(init=False)
     grid: Grid = field(init=False)
     labels_px: np.ndarray = field(init=False)
-    room: Room = field(default_factory=Room)
     first: Chain = field(init=False)
     last: Chain = field(init=False)
     arrays: SurfaceArrays = field(init=False)

@@ -1,8 +1,4 @@
-"""Blocks choose planes on a device: costs of planes, belief propagation over them.
-
-What stays on the CPU is the joining of planes between two choices: decisions one after the other over a few hundred
-planes. It needs block sums of the volume, a sixteenth of it.
-"""
+"""Blocks choose planes on a device: costs of planes, belief propagation over them."""
 
 from __future__ import annotations
 
@@ -122,20 +118,18 @@ class BlockChoice(PlaneChoice):
         )  # fmt: skip
         self.chain.dispatches += following
 
-    def write_planes(self, planes: np.ndarray) -> None:
-        """Send planes (K, 3) of blocks, px, from which to choose."""
+    def inputs_of(self, planes: np.ndarray) -> dict[str, np.ndarray]:
+        """Return what goes up of planes (K, 3) of blocks, px, from which to choose."""
         step = float(self.labels_px[1] - self.labels_px[0])
-        filled = np.zeros((self.capacity, 4))
+        filled = np.zeros((self.capacity, 4), np.float32)
         filled[: len(planes), :3] = planes / step
         filled[: len(planes), 2] -= self.labels_px[0] / step
         filled[: len(planes), 3] = self.costs.slope / 2 * (filled[: len(planes), :2] ** 2).sum(axis=1)
-        self.chain.write(self.planes, filled)
-        self.chain.write(self.count, np.array([len(planes)], np.uint32))
+        return {self.planes.name: filled, self.count.name: np.array([len(planes)], np.uint32)}
 
     def choose(self, planes: np.ndarray) -> np.ndarray:
         """Return the plane of every block, (h, w) int, of planes (K, 3) of blocks; ``links`` are on the device."""
-        self.write_planes(planes)
-        return self.chain.run({}, ["choice"])["choice"].reshape(self.shape).astype(np.intp)
+        return self.chain.run(self.inputs_of(planes), ["choice"])["choice"].reshape(self.shape).astype(np.intp)
 
 
 def planes_of(planes: np.ndarray, count: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
