@@ -30,7 +30,7 @@ from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.products.samples import open_sample
 
 LEAST_AGREEING, DEPTH_TOLERANCE = 0.995, 1e-3
-TRIED, STEPS = 130, 6  # pairs of planes of a photograph, most of them behind the first choice; sums over points of each
+SUMS = 6  # over the points of a plane, from each start
 LINES, PARTS = 2000, 200  # across borders of a photograph of 720x480, and groups of them
 
 
@@ -94,9 +94,9 @@ def operations(dispatch: Dispatch) -> float:
         "plane_refining": lambda: 500.0 * 12 * dispatch.arrays[1].size / 6,
         "plane_costs": lambda: 8.0 * pixels * dispatch.arrays[1].size / 4,
         "potts_lines": lambda: 8.0 * dispatch.arrays[0].size,
-        # two starts of half of all points in the first of 60 dispatches at most; others try few
-        "pair_joins": lambda: 2.0 * TRIED * STEPS * 60 * c["most_points"] / 60,
-        "part_planes": lambda: 60.0 * 2 * STEPS * dispatch.arrays[1].size,
+        # some 32 pairs behind a choice and 4 behind a join, from two starts
+        "pair_joins": lambda: 60.0 * 2 * SUMS * c["most_points"] * c["side_by_side"] / 8,
+        "part_planes": lambda: 60.0 * 2 * SUMS * dispatch.arrays[1].size,
         "part_counts": lambda: 4.0 * (2 * c["border"] + 1) ** 2 * pixels,
         "line_sides": lambda: 8.0 * (2 * c["reach"] + 1) ** 2 * LINES,
         "line_powers": lambda: 5.0 * LINES**2,
