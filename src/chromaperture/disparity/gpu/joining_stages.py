@@ -7,7 +7,7 @@ known only when they are made: there are so many rounds, and those behind the la
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,12 +19,20 @@ from chromaperture.disparity.plane_merging import FAR_APART_LAYERS, LEAST_CORE, 
 from chromaperture.disparity.stages.plane_refining import CONDITION, GAINED, LEAST_BEND, MOST_POINTS, REACH
 from chromaperture.stage_config import PlanesConfig
 
-# Invocations of a fit: 8 of 16 KB of shared memory. llvmpipe leaves a shader's loops after 65535 rounds of all of them
-# together, which few invocations with many points each would take.
-LANES = 128
-LANES_IN_SOFTWARE = 64
-_SIDE_BY_SIDE = 256  # pairs that are tried at once; of `still_life` some hundred meet
-_NEIGHBOURS = 32  # of a joined part that are tried at once
+
+class _Side(NamedTuple):
+    """How many work side by side: invocations of a fit, pairs behind a choice of blocks, pairs behind a join."""
+
+    lanes: int
+    pairs: int
+    neighbours: int
+
+
+_SIDE = _Side(128, 256, 32)  # a fit has 8 of the 16 KB that a workgroup shares; of `still_life` some hundred pairs meet
+# In software workgroups that have nothing to do take time, too. But llvmpipe leaves a shader's loops after 65535 rounds
+# of all of them together: of large pictures, whose parts have more blocks, fewer fall on an invocation.
+_SIDE_IN_SOFTWARE, _MOST_BLOCKS = _Side(16, 128, 8), 30_000
+_LARGE_IN_SOFTWARE = _Side(64, 256, 32)
 _PART, _JOIN = 12, 12  # numbers of a `Part` and a `Join` in the shaders
 
 
@@ -59,6 +67,9 @@ def add_joining(chain: Chain, chooser: BlockChoice, unfinished: Array, *, rounds
         "joining_start", [chooser.count, counts, joins, meeting], groups=groups_for(max(2 * most, most * most)),
         uses=uses, capacity=most,
     )  # fmt: skip
+    side = _SIDE
+    if chain.device.info.is_software:
+        side = _SIDE_IN_SOFTWARE if blocks <= _MOST_BLOCKS else _LARGE_IN_SOFTWARE
     border = -(-config.border_px // config.block_px)
     chain.add("part_counts", [chooser.choice, cores, counts], groups=groups, uses=uses, **of_blocks, border=border)
     chain.add("part_starts", [counts, chooser.count, segments], groups=(1,), capacity=most, least_core=LEAST_CORE)
@@ -67,7 +78,7 @@ def add_joining(chain: Chain, chooser: BlockChoice, unfinished: Array, *, rounds
         width=width, count=len(chooser.labels_px), reach=REACH, newton_steps=NEWTON_STEPS, condition=CONDITION,
         least_bend=LEAST_BEND, gained=GAINED, most_points=MOST_POINTS, slope_penalty=float(chooser.costs.slope),
         outside=float(chooser.costs.outside), slope_tolerance=float(config.slope_tolerance),
-        lanes=LANES_IN_SOFTWARE if chain.device.info.is_software else LANES,
+        lanes=side.lanes,
     )  # fmt: skip
     of_pairs: dict[str, Any] = dict(
         pair_steps=PAIR_STEPS, far_apart=float(FAR_APART_LAYERS), plane_penalty=float(config.plane_penalty),
@@ -86,12 +97,12 @@ def add_joining(chain: Chain, chooser: BlockChoice, unfinished: Array, *, rounds
             uses=(*fits, "pair_fit"), **fit, **of_pairs, side_by_side=side_by_side,
         )  # fmt: skip
 
-    try_pairs(_SIDE_BY_SIDE)
+    try_pairs(side.pairs)
     for _ in range(min(rounds, most - 1)):
         chain.add(
             "best_join", [chooser.count, segments, parts, meeting, joins], groups=(1,), uses=(*kept, "open_joins")
         )
-        try_pairs(_NEIGHBOURS)
+        try_pairs(side.neighbours)
     chain.add(
         "planes_left", [segments, parts, joins, chooser.planes, chooser.count, unfinished], groups=(1,),
         uses=(*kept, "open_joins"), slope_penalty=float(chooser.costs.slope),
