@@ -39,7 +39,8 @@ def main() -> None:
     out = parser.parse_args().out
     draw(REAL_TIME, "up: 12 bytes a pixel", "down: 20 bytes a pixel", out / "gpu.svg")
     ends = "up: 20 bytes a pixel", "down: 16 bytes a pixel"
-    draw(ACCURATE, *ends, out / "gpu_accurate.svg", meanwhile="links, light along lines,\nup meanwhile: 8 bytes a pixel")
+    meanwhile = "links, light along lines,\nup meanwhile: 8 bytes a pixel"
+    draw(ACCURATE, *ends, out / "gpu_accurate.svg", meanwhile=meanwhile)
 
 
 def draw(rows: tuple[tuple[str, ...], ...], up: str, down: str, out: Path, meanwhile: str = "") -> None:

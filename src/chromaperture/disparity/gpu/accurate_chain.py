@@ -59,8 +59,8 @@ class Room(NamedTuple):
     Attributes
     ----------
     joins, later_joins : int
-        Rounds of joining behind the first choice of blocks, and behind later ones; of `still_life` 19 to 22 joins follow
-        the first (720x480) and up to 2 another one (360x240).
+        Rounds of joining behind the first choice of blocks, and behind later ones; of `still_life` 19 and 22 joins
+        follow the first (720x480) and up to 2 another one (360x240).
     planes : int
         Left in the end; of `still_life` 6 to 16.
     lines : int
