@@ -24,14 +24,14 @@ from gpu import count, counting_device
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_matching import default_config
-from chromaperture.disparity.gpu.accurate_chain import AccurateChain, PlanesFound
+from chromaperture.disparity.gpu.accurate_chain import AccurateChain
 from chromaperture.disparity.gpu.device import Chain, Device, Dispatch, open_device
-from chromaperture.disparity.planar import Planes
 from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.products.samples import open_sample
 
 LEAST_AGREEING, DEPTH_TOLERANCE = 0.995, 1e-3
-PLANES = 4, 8  # down and across
+SUMS = 6  # over the points of a plane, from each start
+LINES, PARTS = 2000, 200  # across borders of a photograph of 720x480, and groups of them
 
 
 def operations(dispatch: Dispatch) -> float:
@@ -94,8 +94,15 @@ def operations(dispatch: Dispatch) -> float:
         "plane_refining": lambda: 500.0 * 12 * dispatch.arrays[1].size / 6,
         "plane_costs": lambda: 8.0 * pixels * dispatch.arrays[1].size / 4,
         "potts_lines": lambda: 8.0 * dispatch.arrays[0].size,
+        # some 32 pairs behind a choice and 4 behind a join, from two starts
+        "pair_joins": lambda: 60.0 * 2 * SUMS * c["most_points"] * c["side_by_side"] / 8,
+        "part_planes": lambda: 60.0 * 2 * SUMS * dispatch.arrays[1].size,
+        "part_counts": lambda: 4.0 * (2 * c["border"] + 1) ** 2 * pixels,
+        "line_sides": lambda: 8.0 * (2 * c["reach"] + 1) ** 2 * LINES,
+        "line_powers": lambda: 5.0 * LINES**2,
+        "line_parts": lambda: 6.0 * LINES**2,
         # 54 x 54 numbers composed, and eliminated with 16 lines
-        "line_costs": lambda: dispatch.groups[0] * dispatch.groups[1] * (54 * 54 / 2 * 60 + 54**3 / 3 + 54**2 * 16),
+        "line_costs": lambda: PARTS * dispatch.groups[1] * (54 * 54 / 2 * 60 + 54**3 / 3 + 54**2 * 16),
         "edge_possible": lambda: 12.0 * (2 * c["around"] + 1) ** 2 * pixels,
         "planes_taken": lambda: 12.0 * pixels * (2 * c["reach"] + 1) ** 2 / 8,  # beside other planes only
         "step_distance": lambda: 4.0 * taps() * pixels,
@@ -117,25 +124,15 @@ def counted(chains: dict[str, Chain], *, bandwidth: float, rate: float) -> dict[
     return found
 
 
-def composed(camera: CodedApertureCamera, image: np.ndarray, device: Device) -> tuple[AccurateChain, dict[str, Chain]]:
-    """Compose the chains of one photograph as if `PLANES` planes were left in the end, in rectangles near and far."""
+def composed(camera: CodedApertureCamera, device: Device) -> tuple[AccurateChain, dict[str, Chain]]:
+    """Compose the chains of a camera; arrays of planes and lines have room for all that may be found."""
     method = camera.method.method if isinstance(camera.method, ScaledMethod) else camera.method
     sensor = camera.calibration.sensor
     shape = sensor.height_px, sensor.width_px
     if isinstance(camera.method, ScaledMethod):
         shape = camera.method.size_px[::-1]
     chain = AccurateChain(method, device, shape)
-    if chain.chooser is None:
-        return chain, {"first": chain.first, "last": chain._last_chain(None, None)}
-    prepared = chain._prepared(cv2.resize(image, shape[::-1], interpolation=cv2.INTER_AREA), np.zeros(shape))
-    y, x = (np.arange(n) * part // n for n, part in zip(shape, PLANES, strict=True))
-    choice = y[:, None] * PLANES[1] + x
-    planes = np.zeros((math.prod(PLANES), 3))
-    near = np.indices(PLANES).sum(axis=0).ravel() % 2
-    planes[:, 2] = chain.labels_px[len(chain.labels_px) // 4 * (1 + near)]
-    last = chain._last_chain(PlanesFound(Planes(planes, choice), None, chain.chooser.choice), prepared)
-    again = {f"choice {i + 2}": chain.chooser.chain for i in range(chain.method.config.planes.rounds - 1)}
-    return chain, {"first": chain.first, **again, "last": last}
+    return chain, {"first": chain.first, "last": chain.last}
 
 
 def timed(camera: CodedApertureCamera, image: np.ndarray, device: str) -> dict[str, Any]:
@@ -176,7 +173,7 @@ def main() -> None:
     if arguments.scale:
         config = default_config(camera.calibration, "accurate", scale=arguments.scale)
         camera = CodedApertureCamera(camera.calibration, config)
-    chain, chains = composed(camera, image, counting_device())
+    chain, chains = composed(camera, counting_device())
     stages = counted(chains, bandwidth=1e9 * arguments.bandwidth, rate=1e12 * arguments.rate)
     largest = max((array for part in chains.values() for array in part.arrays.values()), key=lambda a: a.size)
     result: dict[str, Any] = {
@@ -190,10 +187,13 @@ def main() -> None:
         "mbytes_up": round(20 * chain.grid.pixels / 1e6, 1),
         "mbytes_down": round(16 * chain.grid.pixels / 1e6, 1),
     }  # fmt: skip
-    if chain.blocks is not None:
-        result["mbytes_down_between"] = round(4 * chain.blocks.size / 1e6, 1)
-        constants = (array for array in chains["last"].arrays.values() if array.is_constant)
-        result["mbytes_up_between"] = round(4 * sum(array.size for array in constants) / 1e6, 1)
+    prepared = ("edge_links", "line_light", "line_noise_at")
+    result["mbytes_up_between"] = round(
+        4 * sum(a.size for a in chain.last.arrays.values() if a.name in prepared) / 1e6, 1
+    )
+    if chain.textures is not None:
+        textures = chain.textures.covariances, chain.textures.shares, chain.textures.facts
+        result["mbytes_of_textures"] = round(sum(part.nbytes for part in textures) / 1e6, 1)
     if arguments.device:
         result |= timed(camera, image, arguments.device)
     if arguments.json:

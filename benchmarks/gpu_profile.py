@@ -77,7 +77,7 @@ STAGES = {
     "planes": Stage(
         (
             "block_sums", "agreed_planes", "plane_refining", "distinct_planes", "plane_costs", "potts_lines",
-            "least_choice", "fill_zero",
+            "least_choice", "fill_zero", "block_links", "planes_of_blocks", "messages_zero",
         ),
         (
             "planar:block_sums", "plane_fit:proposals", "plane_fit:distinct_of", "plane_fit:candidates",
@@ -86,12 +86,14 @@ STAGES = {
     ),
     "edges": Stage(
         (
-            "chosen_on_grid", "planes_meeting", "edge_inside", "edge_possible", "line_costs", "lines_heard",
-            "edge_free", "edges_taken",
+            "planes_of_pixels", "chosen_on_grid", "edge_inside", "edge_possible", "border_points", "line_offsets",
+            "lines_listed", "line_sides", "line_powers", "line_parts", "line_costs", "lines_heard", "edge_free",
+            "edges_taken", "line_colours",
             "gaussian_line:shades_fine", "gaussian_line:shades_coarse", "shade_products",
         ),
         (
             "plane_edges:placed_edges", "edge_likelihood:EdgeLikelihood.costs", "edge_likelihood:products_of_shades",
+            "plane_edges:border_lines", "edge_likelihood:EdgeLikelihood.groups",
         ),
     ),
     "planes or surface": Stage(
@@ -110,13 +112,14 @@ STAGES = {
         ),
         ("accurate:judged",),
     ),
-    "planes, on the CPU in both": Stage(
-        (),
+    "joining of planes": Stage(
         (
-            "plane_merging:merged_planes", "plane_edges:border_lines", "edge_likelihood:EdgeLikelihood.groups",
-            "plane_edges:edge_links", "planar:links_of_blocks",
+            "joining_start", "part_counts", "part_starts", "part_points", "part_planes", "planes_meeting",
+            "pairs_listed", "pair_joins", "best_join", "planes_left",
         ),
+        ("plane_merging:merged_planes",),
     ),
+    "links, on the CPU in both": Stage((), ("plane_edges:edge_links", "planar:links_of_blocks")),
 }  # fmt: skip
 
 

@@ -103,7 +103,7 @@ def test_the_cost_is_that_of_a_gaussian_density(likelihood, rng):
     samples, colours = photograph.samples(lines), photograph.colours
     mean = float(samples.mean())
     powers = 2.0**-12, 2.0**-10
-    level = (edge_likelihood._UNKNOWN_LEVEL * mean) ** 2 / np.trace(colours) * 3
+    level = (edge_likelihood.UNKNOWN_LEVEL * mean) ** 2 / np.trace(colours) * 3
     likelihood.groups(photograph, lines, samples)  # keeps the textures
     groups = edge_likelihood.Groups(
         np.zeros(4, int), *([(node, round(z / edge_likelihood.LAYER_PX), True)] for z in (NEAR_PX, FAR_PX)),

@@ -8,8 +8,10 @@ import pytest
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.config import AccurateConfig
+from chromaperture.disparity import plane_fit
 from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.gpu.accurate_chain import AccurateChain, AccurateOnDevice
+from chromaperture.disparity.gpu import candidate_stages
+from chromaperture.disparity.gpu.accurate_chain import AccurateChain, AccurateOnDevice, Room
 from chromaperture.disparity.gpu.device import DeviceError
 from chromaperture.disparity.gpu.gpu_method import DeviceMethod
 from chromaperture.disparity.labels import IDENTITY
@@ -75,6 +77,23 @@ def test_edges_and_error_bars_that_are_switched_off(learned, band):
     assert share_within(camera, found, expected, relative=1e-3) > 0.995
     known = np.isfinite(expected.sigma_px) & np.isfinite(found.sigma_px)
     assert (np.abs(found.sigma_px / expected.sigma_px - 1) < 0.01)[known].mean() > 0.99
+
+
+def test_what_finds_no_room_is_computed_with_more():
+    camera, image = small("still_life_cy_halves", 240, 160)
+    chain = AccurateChain(camera.method, any_device(), image.shape[:2], Room(1, 1, 2, 16))
+    found, expected = chain.match(image), camera.method.match(image)
+    assert chain.room.planes > 2
+    assert chain.room.lines > 16
+    assert share_within(camera, found, expected, relative=1e-3) > 0.995
+
+
+def test_without_any_plane_the_surface_is_the_depth(monkeypatch):
+    camera, image = small("still_life_cy_halves", 120, 80)
+    monkeypatch.setattr(candidate_stages, "LEAST_SHARE", 2.0)  # of a tile's points
+    monkeypatch.setattr(plane_fit, "LEAST_SHARE", 2.0)
+    found = AccurateChain(camera.method, any_device(), image.shape[:2]).match(image)
+    assert share_within(camera, found, camera.method.match(image), relative=1e-3) > 0.995
 
 
 def test_a_picture_of_another_size_is_refused():

@@ -23,10 +23,12 @@ from chromaperture.disparity.gpu.gpu_method import Further, GpuMethod
 from chromaperture.disparity.gpu.refocus_stages import RefocusChain, inputs_of
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.effects.refocusing import Focus, refocus
+from chromaperture.stage_config import PlanesConfig
 from devices import EXPECTED, needs_device
 from test_gpu_agreement import STEP, agreement
 from test_gpu_alignment import camera_of
 from test_gpu_edges import edges_of
+from test_gpu_joining import joining_chain, patches
 from test_gpu_judging import judging
 from test_gpu_planes import candidate_chain
 from test_gpu_surface import device_as
@@ -152,6 +154,11 @@ def test_planes_of_accurate_in_a_browser(software, tmp_path, rng):
     chain, given, expected = judging(rng, device, (61, 78), 0.3)
     bars = in_browser(recorded(chain, given, "judged"), tmp_path / "bars").reshape(61, 78, 4)
     np.testing.assert_allclose(STEP * bars[..., 1], expected.sigma_px, rtol=1e-3)
+    chain, given, output = joining_chain(device, *patches(rng, 24, 30, 20), PlanesConfig())
+    joined = chain.run(given, [output])[output]
+    assert len(np.unique(joined.reshape(-1, 4)[:20, 3])) < 15
+    found = in_browser(recorded(chain, given, output), tmp_path / "joined").view(np.uint32)
+    np.testing.assert_array_equal(found, joined)
     chain = candidate_chain(rng, device, (96, 120))[0]
     planes = chain.run({}, ["candidates"])["candidates"].reshape(-1, 4)
     found = in_browser(recorded(chain, {}, "candidates"), tmp_path / "planes").reshape(-1, 4)

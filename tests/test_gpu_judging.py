@@ -46,7 +46,8 @@ def judging(rng, device, shape, known_within):
     grid, chain = Grid(*shape, len(LABELS)), Chain(device)
     a = surface_arrays(chain, grid, SurfaceConfig())
     of_planes = OfPlanes(
-        5, chain.constant("choice", planes.choice.astype(np.uint32)),
+        7, chain.constant("plane_count", np.array([5], np.uint32)),
+        chain.constant("choice", planes.choice.astype(np.uint32)),
         *(chain.constant(name, (label - LABELS[0]) / STEP) for name, label in (("there", there), ("before", first))),
     )  # fmt: skip
     add_judged(

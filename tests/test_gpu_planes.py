@@ -46,16 +46,26 @@ def candidate_chain(rng, device, shape):
     return chain, likelihood, noisy, sigma
 
 
+def candidates_of(found):
+    """The distinct planes, (K, 3), px, of what `add_candidates` leaves in its `OUTPUTS`."""
+    kept = found["distinct"][1 : 1 + found["distinct"][0]]
+    planes = found["candidates"].reshape(-1, 4)[kept, :3].astype(float)
+    middles = np.ascontiguousarray(found["candidate_parts"].reshape(-1, 4)[kept, 2:]).view(np.float32).astype(float)
+    step = LABELS[1] - LABELS[0]
+    planes[:, 2] += LABELS[0] / step - (planes[:, :2] * middles).sum(axis=1)
+    return planes * step
+
+
 @pytest.mark.parametrize("software", [True, False])
 @pytest.mark.parametrize("shape", [(96, 120), (131, 70)])
 def test_candidates_agree(rng, software, shape):
-    from chromaperture.disparity.gpu.candidate_stages import OUTPUTS, candidates_of
+    from chromaperture.disparity.gpu.candidate_stages import OUTPUTS
 
     step = LABELS[1] - LABELS[0]
     chain, likelihood, noisy, sigma = candidate_chain(rng, device_as(software=software), shape)
     expected = candidates(noisy, sigma, Volume(likelihood, LABELS, COSTS, stages), (24, 48, 96))
     found = chain.run({}, OUTPUTS)
-    planes = candidates_of(found, LABELS)
+    planes = candidates_of(found)
     assert len(expected) > 3
     assert abs(len(planes) - len(expected)) <= 1 + len(expected) // 10
     # A plane of the CPU's has one of the device's beside it, all over its tile or nearly: Newton's method stops when a
@@ -114,13 +124,7 @@ def test_blocks_choose_alike(rng):
 @pytest.mark.parametrize("shape", [(96, 120), (43, 70)])
 def test_blocks_choose_among_what_was_found(rng, shape):
     """The first choice, whose planes and links never leave the device."""
-    from chromaperture.disparity.gpu.candidate_stages import (
-        FIRST_CHOICE,
-        OUTPUTS,
-        add_first_choice,
-        candidates_of,
-        most_candidates,
-    )
+    from chromaperture.disparity.gpu.candidate_stages import OUTPUTS, add_first_choice, most_candidates
     from chromaperture.disparity.gpu.plane_stages import BlockChoice
     from chromaperture.disparity.gpu.surface_stages import Grid
 
@@ -133,14 +137,14 @@ def test_blocks_choose_among_what_was_found(rng, shape):
     grid, capacity = Grid(*sums.shape), most_candidates(shape, config.tiles_px)
     chooser = BlockChoice(chain.device, arrays[0], grid, capacity, config.sweeps, LABELS, block_costs(config))
     add_first_choice(chain, chooser, arrays[1], shape, config=config)
-    found = chain.run({}, [*OUTPUTS, FIRST_CHOICE])
+    found = chain.run({}, [*OUTPUTS, chooser.choice.name])
     links = config.boundary_penalty * config.block_px * block_links(weights.transpose(2, 0, 1), config.block_px)
     on_device = chooser.chain.run({"plane_count": np.zeros(1, np.uint32)}, ["plane_links"])["plane_links"]
     np.testing.assert_allclose(on_device.reshape(links.shape), links, rtol=1e-5)
-    planes = _scaled(candidates_of(found, LABELS), config.block_px)
+    planes = _scaled(candidates_of(found), config.block_px)
     beliefs = stages.potts_beliefs(
         stages.plane_costs(sums, planes, LABELS, block_costs(config)), links, sweeps=config.sweeps
     )
-    choice = found[FIRST_CHOICE].reshape(grid.height, grid.width).astype(int)
+    choice = found[chooser.choice.name].reshape(grid.height, grid.width).astype(int)
     lost = np.take_along_axis(beliefs, choice[..., None], 2)[..., 0] - beliefs.min(axis=2)
     assert lost.max() < 0.02  # of some tens of nats a block, in single precision

@@ -52,7 +52,7 @@ OWN_COLOUR = 0.03  # share of a channel's texture that no other channel has; 0.0
 SHADES_PX = (6.0, 20.0)
 SHADES_EVERY = 4  # pixels along either axis: less than the finer one's sigma
 LEAST_TEXTURE = 0.05  # of the noise, where an end of a line holds only noise
-_UNKNOWN_LEVEL = 0.3  # standard deviation of a surface's mean light, over the mean light of its line; chosen by hand
+UNKNOWN_LEVEL = 0.3  # standard deviation of a surface's mean light, over the mean light of its line; chosen by hand
 
 
 class Lines(NamedTuple):
@@ -132,42 +132,37 @@ class Photograph:
 
     def __init__(self, image: np.ndarray, noise: NoiseModel) -> None:
         self._image, self._noise = image, noise
-        self.shade_products: np.ndarray | None = None  # as `products_of_shades`, where a device has computed them
 
     def samples(self, lines: Lines) -> np.ndarray:
         """Sample lines; (P, 3, 2 HALF) float64."""
         along = np.arange(-HALF + 1, HALF + 1)
         if lines.along_rows:
-            found = self._smooth[lines.y[:, None], lines.x[:, None] + along]
+            found = self.smooth[lines.y[:, None], lines.x[:, None] + along]
         else:
-            found = self._smooth[lines.y[:, None] + along, lines.x[:, None]]
+            found = self.smooth[lines.y[:, None] + along, lines.x[:, None]]
         return found.transpose(0, 2, 1).astype(float)
 
     def noise_at(self, lines: Lines) -> np.ndarray:
         """Return the variance of noise at lines; (P, 3)."""
-        return self._noise_variance[lines.y, lines.x]
-
-    def prepare(self) -> None:
-        """Compute now what lines are read of, and not when it is asked for."""
-        for part in (self._smooth, self._noise_variance):
-            del part
+        return self.noise_variance[lines.y, lines.x]
 
     @cached_property
     def colours(self) -> np.ndarray:
         """Covariance of the channels' texture, of unit mean variance; (3, 3)."""
-        products = self.shade_products
-        return _covariance_of_colours(products_of_shades(self._known) if products is None else products)
+        return covariance_of_colours(products_of_shades(self._known))
 
     @cached_property
     def _known(self) -> np.ndarray:
         return np.where(np.isfinite(self._image), self._image, np.float32(0)).astype(np.float32)
 
     @cached_property
-    def _smooth(self) -> np.ndarray:
+    def smooth(self) -> np.ndarray:
+        """Light at the grid points, of which lines are samples; (h, w, 3) float32."""
         return cv2.GaussianBlur(self._known, (0, 0), LOW_PASS_PX)[::GRID_PX, ::GRID_PX]
 
     @cached_property
-    def _noise_variance(self) -> np.ndarray:
+    def noise_variance(self) -> np.ndarray:
+        """Variance of noise at the grid points; (h, w, 3) float32."""
         variance = np.nan_to_num(np.asarray(self._noise.variance(self._known), np.float32), posinf=0, neginf=0)
         return cv2.GaussianBlur(variance, (0, 0), SHADES_PX[0])[::GRID_PX, ::GRID_PX]
 
@@ -246,7 +241,7 @@ class EdgeLikelihood:
         found = parallel_map(lambda key: self._texture(*key), missing)
         self._textures.update(zip(missing, found, strict=True))
         ends = np.stack([_energy(samples[..., :OUTER]), _energy(samples[..., -OUTER:])], axis=1)  # first and last
-        of_noise = noise.sum(axis=1) * np.trace(_centred() @ noise_covariance()[:OUTER, :OUTER] @ _centred())
+        of_noise = noise.sum(axis=1) * noise_of_end()
         octaves = []
         for keys, at_end in ((near_keys, ~lines.near_first), (far_keys, lines.near_first)):
             of_unit = np.array([np.diag(photograph.colours) @ self._textures[key].energy for key in keys])
@@ -256,15 +251,11 @@ class EdgeLikelihood:
             octaves.append(AMPLITUDE_OCTAVES * np.rint(np.log2(power) / AMPLITUDE_OCTAVES))
         kinds, of_line = _distinct(np.stack([member, *octaves], axis=1))
         side = kinds[:, 0].astype(np.intp)
-        level = (_UNKNOWN_LEVEL * mean_light) ** 2 / np.mean(np.diag(photograph.colours))
+        level = (UNKNOWN_LEVEL * mean_light) ** 2 / np.mean(np.diag(photograph.colours))
         return Groups(
             of_line, [near_keys[i] for i in side], [far_keys[i] for i in side], sides[side, 3].astype(bool),
             np.exp2(kinds[:, 1]), np.exp2(kinds[:, 2]), level[side], noise[side],
         )  # fmt: skip
-
-    def texture(self, key: TextureKey) -> Texture:
-        """Return a texture that `groups` named."""
-        return self._textures[key]
 
     def covariances(
         self, groups: Groups, i: int, colours: np.ndarray
@@ -282,16 +273,29 @@ class EdgeLikelihood:
 
     def _depths(self, lines: Lines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the nearest node of the blur, and the nearest layers of both sides, of every line."""
-        y, x = lines.y * GRID_PX, lines.x * GRID_PX
         shape = self.blur.height_px, self.blur.width_px
-        row, column = (np.rint(p / max(1, n - 1) * (NODES - 1)) for p, n in zip((y, x), shape, strict=True))
+        y, x = lines.y * GRID_PX, lines.x * GRID_PX
         offset, scale = (np.broadcast_to(part, shape)[y, x] for part in self.label_map)
         near, far = (np.rint((offset + scale * side) / LAYER_PX) for side in (lines.near_px, lines.far_px))
-        nodes = row * NODES + column
-        return nodes.astype(int), near.astype(int), far.astype(int)
+        return self.nodes(y, x), near.astype(int), far.astype(int)
+
+    def nodes(self, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return the nearest nodes of the blur of pixels; int."""
+        shape = self.blur.height_px, self.blur.width_px
+        row, column = (np.rint(p / max(1, n - 1) * (NODES - 1)) for p, n in zip((y, x), shape, strict=True))
+        return np.asarray(row * NODES + column).astype(int)
 
     def _texture(self, node: int, layer: int, along_rows: bool) -> Texture:
         """Blur the texture of unit power by the lens, as lines see it."""
+        return _seen_by_lines(self._transfer(node, layer), along_rows)
+
+    def textures_at(self, node: int, layer: int) -> tuple[Texture, Texture]:
+        """Return the textures at a node of the blur and a layer, along rows and along columns."""
+        transfer = self._transfer(node, layer)
+        return _seen_by_lines(transfer, True), _seen_by_lines(transfer, False)
+
+    def _transfer(self, node: int, layer: int) -> np.ndarray:
+        """Return the transfer functions of the lens and of the filter before sampling; (3, S, S // 2 + 1)."""
         y, x = (part / (NODES - 1) for part in divmod(node, NODES))
         rays = self.blur.rays(x * (self.blur.width_px - 1), y * (self.blur.height_px - 1))
         at_infinity, scale = self.blur.reference
@@ -299,20 +303,27 @@ class EdgeLikelihood:
         size = int(scipy.fft.next_fast_len(math.ceil(diameter) + 4 * HALF * GRID_PX, real=True))
         size += size % 2
         transfer = self.blur.transfer_of(rays, (at_infinity - layer * LAYER_PX) / scale, size)
-        fy, fx = scipy.fft.fftfreq(size)[:, None], scipy.fft.rfftfreq(size)[None]
-        radius2 = fx**2 + fy**2
-        transfer = transfer * np.exp(-2 * np.pi**2 * LOW_PASS_PX**2 * radius2)
-        power = (radius2 + SOFTEST**2) ** -SLOPE
-        lag = GRID_PX * (np.arange(2 * HALF)[:, None] - np.arange(2 * HALF))
-        covariance = np.empty((3, 3, 2 * HALF, 2 * HALF))
-        for j in range(3):
-            for k in range(3):
-                along = _line_of(power * transfer[j] * transfer[k].conj(), along_rows)
-                covariance[j, k] = along[lag % size]
-        spread = np.stack([_projection_of(part, along_rows) for part in transfer])
-        sums = np.cumsum(np.roll(spread, size // 2, axis=1), axis=1)
-        energy = np.array([np.trace(_centred() @ covariance[k, k, :OUTER, :OUTER] @ _centred()) for k in range(3)])
-        return Texture(covariance, _before(sums), energy, size)
+        return np.asarray(transfer * np.exp(-2 * np.pi**2 * LOW_PASS_PX**2 * _squared_frequencies(size)))
+
+
+def _squared_frequencies(size: int) -> np.ndarray:
+    fy, fx = scipy.fft.fftfreq(size)[:, None], scipy.fft.rfftfreq(size)[None]
+    return np.asarray(fx**2 + fy**2)
+
+
+def _seen_by_lines(transfer: np.ndarray, along_rows: bool) -> Texture:
+    size = transfer.shape[1]
+    power = (_squared_frequencies(size) + SOFTEST**2) ** -SLOPE
+    lag = GRID_PX * (np.arange(2 * HALF)[:, None] - np.arange(2 * HALF))
+    covariance = np.empty((3, 3, 2 * HALF, 2 * HALF))
+    for j in range(3):
+        for k in range(3):
+            along = _line_of(power * transfer[j] * transfer[k].conj(), along_rows)
+            covariance[j, k] = along[lag % size]
+    spread = np.stack([_projection_of(part, along_rows) for part in transfer])
+    sums = np.cumsum(np.roll(spread, size // 2, axis=1), axis=1)
+    energy = np.array([np.trace(_centred() @ covariance[k, k, :OUTER, :OUTER] @ _centred()) for k in range(3)])
+    return Texture(covariance, _before(sums), energy, size)
 
 
 def _before(sums: np.ndarray) -> np.ndarray:
@@ -341,6 +352,11 @@ def _centred() -> np.ndarray:
     return np.eye(OUTER) - 1 / OUTER
 
 
+def noise_of_end() -> float:
+    """Return the energy of an end of a line, of white noise of unit variance."""
+    return float(np.trace(_centred() @ noise_covariance()[:OUTER, :OUTER] @ _centred()))
+
+
 def products_of_shades(image: np.ndarray) -> np.ndarray:
     """Sum the products of the channels' shades, at every `SHADES_EVERY`-th pixel; (3, 3)."""
     fine, coarse = (cv2.GaussianBlur(image, (0, 0), sigma) for sigma in SHADES_PX)
@@ -348,7 +364,7 @@ def products_of_shades(image: np.ndarray) -> np.ndarray:
     return np.asarray(shades.T @ shades)
 
 
-def _covariance_of_colours(covariance: np.ndarray) -> np.ndarray:
+def covariance_of_colours(covariance: np.ndarray) -> np.ndarray:
     """Return the covariance of the channels' texture, of unit mean variance, by the products of shades; (3, 3)."""
     covariance = covariance.copy()
     # 1e-3: an empty channel; tiny: an even picture.

@@ -153,9 +153,13 @@ def fitting_planes(
         if left == 0 or len(planes) == 1:
             break
         planes, choice = merged_planes(choice, planes, blocks, config=config, border=-(-config.border_px // size))
-    planes = _scaled(planes, 1 / size)
+    return planes_of_pixels(planes, choice, shape, size)._replace(blocks=blocks)
+
+
+def planes_of_pixels(planes: np.ndarray, choice: np.ndarray, shape: tuple[int, int], size: int) -> Planes:
+    """Express planes of blocks in pixels, and the choice of blocks of ``size`` px as that of a picture's pixels."""
     rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(shape, choice.shape, strict=True))
-    return Planes(planes, choice[rows[:, None], columns], blocks)
+    return Planes(_scaled(planes, 1 / size), choice[rows[:, None], columns])
 
 
 def block_sums(likelihood: np.ndarray, size: int) -> np.ndarray:

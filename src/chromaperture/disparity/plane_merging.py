@@ -20,7 +20,7 @@ from chromaperture.threads import parallel_map
 
 LEAST_CORE = 0.25  # share of a plane's pixels away from its border below which all of them count; chosen by hand
 FAR_APART_LAYERS = 12  # at the smaller plane's middle: such planes are never one; chosen by hand
-_STEPS = 3  # of Newton's method for every pair
+PAIR_STEPS = 3  # of Newton's method for every pair
 _NUMBERS_OF_PLANE = 3  # slope along x and y, and the label
 
 
@@ -145,7 +145,7 @@ def _joined(pairs: list[tuple[Part, Part]], volume: Volume) -> list[Part]:
     """Return both parts of every pair under the better of the planes that either's plane leads to."""
     cores = [_both(one.core, other.core) for one, other in pairs]
     starts = np.array([[one.plane, other.plane] for one, other in pairs])
-    planes, values = best_planes(starts, cores, volume, steps=_STEPS)
+    planes, values = best_planes(starts, cores, volume, steps=PAIR_STEPS)
     return [
         Part(_both(one.every, other.every), core, plane, float(value))
         for (one, other), core, plane, value in zip(pairs, cores, planes, values, strict=True)

@@ -1,8 +1,7 @@
 """Quality "accurate" on a device.
 
-The photograph goes up once and one array of maps comes down at the end. In between, where planes explain the surface,
-sums of blocks of the volume, the planes that were found and the first choice of blocks come down, then a choice after
-every joining of planes; lines across borders go up. The volume itself never leaves the device.
+The photograph goes up once and the maps come down once. Two submissions: the second has what the CPU makes of the
+photograph while the device works on the first, links of edges and light along lines. Nothing returns in between.
 """
 
 from __future__ import annotations
@@ -17,31 +16,19 @@ from chromaperture.disparity.accurate import BIAS_OF_PLANES, EDGE_REACH_PX, Accu
 from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.clipped_areas import clipped_filled
 from chromaperture.disparity.correlation_evidence import CorrelationEvidence
-from chromaperture.disparity.edge_likelihood import GRID_PX, Photograph
 from chromaperture.disparity.error_bar import sigma_of_range
 from chromaperture.disparity.gpu.agreement_stages import add_agreement
-from chromaperture.disparity.gpu.candidate_stages import (
-    FIRST_CHOICE,
-    OUTPUTS,
-    add_candidates,
-    add_first_choice,
-    candidates_of,
-    most_candidates,
-)
+from chromaperture.disparity.gpu.candidate_stages import add_candidates, add_first_choice, most_candidates
 from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError
-from chromaperture.disparity.gpu.edge_stages import (
-    SHADES,
-    EdgeGrid,
-    add_placed_edges,
-    add_shades,
-    lines_heard,
-    products_of,
-)
+from chromaperture.disparity.gpu.edge_stages import EdgeGrid, HeardLines, add_placed_edges, add_planes_of_pixels
 from chromaperture.disparity.gpu.evidence_plan import EvidencePlan, plan_evidence
 from chromaperture.disparity.gpu.evidence_stages import add_evidence
+from chromaperture.disparity.gpu.joining_stages import add_joining
 from chromaperture.disparity.gpu.judging_stages import OfPlanes, add_judged
 from chromaperture.disparity.gpu.label_stages import WindowsEarned, add_labels, add_views_evidence
-from chromaperture.disparity.gpu.plane_stages import BlockChoice
+from chromaperture.disparity.gpu.line_stages import add_colours, inputs_of, line_arrays
+from chromaperture.disparity.gpu.line_textures import LineTextures, line_textures
+from chromaperture.disparity.gpu.plane_stages import BlockChoice, planes_of
 from chromaperture.disparity.gpu.spectral_stages import WindowGrid, add_windows
 from chromaperture.disparity.gpu.surface_stages import (
     Grid,
@@ -55,9 +42,8 @@ from chromaperture.disparity.gpu.surface_stages import (
     add_variation,
     surface_arrays,
 )
-from chromaperture.disparity.planar import BORDER_APART_LABELS, Planes, block_costs, fitting_planes
+from chromaperture.disparity.planar import BORDER_APART_LABELS, Planes, block_costs
 from chromaperture.disparity.plane_edges import edge_links
-from chromaperture.disparity.plane_fit import Volume
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.spectral_evidence import SpectralEvidence
 from chromaperture.disparity.views import filtered_views
@@ -67,19 +53,28 @@ from chromaperture.errors import OutOfMemoryError
 _ALIKE = 1e-4  # labels: rounding of a plane's label in single precision
 
 
-class PlanesFound(NamedTuple):
-    """Planes before their edges are placed, where the CPU judges the surface before them, and the planes of blocks."""
+class Room(NamedTuple):
+    """For how much of what is found the chains have room; where there is more they are composed with twice as much.
 
-    planes: Planes
-    first_px: np.ndarray | None
-    of_blocks: Array
+    Attributes
+    ----------
+    joins, later_joins : int
+        Rounds of joining behind the first choice of blocks, and behind later ones; of `still_life` 19 and 22 joins
+        follow the first (720x480) and up to 2 another one (360x240).
+    planes : int
+        Left in the end; of `still_life` 6 to 16.
+    lines : int
+        Across borders; a tenth of it at 720x480.
+    """
 
+    joins: int = 48
+    later_joins: int = 4
+    planes: int = 64
+    lines: int = 1 << 15
 
-class Prepared(NamedTuple):
-    """What the CPU makes of a photograph while the device begins: links of edges, samples of lines."""
-
-    of_edges: np.ndarray
-    photograph: Photograph | None
+    def doubled(self) -> Room:
+        """Return room for twice as much."""
+        return Room(*(2 * number for number in self))
 
 
 def pairs_of(method: AccurateMethod) -> BlurEvidence | None:
@@ -100,23 +95,26 @@ class AccurateChain:
     device : Device
     shape : (int, int)
         Height and width of its photographs.
+    room : Room
     plan : EvidencePlan or None
         None where the blur is not known: evidence is that of shifted views.
     grid : Grid
     labels_px : (N,) float64, px
+    first, last : Chain
+        Up to the planes, or to the surface where none are looked for; what follows.
     """
 
     method: AccurateMethod
     device: Device
     shape: tuple[int, int]
+    room: Room = field(default_factory=Room)
     plan: EvidencePlan | None = field(init=False)
     grid: Grid = field(init=False)
     labels_px: np.ndarray = field(init=False)
     first: Chain = field(init=False)
+    last: Chain = field(init=False)
     arrays: SurfaceArrays = field(init=False)
-    last: Chain | None = field(default=None, init=False)  # of the photograph before, whose memory the next one takes
-    blocks: Array | None = field(init=False)
-    chooser: BlockChoice | None = field(init=False)
+    textures: LineTextures | None = field(init=False)
 
     def __post_init__(self) -> None:
         config = self.method.config
@@ -124,6 +122,14 @@ class AccurateChain:
         self.grid = Grid(*self.shape, len(self.labels_px))
         pairs = pairs_of(self.method)
         self.plan = None if pairs is None else plan_evidence(pairs, config.layers.values_px)
+        self.textures = None
+        if self.uses_planes and self.hears_lines:
+            assert self.method.edges is not None
+            self.textures = line_textures(self.method.edges, self.shape, self.labels_px)
+        self._compose()
+
+    def _compose(self) -> None:
+        config = self.method.config
         self.first = chain = Chain(self.device)
         self.arrays = arrays = surface_arrays(chain, self.grid, config.surface)
         self._add_evidence(chain, arrays.likelihood)
@@ -131,22 +137,52 @@ class AccurateChain:
         add_start(chain, arrays, self.grid, config=config.surface)
         add_variation(chain, arrays, self.grid, self.labels_px, config=config.surface)
         add_posterior(chain, arrays, self.grid, config=config.surface)
-        self.blocks = self.chooser = None
+        self.last = Chain(self.device)
         if self.uses_planes:
-            self.blocks = add_block_sums(chain, arrays, self.grid, config.planes.block_px)
-            add_candidates(
-                chain, arrays.label, arrays.sigma, arrays.likelihood, self.grid,
-                tiles_px=config.planes.tiles_px, slope_penalty=config.planes.slope_penalty,
+            self._add_planes()
+        else:
+            add_results(self.last, arrays, self.grid, reach_px=EDGE_REACH_PX)
+
+    def _add_planes(self) -> None:
+        """Compose planes that explain the surface, as `planes_of_surface` and `accurate.judged`."""
+        config, chain, arrays, room = self.method.config.planes, self.first, self.arrays, self.room
+        blocks = add_block_sums(chain, arrays, self.grid, config.block_px)
+        add_candidates(
+            chain, arrays.label, arrays.sigma, arrays.likelihood, self.grid,
+            tiles_px=config.tiles_px, slope_penalty=config.slope_penalty,
+        )  # fmt: skip
+        grid = Grid(self.shape[0] // config.block_px, self.shape[1] // config.block_px, self.grid.layers)
+        capacity = most_candidates(self.shape, config.tiles_px)
+        chooser = BlockChoice(self.device, blocks, grid, capacity, config.sweeps, self.labels_px, block_costs(config))
+        add_first_choice(chain, chooser, arrays.links, self.shape, config=config)
+        unfinished = chain.array("unfinished", 1, np.uint32)
+        for again in range(config.rounds - 1):
+            rounds = room.later_joins if again else room.joins
+            add_joining(chain, chooser, unfinished, rounds=rounds, config=config)
+            chain.dispatches += chooser.chain.dispatches
+        last, edges = self.last, EdgeGrid(*self.shape, config.block_px)
+        most = min(room.planes, capacity)
+        planes = add_planes_of_pixels(last, chooser.planes, chooser.count, unfinished, block=config.block_px, most=most)
+        heard = None
+        if self.textures is not None:
+            lines = line_arrays(last, self.textures)
+            add_colours(chain, chain.arrays["image"], self.shape, lines.shared)
+            heard = HeardLines(lines, min(room.lines, 2 * edges.shape[0] * edges.shape[1]), unfinished)
+        links = last.array("edge_links", 2 * edges.shape[0] * edges.shape[1])
+        choice = add_placed_edges(
+            last, chooser.choice, planes, links, heard, edges, reach_px=config.edge_band_px, apart=BORDER_APART_LABELS
+        )
+        there, first = add_agreement(last, arrays, choice, planes.of_pixels, self.grid)
+        add_sigma(last, arrays, self.grid)
+        if self.judges:
+            add_judged(
+                last, arrays, blocks, OfPlanes(most, planes.number, choice, there, first), self.grid,
+                block=config.block_px, apart=BORDER_APART_LABELS, bias=BIAS_OF_PLANES,
+                known_within=sigma_of_range(self.labels_px) / self.step_px,
             )  # fmt: skip
-            size = config.planes.block_px
-            self.chooser = BlockChoice(
-                self.device, self.blocks, Grid(self.shape[0] // size, self.shape[1] // size, self.grid.layers),
-                most_candidates(self.shape, config.planes.tiles_px), config.planes.sweeps, self.labels_px,
-                block_costs(config.planes),
-            )  # fmt: skip
-            add_first_choice(chain, self.chooser, arrays.links, self.shape, config=config.planes)
-            if self.hears_lines:
-                add_shades(chain, chain.arrays["image"], self.shape)
+        else:
+            add_results(last, arrays, self.grid, reach_px=EDGE_REACH_PX)
+        last.arrays |= {array.name: array for array in (chooser.count, planes.of_pixels, unfinished, arrays.label)}
 
     def _add_evidence(self, chain: Chain, likelihood: Array) -> None:
         image, usable = (chain.array(name, n * self.grid.pixels) for name, n in (("image", 3), ("usable", 1)))
@@ -209,42 +245,28 @@ class AccurateChain:
         assert isinstance(evidence, SpectralEvidence)
         return WindowGrid(self.grid.height, self.grid.width, evidence.config.stride_px)
 
-    def _last_chain(self, found: PlanesFound | None, prepared: Prepared | None) -> Chain:
-        """Compose what follows the joining of planes, or the first chain where there are none."""
-        chain, arrays = Chain(self.device, self.last), self.arrays
-        if found is not None and prepared is not None:
-            config, step = self.method.config.planes, self.step_px
-            planes = found.planes.planes / step - (0, 0, self.labels_px[0] / step)
-            in_layers = chain.constant("planes", np.concatenate([planes, np.zeros((len(planes), 1))], axis=1))
-            heard, grid = None, EdgeGrid(*self.shape, config.block_px)
-            if prepared.photograph is not None and self.method.edges is not None:
-                lines = lines_heard(
-                    found.planes.choice[::GRID_PX, ::GRID_PX], found.planes.planes * (GRID_PX, GRID_PX, 1),
-                    BORDER_APART_LABELS * step, self.method.edges, prepared.photograph,
-                )  # fmt: skip
-                heard = None if lines is None else (lines, prepared.photograph.colours)
-            choice = add_placed_edges(
-                chain, found.of_blocks, planes, prepared.of_edges, heard, grid,
-                reach_px=config.edge_band_px, apart=BORDER_APART_LABELS,
-            )  # fmt: skip
-            there, first = add_agreement(chain, arrays, choice, in_layers, self.grid)
-            add_sigma(chain, arrays, self.grid)
-            if self.judges and self.blocks is not None:
-                add_judged(
-                    chain, arrays, self.blocks, OfPlanes(len(planes), choice, there, first), self.grid,
-                    block=config.block_px, apart=BORDER_APART_LABELS, bias=BIAS_OF_PLANES,
-                    known_within=sigma_of_range(self.labels_px) / step,
-                )  # fmt: skip
-                return chain
-        add_results(chain, arrays, self.grid, reach_px=EDGE_REACH_PX)
-        return chain
-
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3), as `AccurateMethod.match`."""
         method = self.method
         views = filtered_views(image, method.space, config=method.config.views)
         image, usable = clipped_filled(image, views.mask)
-        inputs = {"image": image, "usable": usable, "guide": views.guide}
+        inputs = self._inputs(image, usable, views.guide)
+        got = self._run(inputs, image, views.guide)
+        while "unfinished" in got and got["unfinished"][0]:
+            self.room = self.room.doubled()
+            self._compose()
+            got = self._run(inputs, image, views.guide)
+        if self.uses_planes and not got["plane_count"][0]:  # what found no plane is judged as if none were looked for
+            alone = Chain(self.device)
+            add_results(alone, self.arrays, self.grid, reach_px=EDGE_REACH_PX)
+            self.first.start({}, [])
+            got = alone.run({}, ["results"])
+        surface = self._judged(got) if "judged" in got else self._judged_on_cpu(got)
+        return method.of_labels(surface, image, usable, self.labels_px)
+
+    def _inputs(self, image: np.ndarray, usable: np.ndarray, guide: np.ndarray) -> dict[str, np.ndarray]:
+        method = self.method
+        inputs = {"image": image, "usable": usable, "guide": guide}
         if self.plan is not None:
             pairs = self.plan.source
             inputs["image"] = np.where(np.isfinite(image), image, np.float32(0))
@@ -257,77 +279,48 @@ class AccurateChain:
         if isinstance(method.evidence, SpectralEvidence) and self.uses_windows:
             grid = self.windows
             inputs["window_noise"] = method.evidence.noise_of_windows(image, grid.rows, grid.columns)
-        found, prepared = self._planes(inputs, image, views.guide)
-        step = self.step_px
-        self.last = last = self._last_chain(found, prepared)
-        if "judged" in last.arrays:
-            return method.of_labels(self._judged(last), image, usable, self.labels_px)
-        got = last.run({}, ["results"] if found is None else ["results", "plane_of_pixel"])
-        results = got["results"].reshape(*usable.shape, 4)
-        disparity, sigma, extent = self.labels_px[0] + step * results[..., 0], step * results[..., 1], results[..., 2]
-        planes = None
-        if found is not None:
-            planes = found.planes._replace(choice=got["plane_of_pixel"].reshape(usable.shape).astype(np.intp))
-            there = planes.label_px
-            # The plane to the bit: `judged` asks where the surface is it.
-            disparity = np.where(np.abs(disparity - there) < _ALIKE * step, there, disparity)
-        surface = judged(
-            Surface(disparity, sigma, results[..., 3]), step * extent, self.labels_px,
-            first_px=disparity if found is None or found.first_px is None else found.first_px,
-            explained_by=planes,
-            learned=method.config.surface.learned_error_bar, known_within_px=sigma_of_range(self.labels_px),
-        )  # fmt: skip
-        return method.of_labels(surface, image, usable, self.labels_px)
+        if self.uses_planes:
+            inputs["unfinished"] = np.zeros(1, np.uint32)
+        return inputs
 
-    def _judged(self, last: Chain) -> Surface:
-        """Run a chain whose end is `add_judged`."""
-        judged_px = last.run({}, ["judged"])["judged"].reshape(*self.shape, 4)
+    def _run(self, inputs: dict[str, np.ndarray], image: np.ndarray, guide: np.ndarray) -> dict[str, np.ndarray]:
+        """Run both chains: the device has begun the first one while the CPU prepares the last."""
+        self.first.start(inputs, [])
+        if not self.uses_planes:
+            return self.last.run({}, ["results"])
+        config, edges = self.method.config.planes, self.method.edges
+        further = {"edge_links": np.zeros(self.last.arrays["edge_links"].size, np.float32)}
+        if config.edge_band_px > 0:  # else edges stay where blocks have them
+            further["edge_links"] = edge_links(guide, config.edge_band_px)
+        if self.textures is not None and edges is not None:
+            further |= inputs_of(edges.photograph(image))
+        found = ["judged"] if self.judges else ["results", "plane_of_pixel", "label", "planes"]
+        return self.last.run(further, [*found, "plane_count", "unfinished"])
+
+    def _judged(self, got: dict[str, np.ndarray]) -> Surface:
+        """Return what `add_judged` has left."""
+        judged_px = got["judged"].reshape(*self.shape, 4)
         known = judged_px[..., 3] > 0
         label = (self.labels_px[0] + self.step_px * judged_px[..., 0].astype(float)).astype(np.float32)
         return Surface(np.where(known, label, np.float32(np.nan)), self.step_px * judged_px[..., 1], judged_px[..., 2])
 
-    def _planes(
-        self, inputs: dict[str, np.ndarray], image: np.ndarray, guide: np.ndarray
-    ) -> tuple[PlanesFound | None, Prepared | None]:
-        """Run the first chain, and explain its surface by planes, as `planes_of_surface` does before edges."""
-        config = self.method.config.planes
-        if self.chooser is None:
-            self.first.run(inputs, ["round"])
-            return None, None
-        begun = self.first.start(
-            inputs,
-            [
-                "blocks",
-                *OUTPUTS,
-                FIRST_CHOICE,
-                *([SHADES] if self.hears_lines else []),
-                *([] if self.judges else ["label"]),
-            ],
-        )
-        prepared = self._prepared(image, guide)
-        got = self.first.finish(begun)
-        planes = candidates_of(got, self.labels_px)
-        if prepared.photograph is not None:
-            prepared.photograph.shade_products = products_of(got[SHADES])
-        if not len(planes):
-            return None, None
-        chooser, chosen = self.chooser, [got[FIRST_CHOICE].reshape(self.chooser.shape).astype(np.intp)]
-        sums = got["blocks"].reshape(*chooser.shape, self.grid.layers)
-        fitting = fitting_planes(
-            planes, Volume(sums, self.labels_px, chooser.costs, self.method.run), self.shape,
-            lambda some: chosen.pop() if chosen else chooser.choose(some), config=config,
+    def _judged_on_cpu(self, got: dict[str, np.ndarray]) -> Surface:
+        """Judge a surface without planes, or with the error bar that is not the learned one."""
+        step, results = self.step_px, got["results"].reshape(*self.shape, 4)
+        disparity, sigma, extent = self.labels_px[0] + step * results[..., 0], step * results[..., 1], results[..., 2]
+        planes, first_px = None, disparity
+        if "planes" in got:
+            found = planes_of(got["planes"], got["plane_count"], self.labels_px)
+            planes = Planes(found, got["plane_of_pixel"].reshape(self.shape).astype(np.intp))
+            there = planes.label_px
+            # The plane to the bit: `judged` asks where the surface is it.
+            disparity = np.where(np.abs(disparity - there) < _ALIKE * step, there, disparity)
+            first_px = self.labels_px[0] + step * got["label"].reshape(self.shape)
+        return judged(
+            Surface(disparity, sigma, results[..., 3]), step * extent, self.labels_px, first_px=first_px,
+            explained_by=planes, learned=self.method.config.surface.learned_error_bar,
+            known_within_px=sigma_of_range(self.labels_px),
         )  # fmt: skip
-        first = None if self.judges else self.labels_px[0] + self.step_px * got["label"].reshape(self.shape)
-        return PlanesFound(fitting, first, chooser.choice), prepared
-
-    def _prepared(self, image: np.ndarray, guide: np.ndarray) -> Prepared:
-        config, edges = self.method.config.planes, self.method.edges
-        photograph = edges.photograph(image) if edges is not None and self.hears_lines else None
-        if photograph is not None:
-            photograph.prepare()
-        if config.edge_band_px == 0:  # edges stay where blocks have them
-            return Prepared(np.zeros((2, *EdgeGrid(*self.shape, config.block_px).shape), np.float32), photograph)
-        return Prepared(edge_links(guide, config.edge_band_px), photograph)
 
 
 @dataclass

@@ -25,13 +25,12 @@ from chromaperture.disparity.plane_fit import (
     draws_of,
     tiles_of,
 )
-from chromaperture.disparity.stages.plane_refining import CONDITION, GAINED, REACH
+from chromaperture.disparity.stages.plane_refining import CONDITION, GAINED, LEAST_BEND, REACH
 from chromaperture.disparity.stages.planes import LEAST_AREA, LEAST_POINTS, NEAR
 from chromaperture.stage_config import PlanesConfig
 
 LANES, LANES_IN_SOFTWARE = 64, 8  # invocations of a tile; in software one vector, whose barriers cost nothing
-FIRST_CHOICE = "first_choice"  # plane of every block, as `add_first_choice` leaves it
-OUTPUTS = ("candidates", "candidate_parts", "distinct")  # what `candidates_of` reads
+OUTPUTS = ("candidates", "candidate_parts", "distinct")  # planes, their points, which are distinct
 
 
 def add_candidates(
@@ -80,8 +79,9 @@ def add_candidates(
         least_area=float(LEAST_AREA),
     )  # fmt: skip
     chain.add(
-        "plane_refining", [likelihood, points, parts, planes], groups=(slots,), width=grid.width, count=grid.layers,
-        reach=REACH, slope_penalty=slope_penalty, newton_steps=NEWTON_STEPS, condition=CONDITION, gained=GAINED,
+        "plane_refining", [likelihood, points, parts, planes], groups=(slots,), uses=("plane_newton",), lanes=lanes,
+        width=grid.width, count=grid.layers, reach=REACH, slope_penalty=slope_penalty, newton_steps=NEWTON_STEPS,
+        condition=CONDITION, least_bend=LEAST_BEND, gained=GAINED,
     )  # fmt: skip
     side = np.repeat([tile.size_px for tile in tiles], PLANES_OF_A_TILE)
     order = np.argsort(-side, kind="stable")
@@ -105,6 +105,8 @@ def add_first_choice(
 ) -> None:
     """Append the choice of blocks among the distinct planes, and the links that all later choices use.
 
+    Planes, their number and the choice are the chooser's arrays, and the chain's too.
+
     Parameters
     ----------
     chain : Chain
@@ -127,14 +129,4 @@ def add_first_choice(
         groups=groups_for(chooser.capacity), uses=("indexing",), block=size, slope_penalty=float(chooser.costs.slope),
     )  # fmt: skip
     chain.dispatches += chooser.chain.dispatches
-    chain.arrays[FIRST_CHOICE] = chooser.choice._replace(name=FIRST_CHOICE)
-
-
-def candidates_of(found: dict[str, np.ndarray], labels_px: np.ndarray) -> np.ndarray:
-    """Return the distinct planes, (K, 3) float64, of what `add_candidates` leaves in its `OUTPUTS`."""
-    kept = found["distinct"][1 : 1 + found["distinct"][0]]
-    planes = found["candidates"].reshape(-1, 4)[kept, :3].astype(float)
-    middles = np.ascontiguousarray(found["candidate_parts"].reshape(-1, 4)[kept, 2:]).view(np.float32).astype(float)
-    step = float(labels_px[1] - labels_px[0])
-    planes[:, 2] += labels_px[0] / step - (planes[:, :2] * middles).sum(axis=1)
-    return planes * step
+    chain.arrays |= {array.name: array for array in (chooser.planes, chooser.count, chooser.choice)}

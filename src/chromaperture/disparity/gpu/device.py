@@ -125,20 +125,16 @@ class Ticket(NamedTuple):
 class Chain:
     """Arrays on a device and the stages that run over them."""
 
-    def __init__(self, device: Device, before: Chain | None = None) -> None:
+    def __init__(self, device: Device) -> None:
         self.device = device
-        self._kept = {} if before is None else before.arrays  # arrays of the same names take their memory
         self.arrays: dict[str, Array] = {}
         self.dispatches: list[Dispatch] = []
         self._readback: list[tuple[Any, int]] = [(None, 0)] * _SLOTS
         self._next = 0
 
     def array(self, name: str, size: int, dtype: type = np.float32) -> Array:
-        """Make an array of so many 32-bit numbers, zero unless a chain before left some; raises OutOfMemoryError."""
-        bytes_, kept = 4 * max(int(size), 4), self._kept.get(name)
-        if kept is not None and kept.buffer.size >= bytes_:
-            self.arrays[name] = Array(name, kept.buffer, int(size), np.dtype(dtype))
-            return self.arrays[name]
+        """Make an array of so many 32-bit numbers, zero at first; raises OutOfMemoryError."""
+        bytes_ = 4 * max(int(size), 4)
         if bytes_ > self.device.largest_bytes:
             raise OutOfMemoryError(
                 f"{self.device.info.name}: array {name!r} of {bytes_ / 1e6:.0f} MB is larger than the device's "

@@ -19,9 +19,10 @@ _PARTS = 32  # of the picture that are summed on their own: so many workgroups a
 
 
 class OfPlanes(NamedTuple):
-    """Planes on a device: how many, every pixel's, its layer there, the layer before planes explained the surface."""
+    """Planes on a device: how many at most, how many, every pixel's, its layer there, the surface's layer before."""
 
-    number: int
+    most: int
+    number: Array
     choice: Array
     there: Array
     first: Array
@@ -76,7 +77,7 @@ def add_judged(
     chain.add(
         "learned_bar", [pooled, wide, near, far, of_planes, of_blocks, averages, bar], groups=groups_for(grid.pixels),
         uses=("indexing", "blocks_of_pixels"), height=grid.height, width=grid.width, block=block,
-        number=planes.number, constant=float(model.constant), **signs,
+        number=planes.most, constant=float(model.constant), **signs,
     )  # fmt: skip
     add_gaussian(chain, bar, room, shape, gaussian_taps(SMOOTHED_PX), parts=1)
     results = chain.array("judged", 4 * grid.pixels)
@@ -106,15 +107,15 @@ def _around(reach_px: int) -> list[float]:
 def _add_signs_of_planes(
     chain: Chain, a: SurfaceArrays, planes: OfPlanes, beside: Array, grid: Grid, known_within: float
 ) -> Array:
-    sums = chain.array("plane_sums", 8 * _PARTS * planes.number)
+    sums = chain.array("plane_sums", 8 * _PARTS * planes.most)
     chain.add(
-        "plane_sums", [planes.choice, beside, a.surface, a.sigma, planes.there, planes.first, sums],
-        groups=(planes.number, _PARTS), height=grid.height, width=grid.width, parts=_PARTS, known_within=known_within,
+        "plane_sums", [planes.choice, beside, a.surface, a.sigma, planes.there, planes.first, planes.number, sums],
+        groups=(planes.most, _PARTS), height=grid.height, width=grid.width, parts=_PARTS, known_within=known_within,
         most_apart=MOST_APART, alike=_ALIKE,
     )  # fmt: skip
-    signs = chain.array("plane_signs", 4 * planes.number)
+    signs = chain.array("plane_signs", 4 * planes.most)
     chain.add(
-        "plane_signs", [sums, signs], groups=groups_for(planes.number), uses=("indexing",), planes=planes.number,
+        "plane_signs", [sums, signs], groups=groups_for(planes.most), uses=("indexing",), planes=planes.most,
         parts=_PARTS, known_share=KNOWN_SHARE,
     )  # fmt: skip
     return signs
@@ -136,7 +137,7 @@ def _add_signs_of_blocks(
     )  # fmt: skip
     taps = gaussian_taps(evidence_signs.WINDOW_PX / block)
     add_gaussian(chain, pooled, room, (height, width), taps, parts=len(shifts))
-    signs, averages = chain.array("block_signs", 2 * height * width), chain.array("plane_averages", planes.number + 1)
+    signs, averages = chain.array("block_signs", 2 * height * width), chain.array("plane_averages", planes.most + 1)
     sharp = evidence_signs.SHARP_STEPS
     of_fall = ("before", -sharp), ("middle", 0), ("behind", sharp)
     at: dict[str, Any] = {name: int(np.flatnonzero(shifts == shift)[0]) for name, shift in of_fall}
@@ -146,8 +147,8 @@ def _add_signs_of_blocks(
         samples=float(2 * np.pi * evidence_signs.WINDOW_PX**2 / evidence_signs.PIXELS_ALIKE), **at,
     )  # fmt: skip
     chain.add(
-        "sums_of_blocks", [planes.choice, signs, averages], groups=(planes.number + 1,), **of_picture,
-        planes=planes.number, least_nats=evidence_signs.LEAST_NATS,
+        "sums_of_blocks", [planes.choice, signs, planes.number, averages], groups=(planes.most + 1,), **of_picture,
+        planes=planes.most, least_nats=evidence_signs.LEAST_NATS,
     )  # fmt: skip
     chain.add(
         "sharpness_of_blocks", [planes.choice, averages, signs], groups=groups_for(height * width), uses=("indexing",),

@@ -1,15 +1,16 @@
-// Negative log-likelihoods of lines across an edge, one place of the edge a workgroup; see `edge_likelihood.py` and
-// `stages/edge_costs.py`. A line is its first sample and differences of neighbours: their covariances have little of
-// what all samples share, which single precision would lose the rest in. The determinant stays the same. Lines are
-// further columns of the matrix while it is eliminated.
+// Negative log-likelihoods of lines across an edge: a workgroup has one place of the edge, and one part after another of
+// the lines; see `edge_likelihood.py` and `stages/edge_costs.py`. A line is its first sample and differences of
+// neighbours: their covariances have little of what all samples share, which single precision would lose the rest in.
+// The determinant stays the same. Lines are further columns of the matrix while it is eliminated.
 
 @group(0) @binding(0) var<storage, read> textures: array<vec4f>;  // (textures, 9, 4 samples - 1), see `_texture`
 @group(0) @binding(1) var<storage, read> shares: array<f32>;  // (textures, places, n) of a half plane's light
-@group(0) @binding(2) var<storage, read> numbers: array<vec4u>;  // of each part of a group two: textures, order, line
-@group(0) @binding(3) var<storage, read> values: array<vec4f>;  // likewise: powers, level, least variance; noise
+@group(0) @binding(2) var<storage, read> parts: array<Part>;
+@group(0) @binding(3) var<storage, read> numbers: array<u32>;  // of lines, of parts
 @group(0) @binding(4) var<storage, read> shared_by_all: array<f32>;  // colours (3, 3), noise (samples, samples)
-@group(0) @binding(5) var<storage, read> lines: array<f32>;  // (lines, n)
-@group(0) @binding(6) var<storage, read_write> costs: array<f32>;  // (lines, places)
+@group(0) @binding(5) var<storage, read> smooth_light: array<f32>;  // (h, w, 3)
+@group(0) @binding(6) var<storage, read> lines: array<vec2u>;  // grid point first
+@group(0) @binding(7) var<storage, read_write> costs: array<f32>;  // (lines, places)
 
 const n = 3u * samples;
 const fours = (n + 3u) / 4u;  // of columns
@@ -26,13 +27,21 @@ fn of_side(covariances: vec4f, here: f32, rise_here: f32, there: f32, rise_there
         + rise_here * (there * covariances.z + rise_there * covariances.w);
 }
 
-@compute @workgroup_size(lanes)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let place = group.y;
-    let which = numbers[2u * group.x];  // near texture, far texture, whether the near side comes first, first line
-    let count = numbers[2u * group.x + 1u].x;
-    let power = values[2u * group.x];  // near, far, level, least variance
-    let noise = values[2u * group.x + 1u];
+// Sample i of a line, or what it has more than the one before.
+fn of_line(line: u32, i: u32) -> f32 {
+    let down = lines[line].x >= width * height;
+    let point = select(lines[line].x, lines[line].x - width * height, down);
+    let stride = select(1u, width, down);
+    let step = i % samples;
+    let at = 3u * (point + step * stride - (samples / 2u - 1u) * stride) + i / samples;
+    return smooth_light[at] - select(smooth_light[max(at, 3u * stride) - 3u * stride], 0.0, step == 0u);
+}
+
+fn costs_of(part: u32, place: u32, local: u32) {
+    let which = parts[part].sides;  // near texture, far texture, whether the near side comes first
+    let count = parts[part].count;
+    let power = parts[part].values;  // near, far, level, least variance
+    let noise = parts[part].noise;
     for (var i = local; i < n; i += lanes) {
         let first = (which.x * places + place) * n;
         let before = shares[first + i];
@@ -50,8 +59,8 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         let far_mean = power.z * select(-rise_here, 1.0 - here, one == 0u);
         for (var four = i / 4u; four < fours; four++) {
             var sums = vec4f();
-            for (var part = 0u; part < 4u; part++) {
-                let j = min(4u * four + part, n - 1u);
+            for (var k = 0u; k < 4u; k++) {
+                let j = min(4u * four + k, n - 1u);
                 let other = j % samples;
                 let there = share[j];
                 let rise_there = rise[j];
@@ -70,14 +79,14 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
                 let apart = max(one, other) - min(one, other);
                 let floor_here = select(select(0.0, -1.0, apart == 1u), select(2.0, 1.0, one == 0u), apart == 0u);
                 let spread = noise[i / samples] * shared_by_all[9u + one * samples + other] + power.w * floor_here;
-                sums[part] = sum + select(0.0, spread, i / samples == j / samples);
+                sums[k] = sum + select(0.0, spread, i / samples == j / samples);
             }
             matrix[i * row_length + four] = sums;
         }
         for (var four = 0u; four < (count + 3u) / 4u; four++) {
             var given = vec4f();
-            for (var part = 0u; part < 4u; part++) {
-                given[part] = lines[(which.w + min(4u * four + part, count - 1u)) * n + i];
+            for (var k = 0u; k < 4u; k++) {
+                given[k] = of_line(parts[part].members[min(4u * four + k, count - 1u)], i);
             }
             matrix[i * row_length + fours + four] = given;
         }
@@ -113,8 +122,16 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
             let here = matrix[k * row_length + fours + four];
             sums += log(variance) + here * here / variance;
         }
-        for (var part = 0u; part < min(4u, count - 4u * four); part++) {
-            costs[(which.w + 4u * four + part) * places + place] = 0.5 * sums[part];
+        for (var k = 0u; k < min(4u, count - 4u * four); k++) {
+            costs[parts[part].members[4u * four + k] * places + place] = 0.5 * sums[k];
         }
+    }
+}
+
+@compute @workgroup_size(lanes)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    for (var part = group.x; part < numbers[1]; part += side_by_side) {
+        costs_of(part, group.y, local);
+        workgroupBarrier();
     }
 }

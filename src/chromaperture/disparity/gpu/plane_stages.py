@@ -1,8 +1,4 @@
-"""Blocks choose planes on a device: costs of planes, belief propagation over them.
-
-What stays on the CPU is the joining of planes between two choices: decisions one after the other over a few hundred
-planes. It needs block sums of the volume, a sixteenth of it.
-"""
+"""Blocks choose planes on a device: costs of planes, belief propagation over them."""
 
 from __future__ import annotations
 
@@ -112,7 +108,7 @@ class BlockChoice(PlaneChoice):
         costs: PlaneCosts,
     ) -> None:
         super().__init__(device, (grid.height, grid.width), capacity, sweeps)
-        self.labels_px, self.costs = labels_px, costs
+        self.blocks, self.labels_px, self.costs = blocks, labels_px, costs
         following = self.chain.dispatches[:]
         self.chain.dispatches.clear()
         self.planes = planes = self.chain.array("block_planes", 4 * capacity)
@@ -122,13 +118,23 @@ class BlockChoice(PlaneChoice):
         )  # fmt: skip
         self.chain.dispatches += following
 
-    def choose(self, planes: np.ndarray) -> np.ndarray:
-        """Return the plane of every block, (h, w) int, of planes (K, 3) of blocks; ``links`` are on the device."""
+    def inputs_of(self, planes: np.ndarray) -> dict[str, np.ndarray]:
+        """Return what goes up of planes (K, 3) of blocks, px, from which to choose."""
         step = float(self.labels_px[1] - self.labels_px[0])
-        filled = np.zeros((self.capacity, 4))
+        filled = np.zeros((self.capacity, 4), np.float32)
         filled[: len(planes), :3] = planes / step
         filled[: len(planes), 2] -= self.labels_px[0] / step
         filled[: len(planes), 3] = self.costs.slope / 2 * (filled[: len(planes), :2] ** 2).sum(axis=1)
-        number = np.array([len(planes)], np.uint32)
-        inputs: dict[str, np.ndarray] = {"block_planes": filled, "plane_count": number}
-        return self.chain.run(inputs, ["choice"])["choice"].reshape(self.shape).astype(np.intp)
+        return {self.planes.name: filled, self.count.name: np.array([len(planes)], np.uint32)}
+
+    def choose(self, planes: np.ndarray) -> np.ndarray:
+        """Return the plane of every block, (h, w) int, of planes (K, 3) of blocks; ``links`` are on the device."""
+        return self.chain.run(self.inputs_of(planes), ["choice"])["choice"].reshape(self.shape).astype(np.intp)
+
+
+def planes_of(planes: np.ndarray, count: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
+    """Return planes (K, 3) float64, px, of what a device has left of them in layers."""
+    step = float(labels_px[1] - labels_px[0])
+    found: np.ndarray = planes.reshape(-1, 4)[: int(count[0]), :3].astype(float) * step
+    found[:, 2] += labels_px[0]
+    return found

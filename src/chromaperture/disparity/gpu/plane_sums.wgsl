@@ -7,13 +7,15 @@
 @group(0) @binding(3) var<storage, read> sigma: array<f32>;  // (h, w), layers
 @group(0) @binding(4) var<storage, read> there: array<f32>;  // (h, w): layer of the plane
 @group(0) @binding(5) var<storage, read> first: array<f32>;  // (h, w): layer of the surface before
-@group(0) @binding(6) var<storage, read_write> sums: array<vec4f>;  // (planes, parts, 2)
+@group(0) @binding(6) var<storage, read> plane_count: array<u32>;
+@group(0) @binding(7) var<storage, read_write> sums: array<vec4f>;  // (planes, parts, 2)
 
 var<workgroup> counts: array<vec4f, 64>;  // away, of which certain; all, of which certain
 var<workgroup> others: array<vec4f, 64>;  // squared distances of the surface before; pixels where the plane was not taken
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
+    if (group.x >= plane_count[0]) { return; }
     let each = (width * height + parts - 1u) / parts;
     let start = group.y * each;
     var count = vec4f();

@@ -3,7 +3,8 @@
 
 @group(0) @binding(0) var<storage, read> choice: array<u32>;  // (h, w)
 @group(0) @binding(1) var<storage, read> signs: array<vec2f>;  // (blocks,)
-@group(0) @binding(2) var<storage, read_write> averages: array<f32>;  // (planes + 1,)
+@group(0) @binding(2) var<storage, read> plane_count: array<u32>;
+@group(0) @binding(3) var<storage, read_write> averages: array<f32>;  // (planes + 1,)
 
 var<workgroup> sums: array<vec2f, 64>;
 
@@ -17,6 +18,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     let across = width / block;
     let down = height / block;
     let of_frame = group.x == planes;
+    if (!of_frame && group.x >= plane_count[0]) { return; }
     var sum = vec2f();
     for (var i = local; i < across * down; i += 64u) {
         let y = i / across;
