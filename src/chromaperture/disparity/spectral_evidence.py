@@ -20,12 +20,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 
 import cv2
 import numpy as np
 from scipy.special import logsumexp
 
 from chromaperture.disparity.blur_evidence import BlurEvidence
+from chromaperture.disparity.half_pixel_likelihood import (
+    HalvesModel,
+    half_pixel_likelihood,
+    noise_of_frequencies,
+    of_equal_light,
+    sum_and_difference,
+)
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.own_detail import own_detail
 from chromaperture.disparity.spectral_model import SpectralModel, Windows
@@ -109,21 +117,25 @@ class SpectralEvidence:
         windows = model.windows
         noise = self.noise_of_windows(image, rows, columns)
         image = np.where(np.isfinite(image), image, np.float32(0))
+        if config.halves:
+            image = of_equal_light(image)
         spectra = windows.spectra(without_shading(image), rows, columns)
         node = model.nodes(rows, columns)
-        by_slope = np.stack(
-            [
-                run.spectral_likelihood(
-                    spectra, powers, node, noise, channel_error=config.channel_error, rounds=config.rounds
-                )
-                for powers in self.powers_of(model)
-            ]
-        )
+        likelihood = (
+            partial(half_pixel_likelihood, sum_and_difference(spectra), node=node, noise=noise[:, 1],
+                    of_frequencies=noise_of_frequencies(np.hypot(windows.fy, windows.fx)),
+                    channel_error=config.channel_error)
+            if config.halves
+            else partial(run.spectral_likelihood, spectra, node=node, noise=noise, channel_error=config.channel_error,
+                         rounds=config.rounds)
+        )  # fmt: skip
+        by_slope = np.stack([likelihood(powers=powers) for powers in self.powers_of(model)])
         return (over_slopes(by_slope / windows.redundancy) / windows.area_px2).reshape(len(rows), len(columns), -1)
 
     def model(self, layers_px: np.ndarray) -> SpectralModel:
         """Return what the blur of layers passes on."""
-        return SpectralModel(self.pairs.blur, layers_px, Windows(self.config), self.config.slopes, self.pairs.run)
+        kind = HalvesModel if self.config.halves else SpectralModel
+        return kind(self.pairs.blur, layers_px, Windows(self.config), self.config.slopes, self.pairs.run)
 
     def noise_of_windows(self, image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return the noise's power in windows around pixels; (len(rows) * len(columns), 3) float32."""

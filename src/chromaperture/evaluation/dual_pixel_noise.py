@@ -70,10 +70,12 @@ def _squares(picture: np.ndarray) -> np.ndarray:
 def camera_for(image: np.ndarray, calibration: Calibration, quality: Quality) -> CodedApertureCamera:
     """Return the camera with the noise of one photograph, its settings those of the calibration.
 
-    Where it matches with the blur, evidence counts as far as it is a pixel's own (``disparity/own_detail.py``). The
-    error bar is not the learned one, which knows other evidence: with it .67 and .94 of the errors of boxes lie within
-    one and two bars, .54 and .76 of casual scenes, without .71, .96, .56 and .79. Nor are there planes, for either kind
-    of evidence: boxes lose by them, and by shifted views casual scenes too (docs/evaluation.md).
+    Where it matches with the blur, evidence counts as far as it is a pixel's own (``disparity/own_detail.py``), and
+    that of all channels together knows which noise they share (``disparity/half_pixel_likelihood.py``). The error bar
+    is not the learned one, which knows other evidence: with it .67 and .94 of the errors of boxes lie within one and
+    two bars, .54 and .76 of casual scenes, without .71, .96, .56 and .79 (before noise was known as shared). Nor are
+    there planes, for either kind of evidence: boxes lose by them, and by shifted views casual scenes too
+    (docs/evaluation.md).
     """
     config = default_config(calibration, quality)
     matcher = config.matcher
@@ -83,7 +85,8 @@ def camera_for(image: np.ndarray, calibration: Calibration, quality: Quality) ->
         return CodedApertureCamera(calibration, without_planes(config))
     evidence = replace(matcher.evidence, own_detail=True)
     surface = replace(matcher.surface, learned_error_bar=False)
-    matcher = replace(matcher, evidence=evidence, surface=surface, planes=WITHOUT_PLANES)
+    spectral = replace(matcher.spectral, halves=True)
+    matcher = replace(matcher, evidence=evidence, surface=surface, planes=WITHOUT_PLANES, spectral=spectral)
     config = replace(config, matcher=matcher)
     sensor, times = calibration.sensor, noise_scale(image, calibration)
     if sensor.full_well_electrons is not None and sensor.read_noise_electrons is not None:

@@ -293,12 +293,12 @@ def on_device(method: Method, choice: str, note: Callable[[str], None], *, pixel
         opened = partial(GpuMethod, method.config, method.space, IDENTITY)
     elif isinstance(method, RealTimeMethod):
         opened = partial(GpuMethod, method.config, method.space, method.label_map)
-    elif isinstance(method, AccurateMethod):
+    elif isinstance(method, AccurateMethod) and not method.config.spectral.halves:
         opened = partial(AccurateOnDevice, method)
     else:
         if asked_for:
             chosen_device(choice)  # a device that does not exist is refused all the same
-            note("scores debiased or weighted by texture run on the CPU: the GPU has no such stages")
+            note("scores debiased or weighted by texture, and half pixels, run on the CPU: the GPU has no such stages")
         return method
     device = chosen_device(choice)
     if device is None:
