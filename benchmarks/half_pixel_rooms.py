@@ -1,10 +1,10 @@
 """Random rooms through the lens and half pixels of the real photographs: where is depth lost, and is the bar honest?
 
     python benchmarks/dual_pixel.py --data FOLDER --line prescription --camera-out rf50.asdf
-    python benchmarks/half_pixel_rooms.py --data FOLDER --camera rf50.asdf --seeds 0 1 2 ... [--without-halves]
+    python benchmarks/half_pixel_rooms.py --data FOLDER --camera rf50.asdf --seeds 0 1 2 ... [--without-shared-noise]
 
 Walls that hardly have texture, dark leather, prints, from .5 to 7.5 m, as 8-bit files with noise as photographs have it
-(``disparity/half_pixel_likelihood.py``). ``--without-halves`` measures as if every channel's noise were its own.
+(``disparity/half_pixel_likelihood.py``). ``--without-shared-noise`` measures as if every channel's noise were its own.
 Printed are AbsRel, shares of all pixels with a ratio below 1.25 and within 5 and 10 %, of errors within one and two
 error bars, and of pixels that are blank and off by a ratio of 1.25. Textures are those of ``error_bar_scenes.py``.
 """
@@ -174,7 +174,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--camera", type=Path, required=True)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(20)))
-    parser.add_argument("--without-halves", action="store_true")
+    parser.add_argument("--without-shared-noise", action="store_true")
     args = parser.parse_args()
     calibration, table = Calibration.load(args.camera), rays(args.data)
     half_field = tuple(n * SENSOR_WIDTH_MM / WIDTH / 2 / table.z_mm for n in (WIDTH, HEIGHT))
@@ -184,8 +184,8 @@ def main() -> None:
         image, truth = photograph(2 * render(table, planes, seed=seed), seed), render_depth(table, planes)
         camera = camera_for(image, calibration, "accurate")
         matcher = camera.config.matcher
-        if args.without_halves and isinstance(matcher, AccurateConfig):
-            matcher = replace(matcher, spectral=replace(matcher.spectral, halves=False))
+        if args.without_shared_noise and isinstance(matcher, AccurateConfig):
+            matcher = replace(matcher, spectral=replace(matcher.spectral, dual_pixel=False))
             camera = CodedApertureCamera(camera.calibration, replace(camera.config, matcher=matcher))
         rows.append(measured(image, truth - table.z_mm, camera))
         print(seed, " ".join(f"{k} {v:.3f}" for k, v in rows[-1].items()), flush=True)

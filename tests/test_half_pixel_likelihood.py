@@ -136,13 +136,13 @@ def test_noise_alone_puts_no_wall_at_the_focus(rng):
         layers = np.linspace(-2.0, 2.0, 17) * found.pairs.blur.reach
         return found.of_windows(image, layers, layers)[2:-2, 2:-2].mean(axis=(0, 1))
 
-    known, unknown = (earned(SpectralConfig(halves=halves)) for halves in (True, False))
+    known, unknown = (earned(SpectralConfig(dual_pixel=known)) for known in (True, False))
     focus = len(layers) // 2
     assert known[focus] - known.min() < 0.3 * (unknown[focus] - unknown.min())
 
 
 def test_the_gpu_has_no_such_stage():
-    config = replace(AccurateConfig(), spectral=SpectralConfig(halves=True))
+    config = replace(AccurateConfig(), spectral=SpectralConfig(dual_pixel=True))
     space = view_spaces(design_named("cy_halves"), None, "unmixed")[0]
     method = AccurateMethod(config, space, evidence(config.spectral), IDENTITY, execution_named("numba"))
     assert on_device(method, "auto", lambda note: None) is method

@@ -34,7 +34,7 @@ class SpectralConfig:
         colours.
     rounds : int
         Of expectation and maximisation for the covariance of the colours, at each layer, from that of the layer before.
-    halves : bool
+    dual_pixel : bool
         Red and blue are the halves of a dual-pixel sensor and green is their mean: noise is partly shared
         (``disparity/half_pixel_likelihood.py``). On the CPU alone.
     """
@@ -46,7 +46,7 @@ class SpectralConfig:
     slopes: tuple[float, ...] = (0.75, 1.0, 1.3, 1.7, 3.0)
     channel_error: float = 0.002
     rounds: int = 2
-    halves: bool = False
+    dual_pixel: bool = False
 
     def __post_init__(self) -> None:
         numbers = (self.gain, self.cap_nats, self.taper_px, self.channel_error, *self.slopes)

@@ -117,24 +117,26 @@ class SpectralEvidence:
         windows = model.windows
         noise = self.noise_of_windows(image, rows, columns)
         image = np.where(np.isfinite(image), image, np.float32(0))
-        if config.halves:
+        if config.dual_pixel:
             image = of_equal_light(image)
         spectra = windows.spectra(without_shading(image), rows, columns)
         node = model.nodes(rows, columns)
-        likelihood = (
-            partial(half_pixel_likelihood, sum_and_difference(spectra), node=node, noise=noise[:, 1],
-                    of_frequencies=noise_of_frequencies(np.hypot(windows.fy, windows.fx)),
-                    channel_error=config.channel_error)
-            if config.halves
-            else partial(run.spectral_likelihood, spectra, node=node, noise=noise, channel_error=config.channel_error,
-                         rounds=config.rounds)
-        )  # fmt: skip
+        error = config.channel_error
+        if config.dual_pixel:
+            likelihood = partial(
+                half_pixel_likelihood, sum_and_difference(spectra), node=node, noise=noise[:, 1], channel_error=error,
+                of_frequencies=noise_of_frequencies(np.hypot(windows.fy, windows.fx)),
+            )  # fmt: skip
+        else:
+            likelihood = partial(
+                run.spectral_likelihood, spectra, node=node, noise=noise, channel_error=error, rounds=config.rounds
+            )
         by_slope = np.stack([likelihood(powers=powers) for powers in self.powers_of(model)])
         return (over_slopes(by_slope / windows.redundancy) / windows.area_px2).reshape(len(rows), len(columns), -1)
 
     def model(self, layers_px: np.ndarray) -> SpectralModel:
         """Return what the blur of layers passes on."""
-        kind = HalvesModel if self.config.halves else SpectralModel
+        kind = HalvesModel if self.config.dual_pixel else SpectralModel
         return kind(self.pairs.blur, layers_px, Windows(self.config), self.config.slopes, self.pairs.run)
 
     def noise_of_windows(self, image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

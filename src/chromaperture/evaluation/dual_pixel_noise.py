@@ -85,7 +85,7 @@ def camera_for(image: np.ndarray, calibration: Calibration, quality: Quality) ->
         return CodedApertureCamera(calibration, without_planes(config))
     evidence = replace(matcher.evidence, own_detail=True)
     surface = replace(matcher.surface, learned_error_bar=False)
-    spectral = replace(matcher.spectral, halves=True)
+    spectral = replace(matcher.spectral, dual_pixel=True)
     matcher = replace(matcher, evidence=evidence, surface=surface, planes=WITHOUT_PLANES, spectral=spectral)
     config = replace(config, matcher=matcher)
     sensor, times = calibration.sensor, noise_scale(image, calibration)

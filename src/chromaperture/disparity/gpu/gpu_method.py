@@ -293,7 +293,7 @@ def on_device(method: Method, choice: str, note: Callable[[str], None], *, pixel
         opened = partial(GpuMethod, method.config, method.space, IDENTITY)
     elif isinstance(method, RealTimeMethod):
         opened = partial(GpuMethod, method.config, method.space, method.label_map)
-    elif isinstance(method, AccurateMethod) and not method.config.spectral.halves:
+    elif isinstance(method, AccurateMethod) and not method.config.spectral.dual_pixel:
         opened = partial(AccurateOnDevice, method)
     else:
         if asked_for:
