@@ -80,11 +80,11 @@ def test_edges_and_error_bars_that_are_switched_off(learned, band):
 
 
 def test_what_finds_no_room_is_computed_with_more():
-    camera, image = small("still_life_cy_halves", 240, 160)
-    chain = AccurateChain(camera.method, any_device(), image.shape[:2], Room(1, 1, 2, 16))
+    camera, image = small("still_life_cy_halves", 150, 100)
+    chain = AccurateChain(camera.method, any_device(), image.shape[:2], Room(4, 1, 2, 64))
     found, expected = chain.match(image), camera.method.match(image)
     assert chain.room.planes > 2
-    assert chain.room.lines > 16
+    assert chain.room.lines > 64
     assert share_within(camera, found, expected, relative=1e-3) > 0.995
 
 

@@ -77,7 +77,7 @@ def assert_joined_alike(device, likelihood, choice, planes, config):
     return len(np.unique(choice)), len(expected)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)  # 1 to 3 s each; 70 random ones were alike
 @given(st.booleans(), st.integers(2, CAPACITY), st.integers(0, 2**32 - 1))
 def test_planes_are_joined_alike(software, count, seed):
     rng = np.random.default_rng(seed)
