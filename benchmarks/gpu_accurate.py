@@ -85,7 +85,7 @@ def operations(dispatch: Dispatch) -> float:
         "layer_tangents": lambda: 8.0 * pixels,
         "layer_offsets": lambda: 6.0 * pixels,
         "coupling_target": lambda: 60.0 * pixels,  # some six layers a pixel
-        "coupling_steps": lambda: 28.0 * c["steps"] * 64 * 4 * c["rows"] * dispatch.groups[0] * dispatch.groups[1],
+        "coupling_steps": lambda: 28.0 * c["steps"] * pixels * 64**2 / (64 - 2 * c["steps"]) ** 2,
         "volume_posterior": lambda: 10.0 * entries,
         "surface_sigma": lambda: 4.0 * pixels,
         "block_sums": lambda: 1.0 * entries,

@@ -1,5 +1,5 @@
 // `steps` primal-dual iterations of total variation with a quadratic data term; see `stages/variation.py`. A workgroup
-// loads 16 x `rows` blocks, iterates and stores the inner pixels, which nothing beyond has reached: an iteration reaches one
+// loads 16 x 16 blocks, iterates and stores the inner pixels, which nothing beyond has reached: an iteration reaches one
 // pixel further. An invocation keeps a block of 4 x 4 in registers; only what its neighbours read goes through shared
 // memory. Rows have names, because arrays of registers cost a software device half of its time.
 
@@ -11,10 +11,10 @@
 @group(0) @binding(5) var<storage, read> round: array<u32>;
 
 // Of every block: the extrapolation of its first column and row, the flow (dual times links) out of its last ones.
-var<workgroup> first_column: array<vec4f, 16u * rows>;
-var<workgroup> last_column: array<vec4f, 16u * rows>;
-var<workgroup> first_row: array<vec4f, 16u * rows>;
-var<workgroup> last_row: array<vec4f, 16u * rows>;
+var<workgroup> first_column: array<vec4f, 256>;
+var<workgroup> last_column: array<vec4f, 256>;
+var<workgroup> first_row: array<vec4f, 256>;
+var<workgroup> last_row: array<vec4f, 256>;
 
 // Four neighbours of a row.
 struct Row { u: vec4f, ahead: vec4f, dual_x: vec4f, dual_y: vec4f, link_x: vec4f, link_y: vec4f, goal: vec4f }
@@ -75,19 +75,19 @@ fn store(row: Row, slot: vec2u, corner: vec2i) {
     for (var x = 0u; x < 4u; x++) {
         let place = slot + vec2u(x, 0u);
         let at = corner + vec2i(i32(x), 0i);
-        let kept = all(place >= vec2u(steps)) && all(place < vec2u(64u, 4u * rows) - steps);
+        let kept = all(place >= vec2u(steps)) && all(place < vec2u(64u, 64u) - steps);
         if (kept && is_inside(at)) {
             after[u32(at.y) * width + u32(at.x)] = vec4f(row.u[x], row.ahead[x], row.dual_x[x], row.dual_y[x]);
         }
     }
 }
 
-@compute @workgroup_size(16, rows)
+@compute @workgroup_size(16, 16)
 fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u,
     @builtin(local_invocation_index) number: u32
 ) {
-    let corner = vec2i(group.xy * (vec2u(64u, 4u * rows) - 2u * steps) + vec2u(4u, 4u) * local.xy) - i32(steps);
+    let corner = vec2i(group.xy * (vec2u(64u, 64u) - 2u * steps) + vec2u(4u, 4u) * local.xy) - i32(steps);
     var first = loaded(corner);
     var second = loaded(corner + vec2i(0i, 1i));
     var third = loaded(corner + vec2i(0i, 2i));
@@ -95,9 +95,9 @@ fn main(
     first_column[number] = vec4f(first.ahead.x, second.ahead.x, third.ahead.x, fourth.ahead.x);
     first_row[number] = first.ahead;
     workgroupBarrier();
-    let right = min(number + 1u, 16u * rows - 1u);
+    let right = min(number + 1u, 255u);
     let left = max(number, 1u) - 1u;
-    let below = min(number + 16u, 16u * rows - 1u);
+    let below = min(number + 16u, 255u);
     let above = max(number, 16u) - 16u;
     let pull = primal_step / couplings[round[0]];
     let share = 1.0 / (1.0 + pull);

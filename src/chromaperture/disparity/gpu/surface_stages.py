@@ -24,8 +24,7 @@ AT_ONCE = 8  # neighbours that an invocation of a filter has: what they read ove
 LANES = 8  # invocations of a path: 9 to 17 layers each for 65 to 129; a subgroup of 8 or more holds whole paths
 LANES_IN_SOFTWARE = 4  # the fewer, the less they tell each other; 2 and 1 have too many layers each for its registers
 MOST_LAYERS = 512  # of a path: 64 in the registers of each of 8 invocations
-STEPS_SIDE = 64  # px that a workgroup of `coupling_steps.wgsl` loads along x, at most as many along y
-STEPS_BLOCK = 4  # px of an invocation along either axis
+STEPS_SIDE = 64  # px that a workgroup of `coupling_steps.wgsl` loads along either axis
 _MOST_STEPS = 5  # iterations in shared memory: of 64 x 64 px loaded 54 x 54 are stored
 
 
@@ -213,21 +212,14 @@ def add_variation(chain: Chain, a: SurfaceArrays, grid: Grid, layers_px: np.ndar
         )  # fmt: skip
         for i, steps in enumerate(parts):
             before, after = (a.surface, a.other) if i % 2 == 0 else (a.other, a.surface)
-            rows = _rows_of_group(grid.height, steps)
             chain.add(
                 "coupling_steps", [before, after, a.goal, a.links, a.couplings, a.round],
-                groups=(grid.width / (STEPS_SIDE - 2 * steps), grid.height / (STEPS_BLOCK * rows - 2 * steps)),
-                rows=rows, height=grid.height, width=grid.width, steps=steps, is_fresh=i == 0,
+                groups=tuple(side / (STEPS_SIDE - 2 * steps) for side in (grid.width, grid.height)),
+                height=grid.height, width=grid.width, steps=steps, is_fresh=i == 0,
                 primal_step=primal_step, dual_step=1 / (OPERATOR_NORM_SQUARED * primal_step),
                 huber=float(config.huber_layers), highest=float(grid.layers - 1),
             )  # fmt: skip
         chain.add("count_up", [a.round], groups=(1,), to_zero=False)
-
-
-def _rows_of_group(height: int, steps: int) -> int:
-    """Blocks of a workgroup along y with which the picture takes the fewest blocks; of equal ones the most."""
-    every = range(STEPS_SIDE // STEPS_BLOCK, 2 * steps // STEPS_BLOCK, -1)
-    return min(every, key=lambda rows: rows * -(-height // (STEPS_BLOCK * rows - 2 * steps)))
 
 
 def _even_parts(iterations: int) -> list[int]:
