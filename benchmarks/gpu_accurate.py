@@ -47,14 +47,14 @@ def operations(dispatch: Dispatch) -> float:
         return 2.0 * c["reach"] + 1
 
     per = {
-        "gaussian_line": lambda: 2 * taps() * pixels * c["planes"] * c["parts"],
+        "gaussian_line": lambda: 2 * taps() * pixels / c["every"] * c["planes"] * c["parts"],
         "tile_rows": transforms,
         "tile_columns": transforms,
         "tile_smoothing": lambda: 2 * taps() * c["pictures"] * c["size"] * (c["size"] // 2 + 1),
         "point_rows": lambda: (
-            c["pictures"] * c["layers_of_round"] * (10.0 * c["side"] ** 2 * c["kept"] + 40 * c["points"])
+            c["pictures"] * c["layers_of_round"] * (6.0 * c["side"] ** 2 * c["kept"] + 40 * c["points"])
         ),
-        "point_columns": lambda: 14.0 * c["pictures"] * c["layers_of_round"] * c["side"] * c["kept"] ** 2,
+        "point_columns": lambda: 8.0 * c["pictures"] * c["layers_of_round"] * c["side"] * c["kept"] ** 2,
         "pair_spectra": lambda: 7.0 * c["tiles"] * c["pair_count"] * c["span"] ** 2 / 2,
         "cross_columns": lambda: transforms() + 30.0 * c["lines"] * c["span"],
         "cross_rows": transforms,

@@ -107,14 +107,15 @@ def inputs_of(photograph: Photograph) -> dict[str, np.ndarray]:
 
 def add_colours(chain: Chain, image: Array, shape: tuple[int, int], shared: Array) -> None:
     """Append `Photograph.colours` of an image (h, w, 3), into ``shared``."""
-    size = 3 * shape[0] * shape[1]
-    fine, coarse, room = (chain.array(f"shades_{name}", size) for name in ("fine", "coarse", "room"))
+    height, width = (-(-side // SHADES_EVERY) for side in shape)
+    fine, coarse = (chain.array(f"shades_{name}", 3 * height * width) for name in ("fine", "coarse"))
+    room = chain.array("shades_room", 3 * shape[0] * width)
     for blurred, sigma in zip((fine, coarse), SHADES_PX, strict=True):
-        add_gaussian(chain, blurred, room, shape, gaussian_taps(sigma), parts=3, source=image)
+        add_gaussian(chain, blurred, room, shape, gaussian_taps(sigma), parts=3, source=image, every=SHADES_EVERY)
     products = chain.array("shade_products", 8 * _SHADE_PARTS)
     chain.add(
         "shade_products", [fine, coarse, products], groups=(_SHADE_PARTS,),
-        height=shape[0], width=shape[1], every=SHADES_EVERY, parts=_SHADE_PARTS,
+        height=height, width=width, parts=_SHADE_PARTS,
     )  # fmt: skip
     chain.add("line_colours", [products, shared], groups=(1,), parts=_SHADE_PARTS, own_colour=OWN_COLOUR)
 

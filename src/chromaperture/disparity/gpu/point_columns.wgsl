@@ -1,5 +1,6 @@
 // Transfer functions: the transforms of `point_rows.wgsl` along the columns, of frequencies and their negatives at once.
-// An invocation has two columns at four frequencies, which share what is read.
+// An invocation has two columns at four frequencies, which share what is read. Rows on both sides of the middle, as far
+// from it, share their waves.
 
 @group(0) @binding(0) var<storage, read> factors: array<vec2f>;  // (tile_px,)
 @group(0) @binding(1) var<storage, read> layers: array<vec2f>;
@@ -13,11 +14,12 @@ const twos = kept / 2u;
 // Sums of a column's numbers times cosines, and times sines and the imaginary unit.
 struct Waves { cosines_x: vec4f, cosines_y: vec4f, sines_x: vec4f, sines_y: vec4f }
 
-fn add(sums: ptr<function, Waves>, here: vec2f, cosines: vec4f, sines: vec4f) {
-    (*sums).cosines_x += here.x * cosines;
-    (*sums).cosines_y += here.y * cosines;
-    (*sums).sines_x -= here.y * sines;
-    (*sums).sines_y += here.x * sines;
+// The sum of two numbers as far from the middle on either side, and their difference.
+fn add(sums: ptr<function, Waves>, even: vec2f, odd: vec2f, cosines: vec4f, sines: vec4f) {
+    (*sums).cosines_x += even.x * cosines;
+    (*sums).cosines_y += even.y * cosines;
+    (*sums).sines_x -= odd.y * sines;
+    (*sums).sines_y += odd.x * sines;
 }
 
 @compute @workgroup_size(64)
@@ -29,23 +31,30 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     let x = i % twos;
     let y = 4u * (i / twos) + vec4u(0u, 1u, 2u, 3u);
     let picture = group.z * pictures + group.y;
-    // The waves at the first row, and from one row to the next: a few dozen products keep 1e-6 of them.
-    let at = (tile_px - y * reach % tile_px) % tile_px;
-    var cosines = vec4f(factors[at.x].x, factors[at.y].x, factors[at.z].x, factors[at.w].x);
-    var sines = vec4f(factors[at.x].y, factors[at.y].y, factors[at.z].y, factors[at.w].y);
+    // The waves from one row to the next: a few dozen products keep 1e-6 of them.
     let to = y % tile_px;
     let turn_x = vec4f(factors[to.x].x, factors[to.y].x, factors[to.z].x, factors[to.w].x);
     let turn_y = vec4f(factors[to.x].y, factors[to.y].y, factors[to.z].y, factors[to.w].y);
-    var left = Waves();
-    var right = Waves();
-    for (var row = 0u; row < 2u * reach + 2u; row++) {
-        let here = rows[(picture * side + row) * twos + x];
-        add(&left, here.xy, cosines, sines);
-        add(&right, here.zw, cosines, sines);
+    var cosines = turn_x;
+    var sines = turn_y;
+    let middle = (picture * side + reach) * twos + x;
+    let centre = rows[middle];
+    var left = Waves(vec4f(centre.x), vec4f(centre.y), vec4f(), vec4f());
+    var right = Waves(vec4f(centre.z), vec4f(centre.w), vec4f(), vec4f());
+    for (var row = 1u; row <= reach; row++) {
+        let after = rows[middle + row * twos];
+        let before = rows[middle - row * twos];
+        let even = after + before;
+        let odd = after - before;
+        add(&left, even.xy, odd.xy, cosines, sines);
+        add(&right, even.zw, odd.zw, cosines, sines);
         let next = cosines * turn_x - sines * turn_y;
         sines = cosines * turn_y + sines * turn_x;
         cosines = next;
     }
+    let beyond = rows[middle + (reach + 1u) * twos];
+    add(&left, beyond.xy, beyond.xy, cosines, sines);
+    add(&right, beyond.zw, beyond.zw, cosines, sines);
     let first = picture * size * twos + x;
     for (var n = 0u; n < 4u; n++) {
         if (y[n] < kept) {

@@ -1,6 +1,7 @@
 // Point-spread functions from traced rays, and the Fourier transforms of their rows. A workgroup adds the rays of one
 // tile, channel and layer to the four pixels around each, as whole numbers in shared memory (`cells` pixels: some rows),
-// and transforms those rows at the frequencies that the samples of a tile have: an invocation has four of a row.
+// and transforms those rows at the frequencies that the samples of a tile have: an invocation has four of a row. Pixels on
+// both sides of the middle, as far from it, share their waves.
 
 @group(0) @binding(0) var<storage, read> factors: array<vec2f>;  // (tile_px,)
 @group(0) @binding(1) var<storage, read> rays: array<vec4f>;  // (tiles, channels, points): x, y at infinity, px; light; point
@@ -22,7 +23,8 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     let top = group.y * rows_of_group;
     if (top >= used) { return; }
     let picture = group.x;
-    for (var i = local; i < cells; i += 128u) { atomicStore(&light[i], 0u); }
+    let count = min(rows_of_group, used - top);
+    for (var i = local; i < count * side; i += 128u) { atomicStore(&light[i], 0u); }
     workgroupBarrier();
     for (var j = local; j < points; j += 128u) {
         let ray = rays[picture * points + j];
@@ -42,28 +44,30 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         }
     }
     workgroupBarrier();
-    let count = min(rows_of_group, used - top);
     for (var i = local; i < count * fours; i += 128u) {
         let frequency = 4u * (i % fours) + vec4u(0u, 1u, 2u, 3u);
-        let row = i / fours;
-        // The waves at the first pixel, and from one pixel to the next: a few dozen products keep 1e-6 of them.
-        let at = (tile_px - frequency * reach % tile_px) % tile_px;
-        var cosines = vec4f(factors[at.x].x, factors[at.y].x, factors[at.z].x, factors[at.w].x);
-        var sines = vec4f(factors[at.x].y, factors[at.y].y, factors[at.z].y, factors[at.w].y);
+        let middle = i / fours * side + reach;
+        // The waves from one pixel to the next: a few dozen products keep 1e-6 of them.
         let to = frequency % tile_px;
         let turn_x = vec4f(factors[to.x].x, factors[to.y].x, factors[to.z].x, factors[to.w].x);
         let turn_y = vec4f(factors[to.x].y, factors[to.y].y, factors[to.z].y, factors[to.w].y);
-        var sums_x = vec4f();
+        var cosines = turn_x;
+        var sines = turn_y;
+        var sums_x = vec4f(f32(atomicLoad(&light[middle])));
         var sums_y = vec4f();
-        for (var x = 0u; x < used; x++) {
-            let here = f32(atomicLoad(&light[row * side + x])) / ONE;
-            sums_x += here * cosines;
-            sums_y += here * sines;
+        for (var x = 1u; x <= reach; x++) {
+            let right = f32(atomicLoad(&light[middle + x]));
+            let left = f32(atomicLoad(&light[middle - x]));
+            sums_x += (right + left) * cosines;
+            sums_y += (right - left) * sines;
             let next = cosines * turn_x - sines * turn_y;
             sines = cosines * turn_y + sines * turn_x;
             cosines = next;
         }
-        let first = (((group.z * pictures) + picture) * side + top + row) * (kept / 2u) + 2u * (i % fours);
+        let beyond = f32(atomicLoad(&light[middle + reach + 1u]));
+        sums_x = (sums_x + beyond * cosines) / ONE;
+        sums_y = (sums_y + beyond * sines) / ONE;
+        let first = (((group.z * pictures) + picture) * side + top + i / fours) * (kept / 2u) + 2u * (i % fours);
         rows[first] = vec4f(sums_x.x, sums_y.x, sums_x.y, sums_y.y);
         if (frequency.z < kept) { rows[first + 1u] = vec4f(sums_x.z, sums_y.z, sums_x.w, sums_y.w); }
     }

@@ -1,5 +1,5 @@
-// Products of the channels' shades, what the finer of two Gaussians has more than the coarser, summed over every `every`-th
-// pixel; see `edge_likelihood.py`. So many parts as there are workgroups; the CPU adds these.
+// Products of the channels' shades, what the finer of two Gaussians has more than the coarser, summed over
+// pixels; see `edge_likelihood.py`. So many parts as there are workgroups; the CPU adds these.
 
 @group(0) @binding(0) var<storage, read> fine: array<f32>;  // (h, w, 3)
 @group(0) @binding(1) var<storage, read> coarse: array<f32>;  // (h, w, 3)
@@ -10,11 +10,10 @@ var<workgroup> mixed: array<vec3f, 64>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
-    let across = (width + every - 1u) / every;
     var squares = vec3f();
     var others = vec3f();
-    for (var i = group.x * 64u + local; i < across * ((height + every - 1u) / every); i += 64u * parts) {
-        let at = 3u * (i / across * every * width + i % across * every);
+    for (var i = group.x * 64u + local; i < height * width; i += 64u * parts) {
+        let at = 3u * i;
         let shade = vec3f(fine[at] - coarse[at], fine[at + 1u] - coarse[at + 1u], fine[at + 2u] - coarse[at + 2u]);
         squares += shade * shade;
         others += vec3f(shade.x * shade.y, shade.x * shade.z, shade.y * shade.z);

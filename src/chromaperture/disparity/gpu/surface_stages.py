@@ -22,6 +22,7 @@ from chromaperture.stage_config import SurfaceConfig
 
 AT_ONCE = 8  # neighbours that an invocation of a filter has: what they read overlaps
 LANES = 8  # invocations of a path: 9 to 17 layers each for 65 to 129; a subgroup of 8 or more holds whole paths
+LANES_IN_SOFTWARE = 4  # the fewer, the less they tell each other; 2 and 1 have too many layers each for its registers
 MOST_LAYERS = 512  # of a path: 64 in the registers of each of 8 invocations
 STEPS_SIDE = 64  # px that a workgroup of `coupling_steps.wgsl` loads along either axis
 _MOST_STEPS = 5  # iterations in shared memory: of 64 x 64 px loaded 54 x 54 are stored
@@ -62,7 +63,7 @@ def add_paths(
     layers_px: np.ndarray,
     *,
     config: SurfaceConfig,
-    lanes: int = LANES,
+    lanes: int | None = None,
 ) -> None:
     """Append `stages.aggregate_paths`: a dispatch for every direction.
 
@@ -75,7 +76,7 @@ def add_paths(
     layers_px : (count,) float, px
     config : SurfaceConfig
     lanes : int
-        Invocations that share a path; 1, 2, 4, ... 64.
+        Invocations that share a path; 1, 2, 4, ... 64. By default as many as suit the device.
 
     Raises
     ------
@@ -85,6 +86,7 @@ def add_paths(
     if grid.layers > MOST_LAYERS:
         raise DeviceError(f"{grid.layers} labels are too many for the GPU, at most {MOST_LAYERS}; use --device cpu")
     penalties = penalties_of(config, layers_px)
+    lanes = lanes or (LANES_IN_SOFTWARE if chain.device.info.is_software else LANES)
     own_layers = math.ceil(grid.layers / lanes)
     # Layers within which a change costs less than a jump: nothing comes from further away.
     reach = math.ceil(penalties.jump / penalties.slope_per_layer / own_layers)
@@ -109,6 +111,7 @@ def add_gaussian(
     parts: int,
     planes: int = 1,
     source: Array | None = None,
+    every: int = 1,
 ) -> None:
     """Append a filter along both axes: (planes, h, w, parts), mirrored at the borders.
 
@@ -122,17 +125,20 @@ def add_gaussian(
     parts, planes : int
     source : Array, optional
         What is filtered instead; ``values`` is only written.
+    every : int
+        Only every so many-th pixel along either axis is computed; more than 1 needs ``source``.
     """
     height, width = shape
     # A constant array that is indexed by a variable is copied for every invocation: half the time of a software device.
-    filter_taps = chain.constant(f"taps_of_{values.name}", np.concatenate([taps, np.zeros(AT_ONCE - 1)]))
+    filter_taps = chain.constant(f"taps_of_{values.name}", np.concatenate([taps, np.zeros((AT_ONCE - 1) * every)]))
     for before, after, along_x in ((source or values, between, True), (between, values, False)):
         lines, across = (height, width) if along_x else (width, height)
         chain.add(
             "gaussian_line", [before, filter_taps, after],
-            groups=groups_for(planes * lines * -(-across // AT_ONCE) * parts), uses=("indexing",),
-            height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2, along_x=along_x,
+            groups=groups_for(planes * lines * -(-across // (AT_ONCE * every)) * parts), uses=("indexing",),
+            height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2, along_x=along_x, every=every,
         )  # fmt: skip
+        width = -(-width // every)
 
 
 def gaussian_taps(sigma: float) -> np.ndarray:

@@ -51,8 +51,12 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         let link = select(edge_floor + (1.0 - edge_floor) * exp(-abs(value - before) / edge_range), 1.0, s == 0u);
         before = value;
         let bend = slope * link;
-        for (var r = 1u; r < own_layers; r++) { cost[r] = min(cost[r], cost[r - 1u] + bend); }
-        for (var r = own_layers - 1u; r > 0u; r--) { cost[r - 1u] = min(cost[r - 1u], cost[r] + bend); }
+        for (var r = 0u; r < own_layers; r++) {  // unrolled
+            cost[r] = min(cost[r], cost[max(r, 1u) - 1u] + bend);
+        }
+        for (var r = 0u; r < own_layers; r++) {  // unrolled
+            cost[own_layers - 1u - r] = min(cost[own_layers - 1u - r], cost[own_layers - max(r, 1u)] + bend);
+        }
         let half = (s & 1u) * 64u;
         ends[half + local] = vec3f(cost[own_layers - 1u], cost[0], least);
         workgroupBarrier();
@@ -69,7 +73,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         let at = pixel * count + begin;
         let counts = used && s < length;
         least = NEVER;
-        for (var r = 0u; r < own_layers; r++) {
+        for (var r = 0u; r < own_layers; r++) {  // unrolled
             let is_layer = begin + r < count;
             let entry = min(at + r, width * height * count - 1u);
             let gain = likelihood[entry];

@@ -13,11 +13,16 @@ fn main(
     if (pixel >= width * height) { return; }
     let at = pixel * count;
     var best = 0u;
-    for (var k = 1u; k < count; k++) { best = select(best, k, cost[at + k] < cost[at + best]); }
+    var least = cost[at];
+    for (var k = 1u; k < count; k++) {
+        let here = cost[at + k];
+        best = select(best, k, here < least);
+        least = min(least, here);
+    }
     var mass = 0.0;
     var moments = vec2f();
     for (var k = 0u; k < count; k++) {
-        let probable = exp(-(cost[at + k] - cost[at + best]) / temperature);
+        let probable = exp(-(cost[at + k] - least) / temperature);
         let away = f32(k) - f32(best);
         mass += probable;
         moments += probable * vec2f(away, away * away);
