@@ -18,11 +18,9 @@ fn main(
     var sums: array<Sums, smooths>;
     for (var k = 0u; k < 2u * reach + 8u; k++) {
         let here = joined[row + mirrored(i32(x + k) - i32(reach), width)];
-        for (var s = 0u; s < smooths; s++) {  // unrolled
-            sums[s] = added(sums[s], taps[k * smooths + s], here);
-        }
+        for (var s = 0u; s < smooths; s++) { sums[s] = added(sums[s], taps[k * smooths + s], here); }
     }
-    for (var s = 0u; s < smooths; s++) {  // unrolled
+    for (var s = 0u; s < smooths; s++) {
         let first = s * pictures * height * width + row + x;
         for (var n = 0u; n < 4u; n++) {
             if (x + n < width) { smooth_rows[first + n] = vec2f(sums[s].near_p[n], sums[s].near_q[n]); }

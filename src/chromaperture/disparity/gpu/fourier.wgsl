@@ -31,13 +31,9 @@ fn transform(first: u32, local: u32) {
     var values: array<vec4f, 16>;
     let begin = butterfly_of(local, r0);
     if (begin.is_used && first + begin.line < lines) {
-        for (var m = 0u; m < first_radix; m++) {  // unrolled
-            values[m] = taken(first + begin.line, begin.place + span / r0 * m);
-        }
+        for (var m = 0u; m < r0; m++) { values[m] = taken(first + begin.line, begin.place + span / r0 * m); }
         turn_all(&values, r0);
-        for (var m = 0u; m < first_radix; m++) {  // unrolled
-            shared_line[begin.line * span + begin.place * r0 + m] = values[m];
-        }
+        for (var m = 0u; m < r0; m++) { shared_line[begin.line * span + begin.place * r0 + m] = values[m]; }
     }
     if (passes > 2u) { middle_pass(r1, r0, local); }
     if (passes > 3u) { middle_pass(r2, r0 * r1, local); }
@@ -46,9 +42,7 @@ fn transform(first: u32, local: u32) {
     let end = butterfly_of(local, last_radix);
     if (end.is_used && first + end.line < lines) {
         read_turned(&values, last_radix, done, end);
-        for (var m = 0u; m < last_radix; m++) {  // unrolled
-            given(first + end.line, end.place + done * m, values[m]);
-        }
+        for (var m = 0u; m < last_radix; m++) { given(first + end.line, end.place + done * m, values[m]); }
     }
 }
 
