@@ -85,7 +85,7 @@ def add_transform(
     chain.add(
         stage, [_factors(chain, span), *arrays], groups=groups_for(lines, lines_of_group),
         uses=("indexing", "fourier"), span=span, lines=lines, lines_of_group=lines_of_group, group_size=group_size,
-        passes=len(radices), radices=sum(radix << 8 * i for i, radix in enumerate(radices)), first_radix=radices[0], last_radix=radices[-1],
+        passes=len(radices), radices=sum(radix << 8 * i for i, radix in enumerate(radices)), last_radix=radices[-1],
         backwards=backwards, beside_lines=beside_lines, **constants,
     )  # fmt: skip
 
