@@ -42,7 +42,7 @@ def volume_bytes(calibration: Calibration, config: Config) -> float:
 
 
 def _matched(calibration: Calibration, config: Config, scale: float) -> tuple[float, float]:
-    """Return how many pixels are matched, and how many pixels times layers."""
+    """Return how many pixels are matched, and how many entries a volume of one number a pixel and layer has."""
     pixels = calibration.sensor.width_px * calibration.sensor.height_px / scale**2
     return pixels, pixels * len(config.matcher.layers.values_px) * config.scale / scale
 

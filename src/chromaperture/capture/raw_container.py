@@ -36,14 +36,14 @@ def _end_of_mosaic(path: Path) -> int:
     """Return where the data of the largest picture of a TIFF file end, bytes; 0 where none is described."""
     try:
         with tifffile.TiffFile(path) as file:
-            strips = [
+            sizes_and_ends = [
                 (sum(page.databytecounts), max(map(sum, zip(page.dataoffsets, page.databytecounts, strict=True))))
                 for page in _pages(file.pages)
                 if page.databytecounts
             ]
     except Exception:  # tifffile raises anything; LibRaw says what is wrong with the file
         return 0
-    return max(strips, default=(0, 0))[1]
+    return max(sizes_and_ends, default=(0, 0))[1]
 
 
 def _pages(pages: Iterable[Any]) -> Iterator[Any]:
