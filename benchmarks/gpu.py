@@ -33,7 +33,8 @@ from matcher import scene
 from chromaperture.config import PaperConfig, RealTimeConfig
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.gpu.device import AdapterInfo, Chain, Device, Dispatch
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Further, GpuMethod, on_device
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, GpuMethod, on_device
+from chromaperture.disparity.gpu.measured import NOTHING
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.optics.aperture import design_named
 from chromaperture.threads import limited_threads, thread_count
@@ -159,7 +160,7 @@ def benchmark(device: str, quality: str, design: str, size: tuple[int, int], ban
     on_cpu = method_for(PaperConfig() if quality == "paper" else RealTimeConfig(), aperture=design)
     if device == "none":
         counted = GpuMethod(on_cpu.config, on_cpu.space, getattr(on_cpu, "label_map", IDENTITY), counting_device())
-        chain = counted._composed((height, width), Further())
+        chain = counted._composed((height, width), NOTHING)
         stages = stages_of(chain, image, bandwidth=bandwidth, rate=rate)
         facts = {"quality": quality, "design": design, "size": f"{width}x{height}"}
         return {**facts, "device_mbytes": round(chain.device_bytes / 1e6, 1), "stages": stages}

@@ -15,6 +15,7 @@ import argparse
 import json
 import math
 import time
+import warnings
 from collections import defaultdict
 from typing import Any
 
@@ -25,8 +26,12 @@ from gpu import count, counting_device
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_matching import default_config
 from chromaperture.disparity.gpu.accurate_chain import AccurateChain
-from chromaperture.disparity.gpu.device import Chain, Device, Dispatch, open_device
+from chromaperture.disparity.gpu.device import Chain, Device, Dispatch
+from chromaperture.disparity.gpu.measured import Further
+from chromaperture.disparity.gpu.working_stages import Reduction
+from chromaperture.disparity.views import guide_weights
 from chromaperture.disparity.working_scale import ScaledMethod
+from chromaperture.errors import CaptureWarning
 from chromaperture.products.samples import open_sample
 
 LEAST_AGREEING, DEPTH_TOLERANCE = 0.995, 1e-3
@@ -110,7 +115,13 @@ def operations(dispatch: Dispatch) -> float:
         "plane_sums": lambda: 2.0 * pixels * dispatch.groups[0],
         "learned_bar": lambda: 90.0 * pixels,
         "range_line": lambda: 2 * taps() * pixels,
-        "surface_results": lambda: 6.0 * pixels,
+        "label_maps": lambda: 20.0 * pixels,
+        "conversion": lambda: 60.0 * dispatch.arrays[0].size,
+        # 8 x 8 samples of three channels by their weights
+        "channels_shifted": lambda: 3.0 * 64 * 3 * pixels,
+        "hidden_filled": lambda: 20.0 * pixels,
+        "upsample": lambda: 100.0 * c["full_width"] * c["full_height"],
+        "reduce": lambda: 8.0 * c["full_width"] * c["full_height"],
     }
     return float(per.get(dispatch.stage, lambda: 0.0)())
 
@@ -125,32 +136,47 @@ def counted(chains: dict[str, Chain], *, bandwidth: float, rate: float) -> dict[
 
 
 def composed(camera: CodedApertureCamera, device: Device) -> tuple[AccurateChain, dict[str, Chain]]:
-    """Compose the chains of a camera; arrays of planes and lines have room for all that may be found."""
-    method = camera.method.method if isinstance(camera.method, ScaledMethod) else camera.method
+    """Compose the chains of a camera with depth and colours; planes and lines have room for all that may be found."""
+    method, reduction = camera.method, None
     sensor = camera.calibration.sensor
-    shape = sensor.height_px, sensor.width_px
-    if isinstance(camera.method, ScaledMethod):
-        shape = camera.method.size_px[::-1]
-    chain = AccurateChain(method, device, shape)
+    if isinstance(method, ScaledMethod):
+        reduction = Reduction(method.size_px, guide_weights(method.aperture))
+        method = method.method
+    further = Further(camera.conversion, camera.device_alignment)
+    shape = (sensor.height_px, sensor.width_px)
+    chain = AccurateChain(method, device, shape, reduction=reduction, further=further)
     return chain, {"first": chain.first, "last": chain.last}
 
 
 def timed(camera: CodedApertureCamera, image: np.ndarray, device: str) -> dict[str, Any]:
-    """Whole calls beside Numba's, after the depth has been compared."""
-    chain = AccurateChain(camera.method, open_device(device), image.shape[:2])
-    depths = [camera.millimetres(match(image))[0] for match in (chain.match, camera.method.match)]
+    """Disparity, and whole calls with depth and colours, beside Numba's, after the depth has been compared."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CaptureWarning)  # the device is software
+        on_gpu = CodedApertureCamera(camera.calibration, camera.config, device=device)
+    if on_gpu.device_method is None:
+        raise SystemExit(f"--device {device} is the CPU here: see 'chromaperture info --devices'")
+    depths = [each.measure(image).depth_mm for each in (on_gpu, camera)]
     known = np.isfinite(depths[1])
     close = np.where(known, np.abs(depths[0] - depths[1]) <= DEPTH_TOLERANCE * depths[1], np.isnan(depths[0]))
     if close.mean() < LEAST_AGREEING:
         raise SystemExit(f"only {close.mean():.2%} of the depths agree with the CPU: nothing is timed")
-    found: dict[str, Any] = {"device": chain.device.info.name, "software": chain.device.info.is_software}
+    info = on_gpu.device_method.on_gpu.device.info
+    found: dict[str, Any] = {"device": info.name, "software": info.is_software}
     found["share_within_0.1_percent"] = round(float(close.mean()), 5)
-    for name, match in (("device", chain.match), ("numba", camera.method.match)):
+    on_gpu.method.match(image)  # composes the chains without depth and colours
+    works = {
+        "device": on_gpu.method.match, "numba": camera.method.match,
+        "device_whole": on_gpu.measure, "numba_whole": camera.measure,
+    }  # fmt: skip
+    for name, work in works.items():
+        if name == "device_whole":
+            on_gpu.measure(image)
         wall, cpu = time.perf_counter(), time.process_time()
-        match(image)
+        work(image)
         found[f"{name}_wall_ms"] = round(1e3 * (time.perf_counter() - wall), 1)
         found[f"{name}_cpu_ms"] = round(1e3 * (time.process_time() - cpu), 1)
-    found["ratio_to_numba_cpu"] = round(found["device_cpu_ms"] / found["numba_cpu_ms"], 2)
+    for kind in ("", "_whole"):
+        found[f"ratio{kind}_to_numba_cpu"] = round(found[f"device{kind}_cpu_ms"] / found[f"numba{kind}_cpu_ms"], 2)
     return found
 
 
@@ -175,22 +201,24 @@ def main() -> None:
         camera = CodedApertureCamera(camera.calibration, config)
     chain, chains = composed(camera, counting_device())
     stages = counted(chains, bandwidth=1e9 * arguments.bandwidth, rate=1e12 * arguments.rate)
-    largest = max((array for part in chains.values() for array in part.arrays.values()), key=lambda a: a.size)
+    arrays = {id(array.buffer): array for part in chains.values() for array in part.arrays.values()}
+    largest = max(arrays.values(), key=lambda array: array.size)
+
+    def mbytes(*names: str) -> float:
+        return round(sum(4 * array.size for array in arrays.values() if array.name in names) / 1e6, 1)
+
     result: dict[str, Any] = {
         "sample": arguments.sample, "size": arguments.size, "scale": camera.config.scale,
         "matched": f"{chain.grid.width}x{chain.grid.height}", "labels": chain.grid.layers,
         "layers_computed": len(chain.plan.computed_px), "tiles": len(chain.plan.nodes.places),
         "tile_samples": chain.plan.nodes.size, "pairs": len(chain.plan.source.all_pairs),
         "planes": chain.uses_planes, "dispatches": sum(len(part.dispatches) for part in chains.values()),
-        "device_mbytes": round(sum(part.device_bytes for part in {*chains.values()}) / 1e6),
+        "device_mbytes": round(sum(4 * array.size for array in arrays.values()) / 1e6),
         "largest_array": f"{largest.name}: {4 * largest.size / 1e6:.0f} MB",
-        "mbytes_up": round(20 * chain.grid.pixels / 1e6, 1),
-        "mbytes_down": round(16 * chain.grid.pixels / 1e6, 1),
+        "mbytes_up": mbytes("image", "usable", "guide", "counted", "noise", "window_noise", "photograph"),
+        "mbytes_up_between": mbytes("edge_links", "line_light", "line_noise_at"),
+        "mbytes_down": mbytes("disparity", "sigma", "confidence", "depth_mm", "sigma_mm", "color"),
     }  # fmt: skip
-    prepared = ("edge_links", "line_light", "line_noise_at")
-    result["mbytes_up_between"] = round(
-        4 * sum(a.size for a in chain.last.arrays.values() if a.name in prepared) / 1e6, 1
-    )
     if chain.textures is not None:
         textures = chain.textures.covariances, chain.textures.shares, chain.textures.facts
         result["mbytes_of_textures"] = round(sum(part.nbytes for part in textures) / 1e6, 1)

@@ -26,7 +26,8 @@ ACCURATE = (
     ("photograph,\nguide, noise", "tiles, spectra,\nrays", "correlations,\nwindows", "log-likelihood\nat the labels",
      "paths, variation,\nposterior"),
     ("neighbours join,\nfour times", "blocks choose\nplanes", "planes of tiles,\nrefined, distinct"),
-    ("lines across\nborders", "edges", "planes or\nsurface", "known pixels,\nlearned error bar", "maps"),
+    ("lines across\nborders, edges", "planes or\nsurface", "known pixels,\nlearned error bar",
+     "millimetres,\naligned colours", "maps"),
 )  # fmt: skip
 CPU = {"photograph", "maps", "photograph,\nguide, noise"}
 WIDTH, HEIGHT, GAP_X, GAP_Y = 1.5, 0.62, 0.42, 0.42
@@ -38,7 +39,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
     out = parser.parse_args().out
     draw(REAL_TIME, "up: 12 bytes a pixel", "down: 20 bytes a pixel", out / "gpu.svg")
-    ends = "up: 20 bytes a pixel", "down: 16 bytes a pixel"
+    ends = "up: 24 bytes a pixel", "down: 32 bytes a pixel"
     meanwhile = "links, light along lines,\nup meanwhile: 8 bytes a pixel"
     draw(ACCURATE, *ends, out / "gpu_accurate.svg", meanwhile=meanwhile)
 

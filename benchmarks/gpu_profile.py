@@ -23,6 +23,7 @@ import numpy as np
 
 from chromaperture.disparity.gpu.accurate_chain import AccurateChain
 from chromaperture.disparity.gpu.device import Chain, Dispatch, open_device
+from chromaperture.disparity.result import Disparity
 from chromaperture.products.samples import open_sample
 from chromaperture.threads import limited_threads
 
@@ -71,7 +72,7 @@ STAGES = {
     ),
     "variation": Stage(("link_weights", "coupling_target", "coupling_steps", "count_up"), ("cpu:coupled_variation",)),
     "posterior": Stage(
-        ("volume_posterior", "surface_sigma", "range_line", "surface_results"),
+        ("volume_posterior", "surface_sigma", "range_line", "known_surface", "surface_bar"),
         ("cpu:posterior", "stages.paths:Posterior.sigma_px", "error_bar:local_range"),
     ),
     "planes": Stage(
@@ -108,9 +109,9 @@ STAGES = {
             "plane_steps", "step_distance", "beside_steps", "plane_sums", "plane_signs", "answer_profile",
             "gaussian_line:profile_pooled", "block_signs", "sums_of_blocks", "sharpness_of_blocks", "known_pixels",
             "bar_maps", "gaussian_line:pooled", "gaussian_line:wide", "learned_bar",
-            "gaussian_line:bar", "judged_results",
+            "gaussian_line:bar", "judged_results", "two_views", "label_maps",
         ),
-        ("accurate:judged",),
+        ("accurate:judged", "accurate:AccurateMethod.of_labels"),
     ),
     "joining of planes": Stage(
         (
@@ -177,7 +178,11 @@ def main() -> None:
     camera, image = open_sample(arguments.sample, quality="accurate")
     camera, image = camera.at_size(width, height), cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     chain = AccurateChain(camera.method, open_device(arguments.device), (height, width))
-    depths = [camera.millimetres(match(image))[0] for match in (chain.match, camera.method.match)]
+
+    def match_on_device(picture: np.ndarray) -> Disparity:
+        return chain.measure(picture).disparity
+
+    depths = [camera.millimetres(match(image))[0] for match in (match_on_device, camera.method.match)]
     known = np.isfinite(depths[1])
     close = np.where(known, np.abs(depths[0] - depths[1]) <= DEPTH_TOLERANCE * depths[1], np.isnan(depths[0])).mean()
     if close < LEAST_AGREEING:
@@ -205,7 +210,7 @@ def main() -> None:
     with limited_threads(1):
         cv2.setNumThreads(1)
         begin = time.process_time()
-        chain.match(image)
+        match_on_device(image)
         whole_device = time.process_time() - begin
         begin = time.process_time()
         camera.method.match(image)
@@ -217,7 +222,7 @@ def main() -> None:
         numba_ms = dict(on_cpu.taken_ms)
         on_cpu.taken_ms.clear()
         Chain.start = one_by_one  # type: ignore[method-assign]
-        chain.match(image)
+        match_on_device(image)
     print(f"{arguments.sample} {arguments.size}, {chain.device.info.name}, agreeing {close:.4f}")
     print(f"whole: device {1e3 * whole_device:.0f} ms, Numba {1e3 * whole_cpu:.0f} ms, {whole_device / whole_cpu:.1f}")
     if arguments.shaders:

@@ -20,7 +20,8 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.gpu import device as device_file
 from chromaperture.disparity.gpu.device import AdapterInfo, DeviceError, adapters, open_device
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Further, GpuMethod, chosen_device, on_device
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, GpuMethod, chosen_device, on_device
+from chromaperture.disparity.gpu.measured import Further
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.errors import (
     CaptureWarning,

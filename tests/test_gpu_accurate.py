@@ -1,19 +1,23 @@
 """Quality "accurate" as a whole on a GPU: the same depth as on the CPU."""
 
+import warnings
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
+from chromaperture import camera_memory
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.config import AccurateConfig
 from chromaperture.disparity import plane_fit
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.gpu import candidate_stages
-from chromaperture.disparity.gpu.accurate_chain import AccurateChain, AccurateOnDevice, Room
+from chromaperture.disparity.gpu.accurate_chain import AccurateChain, Room
+from chromaperture.disparity.gpu.accurate_on_device import AccurateOnDevice
 from chromaperture.disparity.gpu.device import DeviceError
 from chromaperture.disparity.gpu.gpu_method import DeviceMethod
+from chromaperture.disparity.gpu.measured import Further
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.errors import CaptureWarning, InputError, OutOfMemoryError
 from chromaperture.products.samples import open_sample
@@ -51,7 +55,7 @@ def test_the_depth_is_that_of_the_cpu(name, planes):
     if name.endswith("halves"):
         image[10:16, 20:26] = 1.0  # clipped: filled from around, and no evidence
         image[40:43, 70:74] = np.nan
-    expected, found = camera.method.match(image), chain.match(image)
+    expected, found = camera.method.match(image), chain.measure(image).disparity
     assert chain.uses_planes == planes
     assert chain.uses_windows
     assert share_within(camera, found, expected, relative=1e-3) > 0.995
@@ -59,7 +63,7 @@ def test_the_depth_is_that_of_the_cpu(name, planes):
     known = np.isfinite(expected.sigma_px) & np.isfinite(found.sigma_px)
     # Where planes meet, a pixel given to the other one has another error bar.
     assert (np.abs(found.sigma_px / expected.sigma_px - 1) < 0.01)[known].mean() > 0.99
-    again = chain.match(image)
+    again = chain.measure(image).disparity
     np.testing.assert_array_equal(again.value_px, found.value_px)  # nothing is left of the last photograph
 
 
@@ -82,7 +86,7 @@ def test_edges_and_error_bars_that_are_switched_off(learned, band):
 def test_what_finds_no_room_is_computed_with_more():
     camera, image = small("still_life_cy_halves", 150, 100)
     chain = AccurateChain(camera.method, any_device(), image.shape[:2], Room(4, 1, 2, 64))
-    found, expected = chain.match(image), camera.method.match(image)
+    found, expected = chain.measure(image).disparity, camera.method.match(image)
     assert chain.room.planes > 2
     assert chain.room.lines > 64
     assert share_within(camera, found, expected, relative=1e-3) > 0.995
@@ -92,7 +96,7 @@ def test_without_any_plane_the_surface_is_the_depth(monkeypatch):
     camera, image = small("still_life_cy_halves", 120, 80)
     monkeypatch.setattr(candidate_stages, "LEAST_SHARE", 2.0)  # of a tile's points
     monkeypatch.setattr(plane_fit, "LEAST_SHARE", 2.0)
-    found = AccurateChain(camera.method, any_device(), image.shape[:2]).match(image)
+    found = AccurateChain(camera.method, any_device(), image.shape[:2]).measure(image).disparity
     assert share_within(camera, found, camera.method.match(image), relative=1e-3) > 0.995
 
 
@@ -161,7 +165,9 @@ def test_a_device_lost_in_mid_stream_is_an_error_or_the_cpu_once():
     for may_fall_back in (False, True):
         device = device_of_its_own()
         on_both = DeviceMethod(AccurateOnDevice(camera.method, device), camera.method, may_fall_back)
-        assert np.isfinite(on_both.match(image).value_px).any()
+        measured = on_both.measure(image, Further(camera.conversion, camera.device_alignment))
+        assert np.isfinite(measured.depth_mm).any()
+        assert measured.color.shape == image.shape
         device.handle.destroy()
         if not may_fall_back:
             with pytest.raises(DeviceError, match="use --device cpu"):
@@ -171,3 +177,30 @@ def test_a_device_lost_in_mid_stream_is_an_error_or_the_cpu_once():
             found = [on_both.match(image).value_px for _ in range(2)]
         assert len(said) == 1
         np.testing.assert_array_equal(found, [expected, expected])
+
+
+def test_a_photograph_is_sent_up_before_the_one_before_comes_down():
+    """As a stream does it; the second finds no room for its planes, and is computed again."""
+    camera, image = small("still_life_cy_halves", 150, 100)
+    pictures = [image, np.ascontiguousarray(image[::-1])]
+    on_gpu = AccurateOnDevice(camera.method, any_device())
+    alone = [on_gpu.match(picture) for picture in pictures]
+    on_gpu._chain.room = Room(4, 1, 2, 64)
+    on_gpu._chain._compose()
+    begun = [on_gpu.start(picture) for picture in pictures]
+    for one, expected in zip(begun, alone, strict=True):
+        np.testing.assert_array_equal(on_gpu.finish(one).disparity.value_px, expected.value_px)
+    assert on_gpu._chain.room != Room(4, 1, 2, 64)
+
+
+def test_volumes_of_a_device_are_not_said_to_go_to_disk(monkeypatch):
+    camera, image = small("still_life_cy_halves", 60, 40)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CaptureWarning)  # the device is software
+        on_gpu = CodedApertureCamera(camera.calibration, camera.config, device="gpu")
+    monkeypatch.setattr(camera_memory, "check_camera_memory", lambda *_: True)
+    with pytest.warns(CaptureWarning, match="kept in"):
+        camera.measure(image)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        on_gpu.measure(image)

@@ -18,14 +18,11 @@ from chromaperture.camera_matching import default_config
 from chromaperture.color.alignment import align_channels, fill_unknown, white_balance
 from chromaperture.color.visibility import visible_from
 from chromaperture.disparity.gpu.alignment_stage import Alignment, add_alignment
-from chromaperture.disparity.gpu.device import Chain, DeviceError, open_device
-from chromaperture.disparity.gpu.further_maps import FurtherMaps, composed
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Further, Measured
-from chromaperture.disparity.result import Disparity
+from chromaperture.disparity.gpu.device import Chain, open_device
+from chromaperture.disparity.gpu.measured import Further, add_further
 from chromaperture.errors import CaptureWarning
 from chromaperture.products.samples import open_sample
 from devices import needs_device
-from test_gpu import device_of_its_own
 
 pytestmark = [pytest.mark.extra("gpu", "wgpu"), needs_device]
 
@@ -124,6 +121,14 @@ def camera_of(name: str, scale: int) -> tuple[CodedApertureCamera, np.ndarray]:
     return CodedApertureCamera(camera.calibration, config), image
 
 
+def chain_behind_disparity(size: tuple[int, int], further: Further) -> Chain:
+    """From ``disparity``, ``sigma`` and ``image`` of (H, W) to what is asked for."""
+    chain, pixels = Chain(open_device("gpu")), size[0] * size[1]
+    image, *_ = (chain.array(name, n * pixels) for name, n in (("image", 3), ("disparity", 1), ("sigma", 1)))
+    add_further(chain, image, size, further)
+    return chain
+
+
 # Lanczos' filter at the photograph's own pixels; cubics at a working scale, and unknown pixels take the nearest of few.
 @pytest.mark.parametrize("scale", [1, 3])
 @pytest.mark.parametrize("name", ["still_life_cy_halves", "still_life_cy_open"])
@@ -135,7 +140,7 @@ def test_channels_displaced_by_the_lens_are_aligned_as_by_the_cpu(name, scale, r
     disparity[rng.uniform(size=disparity.shape) < 0.1] = np.nan
     disparity[5:30, 90:120] = np.nan
     expected = camera.alignment.align(image, disparity)
-    chain = composed(open_device("gpu"), disparity.shape, Further(None, camera.device_alignment))
+    chain = chain_behind_disparity(disparity.shape, Further(None, camera.device_alignment))
     found = chain.run({"image": image, "disparity": disparity}, ["color"])["color"].reshape(image.shape)
     error = np.abs(found - expected)
     # Lanczos' places are rounded to 1 / 32 px, and 32 bits round a few in a thousand to the next one.
@@ -147,7 +152,7 @@ def test_channels_displaced_by_the_lens_are_aligned_as_by_the_cpu(name, scale, r
     ("quality", "scale", "width"), [("accurate", 1, 60), ("accurate", 2, 120), ("real-time", 2, 360)]
 )
 def test_nothing_of_a_measurement_is_left_to_the_cpu(quality, scale, width, monkeypatch):
-    """Frames matched at a working scale, and `accurate`, whose disparity comes back to the CPU in between."""
+    """Of every quality, at the photograph's own pixels and at a working scale."""
     camera, image = sample_at("still_life_cy_halves", width, width * 2 // 3, quality=quality)
     config = default_config(camera.calibration, quality, scale=scale)
     with warnings.catch_warnings():
@@ -161,34 +166,3 @@ def test_nothing_of_a_measurement_is_left_to_the_cpu(quality, scale, width, monk
     assert known.mean() > 0.5
     assert (np.abs(found.depth_mm / expected.depth_mm - 1) < 1e-3)[known].mean() > 0.99
     assert np.quantile(np.abs(found.color - expected.color), 0.99) < 1e-3
-
-
-def test_a_device_lost_before_the_colours_is_an_error_or_the_cpu_once(rng):
-    camera, image = camera_of("still_life_cy_halves", 1)
-    disparity = rng.uniform(-1, 1, image.shape[:2]).astype(np.float32)
-    measured = Measured(Disparity(disparity, np.full_like(disparity, 0.1), np.ones_like(disparity)))
-    further = Further(camera.conversion, camera.device_alignment)
-    for may_fall_back in (False, True):
-        device = device_of_its_own()
-        on_gpu = replace(sample_at("still_life_cy_halves", 60, 40, quality="accurate")[0].method.on_gpu, device=device)
-        maps = FurtherMaps(DeviceMethod(on_gpu, camera.method, may_fall_back))
-        assert maps.added(measured, image, further).color.shape == image.shape
-        device.handle.destroy()
-        if not may_fall_back:
-            with pytest.raises(DeviceError, match="was lost while it worked; use --device cpu"):
-                maps.added(measured, image, further)
-            continue
-        with pytest.warns(CaptureWarning, match="on the CPU from here on") as said:
-            found = [maps.added(measured, image, further) for _ in range(2)]
-        assert len(said) == 1
-        assert all(one is measured for one in found)
-
-
-def test_a_photograph_too_large_for_the_device_is_aligned_by_the_cpu(rng):
-    camera, image = camera_of("still_life_cy_halves", 1)
-    small = replace(open_device("gpu"), largest_bytes=image.nbytes - 1)
-    on_gpu = replace(sample_at("still_life_cy_halves", 60, 40, quality="accurate")[0].method.on_gpu, device=small)
-    value, sigma, confidence = rng.uniform(0.1, 1, (3, *image.shape[:2])).astype(np.float32)
-    measured = Measured(Disparity(value, sigma, confidence))
-    maps = FurtherMaps(DeviceMethod(on_gpu, camera.method, may_fall_back=False))
-    assert maps.added(measured, image, Further(camera.conversion, camera.device_alignment)) is measured

@@ -18,15 +18,15 @@ from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.gpu.conversion_stage import Conversion
 from chromaperture.disparity.gpu.device import Chain, open_device
-from chromaperture.disparity.gpu.further_maps import composed
-from chromaperture.disparity.gpu.gpu_method import Further, GpuMethod
+from chromaperture.disparity.gpu.gpu_method import GpuMethod
+from chromaperture.disparity.gpu.measured import NOTHING, Further
 from chromaperture.disparity.gpu.refocus_stages import RefocusChain, inputs_of
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.stage_config import PlanesConfig
 from devices import EXPECTED, needs_device
 from test_gpu_agreement import STEP, agreement
-from test_gpu_alignment import camera_of
+from test_gpu_alignment import camera_of, chain_behind_disparity
 from test_gpu_edges import edges_of
 from test_gpu_joining import joining_chain, patches
 from test_gpu_judging import judging
@@ -116,7 +116,7 @@ def test_a_frame_in_a_browser_is_that_of_python(design, moved, tmp_path, rng):
     image[3, 4] = np.nan
     on_device = GpuMethod(config, method.space, IDENTITY, open_device("gpu"))
     expected = on_device.match(image).value_px
-    chain = on_device._composed(SHAPE, Further())
+    chain = on_device._composed(SHAPE, NOTHING)
     found = in_browser(recorded(chain, {"image": image}, "disparity"), tmp_path / "profile").reshape(SHAPE)
     assert (np.isnan(found) == np.isnan(expected)).mean() > 0.999
     error = np.abs(found - expected)[np.isfinite(found) & np.isfinite(expected)]
@@ -132,7 +132,7 @@ def test_colours_and_depth_of_a_disparity_in_a_browser(scale, tmp_path, rng):
     disparity[rng.uniform(size=disparity.shape) < 0.2] = np.nan
     field = camera.calibration.depth["accurate"]
     numbers = Conversion(*field.in_numbers(image.shape[1], image.shape[0]), 50_000.0)
-    chain = composed(open_device("gpu"), disparity.shape, Further(numbers, camera.device_alignment))
+    chain = chain_behind_disparity(disparity.shape, Further(numbers, camera.device_alignment))
     inputs = {"image": image, "disparity": disparity, "sigma": sigma}
     expected = chain.run(inputs, ["color", "depth_mm"])
     color = in_browser(recorded(chain, inputs, "color"), tmp_path / "one")

@@ -54,12 +54,12 @@ def joining_chain(device, likelihood, choice, planes, config, rounds=CAPACITY):
 
 def joined_on_device(device, likelihood, choice, planes, config):
     """Planes, px, and choice, as `merged_planes` returns them."""
-    from chromaperture.disparity.gpu.plane_stages import planes_of
-
     chain, inputs, last = joining_chain(device, likelihood, choice, planes, config)
     found = chain.run(inputs, ["block_planes", "plane_count", last, "unfinished"])
     assert found["unfinished"][0] == 0
-    return planes_of(found["block_planes"], found["plane_count"], LABELS), found[last].reshape(-1, 4)[choice, 3]
+    left = STEP * found["block_planes"].reshape(-1, 4)[: found["plane_count"][0], :3].astype(float)  # in layers
+    left[:, 2] += LABELS[0]
+    return left, found[last].reshape(-1, 4)[choice, 3]
 
 
 def assert_joined_alike(device, likelihood, choice, planes, config):

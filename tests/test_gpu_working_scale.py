@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.config import PaperConfig, RealTimeConfig
+from chromaperture.config import AccurateConfig, PaperConfig, RealTimeConfig
 from chromaperture.disparity import stages
 from chromaperture.disparity.estimate import method_for
+from chromaperture.disparity.gpu.accurate_on_device import AccurateOnDevice
 from chromaperture.disparity.gpu.device import Chain, open_device
 from chromaperture.disparity.gpu.gpu_method import DeviceMethod, GpuMethod, on_device
 from chromaperture.disparity.gpu.working_stages import Reduction, add_reduced, add_upsampled
@@ -133,14 +134,20 @@ def scaled(config, scale_px: tuple[int, int]) -> ScaledMethod:
 
 
 @pytest.mark.parametrize(
-    "config", [RealTimeConfig().with_range(-2, 2), PaperConfig().with_range(-2, 2)], ids=["real-time", "paper"]
+    ("config", "kind"),
+    [
+        (RealTimeConfig().with_range(-2, 2), GpuMethod),
+        (PaperConfig().with_range(-2, 2), GpuMethod),
+        (AccurateConfig().with_range(-2, 2), AccurateOnDevice),
+    ],
+    ids=["real-time", "paper", "accurate"],
 )
-def test_the_whole_method(config):
+def test_the_whole_method(config, kind):
     image = wavy_capture("cy_halves", shape=(120, 165))
     method = scaled(config, (82, 60))
     both = on_device(method, "gpu", lambda note: None)
     assert isinstance(both, DeviceMethod)
-    assert isinstance(both.on_gpu, GpuMethod)
+    assert isinstance(both.on_gpu, kind)
     np.testing.assert_array_equal(both.on_gpu.reduction.guide_rgb, guide_weights(method.aperture))
     found, expected = both.match(image), method.match(image)
     same = np.isclose(found.value_px, expected.value_px, atol=0.01, equal_nan=True)

@@ -28,8 +28,8 @@ from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.gpu.alignment_stage import Alignment
 from chromaperture.disparity.gpu.conversion_stage import Conversion
-from chromaperture.disparity.gpu.further_maps import further_maps
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Further, Measured, Waiting, device_method, on_device
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Waiting, device_method, on_device
+from chromaperture.disparity.gpu.measured import Further, Measured
 from chromaperture.disparity.result import Disparity, Method
 from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.errors import CaptureWarning
@@ -92,7 +92,6 @@ class CodedApertureCamera:
         self.execution: ExecutionName = execution
         self.device = device
         self.method = scaled_method(calibration, self.config, execution, device)
-        self.further_maps = further_maps(self.method)
         self.alignment = ChannelAlignment(calibration, self.config)
         self._at_sizes: dict[tuple[int, int], CodedApertureCamera] = {}
 
@@ -188,7 +187,7 @@ class CodedApertureCamera:
     def _checked(self, image: np.ndarray) -> Begun:
         frame_px, size_px, origin_px = self._frame_px, image.shape[1::-1], self.config.crop_origin_px
         image = check_capture(image, *(frame_px if origin_px is None else size_px))
-        on_disk = volumes_go_to_disk(self.calibration, self.config)
+        on_disk = volumes_go_to_disk(self.calibration, self.config, is_said=self.device_method is None)
         known, whole = (image, image) if origin_px is None else in_whole_frame(image, origin_px, frame_px)
         return Begun(self, known, whole, (size_px[0], size_px[1]), on_disk=on_disk)
 
@@ -292,14 +291,10 @@ class CodedApertureCamera:
 
     def _matched(self, begun: Begun) -> Measured:
         """Return the disparity, and what else the device made of it."""
-        if isinstance(self.method, DeviceMethod):
-            measured = self.method.finish(begun.waiting or self.method.start(begun.known, self._further(begun)))
-        else:
-            with volumes_on_disk(begun.on_disk):
-                measured = Measured(self.method.match(begun.known))
-        if self.further_maps is None:
-            return measured
-        return self.further_maps.added(measured, begun.known, self._further(begun))
+        with volumes_on_disk(begun.on_disk):  # those of the CPU
+            if isinstance(self.method, DeviceMethod):
+                return self.method.finish(begun.waiting or self.method.start(begun.known, self._further(begun)))
+            return Measured(self.method.match(begun.known))
 
     def _further(self, begun: Begun) -> Further:
         """Return what a device is to make of the disparity of a photograph."""

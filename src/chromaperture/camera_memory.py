@@ -91,10 +91,13 @@ def check_camera_memory(what: str, calibration: Calibration, config: Config) -> 
     return False
 
 
-def volumes_go_to_disk(calibration: Calibration, config: Config) -> bool:
-    """As `check_camera_memory` of a photograph that is about to be matched; warns where volumes go to disk."""
+def volumes_go_to_disk(calibration: Calibration, config: Config, *, is_said: bool) -> bool:
+    """As `check_camera_memory` of a photograph that is about to be matched; warns where ``is_said``.
+
+    Of what a device matches it is not said: the device keeps the volumes, unless it fails and the CPU takes over.
+    """
     on_disk = check_camera_memory("the photograph", calibration, config)
-    if on_disk:
+    if on_disk and is_said:
         size = volume_bytes(calibration, config) / 1e9
         warnings.warn(
             f"not enough memory for volumes of {size:.1f} GB: they are kept in {scratch_folder()}, which takes longer; "

@@ -8,16 +8,24 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from chromaperture.config import MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.disparity.accurate import AccurateMethod
-from chromaperture.disparity.gpu.accurate_chain import AccurateOnDevice
-from chromaperture.disparity.gpu.alignment_stage import Alignment, add_alignment
-from chromaperture.disparity.gpu.conversion_stage import Conversion, add_conversion
+from chromaperture.disparity.gpu.accurate_on_device import AccurateOnDevice
 from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError, Ticket, adapters, open_device
+from chromaperture.disparity.gpu.measured import (
+    NOTHING,
+    Further,
+    Measured,
+    OnDevice,
+    add_further,
+    is_same,
+    measured_from,
+    outputs_of,
+)
 from chromaperture.disparity.gpu.paper_chain import add_paper, runs_on_device
 from chromaperture.disparity.gpu.real_time_chain import add_real_time
 from chromaperture.disparity.gpu.view_stages import check_stats
@@ -29,37 +37,6 @@ from chromaperture.disparity.result import Disparity, Method
 from chromaperture.disparity.views import ViewSpace, guide_weights
 from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.errors import CaptureWarning, ChromapertureError, InputError, OutOfMemoryError
-
-_MAPS = ("disparity", "sigma", "confidence")
-_MILLIMETRES = ("depth_mm", "sigma_mm")
-_COLOR = "color"
-
-
-class Further(NamedTuple):
-    """What a device makes of a disparity where it is asked to."""
-
-    conversion: Conversion | None = None
-    alignment: Alignment | None = None
-
-
-class Measured(NamedTuple):
-    """Disparity, and what was asked for besides.
-
-    Attributes
-    ----------
-    disparity : Disparity
-    depth_mm, sigma_mm : (H, W) float32, mm, or None
-    color : (H, W, 3) float32, or None
-        Aligned and white balanced.
-    """
-
-    disparity: Disparity
-    depth_mm: np.ndarray | None = None
-    sigma_mm: np.ndarray | None = None
-    color: np.ndarray | None = None
-
-
-_NOTHING = Further()
 
 
 class Started(NamedTuple):
@@ -91,45 +68,27 @@ class GpuMethod:
     device: Device
     reduction: Reduction | None = None
     _chain: Chain | None = None
-    _key: tuple[object, ...] = ()
+    _size: tuple[int, int] = (0, 0)
+    _further: Further = NOTHING
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3); raises DeviceError, OutOfMemoryError besides InputError."""
-        return self.measure(image).disparity
+        return self.finish(self.start(image)).disparity
 
-    def measure(self, image: np.ndarray, further: Further = _NOTHING) -> Measured:
-        """Return the disparity, and what else is asked for, of an image (H, W, 3)."""
-        with self._lock:
-            return self._finished(self._started(image, further))
-
-    def start(self, image: np.ndarray, further: Further = _NOTHING) -> Started:
+    def start(self, image: np.ndarray, further: Further = NOTHING) -> Started:
         """Send an image (H, W, 3) to the device, which begins; at most two are under way, `finish` them in turn."""
-        with self._lock:
-            return self._started(image, further)
+        size = (image.shape[0], image.shape[1])
+        with self._lock, self._freed_on_failure():
+            chain = self._composed(size, further)
+            return Started(chain, chain.start({"image": image}, [*outputs_of(further), "stats"]), size)
 
     def finish(self, started: Started) -> Measured:
-        """Return what `measure` would have returned."""
-        with self._lock:
-            return self._finished(started)
-
-    def _started(self, image: np.ndarray, further: Further) -> Started:
-        size = (image.shape[0], image.shape[1])
-        outputs = [*_MAPS, "stats", *(_MILLIMETRES if further.conversion is not None else ())]
-        outputs += [] if further.alignment is None else [_COLOR]
-        with self._freed_on_failure():
-            chain = self._composed(size, further)
-            return Started(chain, chain.start({"image": image}, outputs), size)
-
-    def _finished(self, started: Started) -> Measured:
-        with self._freed_on_failure():
+        """Wait for what `start` has begun."""
+        with self._lock, self._freed_on_failure():
             found = started.chain.finish(started.ticket)
         check_stats(found["stats"], len(self.space.rows))
-        color = found.pop(_COLOR).reshape(*started.size, 3) if _COLOR in found else None
-        maps = {name: values.reshape(started.size) for name, values in found.items() if name != "stats"}
-        disparity = Disparity(*(maps[name] for name in _MAPS))
-        depth_mm, sigma_mm = (maps.get(name) for name in _MILLIMETRES)
-        return Measured(disparity, depth_mm, sigma_mm, color)
+        return measured_from(found, started.size)
 
     @contextmanager
     def _freed_on_failure(self) -> Iterator[None]:
@@ -141,8 +100,7 @@ class GpuMethod:
 
     def _composed(self, size: tuple[int, int], further: Further) -> Chain:
         """Return the chain for a size, kept until another is needed."""
-        key = (size, *further)
-        if self._chain is None or self._key[0] != size or not same(self._key[1:], further):
+        if self._chain is None or self._size != size or not is_same(self._further, further):
             self._chain = None
             chain = Chain(self.device)
             image = chain.array("image", 3 * size[0] * size[1])
@@ -152,11 +110,8 @@ class GpuMethod:
                 small = add_reduced(chain, image, size, self.reduction)
                 self._add_matching(chain, small, self.reduction.size_px[::-1])
                 add_upsampled(chain, image, small, size, self.reduction, self.config.views.guide_range)
-            if further.conversion is not None:
-                add_conversion(chain, chain.arrays["disparity"], chain.arrays["sigma"], further.conversion)
-            if further.alignment is not None:
-                add_alignment(chain, image, chain.arrays["disparity"], size, further.alignment)
-            self._chain, self._key = chain, key
+            add_further(chain, image, size, further)
+            self._chain, self._size, self._further = chain, size, further
         return self._chain
 
     def _add_matching(self, chain: Chain, image: Array, size: tuple[int, int]) -> None:
@@ -168,16 +123,11 @@ class GpuMethod:
             raise TypeError(type(self.config).__name__)
 
 
-def same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
-    """Whether two tuples hold the same objects."""
-    return all(a is b for a, b in zip(one, other, strict=True))
-
-
 class Waiting(NamedTuple):
-    """A photograph that is to be measured, and where the device has begun what it is doing."""
+    """A photograph that is to be measured, and what the device has begun of it."""
 
     image: np.ndarray
-    started: Started | None = None
+    started: Any = None
 
 
 @dataclass
@@ -186,14 +136,14 @@ class DeviceMethod:
 
     Attributes
     ----------
-    on_gpu : GpuMethod or AccurateOnDevice
+    on_gpu : OnDevice
     on_cpu : Method
         Takes over, with one warning, where ``may_fall_back``.
     may_fall_back : bool
         Whether nobody asked for the device by name: then an error of the device is not the caller's concern.
     """
 
-    on_gpu: GpuMethod | AccurateOnDevice
+    on_gpu: OnDevice
     on_cpu: Method
     may_fall_back: bool
     has_failed: bool = False
@@ -202,17 +152,16 @@ class DeviceMethod:
         """Return the disparity of an image (H, W, 3)."""
         return self.measure(image).disparity
 
-    def measure(self, image: np.ndarray, further: Further = _NOTHING) -> Measured:
+    def measure(self, image: np.ndarray, further: Further = NOTHING) -> Measured:
         """Return the disparity of an image, and its depth where the device made it."""
         return self.finish(self.start(image, further))
 
-    def start(self, image: np.ndarray, further: Further = _NOTHING) -> Waiting:
-        """Send an image (H, W, 3) to the device where it can compute while another is read back.
+    def start(self, image: np.ndarray, further: Further = NOTHING) -> Waiting:
+        """Send an image (H, W, 3) to the device, which computes it while another is read back.
 
-        At most two are under way; `finish` them in turn. What runs on the CPU, or goes to the device and back in parts,
-        begins when it is finished.
+        At most two are under way; `finish` them in turn. On the CPU nothing begins before that.
         """
-        if self.has_failed or isinstance(self.on_gpu, AccurateOnDevice):
+        if self.has_failed:
             return Waiting(image)
         try:
             return Waiting(image, self.on_gpu.start(image, further))
@@ -222,13 +171,11 @@ class DeviceMethod:
 
     def finish(self, waiting: Waiting) -> Measured:
         """Return what `measure` would have returned."""
-        try:
-            if waiting.started is not None and isinstance(self.on_gpu, GpuMethod):
+        if waiting.started is not None:
+            try:
                 return self.on_gpu.finish(waiting.started)
-            if not self.has_failed and isinstance(self.on_gpu, AccurateOnDevice):  # the rest: `further_maps.py`
-                return Measured(self.on_gpu.match(waiting.image))
-        except (DeviceError, OutOfMemoryError) as error:
-            self.fall_back(error)
+            except (DeviceError, OutOfMemoryError) as error:
+                self.fall_back(error)
         return Measured(self.on_cpu.match(waiting.image))
 
     def fall_back(self, error: ChromapertureError) -> None:
@@ -282,13 +229,13 @@ def on_device(method: Method, choice: str, note: Callable[[str], None], *, pixel
         matching = on_device(method.method, choice, note)
         if not isinstance(matching, DeviceMethod):
             return method
-        on_gpu = matching.on_gpu
-        if isinstance(on_gpu, AccurateOnDevice) or 12 * pixels > on_gpu.device.largest_bytes:  # three floats a pixel
+        if 12 * pixels > matching.on_gpu.device.largest_bytes:  # three floats a pixel
             return replace(method, method=matching)
-        on_gpu = replace(on_gpu, reduction=Reduction(method.size_px, guide_weights(method.aperture)))
+        assert isinstance(matching.on_gpu, GpuMethod | AccurateOnDevice)
+        on_gpu = replace(matching.on_gpu, reduction=Reduction(method.size_px, guide_weights(method.aperture)))
         return DeviceMethod(on_gpu, method, matching.may_fall_back)
     asked_for = choice not in ("auto", "cpu")
-    opened: Callable[[Device], GpuMethod | AccurateOnDevice]
+    opened: Callable[[Device], OnDevice]
     if isinstance(method, PaperMethod) and runs_on_device(method.config):
         opened = partial(GpuMethod, method.config, method.space, IDENTITY)
     elif isinstance(method, RealTimeMethod):

@@ -1,4 +1,4 @@
-"""Which pixels are known, and their learned error bar, on a device: `accurate.judged` of a surface of planes."""
+"""Which pixels are known, and their error bar, on a device: `accurate.judged`; and what labels are in pixels."""
 
 from __future__ import annotations
 
@@ -8,10 +8,24 @@ import cv2
 import numpy as np
 
 from chromaperture.disparity import evidence_signs
+from chromaperture.disparity.accurate import BIAS_OF_PLANES, EDGE_SHARE_OF_PLANES
+from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, LIGHT_WINDOW_PX, MAX_SIGMA_PX, sigma_of_range
 from chromaperture.disparity.gpu.device import Array, Chain
+from chromaperture.disparity.gpu.measured import MAPS
 from chromaperture.disparity.gpu.surface_stages import Grid, SurfaceArrays, add_gaussian, gaussian_taps, per_pixel
+from chromaperture.disparity.gpu.view_stages import SHARED
 from chromaperture.disparity.gpu.workgroups import groups_for
-from chromaperture.disparity.learned_error_bar import MOST_APART, POOLED_PX, REACHES_PX, SMOOTHED_PX, WIDE_PX, weights
+from chromaperture.disparity.labels import LabelMap
+from chromaperture.disparity.learned_error_bar import (
+    MOST_APART,
+    POOLED_PX,
+    REACHES_PX,
+    SMOOTHED_PX,
+    WIDE_PX,
+    Weights,
+    weights,
+)
+from chromaperture.disparity.planar import BORDER_APART_LABELS
 from chromaperture.disparity.plane_agreement import BESIDE_PX, KNOWN_SHARE
 
 _ALIKE = 1e-3  # labels: a surface as near to its plane has taken it, as `learned_error_bar.of_planes` has it
@@ -19,72 +33,121 @@ _PARTS = 32  # of the picture that are summed on their own: so many workgroups a
 
 
 class OfPlanes(NamedTuple):
-    """Planes on a device: how many at most, how many, every pixel's, its layer there, the surface's layer before."""
+    """Planes on a device: how many at most, how many, every pixel's, its layer there, the surface's layer before.
+
+    ``blocks`` are sums of the volume over squares of ``block`` px.
+    """
 
     most: int
     number: Array
     choice: Array
     there: Array
     first: Array
+    blocks: Array
+    block: int
 
 
 def add_judged(
-    chain: Chain,
-    a: SurfaceArrays,
-    blocks: Array,
-    planes: OfPlanes,
-    grid: Grid,
-    *,
-    block: int,
-    apart: float,
-    known_within: float,
-    bias: float,
+    chain: Chain, a: SurfaceArrays, grid: Grid, *, planes: OfPlanes | None, learned: bool, known_within: float
 ) -> Array:
-    """Append `accurate.judged` with the learned bar; return (h, w, 4): layer, error bar, peak, whether known.
+    """Append `accurate.judged`; return (h, w, 4): layer, error bar in layers, peak, whether known.
 
     Parameters
     ----------
     chain : Chain
     a : SurfaceArrays
-    blocks : Array
-        Sums of the volume over blocks.
-    planes : OfPlanes
     grid : Grid
-    block : int
-        Side of a block, px.
-    apart, known_within, bias : float, layers
+    planes : OfPlanes or None
+    learned : bool
+    known_within : float, layers
         See `judged`.
     """
-    beside = _add_beside(chain, planes.there, grid, apart)
-    of_planes = _add_signs_of_planes(chain, a, planes, beside, grid, known_within)
-    of_blocks, averages = _add_signs_of_blocks(chain, a, blocks, planes, grid, block)
-    bar, known = chain.array("bar", grid.pixels), chain.array("known", grid.pixels, np.uint32)
-    per_pixel(
-        chain, "known_pixels", [planes.choice, beside, a.surface, a.sigma, planes.there, of_planes, known, bar], grid,
-        known_within=known_within, count=grid.layers,
-    )  # fmt: skip
-    pooled, wide, room = (chain.array(n, k * grid.pixels) for n, k in (("pooled", 2), ("wide", 1), ("pooling", 2)))
-    per_pixel(chain, "bar_maps", [a.surface, a.sigma, planes.there, pooled, wide], grid, alike=_ALIKE)
-    shape = grid.height, grid.width
-    add_gaussian(chain, pooled, room, shape, gaussian_taps(POOLED_PX), parts=2)
-    add_gaussian(chain, wide, room, shape, gaussian_taps(WIDE_PX), parts=1)
+    pooled, room = (chain.array(name, 2 * grid.pixels) for name in ("pooled", "pooling"))
+    bar, known = (chain.array(name, grid.pixels, np.uint32) for name in ("bar", "known"))
     near, far = _add_ranges(chain, a, grid)
-    model = weights()["planes"]
-    signs: dict[str, Any] = {
-        name: np.array(three)
-        for name, *three in zip(model.names, model.weights, model.least, model.most, strict=True)
-    }  # fmt: skip
-    chain.add(
-        "learned_bar", [pooled, wide, near, far, of_planes, of_blocks, averages, bar], groups=groups_for(grid.pixels),
-        uses=("indexing", "blocks_of_pixels"), height=grid.height, width=grid.width, block=block,
-        number=planes.most, constant=float(model.constant), **signs,
-    )  # fmt: skip
-    add_gaussian(chain, bar, room, shape, gaussian_taps(SMOOTHED_PX), parts=1)
+    shape, taps = (grid.height, grid.width), gaussian_taps(POOLED_PX)
+    if planes is None:
+        per_pixel(
+            chain, "known_surface", [a.surface, a.sigma, known, pooled], grid, known_within=known_within,
+            count=grid.layers,
+        )  # fmt: skip
+        add_gaussian(chain, pooled, room, shape, taps, parts=2)
+        _add_surface_bar(chain, [pooled, near, far, bar], grid, learned=learned, edge_share=1.0)
+    else:
+        beside = _add_beside(chain, planes.there, grid, BORDER_APART_LABELS)
+        of_planes = _add_signs_of_planes(chain, a, planes, beside, grid, known_within)
+        per_pixel(
+            chain, "known_pixels", [planes.choice, beside, a.surface, a.sigma, planes.there, of_planes, known, bar],
+            grid, known_within=known_within, count=grid.layers,
+        )  # fmt: skip
+        wide = chain.array("wide", grid.pixels)
+        per_pixel(chain, "bar_maps", [a.surface, a.sigma, planes.there, pooled, wide], grid, alike=_ALIKE)
+        add_gaussian(chain, pooled, room, shape, taps, parts=2)
+        if learned:
+            add_gaussian(chain, wide, room, shape, gaussian_taps(WIDE_PX), parts=1)
+            of_blocks, averages = _add_signs_of_blocks(chain, a, planes, grid)
+            chain.add(
+                "learned_bar", [pooled, wide, near, far, of_planes, of_blocks, averages, bar],
+                groups=groups_for(grid.pixels), uses=("indexing", "blocks_of_pixels"), height=grid.height,
+                width=grid.width, block=planes.block, number=planes.most, **_numbers(weights()["planes"]),
+            )  # fmt: skip
+        else:
+            _add_surface_bar(chain, [pooled, near, far, bar], grid, learned=False, edge_share=EDGE_SHARE_OF_PLANES)
+    if learned:
+        add_gaussian(chain, bar, room, shape, gaussian_taps(SMOOTHED_PX), parts=1)
     results = chain.array("judged", 4 * grid.pixels)
     per_pixel(
-        chain, "judged_results", [a.surface, bar, known, a.likelihood, results], grid, count=grid.layers, bias=bias
-    )
+        chain, "judged_results", [a.surface, bar, known, a.likelihood, results], grid, count=grid.layers,
+        bias=0.0 if planes is None else BIAS_OF_PLANES,
+    )  # fmt: skip
     return results
+
+
+class Light(NamedTuple):
+    """Where the photograph is usable, (h, w), and where it lacks two views, as `add_two_views` has it."""
+
+    usable: Array
+    lacking: Array
+    cells: dict[str, Any]
+
+
+def add_label_maps(
+    chain: Chain, judged: Array, light: Light, grid: Grid, label_map: LabelMap, labels_px: np.ndarray
+) -> None:
+    """Append `AccurateMethod.of_labels`: the chain's ``disparity``, ``sigma`` and ``confidence``, (h, w) each.
+
+    Parameters
+    ----------
+    chain : Chain
+    judged : Array
+        Of `add_judged`.
+    light : Light
+        Of the picture that `clipped_filled` has made.
+    grid : Grid
+    label_map : LabelMap
+    labels_px : (N,) float, px
+    """
+    labels = chain.constant("labels", np.stack([np.asarray(part, np.float32) for part in label_map]))
+    outputs = [chain.array(name, grid.pixels) for name in MAPS]
+    chain.add(
+        "label_maps", [judged, labels, light.lacking, light.usable, *outputs], groups=groups_for(grid.pixels),
+        uses=(*SHARED, "finishing"), height=grid.height, width=grid.width, labelled=not label_map.is_identity,
+        reach=LIGHT_WINDOW_PX // 2, first_px=float(labels_px[0]), step_px=float(labels_px[1] - labels_px[0]),
+        range_sigma_px=sigma_of_range(labels_px), max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX,
+        **light.cells,
+    )  # fmt: skip
+
+
+def _add_surface_bar(chain: Chain, arrays: list[Array], grid: Grid, *, learned: bool, edge_share: float) -> None:
+    per_pixel(
+        chain, "surface_bar", arrays, grid, learned=learned, edge_share=edge_share, **_numbers(weights()["surface"])
+    )
+
+
+def _numbers(model: Weights) -> dict[str, Any]:
+    """Return the constants of a bar's shader: of every sign its weight, and the least and the most that it counts."""
+    signs = zip(model.names, model.weights, model.least, model.most, strict=True)
+    return {"constant": float(model.constant), **{name: np.array(three) for name, *three in signs}}
 
 
 def _add_beside(chain: Chain, there: Array, grid: Grid, apart: float) -> Array:
@@ -121,10 +184,9 @@ def _add_signs_of_planes(
     return signs
 
 
-def _add_signs_of_blocks(
-    chain: Chain, a: SurfaceArrays, blocks: Array, planes: OfPlanes, grid: Grid, block: int
-) -> tuple[Array, Array]:
+def _add_signs_of_blocks(chain: Chain, a: SurfaceArrays, planes: OfPlanes, grid: Grid) -> tuple[Array, Array]:
     """Append `evidence_signs.signs_of_evidence`: the signs of blocks, behind the planes' averages the frame's."""
+    block = planes.block
     shifts = evidence_signs.SHIFTS
     height, width = grid.height // block, grid.width // block
     size = height * width * len(shifts)
@@ -132,8 +194,8 @@ def _add_signs_of_blocks(
     each = chain.constant("shifts", np.concatenate([shifts, np.gradient(shifts)]))
     of_picture: dict[str, Any] = dict(height=grid.height, width=grid.width, block=block)
     chain.add(
-        "answer_profile", [blocks, a.surface, each, profile, pooled], groups=groups_for(size), uses=("indexing",),
-        **of_picture, count=grid.layers, shift_count=len(shifts),
+        "answer_profile", [planes.blocks, a.surface, each, profile, pooled], groups=groups_for(size),
+        uses=("indexing",), **of_picture, count=grid.layers, shift_count=len(shifts),
     )  # fmt: skip
     taps = gaussian_taps(evidence_signs.WINDOW_PX / block)
     add_gaussian(chain, pooled, room, (height, width), taps, parts=len(shifts))

@@ -130,11 +130,3 @@ class BlockChoice(PlaneChoice):
     def choose(self, planes: np.ndarray) -> np.ndarray:
         """Return the plane of every block, (h, w) int, of planes (K, 3) of blocks; ``links`` are on the device."""
         return self.chain.run(self.inputs_of(planes), ["choice"])["choice"].reshape(self.shape).astype(np.intp)
-
-
-def planes_of(planes: np.ndarray, count: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
-    """Return planes (K, 3) float64, px, of what a device has left of them in layers."""
-    step = float(labels_px[1] - labels_px[0])
-    found: np.ndarray = planes.reshape(-1, 4)[: int(count[0]), :3].astype(float) * step
-    found[:, 2] += labels_px[0]
-    return found

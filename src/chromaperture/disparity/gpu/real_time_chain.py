@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
-from chromaperture.color.image import DARK
 from chromaperture.config import RealTimeConfig
-from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, LIGHT_WINDOW_PX, MAX_SIGMA_PX, sigma_of_range
+from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, MAX_SIGMA_PX, sigma_of_range
 from chromaperture.disparity.gpu.cell_stages import (
     LIKELIHOOD,
     add_cell_planes,
@@ -19,7 +17,7 @@ from chromaperture.disparity.gpu.cell_stages import (
 )
 from chromaperture.disparity.gpu.correlation_stages import Kept, add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain
-from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes, add_halved_views
+from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes, add_halved_views, add_two_views
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.labels import MOST_APART_PX, LabelMap, labels_between
 from chromaperture.disparity.stages.bilateral import even_link
@@ -229,21 +227,3 @@ def _add_recursions_of_lines(
             "smoothing_of_lines", [maps, links, incoming], groups=groups_for(count * pitch // together),
             uses=(*SHARED, sets), along_x=along_x, map_count=pitch, together=together, **frame,
         )  # fmt: skip
-
-
-def add_two_views(chain: Chain, image: Array, size: tuple[int, int], rows: np.ndarray) -> tuple[Array, dict[str, Any]]:
-    """Add `error_bar.without_two_views`; return the map of its squares and their numbers along x and y."""
-    height, width = size
-    side = LIGHT_WINDOW_PX
-    spacing, first_y, first_x = side // 2, min(side // 4, height - 1), min(side // 4, width - 1)
-    samples_x, samples_y = math.ceil((width - first_x) / spacing), math.ceil((height - first_y) / spacing)
-    cells: dict[str, Any] = {"cells_x": max(1, width // side), "cells_y": max(1, height // side)}
-    lacking = chain.array("lacking", cells["cells_x"] * cells["cells_y"])
-    red, green, blue = (float(matched) for matched in np.any(rows, axis=0))
-    chain.add(
-        "two_views", [image, lacking], groups=groups_for(lacking.size), uses=SHARED,
-        width=width, spacing=spacing, first_x=first_x, first_y=first_y, samples_x=samples_x, samples_y=samples_y,
-        per_cell_x=samples_x / cells["cells_x"], per_cell_y=samples_y / cells["cells_y"], dark=DARK,
-        matched_red=red, matched_green=green, matched_blue=blue, **cells,
-    )  # fmt: skip
-    return lacking, cells

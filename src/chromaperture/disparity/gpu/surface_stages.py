@@ -251,11 +251,3 @@ def add_block_sums(chain: Chain, a: SurfaceArrays, grid: Grid, size: int) -> Arr
         height=grid.height, width=grid.width, count=grid.layers, size=size,
     )  # fmt: skip
     return blocks
-
-
-def add_results(chain: Chain, a: SurfaceArrays, grid: Grid, *, reach_px: int) -> None:
-    """Append the range about every pixel, `error_bar.local_range`, and what leaves the device: (h, w, 4)."""
-    rows, extent, results = (chain.array(name, 4 * grid.pixels) for name in ("range_rows", "extent", "results"))
-    for before, after, along_x in ((a.surface, rows, True), (rows, extent, False)):
-        per_pixel(chain, "range_line", [before, after], grid, reach=reach_px, along_x=along_x, of_one=along_x)
-    per_pixel(chain, "surface_results", [a.surface, a.sigma, extent, a.likelihood, results], grid, count=grid.layers)

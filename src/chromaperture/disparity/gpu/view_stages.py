@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from chromaperture.color.image import SATURATION
+from chromaperture.color.image import DARK, SATURATION
+from chromaperture.disparity.error_bar import LIGHT_WINDOW_PX
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.moved_views import MOVE_PARTS, halved_moves
@@ -29,7 +30,7 @@ SHARED = ("indexing", "shared")
 _PARTS = 256  # most workgroups that sum a picture up; one workgroup sums their sums
 _MOST_CONSTANTS = 24  # pixels of a Gaussian whose weights the shader names; more would be long to compile
 _SOFTWARE_PARTS = 16  # there the barriers of a workgroup take as long as to read 3000 pixels
-_STATS = 16  # numbers of `shared.wgsl`'s `stats`
+STATS = 16  # numbers of `shared.wgsl`'s `stats`
 _USABLE_AT, _VARIANCE_AT = 4, 8
 GUIDE_SCALE = 12  # place of the unit of the matched guide; that of the full one follows
 
@@ -119,6 +120,24 @@ def add_halved_views(
     return planes
 
 
+def add_two_views(chain: Chain, image: Array, size: tuple[int, int], rows: np.ndarray) -> tuple[Array, dict[str, Any]]:
+    """Add `error_bar.without_two_views`; return the map of its squares and their numbers along x and y."""
+    height, width = size
+    side = LIGHT_WINDOW_PX
+    spacing, first_y, first_x = side // 2, min(side // 4, height - 1), min(side // 4, width - 1)
+    samples_x, samples_y = math.ceil((width - first_x) / spacing), math.ceil((height - first_y) / spacing)
+    cells: dict[str, Any] = {"cells_x": max(1, width // side), "cells_y": max(1, height // side)}
+    lacking = chain.array("lacking", cells["cells_x"] * cells["cells_y"])
+    red, green, blue = (float(matched) for matched in np.any(rows, axis=0))
+    chain.add(
+        "two_views", [image, lacking], groups=groups_for(lacking.size), uses=SHARED,
+        width=width, spacing=spacing, first_x=first_x, first_y=first_y, samples_x=samples_x, samples_y=samples_y,
+        per_cell_x=samples_x / cells["cells_x"], per_cell_y=samples_y / cells["cells_y"], dark=DARK,
+        matched_red=red, matched_green=green, matched_blue=blue, **cells,
+    )  # fmt: skip
+    return lacking, cells
+
+
 def check_stats(stats: np.ndarray, view_count: int) -> None:
     """Raise InputError where the picture had nothing to match, as `views.mixed` and `views.smoothed_views`."""
     if stats[_USABLE_AT] == 0:
@@ -133,7 +152,7 @@ def _parts(chain: Chain, pixels: int) -> int:
 
 def _add_light(chain: Chain, image: Array, pixels: int, space: ViewSpace) -> Array:
     parts = _parts(chain, pixels)
-    stats, sums = chain.array("stats", _STATS), chain.array("light_parts", 4 * parts)
+    stats, sums = chain.array("stats", STATS), chain.array("light_parts", 4 * parts)
     numbers: dict[str, Any] = {"pixels": pixels, "part_count": parts, "saturation": SATURATION}
     chain.add("light", [image, sums], groups=(parts,), uses=(*SHARED, "light_reduction"), **numbers)
     chain.add(
