@@ -35,8 +35,8 @@ Update = Callable[[str, int, int], None]  # what is being done, how many are don
 
 LINE_EVERY_S = 2.0  # between two lines of progress, where there is no terminal; chosen by hand
 _SPEED_OVER_S = 600.0  # the remaining time follows the last so many seconds: one photograph may take minutes
-# Of quality accurate: 4.1 s for 720x480 px on two cores (benchmarks/accurate_speed.py).
-ACCURATE_S_A_MEGAPIXEL = 12.0
+# Of quality accurate: 2.8 s for 720x480 px on two cores (benchmarks/accurate_speed.py).
+ACCURATE_S_A_MEGAPIXEL = 8.0
 
 out = Console()
 err = Console(stderr=True)
