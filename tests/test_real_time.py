@@ -91,6 +91,27 @@ def test_the_place_between_layers_is_the_vertex_of_the_correlation(view_count, p
     assert information[0, 0] ** (1 / power) == pytest.approx(0.2 * peak / left, rel=0.02)
 
 
+def test_noise_draws_the_place_of_three_views_little_to_the_layer():
+    rng = np.random.default_rng(2)
+    layers, place = np.array([3, 4, 5, 2, 6])[:, None, None], 4.4
+    rho = 0.4 - 0.02 * (layers - place) ** 2 + rng.normal(0, 0.05, (5, 100, 100))  # layers differ by 0.01
+    around = (-np.log(1 - rho)).astype(np.float32)
+    nearest = np.full((100, 100), 4.0, np.float32)
+    winner = PathWinner(nearest, *around[:3], nearest, *around[3:])
+    found, information = place_by_correlation(winner, 9, view_count=3)
+    # 0.037; 0.077 where places farther than 1.5 layers away are cut off
+    assert np.average(found, weights=information) == pytest.approx(place, abs=0.05)
+
+
+def test_a_bright_spot_does_not_hide_the_texture_of_a_dark_wall():
+    pictures = np.random.default_rng(0).normal(0, 1e-3, (40, 60, 1)).astype(np.float32).repeat(3, axis=2)
+    pictures[:8] += 1
+    even = np.ones(pictures.shape[:2], np.float32)
+    views = Views(pictures, np.array([[1.0, 0.0], [-0.5, 0.9], [-0.5, -0.9]]), 0 * even, even)
+    score = stages.correlate(views, np.array([0.0]), config=RealTimeConfig().correlation)
+    assert score[8:].min() > 0.9  # 0.07 where the floor is 1e-6 of the view's variance
+
+
 @pytest.mark.parametrize("design", ["cy_halves", "rgb_squares", "cmy_circles"])
 def test_saturated_pixels_take_the_disparity_of_their_neighbours_or_are_unknown(design):
     for top, bottom, left, right in ((30, 40, 40, 50), (24, 64, 30, 80)):
@@ -199,3 +220,5 @@ def test_views_that_lie_close_together_are_smoothed_more():
     )
     assert halves == config.views.presmooth_sigma_px
     assert circles == pytest.approx(2 * halves)
+    three = config.for_views(np.array([[0.25, 0.0], [-0.25, 0.0], [0.0, 0.25]])).views.presmooth_sigma_px
+    assert three == pytest.approx(math.sqrt(2) * halves)

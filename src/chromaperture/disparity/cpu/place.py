@@ -16,6 +16,7 @@ from chromaperture.disparity.stages.place import (
     FARTHEST_OF_FIVE,
     LEAST_INFORMATION,
     LEAST_UNEXPLAINED,
+    LEAST_UNEXPLAINED_OF_THREE,
     SCATTER,
     WIDEST_SHARE,
     near_usable,
@@ -25,11 +26,12 @@ from chromaperture.disparity.winner import PathWinner, Surface
 from chromaperture.threads import in_parallel
 
 _INFORMATION, _UNEXPLAINED = np.float32(LEAST_INFORMATION), np.float32(LEAST_UNEXPLAINED)
+_UNEXPLAINED_OF_THREE = np.float32(LEAST_UNEXPLAINED_OF_THREE)
 _EDGE, _WIDEST = np.float32(EDGE_SHARE), np.float32(WIDEST_SHARE)
 _SCATTER2, _BIAS2 = np.float32(SCATTER**2), np.float32(BIAS**2)
 _FLAT = np.float32(1e-9)  # a flat top has no vertex
 _TWO, _THREE, _QUARTER = np.float32(2), np.float32(3), np.float32(0.25)
-_SEVENTH, _FIFTH, _FARTHEST = np.float32(1 / 7), np.float32(1 / 5), np.float32(FARTHEST_OF_FIVE)
+_SEVENTH, _FIFTH, _LEAST_BEND = np.float32(1 / 7), np.float32(1 / 5), np.float32(1 / (2 * FARTHEST_OF_FIVE))
 
 
 def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -110,11 +112,12 @@ def _place(layer, far_before, before, at, after, far_after, place, information, 
             far_low = v.fma(at_start, v.sub(v.fma(three, v.sub(low, middle), high), far_low), far_low)
             far_high = v.fma(at_end, v.sub(v.fma(three, v.sub(high, middle), low), far_high), far_high)
             near = v.add(v.add(low, high), v.add(middle, middle))
-            bend = v.larger(v.mul(v.fnma(two, v.add(far_low, far_high), near), v.broadcast(_SEVENTH)), floor)
             rise = v.mul(v.fma(two, v.sub(far_high, far_low), v.sub(high, low)), v.broadcast(_FIFTH))
-            vertex = v.div(rise, v.fma(two, bend, flat))
-            offset = v.larger(v.smaller(vertex, v.broadcast(_FARTHEST)), v.broadcast(-_FARTHEST))
-            found = v.div(v.mul(bend, middle), v.add(v.sub(one, middle), v.broadcast(_UNEXPLAINED)))
+            least_bend = v.mul(v.larger(rise, v.sub(floor, rise)), v.broadcast(_LEAST_BEND))
+            bend = v.mul(v.fnma(two, v.add(far_low, far_high), near), v.broadcast(_SEVENTH))
+            bend = v.larger(bend, least_bend)
+            offset = v.div(rise, v.fma(two, bend, flat))
+            found = v.div(v.mul(bend, middle), v.add(v.sub(one, middle), v.broadcast(_UNEXPLAINED_OF_THREE)))
         v.store(information, i, v.add(found, v.broadcast(_INFORMATION)))
         v.store(place, i, v.add(inside, offset))
 

@@ -15,7 +15,7 @@ from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.logarithm import LOGARITHM
-from chromaperture.disparity.stages.correlation import CELL_TAPS, LEAST_FLOOR, RELATIVE_EPSILON, SCORE_PARTS, padding
+from chromaperture.disparity.stages.correlation import CELL_EPSILON, CELL_TAPS, LEAST_FLOOR, SCORE_PARTS, padding
 from chromaperture.disparity.stages.enlarge import JUMP_PX
 from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT, NAT_PARTS
 from chromaperture.stage_config import CorrelationConfig
@@ -82,7 +82,7 @@ def add_cell_scores(
             cells_each=cells_each, cells_wide=cells.width, cells_tall=cells.height,
             entry_count=len(chunk.phases_x), phase_count=len(chunk.phases_y), layer_count=chunk.size,
             first_layer=chunk.first, all_layers=len(layers_px), reach=WINDOW_REACH_PX,
-            score_parts=SCORE_PARTS, relative_epsilon=sum(CELL_TAPS) ** 4 * RELATIVE_EPSILON,
+            score_parts=SCORE_PARTS, relative_epsilon=sum(CELL_TAPS) ** 4 * CELL_EPSILON,
             least_floor=sum(CELL_TAPS) ** 4 * LEAST_FLOOR, width=planes.width, pad_x=pad_x, pad_y=pad_y,
         )  # fmt: skip
     return score

@@ -77,10 +77,11 @@ fn main(
         var far_high = 3.0 * (high - here) + low;
         if (middle > 1u) { far_low = correlation_of(likelihood_of(pixel, middle - 2u)); }
         if (middle < layer_count - 2u) { far_high = correlation_of(likelihood_of(pixel, middle + 2u)); }
-        let bend = max((2.0 * here + low + high - 2.0 * (far_low + far_high)) / 7.0, 0.0);
         let rise = (2.0 * (far_high - far_low) + high - low) / 5.0;
-        offset = clamp(rise / (2.0 * bend + 1.0e-9), -farthest_of_five, farthest_of_five);
-        information += bend * here / (1.0 - here + least_unexplained);
+        let least_bend = abs(rise) / (2.0 * farthest_of_five);
+        let bend = max((2.0 * here + low + high - 2.0 * (far_low + far_high)) / 7.0, least_bend);
+        offset = rise / (2.0 * bend + 1.0e-9);
+        information += bend * here / (1.0 - here + least_unexplained_of_three);
     }
     places[pixel] = vec2f(information, (f32(middle) + offset) * information);
 }

@@ -31,6 +31,7 @@ from chromaperture.disparity.stages.place import (
     FARTHEST_OF_FIVE,
     LEAST_INFORMATION,
     LEAST_UNEXPLAINED,
+    LEAST_UNEXPLAINED_OF_THREE,
     SCATTER,
     SEEN_REACH,
     WIDEST_SHARE,
@@ -160,7 +161,7 @@ def _add_paths(
         uses=(*SHARED, "packed_costs"), row_parts=parts, cost_parts=last_parts,
         view_count=planes.view_count, temperature=paths.temperature,
         farthest_of_five=FARTHEST_OF_FIVE, least_unexplained=LEAST_UNEXPLAINED,
-        least_information=LEAST_INFORMATION, **size, **of_layers,
+        least_unexplained_of_three=LEAST_UNEXPLAINED_OF_THREE, least_information=LEAST_INFORMATION, **size, **of_layers,
     )  # fmt: skip
     return winner, places
 

@@ -20,6 +20,9 @@ Taps = Callable[[float], tuple[float, float, float, float]]
 
 MIN_VARIANCE_FRACTION = 0.05  # of a variance that debiasing always leaves: an estimated noise may be too high
 RELATIVE_EPSILON = 1e-6  # of a view's overall variance: even areas score 0, not noise / noise
+# As much of a cell's: that of a view with bright spots outweighs a dark wall's texture and noise, and walls are lost
+# whole (docs/measurements.md, *Weak texture through three filters*).
+CELL_EPSILON = 1e-8
 MIN_WEIGHT = 1e-4  # keeps the sum of weights positive where a whole line is unusable
 CELL_TAPS = (1, 2, 3, 2, 1)  # of a cell's window along x and along y; docs/measurements.md compares windows
 LEAST_FLOOR = 1e-12  # squared units, added to the variance of a cell: an even picture scores 0, too
@@ -173,7 +176,7 @@ def cell_variance_floor(views: Views) -> np.ndarray:
     scale = 1 / views.unit if views.unit else 1.0
     planes = np.moveaxis(views.pictures, 2, 0)
     variances = np.array([plane_variance(np.ascontiguousarray(plane, np.float32)) for plane in planes])
-    floors = np.asarray(sum(CELL_TAPS) ** 4 * (scale**2 * RELATIVE_EPSILON * variances + LEAST_FLOOR), np.float32)
+    floors = np.asarray(sum(CELL_TAPS) ** 4 * (scale**2 * CELL_EPSILON * variances + LEAST_FLOOR), np.float32)
     # Of few digits, which are the same whatever the order in which the picture was summed up.
     return (floors.view(np.uint32) & np.uint32(0xFFF00000)).view(np.float32)
 

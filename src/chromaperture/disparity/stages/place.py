@@ -24,9 +24,13 @@ SEEN_REACH = 1  # cells or px; farther from usable pixels a surface is only carr
 # Of the range of the disparity within so many px of the halved picture: next to depth edges a pixel may belong to
 # either side.
 EDGE_SHARE, EDGE_REACH_PX = 0.35, 7
-FARTHEST_OF_FIVE = 1.5  # layers from the middle of five to the vertex of their parabola; docs/measurements.md
+# Layers from the middle of five to the vertex of their parabola. Flatter parabolas are bent so far that it lies there,
+# their slope is kept: docs/measurements.md, *Weak texture through three filters*.
+FARTHEST_OF_FIVE = 4.0
 LEAST_INFORMATION = 1e-4  # where correlations have no peak the place is that of the layer
-LEAST_UNEXPLAINED = 3e-3  # by the best correlation; keeps the information of noiseless pictures finite
+# By the best correlation, of two and of three views; keep the information of noiseless pictures finite. The second:
+# docs/measurements.md, *Weak texture through three filters*.
+LEAST_UNEXPLAINED, LEAST_UNEXPLAINED_OF_THREE = 3e-3, 1e-3
 
 
 def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -40,7 +44,9 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
     the places of weak texture to the layer and leaves only its coarse part, so that clear texture knows more than its
     information tells. Of three views it goes through five, by least squares, and rho is that at the layer: flat boards
     are drawn less to the layers so (docs/measurements.md, *Clear texture*, *Channels where the lens moves them*). Where
-    the range ends one layer away, the fifth is that of the parabola through the three others.
+    the range ends one layer away, the fifth is that of the parabola through the three others. Information times offset
+    is a multiple of the parabola's slope, however flat it is: noise adds to slopes what cancels in their sum, and draws
+    the place of weak texture less to the layer so than if places far away were cut off.
 
     Parameters
     ----------
@@ -68,10 +74,11 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
         far_low, low, middle, high, far_high = (1 - np.exp(-part) for part in around)
         far_low = np.where(inside == 1, 3 * (low - middle) + high, far_low)
         far_high = np.where(inside == layer_count - 2, 3 * (high - middle) + low, far_high)
-        bend = np.maximum((2 * middle + low + high - 2 * (far_low + far_high)) / 7, 0)
         rise = (2 * (far_high - far_low) + high - low) / 5
-        offset = np.clip(rise / (2 * bend + 1e-9), -FARTHEST_OF_FIVE, FARTHEST_OF_FIVE)
-        information = bend * middle / (1 - middle + LEAST_UNEXPLAINED)
+        least_bend = np.abs(rise) / (2 * FARTHEST_OF_FIVE)
+        bend = np.maximum((2 * middle + low + high - 2 * (far_low + far_high)) / 7, least_bend)
+        offset = rise / (2 * bend + 1e-9)
+        information = bend * middle / (1 - middle + LEAST_UNEXPLAINED_OF_THREE)
     return (inside + offset).astype(np.float32), (information + LEAST_INFORMATION).astype(np.float32)
 
 
