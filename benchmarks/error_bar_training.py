@@ -6,7 +6,7 @@
     python benchmarks/error_bar_training.py draw II.asdf --lens achromat_50 --focus-mm 1800 --out pictures
     ...                                                                             # every other camera
     python benchmarks/error_bar_training.py measure *.asdf --pictures pictures --out measured
-    python benchmarks/error_bar_training.py fit measured [--level OTHERS] [--aside NAME ...] [--write]
+    python benchmarks/error_bar_training.py fit measured [--level OTHERS] [--aside NAME ...] [--keep SHARE] [--write]
 
 ``draw`` renders random scenes (``error_bar_scenes.py``) through the camera's lens and design, with several exposures,
 into NAME_SEED.npz. ``measure`` measures the pictures whose names begin with a camera file's, and keeps, of every sixth
@@ -15,7 +15,8 @@ between labels; what is there already is not measured again. ``fit`` finds the w
 (Koenker and Bassett 1978), so that as many errors lie within one and two bars as `SHARES`, whatever the signs. Scenes
 whose file's name begins with one of the names of ``--aside`` are not learned from; all are scored, those that are
 learned from by weights of the other scenes (four parts). With ``--level`` other scenes set the constant: how
-long bars are follows from them, what makes them longer from all.
+long bars are follows from them, what makes them longer from all. With ``--keep`` the written weights are the mean of
+those found and those stored, which count that share: what was learned from scenes that are gone is not forgotten.
 """
 
 from __future__ import annotations
@@ -116,7 +117,9 @@ def matrix(scene: Scene, names: Sequence[str]) -> np.ndarray:
     return np.stack([scene[name] for name in names], axis=1).astype(float)
 
 
-def fitted(scenes: Sequence[Scene], names: Sequence[str]) -> learned_error_bar.Weights:
+def fitted(
+    scenes: Sequence[Scene], names: Sequence[str], shares: tuple[float, float] = SHARES
+) -> learned_error_bar.Weights:
     """Find weights; every scene counts alike."""
     found = np.concatenate([matrix(scene, names) for scene in scenes])
     least, most = np.percentile(found, (0.5, 99.5), axis=0)
@@ -128,7 +131,7 @@ def fitted(scenes: Sequence[Scene], names: Sequence[str]) -> learned_error_bar.W
 
     def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
         value, slope = RIDGE * float(w[:-1] @ w[:-1]), np.append(2 * RIDGE * w[:-1], 0)
-        for bars, share in enumerate(SHARES, start=1):
+        for bars, share in enumerate(shares, start=1):
             beyond = (error - terms @ w - np.log(bars)) / SOFTNESS
             value += float(count @ (SOFTNESS * np.logaddexp(0, beyond) - (1 - share) * SOFTNESS * beyond))
             slope -= terms.T @ (count * (1 / (1 + np.exp(-np.clip(beyond, -50, 50))) - (1 - share)))
@@ -176,8 +179,10 @@ def fit(args: argparse.Namespace) -> None:
         these = {name: scene for name, scene in scenes.items() if ("scatter" in scene) == (kind == "planes")}
         learned = [name for name in these if not name.startswith(tuple(args.aside or ("\0",)))]
         names = [n for n in next(iter(these.values())) if n not in (*TRUTH, *args.without)]
-        everything = fitted([these[name] for name in learned], names)
-        parts = [fitted([these[n] for i, n in enumerate(learned) if i % 4 != part], names) for part in range(4)]
+        everything = fitted([these[name] for name in learned], names, args.shares)
+        parts = [
+            fitted([these[n] for i, n in enumerate(learned) if i % 4 != part], names, args.shares) for part in range(4)
+        ]
         rows: dict[str, list[np.ndarray]] = {}
         for name, scene in these.items():
             model = parts[learned.index(name) % 4] if name in learned else everything
@@ -192,6 +197,8 @@ def fit(args: argparse.Namespace) -> None:
         if args.level:
             others = [dict(np.load(path)) for path in sorted(args.level.glob("*.npz"))]
             everything = leveled(everything, [scene for scene in others if ("scatter" in scene) == (kind == "planes")])
+        if args.keep:
+            everything = mixed(everything, learned_error_bar.weights()[kind], args.keep)
         kept_weights = replace_rounded(everything)
         stored[kind] = {
             "signs": dict(zip(names, np.stack(kept_weights[1:2] + kept_weights[3:], axis=1).tolist(), strict=True)),
@@ -199,6 +206,15 @@ def fit(args: argparse.Namespace) -> None:
         }
     if args.write:
         path.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+
+
+def mixed(
+    found: learned_error_bar.Weights, before: learned_error_bar.Weights, keep: float
+) -> learned_error_bar.Weights:
+    """Return the mean of two models, the geometric mean of their bars, within the limits of the one before."""
+    weights = keep * before.weights + (1 - keep) * found.weights
+    constant = keep * before.constant + (1 - keep) * found.constant
+    return before._replace(weights=weights, constant=constant)
 
 
 def replace_rounded(model: learned_error_bar.Weights) -> learned_error_bar.Weights:
@@ -231,6 +247,8 @@ def main() -> None:
     two.add_argument("--aside", nargs="+", help="names of cameras that are not learned from")
     two.add_argument("--without", nargs="+", default=[], help="signs to leave out")
     two.add_argument("--level", type=Path, help="measured scenes by which the constant is set")
+    two.add_argument("--shares", type=float, nargs=2, default=SHARES, help="of the errors within one and two bars")
+    two.add_argument("--keep", type=float, default=0.0, help="share of the weights that are stored")
     two.add_argument("--only", nargs="+", choices=["planes", "surface"], default=["planes", "surface"])
     two.add_argument("--write", action="store_true")
     two.set_defaults(run=fit)
