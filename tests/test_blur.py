@@ -118,6 +118,21 @@ def test_rims_cut_more_towards_the_corner():
     assert light[0] > light[1] > light[2] > 0.4  # 0.94 and 0.72 are found
 
 
+@pytest.mark.parametrize("shift", [0.0, 0.3, 0.7])
+def test_the_darkest_corner_has_the_light_where_two_discs_overlap(shift):
+    even = HALVES._replace(light=np.ones_like(HALVES.light))
+    model = BlurModel(10.0, 20000.0, front_rim_radius=1.0, front_rim_shift=shift, rear_rim_radius=5.0)
+    half = shift * np.hypot(1 - 1 / W, (H - 1) / W) / 2  # of the distance of pupil and rim, in their radius
+    overlap = 2 / np.pi * (np.arccos(half) - half * np.sqrt(1 - half**2))
+    # Rims are soft by 0.06 of the radius, and the middle's is cut a little: 0.012 at most is found.
+    assert blur_of(model, even).least_light == pytest.approx(overlap, abs=0.02)
+
+
+def test_rims_that_close_leave_no_light():
+    model = BlurModel(10.0, 20000.0, front_rim_radius=1.5, front_rim_shift=1.5, rear_rim_radius=1.6, rear_rim_shift=1.5)
+    assert blur_of(model).least_light == 0.0
+
+
 def test_the_terms_describe_a_traced_lens():
     """A traced double Gauss is seven times closer to the model's terms than to a defocused thin lens."""
     lens = load_lens("double_gauss_50")

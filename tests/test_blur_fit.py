@@ -13,7 +13,7 @@ from chromaperture.config import AccurateConfig
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.lens_blur import BlurModel
+from chromaperture.optics.lens_blur import BlurModel, LensBlur
 from worlds import Boards, blurred, board_evidence, halves_camera, lens_blur
 
 W, H = 160, 120
@@ -79,6 +79,14 @@ def test_boards_without_texture_are_refused():
     flat = [(np.full((H, W, 3), 0.4, np.float32), 1e-3)] * 4
     with pytest.raises(InputError, match="texture"):
         fit_blur(flat, lens_blur(TRUE, W, H), board_count=4)
+
+
+@pytest.mark.slow
+def test_no_step_leaves_a_corner_without_light(monkeypatch):
+    """Boards through an achromat drew the rims together until no ray was left at the corners."""
+    start = lens_blur(BlurModel(4.4, 7300.0, front_rim_radius=1.08, rear_rim_radius=1.08), W, H)
+    monkeypatch.setattr(LensBlur, "least_light", property(lambda blur: float(blur.model == start.model)))
+    assert fit_blur(boards(), start, board_count=len(DISTANCES_MM), tile_count=15).blur.model == start.model
 
 
 def session(count):

@@ -241,6 +241,16 @@ class LensBlur:
         at_infinity = [displacement(self.model, self.pupil.points, position, 0.0, k) for k in channels]
         return Rays(np.stack(at_infinity), light / light.sum(axis=1, keepdims=True))
 
+    @property
+    def least_light(self) -> float:
+        """Light of the darkest corner of the frame in any channel, as a share of the same channel's in the middle."""
+        ends = (0, self.width_px - 1), (0, self.height_px - 1)
+        middle, *corners = (
+            (self._light(position) * rims(self.model, self.pupil.points, position)).sum(axis=1)
+            for position in (np.zeros(2), *(self.frame_position(x, y) for x in ends[0] for y in ends[1]))
+        )
+        return float((np.stack(corners) / middle).min())
+
     def _light(self, position: np.ndarray) -> np.ndarray:
         """Return the light of the pupil's points at a frame position, (3, N)."""
         light = self.pupil.light
