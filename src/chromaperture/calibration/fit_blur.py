@@ -36,9 +36,9 @@ _DAMPING = 0.04  # of the roll-off sqrt(S / (S + damping)), S being the mean pow
 _LEAST_POWER = np.float32(1e-5)  # added to S, against division by 0
 _LEAST_CONTRAST = 1e-3  # standard deviation, white level = 1: less is paper without print
 _FLOOR = 0.02  # of a tile's power: residuals below are not fitted further, because the blur varies within a tile
-# Of the middle's light that every corner keeps: where rims close there are no rays to trace. A lens that loses four f-stops at
-# the corners keeps .06. The whole step is refused: with the rims held and the rest moved, the aberrations of a session of
-# boards through an achromat ran away (walls 10 to 17 % too far, 2 to 3 % so).
+# Of the middle's light that every corner keeps: where rims close there are no rays to trace. A lens that loses four
+# f-stops at the corners keeps .06. The whole step is refused: with the rims held and the rest moved, the aberrations of
+# a session of boards through an achromat ran away (walls 10 to 17 % too far, 2 to 3 % so).
 _LEAST_LIGHT = 0.03
 _PRIOR = 5e-3  # weight of the priors; strong ones stop the fit halfway from spherical aberration to defocus
 _FIRST_DAMPING, _LEAST_DAMPING, _DAMPING_STEP, _TRIES = 1e-3, 1e-6, 8.0, 6  # of Levenberg and Marquardt, no unit
