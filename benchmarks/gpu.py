@@ -103,6 +103,7 @@ def operations(dispatch: Dispatch) -> float:
         "label_likelihood": lambda: 4 * 22 * invocations,
         "four_paths": lambda: 9 * c["width"] * c["height"] * c["pitch"],
         "path_winner": lambda: 17 * c["width"] * c["height"] * c["pitch"],
+        "beside_nearer": lambda: 2 * (2 * c["nearer_reach"] + 1) ** 2 * invocations,
         "links": lambda: 10 * invocations,
         "smoothing": lambda: 12 * c["width"] * c["height"] * c["map_count"],
         "smoothing_of_lines": lambda: 8 * c["width"] * c["height"] * c["map_count"],

@@ -55,6 +55,7 @@ def matching(
 ) -> Callable[[], Disparity]:
     """From float planes (H, W) to disparity by the real-time method, as a function without arguments."""
     space = view_spaces(aperture, None, config.space)[0]
+    config = config.for_views(space.directions)
     method = RealTimeMethod(config, space, IDENTITY, execution_named("numba"))
     mask = np.ones(guide.shape, bool)
     return lambda: method.surface(

@@ -11,7 +11,7 @@ import pytest
 
 from chromaperture.color.unmixing import ideal_unmixing, view_reach
 from chromaperture.config import RealTimeConfig
-from chromaperture.disparity import stages
+from chromaperture.disparity import cpu, stages
 from chromaperture.disparity.error_bar import sigma_of_range
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.labels import IDENTITY, LabelMap, labels_between
@@ -26,7 +26,7 @@ from chromaperture.disparity.stages.place import (
 from chromaperture.disparity.views import Views, channel_space
 from chromaperture.disparity.winner import PathWinner
 from chromaperture.optics.aperture import DESIGNS, centroids, made_of
-from chromaperture.stage_config import CorrelationConfig
+from chromaperture.stage_config import CorrelationConfig, LayersConfig
 from worlds import LAYOUT, MARGIN_PX, capture, ideal_film, moved, texture
 
 SMALL = RealTimeConfig().with_range(-4.0, 4.0)
@@ -101,6 +101,21 @@ def test_noise_draws_the_place_of_three_views_little_to_the_layer():
     found, information = place_by_correlation(winner, 9, view_count=3)
     # 0.037; 0.077 where places farther than 1.5 layers away are cut off
     assert np.average(found, weights=information) == pytest.approx(place, abs=0.05)
+
+
+@pytest.mark.parametrize("run", [stages, cpu])
+def test_cells_beside_nearer_things_count_less(run):
+    layer = np.full((9, 20), 5.0, np.float32)
+    layer[4, 8], layer[4, 15], layer[0, 2] = 3.0, 4.0, 8.0  # nearer by two and by one, farther by three
+    around = [np.full(layer.shape, value, np.float32) for value in (0.5, 0.8, 0.6, 0.2, 0.3)]
+    place, information = run.place_by_correlation(PathWinner(layer, *around[:3], layer, *around[3:]), 12, view_count=3)
+    less = np.zeros(layer.shape, bool)
+    less[2:7, 6:11] = True
+    less[4, 8] = False
+    less[0, 2] = True  # farther than its neighbours is beside what is nearer
+    np.testing.assert_allclose(information[less], 0.05 * information[4, 8], rtol=1e-5)
+    np.testing.assert_allclose(information[~less], information[4, 8], rtol=1e-5)
+    np.testing.assert_allclose(place - layer, place[4, 8] - 3, atol=1e-5)
 
 
 def test_a_bright_spot_does_not_hide_the_texture_of_a_dark_wall():
@@ -222,3 +237,17 @@ def test_views_that_lie_close_together_are_smoothed_more():
     assert circles == pytest.approx(2 * halves)
     three = config.for_views(np.array([[0.25, 0.0], [-0.25, 0.0], [0.0, 0.25]])).views.presmooth_sigma_px
     assert three == pytest.approx(math.sqrt(2) * halves)
+
+
+def test_layers_of_three_views_that_lie_close_together_are_farther_apart():
+    config = RealTimeConfig()
+    corners = np.array([[0.0, 1.0], [math.sqrt(0.75), -0.5], [-math.sqrt(0.75), -0.5]]) / math.sqrt(3)  # 1 px apart
+    assert config.for_views(corners[:2]).layers == config.layers
+    assert config.for_views(1.2 * corners).layers == config.layers
+    wider = config.for_views(0.75 * corners).layers
+    assert wider.step_px == pytest.approx(0.5 * 1.2 / 0.75)
+    assert wider.values_px[0] == config.layers.min_px
+    assert config.layers.max_px <= wider.values_px[-1] < config.layers.max_px + wider.step_px
+    assert len(labels_between(wider.values_px / 2, 0.75 * corners, most_px=0.25)) == 2 * len(wider.values_px) - 1
+    narrow = RealTimeConfig(layers=LayersConfig(-0.5, 0.5)).for_views(0.25 * corners).layers
+    assert len(narrow.values_px) == 3

@@ -5,6 +5,7 @@ A stage receives only its own section. Every value can be set from Python and, a
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal, TypeVar, get_args
@@ -29,6 +30,9 @@ from chromaperture.stage_config import (
 )
 
 _HALVES_APART = 2.0  # px by which two halves move apart a px of half disparity
+# The same of three views whose layers lie as far apart as the settings say; closer views have layers farther apart. CMY
+# circles' 0.5 px become 0.8 px: docs/measurements.md, *Layers of three circles*.
+_LAYERS_APART = 1.2
 Quality = Literal["paper", "real-time", "accurate"]
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
 ExecutionName = Literal["numba", "numpy"]
@@ -148,7 +152,8 @@ class RealTimeConfig(MatcherConfig):
         By the root of how much closer they lie than two halves do, by its fourth root where there are three. Of 44
         ray-traced scenes CMY circles (0.75 px a px) find .459 / .716, .466 / .723, .469 / .727, .467 / .731,
         .462 / .728, .441 / .705 within 2 / 5 % with 0.3, 0.4, 0.45, 0.5, 0.65, 0.9 px; of twelve halves .70 / .88,
-        .70 / .89, .67 / .87, .66 / .86 with 0.3, 0.4, 0.6, 0.8 px.
+        .70 / .89, .67 / .87, .66 / .86 with 0.3, 0.4, 0.6, 0.8 px. Layers of three such views are farther apart, with
+        a label between two of them.
 
         Parameters
         ----------
@@ -158,7 +163,10 @@ class RealTimeConfig(MatcherConfig):
         apart = max(float(np.linalg.norm(a - b)) for a, b in combinations(np.asarray(directions), 2))
         closer = max(1.0, _HALVES_APART / apart) ** (0.5 if len(directions) == 2 else 0.25)
         smoothed = replace(self.views, presmooth_sigma_px=self.views.presmooth_sigma_px * closer)
-        return replace(self, views=smoothed)
+        layers = self.layers
+        if len(directions) == 3 and apart < _LAYERS_APART:
+            layers = _wider(layers, _LAYERS_APART / apart)
+        return replace(self, views=smoothed, layers=layers)
 
 
 @dataclass(frozen=True)
@@ -279,3 +287,10 @@ def preset(quality: Quality) -> MatcherConfig:
     if quality not in presets:
         raise InputError(f"unknown quality {quality!r}: choose paper, real-time or accurate")
     return presets[quality]
+
+
+def _wider(layers: LayersConfig, factor: float) -> LayersConfig:
+    """Return layers so many times as far apart, three at least, from the first on to the range's end or beyond."""
+    step = factor * layers.step_px
+    spacings = max(2, math.ceil((layers.max_px - layers.min_px) / step - 1e-6))  # 1e-6: what fits but for rounding fits
+    return replace(layers, max_px=layers.min_px + spacings * step, step_px=step)

@@ -10,6 +10,7 @@ from chromaperture.disparity.cpu.layout import ONE, ZERO, inner, kernel
 from chromaperture.disparity.error_bar import local_range, sigma_of_range
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.place import (
+    BESIDE_NEARER,
     BIAS,
     EDGE_REACH_PX,
     EDGE_SHARE,
@@ -19,6 +20,7 @@ from chromaperture.disparity.stages.place import (
     LEAST_UNEXPLAINED_OF_THREE,
     SCATTER,
     WIDEST_SHARE,
+    beside_nearer,
     near_usable,
 )
 from chromaperture.disparity.stages.place import place_by_correlation as readable_place
@@ -27,6 +29,7 @@ from chromaperture.threads import in_parallel
 
 _INFORMATION, _UNEXPLAINED = np.float32(LEAST_INFORMATION), np.float32(LEAST_UNEXPLAINED)
 _UNEXPLAINED_OF_THREE = np.float32(LEAST_UNEXPLAINED_OF_THREE)
+_BESIDE_NEARER = np.float32(BESIDE_NEARER)
 _EDGE, _WIDEST = np.float32(EDGE_SHARE), np.float32(WIDEST_SHARE)
 _SCATTER2, _BIAS2 = np.float32(SCATTER**2), np.float32(BIAS**2)
 _FLAT = np.float32(1e-9)  # a flat top has no vertex
@@ -52,7 +55,9 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
     in_parallel(some, len(place) // v.LANES)
     end = len(place) - v.LANES  # the last vector overlaps the one before
     _place(*(part[end:] for part in (*maps, place, information)), 1, layer_count, view_count == 2)
-    return place.reshape(shape), information.reshape(shape)
+    place, information = place.reshape(shape), information.reshape(shape)
+    np.multiply(information, _BESIDE_NEARER, out=information, where=beside_nearer(winner.layer))
+    return place, information
 
 
 def halved_surface(

@@ -25,6 +25,7 @@ from chromaperture.disparity.stages.correlation import SCORE_PARTS
 from chromaperture.disparity.stages.enlarge import JUMP_PX
 from chromaperture.disparity.stages.four_paths import path_parts
 from chromaperture.disparity.stages.place import (
+    BESIDE_NEARER,
     BIAS,
     EDGE_REACH_PX,
     EDGE_SHARE,
@@ -32,6 +33,7 @@ from chromaperture.disparity.stages.place import (
     LEAST_INFORMATION,
     LEAST_UNEXPLAINED,
     LEAST_UNEXPLAINED_OF_THREE,
+    NEARER_REACH,
     SCATTER,
     SEEN_REACH,
     WIDEST_SHARE,
@@ -162,6 +164,10 @@ def _add_paths(
         view_count=planes.view_count, temperature=paths.temperature,
         farthest_of_five=FARTHEST_OF_FIVE, least_unexplained=LEAST_UNEXPLAINED,
         least_unexplained_of_three=LEAST_UNEXPLAINED_OF_THREE, least_information=LEAST_INFORMATION, **size, **of_layers,
+    )  # fmt: skip
+    chain.add(
+        "beside_nearer", [winner, places], groups=groups_for(planes.pixels), uses=SHARED,
+        nearer_reach=NEARER_REACH, weight=BESIDE_NEARER, **size,
     )  # fmt: skip
     return winner, places
 

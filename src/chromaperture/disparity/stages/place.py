@@ -31,6 +31,10 @@ LEAST_INFORMATION = 1e-4  # where correlations have no peak the place is that of
 # By the best correlation, of two and of three views; keep the information of noiseless pictures finite. The second:
 # docs/measurements.md, *Weak texture through three filters*.
 LEAST_UNEXPLAINED, LEAST_UNEXPLAINED_OF_THREE = 3e-3, 1e-3
+# Windows beside a nearer thing hold its edge, whose contrast outweighs the texture behind it. Cells that have a label
+# nearer by more than one within so many cells along x and y know so much of what their scores say:
+# docs/measurements.md, *Cells beside nearer things*.
+NEARER_REACH, BESIDE_NEARER = 2, 0.05
 
 
 def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -47,6 +51,8 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
     the range ends one layer away, the fifth is that of the parabola through the three others. Information times offset
     is a multiple of the parabola's slope, however flat it is: noise adds to slopes what cancels in their sum, and draws
     the place of weak texture less to the layer so than if places far away were cut off.
+
+    Cells beside nearer things count less, see `BESIDE_NEARER`.
 
     Parameters
     ----------
@@ -79,7 +85,15 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
         bend = np.maximum((2 * middle + low + high - 2 * (far_low + far_high)) / 7, least_bend)
         offset = rise / (2 * bend + 1e-9)
         information = bend * middle / (1 - middle + LEAST_UNEXPLAINED_OF_THREE)
-    return (inside + offset).astype(np.float32), (information + LEAST_INFORMATION).astype(np.float32)
+    information = (information + LEAST_INFORMATION) * np.where(beside_nearer(winner.layer), BESIDE_NEARER, 1)
+    return (inside + offset).astype(np.float32), information.astype(np.float32)
+
+
+def beside_nearer(layer: np.ndarray) -> np.ndarray:
+    """Whether a label nearer by more than one lies within `NEARER_REACH` of each, along x and y; (h, w) bool."""
+    layer = np.asarray(layer, np.float32)
+    square = np.ones((2 * NEARER_REACH + 1, 2 * NEARER_REACH + 1), np.uint8)
+    return np.asarray(layer - cv2.erode(layer, square) > 1)
 
 
 def halved_surface(
