@@ -30,9 +30,10 @@ from chromaperture.stage_config import (
 )
 
 _HALVES_APART = 2.0  # px by which two halves move apart a px of half disparity
-# The same of three views whose layers lie as far apart as the settings say; closer views have layers farther apart. CMY
-# circles' 0.5 px become 0.8 px: docs/measurements.md, *Layers of three circles*.
-_LAYERS_APART = 1.2
+# Of three views that move apart by less than the first, layers lie as far apart as if 0.5 px were right for the second.
+# CMY circles' 0.5 px become 0.8 px: docs/measurements.md, *Layers of three circles*. CMY squares (1 px) keep theirs:
+# they would take longer than OpenCV's SGBM 3WAY (benchmarks/matcher.py: .97 and 1.10 of it instead of .74 and .88).
+_CLOSE_VIEWS, _LAYERS_APART = 0.9, 1.2
 Quality = Literal["paper", "real-time", "accurate"]
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
 ExecutionName = Literal["numba", "numpy"]
@@ -164,7 +165,7 @@ class RealTimeConfig(MatcherConfig):
         closer = max(1.0, _HALVES_APART / apart) ** (0.5 if len(directions) == 2 else 0.25)
         smoothed = replace(self.views, presmooth_sigma_px=self.views.presmooth_sigma_px * closer)
         layers = self.layers
-        if len(directions) == 3 and apart < _LAYERS_APART:
+        if len(directions) == 3 and apart < _CLOSE_VIEWS:
             layers = _wider(layers, _LAYERS_APART / apart)
         return replace(self, views=smoothed, layers=layers)
 
