@@ -30,9 +30,10 @@ from chromaperture.stage_config import (
 )
 
 _HALVES_APART = 2.0  # px by which two halves move apart a px of half disparity
-# Of three views that move apart by less than the first, layers lie as far apart as if 0.5 px were right for the second.
-# CMY circles' 0.5 px become 0.8 px: docs/measurements.md, *Layers of three circles*. CMY squares (1 px) keep theirs:
-# they would take longer than OpenCV's SGBM 3WAY (benchmarks/matcher.py: .97 and 1.10 of it instead of .74 and .88).
+# Px by which views move apart a px of disparity. Three views below the first have their layers farther apart, by the
+# second over what they move: 0.8 px instead of 0.5 for CMY circles, which move 0.75 px (docs/measurements.md, *Layers
+# of three circles*). CMY squares (1 px) keep theirs: otherwise they would take .97 and 1.10 of the time of OpenCV's
+# SGBM 3WAY on one and two threads, instead of .74 and .88 (benchmarks/matcher.py).
 _CLOSE_VIEWS, _LAYERS_APART = 0.9, 1.2
 Quality = Literal["paper", "real-time", "accurate"]
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
@@ -148,13 +149,13 @@ class RealTimeConfig(MatcherConfig):
         return ("real-time",)
 
     def for_views(self, directions: np.ndarray) -> RealTimeConfig:
-        """Return the settings with views that lie close together smoothed more: their noise tells more of disparity.
+        """Return the settings for views that lie close together.
 
-        By the root of how much closer they lie than two halves do, by its fourth root where there are three. Of 44
-        ray-traced scenes CMY circles (0.75 px a px) find .459 / .716, .466 / .723, .469 / .727, .467 / .731,
-        .462 / .728, .441 / .705 within 2 / 5 % with 0.3, 0.4, 0.45, 0.5, 0.65, 0.9 px; of twelve halves .70 / .88,
-        .70 / .89, .67 / .87, .66 / .86 with 0.3, 0.4, 0.6, 0.8 px. Layers of three such views are farther apart, with
-        a label between two of them.
+        They are smoothed more, since their noise counts more: by the root of how much closer they lie than two halves
+        do, by its fourth root where there are three. Of 44 ray-traced scenes CMY circles (0.75 px a px) find
+        .459 / .716, .466 / .723, .469 / .727, .467 / .731, .462 / .728, .441 / .705 within 2 / 5 % with 0.3, 0.4, 0.45,
+        0.5, 0.65, 0.9 px; of twelve halves .70 / .88, .70 / .89, .67 / .87, .66 / .86 with 0.3, 0.4, 0.6, 0.8 px.
+        Layers of three such views are farther apart, with a label between two of them.
 
         Parameters
         ----------

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -12,11 +10,9 @@ import numpy as np
 
 from chromaperture.disparity.accurate import AccurateMethod
 from chromaperture.disparity.gpu.accurate_chain import AccurateChain, Started, pairs_of
-from chromaperture.disparity.gpu.device import Device, DeviceError
-from chromaperture.disparity.gpu.measured import NOTHING, Further, Measured, is_same
+from chromaperture.disparity.gpu.device import Device
+from chromaperture.disparity.gpu.measured import NOTHING, Further, Measured, OnDevice, is_same
 from chromaperture.disparity.gpu.working_stages import Reduction
-from chromaperture.disparity.result import Disparity
-from chromaperture.errors import OutOfMemoryError
 
 
 class Begun(NamedTuple):
@@ -27,8 +23,8 @@ class Begun(NamedTuple):
 
 
 @dataclass
-class AccurateOnDevice:
-    """A method whose chains are made at the first photograph and kept; for one thread at a time, safe from several.
+class AccurateOnDevice(OnDevice):
+    """Quality "accurate" on a device.
 
     Attributes
     ----------
@@ -43,10 +39,6 @@ class AccurateOnDevice:
     reduction: Reduction | None = None
     _chain: AccurateChain | None = None
     _lock: threading.Lock = field(default_factory=threading.Lock)
-
-    def match(self, image: np.ndarray) -> Disparity:
-        """Return the disparity of an image (H, W, 3); raises DeviceError, OutOfMemoryError besides InputError."""
-        return self.finish(self.start(image)).disparity
 
     def start(self, image: np.ndarray, further: Further = NOTHING) -> Begun:
         """Send an image (H, W, 3) to the device, which begins; at most two are under way, `finish` them in turn."""
@@ -69,11 +61,3 @@ class AccurateOnDevice:
             chain = AccurateChain(self.method, self.device, shape, reduction=self.reduction, further=further)
             self._chain = chain
         return chain
-
-    @contextmanager
-    def _freed_on_failure(self) -> Iterator[None]:
-        try:
-            yield
-        except (DeviceError, OutOfMemoryError):
-            self._chain = None  # gives its memory back
-            raise

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import threading
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -48,8 +47,8 @@ class Started(NamedTuple):
 
 
 @dataclass
-class GpuMethod:
-    """A method whose stages run on a device; not for two threads at a time but safe from them.
+class GpuMethod(OnDevice):
+    """Qualities "real-time" and "paper" on a device.
 
     Attributes
     ----------
@@ -72,10 +71,6 @@ class GpuMethod:
     _further: Further = NOTHING
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def match(self, image: np.ndarray) -> Disparity:
-        """Return the disparity of an image (H, W, 3); raises DeviceError, OutOfMemoryError besides InputError."""
-        return self.finish(self.start(image)).disparity
-
     def start(self, image: np.ndarray, further: Further = NOTHING) -> Started:
         """Send an image (H, W, 3) to the device, which begins; at most two are under way, `finish` them in turn."""
         size = (image.shape[0], image.shape[1])
@@ -89,14 +84,6 @@ class GpuMethod:
             found = started.chain.finish(started.ticket)
         check_stats(found["stats"], len(self.space.rows))
         return measured_from(found, started.size)
-
-    @contextmanager
-    def _freed_on_failure(self) -> Iterator[None]:
-        try:
-            yield
-        except (DeviceError, OutOfMemoryError):
-            self._chain = None  # gives its memory back
-            raise
 
     def _composed(self, size: tuple[int, int], further: Further) -> Chain:
         """Return the chain for a size, kept until another is needed."""

@@ -65,6 +65,7 @@ def add_judged(
     pooled, room = (chain.array(name, 2 * grid.pixels) for name in ("pooled", "pooling"))
     bar, known = (chain.array(name, grid.pixels, np.uint32) for name in ("bar", "known"))
     near, far = _add_ranges(chain, a, grid)
+    # The bar that is not learned has the same reaches: `accurate.POOLED_PX`, `accurate.EDGE_REACH_PX`.
     shape, taps = (grid.height, grid.width), gaussian_taps(POOLED_PX)
     if planes is None:
         per_pixel(
@@ -88,8 +89,9 @@ def add_judged(
             of_blocks, averages = _add_signs_of_blocks(chain, a, planes, grid)
             chain.add(
                 "learned_bar", [pooled, wide, near, far, of_planes, of_blocks, averages, bar],
-                groups=groups_for(grid.pixels), uses=("indexing", "blocks_of_pixels"), height=grid.height,
-                width=grid.width, block=planes.block, number=planes.most, **_numbers(weights()["planes"]),
+                groups=groups_for(grid.pixels), uses=("indexing", "surface_signs", "blocks_of_pixels"),
+                height=grid.height, width=grid.width, block=planes.block, number=planes.most,
+                **_numbers(weights()["planes"]),
             )  # fmt: skip
         else:
             _add_surface_bar(chain, [pooled, near, far, bar], grid, learned=False, edge_share=EDGE_SHARE_OF_PLANES)
@@ -139,9 +141,10 @@ def add_label_maps(
 
 
 def _add_surface_bar(chain: Chain, arrays: list[Array], grid: Grid, *, learned: bool, edge_share: float) -> None:
-    per_pixel(
-        chain, "surface_bar", arrays, grid, learned=learned, edge_share=edge_share, **_numbers(weights()["surface"])
-    )
+    chain.add(
+        "surface_bar", arrays, groups=groups_for(grid.pixels), uses=("indexing", "surface_signs"), height=grid.height,
+        width=grid.width, learned=learned, edge_share=edge_share, **_numbers(weights()["surface"]),
+    )  # fmt: skip
 
 
 def _numbers(model: Weights) -> dict[str, Any]:

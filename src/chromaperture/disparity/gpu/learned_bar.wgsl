@@ -9,10 +9,6 @@
 @group(0) @binding(6) var<storage, read> averages: array<f32>;  // (planes + 1,): last the spread of the frame
 @group(0) @binding(7) var<storage, read_write> bar: array<u32>;  // (h, w): the plane's number, then the logarithm's bits
 
-fn weighed(value: f32, weight: f32, least: f32, most: f32) -> f32 {
-    return weight * clamp(value, least, most);
-}
-
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
@@ -23,10 +19,7 @@ fn main(
     let plane = bar[i];
     let near = near_range[i].x - near_range[i].y;
     let far = wide_range[i].x - wide_range[i].y;
-    var sum = constant;
-    sum += weighed(log(sqrt(pooled[i].x) + 0.02), posterior[0], posterior[1], posterior[2]);
-    sum += weighed(log(near + 0.1), range_8[0], range_8[1], range_8[2]);
-    sum += weighed(log(far + 0.1), range_32[0], range_32[1], range_32[2]);
+    var sum = constant + weighed_surface(pooled[i].x, near, far);
     sum += weighed(pooled[i].y, apart[0], apart[1], apart[2]);
     sum += weighed(wide[i], apart_wide[0], apart_wide[1], apart_wide[2]);
     sum += weighed(planes[plane].x, scatter[0], scatter[1], scatter[2]);

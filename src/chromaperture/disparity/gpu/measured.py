@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from chromaperture.disparity.gpu.alignment_stage import Alignment, add_alignment
 from chromaperture.disparity.gpu.conversion_stage import Conversion, add_conversion
-from chromaperture.disparity.gpu.device import Array, Chain, Device
+from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError
 from chromaperture.disparity.result import Disparity
+from chromaperture.errors import OutOfMemoryError
 
 MAPS = ("disparity", "sigma", "confidence")  # arrays that every method leaves, (H, W) each
 _MILLIMETRES = ("depth_mm", "sigma_mm")
@@ -43,18 +47,34 @@ class Measured(NamedTuple):
     color: np.ndarray | None = None
 
 
-class OnDevice(Protocol):
-    """A method whose stages run on a device; safe from several threads."""
+class OnDevice(ABC):
+    """A method whose stages run on a device, in chains that are made at the first photograph of a size, and kept.
 
-    @property
-    def device(self) -> Device:
-        """Where it runs."""
+    For one thread at a time, safe from several.
+    """
 
+    device: Device
+    _chain: Any
+
+    @abstractmethod
     def start(self, image: np.ndarray, further: Further = NOTHING) -> Any:
         """Send an image (H, W, 3) to the device, which begins; at most two are under way, `finish` them in turn."""
 
+    @abstractmethod
     def finish(self, started: Any) -> Measured:
         """Wait for what `start` has begun; raises DeviceError, OutOfMemoryError besides InputError."""
+
+    def match(self, image: np.ndarray) -> Disparity:
+        """Return the disparity of an image (H, W, 3); raises as `finish`."""
+        return self.finish(self.start(image)).disparity
+
+    @contextmanager
+    def _freed_on_failure(self) -> Iterator[None]:
+        try:
+            yield
+        except (DeviceError, OutOfMemoryError):
+            self._chain = None  # gives its memory back
+            raise
 
 
 def add_further(chain: Chain, image: Array, size: tuple[int, int], further: Further) -> None:

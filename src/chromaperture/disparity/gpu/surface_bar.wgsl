@@ -6,10 +6,6 @@
 @group(0) @binding(2) var<storage, read> wide_range: array<vec4f>;  // (h, w)
 @group(0) @binding(3) var<storage, read_write> bar: array<u32>;  // (h, w): the logarithm's bits
 
-fn weighed(value: f32, weight: f32, least: f32, most: f32) -> f32 {
-    return weight * clamp(value, least, most);
-}
-
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
@@ -20,11 +16,6 @@ fn main(
     let near = near_range[i].x - near_range[i].y;
     let far = wide_range[i].x - wide_range[i].y;
     var sum = log(max(length(vec2f(sqrt(pooled[i].x), edge_share * near)), 1.0e-6));  // 1e-6: 0 has no logarithm
-    if (learned) {
-        sum = constant;
-        sum += weighed(log(sqrt(pooled[i].x) + 0.02), posterior[0], posterior[1], posterior[2]);
-        sum += weighed(log(near + 0.1), range_8[0], range_8[1], range_8[2]);
-        sum += weighed(log(far + 0.1), range_32[0], range_32[1], range_32[2]);
-    }
+    if (learned) { sum = constant + weighed_surface(pooled[i].x, near, far); }
     bar[i] = bitcast<u32>(sum);
 }
