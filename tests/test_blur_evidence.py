@@ -62,6 +62,19 @@ def test_a_plane_is_found_at_its_depth(design, edge_px, rng):
     assert best_layer(volume, layers) == pytest.approx(true, abs=0.03 * blur.reach)
 
 
+@pytest.mark.parametrize("design", ["cy_halves", "cy_open", "rgb_squares", "cmy_circles"])
+def test_weak_texture_is_found_where_strong_texture_is(design):
+    """Filters of a wide blur leave less of a picture, which must not look like less agreement."""
+    blur = blur_for(design)
+    true = 5.0 * blur.reach
+    layers = true + np.linspace(-2.0, 2.0, 9) * blur.reach
+    strong = photograph(blur, true, np.random.default_rng(2), noise=0.0, finest_px=2.0)
+    weak = 0.3 + 0.1 * (strong - 0.5)  # standard deviation .008 of the white level
+    found, expected = (best_layer(likelihood(image, blur, layers), layers) for image in (weak, strong))
+    # In px of blur: .007, .043, .000, .009. A floor of 1e-12 under the product of both powers leaves .03, .32, .01, .08.
+    assert found == pytest.approx(expected, abs=0.06 * blur.reach)
+
+
 def test_shifted_views_would_be_biased():
     """The reason for this evidence: the disparity of best overlap of mirrored halves is not that of their centroids."""
     blur = blur_for("cy_halves", BlurModel(6.0, 12000.0))

@@ -140,6 +140,15 @@ def test_a_known_blur_counts_layers_and_slopes_in_blur():
     assert far.evidence == CrossFilterConfig()
 
 
+def test_one_pair_of_views_far_apart_counts_what_is_a_pixels_own():
+    own = {
+        (reach, one_pair): AccurateConfig.for_blur(reach, one_pair=one_pair).evidence.own_detail
+        for reach in (0.09, 0.33)
+        for one_pair in (True, False)
+    }
+    assert own == {(0.09, True): False, (0.09, False): False, (0.33, True): True, (0.33, False): False}
+
+
 def test_settings_cannot_be_changed_after_they_are_made():
     with pytest.raises(dataclasses.FrozenInstanceError):
         Config().matcher.layers = LayersConfig()

@@ -34,7 +34,8 @@ def default_config(
     matcher = preset(quality)
     blur = calibration.field_blur()
     if isinstance(matcher, AccurateConfig) and blur is not None:
-        matcher = AccurateConfig.for_blur(blur.reach, full_well_electrons=calibration.sensor.full_well_electrons)
+        full_well, one_pair = calibration.sensor.full_well_electrons, len(blur.pairs) == 1
+        matcher = AccurateConfig.for_blur(blur.reach, one_pair=one_pair, full_well_electrons=full_well)
     elif isinstance(matcher, AccurateConfig) and calibration.is_calibrated:
         matcher = AccurateConfig.for_range(*calibration.disparity_range_px(quality))
     if calibration.is_calibrated:

@@ -218,7 +218,9 @@ class AccurateConfig(MatcherConfig):
         return replace(plain, layers=layers, surface=surface)
 
     @classmethod
-    def for_blur(cls, reach: float, *, full_well_electrons: float | None = None) -> AccurateConfig:
+    def for_blur(
+        cls, reach: float, *, one_pair: bool = False, full_well_electrons: float | None = None
+    ) -> AccurateConfig:
         """Return the settings for a camera whose blur is known.
 
         Parameters
@@ -226,6 +228,9 @@ class AccurateConfig(MatcherConfig):
         reach : float
             Px of half disparity for a px by which blur displaces the pupil's edge. Layers (0.3 px of blur) and slopes
             count in blur, so that designs whose views lie close together are searched as finely.
+        one_pair : bool
+            Whether the widest separation is that of one pair of channels, as of two halves. Where such views lie apart,
+            evidence counts as far as it is a pixel's own; docs/measurements.md, "Weak texture of all pairs".
         full_well_electrons : float, optional
             Of the sensor, see `CrossFilterConfig.for_blur`.
         """
@@ -236,6 +241,8 @@ class AccurateConfig(MatcherConfig):
         evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
         if reach < LEAST_REACH_OF_PAIRS:
             evidence = replace(evidence, allowed_growth=ALLOWED_GROWTH)
+        elif one_pair:
+            evidence = replace(evidence, own_detail=True)
         return cls(layers=layers, evidence=evidence, surface=surface, spectral=SpectralConfig.for_blur(reach))
 
 

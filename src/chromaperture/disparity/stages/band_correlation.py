@@ -20,7 +20,10 @@ import math
 import cv2
 import numpy as np
 
-LEAST_POWER = np.float32(1e-12)  # of both pictures; even areas have none
+# Under the root, (white level)^4: even areas have no correlation. Far below the powers of weak texture, of which damped
+# filters leave less the wider their blur is: a floor as high draws it to the layers in focus. docs/measurements.md,
+# "Weak texture of all pairs", has others.
+LEAST_POWER = np.float32(1e-14)
 LEAST_SEEN = np.float32(1e-12)  # against division by 0, far below noise: a millionth of the white level
 _HALVING_SIGMA = 1.0  # samples, of the window of `cv2.pyrDown`
 _LEAST_REST = 0.004  # samples squared; windows of less than one sample add no more
