@@ -71,7 +71,7 @@ def test_weak_texture_is_found_where_strong_texture_is(design):
     strong = photograph(blur, true, np.random.default_rng(2), noise=0.0, finest_px=2.0)
     weak = 0.3 + 0.1 * (strong - 0.5)  # standard deviation .008 of the white level
     found, expected = (best_layer(likelihood(image, blur, layers), layers) for image in (weak, strong))
-    # In px of blur: .007, .043, .000, .009. A floor of 1e-12 under the product of both powers leaves .03, .32, .01, .08.
+    # In px of blur: .004, .043, .000, .009; with a floor of 1e-12 under the product of both powers .03, .32, .01, .08.
     assert found == pytest.approx(expected, abs=0.06 * blur.reach)
 
 
