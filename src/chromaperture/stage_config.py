@@ -219,8 +219,7 @@ class CrossFilterConfig:
         coarser octave lowers the fraction within 2 % (``benchmarks/ablation.py``, "three octaves"): its windows hold
         too few periods, and slow changes of colour look like displacement.
     band_weights : tuple of float
-    window_sigma_px : float
-        Gaussian window of the correlation. 8 px instead of 4: docs/measurements.md, "window of 8 px".
+    window_sigma_px : float; of the correlation's Gaussian. 8 px instead of 4: docs/measurements.md, "window of 8 px"
     damping : float
         eps of ``blur_evidence.py``, against noise where the blur leaves no signal.
     noise_margin : float
@@ -229,6 +228,7 @@ class CrossFilterConfig:
         Weight of the pairs of channels whose views lie closer together, where the widest pair finds nothing; it falls
         to 1/e where that pair's best layer earns ``fallback_nats``. They agree better on strongly coloured surfaces,
         but are less exact.
+    own_detail : bool; whether evidence counts as far as it is a pixel's own (``disparity/own_detail.py``)
     allowed_growth : float
         Of a window's power, beyond which detail comes from elsewhere (``stages/band_correlation.py``); 0 is any.
     """
