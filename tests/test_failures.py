@@ -30,7 +30,7 @@ from chromaperture.cli.main import app
 from chromaperture.depth.field import DepthField
 from chromaperture.errors import InputError, OutOfMemoryError, within_memory
 from chromaperture.threads import beside, check_environment, in_parallel, parallel_map
-from worlds import capture, halves_camera, texture
+from worlds import capture, content, halves_camera, texture
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = typer.main.get_command(app)
@@ -165,11 +165,11 @@ class Failing:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file's bytes; without the times in a JSON summary, and without what says which folder was written to."""
+    """Every file's content; without the times in a JSON summary, and without what says which folder was written to."""
     found = {}
     for path in sorted(folder.rglob("*")):
         if path.is_file():
-            data = path.read_bytes()
+            data = content(path)
             if path.suffix == ".json" and b'"seconds"' in data:
                 data = json.dumps(json.loads(data) | {"seconds": None}).encode()
             found[path.relative_to(folder).as_posix()] = data
@@ -316,7 +316,7 @@ def test_record(run, small, tmp_path, monkeypatch):
         lines = index.read_text().splitlines() if index.exists() else []
         for line in lines:
             name = f"frames/{json.loads(line)['file']}"
-            assert (out / "walk" / name).read_bytes() == (tmp_path / "good" / "walk" / name).read_bytes()
+            assert content(out / "walk" / name) == content(tmp_path / "good" / "walk" / name)
         assert lines == (tmp_path / "good" / "walk" / "index.jsonl").read_text().splitlines()[: len(lines)]
         return bool(lines)
 
