@@ -21,10 +21,11 @@ CPU in between: what depends on the picture (means, percentiles) stays in arrays
 from __future__ import annotations
 
 import importlib.util
+import logging
 import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -347,7 +348,10 @@ def _found_adapters() -> list[tuple[AdapterInfo, Any]]:
         wgpu = _wgpu()
         # A Linux driver that looks for a display complains to standard error where this is not set.
         os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
-        found = list(wgpu.gpu.enumerate_adapters_sync())
+        with ExitStack() as after:  # a driver that cannot be loaded is not found; the log would say so besides
+            after.callback(wgpu.logger.setLevel, wgpu.logger.level)
+            wgpu.logger.setLevel(logging.CRITICAL)
+            found = list(wgpu.gpu.enumerate_adapters_sync())
     except (MissingDependencyError, RuntimeError, OSError):
         return []
     known = [(_info(adapter), adapter) for adapter in found if adapter.info["backend_type"] != "OpenGL"]
