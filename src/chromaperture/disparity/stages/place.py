@@ -12,18 +12,18 @@ from chromaperture.disparity.error_bar import local_range, sigma_of_range
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.winner import PathWinner, Surface
 
-# Of the error bar, fitted to twelve simulated captures through each of three designs (docs/measurements.md, *Error bar
+# Of the error bar, fitted to twelve simulated captures through each of four designs (docs/measurements.md, *Error bar
 # by information*). A place whose neighbourhood holds the information I scatters by SCATTER / sqrt(I) labels: cells
 # share pixels. Where I is small the place is also biased, by BIAS / I: noise leaves only the coarse part of weak
 # texture, which blur displaces less than the fine part.
-SCATTER, BIAS = 1.4, 6.0
+SCATTER, BIAS = 1.1, 4.8
 # Of the width of an even posterior: what is wider is unknown. In pictures of pure noise 0 to .11 of the posteriors are
 # narrower (`tests/test_confidence.py`).
 WIDEST_SHARE = 0.75
 SEEN_REACH = 1  # cells or px; farther from usable pixels a surface is only carried on from the border of a spot
 # Of the range of the disparity within so many px of the halved picture: next to depth edges a pixel may belong to
 # either side.
-EDGE_SHARE, EDGE_REACH_PX = 0.35, 7
+EDGE_SHARE, EDGE_REACH_PX = 0.2, 7
 # Layers from the middle of five to the vertex of their parabola. Flatter parabolas are bent so far that it lies there,
 # their slope is kept: docs/measurements.md, *Weak texture through three filters*.
 FARTHEST_OF_FIVE = 4.0
