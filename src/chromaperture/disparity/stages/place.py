@@ -12,9 +12,9 @@ from chromaperture.disparity.error_bar import local_range, sigma_of_range
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.winner import PathWinner, Surface
 
-# Of the error bar, fitted to twelve simulated captures through each of four designs (docs/measurements.md, *Error bar
-# by information*). A place whose neighbourhood holds the information I scatters by SCATTER / sqrt(I) labels: cells
-# share pixels. Where I is small the place is also biased, by BIAS / I: noise leaves only the coarse part of weak
+# Of the error bar, fitted to twelve simulated captures through each of four designs (docs/measurements.md, *Constants
+# of the error bar, anew*). A place whose neighbourhood holds the information I scatters by SCATTER / sqrt(I) labels:
+# cells share pixels. Where I is small the place is also biased, by BIAS / I: noise leaves only the coarse part of weak
 # texture, which blur displaces less than the fine part.
 SCATTER, BIAS = 1.1, 4.8
 # Of the width of an even posterior: what is wider is unknown. In pictures of pure noise 0 to .11 of the posteriors are
