@@ -76,7 +76,7 @@ def measure(args: argparse.Namespace) -> None:
     """Measure pictures and keep signs and errors."""
     args.out.mkdir(parents=True, exist_ok=True)
     for file in args.cameras:
-        camera = load_camera(file, quality="accurate", scale=1, device="cpu")  # the bar counts in labels of one scale
+        camera = load_camera(file, quality="accurate", scale=1, device="cpu")  # errors are those of the matched pixels
         for path in sorted(args.pictures.glob(f"{file.stem}_*.npz")):
             if not (args.out / path.name).exists():
                 with np.load(path) as picture:

@@ -34,9 +34,9 @@ def test_a_part_is_measured_as_in_the_whole_photograph(whole):
     inside = np.s_[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
     off_px = np.abs(part.disparity_px - frame.disparity_px[PART])[inside]
     # Not equal: paths end at the part's border, and the guide's range is the part's own. Less than a layer, 0.5 px.
-    # They differ by more than two bars in .8 % of the pixels, on surfaces that one of them gives to another layer.
+    # They differ by more than 1.25 bars in 1.4 % of the pixels, on surfaces that one of them gives to another layer.
     assert np.nanmedian(off_px) < 0.02
-    assert (off_px <= 2 * frame.disparity_sigma_px[PART][inside]).sum() > 0.98 * np.isfinite(off_px).sum()
+    assert (off_px <= 1.25 * frame.disparity_sigma_px[PART][inside]).sum() > 0.98 * np.isfinite(off_px).sum()
     same = off_px < 1e-3
     ratio = part.depth_mm[inside][same] / frame.depth_mm[PART][inside][same]
     np.testing.assert_allclose(ratio, 1, atol=2e-3)  # the curves of the part's own place in the frame

@@ -299,9 +299,10 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def content(path: Path) -> bytes:
-    """Return the bytes of a file, the samples of a PNG inflated; raises where that file is not whole.
+    """Return the bytes of a file, of a PNG the inflated rows; raises where a PNG is cut off or damaged.
 
-    ISA-L packs the same bytes in one of two ways, both right: one of some thousand previews differed in its packing.
+    Two PNG files of the same picture can differ: ISA-L deflated the same rows in two ways, both valid, once in some
+    thousand previews.
     """
     data = path.read_bytes()
     if not data.startswith(PNG):

@@ -348,7 +348,7 @@ def _found_adapters() -> list[tuple[AdapterInfo, Any]]:
         wgpu = _wgpu()
         # A Linux driver that looks for a display complains to standard error where this is not set.
         os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
-        with ExitStack() as after:  # a driver that cannot be loaded is not found; the log would say so besides
+        with ExitStack() as after:  # without wgpu's message about every driver that it cannot load
             after.callback(wgpu.logger.setLevel, wgpu.logger.level)
             wgpu.logger.setLevel(logging.CRITICAL)
             found = list(wgpu.gpu.enumerate_adapters_sync())

@@ -22,7 +22,7 @@ SCATTER, BIAS = 1.1, 4.8
 WIDEST_SHARE = 0.75
 SEEN_REACH = 1  # cells or px; farther from usable pixels a surface is only carried on from the border of a spot
 # Of the range of the disparity within so many px of the halved picture: next to depth edges a pixel may belong to
-# either side.
+# either side. The share was fitted with SCATTER and BIAS.
 EDGE_SHARE, EDGE_REACH_PX = 0.2, 7
 # Layers from the middle of five to the vertex of their parabola. Flatter parabolas are bent so far that it lies there,
 # their slope is kept: docs/measurements.md, *Weak texture through three filters*.
