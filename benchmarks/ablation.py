@@ -32,7 +32,7 @@ from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.config import AccurateConfig, MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.depth.field import DepthField
-from chromaperture.disparity import accurate, plane_agreement
+from chromaperture.disparity import accurate, plane_agreement, plane_trust
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.disparity.planar import Planes
 from chromaperture.disparity.real_time import RealTimeMethod
@@ -78,7 +78,8 @@ ACCURATE = ("everything", "shifted views", "walls not placed between layers", "w
             "one octave", "three octaves", "window of 8 px", "pairs of channels alone", "no planes",
             "planes keep every slope", "edges where the evidence has them", "edges where the guide has them",
             "planes give way in spots",
-            "far planes give way beside nearer ones", "planes everywhere",
+            "far planes give way beside nearer ones", "planes wherever the surface allows them",
+            "planes everywhere",
             "error bar not learned", "no total variation", "four paths", "penalties a tenth",
             "penalties not led by the guide", "one curve for the frame")  # fmt: skip
 
@@ -135,15 +136,23 @@ def where_borders_give_way(planes: Planes, surface_px: np.ndarray, sigma_px: np.
         return plane_agreement.where_they_agree(planes, surface_px, sigma_px)
 
 
+def where_allowed(planes: Planes, surface_px: np.ndarray, sigma_px: np.ndarray, step_px: float) -> np.ndarray:
+    """Take planes wherever the surface allows them."""
+    return plane_agreement.where_they_agree(planes, surface_px, np.hypot(sigma_px, step_px))
+
+
 def measure_accurate(name: str, args: argparse.Namespace) -> dict:
     camera = accurate_camera(name, args.camera, args.data / args.design)
     replaced = {
-        "walls not placed between layers": ("between_layers", lambda disparity_px, *volume, sigma_px: disparity_px),
-        "planes everywhere": ("where_they_agree", lambda planes, *surface: planes.label_px),
-        "far planes give way beside nearer ones": ("where_they_agree", where_borders_give_way),
-        "planes give way in spots": ("where_they_agree", where_pixels_agree),
-    }
-    with mock.patch.object(accurate, *replaced[name]) if name in replaced else contextlib.nullcontext():
+        "walls not placed between layers": (
+            accurate, "between_layers", lambda disparity_px, *volume, sigma_px: disparity_px
+        ),
+        "planes everywhere": (accurate, "planes_or_surface", lambda planes, *surface: planes.label_px),
+        "planes wherever the surface allows them": (accurate, "planes_or_surface", where_allowed),
+        "far planes give way beside nearer ones": (plane_trust, "where_they_agree", where_borders_give_way),
+        "planes give way in spots": (plane_trust, "where_they_agree", where_pixels_agree),
+    }  # fmt: skip
+    with mock.patch.object(*replaced[name]) if name in replaced else contextlib.nullcontext():
         return figures_of(camera, args.data, args.design, args.scenes, rounds=1)
 
 

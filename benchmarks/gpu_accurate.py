@@ -109,7 +109,7 @@ def operations(dispatch: Dispatch) -> float:
         # 54 x 54 numbers composed, and eliminated with 16 lines
         "line_costs": lambda: PARTS * dispatch.groups[1] * (54 * 54 / 2 * 60 + 54**3 / 3 + 54**2 * 16),
         "edge_possible": lambda: 12.0 * (2 * c["around"] + 1) ** 2 * pixels,
-        "planes_taken": lambda: 12.0 * pixels * (2 * c["reach"] + 1) ** 2 / 8,  # beside other planes only
+        "planes_allowed": lambda: 12.0 * pixels * (2 * c["reach"] + 1) ** 2 / 8,  # beside other planes only
         "step_distance": lambda: 4.0 * taps() * pixels,
         "beside_steps": lambda: 4.0 * taps() * pixels,
         "plane_sums": lambda: 2.0 * pixels * dispatch.groups[0],

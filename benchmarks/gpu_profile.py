@@ -100,9 +100,10 @@ STAGES = {
     "planes or surface": Stage(
         (
             "planes_apart", "votes_line", "areas_start", "areas_joined", "areas_found", "area_sums", "spot_sums",
-            "apart_kept", "choice_tiles", "planes_taken",
+            "apart_kept", "choice_tiles", "planes_allowed", "trust_maps", "gaussian_line:trust_pooled",
+            "gaussian_line:surface_steps", "planes_trusted",
         ),
-        ("plane_agreement:where_they_agree",),
+        ("plane_trust:planes_or_surface",),
     ),
     "known pixels and error bar": Stage(
         (

@@ -243,7 +243,8 @@ class AccurateConfig(MatcherConfig):
             evidence = replace(evidence, allowed_growth=ALLOWED_GROWTH)
         elif one_pair:
             evidence = replace(evidence, own_detail=True)
-        return cls(layers=layers, evidence=evidence, surface=surface, spectral=SpectralConfig.for_blur(reach))
+        planes, spectral = PlanesConfig(learned_trust=True), SpectralConfig.for_blur(reach)
+        return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=spectral)
 
 
 @dataclass(frozen=True)

@@ -366,6 +366,9 @@ class PlanesConfig:
         Of choosing and joining; 0 switches the planes off.
     sweeps : int
         Of the belief propagation in each round.
+    learned_trust : bool
+        Whether planes are taken as `plane_trust.py` has it, else wherever the surface's error bar allows them. It was
+        learned with known blur; with shifted views nothing was gained.
     """
 
     tiles_px: tuple[int, ...] = (48, 96, 192, 480)
@@ -381,6 +384,7 @@ class PlanesConfig:
     edge_lines: bool = True
     rounds: int = 5
     sweeps: int = 8
+    learned_trust: bool = False
 
     def __post_init__(self) -> None:
         require(bool(self.tiles_px) and min(self.tiles_px) >= 8, "tiles_px must hold sizes of at least 8 px")
@@ -390,11 +394,7 @@ class PlanesConfig:
             "block_px, border_px and sweeps must be >= 1, edge_band_px and rounds >= 0",
         )
         penalties = (
-            self.boundary_penalty,
-            self.plane_penalty,
-            self.plane_tolerance,
-            self.slope_tolerance,
-            self.slope_penalty,
-        )
+            self.boundary_penalty, self.plane_penalty, self.plane_tolerance, self.slope_tolerance, self.slope_penalty,
+        )  # fmt: skip
         least = all_finite(*penalties, self.outside_penalty) and min(*penalties, self.outside_penalty) >= 0
         require(least, "the penalties and the tolerance of planes must be finite and >= 0")

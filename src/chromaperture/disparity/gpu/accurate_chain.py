@@ -16,7 +16,7 @@ from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.clipped_areas import clipped_filled
 from chromaperture.disparity.correlation_evidence import CorrelationEvidence
 from chromaperture.disparity.error_bar import sigma_of_range
-from chromaperture.disparity.gpu.agreement_stages import add_agreement
+from chromaperture.disparity.gpu.agreement_stages import add_planes_or_surface
 from chromaperture.disparity.gpu.candidate_stages import add_candidates, add_first_choice, most_candidates
 from chromaperture.disparity.gpu.device import Array, Chain, Device, Ticket
 from chromaperture.disparity.gpu.edge_stages import EdgeGrid, HeardLines, add_placed_edges, add_planes_of_pixels
@@ -161,7 +161,7 @@ class AccurateChain:
         self._add_maps(self.last, self._add_planes() if self.uses_planes else None)
 
     def _add_planes(self) -> OfPlanes:
-        """Compose planes that explain the surface, as `planes_of_surface` and `where_they_agree`."""
+        """Compose planes that explain the surface, as `planes_of_surface`, and choose between them and it."""
         config, chain, arrays, room = self.method.config.planes, self.first, self.arrays, self.room
         size = self.grid[:2]
         blocks = add_block_sums(chain, arrays, self.grid, config.block_px)
@@ -190,7 +190,9 @@ class AccurateChain:
         choice = add_placed_edges(
             last, chooser.choice, planes, links, heard, edges, reach_px=config.edge_band_px, apart=BORDER_APART_LABELS
         )
-        there, first = add_agreement(last, arrays, choice, planes.of_pixels, self.grid)
+        there, first = add_planes_or_surface(
+            last, arrays, choice, planes.of_pixels, self.grid, learned=config.learned_trust
+        )
         add_sigma(last, arrays, self.grid)
         last.arrays |= {array.name: array for array in (chooser.count, unfinished)}
         return OfPlanes(most, planes.number, choice, there, first, blocks, config.block_px)

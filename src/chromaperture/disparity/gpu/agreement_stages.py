@@ -1,4 +1,4 @@
-"""Planes or the surface that they explain, pixel by pixel, on a device: the stages of `plane_agreement.py`."""
+"""Planes or the surface that they explain, pixel by pixel, on a device: `plane_agreement.py` and `plane_trust.py`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 
 from chromaperture.disparity.gpu.device import Array, Chain
-from chromaperture.disparity.gpu.surface_stages import Grid, SurfaceArrays, per_pixel
+from chromaperture.disparity.gpu.surface_stages import Grid, SurfaceArrays, add_gaussian, gaussian_taps, per_pixel
 from chromaperture.disparity.gpu.workgroups import groups_for
+from chromaperture.disparity.learned_error_bar import POOLED_PX
 from chromaperture.disparity.plane_agreement import (
     AGREEMENT_SIGMAS,
     AGREEMENT_WINDOW_PX,
@@ -16,6 +17,7 @@ from chromaperture.disparity.plane_agreement import (
     SURROUNDED_SHARE,
     WHOLE_AREA_SHARE,
 )
+from chromaperture.disparity.plane_trust import CONSTANT, LEAST, MOST_STEP, ROUGH_PX, WEIGHTS
 
 _PIXELS_COUNTED = 16  # that an invocation of `area_sums.wgsl` counts
 
@@ -27,8 +29,10 @@ def disc(reach_px: int) -> list[float]:
     return [float((width - 1) // 2) for width in widths]
 
 
-def add_agreement(chain: Chain, a: SurfaceArrays, choice: Array, planes: Array, grid: Grid) -> tuple[Array, Array]:
-    """Append `plane_agreement.where_they_agree`, into ``surface``; return the layers of the planes and those before.
+def add_planes_or_surface(
+    chain: Chain, a: SurfaceArrays, choice: Array, planes: Array, grid: Grid, *, learned: bool
+) -> tuple[Array, Array]:
+    """Append the choice between planes and surface, into ``surface``; return the layers of the planes and those before.
 
     Parameters
     ----------
@@ -39,22 +43,48 @@ def add_agreement(chain: Chain, a: SurfaceArrays, choice: Array, planes: Array, 
     planes : Array
         (K, 4); layers, of pixels.
     grid : Grid
+    learned : bool
+        Whether it is `plane_trust.planes_or_surface`, else `plane_agreement.where_they_agree`.
     """
     pixels = grid.pixels
     there, first = (chain.array(name, pixels) for name in ("plane_layer", "first_layer"))
-    apart, votes = (chain.array(name, pixels, np.uint32) for name in ("planes_apart", "planes_votes"))
+    apart = chain.array("planes_apart", pixels, np.uint32)
     arrays = [choice, planes, a.surface, a.sigma, there, apart, first]
     per_pixel(chain, "planes_apart", arrays, grid, sigmas=AGREEMENT_SIGMAS)
+    counts = chain.array("apart_of_planes", planes.size // 2, np.uint32)
+    chain.add("fill_zero", [counts], groups=groups_for(counts.size), uses=("indexing",), size=counts.size)
+    _add_area_sums(chain, choice, apart, counts, grid)
+    agreed = _add_agreement(chain, choice, planes, apart, (a.sigma, there, first), grid)
+    pooled, room = (chain.array(name, 2 * pixels) for name in ("trust_pooled", "trust_room"))
+    steps = chain.array("surface_steps", pixels)
+    per_pixel(chain, "trust_maps", [a.sigma, agreed, first, pooled, steps], grid, most_step=MOST_STEP)
+    weights, constant = dict.fromkeys(WEIGHTS, 0.0) | {"agreed": 1.0}, -0.5  # of what is not averaged: 0 or 1
+    if learned:
+        weights, constant, shape = WEIGHTS, CONSTANT, (grid.height, grid.width)
+        add_gaussian(chain, pooled, room, shape, gaussian_taps(POOLED_PX), parts=2)
+        add_gaussian(chain, steps, room, shape, gaussian_taps(ROUGH_PX), parts=1)
+    per_pixel(
+        chain, "planes_trusted", [choice, counts, pooled, steps, there, a.surface], grid,
+        least=LEAST, constant=constant, **weights,
+    )  # fmt: skip
+    return there, first
+
+
+def _add_agreement(
+    chain: Chain, choice: Array, planes: Array, apart: Array, labels: tuple[Array, Array, Array], grid: Grid
+) -> Array:
+    """Append `plane_agreement.where_they_agree`; return where planes are allowed. ``apart`` is changed.
+
+    ``labels`` are the error bar, the layer of the plane, and that of the surface, (h, w) each.
+    """
+    votes, agreed = (chain.array(name, grid.pixels, np.uint32) for name in ("planes_votes", "planes_agreed"))
     reach = AGREEMENT_WINDOW_PX // 2
     per_pixel(chain, "votes_line", [apart, votes], grid, reach=reach, along_x=True, majority=0)
     per_pixel(
         chain, "votes_line", [votes, apart], grid, reach=reach, along_x=False, majority=AGREEMENT_WINDOW_PX**2 // 2 + 1
     )
     areas, of_areas = _add_areas(chain, choice, apart, grid, of_spots=False)
-    chain.add(
-        "area_sums", [areas, apart, of_areas], groups=groups_for(-(-pixels // _PIXELS_COUNTED)), uses=("indexing",),
-        height=grid.height, width=grid.width,
-    )  # fmt: skip
+    _add_area_sums(chain, areas, apart, of_areas, grid)
     spots, of_spots = _add_areas(chain, choice, apart, grid, of_spots=True)
     per_pixel(chain, "spot_sums", [areas, spots, apart, of_spots], grid, reach=BORDER_PX, disc=disc(BORDER_PX))
     per_pixel(
@@ -68,10 +98,18 @@ def add_agreement(chain: Chain, a: SurfaceArrays, choice: Array, planes: Array, 
         height=grid.height, width=grid.width, tile=BESIDE_PX,
     )  # fmt: skip
     per_pixel(
-        chain, "planes_taken", [choice, planes, of_tiles, apart, a.sigma, there, a.surface], grid,
+        chain, "planes_allowed", [choice, planes, of_tiles, apart, *labels, agreed], grid,
         tile=BESIDE_PX, reach=BESIDE_PX, disc=disc(BESIDE_PX),
     )  # fmt: skip
-    return there, first
+    return agreed
+
+
+def _add_area_sums(chain: Chain, found: Array, apart: Array, sums: Array, grid: Grid) -> None:
+    """Append how many pixels have each number of ``found``, and at how many of them planes and surface are apart."""
+    chain.add(
+        "area_sums", [found, apart, sums], groups=groups_for(-(-grid.pixels // _PIXELS_COUNTED)), uses=("indexing",),
+        height=grid.height, width=grid.width,
+    )  # fmt: skip
 
 
 def _add_areas(chain: Chain, choice: Array, apart: Array, grid: Grid, *, of_spots: bool) -> tuple[Array, Array]:

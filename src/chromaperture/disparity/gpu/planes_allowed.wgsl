@@ -1,5 +1,5 @@
-// Takes the planes where the surface that they explain allows them, else the surface; see `plane_agreement.py`. Where the
-// surface lies between its own plane and a nearer one beside it, the plane stays.
+// Finds where the surface allows the planes that explain it; see `plane_agreement.py`. Where the surface lies between its
+// own plane and a nearer one beside it, the plane stays.
 
 @group(0) @binding(0) var<storage, read> choice: array<u32>;  // (h, w)
 @group(0) @binding(1) var<storage, read> planes: array<vec4f>;  // a, b, c in layers
@@ -7,7 +7,8 @@
 @group(0) @binding(3) var<storage, read> apart: array<u32>;  // (h, w)
 @group(0) @binding(4) var<storage, read> sigma: array<f32>;  // (h, w), layers
 @group(0) @binding(5) var<storage, read> there: array<f32>;  // (h, w): layer of the plane
-@group(0) @binding(6) var<storage, read_write> surface: array<vec4f>;  // (h, w): layer first
+@group(0) @binding(6) var<storage, read> first: array<f32>;  // (h, w): layer of the surface
+@group(0) @binding(7) var<storage, read_write> agreed: array<u32>;  // (h, w): 1 where the plane is allowed
 
 // Whether all around lies on one plane, as far as `tile` px.
 fn is_alone(y: u32, x: u32) -> bool {
@@ -30,7 +31,7 @@ fn main(
 ) {
     let i = invocation(group, groups, local);
     if (i >= width * height) { return; }
-    let u = surface[i].x;
+    let u = first[i];
     let own = choice[i];
     let bar = sqrt(sigma[i] * sigma[i] + 1.0);
     var stays = apart[i] == 0u;
@@ -47,5 +48,5 @@ fn main(
             }
         }
     }
-    if (stays) { surface[i].x = there[i]; }
+    agreed[i] = select(0u, 1u, stays);
 }
