@@ -8,10 +8,10 @@
 ``measure`` measures the pictures whose names begin with a camera file's, and keeps, of every fourth pixel in both
 directions, the signs of `signs_of_trust`, and whether the plane and the surface are within 2 and within 5 % of the true
 distance. What is there already is not measured again. ``fit`` finds the weights by logistic regression (Newton's
-method): the answer is which of both is within more of the two limits, a difference of two counts twice, and cameras
-count alike. It prints the weights, and what they gain for every camera against `where_they_agree` alone, by weights
-of the other scenes (four parts), and by weights of the other cameras; ``--aside`` names cameras that are not learned
-from.
+method) on the pixels where both are more than a label apart: the answer is which of both is within more of the two
+limits, a difference of two counts twice, and cameras count alike. It prints the weights, and what they gain for every
+camera against `where_they_agree` alone, by weights of the other scenes (four parts), and by weights of the other
+cameras; ``--aside`` names cameras that are not learned from.
 """
 
 from __future__ import annotations
@@ -55,6 +55,7 @@ def kept(camera: CodedApertureCamera, image: np.ndarray, truth_mm: np.ndarray) -
         told.update(plane_trust.signs_of_trust(planes, surface_px, sigma_px, step_px))
         agreed = plane_trust.where_they_agree(planes, surface_px, np.hypot(sigma_px, step_px))
         told.update(plane=planes.label_px, surface=surface_px, before=agreed)
+        told["apart"] = np.abs(planes.label_px - surface_px) > step_px
         return real(planes, surface_px, sigma_px, step_px)
 
     real, accurate.planes_or_surface = accurate.planes_or_surface, asked
@@ -64,6 +65,7 @@ def kept(camera: CodedApertureCamera, image: np.ndarray, truth_mm: np.ndarray) -
         accurate.planes_or_surface = real
     some = np.s_[EVERY_PX // 2 :: EVERY_PX, EVERY_PX // 2 :: EVERY_PX]
     out = {name: np.asarray(told[name][some].ravel(), np.float32) for name in NAMES}
+    out["apart"] = told["apart"][some].ravel()
     for name in ("plane", "surface", "before"):
         disparity = np.asarray(camera.method.label_map.disparity(told[name]), np.float32)
         depth = disparity_to_depth(np.ascontiguousarray(disparity), camera.depth_model)[0]
@@ -78,7 +80,7 @@ def weights_of(cameras: Sequence[Sequence[Scene]]) -> np.ndarray:
     for scenes in cameras:
         for scene in scenes:
             gain = scene["plane_right"].sum(axis=0, dtype=int) - scene["surface_right"].sum(axis=0, dtype=int)
-            differ = gain != 0
+            differ = (gain != 0) & scene["apart"]
             signs.append(np.stack([scene[name][differ] for name in NAMES] + [np.ones(differ.sum())], axis=1))
             answers.append(gain[differ] > 0)
             counts.append(np.abs(gain[differ]) / len(scenes))
@@ -94,7 +96,7 @@ def weights_of(cameras: Sequence[Sequence[Scene]]) -> np.ndarray:
 def gained(scene: Scene, weights: np.ndarray) -> np.ndarray:
     """Return the shares within `LIMITS` less those of `where_they_agree` alone; (2,)."""
     trusted = sum(w * scene[name] for w, name in zip(weights, NAMES, strict=False)) + weights[-1] > 0
-    right = np.where(trusted, scene["plane_right"], scene["surface_right"])
+    right = np.where(trusted | ~scene["apart"], scene["plane_right"], scene["surface_right"])
     return np.asarray(right.mean(axis=1) - scene["before_right"].mean(axis=1))
 
 

@@ -53,9 +53,10 @@ def test_signs_are_those_of_their_definitions() -> None:
     np.testing.assert_allclose(found["agreed"], gaussian(agreed, 8), atol=1e-5)
 
     odds = plane_trust.CONSTANT + sum(plane_trust.WEIGHTS[name] * found[name].astype(float) for name in found)
-    sure = np.abs(odds) > 1e-4
+    sure, near = np.abs(odds) > 1e-4, np.abs(planes.label_px - surface) <= STEP
     taken = planes_or_surface(planes, surface, sigma, STEP)
-    np.testing.assert_array_equal(taken[sure], np.where(odds > 0, planes.label_px, surface.astype(np.float32))[sure])
+    expected = np.where((odds > 0) | near, planes.label_px, surface.astype(np.float32))
+    np.testing.assert_array_equal(taken[sure | near], expected[sure | near])
 
 
 def test_noise_gives_way_to_planes_and_smooth_contradiction_does_not() -> None:
@@ -63,11 +64,14 @@ def test_noise_gives_way_to_planes_and_smooth_contradiction_does_not() -> None:
     planes = two_planes(200, 300)
     surface = planes.label_px + rng.normal(0, 3 * STEP, (200, 300))
     surface[:, 150:] = planes.label_px[:, 150:] + 4 * STEP
+    surface[:, 290:] = planes.label_px[:, 290:] + 0.9 * STEP
     sigma = np.full((200, 300), STEP / 2)
+    sigma[:, :150] = 3 * STEP
     taken = planes_or_surface(planes, surface, sigma, STEP)
     # 30 px from the border between both the window of 16 px holds a thirtieth of the other side.
     np.testing.assert_array_equal(taken[:, :120], planes.label_px[:, :120])
-    np.testing.assert_array_equal(taken[:, 180:], surface[:, 180:].astype(np.float32))
+    np.testing.assert_array_equal(taken[:, 180:290], surface[:, 180:290].astype(np.float32))
+    np.testing.assert_array_equal(taken[:, 290:], planes.label_px[:, 290:])  # within a label
 
 
 def test_a_surface_that_is_its_planes_stays_what_it_is() -> None:

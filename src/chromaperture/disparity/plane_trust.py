@@ -22,13 +22,16 @@ from chromaperture.threads import parallel_map
 ROUGH_PX = 16.0  # sigma of the window in which the surface's steps are averaged; 4, 8, 32 px: docs/measurements.md
 MOST_STEP = 3.0  # labels from pixel to pixel: an edge of depth does not count more
 LEAST = 0.02  # labels: smaller steps and error bars are not told apart, and every sign needs a finite logarithm
-# Log odds that the plane is nearer to the truth, by sign; found by ``benchmarks/plane_trust_training.py``.
-WEIGHTS = {"rough": 0.24, "posterior": 0.25, "rejected": -1.41, "agreed": 0.41}
-CONSTANT = 0.32
+# Log odds that the plane is nearer to the truth where both are more than a label apart, by sign; found by
+# ``benchmarks/plane_trust_training.py``.
+WEIGHTS = {"rough": 0.22, "posterior": 0.29, "rejected": -1.51, "agreed": 0.38}
+CONSTANT = 0.29
 
 
 def planes_or_surface(planes: Planes, surface_px: np.ndarray, sigma_px: np.ndarray, step_px: float) -> np.ndarray:
-    """Take the planes where they are trusted, else the surface that they explain.
+    """Take the planes where they are trusted or lie within a label of the surface that they explain, else the surface.
+
+    Closer than a label a plane, which many pixels tell, is the more exact.
 
     Parameters
     ----------
@@ -44,7 +47,9 @@ def planes_or_surface(planes: Planes, surface_px: np.ndarray, sigma_px: np.ndarr
     """
     found = signs_of_trust(planes, surface_px, sigma_px, step_px)
     log_odds = sum((np.float32(WEIGHTS[name]) * sign for name, sign in found.items()), start=np.float32(CONSTANT))
-    return np.where(log_odds > 0, planes.label_px, surface_px).astype(np.float32)
+    label_px = planes.label_px
+    taken = (log_odds > 0) | (np.abs(label_px - surface_px) <= step_px)
+    return np.where(taken, label_px, surface_px).astype(np.float32)
 
 
 def signs_of_trust(

@@ -58,14 +58,15 @@ def add_planes_or_surface(
     pooled, room = (chain.array(name, 2 * pixels) for name in ("trust_pooled", "trust_room"))
     steps = chain.array("surface_steps", pixels)
     per_pixel(chain, "trust_maps", [a.sigma, agreed, first, pooled, steps], grid, most_step=MOST_STEP)
-    weights, constant = dict.fromkeys(WEIGHTS, 0.0) | {"agreed": 1.0}, -0.5  # of what is not averaged: 0 or 1
+    # Else of what is not averaged, which is 0 or 1, and of no distance.
+    weights, constant, within = dict.fromkeys(WEIGHTS, 0.0) | {"agreed": 1.0}, -0.5, -1.0
     if learned:
-        weights, constant, shape = WEIGHTS, CONSTANT, (grid.height, grid.width)
+        weights, constant, within, shape = WEIGHTS, CONSTANT, 1.0, (grid.height, grid.width)
         add_gaussian(chain, pooled, room, shape, gaussian_taps(POOLED_PX), parts=2)
         add_gaussian(chain, steps, room, shape, gaussian_taps(ROUGH_PX), parts=1)
     per_pixel(
         chain, "planes_trusted", [choice, counts, pooled, steps, there, a.surface], grid,
-        least=LEAST, constant=constant, **weights,
+        least=LEAST, constant=constant, within=within, **weights,
     )  # fmt: skip
     return there, first
 

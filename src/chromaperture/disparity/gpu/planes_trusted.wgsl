@@ -1,4 +1,5 @@
-// Takes the planes where they are trusted, else the surface that they explain; see `plane_trust.py`.
+// Takes the planes where they are trusted or lie within `within` layers of the surface that they explain, else the
+// surface; see `plane_trust.py`.
 
 @group(0) @binding(0) var<storage, read> choice: array<u32>;  // (h, w)
 @group(0) @binding(1) var<storage, read> counts: array<vec2u>;  // (planes,): pixels, of which the surface is apart
@@ -17,5 +18,5 @@ fn main(
     let plane = vec2f(counts[choice[i]]);
     let log_odds = constant + rough * log(steps[i] + least) + posterior * log(sqrt(pooled[i].x) + least)
         + rejected * plane.y / plane.x + agreed * pooled[i].y;
-    if (log_odds > 0.0) { surface[i].x = there[i]; }
+    if (log_odds > 0.0 || abs(there[i] - surface[i].x) <= within) { surface[i].x = there[i]; }
 }
