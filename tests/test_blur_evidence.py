@@ -62,6 +62,18 @@ def test_a_plane_is_found_at_its_depth(design, edge_px, rng):
     assert best_layer(volume, layers) == pytest.approx(true, abs=0.03 * blur.reach)
 
 
+@pytest.mark.parametrize("design", ["cy_halves", "cy_open", "rgb_squares"])
+def test_primary_pairs_alone_are_the_limit_of_little_weight_for_the_others(design, rng):
+    """Where they leave one channel out, the others' blurs are still their own."""
+    blur = blur_for(design)
+    layers = np.linspace(-2, 2, 5) * blur.reach
+    image = photograph(blur, -0.8 * blur.reach, rng)
+    alone, with_others = (
+        likelihood(image, blur, layers, config=CrossFilterConfig(fallback_weight=weight)) for weight in (0.0, 1e-9)
+    )
+    np.testing.assert_allclose(alone, with_others, atol=1e-5)
+
+
 @pytest.mark.parametrize("design", ["cy_halves", "cy_open", "rgb_squares", "cmy_circles"])
 def test_weak_texture_is_found_where_strong_texture_is(design):
     """Filters of a wide blur leave less of a picture, which must not look like less agreement."""

@@ -212,7 +212,7 @@ class BlurEvidence:
     def _used(self, tiles: list[Tile], pairs: tuple[int, ...]) -> tuple[list[Tile], np.ndarray]:
         """Return tiles with only the channels of some pairs, numbers of `all_pairs`; and their places in these."""
         used, channels = np.unique([self.all_pairs[i] for i in pairs], return_inverse=True)
-        if len(pairs) < len(self.all_pairs):
+        if len(pairs) < len(self.all_pairs) or len(used) < len(tiles[0].rays.light):
             tiles = [tile._replace(rays=tile.rays.of(used), spectra=tile.spectra[list(pairs)]) for tile in tiles]
         return tiles, channels.reshape(-1, 2)
 
