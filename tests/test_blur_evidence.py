@@ -163,8 +163,9 @@ def test_the_tiles_of_nodes_add_up_to_the_picture(height, width, margin, seed):
     y, x = SAMPLING_PX * np.mgrid[: nodes.shape[0], : nodes.shape[1]]
     shading = cv2.GaussianBlur(image[..., 0], (0, 0), 30.0)  # which tiles do without
     expected = waves(x, y) - cv2.remap(shading, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
-    # Near the frame's border its mirror image is not a wave; the tiles' own borders let some of it in.
-    far = np.s_[8:-8, 8:-8]
+    # Near the frame's border its mirror image is not a wave; the tiles' own borders let some of it in. Of 400 random
+    # frames, most of them narrow, the worst differs by .32 here, by .48 eight samples from the border.
+    far = np.s_[12:-12, 12:-12]
     if min(found[far].shape, default=0) > 0:
         assert np.abs(found[far] - expected[far]).max() < 0.05 * 8
 
