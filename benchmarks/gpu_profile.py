@@ -101,7 +101,7 @@ STAGES = {
         (
             "planes_apart", "votes_line", "areas_start", "areas_joined", "areas_found", "area_sums", "spot_sums",
             "apart_kept", "choice_tiles", "planes_allowed", "trust_maps", "gaussian_line:trust_pooled",
-            "gaussian_line:surface_steps", "planes_trusted",
+            "gaussian_line:surface_differences", "planes_trusted",
         ),
         ("plane_trust:planes_or_surface",),
     ),

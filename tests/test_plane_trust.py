@@ -10,7 +10,7 @@ from scipy.ndimage import correlate1d
 from chromaperture.disparity import plane_trust
 from chromaperture.disparity.planar import Planes
 from chromaperture.disparity.plane_agreement import where_they_agree
-from chromaperture.disparity.plane_trust import planes_or_surface, signs_of_trust, steps_between_pixels
+from chromaperture.disparity.plane_trust import neighbour_differences, planes_or_surface, signs_of_trust
 
 STEP = 0.15
 
@@ -82,13 +82,13 @@ def test_a_surface_that_is_its_planes_stays_what_it_is() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(arrays(np.float32, st.tuples(st.integers(1, 9), st.integers(1, 9)), elements=st.floats(-50, 50, width=16)))
-def test_steps_between_pixels_do_not_depend_on_the_axis_or_the_level(label: np.ndarray) -> None:
-    steps = steps_between_pixels(label)
+def test_neighbour_differences_do_not_depend_on_the_axis_or_the_level(label: np.ndarray) -> None:
+    steps = neighbour_differences(label)
     assert steps.shape == label.shape
-    assert ((steps >= 0) & (steps <= plane_trust.MOST_STEP)).all()
-    np.testing.assert_allclose(steps_between_pixels(label.T), steps.T, atol=1e-6)
-    np.testing.assert_allclose(steps_between_pixels(label + 1), steps, atol=1e-4)
-    np.testing.assert_array_equal(steps_between_pixels(np.full_like(label, 7)), np.zeros_like(label))
+    assert ((steps >= 0) & (steps <= plane_trust.MOST_DIFFERENCE)).all()
+    np.testing.assert_allclose(neighbour_differences(label.T), steps.T, atol=1e-6)
+    np.testing.assert_allclose(neighbour_differences(label + 1), steps, atol=1e-4)
+    np.testing.assert_array_equal(neighbour_differences(np.full_like(label, 7)), np.zeros_like(label))
 
 
 @pytest.mark.parametrize("shape", [(1, 40), (33, 1), (2, 2)])

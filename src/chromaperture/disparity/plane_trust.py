@@ -19,8 +19,8 @@ from chromaperture.disparity.planar import Planes
 from chromaperture.disparity.plane_agreement import AGREEMENT_SIGMAS, where_they_agree
 from chromaperture.threads import parallel_map
 
-ROUGH_PX = 16.0  # sigma of the window in which the surface's steps are averaged; 4, 8, 32 px: docs/measurements.md
-MOST_STEP = 3.0  # labels from pixel to pixel: an edge of depth does not count more
+ROUGH_PX = 16.0  # sigma of the window in which differences are averaged; 4, 8, 32 px: docs/measurements.md
+MOST_DIFFERENCE = 3.0  # labels: a depth edge does not count more; 1 and 10: docs/measurements.md
 LEAST = 0.02  # labels: smaller steps and error bars are not told apart, and every sign needs a finite logarithm
 # Log odds that the plane is nearer to the truth where both are more than a label apart, by sign; found by
 # ``benchmarks/plane_trust_training.py``.
@@ -57,7 +57,7 @@ def signs_of_trust(
 ) -> dict[str, np.ndarray]:
     """Return what tells whether planes are to be trusted, as `planes_or_surface`; (H, W) float32 each.
 
-    ``rough``: logarithm of the surface's steps from pixel to pixel, labels. ``posterior``: of its error bar, labels.
+    ``rough``: logarithm of how far the surface's neighbouring pixels differ, labels. ``posterior``: of its error bar, labels.
     ``rejected``: share of the pixels of a plane from which the surface is apart. ``agreed``: share of the pixels around
     at which `where_they_agree` takes the plane.
     """
@@ -66,7 +66,7 @@ def signs_of_trust(
 
     def rough() -> np.ndarray:
         label = np.asarray(surface_px, np.float32) / np.float32(step_px)
-        return np.log(pooled(steps_between_pixels(label), ROUGH_PX) + np.float32(LEAST))
+        return np.log(pooled(neighbour_differences(label), ROUGH_PX) + np.float32(LEAST))
 
     def posterior() -> np.ndarray:
         return np.log(pooled_sigma(sigma_px, POOLED_PX) / np.float32(step_px) + np.float32(LEAST))
@@ -84,9 +84,9 @@ def signs_of_trust(
     return dict(zip(work, parallel_map(lambda sign: sign(), list(work.values())), strict=True))
 
 
-def steps_between_pixels(label: np.ndarray) -> np.ndarray:
-    """Return how far the pixels to the right and below lie away, both together, at most `MOST_STEP`; (H, W) float32."""
+def neighbour_differences(label: np.ndarray) -> np.ndarray:
+    """Return how far the pixels to the right and below lie away, both together, at most `MOST_DIFFERENCE`; (H, W) float32."""
     out = np.zeros(label.shape, np.float32)
     out[:, :-1] += np.abs(np.diff(label, axis=1))
     out[:-1] += np.abs(np.diff(label, axis=0))
-    return np.minimum(out, np.float32(MOST_STEP))
+    return np.minimum(out, np.float32(MOST_DIFFERENCE))

@@ -17,7 +17,7 @@ from chromaperture.disparity.plane_agreement import (
     SURROUNDED_SHARE,
     WHOLE_AREA_SHARE,
 )
-from chromaperture.disparity.plane_trust import CONSTANT, LEAST, MOST_STEP, ROUGH_PX, WEIGHTS
+from chromaperture.disparity.plane_trust import CONSTANT, LEAST, MOST_DIFFERENCE, ROUGH_PX, WEIGHTS
 
 _PIXELS_COUNTED = 16  # that an invocation of `area_sums.wgsl` counts
 
@@ -56,8 +56,8 @@ def add_planes_or_surface(
     _add_area_sums(chain, choice, apart, counts, grid)
     agreed = _add_agreement(chain, choice, planes, apart, (a.sigma, there, first), grid)
     pooled, room = (chain.array(name, 2 * pixels) for name in ("trust_pooled", "trust_room"))
-    steps = chain.array("surface_steps", pixels)
-    per_pixel(chain, "trust_maps", [a.sigma, agreed, first, pooled, steps], grid, most_step=MOST_STEP)
+    steps = chain.array("surface_differences", pixels)
+    per_pixel(chain, "trust_maps", [a.sigma, agreed, first, pooled, steps], grid, most_difference=MOST_DIFFERENCE)
     # Else of what is not averaged, which is 0 or 1, and of no distance.
     weights, constant, within = dict.fromkeys(WEIGHTS, 0.0) | {"agreed": 1.0}, -0.5, -1.0
     if learned:

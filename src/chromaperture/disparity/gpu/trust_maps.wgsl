@@ -17,5 +17,5 @@ fn main(
     pooled[i] = vec2f(sigma[i] * sigma[i], f32(agreed[i]));
     let right = select(i, i + 1u, i % width + 1u < width);
     let below = select(i, i + width, i + width < width * height);
-    steps[i] = min(abs(first[right] - first[i]) + abs(first[below] - first[i]), most_step);
+    steps[i] = min(abs(first[right] - first[i]) + abs(first[below] - first[i]), most_difference);
 }
