@@ -57,9 +57,9 @@ def signs_of_trust(
 ) -> dict[str, np.ndarray]:
     """Return what tells whether planes are to be trusted, as `planes_or_surface`; (H, W) float32 each.
 
-    ``rough``: logarithm of how far the surface's neighbouring pixels differ, labels. ``posterior``: of its error bar, labels.
-    ``rejected``: share of the pixels of a plane from which the surface is apart. ``agreed``: share of the pixels around
-    at which `where_they_agree` takes the plane.
+    ``rough``: logarithm of how far the surface's neighbouring pixels differ, labels. ``posterior``: logarithm of its
+    error bar, labels. ``rejected``: share of the pixels of a plane from which the surface is apart. ``agreed``: share
+    of the pixels around at which `where_they_agree` takes the plane.
     """
     sigma = np.hypot(sigma_px, step_px)  # with a label's own place
     label_px = planes.label_px
@@ -85,7 +85,7 @@ def signs_of_trust(
 
 
 def neighbour_differences(label: np.ndarray) -> np.ndarray:
-    """Return how far the pixels to the right and below lie away, both together, at most `MOST_DIFFERENCE`; (H, W) float32."""
+    """Return how far a pixel's right and lower neighbours differ, summed, at most `MOST_DIFFERENCE`; (H, W) float32."""
     out = np.zeros(label.shape, np.float32)
     out[:, :-1] += np.abs(np.diff(label, axis=1))
     out[:-1] += np.abs(np.diff(label, axis=0))
