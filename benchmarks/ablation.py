@@ -32,9 +32,8 @@ from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.config import AccurateConfig, MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.depth.field import DepthField
-from chromaperture.disparity import accurate, plane_agreement, plane_trust
+from chromaperture.disparity import accurate
 from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.planar import Planes
 from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.stage_config import (
     BilateralConfig,
@@ -77,9 +76,7 @@ VARIANTS: dict[str, MatcherConfig] = {
 ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only",
             "one octave", "three octaves", "window of 8 px", "pairs of channels alone", "no planes",
             "planes keep every slope", "edges where the evidence has them", "edges where the guide has them",
-            "planes give way in spots",
-            "far planes give way beside nearer ones", "planes wherever the surface allows them",
-            "planes everywhere",
+            "one fit votes", "five fits vote", "one fit wherever the surface allows it", "planes everywhere",
             "error bar not learned", "no total variation", "four paths", "penalties a tenth",
             "penalties not led by the guide", "one curve for the frame")  # fmt: skip
 
@@ -115,30 +112,15 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
         "pairs of channels alone": {"spectral": dataclasses.replace(config.matcher.spectral, gain=0.0)},
         "no planes": {"planes": dataclasses.replace(planes, rounds=0)},
         "planes keep every slope": {"planes": dataclasses.replace(planes, slope_tolerance=0.0)},
+        "one fit votes": {"planes": dataclasses.replace(planes, vote_factors=(1.0,))},
+        "five fits vote": {"planes": dataclasses.replace(planes, vote_factors=(1.0, 0.5, 0.7, 1.4, 2.0))},
+        "one fit wherever the surface allows it": {"planes": dataclasses.replace(planes, vote_factors=())},
         "edges where the evidence has them": {"planes": dataclasses.replace(planes, edge_band_px=0)},
         "edges where the guide has them": {"planes": dataclasses.replace(planes, edge_lines=False)},
         "error bar not learned": {"surface": dataclasses.replace(surface, learned_error_bar=False)},
     }
     matcher = dataclasses.replace(config.matcher, **changes.get(name, {}))
     return CodedApertureCamera(calibration, dataclasses.replace(config, matcher=matcher))
-
-
-def where_pixels_agree(planes: Planes, surface_px: np.ndarray, sigma_px: np.ndarray) -> np.ndarray:
-    """Take planes where they agree with the surface, in spots that they surround as anywhere else."""
-    nowhere = {"WHOLE_AREA_SHARE": np.inf, "SURROUNDED_SHARE": np.inf}
-    with mock.patch.multiple(plane_agreement, **nowhere):
-        return plane_agreement.where_they_agree(planes, surface_px, sigma_px)
-
-
-def where_borders_give_way(planes: Planes, surface_px: np.ndarray, sigma_px: np.ndarray) -> np.ndarray:
-    """Take planes where they agree with the surface, beside nearer planes as anywhere else."""
-    with mock.patch.object(plane_agreement, "BESIDE_PX", 0):
-        return plane_agreement.where_they_agree(planes, surface_px, sigma_px)
-
-
-def where_allowed(planes: Planes, surface_px: np.ndarray, sigma_px: np.ndarray, step_px: float) -> np.ndarray:
-    """Take planes wherever the surface allows them."""
-    return plane_agreement.where_they_agree(planes, surface_px, np.hypot(sigma_px, step_px))
 
 
 def measure_accurate(name: str, args: argparse.Namespace) -> dict:
@@ -148,9 +130,6 @@ def measure_accurate(name: str, args: argparse.Namespace) -> dict:
             accurate, "between_layers", lambda disparity_px, *volume, sigma_px: disparity_px
         ),
         "planes everywhere": (accurate, "planes_or_surface", lambda planes, *surface: planes.label_px),
-        "planes wherever the surface allows them": (accurate, "planes_or_surface", where_allowed),
-        "far planes give way beside nearer ones": (plane_trust, "where_they_agree", where_borders_give_way),
-        "planes give way in spots": (plane_trust, "where_they_agree", where_pixels_agree),
     }  # fmt: skip
     with mock.patch.object(*replaced[name]) if name in replaced else contextlib.nullcontext():
         return figures_of(camera, args.data, args.design, args.scenes, rounds=1)

@@ -97,13 +97,12 @@ STAGES = {
             "plane_edges:border_lines", "edge_likelihood:EdgeLikelihood.groups",
         ),
     ),
-    "planes or surface": Stage(
+    "votes of fits": Stage(
         (
-            "planes_apart", "votes_line", "areas_start", "areas_joined", "areas_found", "area_sums", "spot_sums",
-            "apart_kept", "choice_tiles", "planes_allowed", "trust_maps", "gaussian_line:trust_pooled",
-            "gaussian_line:surface_differences", "planes_trusted",
+            "fit_kept", "trust_maps", "gaussian_line:trust_maps", "gaussian_line:trust_differences", "planes_voted",
+            "planes_apart", "planes_taken",
         ),
-        ("plane_trust:planes_or_surface",),
+        ("plane_voting:voted_planes", "plane_voting:planes_or_surface"),
     ),
     "known pixels and error bar": Stage(
         (

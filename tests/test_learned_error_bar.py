@@ -11,8 +11,7 @@ import pytest
 from chromaperture.disparity import learned_error_bar
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.learned_error_bar import Weights, learned_sigma, ranges, signs, weights
-from chromaperture.disparity.planar import Planes
-from chromaperture.disparity.plane_fit import Volume
+from chromaperture.disparity.plane_fit import Planes, Volume
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.winner import Surface
 

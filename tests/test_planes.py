@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from chromaperture.disparity.accurate import judged
 from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.planar import Planes, block_links, block_sums, planes_of_surface
+from chromaperture.disparity.planar import block_links, block_sums, planes_of_surface
 from chromaperture.disparity.plane_agreement import BESIDE_PX, beside_borders, known_planes, where_they_agree
 from chromaperture.disparity.plane_edges import choices_of, placed_edges
-from chromaperture.disparity.plane_fit import Candidate, Volume, best_planes, candidates, distinct
+from chromaperture.disparity.plane_fit import Candidate, Planes, Volume, best_planes, candidates, distinct
 from chromaperture.disparity.plane_merging import merged_planes
 from chromaperture.disparity.stages.plane_refining import PointSets, plane_sums
 from chromaperture.disparity.stages.planes import PlaneCosts

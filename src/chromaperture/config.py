@@ -44,6 +44,8 @@ LEAST_LAYERS = 32
 # Of the power in a window, see `CrossFilterConfig`. docs/measurements.md (*Detail from elsewhere*) has 1, 1.5, 2 and 4,
 # and why only views that lie close together have it.
 ALLOWED_GROWTH = 2.0
+# Of what borders between planes cost, a fit each: docs/measurements.md, "Several fits vote", has two to five of them.
+VOTE_FACTORS = (1.0, 0.7, 1.4)
 Method = TypeVar("Method", bound="MatcherConfig")
 
 
@@ -243,7 +245,7 @@ class AccurateConfig(MatcherConfig):
             evidence = replace(evidence, allowed_growth=ALLOWED_GROWTH)
         elif one_pair:
             evidence = replace(evidence, own_detail=True)
-        planes, spectral = PlanesConfig(learned_trust=True), SpectralConfig.for_blur(reach)
+        planes, spectral = PlanesConfig(vote_factors=VOTE_FACTORS), SpectralConfig.for_blur(reach)
         return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=spectral)
 
 

@@ -366,9 +366,9 @@ class PlanesConfig:
         Of choosing and joining; 0 switches the planes off.
     sweeps : int
         Of the belief propagation in each round.
-    learned_trust : bool
-        Whether planes are taken as `plane_trust.py` has it, else wherever the surface's error bar allows them. It was
-        learned with known blur; with shifted views nothing was gained.
+    vote_factors : tuple of float
+        Of ``boundary_penalty``, a fit each, which vote as `plane_voting.py` has it: learned with known blur. Without
+        any one fit is taken wherever the surface's error bar allows it; with shifted views votes gained nothing.
     """
 
     tiles_px: tuple[int, ...] = (48, 96, 192, 480)
@@ -384,17 +384,15 @@ class PlanesConfig:
     edge_lines: bool = True
     rounds: int = 5
     sweeps: int = 8
-    learned_trust: bool = False
+    vote_factors: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         require(bool(self.tiles_px) and min(self.tiles_px) >= 8, "tiles_px must hold sizes of at least 8 px")
-        whole = (self.block_px, self.border_px, self.sweeps)
-        require(
-            min(whole) >= 1 and min(self.rounds, self.edge_band_px) >= 0,
-            "block_px, border_px and sweeps must be >= 1, edge_band_px and rounds >= 0",
-        )
+        whole = min(self.block_px, self.border_px, self.sweeps) >= 1 and min(self.rounds, self.edge_band_px) >= 0
+        require(whole, "block_px, border_px and sweeps must be >= 1, edge_band_px and rounds >= 0")
         penalties = (
             self.boundary_penalty, self.plane_penalty, self.plane_tolerance, self.slope_tolerance, self.slope_penalty,
+            self.outside_penalty, *self.vote_factors,
         )  # fmt: skip
-        least = all_finite(*penalties, self.outside_penalty) and min(*penalties, self.outside_penalty) >= 0
-        require(least, "the penalties and the tolerance of planes must be finite and >= 0")
+        least = all_finite(*penalties) and min(penalties) >= 0
+        require(least, "penalties, tolerances and vote factors of planes must be finite and >= 0")

@@ -25,10 +25,11 @@ from chromaperture.disparity.error_bar import (
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.learned_error_bar import learned_sigma
-from chromaperture.disparity.planar import BORDER_APART_LABELS, Planes, planes_of_surface
+from chromaperture.disparity.planar import BORDER_APART_LABELS, planes_of_surface
 from chromaperture.disparity.plane_agreement import beside_borders, known_planes, where_they_agree
 from chromaperture.disparity.plane_edges import LineCosts
-from chromaperture.disparity.plane_trust import planes_or_surface
+from chromaperture.disparity.plane_fit import Planes
+from chromaperture.disparity.plane_voting import planes_or_surface
 from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.stages.between_layers import between_layers
 from chromaperture.disparity.views import ViewSpace, filtered_views
@@ -182,10 +183,10 @@ def optimised_surface(
         line_costs=line_costs,
     )  # fmt: skip
     if explained_by is not None:
-        if planes.learned_trust:
-            disparity = planes_or_surface(explained_by, disparity, sigma, step)
-        else:
+        if explained_by.trusted is None:
             disparity = where_they_agree(explained_by, disparity, np.hypot(sigma, step))
+        else:
+            disparity = planes_or_surface(explained_by, disparity, step)
         sigma = posterior.sigma_px(disparity)
     layer = np.clip(np.rint((disparity - labels_px[0]) / step).astype(np.intp), 0, len(labels_px) - 1)
     explained = -np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0])

@@ -22,8 +22,7 @@ import numpy as np
 
 from chromaperture.disparity.error_bar import pooled_sigma
 from chromaperture.disparity.evidence_signs import signs_of_evidence
-from chromaperture.disparity.planar import Planes
-from chromaperture.disparity.plane_fit import Volume
+from chromaperture.disparity.plane_fit import Planes, Volume
 from chromaperture.disparity.winner import Surface
 from chromaperture.threads import each_band, parallel_map
 

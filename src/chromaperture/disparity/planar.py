@@ -12,43 +12,20 @@ H. Isack, Y. Boykov: Energy-based geometric multi-model fitting. IJCV 97, 2012. 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.plane_edges import LineCosts, choices_of, placed_edges
-from chromaperture.disparity.plane_fit import Volume, candidates
+from chromaperture.disparity.plane_fit import Planes, Volume, candidates
 from chromaperture.disparity.plane_merging import merged_planes
+from chromaperture.disparity.plane_voting import voted_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
 from chromaperture.stage_config import PlanesConfig, SurfaceConfig
 from chromaperture.threads import BAND_ROWS, each_band
 
 BORDER_APART_LABELS = 1.5  # by which two planes differ for their border to be a depth edge; chosen by hand
-
-
-class Planes(NamedTuple):
-    """Planes of labels, and which one every pixel lies on.
-
-    Attributes
-    ----------
-    planes : (K, 3) float64; ``label = a x + b y + c``, px
-    choice : (H, W) int
-    blocks : Volume or None
-        Sums over blocks of pixels of the evidence that chose them.
-    """
-
-    planes: np.ndarray
-    choice: np.ndarray
-    blocks: Volume | None = None
-
-    @property
-    def label_px(self) -> np.ndarray:
-        """Return the label of every pixel; (H, W) float32, px."""
-        a, b, c = (self.planes[:, i][self.choice] for i in range(3))
-        height, width = self.choice.shape
-        return (a * np.arange(width) + b * np.arange(height)[:, None] + c).astype(np.float32)
 
 
 def planes_of_surface(
@@ -96,11 +73,18 @@ def planes_of_surface(
     blocks = Volume(block_sums(likelihood, size), labels_px, costs, run)
     links = links_of_blocks(guide, config=config, surface=surface)
 
-    def choose(planes: np.ndarray) -> np.ndarray:
-        cost = run.plane_costs(blocks.likelihood, planes, labels_px, costs)
-        return np.asarray(run.potts_beliefs(cost, links, sweeps=config.sweeps).argmin(axis=2))
+    def fit(factor: float) -> Planes:
+        def choose(planes: np.ndarray) -> np.ndarray:
+            cost = run.plane_costs(blocks.likelihood, planes, labels_px, costs)
+            return np.asarray(run.potts_beliefs(cost, links * factor, sweeps=config.sweeps).argmin(axis=2))
 
-    found = fitting_planes(planes, blocks, guide.shape, choose, config=config)
+        return fitting_planes(planes, blocks, guide.shape, choose, config=config)
+
+    if config.vote_factors:
+        fits = [fit(factor) for factor in config.vote_factors]
+        found = voted_planes(fits, label_px, sigma_px, blocks.step_px, size)
+    else:
+        found = fit(1.0)
     if config.edge_band_px == 0:
         return found
     choice = placed_edges(

@@ -11,7 +11,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from chromaperture.disparity.planar import Planes
+from chromaperture.disparity.plane_fit import Planes
 from chromaperture.threads import parallel_map
 
 AGREEMENT_SIGMAS = 2.0  # docs/measurements.md has 1, 1.5, 2, 3 and none

@@ -59,6 +59,32 @@ class Volume(NamedTuple):
         return float(self.labels_px[1] - self.labels_px[0])
 
 
+class Planes(NamedTuple):
+    """Planes of labels, and which one every pixel lies on.
+
+    Attributes
+    ----------
+    planes : (K, 3) float64; ``label = a x + b y + c``, px
+    choice : (H, W) int
+    blocks : Volume or None
+        Sums over blocks of pixels of the evidence that chose them.
+    trusted : (H, W) bool, or None
+        Where the plane is to be taken rather than the surface that it explains; None where no fits voted.
+    """
+
+    planes: np.ndarray
+    choice: np.ndarray
+    blocks: Volume | None = None
+    trusted: np.ndarray | None = None
+
+    @property
+    def label_px(self) -> np.ndarray:
+        """Return the label of every pixel; (H, W) float32, px."""
+        a, b, c = (self.planes[:, i][self.choice] for i in range(3))
+        height, width = self.choice.shape
+        return (a * np.arange(width) + b * np.arange(height)[:, None] + c).astype(np.float32)
+
+
 class Proposal(NamedTuple):
     """A plane through points that agree on it, (P,) int each, of a square tile."""
 

@@ -42,6 +42,7 @@ from chromaperture.disparity.gpu.surface_stages import (
     surface_arrays,
 )
 from chromaperture.disparity.gpu.view_stages import STATS, add_two_views
+from chromaperture.disparity.gpu.voting_stages import Voted, add_voted_planes
 from chromaperture.disparity.gpu.working_stages import Reduction, add_reduced, add_upsampled
 from chromaperture.disparity.planar import BORDER_APART_LABELS, block_costs
 from chromaperture.disparity.plane_edges import edge_links
@@ -59,7 +60,7 @@ class Room(NamedTuple):
         Rounds of joining behind the first choice of blocks, and behind later ones; of `still_life` 19 and 22 joins
         follow the first (720x480) and up to 2 another one (360x240).
     planes : int
-        Left in the end; of `still_life` 6 to 16.
+        Left in the end of a fit; of `still_life` 6 to 16.
     lines : int
         Across borders; a tenth of it at 720x480.
     """
@@ -172,15 +173,25 @@ class AccurateChain:
         grid = Grid(size[0] // config.block_px, size[1] // config.block_px, self.grid.layers)
         capacity = most_candidates(size, config.tiles_px)
         chooser = BlockChoice(self.device, blocks, grid, capacity, config.sweeps, self.labels_px, block_costs(config))
-        add_first_choice(chain, chooser, arrays.links, size, config=config)
         unfinished = chain.array("unfinished", 1, np.uint32)
-        for again in range(config.rounds - 1):
-            rounds = room.later_joins if again else room.joins
-            add_joining(chain, chooser, unfinished, rounds=rounds, config=config)
-            chain.dispatches += chooser.chain.dispatches
+
+        def add_fit(factor: float = 1.0) -> None:
+            add_first_choice(chain, chooser, arrays.links, size, config=config, factor=factor)
+            for again in range(config.rounds - 1):
+                rounds = room.later_joins if again else room.joins
+                add_joining(chain, chooser, unfinished, rounds=rounds, config=config)
+                chain.dispatches += chooser.chain.dispatches
+
+        if config.vote_factors:
+            voted = add_voted_planes(
+                chain, chooser, add_fit, arrays, self.grid, factors=config.vote_factors, block_px=config.block_px
+            )
+        else:
+            add_fit()
+            voted = Voted(chooser.planes, chooser.count, chooser.choice)
         last, edges = self.last, EdgeGrid(*size, config.block_px)
-        most = min(room.planes, capacity)
-        planes = add_planes_of_pixels(last, chooser.planes, chooser.count, unfinished, block=config.block_px, most=most)
+        most = min(room.planes, capacity) * max(1, len(config.vote_factors))
+        planes = add_planes_of_pixels(last, voted.planes, voted.number, unfinished, block=config.block_px, most=most)
         heard = None
         if self.textures is not None:
             lines = line_arrays(last, self.textures)
@@ -188,13 +199,13 @@ class AccurateChain:
             heard = HeardLines(lines, min(room.lines, 2 * edges.shape[0] * edges.shape[1]), unfinished)
         links = last.array("edge_links", 2 * edges.shape[0] * edges.shape[1])
         choice = add_placed_edges(
-            last, chooser.choice, planes, links, heard, edges, reach_px=config.edge_band_px, apart=BORDER_APART_LABELS
+            last, voted.choice, planes, links, heard, edges, reach_px=config.edge_band_px, apart=BORDER_APART_LABELS
         )
         there, first = add_planes_or_surface(
-            last, arrays, choice, planes.of_pixels, self.grid, learned=config.learned_trust
+            last, arrays, choice, planes.of_pixels, self.grid, voted=voted, block_px=config.block_px
         )
         add_sigma(last, arrays, self.grid)
-        last.arrays |= {array.name: array for array in (chooser.count, unfinished)}
+        last.arrays |= {array.name: array for array in (voted.number, unfinished)}
         return OfPlanes(most, planes.number, choice, there, first, blocks, config.block_px)
 
     def _add_maps(self, chain: Chain, planes: OfPlanes | None) -> None:

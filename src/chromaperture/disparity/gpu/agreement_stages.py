@@ -1,4 +1,4 @@
-"""Planes or the surface that they explain, pixel by pixel, on a device: `plane_agreement.py` and `plane_trust.py`."""
+"""Planes or the surface that they explain, pixel by pixel, on a device: `plane_agreement.py`, or as fits voted."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from chromaperture.disparity.gpu.device import Array, Chain
-from chromaperture.disparity.gpu.surface_stages import Grid, SurfaceArrays, add_gaussian, gaussian_taps, per_pixel
+from chromaperture.disparity.gpu.surface_stages import Grid, SurfaceArrays, per_pixel
+from chromaperture.disparity.gpu.voting_stages import Voted
 from chromaperture.disparity.gpu.workgroups import groups_for
-from chromaperture.disparity.learned_error_bar import POOLED_PX
 from chromaperture.disparity.plane_agreement import (
     AGREEMENT_SIGMAS,
     AGREEMENT_WINDOW_PX,
@@ -17,7 +17,6 @@ from chromaperture.disparity.plane_agreement import (
     SURROUNDED_SHARE,
     WHOLE_AREA_SHARE,
 )
-from chromaperture.disparity.plane_trust import CONSTANT, LEAST, MOST_DIFFERENCE, ROUGH_PX, WEIGHTS
 
 _PIXELS_COUNTED = 16  # that an invocation of `area_sums.wgsl` counts
 
@@ -30,7 +29,7 @@ def disc(reach_px: int) -> list[float]:
 
 
 def add_planes_or_surface(
-    chain: Chain, a: SurfaceArrays, choice: Array, planes: Array, grid: Grid, *, learned: bool
+    chain: Chain, a: SurfaceArrays, choice: Array, planes: Array, grid: Grid, *, voted: Voted, block_px: int
 ) -> tuple[Array, Array]:
     """Append the choice between planes and surface, into ``surface``; return the layers of the planes and those before.
 
@@ -43,30 +42,22 @@ def add_planes_or_surface(
     planes : Array
         (K, 4); layers, of pixels.
     grid : Grid
-    learned : bool
-        Whether it is `plane_trust.planes_or_surface`, else `plane_agreement.where_they_agree`.
+    voted : Voted
+        Whether it is `plane_voting.planes_or_surface`, else `plane_agreement.where_they_agree`.
+    block_px : int
     """
     pixels = grid.pixels
     there, first = (chain.array(name, pixels) for name in ("plane_layer", "first_layer"))
     apart = chain.array("planes_apart", pixels, np.uint32)
     arrays = [choice, planes, a.surface, a.sigma, there, apart, first]
     per_pixel(chain, "planes_apart", arrays, grid, sigmas=AGREEMENT_SIGMAS)
-    counts = chain.array("apart_of_planes", planes.size // 2, np.uint32)
-    chain.add("fill_zero", [counts], groups=groups_for(counts.size), uses=("indexing",), size=counts.size)
-    _add_area_sums(chain, choice, apart, counts, grid)
-    agreed = _add_agreement(chain, choice, planes, apart, (a.sigma, there, first), grid)
-    pooled, room = (chain.array(name, 2 * pixels) for name in ("trust_pooled", "trust_room"))
-    steps = chain.array("surface_differences", pixels)
-    per_pixel(chain, "trust_maps", [a.sigma, agreed, first, pooled, steps], grid, most_difference=MOST_DIFFERENCE)
-    # Else of what is not averaged, which is 0 or 1, and of no distance.
-    weights, constant, within = dict.fromkeys(WEIGHTS, 0.0) | {"agreed": 1.0}, -0.5, -1.0
-    if learned:
-        weights, constant, within, shape = WEIGHTS, CONSTANT, 1.0, (grid.height, grid.width)
-        add_gaussian(chain, pooled, room, shape, gaussian_taps(POOLED_PX), parts=2)
-        add_gaussian(chain, steps, room, shape, gaussian_taps(ROUGH_PX), parts=1)
-    per_pixel(
-        chain, "planes_trusted", [choice, counts, pooled, steps, there, a.surface], grid,
-        least=LEAST, constant=constant, within=within, **weights,
+    # Without votes every pixel has its own answer, and none is too near to ask.
+    allowed, block, within = voted.trusted, block_px, 1.0
+    if allowed is None:
+        allowed, block, within = _add_agreement(chain, choice, planes, apart, (a.sigma, there, first), grid), 1, -1.0
+    chain.add(
+        "planes_taken", [allowed, there, a.surface], groups=groups_for(pixels), uses=("indexing", "blocks_of_pixels"),
+        height=grid.height, width=grid.width, block=block, within=within,
     )  # fmt: skip
     return there, first
 

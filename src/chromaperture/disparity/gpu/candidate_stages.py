@@ -101,9 +101,9 @@ def most_candidates(shape: tuple[int, int], tiles_px: tuple[int, ...]) -> int:
 
 
 def add_first_choice(
-    chain: Chain, chooser: BlockChoice, weights: Array, shape: tuple[int, int], *, config: PlanesConfig
+    chain: Chain, chooser: BlockChoice, weights: Array, shape: tuple[int, int], *, config: PlanesConfig, factor: float
 ) -> None:
-    """Append the choice of blocks among the distinct planes, and the links that all later choices use.
+    """Append the choice of blocks among the distinct planes, and the links that all later choices of the fit use.
 
     Planes, their number and the choice are the chooser's arrays, and the chain's too.
 
@@ -117,11 +117,13 @@ def add_first_choice(
     shape : (int, int)
         Height and width of the picture.
     config : PlanesConfig
+    factor : float
+        Of ``boundary_penalty``.
     """
     size, pixels = config.block_px, chooser.shape[0] * chooser.shape[1]
     chain.add(
         "block_links", [weights, chooser.links], groups=groups_for(pixels), uses=("indexing",), height=shape[0],
-        width=shape[1], block=size, penalty=float(config.boundary_penalty * size),
+        width=shape[1], block=size, penalty=float(config.boundary_penalty * size * factor),
     )  # fmt: skip
     candidates, parts, distinct = (chain.arrays[name] for name in OUTPUTS)
     chain.add(

@@ -56,13 +56,17 @@ def add_joining(chain: Chain, chooser: BlockChoice, unfinished: Array, *, rounds
     """
     (height, width), most = chooser.shape, chooser.capacity
     blocks, groups, uses = height * width, groups_for(height * width), ("indexing",)
+
+    def room(name: str, size: int, dtype: type = np.float32) -> Array:
+        return chain.arrays.get(name) or chain.array(name, size, dtype)  # that of an earlier round
+
     of_blocks: dict[str, Any] = dict(height=height, width=width)
-    cores, points = (chain.array(name, blocks, np.uint32) for name in ("part_cores", "part_points"))
-    counts, segments = (chain.array(f"part_{n}", k * most, np.uint32) for n, k in (("counts", 2), ("segments", 4)))
-    parts = chain.array("parts", _PART * most)
-    meeting = chain.array("parts_meeting", most * most, np.uint32)
+    cores, points = (room(name, blocks, np.uint32) for name in ("part_cores", "part_points"))
+    counts, segments = (room(f"part_{n}", k * most, np.uint32) for n, k in (("counts", 2), ("segments", 4)))
+    parts = room("parts", _PART * most)
+    meeting = room("parts_meeting", most * most, np.uint32)
     # Pairs that meet at first, half of all that there are, and those that joined parts have: as many at most.
-    joins = chain.array("part_joins", _JOIN * (1 + most * most))
+    joins = room("part_joins", _JOIN * (1 + most * most))
     chain.add(
         "joining_start", [chooser.count, counts, joins, meeting], groups=groups_for(max(2 * most, most * most)),
         uses=uses, capacity=most,

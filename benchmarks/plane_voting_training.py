@@ -1,17 +1,17 @@
-"""Find the weights of `plane_trust.py`, by which `accurate` takes planes or the surface that they explain.
+"""Find the weights of `plane_voting.py`, by which fits of planes and the surface that they explain vote.
 
     python benchmarks/error_bar_training.py draw II.asdf --lens achromat_50 --focus-mm 1800 --out pictures
     ...                                                                             # every other camera
-    python benchmarks/plane_trust_training.py measure *.asdf --pictures pictures --out measured
-    python benchmarks/plane_trust_training.py fit measured [--aside NAME ...]
+    python benchmarks/plane_voting_training.py measure *.asdf --pictures pictures --out measured
+    python benchmarks/plane_voting_training.py fit measured [--aside NAME ...]
 
-``measure`` measures the pictures whose names begin with a camera file's, and keeps, of every fourth pixel in both
-directions, the signs of `signs_of_trust`, and whether the plane and the surface are within 2 and within 5 % of the true
+``measure`` measures the pictures whose names begin with a camera file's, and keeps, of every block, the labels and the
+signs of `signs_of_trust` of every fit, and whether each plane and the surface are within 2 and within 5 % of the true
 distance. What is there already is not measured again. ``fit`` finds the weights by logistic regression (Newton's
-method) on the pixels where both are more than a label apart: the answer is which of both is within more of the two
-limits, a difference of two counts twice, and cameras count alike. It prints the weights, and what they gain for every
-camera against `where_they_agree` alone, by weights of the other scenes (four parts), and by weights of the other
-cameras; ``--aside`` names cameras that are not learned from.
+method) on the blocks where both are more than a label apart: the answer is which of both is within more of the two
+limits, a difference of two counts twice, and cameras count alike. It prints the weights, and what votes gain for every
+camera against the first fit where `where_they_agree` takes it, by weights of the other scenes (four parts), and by
+weights of the other cameras; ``--aside`` names cameras that are not learned from.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, load_camera
 from chromaperture.depth.conversion import disparity_to_depth
-from chromaperture.disparity import accurate, plane_trust
+from chromaperture.disparity import planar, plane_voting
+from chromaperture.disparity.plane_agreement import where_they_agree
 
-EVERY_PX = 4
 LIMITS = 0.02, 0.05  # of the true distance
 PARTS = 4
 NEWTON_STEPS = 20
-NAMES = tuple(plane_trust.WEIGHTS)
+NAMES = tuple(plane_voting.WEIGHTS)
 
 Scene = dict[str, np.ndarray]
 
@@ -48,30 +48,46 @@ def measure(args: argparse.Namespace) -> None:
 
 
 def kept(camera: CodedApertureCamera, image: np.ndarray, truth_mm: np.ndarray) -> Scene:
-    """Return the signs of some pixels, (P,) each, and what is right there, (2, P) bool each."""
+    """Return signs and labels of blocks, (K, h, w) or (h, w), and what is right there, (2, K, h, w) or (2, h, w)."""
     told: dict[str, np.ndarray] = {}
+    labels: dict[str, np.ndarray] = {}
 
-    def asked(planes, surface_px, sigma_px, step_px):
-        told.update(plane_trust.signs_of_trust(planes, surface_px, sigma_px, step_px))
-        agreed = plane_trust.where_they_agree(planes, surface_px, np.hypot(sigma_px, step_px))
-        told.update(plane=planes.label_px, surface=surface_px, before=agreed)
-        told["apart"] = np.abs(planes.label_px - surface_px) > step_px
-        return real(planes, surface_px, sigma_px, step_px)
+    def asked(fits, surface_px, sigma_px, step_px, block_px):
+        told.update(plane_voting.signs_of_trust(fits, surface_px, sigma_px, step_px, block_px))
+        labels["plane"] = np.stack([fit.label_px for fit in fits])
+        labels["surface"] = surface_px
+        labels["before"] = where_they_agree(fits[0], surface_px, np.hypot(sigma_px, step_px))
+        some = middles(block_px)
+        told["plane"], told["surface"] = labels["plane"][some] / step_px, labels["surface"][some] / step_px
+        told["block_px"] = np.array(block_px)
+        return real(fits, surface_px, sigma_px, step_px, block_px)
 
-    real, accurate.planes_or_surface = accurate.planes_or_surface, asked
+    real, planar.voted_planes = planar.voted_planes, asked
     try:
         camera.measure(image)
     finally:
-        accurate.planes_or_surface = real
-    some = np.s_[EVERY_PX // 2 :: EVERY_PX, EVERY_PX // 2 :: EVERY_PX]
-    out = {name: np.asarray(told[name][some].ravel(), np.float32) for name in NAMES}
-    out["apart"] = told["apart"][some].ravel()
-    for name in ("plane", "surface", "before"):
-        disparity = np.asarray(camera.method.label_map.disparity(told[name]), np.float32)
-        depth = disparity_to_depth(np.ascontiguousarray(disparity), camera.depth_model)[0]
-        error = np.nan_to_num(np.abs(depth - truth_mm) / truth_mm, nan=np.inf)[some].ravel()
-        out[f"{name}_right"] = np.stack([error < limit for limit in LIMITS])
-    return out
+        planar.voted_planes = real
+    for name, label in labels.items():
+        maps = [
+            np.asarray(camera.method.label_map.disparity(one), np.float32)
+            for one in label.reshape(-1, *image.shape[:2])
+        ]
+        depth = np.stack([disparity_to_depth(np.ascontiguousarray(one), camera.depth_model)[0] for one in maps])
+        error = np.nan_to_num(np.abs(depth - truth_mm) / truth_mm, nan=np.inf).reshape(label.shape)
+        told[f"{name}_right"] = np.stack([error[middles(int(told["block_px"]))] < limit for limit in LIMITS])
+    height, width = told["rough"].shape
+    return {name: values[..., :height, :width] if values.ndim else values for name, values in told.items()}
+
+
+def middles(block_px: int) -> tuple:
+    """Return the places of blocks' middle pixels."""
+    return np.s_[..., block_px // 2 :: block_px, block_px // 2 :: block_px]
+
+
+def columns_of(scene: Scene) -> np.ndarray:
+    """Return the signs of every fit's blocks and a 1 each, (K, h, w, signs + 1)."""
+    shape = scene["plane"].shape
+    return np.stack([np.broadcast_to(scene[name], shape) for name in NAMES] + [np.ones(shape)], axis=-1)
 
 
 def weights_of(cameras: Sequence[Sequence[Scene]]) -> np.ndarray:
@@ -80,8 +96,8 @@ def weights_of(cameras: Sequence[Sequence[Scene]]) -> np.ndarray:
     for scenes in cameras:
         for scene in scenes:
             gain = scene["plane_right"].sum(axis=0, dtype=int) - scene["surface_right"].sum(axis=0, dtype=int)
-            differ = (gain != 0) & scene["apart"]
-            signs.append(np.stack([scene[name][differ] for name in NAMES] + [np.ones(differ.sum())], axis=1))
+            differ = (gain != 0) & (np.abs(scene["plane"] - scene["surface"]) > 1)
+            signs.append(columns_of(scene)[differ])
             answers.append(gain[differ] > 0)
             counts.append(np.abs(gain[differ]) / len(scenes))
     x, y, count = np.concatenate(signs).astype(float), np.concatenate(answers), np.concatenate(counts)
@@ -94,10 +110,14 @@ def weights_of(cameras: Sequence[Sequence[Scene]]) -> np.ndarray:
 
 
 def gained(scene: Scene, weights: np.ndarray) -> np.ndarray:
-    """Return the shares within `LIMITS` less those of `where_they_agree` alone; (2,)."""
-    trusted = sum(w * scene[name] for w, name in zip(weights, NAMES, strict=False)) + weights[-1] > 0
-    right = np.where(trusted | ~scene["apart"], scene["plane_right"], scene["surface_right"])
-    return np.asarray(right.mean(axis=1) - scene["before_right"].mean(axis=1))
+    """Return the shares within `LIMITS` less those of the first fit where `where_they_agree` takes it; (2,)."""
+    of_planes, of_surface = plane_voting.votes(scene["plane"], scene["surface"], columns_of(scene) @ weights)
+    best = of_planes.argmax(axis=0)[None]
+    label = np.take_along_axis(scene["plane"], best, axis=0)[0]
+    taken = (of_planes.max(axis=0) >= of_surface) | (np.abs(label - scene["surface"]) <= 1)
+    plane = np.stack([np.take_along_axis(right, best, axis=0)[0] for right in scene["plane_right"]])
+    right = np.where(taken, plane, scene["surface_right"])
+    return np.asarray(right.mean(axis=(1, 2)) - scene["before_right"].mean(axis=(1, 2)))
 
 
 def fit(args: argparse.Namespace) -> None:
