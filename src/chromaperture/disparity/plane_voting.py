@@ -27,6 +27,9 @@ ROUGH_PX = 16.0  # sigma of the window in which differences are averaged; 4, 8, 
 MOST_DIFFERENCE = 3.0  # labels: a depth edge does not count more; 1 and 10: docs/measurements.md
 LEAST = 0.02  # labels: smaller differences and error bars are not told apart, and every sign needs a finite logarithm
 NEAR_LABELS = 2.0  # standard deviation of what counts as the same place; 3: docs/measurements.md
+ALIKE = (
+    0.98  # of the most votes: of planes at nearly the same place (.4 labels) the first fit's, so that areas stay whole
+)
 # Log odds that the plane is nearer to the truth where both are more than a label apart, by sign; found by
 # ``benchmarks/plane_voting_training.py``.
 WEIGHTS = {"rough": 0.22, "posterior": 0.29, "rejected": -1.51, "agreed": 0.38}
@@ -59,7 +62,7 @@ def voted_planes(
     of_planes, of_surface = votes(
         label_of / np.float32(step_px), block_means(surface_px, block_px) / np.float32(step_px), log_odds
     )
-    best = of_planes.argmax(axis=0)
+    best = (of_planes >= ALIKE * of_planes.max(axis=0)).argmax(axis=0)
     height, width = surface_px.shape
     rows, columns = (
         np.minimum(np.arange(n) // block_px, m - 1) for n, m in zip((height, width), best.shape, strict=True)

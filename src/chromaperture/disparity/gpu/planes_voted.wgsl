@@ -33,15 +33,14 @@ fn main(
     }
     places[fits] = heights[i];
     shares[fits] = left;
-    var best = 0u;
-    var most = -1.0;
+    var speaks = array<f32, fits>();
+    var most = 0.0;
     for (var k = 0u; k < fits; k++) {
-        let here = speaking(&places, &shares, places[k]);
-        if (here > most) {
-            best = k;
-            most = here;
-        }
+        speaks[k] = speaking(&places, &shares, places[k]);
+        most = max(most, speaks[k]);
     }
+    var best = 0u;
+    while (speaks[best] < alike * most) { best++; }
     voted[i] = choices[best * blocks + i];
     trusted[i] = select(0u, 1u, most >= speaking(&places, &shares, places[fits]));
 }

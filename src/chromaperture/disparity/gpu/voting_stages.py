@@ -13,7 +13,7 @@ from chromaperture.disparity.gpu.surface_stages import Grid, SurfaceArrays, add_
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.learned_error_bar import POOLED_PX
 from chromaperture.disparity.plane_agreement import AGREEMENT_SIGMAS
-from chromaperture.disparity.plane_voting import CONSTANT, LEAST, MOST_DIFFERENCE, NEAR_LABELS, ROUGH_PX, WEIGHTS
+from chromaperture.disparity.plane_voting import ALIKE, CONSTANT, LEAST, MOST_DIFFERENCE, NEAR_LABELS, ROUGH_PX, WEIGHTS
 
 
 class Voted(NamedTuple):
@@ -86,6 +86,6 @@ def add_voted_planes(
     chain.add(
         "planes_voted", [choices, kept, maps, differences, heights, counts, choice, trusted],
         groups=groups, uses=uses, height=shape[0], width=shape[1], fits=fits, least=LEAST, near=NEAR_LABELS,
-        constant=CONSTANT, **weights,
+        alike=ALIKE, constant=CONSTANT, **weights,
     )  # fmt: skip
     return Voted(kept, number, choice, trusted)
