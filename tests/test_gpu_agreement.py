@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from chromaperture.disparity.planar import trust_of_moved
 from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.plane_fit import Planes
 from chromaperture.disparity.plane_voting import planes_or_surface
@@ -42,15 +43,19 @@ def agreement(rng, device, shape, *, voted=True):
     label = where_they_agree(planes, surface, np.hypot(sigma, STEP))
     agreed = label == planes.label_px
     rows, columns = (np.minimum(np.arange(n) // BLOCK, n // BLOCK - 1) for n in shape)
-    trusted = rng.random((shape[0] // BLOCK, shape[1] // BLOCK)) < 0.5
+    before = planes.choice[BLOCK // 2 :: BLOCK, BLOCK // 2 :: BLOCK][: shape[0] // BLOCK, : shape[1] // BLOCK]
+    trusted = rng.random(before.shape) < np.array([0.3, 0.7, 0.3, 0.7, 0.3])[before]  # of some planes most is
     if voted:
-        label = planes_or_surface(planes._replace(trusted=trusted[np.ix_(rows, columns)]), surface, STEP)
+        spread = np.ix_(rows, columns)
+        allowed = trust_of_moved(trusted[spread], before[spread], planes.choice)
+        label = planes_or_surface(planes._replace(trusted=allowed), surface, STEP)
     expected = agreed, label
     grid, chain = Grid(*shape, 2), Chain(device)
     a = surface_arrays(chain, grid, SurfaceConfig())
     choice = chain.constant("choice", planes.choice.astype(np.uint32))
     in_layers = np.concatenate([planes.planes / STEP, np.zeros((5, 1))], axis=1)
-    found = Voted(choice, choice, choice, chain.constant("trusted", trusted.astype(np.uint32)) if voted else None)
+    blocks = chain.constant("before", before.astype(np.uint32))
+    found = Voted(choice, choice, blocks, chain.constant("trusted", trusted.astype(np.uint32)) if voted else None)
     add_planes_or_surface(chain, a, choice, chain.constant("planes", in_layers), grid, voted=found, block_px=BLOCK)
     given = np.zeros((*shape, 4), np.float32)
     given[..., 0] = surface / STEP

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from chromaperture.disparity.accurate import judged
 from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.planar import block_links, block_sums, planes_of_surface
+from chromaperture.disparity.planar import block_links, block_sums, planes_of_surface, trust_of_moved
 from chromaperture.disparity.plane_agreement import BESIDE_PX, beside_borders, known_planes, where_they_agree
 from chromaperture.disparity.plane_edges import choices_of, placed_edges
 from chromaperture.disparity.plane_fit import Candidate, Planes, Volume, best_planes, candidates, distinct
@@ -282,6 +282,18 @@ def test_planes_give_way_to_a_surface_that_knows_better() -> None:
     np.testing.assert_array_equal(
         taken, np.where(np.arange(60) < 30, np.float32(0), np.float32(0.5))[None].repeat(40, 0)
     )
+
+
+def test_an_edge_that_moves_to_a_trusted_plane_is_trusted() -> None:
+    before = np.repeat([0, 1, 2], 8)[None].repeat(4, axis=0)
+    trusted = np.isin(np.arange(24), [0, 1, 2, 8, 9, 10, 11, 12, 18])[None].repeat(4, axis=0)  # 3, 5 and 1 of 8 columns
+    choice = before.copy()
+    choice[:, 6:9] = 1  # plane 1 gains two columns
+    choice[:, 14:16] = 2  # plane 2, which is not trusted, as well
+    choice[:, 23] = 1
+    expected = trusted.copy()
+    expected[:, [6, 7, 23]] = True
+    np.testing.assert_array_equal(trust_of_moved(trusted, before, choice), expected)
 
 
 def even_plane(height: int, width: int) -> Planes:

@@ -91,7 +91,18 @@ def planes_of_surface(
         found.choice, found.planes, guide, reach_px=config.edge_band_px, apart_px=BORDER_APART_LABELS * blocks.step_px,
         choices=choices_of(run.potts_beliefs), line_costs=line_costs,
     )  # fmt: skip
-    return found._replace(choice=choice)
+    trusted = None if found.trusted is None else trust_of_moved(found.trusted, found.choice, choice)
+    return found._replace(choice=choice, trusted=trusted)
+
+
+def trust_of_moved(trusted: np.ndarray, before: np.ndarray, choice: np.ndarray) -> np.ndarray:
+    """Trust a plane also where an edge moved to it, if most of what it had before is trusted; all (H, W).
+
+    Windows of the surface see both sides of an edge.
+    """
+    count = int(before.max()) + 1
+    pixels, of_these = (np.bincount(part, minlength=count) for part in (before.ravel(), before[trusted]))
+    return np.asarray(trusted | ((choice != before) & (2 * of_these > pixels)[choice]))
 
 
 def block_costs(config: PlanesConfig) -> PlaneCosts:

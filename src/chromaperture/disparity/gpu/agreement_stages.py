@@ -51,13 +51,17 @@ def add_planes_or_surface(
     apart = chain.array("planes_apart", pixels, np.uint32)
     arrays = [choice, planes, a.surface, a.sigma, there, apart, first]
     per_pixel(chain, "planes_apart", arrays, grid, sigmas=AGREEMENT_SIGMAS)
-    # Without votes every pixel has its own answer, and none is too near to ask.
-    allowed, block, within = voted.trusted, block_px, 1.0
-    if allowed is None:
-        allowed, block, within = _add_agreement(chain, choice, planes, apart, (a.sigma, there, first), grid), 1, -1.0
+    sums = chain.array("allowed_sums", planes.size // 2, np.uint32)
+    if voted.trusted is not None:
+        allowed, before, block, within = voted.trusted, voted.choice, block_px, 1.0
+        chain.add("fill_zero", [sums], groups=groups_for(sums.size), uses=("indexing",), size=sums.size)
+        _add_area_sums(chain, before, allowed, sums, Grid(grid.height // block, grid.width // block, grid.layers))
+    else:  # every pixel has its own answer, and none is too near to ask
+        allowed = _add_agreement(chain, choice, planes, apart, (a.sigma, there, first), grid)
+        before, block, within = choice, 1, -1.0
     chain.add(
-        "planes_taken", [allowed, there, a.surface], groups=groups_for(pixels), uses=("indexing", "blocks_of_pixels"),
-        height=grid.height, width=grid.width, block=block, within=within,
+        "planes_taken", [allowed, before, sums, choice, there, a.surface], groups=groups_for(pixels),
+        uses=("indexing", "blocks_of_pixels"), height=grid.height, width=grid.width, block=block, within=within,
     )  # fmt: skip
     return there, first
 
