@@ -60,7 +60,7 @@ class Room(NamedTuple):
         Rounds of joining behind the first choice of blocks, and behind later ones; of `still_life` 19 and 22 joins
         follow the first (720x480) and up to 2 another one (360x240).
     planes : int
-        Left in the end of a fit; of `still_life` 6 to 16.
+        Left in the end, of all fits together; of random scenes 9 to 43 (720x480).
     lines : int
         Across borders; a tenth of it at 720x480.
     """
@@ -190,7 +190,7 @@ class AccurateChain:
             add_fit()
             voted = Voted(chooser.planes, chooser.count, chooser.choice)
         last, edges = self.last, EdgeGrid(*size, config.block_px)
-        most = min(room.planes, capacity) * max(1, len(config.vote_factors))
+        most = min(room.planes, capacity * max(1, len(config.vote_factors)))
         planes = add_planes_of_pixels(last, voted.planes, voted.number, unfinished, block=config.block_px, most=most)
         heard = None
         if self.textures is not None:
