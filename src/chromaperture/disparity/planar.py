@@ -3,6 +3,7 @@
 Windows and paths pool tens of pixels, a wall has tens of thousands. Planes are proposed from a first surface, every
 block of pixels chooses one by belief propagation, neighbours that one plane explains as well are joined, and the choice
 is made again (multi-model fitting by energy). Curved surfaces become as many planes as their evidence can tell apart.
+Where the camera's blur is known, several such fits vote (`plane_voting.py`).
 
 References
 ----------

@@ -43,7 +43,7 @@ def add_planes_or_surface(
         (K, 4); layers, of pixels.
     grid : Grid
     voted : Voted
-        Whether it is `plane_voting.planes_or_surface`, else `plane_agreement.where_they_agree`.
+        Where no fits voted it is `plane_agreement.where_they_agree`, else `plane_voting.planes_or_surface`.
     block_px : int
     """
     pixels = grid.pixels

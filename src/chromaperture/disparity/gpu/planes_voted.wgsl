@@ -18,7 +18,7 @@ fn main(
     let i = invocation(group, groups, local);
     let blocks = height * width;
     if (i >= blocks) { return; }
-    let of_surface = constant + rough * log(differences[i] + least) + posterior * log(sqrt(maps[i]) + least);
+    let of_signs = constant + rough * log(differences[i] + least) + posterior * log(sqrt(maps[i]) + least);
     let middle = vec4f(f32(i % width), f32(i / width), 1.0, 0.0);
     var places = array<f32, fits + 1u>();
     var shares = array<f32, fits + 1u>();
@@ -26,7 +26,7 @@ fn main(
     for (var k = 0u; k < fits; k++) {
         let plane = choices[k * blocks + i];
         let counted = vec2f(counts[plane]);
-        let log_odds = of_surface + rejected * counted.y / counted.x + agreed * (1.0 - maps[(1u + k) * blocks + i]);
+        let log_odds = of_signs + rejected * counted.y / counted.x + agreed * (1.0 - maps[(1u + k) * blocks + i]);
         places[k] = dot(kept[plane], middle);
         shares[k] = 1.0 / ((1.0 + exp(-log_odds)) * f32(fits));
         left -= shares[k];
