@@ -136,9 +136,9 @@ def test_blocks_choose_among_what_was_found(rng, shape):
     arrays = chain.constant("blocks", sums), chain.constant("weights", weights)
     grid, capacity = Grid(*sums.shape), most_candidates(shape, config.tiles_px)
     chooser = BlockChoice(chain.device, arrays[0], grid, capacity, config.sweeps, LABELS, block_costs(config))
-    add_first_choice(chain, chooser, arrays[1], shape, config=config)
+    add_first_choice(chain, chooser, arrays[1], shape, config=config, factor=0.7)
     found = chain.run({}, [*OUTPUTS, chooser.choice.name])
-    links = config.boundary_penalty * config.block_px * block_links(weights.transpose(2, 0, 1), config.block_px)
+    links = 0.7 * config.boundary_penalty * config.block_px * block_links(weights.transpose(2, 0, 1), config.block_px)
     on_device = chooser.chain.run({"plane_count": np.zeros(1, np.uint32)}, ["plane_links"])["plane_links"]
     np.testing.assert_allclose(on_device.reshape(links.shape), links, rtol=1e-5)
     planes = _scaled(candidates_of(found), config.block_px)
