@@ -112,7 +112,7 @@ def weights_of(cameras: Sequence[Sequence[Scene]]) -> np.ndarray:
 def gained(scene: Scene, weights: np.ndarray) -> np.ndarray:
     """Return the shares within `LIMITS` less those of the first fit where `where_they_agree` takes it; (2,)."""
     of_planes, of_surface = plane_voting.votes(scene["plane"], scene["surface"], columns_of(scene) @ weights)
-    best = of_planes.argmax(axis=0)[None]
+    best = plane_voting.chosen_fit(of_planes)[None]
     label = np.take_along_axis(scene["plane"], best, axis=0)[0]
     taken = (of_planes.max(axis=0) >= of_surface) | (np.abs(label - scene["surface"]) <= 1)
     plane = np.stack([np.take_along_axis(right, best, axis=0)[0] for right in scene["plane_right"]])

@@ -27,9 +27,8 @@ ROUGH_PX = 16.0  # sigma of the window in which differences are averaged; 4, 8, 
 MOST_DIFFERENCE = 3.0  # labels: a depth edge does not count more; 1 and 10: docs/measurements.md
 LEAST = 0.02  # labels: smaller differences and error bars are not told apart, and every sign needs a finite logarithm
 NEAR_LABELS = 2.0  # standard deviation of what counts as the same place; 3: docs/measurements.md
-ALIKE = (
-    0.98  # of the most votes: of planes at nearly the same place (.4 labels) the first fit's, so that areas stay whole
-)
+# Share of the most votes with which a plane is as good as the best: one .4 labels away is; 1: docs/measurements.md.
+ALIKE = 0.98
 # Log odds that the plane is nearer to the truth where both are more than a label apart, by sign; found by
 # ``benchmarks/plane_voting_training.py``.
 WEIGHTS = {"rough": 0.22, "posterior": 0.29, "rejected": -1.51, "agreed": 0.38}
@@ -57,12 +56,13 @@ def voted_planes(
     Planes
         Those of all fits that a block has, with ``trusted``: where more speaks for the plane than for the surface.
     """
-    label_of, signs = _labels_of_blocks(fits, block_px), signs_of_trust(fits, surface_px, sigma_px, step_px, block_px)
+    label_of = np.stack([block_means(fit.label_px, block_px) for fit in fits])
+    signs = signs_of_trust(fits, surface_px, sigma_px, step_px, block_px)
     log_odds = np.asarray(CONSTANT + sum(WEIGHTS[name] * sign for name, sign in signs.items()))
     of_planes, of_surface = votes(
         label_of / np.float32(step_px), block_means(surface_px, block_px) / np.float32(step_px), log_odds
     )
-    best = (of_planes >= ALIKE * of_planes.max(axis=0)).argmax(axis=0)
+    best = chosen_fit(of_planes)
     height, width = surface_px.shape
     rows, columns = (
         np.minimum(np.arange(n) // block_px, m - 1) for n, m in zip((height, width), best.shape, strict=True)
@@ -99,6 +99,11 @@ def votes(label: np.ndarray, surface: np.ndarray, log_odds: np.ndarray) -> tuple
         [(shares * np.exp(-((places - place) ** 2) / (2 * NEAR_LABELS**2))).sum(axis=0) for place in places]
     )
     return found[:-1], found[-1]
+
+
+def chosen_fit(of_planes: np.ndarray) -> np.ndarray:
+    """Return the first fit whose plane is as good as the best, so that areas stay whole; (h, w) int of (K, h, w)."""
+    return np.asarray((of_planes >= ALIKE * of_planes.max(axis=0)).argmax(axis=0))
 
 
 def planes_or_surface(planes: Planes, surface_px: np.ndarray, step_px: float) -> np.ndarray:
@@ -178,14 +183,3 @@ def _of_blocks(values: np.ndarray, block_px: int) -> np.ndarray:
     """Return what whole blocks have in all of their pixels; (h, w)."""
     height, width = (n // block_px for n in values.shape)
     return values[: height * block_px : block_px, : width * block_px : block_px]
-
-
-def _labels_of_blocks(fits: Sequence[Planes], block_px: int) -> np.ndarray:
-    """Return the label at the middle of every block, of every fit; (K, h, w) float32, px."""
-    out = []
-    for fit in fits:
-        choice = _of_blocks(fit.choice, block_px)
-        a, b, c = (fit.planes[:, i][choice] for i in range(3))
-        y, x = (np.arange(n) * block_px + (block_px - 1) / 2 for n in choice.shape)
-        out.append(a * x + b * y[:, None] + c)
-    return np.asarray(out, np.float32)
