@@ -1,12 +1,18 @@
 """Score the matcher on real photographs through the left and the right half of a pupil, against measured defocus.
 
-    python benchmarks/half_pupil.py --data FOLDER [--quality paper real-time accurate] [--out DIR] [--json]
+    python benchmarks/half_pupil.py --data FOLDER [--method paper real-time accurate kernels] [--out DIR] [--json]
 
-FOLDER holds NNN_left.png, NNN_right.png, NNN_gt_defocus.png (0 = unknown, the middle two thirds of the frame) and
-calibration/white_sheet_*.png. Red is the right half, blue the left one, green their mean: optics and noise are real,
-the colours put together, at half the resolution. With this order disparity grows with distance, as for film, which
-`accurate` counts on where a near surface hides a far one. Spearman's correlation needs no calibration.
-Coverage is the fraction of the pixels with truth that is scored: those of the shortest error bars.
+FOLDER holds NNN_left.png, NNN_right.png, NNN_gt_defocus.png (0 = unknown, the middle two thirds of the frame),
+calibration/white_sheet_*.png and blur_kernels_*.npy. Red is the right half, blue the left one, green their mean: optics
+and noise are real, the colours put together, at half the resolution. With this order disparity grows with distance, as
+for film, which `accurate` counts on where a near surface hides a far one.
+
+Methods are the qualities of a camera that is not calibrated, and ``kernels``: `accurate` with the blur that the
+measured kernels tell. Spearman's correlation needs no calibration. Coverage is the fraction of the pixels with truth
+that is scored: those of the shortest error bars. Whole areas of the truth have one value, so that a map that is right
+to a fraction of a level still is not in its order: ``ceiling`` is the correlation of the truth with itself under even
+noise of a level. ``on_line`` is the share of all pixels that one line through all scenes, from measured defocus to half
+disparity, holds within a twentieth of the truth's range.
 """
 
 from __future__ import annotations
@@ -15,21 +21,29 @@ import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import matplotlib.pyplot as plt
 import numpy as np
+import scipy.optimize
 from scipy.stats import spearmanr
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.color.color_maps import DISTANCE, color_map
-from chromaperture.config import Quality
+from chromaperture.color.noise import estimate_noise_variance
+from chromaperture.config import ALLOWED_GROWTH, AccurateConfig, Quality
+from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.optics.kernel_blur import KernelBlur, blur_from_kernels
 
 BLACK = 1024.0
 COVERAGES = (0.5, 0.7, 0.8, 0.9, 1.0)
 CROP = np.s_[126:630, 168:840]
+KERNELS = (6, 8)  # rows and columns
+REACH = 2.0  # of the half disparity at which kernels were measured, either way: where surfaces are searched
+ON_LINE = 255 / 20  # levels of the truth
 
 
 def half_size(picture: np.ndarray) -> np.ndarray:
@@ -64,45 +78,108 @@ def score(disparity: np.ndarray, sigma: np.ndarray, defocus: np.ndarray) -> dict
     return found
 
 
+def kernel_blur(folder: Path, width_px: int, height_px: int) -> KernelBlur:
+    """Blur of photographs of half the size, by kernels of the full one. The set does not say their distance."""
+    left, right = (
+        np.load(folder / "calibration" / f"blur_kernels_{side}.npy").reshape(*KERNELS, 61, 61)
+        for side in ("left", "right")
+    )
+    kernels = np.stack([right, (left + right) / 2, left], axis=2)
+    return blur_from_kernels(
+        kernels, width_px=width_px, height_px=height_px, spacing_px=0.5, focus_mm=1.0, measured_mm=np.inf
+    )
+
+
+class Found(NamedTuple):
+    """Half disparity and error bar of the pixels that may have truth, px; the truth, levels, 0 unknown."""
+
+    disparity_px: np.ndarray
+    sigma_px: np.ndarray
+    defocus: np.ndarray
+
+
+def by_kernels(image: np.ndarray, blur: KernelBlur) -> tuple[np.ndarray, np.ndarray]:
+    """Half disparity and its error bar, with the settings of a dual-pixel sensor: halves share noise and detail."""
+    config = AccurateConfig.for_blur(blur.reach, one_pair=True)
+    config = replace(
+        config,
+        evidence=replace(config.evidence, allowed_growth=ALLOWED_GROWTH),
+        spectral=replace(config.spectral, dual_pixel=True),
+    )
+    farthest = REACH * abs(blur.reach * blur.edge_px)
+    found = estimate_disparity(
+        image, aperture="cy_halves", config=config.with_range(-farthest, farthest), blur=blur,
+        noise_variance=np.broadcast_to(estimate_noise_variance(image), image.shape),
+    )  # fmt: skip
+    return found.value_px, found.sigma_px
+
+
+def by_quality(image: np.ndarray, quality: Quality, range_px: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Half disparity and its error bar by a camera that is not calibrated."""
+    camera = Calibration.uncalibrated("cy_halves", width_px=image.shape[1], height_px=image.shape[0])
+    config = default_config(camera, quality)
+    config = replace(config, matcher=config.matcher.with_range(*range_px))
+    frame = CodedApertureCamera(camera, config).measure(image)
+    return frame.disparity_px, frame.disparity_sigma_px
+
+
+def measure(scene: str, method: str, args: argparse.Namespace) -> Found:
+    image = capture(args.data, scene)
+    defocus = cv2.imread(str(args.data / f"{scene}_gt_defocus.png"), cv2.IMREAD_UNCHANGED)[::2, ::2]
+    if method == "kernels":
+        disparity, sigma = by_kernels(image, kernel_blur(args.data, image.shape[1], image.shape[0]))
+    else:
+        disparity, sigma = by_quality(image, method, tuple(args.range_px))
+    if args.out:
+        args.out.mkdir(parents=True, exist_ok=True)
+        low, high = np.nanpercentile(disparity[CROP], (1, 99))
+        plt.imsave(args.out / f"{scene}_{method}.png", disparity, vmin=low, vmax=high, cmap=color_map(DISTANCE))
+    return Found(disparity[CROP], sigma[CROP], defocus)
+
+
+def ceiling(defocus: np.ndarray) -> float:
+    """Spearman's correlation of the truth with itself under even noise of a level, which tells no two areas wrong."""
+    truth = defocus[defocus > 0].astype(float)
+    return float(spearmanr(truth, truth + np.random.default_rng(0).uniform(-0.5, 0.5, truth.size)).statistic)
+
+
+def on_line(scenes: list[Found]) -> float:
+    """Share of the pixels of truth of all scenes that lie on one line, see above; the unknown do not."""
+    truth = np.concatenate([found.defocus[found.defocus > 0] for found in scenes]).astype(float)
+    value = np.concatenate([found.disparity_px[found.defocus > 0] for found in scenes]).astype(float)
+    known = np.isfinite(value)
+    start = np.polyfit(truth[known], value[known], 1)
+
+    def misfit(line: np.ndarray) -> np.ndarray:
+        return (value[known] - np.polyval(line, truth[known])) / (start[0] * ON_LINE)
+
+    slope, offset = scipy.optimize.least_squares(misfit, start, loss="cauchy", x_scale=np.abs(start) + 1e-3).x
+    return float(np.mean(np.abs(np.where(known, value, np.inf) - slope * truth - offset) <= abs(slope) * ON_LINE))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--quality", nargs="+", default=["paper", "real-time", "accurate"])
-    parser.add_argument("--range-px", nargs=2, type=float, default=(-8.0, 8.0))
+    parser.add_argument("--method", nargs="+", default=["paper", "real-time", "accurate", "kernels"])
+    parser.add_argument("--range-px", nargs=2, type=float, default=(-8.0, 8.0), help="of the qualities")
     parser.add_argument("--out", type=Path, help="folder for pictures")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    rows = []
-    for path in sorted(args.data.glob("*_gt_defocus.png")):
-        scene = path.name.split("_")[0]
-        image, defocus = capture(args.data, scene), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[::2, ::2]
-        for quality in args.quality:
-            rows.append({"scene": scene, "quality": quality, **measure(image, defocus, quality, args, scene)})
+    scenes = sorted(path.name.split("_")[0] for path in args.data.glob("*_gt_defocus.png"))
+    rows, means = [], {}
+    for method in args.method:
+        found = [measure(scene, method, args) for scene in scenes]
+        of_method = [score(*part) | {"ceiling": ceiling(part.defocus)} for part in found]
+        for scene, row in zip(scenes, of_method, strict=True):
+            rows.append({"scene": scene, "method": method, **row})
             if not args.json:
                 print(" ".join(f"{k} {v:.3f}" if isinstance(v, float) else f"{k} {v}" for k, v in rows[-1].items()))
-    means = {
-        quality: {
-            name: float(np.mean([row[name] for row in rows if row["quality"] == quality]))
-            for name in ("fill", *(f"at_{share:g}" for share in COVERAGES))
-        }
-        for quality in args.quality
-    }
-    print(json.dumps({"rows": rows, "means": means}, indent=1) if args.json else f"means: {means}")
-
-
-def measure(
-    image: np.ndarray, defocus: np.ndarray, quality: Quality, args: argparse.Namespace, scene: str
-) -> dict[str, float]:
-    camera = Calibration.uncalibrated("cy_halves", width_px=image.shape[1], height_px=image.shape[0])
-    config = default_config(camera, quality)
-    config = replace(config, matcher=config.matcher.with_range(*args.range_px))
-    frame = CodedApertureCamera(camera, config).measure(image)
-    if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
-        low, high = np.nanpercentile(frame.disparity_px, (1, 99))
-        name, colors = f"{scene}_{quality}.png", color_map(DISTANCE)
-        plt.imsave(args.out / name, frame.disparity_px, vmin=low, vmax=high, cmap=colors)
-    return score(frame.disparity_px[CROP], frame.disparity_sigma_px[CROP], defocus)
+        mean = {name: float(np.mean([row[name] for row in of_method])) for name in of_method[0]}
+        means[method] = mean | {"on_line": on_line(found)}
+        if not args.json:
+            print("mean", method, " ".join(f"{k} {v:.3f}" for k, v in means[method].items()), flush=True)
+    if args.json:
+        print(json.dumps({"rows": rows, "means": means}, indent=1))
 
 
 if __name__ == "__main__":

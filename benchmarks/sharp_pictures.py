@@ -11,7 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from colour_data import markdown, save, say
+from colour_data import markdown, print_row, save
 from picture_quality import compare
 
 from chromaperture.camera import CodedApertureCamera
@@ -164,7 +164,7 @@ def simulated_rows(calibration: Calibration, out: Path | None) -> list[dict]:
                 made |= peers(image, radius, blur, 33)
             for name, picture in made.items():
                 rows.append({"design": design, "optics": optics, "picture": name, **compare(picture, truth, valid)})
-                say(rows[-1])
+                print_row(rows[-1])
             if optics != "thin lens":
                 depth = render_depth(table, planes)
                 made |= fitted(image, depth, calibration, noise, rows, truth, camera.sensor_to_pupil_mm)
@@ -204,7 +204,7 @@ def fitted(
     for name, picture in made.items():
         rows.append({"design": calibration.design, "optics": "ray-traced lens, fitted kernels", "picture": name,
                      **compare(picture, truth, valid)})  # fmt: skip
-        say(rows[-1])
+        print_row(rows[-1])
     return {f"{name}, fitted": picture for name, picture in made.items()}
 
 
@@ -289,8 +289,8 @@ def cmu_rows(folder: Path, out: Path | None) -> list[dict]:
         for name, picture in made.items():
             grey = np.repeat(picture.mean(axis=2, keepdims=True), 3, axis=2)
             rows.append({"scene": scene, "picture": name, **compare(grey, truth, valid)})
-            say(rows[-1])
-        say({"scene": scene, "seconds": seconds, "radius_5_95": np.percentile(radius, (5, 95)).tolist()})
+            print_row(rows[-1])
+        print_row({"scene": scene, "seconds": seconds, "radius_5_95": np.percentile(radius, (5, 95)).tolist()})
         if out:
             save(out / f"cmu_{scene}.png", [*made.values(), truth])
     print(markdown(by_picture(rows, "scene"), heading(rows, "scene")), flush=True)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from chromaperture.errors import CaptureWarning, ChromapertureError, InputError, MissingDependencyError
     from chromaperture.frame.depth_frame import DepthFrame
     from chromaperture.optics.aperture import DESIGNS, Aperture, design_named
+    from chromaperture.optics.kernel_blur import blur_from_kernels
     from chromaperture.products.mcap import write_mcap
     from chromaperture.products.measure_file import measure_file
     from chromaperture.products.rectified import undistorter
@@ -51,6 +52,7 @@ _MODULES = {
     "errors": "CaptureWarning ChromapertureError InputError MissingDependencyError",
     "frame.depth_frame": "DepthFrame",
     "optics.aperture": "DESIGNS Aperture design_named",
+    "optics.kernel_blur": "blur_from_kernels",
     "products.mcap": "write_mcap",
     "products.measure_file": "measure_file",
     "products.rectified": "undistorter",
@@ -82,6 +84,7 @@ __all__ = [
     "RealTimeConfig",
     "SharpPicture",
     "all_in_focus",
+    "blur_from_kernels",
     "calibrate",
     "connected_sources",
     "depth_to_disparity",

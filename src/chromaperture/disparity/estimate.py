@@ -93,9 +93,11 @@ def method_for(
         Rows of M^-1, Eq. (1). Ideal film when absent.
     label_maps : sequence of LabelMap
         What equal depth means at every pixel, one map for each view space that is matched. Without them a method looks
-        for surfaces of even disparity, and ``accurate`` matches its first view space only.
+        for surfaces of even disparity, or of even distance if it knows the blur, and ``accurate`` matches its first
+        view space only.
     blur : LensBlur, optional
-        The camera's blur, which ``accurate`` with a `CrossFilterConfig` needs.
+        The camera's blur, which ``accurate`` with a `CrossFilterConfig` needs; `blur_from_kernels` makes one of
+        measured point-spread functions.
     channel_moves_px : (rows, columns, 3, 2) float, optional
         Displacement of R, G, B by the lens, which ``real-time`` takes off where it matches all three; see
         `disparity.moved_views.halved_moves`.
@@ -120,14 +122,15 @@ def method_for(
                 space = replace(space, moves_px=np.asarray(channel_moves_px, float))
             return RealTimeMethod(config.for_views(space.directions), space, label_map, run)
         case AccurateConfig(evidence=CrossFilterConfig() as cross_filter):
-            if blur is None or not label_maps:
-                raise InputError("matching with the blur needs a calibrated camera whose file has one")
+            if blur is None:
+                raise InputError("matching with the blur needs one: of a calibrated camera, or of measured kernels")
+            label_map = label_maps[0] if label_maps else IDENTITY
             evidence: Evidence = SpectralEvidence(
-                config.spectral, BlurEvidence(cross_filter, blur, label_maps[0], noise, run)
+                config.spectral, BlurEvidence(cross_filter, blur, label_map, noise, run)
             )
             space = view_spaces(aperture, unmixing, "unmixed")[0]
-            edges = EdgeLikelihood(blur, label_maps[0], noise, run)
-            return AccurateMethod(config, space, evidence, label_maps[0], run, edges)
+            edges = EdgeLikelihood(blur, label_map, noise, run)
+            return AccurateMethod(config, space, evidence, label_map, run, edges)
         case AccurateConfig(evidence=CorrelationEvidenceConfig() as correlation):
             maps = tuple(label_maps) or (IDENTITY,)
             spaces = tuple(view_spaces(aperture, unmixing, correlation.space))[: len(maps)]

@@ -237,7 +237,7 @@ class LensBlur:
         """Trace the rays of channels at an image position; they hold for every distance."""
         position = self.frame_position(x_px, y_px)
         rim = rims(self.model, self.pupil.points, position)
-        light = self._light(position)[list(channels)] * rim
+        light = self.light_at(position)[list(channels)] * rim
         at_infinity = [displacement(self.model, self.pupil.points, position, 0.0, k) for k in channels]
         return Rays(np.stack(at_infinity), light / light.sum(axis=1, keepdims=True))
 
@@ -246,12 +246,12 @@ class LensBlur:
         """Light of the darkest corner of the frame in any channel, as a share of the same channel's in the middle."""
         ends = (0, self.width_px - 1), (0, self.height_px - 1)
         middle, *corners = (
-            (self._light(position) * rims(self.model, self.pupil.points, position)).sum(axis=1)
+            (self.light_at(position) * rims(self.model, self.pupil.points, position)).sum(axis=1)
             for position in (np.zeros(2), *(self.frame_position(x, y) for x in ends[0] for y in ends[1]))
         )
         return float((np.stack(corners) / middle).min())
 
-    def _light(self, position: np.ndarray) -> np.ndarray:
+    def light_at(self, position: np.ndarray) -> np.ndarray:
         """Return the light of the pupil's points at a frame position, (3, N)."""
         light = self.pupil.light
         if self.model.contrast_fall == 0:
@@ -335,7 +335,7 @@ class LensBlur:
         """
         position = self.frame_position(x_px, y_px)
         rim = rims(self.model, self.pupil.points, position)
-        light = self._light(position)
+        light = self.light_at(position)
         steps = []
         for inverse_mm in (0.0, 1e-3):  # linear in 1 / z: two distances determine it
             centre = []
