@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from timing import fastest_ms
 
-from chromaperture.disparity.accurate import optimised_surface, with_halves
+from chromaperture.disparity.accurate import AccurateMethod, optimised_surface, with_halves
 from chromaperture.disparity.error_bar import sigma_of_range
 from chromaperture.disparity.views import filtered_views
 from chromaperture.products.samples import open_sample
@@ -27,6 +27,7 @@ def contestants(design: str) -> dict:
     """Functions without arguments: the peer, accurate as a whole, its evidence and its surface."""
     camera, image = open_sample(f"still_life_{design}", quality="accurate")
     method = camera.method
+    assert isinstance(method, AccurateMethod)
     layers_px = method.config.layers.values_px
     labels_px = with_halves(layers_px)
     likelihood = method.evidence.at(image, layers_px, labels_px)

@@ -136,9 +136,9 @@ def main() -> None:
     if args.json:
         print(json.dumps(report, indent=1))
         return
-    for quality, found in report.items():
+    for quality, ratio_of in report.items():
         print(f"{quality}, {len(models[quality])} sessions")
-        for name, row in found.items():
+        for name, row in ratio_of.items():
             print(f"  {name:20}" + "  ".join(f"{key} {value:.4g}" for key, value in row.items()))
 
 

@@ -46,7 +46,8 @@ def bands_of_line(wrong: np.ndarray, edges: np.ndarray) -> list[tuple[int, int, 
     for i, place in enumerate(places, start=1):
         before = wrong[max(limits[i - 1] + 1, place - MOST_PX + 1) : place + 1][::-1]
         behind = wrong[place + 1 : min(limits[i + 1], place + MOST_PX) + 1]
-        found.append((int(place), *(int(np.argmin(np.append(side, False))) for side in (before, behind))))
+        widths = [int(np.argmin(np.append(side, False))) for side in (before, behind)]
+        found.append((int(place), widths[0], widths[1]))
     return found
 
 

@@ -36,6 +36,8 @@ from chromaperture.disparity.gpu.device import AdapterInfo, Chain, Device, Dispa
 from chromaperture.disparity.gpu.gpu_method import DeviceMethod, GpuMethod, on_device
 from chromaperture.disparity.gpu.measured import NOTHING
 from chromaperture.disparity.labels import IDENTITY
+from chromaperture.disparity.paper import PaperMethod
+from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.optics.aperture import design_named
 from chromaperture.threads import limited_threads, thread_count
 
@@ -160,7 +162,9 @@ def benchmark(device: str, quality: str, design: str, size: tuple[int, int], ban
     image = capture(design, width, height)
     on_cpu = method_for(PaperConfig() if quality == "paper" else RealTimeConfig(), aperture=design)
     if device == "none":
-        counted = GpuMethod(on_cpu.config, on_cpu.space, getattr(on_cpu, "label_map", IDENTITY), counting_device())
+        assert isinstance(on_cpu, PaperMethod | RealTimeMethod)
+        label_map = on_cpu.label_map if isinstance(on_cpu, RealTimeMethod) else IDENTITY
+        counted = GpuMethod(on_cpu.config, on_cpu.space, label_map, counting_device())
         chain = counted._composed((height, width), NOTHING)
         stages = stages_of(chain, image, bandwidth=bandwidth, rate=rate)
         facts = {"quality": quality, "design": design, "size": f"{width}x{height}"}

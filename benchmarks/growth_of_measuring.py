@@ -14,14 +14,17 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera
-from chromaperture.disparity.result import Disparity
+from chromaperture.disparity.accurate import AccurateMethod
+from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.products.samples import open_sample
 from chromaperture.stage_config import LayersConfig
 
@@ -38,9 +41,8 @@ UNITS = {
 }  # fmt: skip
 
 
-def with_layers(camera: CodedApertureCamera, axis: str, factor: float) -> tuple[LayersConfig, float]:
+def with_layers(camera: CodedApertureCamera, own: LayersConfig, axis: str, factor: float) -> tuple[LayersConfig, float]:
     """More layers in the same range, or as many in a wider one; and the place on the axis."""
-    own = camera.method.config.layers
     count = len(own.values_px)
     if axis == "layers":
         wanted = round(factor * count)
@@ -61,15 +63,12 @@ def case(quality: str, axis: str, value: float) -> dict:
         camera, place = camera.at_size(*size), size[0] * size[1] / 1e6
     if axis == "photographs":
         repeats = int(value)
+    measure: Callable[[], object] = partial(camera.measure, image)
     if axis in ("layers", "blur"):
-        layers, place = with_layers(camera, axis, value)
-        method = replace(camera.method, config=replace(camera.method.config, layers=layers))
-
-        def measure() -> Disparity:
-            return method.match(image)
-    else:
-        measure = lambda: camera.measure(image)  # noqa: E731
-
+        method = camera.method
+        assert isinstance(method, RealTimeMethod | AccurateMethod)
+        layers, place = with_layers(camera, method.config.layers, axis, value)
+        measure = partial(replace(method, config=replace(method.config, layers=layers)).match, image)
     measure()
     begin = time.process_time()
     for _ in range(repeats):

@@ -49,7 +49,7 @@ def kernels_of(quality: str) -> dict[str, list]:
         frame.depth_mm, frame.sigma_mm, frame.color  # noqa: B018 - some are computed when they are asked for
     found: dict[str, list] = {}
     for kernel in (it for it in gc.get_objects() if isinstance(it, Dispatcher)):
-        if hasattr(kernel._cache, "holds") and kernel.signatures:
+        if hasattr(kernel._cache, "holds") and kernel.signatures:  # type: ignore[attr-defined]
             name = f"{kernel.py_func.__module__}:{kernel.py_func.__name__}"
             signatures = sorted([text_of(argument) for argument in signature] for signature in kernel.signatures)
             found[name] = [round(seconds.get(name, 0.0), 1), *signatures]

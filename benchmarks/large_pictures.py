@@ -132,10 +132,10 @@ def with_curves(camera: Calibration) -> Calibration:
     shift, factor, *bend = np.linalg.lstsq(terms, np.array(found), rcond=None)[0]
     off = np.abs(terms @ [shift, factor, *bend] - found).max()
     print(f"real-time on flat walls: {factor:.3f} of the centroids' disparity, residual <= {off:.3f} px", flush=True)
-    ends = sorted((shift + factor * low, shift + factor * high))
+    low_px, high_px = sorted((shift + factor * low, shift + factor * high))
     model = DepthModel(
         shift + factor * axis.infinity_disparity_px, factor * axis.scale_px_mm, PUPIL_MM,
-        nonlinearity=Nonlinearity(*ends, np.array(bend)),
+        nonlinearity=Nonlinearity(low_px, high_px, np.array(bend)),
     )  # fmt: skip
     return replace(camera, depth=dict(camera.depth) | {"real-time": DepthField.constant(model)})
 
@@ -252,8 +252,8 @@ def main() -> None:
                     stem = files[0].stem
                     results = folder / f"{stem}.{quality}"
                     row = {"scene": number, "size": stem, "quality": quality} | measure(*files, quality, scale, results)
-                    maps = (tifffile.imread(results / f"{stem}.{name}.tiff") for name in ("depth", "sigma"))
-                    rows.append(row | score(*maps, truth))
+                    depth, sigma = (tifffile.imread(results / f"{stem}.{name}.tiff") for name in ("depth", "sigma"))
+                    rows.append(row | score(depth, sigma, truth))
                     print(json.dumps(rows[-1]), flush=True)
     compare(rows)
     (args.out / "rows.json").write_text(json.dumps(rows, indent=1))

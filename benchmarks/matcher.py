@@ -17,8 +17,8 @@ from chromaperture.config import RealTimeConfig
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.disparity.real_time import RealTimeMethod
-from chromaperture.disparity.result import Disparity
 from chromaperture.disparity.views import halved, view_spaces
+from chromaperture.disparity.winner import Surface
 from chromaperture.optics.aperture import Aperture, design_named
 from chromaperture.threads import thread_count
 
@@ -52,8 +52,8 @@ def scene(
 
 def matching(
     aperture: Aperture, views: list[np.ndarray], guide: np.ndarray, config: RealTimeConfig = CONFIG
-) -> Callable[[], Disparity]:
-    """From float planes (H, W) to disparity by the real-time method, as a function without arguments."""
+) -> Callable[[], Surface]:
+    """From float planes (H, W) to the surface by the real-time method, as a function without arguments."""
     space = view_spaces(aperture, None, config.space)[0]
     config = config.for_views(space.directions)
     method = RealTimeMethod(config, space, IDENTITY, execution_named("numba"))

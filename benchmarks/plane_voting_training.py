@@ -25,6 +25,7 @@ import numpy as np
 from chromaperture.camera import CodedApertureCamera, load_camera
 from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.disparity import planar, plane_voting
+from chromaperture.disparity.accurate import AccurateMethod
 from chromaperture.disparity.plane_agreement import where_they_agree
 
 LIMITS = 0.02, 0.05  # of the true distance
@@ -49,6 +50,8 @@ def measure(args: argparse.Namespace) -> None:
 
 def kept(camera: CodedApertureCamera, image: np.ndarray, truth_mm: np.ndarray) -> Scene:
     """Return signs and labels of blocks, (K, h, w) or (h, w), and what is right there, (2, K, h, w) or (2, h, w)."""
+    method = camera.method
+    assert isinstance(method, AccurateMethod)
     told: dict[str, np.ndarray] = {}
     labels: dict[str, np.ndarray] = {}
 
@@ -69,8 +72,7 @@ def kept(camera: CodedApertureCamera, image: np.ndarray, truth_mm: np.ndarray) -
         planar.voted_planes = real
     for name, label in labels.items():
         maps = [
-            np.asarray(camera.method.label_map.disparity(one), np.float32)
-            for one in label.reshape(-1, *image.shape[:2])
+            np.asarray(method.label_map.disparity(one), np.float32) for one in label.reshape(-1, *image.shape[:2])
         ]
         depth = np.stack([disparity_to_depth(np.ascontiguousarray(one), camera.depth_model)[0] for one in maps])
         error = np.nan_to_num(np.abs(depth - truth_mm) / truth_mm, nan=np.inf).reshape(label.shape)
