@@ -34,7 +34,7 @@ from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.color.color_maps import DISTANCE, color_map
 from chromaperture.color.noise import estimate_noise_variance
-from chromaperture.config import ALLOWED_GROWTH, AccurateConfig, Quality
+from chromaperture.config import AccurateConfig, Quality
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.optics.kernel_blur import KernelBlur, blur_from_kernels
 
@@ -99,13 +99,8 @@ class Found(NamedTuple):
 
 
 def by_kernels(image: np.ndarray, blur: KernelBlur) -> tuple[np.ndarray, np.ndarray]:
-    """Half disparity and its error bar, with the settings of a dual-pixel sensor: halves share noise and detail."""
-    config = AccurateConfig.for_blur(blur.reach, one_pair=True)
-    config = replace(
-        config,
-        evidence=replace(config.evidence, allowed_growth=ALLOWED_GROWTH),
-        spectral=replace(config.spectral, dual_pixel=True),
-    )
+    """Half disparity and its error bar, with the settings of half pixels."""
+    config = AccurateConfig.for_blur(blur.reach, one_pair=True).with_half_pixels()
     farthest = REACH * abs(blur.reach * blur.edge_px)
     found = estimate_disparity(
         image, aperture="cy_halves", config=config.with_range(-farthest, farthest), blur=blur,

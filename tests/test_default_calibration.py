@@ -17,8 +17,8 @@ from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.simulated_session import SessionPlan, write_session
+from chromaperture.planes_config import PlanesConfig
 from chromaperture.robust import robust_sigma
-from chromaperture.stage_config import PlanesConfig
 
 # A thin 50 mm f/2 lens on a frame as small as corners of boards at 3.2 m are found in.
 CAMERA = PupilCamera(192, 128, 450.0, 12.5, 2000.0, 50.0, 0.06)

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from chromaperture.camera_matching import default_config, sensor_noise
-from chromaperture.config import AccurateConfig
+from chromaperture.config import ALLOWED_GROWTH, AccurateConfig
 from chromaperture.depth.field import DepthField
+from chromaperture.errors import InputError
 from chromaperture.evaluation import dual_pixel_camera, dual_pixel_session
 from chromaperture.evaluation.dual_pixel_camera import FOCUS_SIGMA, uncalibrated, with_focus_error
 from chromaperture.evaluation.dual_pixel_noise import camera_for, noise_scale
@@ -48,6 +49,20 @@ def test_settings_without_blur_are_those_of_the_calibration(rng):
     assert not eye.config.matcher.uses_blur
     assert eye.config.matcher.planes.rounds == 0
     assert eye.calibration.sensor == camera.sensor
+
+
+def test_settings_of_half_pixels_are_those_of_the_blur_but_for_what_halves_share():
+    film = AccurateConfig.for_blur(0.2, one_pair=True).with_range(-1.0, 2.0)
+    halves = film.with_half_pixels()
+    assert halves.evidence.own_detail
+    assert halves.evidence.allowed_growth == ALLOWED_GROWTH
+    assert halves.spectral.dual_pixel
+    assert not halves.surface.learned_error_bar
+    assert halves.planes.vote_factors == film.planes.vote_factors
+    assert halves.layers == film.layers
+    assert halves.with_half_pixels() == halves
+    with pytest.raises(InputError, match="for_blur"):
+        AccurateConfig().with_half_pixels()
 
 
 @pytest.mark.parametrize("quality", ["accurate", "real-time"])

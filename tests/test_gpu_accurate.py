@@ -20,8 +20,8 @@ from chromaperture.disparity.gpu.gpu_method import DeviceMethod
 from chromaperture.disparity.gpu.measured import Further
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.errors import CaptureWarning, InputError, OutOfMemoryError
+from chromaperture.planes_config import PlanesConfig
 from chromaperture.products.samples import open_sample
-from chromaperture.stage_config import PlanesConfig
 from test_gpu import device_of_its_own
 from test_gpu_surface import any_device
 from worlds import wavy_capture

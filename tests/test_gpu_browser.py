@@ -23,7 +23,7 @@ from chromaperture.disparity.gpu.measured import NOTHING, Further
 from chromaperture.disparity.gpu.refocus_stages import RefocusChain, inputs_of
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.effects.refocusing import Focus, refocus
-from chromaperture.stage_config import PlanesConfig
+from chromaperture.planes_config import PlanesConfig
 from devices import EXPECTED, needs_device
 from test_gpu_agreement import STEP, agreement
 from test_gpu_alignment import camera_of, chain_behind_disparity

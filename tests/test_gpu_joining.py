@@ -9,7 +9,7 @@ from chromaperture.disparity import stages
 from chromaperture.disparity.planar import block_costs
 from chromaperture.disparity.plane_fit import Volume
 from chromaperture.disparity.plane_merging import merged_planes
-from chromaperture.stage_config import PlanesConfig
+from chromaperture.planes_config import PlanesConfig
 from test_gpu_surface import any_device, device_as
 
 pytestmark = pytest.mark.extra("gpu", "wgpu")

@@ -10,7 +10,7 @@ from chromaperture.disparity.planar import _scaled, block_costs, block_links, bl
 from chromaperture.disparity.plane_fit import Volume, candidates, proposals
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
-from chromaperture.stage_config import PlanesConfig
+from chromaperture.planes_config import PlanesConfig
 from test_gpu_surface import any_device, device_as
 
 pytestmark = pytest.mark.extra("gpu", "wgpu")

@@ -20,7 +20,8 @@ from chromaperture.disparity.stages.plane_refining import PointSets, plane_sums
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.winner import Surface
 from chromaperture.errors import InputError
-from chromaperture.stage_config import PlanesConfig, SurfaceConfig
+from chromaperture.planes_config import PlanesConfig
+from chromaperture.stage_config import SurfaceConfig
 
 SLOW, FAST = execution_named("numpy"), execution_named("numba")
 LABELS_PX = np.arange(-3.0, 3.01, 0.1)
@@ -335,7 +336,7 @@ def test_planes_are_known_beside_their_borders_whatever_the_posterior_says() -> 
     def known(sigma_px: np.ndarray) -> np.ndarray:
         surface = judged(
             Surface(disparity, sigma_px, np.ones((40, 100))), np.zeros((40, 100)), LABELS_PX,
-            first_px=disparity, explained_by=planes, learned=False, known_within_px=1.0,
+            first_px=disparity, explained_by=planes, learned=False, known_within_px=1.0, edge_share=0.4,
         )  # fmt: skip
         return np.isfinite(surface.disparity_px)
 

@@ -20,9 +20,9 @@ SOURCES = {
 MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
-BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "spectral_config", "storage", "camera_file",
-                         "camera_matching", "camera_scale", "camera_memory", "camera_alignment", "camera_crop",
-                         "camera", "cluster", "formats", "frame", "calibration", "products"}  # fmt: skip
+BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "planes_config", "spectral_config", "storage",
+                         "camera_file", "camera_matching", "camera_scale", "camera_memory", "camera_alignment",
+                         "camera_crop", "camera", "cluster", "formats", "frame", "calibration", "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
 COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory", "rows_on_demand", "scratch"}
 ALLOWED: dict[str, set[str]] = {
@@ -33,12 +33,13 @@ ALLOWED: dict[str, set[str]] = {
     "threads": {"errors"},  # numbers of threads in the environment are refused like any input
     "compile_ahead": set(),
     "stage_config": {"errors"},
+    "planes_config": {"stage_config"},
     "spectral_config": {"errors", "stage_config"},
-    "config": {"errors", "stage_config", "spectral_config"},
+    "config": {"errors", "stage_config", "planes_config", "spectral_config"},
     "optics": set(),  # the forward model shares no code with the estimator that it tests
     "color": {"optics"},
     "capture": {"optics", "color", "deflate"},
-    "disparity": {"optics", "color", "config", "stage_config", "spectral_config"},
+    "disparity": {"optics", "color", "config", "stage_config", "planes_config", "spectral_config"},
     "depth": {"color", "config"},  # works on any disparity map, however it was made
     "deflate": set(),
     "png_encoding": {"deflate"},

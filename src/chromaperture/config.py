@@ -13,6 +13,7 @@ from typing import Literal, TypeVar, get_args
 import numpy as np
 
 from chromaperture.errors import InputError
+from chromaperture.planes_config import PlanesConfig
 from chromaperture.spectral_config import LEAST_REACH_OF_PAIRS, SpectralConfig
 from chromaperture.stage_config import (
     BilateralConfig,
@@ -21,7 +22,6 @@ from chromaperture.stage_config import (
     CrossFilterConfig,
     FourPathsConfig,
     LayersConfig,
-    PlanesConfig,
     SurfaceConfig,
     ViewsConfig,
     all_finite,
@@ -247,6 +247,28 @@ class AccurateConfig(MatcherConfig):
             evidence = replace(evidence, own_detail=True)
         planes, spectral = PlanesConfig(vote_factors=VOTE_FACTORS), SpectralConfig.for_blur(reach)
         return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=spectral)
+
+    def with_half_pixels(self) -> AccurateConfig:
+        """Return the settings for a dual-pixel sensor whose blur is known.
+
+        Red and blue are the light of the pixels' halves, green their mean. Both halves see most of the pupil: what a
+        layer's blur brings from elsewhere is no evidence, and evidence counts as far as it is a pixel's own. They share
+        noise (``disparity/half_pixel_likelihood.py``). The error bar is not the learned one, which knows other
+        evidence: with it .65 and .93 of the errors of real boxes lie within one and two bars and .59 and .78 of casual
+        scenes, without .74, .97, .67 and .86 (``benchmarks/dual_pixel.py``; .70, .96, .62 and .81 with the edges of
+        film, where windows are smaller).
+
+        Raises
+        ------
+        InputError
+            These settings are for shifted views.
+        """
+        if not isinstance(self.evidence, CrossFilterConfig):
+            raise InputError("half pixels are matched with the blur: start from AccurateConfig.for_blur")
+        evidence = replace(self.evidence, own_detail=True, allowed_growth=ALLOWED_GROWTH)
+        surface, planes = replace(self.surface, learned_error_bar=False), replace(self.planes, edge_share=1.0)
+        spectral = replace(self.spectral, dual_pixel=True)
+        return replace(self, evidence=evidence, surface=surface, planes=planes, spectral=spectral)
 
 
 @dataclass(frozen=True)

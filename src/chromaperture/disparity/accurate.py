@@ -35,7 +35,8 @@ from chromaperture.disparity.stages.between_layers import between_layers
 from chromaperture.disparity.views import ViewSpace, filtered_views
 from chromaperture.disparity.winner import Surface, parabola_winner
 from chromaperture.errors import InputError
-from chromaperture.stage_config import PlanesConfig, SurfaceConfig
+from chromaperture.planes_config import PlanesConfig
+from chromaperture.stage_config import SurfaceConfig
 from chromaperture.threads import each_band
 
 EDGE_REACH_PX = 8  # two sigmas of the correlation window
@@ -43,11 +44,10 @@ EDGE_REACH_PX = 8  # two sigmas of the correlation window
 # area under the risk-coverage curve is .050 without, .047, .046, .050 with 4, 8, 16 px; of the tenth with the longest
 # bars .79, .86, .88, .84 of the errors lie within two.
 POOLED_PX = 8.0
-# Of the range of the disparity about a pixel, for a surface of planes, whose edges follow the picture; a place anywhere
-# in the range has a standard deviation of 0.29. On seven ray-traced scenes 0.4 makes the bar honest in every tenth of
-# the pixels, by sigma, and 1.0 is too wide in two of them. Without planes it is too narrow:
-# of the errors on real boxes 0.46 lay within one bar, with 1.0 they were 0.53 (benchmarks/dual_pixel.py).
-EDGE_SHARE_OF_PLANES = 0.4
+# Of the range of the disparity about a pixel, for a surface without planes; a place anywhere in the range has a
+# standard deviation of 0.29. With 0.4, as for planes, the bar is too narrow: of the errors on real boxes 0.46 lay
+# within it, with 1.0 they were 0.53 (benchmarks/dual_pixel.py).
+EDGE_SHARE = 1.0
 # Labels by which all evidence of a plane together misses its place. On four ray-traced scenes the tenth with the
 # shortest bars has 1.0, .74, .59 of its errors within one bar and 1.0, 1.0, .90 within two with 0.3, 0.2, 0.1.
 # The learned bar has the same least: of a simulated room in plain light .61 of the errors lie within two bars without
@@ -194,7 +194,7 @@ def optimised_surface(
     extent = local_range(disparity, EDGE_REACH_PX)
     return judged(
         surface, extent, labels_px, first_px=first, explained_by=explained_by, learned=config.learned_error_bar,
-        known_within_px=known_within_px,
+        known_within_px=known_within_px, edge_share=EDGE_SHARE if explained_by is None else planes.edge_share,
     )  # fmt: skip
 
 
@@ -221,6 +221,7 @@ def judged(
     explained_by: Planes | None,
     learned: bool,
     known_within_px: float,
+    edge_share: float,
 ) -> Surface:
     """Widen the error bar of a surface by what its posterior does not see, and leave out what is unknown.
 
@@ -238,6 +239,8 @@ def judged(
         Whether the bar is that of `learned_sigma`.
     known_within_px : float, px
         As `optimised_surface`.
+    edge_share : float
+        See `PlanesConfig`; a learned bar has weights instead.
     """
     step = float(labels_px[1] - labels_px[0])
     disparity, sigma = surface.disparity_px, surface.sigma_px
@@ -253,6 +256,5 @@ def judged(
     if learned:
         sigma = np.hypot(learned_sigma(surface, step, first_px=first_px, explained_by=explained_by), bias)
     else:
-        edge_share = 1.0 if explained_by is None else EDGE_SHARE_OF_PLANES
         sigma = np.hypot(np.hypot(pooled_sigma(sigma, POOLED_PX), bias), edge_share * extent_px)
     return Surface(np.where(known, disparity, np.nan).astype(np.float32), sigma, surface.peak)

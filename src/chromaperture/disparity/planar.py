@@ -23,7 +23,8 @@ from chromaperture.disparity.plane_merging import merged_planes
 from chromaperture.disparity.plane_voting import voted_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
-from chromaperture.stage_config import PlanesConfig, SurfaceConfig
+from chromaperture.planes_config import PlanesConfig
+from chromaperture.stage_config import SurfaceConfig
 from chromaperture.threads import BAND_ROWS, each_band
 
 BORDER_APART_LABELS = 1.5  # by which two planes differ for their border to be a depth edge; chosen by hand

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from chromaperture.disparity.plane_fit import Pixels, Volume, best_planes
-from chromaperture.stage_config import PlanesConfig
+from chromaperture.planes_config import PlanesConfig
 from chromaperture.threads import parallel_map
 
 LEAST_CORE = 0.25  # share of a plane's pixels away from its border below which all of them count; chosen by hand

@@ -14,7 +14,7 @@ from chromaperture.camera_matching import default_config
 from chromaperture.config import AccurateConfig
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.errors import InputError
-from chromaperture.stage_config import PlanesConfig
+from chromaperture.planes_config import PlanesConfig
 
 # Of all boards together: 24 s at 12 s a megapixel (README), which is less than the calibration itself takes.
 MOST_MEGAPIXELS = 2.0

@@ -17,9 +17,7 @@ from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, sensor_noise
 from chromaperture.config import AccurateConfig, Quality
-from chromaperture.disparity.accurate import WITHOUT_PLANES
 from chromaperture.evaluation.dual_pixel_camera import without_planes
-from chromaperture.stage_config import CrossFilterConfig
 
 # Chosen by hand: squares small enough to lie between edges, and enough of them in a range of light for a percentile
 _SQUARE_PX = 16
@@ -70,23 +68,16 @@ def _squares(picture: np.ndarray) -> np.ndarray:
 def camera_for(image: np.ndarray, calibration: Calibration, quality: Quality) -> CodedApertureCamera:
     """Return the camera with the noise of one photograph, its settings those of the calibration.
 
-    Where it matches with the blur, evidence counts as far as it is a pixel's own (``disparity/own_detail.py``), and
-    that of all channels together knows which noise they share (``disparity/half_pixel_likelihood.py``). The error bar
-    is not the learned one, which knows other evidence: with it .67 and .94 of the errors of boxes lie within one and
-    two bars, .54 and .76 of casual scenes, without .71, .96, .56 and .79 (before noise was known as shared). Nor are
-    there planes, for either kind of evidence: boxes lose by them, and by shifted views casual scenes too
-    (docs/evaluation.md).
+    Where it matches with the blur, the settings are those of half pixels. Shifted views have no planes, by which boxes
+    and casual scenes lose (docs/evaluation.md).
     """
     config = default_config(calibration, quality)
     matcher = config.matcher
     if not isinstance(matcher, AccurateConfig):
         return CodedApertureCamera(calibration, config)
-    if not isinstance(matcher.evidence, CrossFilterConfig):
+    if not matcher.uses_blur:
         return CodedApertureCamera(calibration, without_planes(config))
-    evidence = replace(matcher.evidence, own_detail=True)
-    surface = replace(matcher.surface, learned_error_bar=False)
-    spectral = replace(matcher.spectral, dual_pixel=True)
-    matcher = replace(matcher, evidence=evidence, surface=surface, planes=WITHOUT_PLANES, spectral=spectral)
+    matcher = matcher.with_half_pixels()
     config = replace(config, matcher=matcher)
     sensor, times = calibration.sensor, noise_scale(image, calibration)
     if sensor.full_well_electrons is not None and sensor.read_noise_electrons is not None:

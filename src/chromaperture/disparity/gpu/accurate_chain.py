@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.disparity.accurate import ALL_CHANNELS, AccurateMethod, with_halves
+from chromaperture.disparity.accurate import ALL_CHANNELS, EDGE_SHARE, AccurateMethod, with_halves
 from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.clipped_areas import clipped_filled
 from chromaperture.disparity.correlation_evidence import CorrelationEvidence
@@ -214,6 +214,7 @@ class AccurateChain:
         judged = add_judged(
             chain, self.arrays, self.grid, planes=planes, learned=method.config.surface.learned_error_bar,
             known_within=sigma_of_range(labels_px) / float(labels_px[1] - labels_px[0]),
+            edge_share=EDGE_SHARE if planes is None else method.config.planes.edge_share,
         )  # fmt: skip
         add_label_maps(chain, judged, self.light, self.grid, method.label_map, labels_px)
         photograph = self.first.arrays["image"]

@@ -27,7 +27,7 @@ from chromaperture.disparity.plane_fit import (
 )
 from chromaperture.disparity.stages.plane_refining import CONDITION, GAINED, LEAST_BEND, REACH
 from chromaperture.disparity.stages.planes import LEAST_AREA, LEAST_POINTS, NEAR
-from chromaperture.stage_config import PlanesConfig
+from chromaperture.planes_config import PlanesConfig
 
 LANES, LANES_IN_SOFTWARE = 64, 8  # invocations of a tile; in software one vector, whose barriers cost nothing
 OUTPUTS = ("candidates", "candidate_parts", "distinct")  # planes, their points, which are distinct

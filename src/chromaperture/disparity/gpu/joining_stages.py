@@ -17,7 +17,7 @@ from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.plane_fit import NEWTON_STEPS
 from chromaperture.disparity.plane_merging import FAR_APART_LAYERS, LEAST_CORE, PAIR_STEPS
 from chromaperture.disparity.stages.plane_refining import CONDITION, GAINED, LEAST_BEND, MOST_POINTS, REACH
-from chromaperture.stage_config import PlanesConfig
+from chromaperture.planes_config import PlanesConfig
 
 
 class _Side(NamedTuple):

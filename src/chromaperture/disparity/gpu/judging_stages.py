@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from chromaperture.disparity import evidence_signs
-from chromaperture.disparity.accurate import BIAS_OF_PLANES, EDGE_SHARE_OF_PLANES
+from chromaperture.disparity.accurate import BIAS_OF_PLANES
 from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, LIGHT_WINDOW_PX, MAX_SIGMA_PX, sigma_of_range
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.measured import MAPS
@@ -48,7 +48,14 @@ class OfPlanes(NamedTuple):
 
 
 def add_judged(
-    chain: Chain, a: SurfaceArrays, grid: Grid, *, planes: OfPlanes | None, learned: bool, known_within: float
+    chain: Chain,
+    a: SurfaceArrays,
+    grid: Grid,
+    *,
+    planes: OfPlanes | None,
+    learned: bool,
+    known_within: float,
+    edge_share: float,
 ) -> Array:
     """Append `accurate.judged`; return (h, w, 4): layer, error bar in layers, peak, whether known.
 
@@ -60,6 +67,7 @@ def add_judged(
     planes : OfPlanes or None
     learned : bool
     known_within : float, layers
+    edge_share : float
         See `judged`.
     """
     pooled, room = (chain.array(name, 2 * grid.pixels) for name in ("pooled", "pooling"))
@@ -73,7 +81,7 @@ def add_judged(
             count=grid.layers,
         )  # fmt: skip
         add_gaussian(chain, pooled, room, shape, taps, parts=2)
-        _add_surface_bar(chain, [pooled, near, far, bar], grid, learned=learned, edge_share=1.0)
+        _add_surface_bar(chain, [pooled, near, far, bar], grid, learned=learned, edge_share=edge_share)
     else:
         beside = _add_beside(chain, planes.there, grid, BORDER_APART_LABELS)
         of_planes = _add_signs_of_planes(chain, a, planes, beside, grid, known_within)
@@ -94,7 +102,7 @@ def add_judged(
                 **_numbers(weights()["planes"]),
             )  # fmt: skip
         else:
-            _add_surface_bar(chain, [pooled, near, far, bar], grid, learned=False, edge_share=EDGE_SHARE_OF_PLANES)
+            _add_surface_bar(chain, [pooled, near, far, bar], grid, learned=False, edge_share=edge_share)
     if learned:
         add_gaussian(chain, bar, room, shape, gaussian_taps(SMOOTHED_PX), parts=1)
     results = chain.array("judged", 4 * grid.pixels)

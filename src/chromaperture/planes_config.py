@@ -1,0 +1,80 @@
+"""Defaults of the planes that explain a surface (quality "accurate"); see `stage_config`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from chromaperture.stage_config import all_finite, require
+
+
+@dataclass(frozen=True)
+class PlanesConfig:
+    """Planes that explain the surface (quality "accurate"), see ``disparity/planar.py``.
+
+    Chosen on ray-traced scenes that no table shows; ``benchmarks/ablation.py --quality accurate`` measures each.
+
+    Attributes
+    ----------
+    tiles_px : tuple of int
+        Sizes of the squares to which planes are fitted at first.
+    block_px : int
+        Side of the squares of pixels that choose one plane together.
+    boundary_penalty : float
+        Nats that a px of boundary between two planes costs on an even guide.
+    plane_penalty : float
+        Nats that a plane costs: its three numbers. Joining that saves one number may lose a third.
+    plane_tolerance : float
+        Share of its log-likelihood that a plane may lose when it is joined to a neighbour. The blur that was
+        calibrated is not exact, so the log-likelihood of a large plane never peaks where its neighbour's does.
+    slope_tolerance : float
+        Share of its log-likelihood that a plane may lose when its slope is taken away.
+    slope_penalty : float
+        Nats a pixel of a slope of one label per px; it grows with the square. Floors in view slope by 0.3.
+    outside_penalty : float
+        Nats a pixel where a plane leaves the search range.
+    border_px : int
+        Pixels closer to another plane do not count in a fit: their windows see both.
+    edge_band_px : int
+        Reach inwards, from the border of a nearer plane, within which the guide alone decides where its edge is;
+        0 leaves edges where the evidence has them.
+    edge_lines : bool
+        Whether lines across borders tell where edges are, where the camera's blur is known; else the guide alone.
+    rounds : int
+        Of choosing and joining; 0 switches the planes off.
+    sweeps : int
+        Of the belief propagation in each round.
+    edge_share : float
+        Of the range of the disparity about a pixel, by which an error bar that is not learned widens. The edges of
+        planes follow the picture: on seven ray-traced scenes 0.4 makes the bar honest in every tenth of the pixels, by
+        sigma, and 1.0, as of a surface without planes, is too wide in two of them.
+    vote_factors : tuple of float
+        Of ``boundary_penalty``, a fit each, which vote as `plane_voting.py` has it: learned with known blur. Without
+        any one fit is taken wherever the surface's error bar allows it; with shifted views votes gained nothing.
+    """
+
+    tiles_px: tuple[int, ...] = (48, 96, 192, 480)
+    block_px: int = 4
+    boundary_penalty: float = 7.5
+    plane_penalty: float = 60.0
+    plane_tolerance: float = 0.03
+    slope_tolerance: float = 0.003
+    slope_penalty: float = 0.3
+    outside_penalty: float = 0.05
+    border_px: int = 12
+    edge_band_px: int = 8
+    edge_lines: bool = True
+    rounds: int = 5
+    sweeps: int = 8
+    edge_share: float = 0.4
+    vote_factors: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        require(bool(self.tiles_px) and min(self.tiles_px) >= 8, "tiles_px must hold sizes of at least 8 px")
+        whole = min(self.block_px, self.border_px, self.sweeps) >= 1 and min(self.rounds, self.edge_band_px) >= 0
+        require(whole, "block_px, border_px and sweeps must be >= 1, edge_band_px and rounds >= 0")
+        penalties = (
+            self.boundary_penalty, self.plane_penalty, self.plane_tolerance, self.slope_tolerance, self.slope_penalty,
+            self.outside_penalty, self.edge_share, *self.vote_factors,
+        )  # fmt: skip
+        least = all_finite(*penalties) and min(penalties) >= 0
+        require(least, "penalties, tolerances, edge_share and vote_factors of planes must be finite and >= 0")
