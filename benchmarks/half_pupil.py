@@ -1,6 +1,6 @@
 """Score the matcher on real photographs through the left and the right half of a pupil, against measured defocus.
 
-    python benchmarks/half_pupil.py --data FOLDER [--method paper real-time accurate kernels] [--out DIR] [--json]
+    python benchmarks/half_pupil.py --data FOLDER [--method paper real-time accurate kernels] [--picture PNG] [--json]
 
 FOLDER holds NNN_left.png, NNN_right.png, NNN_gt_defocus.png (0 = unknown, the middle two thirds of the frame),
 calibration/white_sheet_*.png and blur_kernels_*.npy. Red is the right half, blue the left one, green their mean: optics
@@ -91,8 +91,9 @@ def kernel_blur(folder: Path, width_px: int, height_px: int) -> KernelBlur:
 
 
 class Found(NamedTuple):
-    """Half disparity and error bar of the pixels that may have truth, px; the truth, levels, 0 unknown."""
+    """Half disparity of the frame; it and its error bar where there may be truth, px; the truth, levels, 0 unknown."""
 
+    frame_px: np.ndarray
     disparity_px: np.ndarray
     sigma_px: np.ndarray
     defocus: np.ndarray
@@ -118,18 +119,14 @@ def by_quality(image: np.ndarray, quality: Quality, range_px: tuple[float, float
     return frame.disparity_px, frame.disparity_sigma_px
 
 
-def measure(scene: str, method: str, args: argparse.Namespace) -> Found:
-    image = capture(args.data, scene)
-    defocus = cv2.imread(str(args.data / f"{scene}_gt_defocus.png"), cv2.IMREAD_UNCHANGED)[::2, ::2]
+def measure(scene: str, method: str, data: Path, range_px: tuple[float, float]) -> Found:
+    image = capture(data, scene)
+    defocus = cv2.imread(str(data / f"{scene}_gt_defocus.png"), cv2.IMREAD_UNCHANGED)[::2, ::2]
     if method == "kernels":
-        disparity, sigma = by_kernels(image, kernel_blur(args.data, image.shape[1], image.shape[0]))
+        disparity, sigma = by_kernels(image, kernel_blur(data, image.shape[1], image.shape[0]))
     else:
-        disparity, sigma = by_quality(image, method, tuple(args.range_px))
-    if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
-        low, high = np.nanpercentile(disparity[CROP], (1, 99))
-        plt.imsave(args.out / f"{scene}_{method}.png", disparity, vmin=low, vmax=high, cmap=color_map(DISTANCE))
-    return Found(disparity[CROP], sigma[CROP], defocus)
+        disparity, sigma = by_quality(image, method, range_px)
+    return Found(disparity, disparity[CROP], sigma[CROP], defocus)
 
 
 def ceiling(defocus: np.ndarray) -> float:
@@ -152,19 +149,34 @@ def on_line(scenes: list[Found]) -> float:
     return float(np.mean(np.abs(np.where(known, value, np.inf) - slope * truth - offset) <= abs(slope) * ON_LINE))
 
 
+def draw(maps: dict[tuple[str, str], np.ndarray], scenes: list[str], methods: list[str], path: Path) -> None:
+    """Draw every scene by every method, each in the colours of its own range."""
+    size = (4 * len(methods), 3.2 * len(scenes))
+    figure, axes = plt.subplots(len(scenes), len(methods), figsize=size, layout="constrained", squeeze=False)
+    for row, scene in zip(axes, scenes, strict=True):
+        for axis, method in zip(row, methods, strict=True):
+            low, high = np.nanpercentile(maps[scene, method][CROP], (1, 99))
+            shown = axis.imshow(maps[scene, method], vmin=low, vmax=high, cmap=color_map(DISTANCE))
+            figure.colorbar(shown, ax=axis, label="half disparity, px", shrink=0.8)
+            axis.set_title(f"{scene}: {method}")
+            axis.set_axis_off()
+    figure.savefig(path, dpi=90)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--method", nargs="+", default=["paper", "real-time", "accurate", "kernels"])
     parser.add_argument("--range-px", nargs=2, type=float, default=(-8.0, 8.0), help="of the qualities")
-    parser.add_argument("--out", type=Path, help="folder for pictures")
+    parser.add_argument("--picture", type=Path, help="draw all maps of disparity")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     scenes = sorted(path.name.split("_")[0] for path in args.data.glob("*_gt_defocus.png"))
-    rows, means = [], {}
+    rows, means, maps = [], {}, {}
     for method in args.method:
-        found = [measure(scene, method, args) for scene in scenes]
-        of_method = [score(*part) | {"ceiling": ceiling(part.defocus)} for part in found]
+        found = [measure(scene, method, args.data, tuple(args.range_px)) for scene in scenes]
+        maps |= {(scene, method): part.frame_px for scene, part in zip(scenes, found, strict=True)}
+        of_method = [score(*part[1:]) | {"ceiling": ceiling(part.defocus)} for part in found]
         for scene, row in zip(scenes, of_method, strict=True):
             rows.append({"scene": scene, "method": method, **row})
             if not args.json:
@@ -173,6 +185,8 @@ def main() -> None:
         means[method] = mean | {"on_line": on_line(found)}
         if not args.json:
             print("mean", method, " ".join(f"{k} {v:.3f}" for k, v in means[method].items()), flush=True)
+    if args.picture:
+        draw(maps, scenes, args.method, args.picture)
     if args.json:
         print(json.dumps({"rows": rows, "means": means}, indent=1))
 
