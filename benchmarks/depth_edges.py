@@ -6,6 +6,8 @@ FOLDER of ``--data`` is that of ``bench50.py``; the cameras' holds one camera fi
 is a step of the true distance by more than 5 % between two neighbours in a row or in a column. From it the wrong pixels
 (error above 5 %) on either side are counted until the first right one, at most up to the next edge and up to 40 px: the
 width of the wrong band is the sum of both sides. Blur is that of the nearer or the farther side, whichever is larger.
+An edge lies between right surfaces if most of the pixels that would be counted are right on either side: there a band
+is an edge in the wrong place, elsewhere it is a surface in the wrong place.
 """
 
 from __future__ import annotations
@@ -38,30 +40,30 @@ def edges_along_rows(truth: np.ndarray) -> np.ndarray:
     return np.abs(np.diff(log, axis=1)) > np.log1p(STEP)
 
 
-def bands_of_line(wrong: np.ndarray, edges: np.ndarray) -> list[tuple[int, int, int]]:
-    """Place of every edge of a line, and wrong pixels before and behind it; (W,) and (W - 1,) bool."""
+def bands_of_line(wrong: np.ndarray, edges: np.ndarray) -> list[tuple[int, int, bool]]:
+    """Place of every edge of a line, its wrong band, whether surfaces are right; of (W,) and (W - 1,) bool."""
     places = np.flatnonzero(edges)
     limits = np.concatenate([[-1], places, [len(edges)]])
     found = []
     for i, place in enumerate(places, start=1):
         before = wrong[max(limits[i - 1] + 1, place - MOST_PX + 1) : place + 1][::-1]
         behind = wrong[place + 1 : min(limits[i + 1], place + MOST_PX) + 1]
-        widths = [int(np.argmin(np.append(side, False))) for side in (before, behind)]
-        found.append((int(place), widths[0], widths[1]))
+        width = sum(int(np.argmin(np.append(side, False))) for side in (before, behind))
+        found.append((int(place), width, before.mean() < 0.5 and behind.mean() < 0.5))
     return found
 
 
 def wrong_bands(depth: np.ndarray, truth: np.ndarray, blur_px: np.ndarray) -> np.ndarray:
-    """Width of the wrong band and blur at every edge, along rows and columns; (N, 2), px."""
+    """Wrong band, px, blur, px, and whether surfaces are right, of edges along rows and columns; (N, 3)."""
     error = np.where(np.isfinite(depth), np.abs(depth - truth) / truth, np.inf)
     wrong = error > WRONG
     found = []
     for bad, true, blur in ((wrong, truth, blur_px), (wrong.T, truth.T, blur_px.T)):
         edges = edges_along_rows(true)
         for y in np.flatnonzero(edges.any(axis=1)):
-            for place, before, behind in bands_of_line(bad[y], edges[y]):
-                found.append((before + behind, max(blur[y, place], blur[y, place + 1])))
-    return np.array(found, float).reshape(-1, 2)
+            for place, width, right in bands_of_line(bad[y], edges[y]):
+                found.append((width, max(blur[y, place], blur[y, place + 1]), right))
+    return np.array(found, float).reshape(-1, 3)
 
 
 def from_edges_px(truth: np.ndarray) -> np.ndarray:
@@ -106,7 +108,8 @@ def main() -> None:
             beyond = from_edges_px(truth) > APART_PX
             near.append(right[~beyond & np.isfinite(truth)].mean())
             far.append(right[beyond & np.isfinite(truth)].mean())
-        widths, blurs = np.concatenate(bands).T
+        widths, blurs, right = np.concatenate(bands).T
+        between_right = widths[right > 0]
         by_blur = {
             f"{a}-{b}": [float(np.median(part)), len(part)]
             for a, b in itertools.pairwise(BLUR_PX)
@@ -116,6 +119,8 @@ def main() -> None:
             {
                 "design": design, "quality": args.quality, "median_px": float(np.median(widths)),
                 "mean_px": float(widths.mean()), "by_blur_px": by_blur,
+                "between_right_surfaces": float(right.mean()),
+                "median_px_between_right_surfaces": float(np.median(between_right)) if len(between_right) else None,
                 f"within_5_percent_up_to_{APART_PX}_px": float(np.mean(near)),
                 f"within_5_percent_beyond_{APART_PX}_px": float(np.mean(far)),
             }
@@ -123,8 +128,10 @@ def main() -> None:
         if not args.json:
             parts = ", ".join(f"blur {k} px: {v:.0f} ({n} edges)" for k, (v, n) in by_blur.items())
             print(f"{design:12} {args.quality}: wrong band median {np.median(widths):.1f}, mean {widths.mean():.1f} px "
-                  f"({parts}); within 5 %: {np.mean(near):.3f} up to {APART_PX} px from an edge, {np.mean(far):.3f} "
-                  "beyond", flush=True)  # fmt: skip
+                  f"({parts}); {right.mean():.2f} of the edges lie between right surfaces, median there "
+                  f"{np.median(between_right) if len(between_right) else np.nan:.1f} px; "
+                  f"within 5 %: {np.mean(near):.3f} up to {APART_PX} px from an edge, {np.mean(far):.3f} beyond",
+                  flush=True)  # fmt: skip
         axis.plot(np.sort(widths), np.linspace(0, 1, len(widths)), label=design)
     axis.set(xlabel="wrong band beside a depth edge, px", ylabel="share of the edges", xlim=(0, 2 * MOST_PX))
     axis.legend()

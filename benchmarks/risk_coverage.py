@@ -11,6 +11,8 @@ its curve is below the risk of all pixels, which is that of a random order.
 Honest is an error bar if it holds as many errors as it promises wherever it is short and wherever it is long. The
 pixels of a scene with a depth, in the same order, are cut into ten equal parts; of each part it is counted how many
 errors lie within one and two error bars. Figures are means over the scenes. Of Gaussian errors .68 and .95 would.
+``right`` counts the tenths of which both shares are as asked, ``possible`` those that some factor on their bars, one
+for each tenth by the truth, would make right: what is missing then is not the length of the bars but their order.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ from chromaperture.camera import load_camera
 WRONG = 0.02  # of the depth
 WITHIN = "within_1_sigma", "within_2_sigma"
 ASKED = (0.55, 0.80), (0.88, 0.99)  # of every tenth, within one and two error bars
+FACTORS = np.geomspace(0.05, 20, 400)  # on the bars of a tenth
 
 
 def order_of_trust(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -47,15 +50,25 @@ def risk(error: np.ndarray) -> np.ndarray:
     return np.cumsum(error > WRONG) / np.arange(1, len(error) + 1)
 
 
-def honesty(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Share of the errors within 1 and 2 error bars, by tenth of the pixels, the most trusted first; (10, 2)."""
+def tenths(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> list[np.ndarray]:
+    """Errors in error bars, sorted, by tenth of the pixels, the most trusted first."""
     answered = np.isfinite(truth) & np.isfinite(depth) & np.isfinite(sigma)
     bars = (np.abs(depth - truth) / sigma)[answered][np.argsort((sigma / depth)[answered], kind="stable")]
-    return np.array([[(part < n).mean() for n in (1, 2)] for part in np.array_split(bars, 10)])
+    return [np.sort(part) for part in np.array_split(bars, 10)]
+
+
+def shares_of(parts: list[np.ndarray], factor: float) -> np.ndarray:
+    """Share of the errors within 1 and 2 error bars, each a factor longer, mean of several scenes' parts; (2,)."""
+    return np.mean([np.searchsorted(part, [factor, 2 * factor]) / len(part) for part in parts], axis=0)
+
+
+def as_asked(shares: np.ndarray) -> bool:
+    """Whether both shares lie in the ranges that are asked for."""
+    return all(low <= share <= high for share, (low, high) in zip(shares, ASKED, strict=True))
 
 
 def draw_tenths(axis: Axes, shares: np.ndarray) -> None:
-    """Draw the (10, 2) shares of `honesty` over the ranges that are asked for."""
+    """Draw the (10, 2) shares of every tenth over the ranges that are asked for."""
     tenth = np.arange(1, 11)
     for column, (low, high), color in zip(shares.T, ASKED, ("tab:blue", "tab:orange"), strict=True):
         axis.axhspan(low, high, color=color, alpha=0.15, linewidth=0)
@@ -92,17 +105,21 @@ def main() -> None:
                 truth = cv2.imread(str(args.data / "truth" / f"{scene}.depth_0.1mm.png"), cv2.IMREAD_UNCHANGED) / 10.0
                 maps = depth.depth_mm, depth.sigma_mm, np.where(truth > 0, truth, np.nan)
                 errors = order_of_trust(*maps)
-                bars.append(honesty(*maps))
+                bars.append(tenths(*maps))
                 for curves, error in zip((trusted, best), errors, strict=True):
                     curve = risk(error)
                     curves.append(curve[np.ceil(coverage * len(curve)).astype(int) - 1])
-            found, oracle, shares = (np.mean(part, axis=0) for part in (trusted, best, bars))
+            found, oracle = (np.mean(part, axis=0) for part in (trusted, best))
+            of_tenth = list(zip(*bars, strict=True))
+            shares = np.array([shares_of(parts, 1.0) for parts in of_tenth])
             rows.append(
                 {
                     "design": design, "quality": quality,
                     "area": round(float(found.mean()), 3), "oracle": round(float(oracle.mean()), 3),
                     "excess": round(float((found - oracle).mean()), 3), "risk_of_all": round(float(found[-1]), 3),
                     "risk_of_half": round(float(found[49]), 3),
+                    "right": sum(map(as_asked, shares)),
+                    "possible": sum(any(as_asked(shares_of(parts, f)) for f in FACTORS) for parts in of_tenth),
                     "within_1_sigma": shares[:, 0].round(3).tolist(), "within_2_sigma": shares[:, 1].round(3).tolist(),
                 }
             )  # fmt: skip
@@ -128,11 +145,13 @@ def main() -> None:
     if args.json:
         print(json.dumps(rows, indent=2))
         return
-    print("design        quality     area   oracle  excess  of all  of half   within 1 bar: mean, tenths   within 2")
+    print("design        quality     area   oracle  excess  of all  of half   within 1 bar: mean, tenths   within 2"
+          "               right  possible")
     for r in rows:
         one, two = (f"{np.mean(r[k]):.2f}, {min(r[k]):.2f} to {max(r[k]):.2f}" for k in WITHIN)
         print(f"{r['design']:13} {r['quality']:10} {r['area']:5.3f}  {r['oracle']:6.3f}  {r['excess']:6.3f}  "
-              f"{r['risk_of_all']:6.3f}  {r['risk_of_half']:7.3f}   {one:26}   {two}")  # fmt: skip
+              f"{r['risk_of_all']:6.3f}  {r['risk_of_half']:7.3f}   {one:26}   {two:20}   "
+              f"{r['right']:3}   {r['possible']:3}")  # fmt: skip
 
 
 if __name__ == "__main__":
