@@ -42,6 +42,7 @@ BLACK = 1024.0
 COVERAGES = (0.5, 0.7, 0.8, 0.9, 1.0)
 CROP = np.s_[126:630, 168:840]
 KERNELS = (6, 8)  # rows and columns
+MEASURED_MM = 1.5  # where kernels were measured, of a focus at 1: not known, beyond it, and layers do not depend on it
 REACH = 2.0  # of the half disparity at which kernels were measured, either way: where surfaces are searched
 ON_LINE = 255 / 20  # levels of the truth
 
@@ -86,7 +87,7 @@ def kernel_blur(folder: Path, width_px: int, height_px: int) -> KernelBlur:
     )
     kernels = np.stack([right, (left + right) / 2, left], axis=2)
     return blur_from_kernels(
-        kernels, width_px=width_px, height_px=height_px, spacing_px=0.5, focus_mm=1.0, measured_mm=np.inf
+        kernels, width_px=width_px, height_px=height_px, spacing_px=0.5, focus_mm=1.0, measured_mm=MEASURED_MM
     )
 
 

@@ -81,8 +81,8 @@ def blur_from_kernels(
         Of the photographs.
     focus_mm, measured_mm : float, mm
         Distances in focus and of the measurement from the entrance pupil; one of them may be infinite. Where they are
-        not known, 1 and infinity for kernels from beyond the focus, infinity and 1 for nearer ones, give layers in
-        units of the kernels, which mean no distance in mm.
+        not known, any two on the right sides do, such as 1 and 1.5 for kernels from beyond the focus: blur and
+        half disparity are right, distances mean nothing.
     spacing_px : float
         Distance of two samples of a kernel, in px of the photographs.
 

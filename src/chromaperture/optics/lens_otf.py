@@ -45,8 +45,8 @@ def traced(blur: LensBlur, image_px: tuple[float, float], inverse_mm: float) -> 
     aberrations = displacement(m, blur.pupil.points, position, inverse_mm, 1) - defocus
     origin = rim @ aberrations / rim.sum()
     out = []
-    for k in range(3):
-        light = blur.pupil.light[k] * rim
+    of_channels = blur.light_at(position) * rim
+    for k, light in enumerate(of_channels):
         lit = light > _LEAST_LIGHT * light.max()
         points = displacement(blur.model, blur.pupil.points[lit], position, inverse_mm, k) - origin
         out.append(ChannelRays(points, light[lit] / light[lit].sum()))
