@@ -6,10 +6,11 @@ D(z) xi beside it at the distance z::
 
     D(z) = D_m (1/f - 1/z) / (1/f - 1/z_m),   px
 
-f is the distance in focus. So the kernel of z is the measured one, D(z) / D_m times as large, and turned by half a turn
-on the other side of the focus. Aberrations, and what a pixel itself blurs, are taken to grow and shrink with it. All
-else that shapes a kernel is held: films, rims, and how the halves of a dual pixel see the pupil, which in a telephone
-turns over the frame (`half_pixels.py` has ramps of one direction).
+f is the distance in focus; the derivation is in ``docs/equations.md``, *Measured kernels*. So the kernel of z is the
+measured one, D(z) / D_m times as large, and turned by half a turn on the other side of the focus. Aberrations, and what
+a pixel itself blurs, are taken to grow and shrink with it, and the focus surface to be flat. All else that shapes a
+kernel is held: films, rims, and how the halves of a dual pixel see the pupil, which in a telephone turns over the frame
+(`half_pixels.py` has ramps of one direction).
 
 References
 ----------
