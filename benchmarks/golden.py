@@ -18,11 +18,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 from dual_pixel import figures
-from half_pupil import CROP, capture, score
+from half_pupil import CROP, RANGE_PX, by_quality, capture, score
 
-from chromaperture.camera import CodedApertureCamera, load_camera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
+from chromaperture.camera import load_camera
 from chromaperture.evaluation.paper.dual_pixel import means
 from chromaperture.products.samples import sample_camera
 
@@ -56,10 +54,9 @@ def half_pupils(data: Path, spoil: Spoil) -> dict[str, float]:
     found, folder = [], data / "real" / "cmu_dual_pixel"
     for path in sorted(folder.glob("*_gt_defocus.png")):
         image = capture(folder, path.name.split("_")[0])
-        calibration = Calibration.uncalibrated("cy_halves", width_px=image.shape[1], height_px=image.shape[0])
-        frame = CodedApertureCamera(calibration, default_config(calibration, QUALITY)).measure(spoil(image))
+        disparity, sigma = by_quality(spoil(image), QUALITY, RANGE_PX)
         defocus = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[::2, ::2]
-        found.append(score(frame.disparity_px[CROP], frame.disparity_sigma_px[CROP], defocus)["at_0.9"])
+        found.append(score(disparity[CROP], sigma[CROP], defocus)["at_0.9"])
     return {"half_pupils_spearman": float(np.mean(found))}
 
 

@@ -42,8 +42,11 @@ BLACK = 1024.0
 COVERAGES = (0.5, 0.7, 0.8, 0.9, 1.0)
 CROP = np.s_[126:630, 168:840]
 KERNELS = (6, 8)  # rows and columns
-MEASURED_MM = 1.5  # where kernels were measured, of a focus at 1: not known, beyond it, and layers do not depend on it
-REACH = 2.0  # of the half disparity at which kernels were measured, either way: where surfaces are searched
+RANGE_PX = (-8.0, 8.0)  # half disparities that cameras which are not calibrated search
+# The set does not say where its kernels were measured. It was beyond the focus: with the distances exchanged near and
+# far change places in both scenes. Layers are the same for any two distances.
+FOCUS_MM, MEASURED_MM = 1.0, 1.5
+REACH = 2.0  # of the range that is searched with kernels, over the half disparity that they have; docs/measurements.md
 ON_LINE = 255 / 20  # levels of the truth
 
 
@@ -80,14 +83,14 @@ def score(disparity: np.ndarray, sigma: np.ndarray, defocus: np.ndarray) -> dict
 
 
 def kernel_blur(folder: Path, width_px: int, height_px: int) -> KernelBlur:
-    """Blur of photographs of half the size, by kernels of the full one. The set does not say their distance."""
+    """Blur of photographs of half the size, by kernels that were measured at the full one."""
     left, right = (
         np.load(folder / "calibration" / f"blur_kernels_{side}.npy").reshape(*KERNELS, 61, 61)
         for side in ("left", "right")
     )
     kernels = np.stack([right, (left + right) / 2, left], axis=2)
     return blur_from_kernels(
-        kernels, width_px=width_px, height_px=height_px, spacing_px=0.5, focus_mm=1.0, measured_mm=MEASURED_MM
+        kernels, width_px=width_px, height_px=height_px, spacing_px=0.5, focus_mm=FOCUS_MM, measured_mm=MEASURED_MM
     )
 
 
@@ -168,7 +171,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--method", nargs="+", default=["paper", "real-time", "accurate", "kernels"])
-    parser.add_argument("--range-px", nargs=2, type=float, default=(-8.0, 8.0), help="of the qualities")
+    parser.add_argument("--range-px", nargs=2, type=float, default=RANGE_PX, help="of the qualities")
     parser.add_argument("--picture", type=Path, help="draw all maps of disparity")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()

@@ -58,7 +58,7 @@ def tenths(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> list[np.n
 
 
 def shares_of(parts: list[np.ndarray], factor: float) -> np.ndarray:
-    """Share of the errors within 1 and 2 error bars, each a factor longer, mean of several scenes' parts; (2,)."""
+    """Share of the errors within 1 and 2 error bars, both times a factor, mean over scenes; (2,)."""
     return np.mean([np.searchsorted(part, [factor, 2 * factor]) / len(part) for part in parts], axis=0)
 
 

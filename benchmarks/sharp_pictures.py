@@ -31,7 +31,6 @@ from chromaperture.optics.lens_blur import BlurModel, LensBlur
 FULL_WELL, READ_NOISE = 5000.0, 4.0  # electrons
 ROUNDS = {"layered Wiener": 0, "all in focus": 3}
 KNOWN_ERROR = SharpenConfig().model_error  # of kernels that are true
-EDGE_PER_DISPARITY = 3 * np.pi / 4  # the rim of a half disc over its centroid
 
 
 def by_peer(image: np.ndarray, radius: np.ndarray, blur: Blur, deconvolve: Callable, size: int) -> np.ndarray:

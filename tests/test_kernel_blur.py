@@ -15,6 +15,7 @@ from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.kernel_blur import blur_from_kernels
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.lens_otf import traced
+from worlds import kernel_places, painted_kernels
 
 W, H = 240, 160
 FOCUS_MM, MEASURED_MM = 1000.0, 4000.0
@@ -22,10 +23,11 @@ EDGE_PX = 8.0  # of the pupil's edge at MEASURED_MM
 SCALE = EDGE_PX / (1 / FOCUS_MM - 1 / MEASURED_MM)
 FINER = 4  # samples of a kernel a px: painting it blurs by a sixth of a sample squared
 SIDE = 4 * 20 + 1  # samples
-# Rims that cut a third of the pupil's light in the corners.
+# Rims that cut three tenths of the pupil's light in the corners.
 MODEL = BlurModel(SCALE / FOCUS_MM, SCALE, front_rim_radius=1.1, front_rim_shift=0.5, rear_rim_radius=1.1)
 SIZE = {"width_px": W, "height_px": H}
 DISTANCES = {"focus_mm": FOCUS_MM, "measured_mm": MEASURED_MM}
+PLACES = kernel_places(W, H)
 MEASURED = SIZE | DISTANCES | {"spacing_px": 1 / FINER}
 
 
@@ -33,22 +35,8 @@ def lens(model=MODEL, design="cy_halves"):
     return LensBlur(model, sample_pupil(DESIGNS[design]), W, H)
 
 
-def middles(rows, columns):
-    return [[((j + 0.5) * W / columns - 0.5, (i + 0.5) * H / rows - 0.5) for j in range(columns)] for i in range(rows)]
-
-
-def painted(blur, rows=4, columns=6, distance_mm=MEASURED_MM):
-    """Kernels as a bench would photograph them, `FINER` times as fine as the pixels; (rows, columns, 3, SIDE, SIDE)."""
-    model = replace(
-        blur.model, infinity_px=FINER * blur.model.infinity_px, scale_px_mm=FINER * blur.model.scale_px_mm
-    )
-    fine, size = replace(blur, model=model), FINER * 64
-    kernels = [
-        [scipy.fft.irfft2(fine.transfer(x, y, 1 / distance_mm, size), s=(size, size)) for x, y in row]
-        for row in middles(rows, columns)
-    ]
-    middle = slice(size // 2 - SIDE // 2, size // 2 + SIDE // 2 + 1)
-    return scipy.fft.fftshift(kernels, axes=(-2, -1))[..., middle, middle]
+def painted(blur, distance_mm=MEASURED_MM):
+    return painted_kernels(blur, distance_mm, side=SIDE, finer=FINER)
 
 
 @pytest.mark.parametrize("distance_mm", [600.0, 1400.0, 8000.0])
@@ -56,7 +44,7 @@ def painted(blur, rows=4, columns=6, distance_mm=MEASURED_MM):
 def test_kernels_of_one_distance_tell_the_blur_of_others(distance_mm, design):
     blur = lens(design=design)
     found = blur_from_kernels(painted(blur), **MEASURED)
-    for x, y in (middles(4, 6)[0][0], middles(4, 6)[2][3], middles(4, 6)[3][5]):
+    for x, y in (PLACES[0][0], PLACES[2][3], PLACES[3][5]):
         # All channels move with the centroid of their light, which rims push aside.
         expected, got = (of.transfer(x, y, 1 / distance_mm, 64) for of in (blur, found))
         apart = [channels * channels[1:2].conj() for channels in (expected, got)]
@@ -84,7 +72,7 @@ def test_kernels_nearer_than_the_focus_are_turned():
 
 def test_light_between_the_middles_of_cells_is_interpolated():
     found = blur_from_kernels(painted(lens()), **MEASURED)
-    (x, y), (beyond, _) = middles(4, 6)[1][2:4]
+    (x, y), (beyond, _) = PLACES[1][2:4]
     here, there, between, corner = (
         found.light_at(found.frame_position(*place)) for place in ((x, y), (beyond, y), ((x + beyond) / 2, y), (0, 0))
     )

@@ -23,7 +23,6 @@ import cv2
 import matplotlib as mpl
 import numpy as np
 import pytest
-import scipy.fft
 import tifffile
 
 import chromaperture as cap
@@ -35,7 +34,7 @@ from chromaperture.frame.color_pictures import color_pictures
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.frame.preview import ColorScale, write_preview
 from chromaperture.products import archive
-from worlds import content
+from worlds import content, painted_kernels
 
 mpl.use("Agg")
 ROOT = Path(__file__).parents[1]
@@ -373,16 +372,6 @@ def blur_alone(image, disparity_px, camera, **options):
     return cap.SharpPicture(camera.alignment.align(image, disparity_px), np.nan_to_num(radius))
 
 
-def kernels_of(blur, distance_mm, rows=4, columns=6):
-    """Point-spread functions of a camera as a bench would photograph them; (rows, columns, 3, 61, 61)."""
-    middles = [
-        [((j + 0.5) * blur.width_px / columns - 0.5, (i + 0.5) * blur.height_px / rows - 0.5) for j in range(columns)]
-        for i in range(rows)
-    ]
-    spectra = [[blur.transfer(x, y, 1 / distance_mm, 128) for x, y in row] for row in middles]
-    return scipy.fft.fftshift(scipy.fft.irfft2(spectra, s=(128, 128)), axes=(-2, -1))[..., 34:95, 34:95]
-
-
 @pytest.mark.slow
 def test_every_snippet_of_the_page_runs(session, tmp_path, monkeypatch):
     text = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
@@ -394,7 +383,8 @@ def test_every_snippet_of_the_page_runs(session, tmp_path, monkeypatch):
         shutil.copy(cap.sample_image(SAMPLE), tmp_path / name)
     shutil.copy(cap.sample_camera(SAMPLE), tmp_path / "camera.asdf")
     shutil.copytree(session, tmp_path / "my_session")
-    np.save(tmp_path / "kernels.npy", kernels_of(cap.Calibration.load(tmp_path / "camera.asdf").field_blur(), 1100.0))
+    blur = cap.Calibration.load(tmp_path / "camera.asdf").field_blur()
+    np.save(tmp_path / "kernels.npy", painted_kernels(blur, 1100.0, side=61))
     monkeypatch.setattr(tasks, "restore", blur_alone)
     space = {}
     needs = {"to_open3d": "open3d", "to_xarray": "xarray"}

@@ -319,3 +319,27 @@ def content(path: Path) -> bytes:
         place = end
     assert kept.endswith(b"IEND\xae\x42\x60\x82")
     return kept + zlib.decompress(packed)
+
+
+# ---- point-spread functions as a bench would photograph them
+
+
+def kernel_places(width_px, height_px, rows=4, columns=6):
+    """Middles (x, y) of equal cells of a frame, row by row."""
+    return [
+        [((j + 0.5) * width_px / columns - 0.5, (i + 0.5) * height_px / rows - 0.5) for j in range(columns)]
+        for i in range(rows)
+    ]
+
+
+def painted_kernels(blur, distance_mm, *, side, finer=1):
+    """Paint kernels of a `LensBlur` at `kernel_places`, ``finer`` samples a px; (rows, columns, 3, side, side)."""
+    scaled = {name: finer * getattr(blur.model, name) for name in ("infinity_px", "scale_px_mm")}
+    fine, size = replace(blur, model=replace(blur.model, **scaled)), 2 * (side + side % 2)
+    spectra = [
+        [fine.transfer(x, y, 1 / distance_mm, size) for x, y in row]
+        for row in kernel_places(blur.width_px, blur.height_px)
+    ]
+    kernels = scipy.fft.fftshift(scipy.fft.irfft2(spectra, s=(size, size)), axes=(-2, -1))
+    middle = slice(size // 2 - side // 2, size // 2 + side // 2 + 1)
+    return kernels[..., middle, middle]

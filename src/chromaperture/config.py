@@ -255,8 +255,8 @@ class AccurateConfig(MatcherConfig):
         layer's blur brings from elsewhere is no evidence, and evidence counts as far as it is a pixel's own. They share
         noise (``disparity/half_pixel_likelihood.py``). The error bar is not the learned one, which knows other
         evidence: with it .65 and .93 of the errors of real boxes lie within one and two bars and .59 and .78 of casual
-        scenes, without .74, .97, .67 and .86 (``benchmarks/dual_pixel.py``; .70, .96, .62 and .81 with the edges of
-        film, where windows are smaller).
+        scenes, without .74, .97, .67 and .86 (``benchmarks/dual_pixel.py``). With `PlanesConfig`'s own ``edge_share``
+        of 0.4 they are .70, .96, .62 and .81.
 
         Raises
         ------
