@@ -21,7 +21,11 @@ from chromaperture.color.unmixing import ideal_unmixing
 from chromaperture.config import preset
 from chromaperture.disparity.views import view_spaces
 from chromaperture.errors import InputError
+from chromaperture.evaluation import verdict
 from chromaperture.optics.aperture import DESIGNS, made_of
+from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.ray_table import pinhole_rays
+from chromaperture.optics.simulated_session import SessionPlan, write_session
 from worlds import INFINITY_PX, PUPIL_MM, RULERS_MM, SCALE_PX_MM, SESSION_TOML
 
 SHARP = CalibrationConfig(lens_blur=False)
@@ -102,6 +106,26 @@ def test_a_board_off_its_ruler_is_named_and_left_out(session, tmp_path):
     assert any("1800.png" in note and "off its ruler" in note for note in result.notes)
     assert result.evidence.used.sum() == len(RULERS_MM) - 1
     assert result.calibration.in_focus_mm == pytest.approx(IN_FOCUS_MM, abs=20)  # four boards are left
+
+
+@pytest.mark.slow
+def test_a_lens_focused_at_infinity_is_calibrated(tmp_path):
+    """Every board stands nearer than the focus, nothing can stand beyond it: no advice to photograph there."""
+    camera = PupilCamera(192, 128, 450.0, 12.5, np.inf, 50.0, 0.1)
+    rulers_mm = (1000, 1250, 1600, 2200, 3600)
+    write_session(
+        tmp_path / "session", aperture=made_of(DESIGNS["cy_halves"], "ideal"), camera=camera, scenes={},
+        rays=lambda aperture: pinhole_rays(camera, aperture, cells=8),
+        plan=SessionPlan(distances_mm=rulers_mm, tilts=0),
+    )  # fmt: skip
+    result = calibrated(tmp_path / "session")
+    model = result.fits["real-time"].model
+    # 0 is the truth; the nearest board has 450 px * 12.5 mm * 4 / (3 pi) / 950 mm = 2.5 px, of which shifted views of
+    # blurred halves are known to 2 %; .033 is found.
+    assert float(model.infinity_disparity_px) == pytest.approx(0, abs=0.05)
+    assert np.abs(result.fits["real-time"].residual_mm / rulers_mm).max() < 0.02  # likewise; .013
+    assert not [note for note in result.notes if "in-focus" in note]
+    assert not [sentence for sentence in verdict.weaknesses(result) if "than the focus" in sentence.text]
 
 
 def test_boards_on_one_side_of_the_focus_leave_it_weak(calibrated_session):

@@ -93,6 +93,13 @@ def test_derived_figures_agree_with_the_lens_equation():
     assert near < 0 < far < 4.5  # 4.5 px is the disparity of infinity
 
 
+@pytest.mark.parametrize(("infinity_px", "text"), [(4.0, "2050 mm"), (0.0, "infinity"), (-0.01, "infinity")])
+def test_the_focus_is_called_infinity_from_100_m_on(infinity_px, text):
+    field = DepthField(np.array([infinity_px]), np.array([8000.0]), 50.0, np.diag([1e-4, 900.0, 4.0]))
+    calibration = dataclasses.replace(Calibration.load(sample_camera(SAMPLES[0])), depth={"real-time": field})
+    assert calibration.in_focus_text == text
+
+
 @pytest.mark.parametrize("name", SAMPLES)
 def test_bundled_cameras_are_sound(name):
     calibration = Calibration.load(sample_camera(name))

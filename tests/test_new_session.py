@@ -103,6 +103,19 @@ def test_nothing_is_overwritten(run, tmp_path):
     assert before == {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
+def test_a_lens_focused_at_infinity_can_be_planned(run, tmp_path, simulated):
+    folder = tmp_path / "mine"
+    photo = simulated / "board" / "1000.png"
+    assert run("session", "new", folder, *OPTIONS, "--photo", photo, "--focus-mm", "inf").returncode == 0
+    fill(folder, simulated)
+    assert read_session(folder).focuses_at_infinity
+    assert "At about the focus" not in (folder / "shots.md").read_text()
+    settings = folder / "session.toml"
+    settings.write_text(settings.read_text().replace("= inf ", "= nan "))
+    with pytest.raises(InputError, match="focused_at_about_mm"):
+        read_session(folder)
+
+
 @pytest.mark.parametrize(
     ("options", "word"),
     [

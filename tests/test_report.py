@@ -407,6 +407,19 @@ def test_a_camera_that_cannot_be_used_ends_with_1(result, tmp_path, monkeypatch,
     assert unusable(result) == []
 
 
+def test_a_camera_that_only_accurate_can_use_says_so(result):
+    """As an open aperture: its views lie too close together for shifts, its blur tells."""
+    far_off = result.residual_px["real-time"] + np.float32(0.5)
+    both = replace(with_layers(result), residual_px={"real-time": far_off, "paper": far_off})
+    assert unusable(both) == []
+    said = " ".join(sentence.text for sentence in sentences(both))
+    assert "Measure with quality accurate: at real-time half of the boards are off by" in said
+    unmeasured = replace(both, pixel_sigma_px={name: both.pixel_sigma_px[name] for name in ("paper", "real-time")})
+    assert unusable(unmeasured) == []  # as `calibrate` from Python, which does not measure the noise of accurate
+    moved = replace(both, layers=replace(both.layers, layer_px=both.layers.layer_px + 0.5))
+    assert "half of the boards" in unusable(moved)[0]
+
+
 def tour_commands():
     text = (Path(__file__).parents[1] / "docs" / "how-to-calibrate.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```sh\n(.*?)```", text, flags=re.DOTALL)

@@ -101,7 +101,7 @@ class CalibrationJob:
                 "sentences": [{"text": s.text, "tone": s.tone} for s in sentences(result)],
                 "summary": {
                     "focal_length_mm": float(result.camera.lens.focal_length_mm),
-                    "in_focus_mm": float(result.camera.in_focus_mm),
+                    "in_focus": result.camera.in_focus_text,
                     "baseline_mm": float(result.camera.baseline_mm),
                 },
             }

@@ -344,7 +344,7 @@ def _described(path: Path) -> dict[str, Any]:
         "near_mm": calibration.near_mm,
         "far_mm": calibration.far_mm,
         "f_number": calibration.lens.f_number,
-        "in_focus_mm": calibration.in_focus_mm if calibration.is_calibrated else None,
+        "in_focus": calibration.in_focus_text if calibration.is_calibrated else None,
         "calibrated": calibration.is_calibrated,
     }
 

@@ -33,7 +33,7 @@ def nominal_depth_model(session: Session) -> DepthModel:
     z_focus = session.focused_at_about_mm - f  # from the pupil, about
     if z_focus <= f:
         raise InputError(f"focused_at_about_mm = {session.focused_at_about_mm:g} lies inside the focal length")
-    image_distance = f * z_focus / (z_focus - f)
+    image_distance = f / (1 - f / z_focus)  # f for a lens focused at infinity
     parameters = PaperParameters(
         in_focus_mm=z_focus + image_distance,
         baseline_mm=view_reach(design_named(session.design)) * f / session.nominal_f_number,  # b = 2 r_c

@@ -174,7 +174,11 @@ class _Steps:
         if self.tone:
             steps = (*steps, f"decoded light grows with the power 1 +- {self.session.tone_error:.2f} of the exposure: "
                      f"every error bar allows for {self.tone:.1%} of the disparity")  # fmt: skip
-        return (*steps, *self.evidence.outliers.values(), *weaknesses(self.evidence, self.fits))
+        return (
+            *steps,
+            *self.evidence.outliers.values(),
+            *weaknesses(self.evidence, self.fits, at_infinity=self.session.focuses_at_infinity),
+        )
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -181,8 +181,13 @@ def _median(values: np.ndarray) -> float:
     return float(np.median(known)) if known.size else np.nan
 
 
-def weaknesses(evidence: Evidence, fits: Mapping[Quality, DepthFit]) -> tuple[str, ...]:
-    """Return a sentence for every parameter that the boards determine badly."""
+def weaknesses(evidence: Evidence, fits: Mapping[Quality, DepthFit], *, at_infinity: bool = False) -> tuple[str, ...]:
+    """Return a sentence for every parameter that the boards determine badly.
+
+    ``at_infinity``: the lens is focused at infinity, where no board can stand.
+    """
+    if at_infinity:
+        return ()
     disparity = np.array([board.disparity_px["real-time"] for board in evidence.boards])[evidence.used]
     found = []
     lowest, highest = np.nanmin(disparity), np.nanmax(disparity)

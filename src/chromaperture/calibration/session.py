@@ -69,6 +69,11 @@ class Session:
     tone_error: float = 0.0  # of the exponent by which decoded values grow with light, see `tone_curve`
 
     @property
+    def focuses_at_infinity(self) -> bool:
+        """Whether the lens is focused at infinity, beyond which no board can stand."""
+        return math.isinf(self.focused_at_about_mm)
+
+    @property
     def photograph_size_px(self) -> tuple[int, int]:
         """Width and height of the photographs."""
         return self.full_size_px or (self.sensor.width_px, self.sensor.height_px)
@@ -181,7 +186,7 @@ class _LensTable(Table):
 
     nominal_focal_length_mm: _Length
     nominal_f_number: _Length
-    focused_at_about_mm: NotNegative
+    focused_at_about_mm: Annotated[float, Field(gt=0)]  # inf is a lens focused at infinity; NaN is not > 0
 
 
 class _BoardTable(Table):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from chromaperture.calibration.session import SHEETS
@@ -25,7 +26,7 @@ class PlannedSession:
     design : str
         Name of the aperture.
     nearest_mm, farthest_mm, focus_mm : float
-        Of the boards and of the focus, from the sensor plane.
+        Of the boards and of the focus, from the sensor plane; the focus is inf for a lens focused at infinity.
     distances, tilts : int
         Photographs of the board square to the axis, and leaning.
     inner_corners : (int, int)
@@ -44,7 +45,7 @@ class PlannedSession:
     Raises
     ------
     InputError
-        The distances do not enclose the focus, or the boards are fewer than two.
+        The distances do not enclose a finite focus, or the boards are fewer than two.
     """
 
     design: str
@@ -65,10 +66,11 @@ class PlannedSession:
     tone_error: float | None = None
 
     def __post_init__(self) -> None:
-        if not 0 < self.nearest_mm < self.focus_mm < self.farthest_mm < float("inf"):
+        beyond = self.focus_mm < self.farthest_mm or math.isinf(self.focus_mm)
+        if not (0 < self.nearest_mm < min(self.focus_mm, self.farthest_mm) < math.inf and beyond):
             raise InputError(
                 f"boards from {self.nearest_mm:g} to {self.farthest_mm:g} mm must lie on both sides of the focus at "
-                f"{self.focus_mm:g} mm: change --nearest-mm, --farthest-mm or --focus-mm"
+                f"{self.focus_mm:g} mm: change --nearest-mm, --farthest-mm or --focus-mm (inf: a lens at infinity)"
             )
         if self.distances < 2:
             raise InputError(f"--distances must be at least 2, got {self.distances}; a dozen is good")
@@ -144,6 +146,7 @@ def _shots(plan: PlannedSession) -> str:
     )
     sheets = "\n".join(f"- [ ] `white/{name}{plan.suffix}`: through {what}" for name, what in plan.white_sheets.items())
     columns, rows = plan.inner_corners
+    at = "As far as you like" if math.isinf(plan.focus_mm) else "At about the focus"
     return f"""# What to photograph
 
 Files: RAW, or PNG, TIFF or JPEG without chroma subsampling, all of one kind, all of one size, none turned upright.
@@ -159,7 +162,7 @@ what stands here.
 
 ## The board leaning by 15 to 25 degrees: {plan.tilts} photographs (4 at the least)
 
-At about the focus, nearer where the board is small in the frame; all of the board inside the frame.
+{at}, nearer where the board is small in the frame; all of the board inside the frame.
 
 {tilts}
 

@@ -118,7 +118,7 @@ def _print_result(result: CalibrationResult, faults: list[str]) -> None:
     out.print(boards)
     cal = result.camera
     out.print(
-        f"focal length {cal.lens.focal_length_mm:.2f} mm, in focus at {cal.in_focus_mm:.0f} mm, "
+        f"focal length {cal.lens.focal_length_mm:.2f} mm, in focus at {cal.in_focus_text}, "
         f"baseline {cal.baseline_mm:.2f} mm, rms {result.fits[QUALITY].rms_mm:.1f} mm in the middle of the frame"
     )
     for note in result.notes:

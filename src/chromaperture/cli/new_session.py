@@ -25,7 +25,8 @@ def new(
     ],
     design: Annotated[str, typer.Option(help="Design of the aperture.", rich_help_panel=CAMERA_PANEL)] = "cy_halves",
     focus_mm: Annotated[
-        float, typer.Option(help="Focus distance from the sensor, mm, roughly.", rich_help_panel=CAMERA_PANEL)
+        float,
+        typer.Option(help="Focus distance from the sensor, mm, roughly; inf allowed.", rich_help_panel=CAMERA_PANEL),
     ] = 2000.0,
     sensor_width_mm: Annotated[
         float | None, typer.Option(help="Width of the sensor, mm, from the data sheet.", rich_help_panel=CAMERA_PANEL)

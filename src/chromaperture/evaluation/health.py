@@ -318,7 +318,7 @@ def _board_distance(found: _BoardReading, calibration: Calibration, board: Board
         return Check(_DISTANCE, "ok", finding, "", figures)
     advice = (
         f"if only the focus moved, it is now at {_or_beyond(focus_mm, last_mm)} instead of "
-        f"{calibration.in_focus_mm:.0f}: set it back, or calibrate again"
+        f"{calibration.in_focus_text}: set it back, or calibrate again"
     )
     if found.is_turned:
         advice = "see the filter's orientation first"

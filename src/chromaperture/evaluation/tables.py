@@ -93,7 +93,7 @@ def parameters(result: CalibrationResult) -> Table:
         ("focal length, mm", f"{lens.focal_length_mm:.3f}", "", "derived: 1/f = 1/z_if + 1/z_of"),
         ("focal length, px", f"{lens.camera_matrix[0, 0]:.1f}", "", "tilted boards, scaled by the ruler"),
         ("radial distortion k1", f"{lens.distortion[0]:+.4f}", "", "tilted boards"),
-        ("in focus at, mm", f"{calibration.in_focus_mm:.1f}", "", "derived: B / A + δ"),
+        ("in focus at", calibration.in_focus_text, "", "derived: B / A + δ"),
         ("baseline b, mm", f"{calibration.baseline_mm:.3f}", "", "derived: 2 μ B / F"),
     ]
     if result.ruler is not None:

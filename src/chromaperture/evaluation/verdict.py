@@ -176,7 +176,7 @@ def sentences(result: CalibrationResult) -> list[Sentence]:
     lines.append(Sentence(
         f"It measures from {calibration.near_mm:.0f} to {calibration.far_mm:.0f} mm (boards from "
         f"{min(b.ruler_mm for b in result.boards):.0f} to {max(b.ruler_mm for b in result.boards):.0f} mm) and is in "
-        f"focus at {calibration.in_focus_mm:.0f} mm. Distances count from the sensor plane."
+        f"focus at {calibration.in_focus_text}. Distances count from the sensor plane."
     ))  # fmt: skip
     lines.append(Sentence(
         "A tenth of a pixel of disparity is " + ", ".join(
@@ -193,27 +193,41 @@ def sentences(result: CalibrationResult) -> list[Sentence]:
             f"{result.boards[worst].name}, off by {errors[worst]:+.0f} mm.",
             "good" if relative <= 0.01 else "weak",
         ))  # fmt: skip
+    faults = faults_of(result, QUALITY)
+    if faults and not unusable(result):
+        lines.append(Sentence(f"Measure with quality accurate: at {QUALITY} {'; '.join(faults)}.", "weak"))
     return lines + weaknesses(result)
 
 
 def unusable(result: CalibrationResult) -> list[str]:
-    """Return the reasons why a camera cannot be used; empty for one that measures."""
-    reasons = []
-    found = depth_accuracy(result)
-    total = found.total_mm / found.depth_mm
-    if not np.isfinite(total).any():
-        reasons.append("the error is unknown at every distance: too few boards were read")
-    elif np.nanmin(total) > _USELESS_PIXEL:
-        reasons.append(f"one pixel is nowhere good to {_USELESS_PIXEL:.0%}; its best is {np.nanmin(total):.0%}")
-    relative = np.abs(board_errors(result)) / np.array([board.ruler_mm for board in result.boards])
-    if np.isfinite(relative).any() and np.nanmedian(relative) > _USELESS_BOARDS:
-        reasons.append(f"half of the boards are off by {np.nanmedian(relative):.0%} or more")
+    """Return the reasons why a camera cannot be used; empty for one that measures at any quality.
+
+    Where views lie close together, as of an open aperture, ``accurate`` measures what ``real-time`` cannot.
+    """
+    faults = [faults_of(result, quality) for quality in qualities(result)]
+    reasons = faults[0] if all(faults) else []
     if result.session.tilts and not result.tilts and result.intrinsics is None:
         reasons.append(
             f"no chessboard was found in any of {len(result.session.tilts)} tilted photographs: it must lie inside the "
             "frame, in focus"
         )
     return reasons
+
+
+def faults_of(result: CalibrationResult, quality: Quality) -> list[str]:
+    """Return why a quality does not measure with a camera; empty where it does."""
+    faults = []
+    found = depth_accuracy(result, quality)
+    total = found.total_mm / found.depth_mm
+    relative = np.abs(board_errors(result, quality)) / np.array([board.ruler_mm for board in result.boards])
+    measured, read = np.isfinite(total).any(), np.isfinite(relative).any()
+    if not (measured or (read and quality == "accurate")):  # the noise of accurate may be unmeasured
+        faults.append("the error is unknown at every distance: too few boards were read")
+    elif measured and np.nanmin(total) > _USELESS_PIXEL:
+        faults.append(f"one pixel is nowhere good to {_USELESS_PIXEL:.0%}; its best is {np.nanmin(total):.0%}")
+    if read and np.nanmedian(relative) > _USELESS_BOARDS:
+        faults.append(f"half of the boards are off by {np.nanmedian(relative):.0%} or more")
+    return faults
 
 
 def _accurate_range(found: DepthAccuracy, fraction: float, quality: Quality) -> Sentence:
@@ -244,7 +258,7 @@ def weaknesses(result: CalibrationResult) -> list[Sentence]:
     rulers = np.array([board.ruler_mm for board in result.boards])
     focus = result.calibration.in_focus_mm
     nearer, farther = (rulers < 0.95 * focus).any(), (rulers > 1.05 * focus).any()  # 5 %: clearly off the focus
-    if not (nearer and farther):
+    if not (nearer and (farther or result.session.focuses_at_infinity)):
         side = "farther" if nearer else "nearer"
         found.append(f"No board stands {side} than the focus at {focus:.0f} mm: photograph two or three there.")
     sigma = np.sqrt(np.diag(np.asarray(result.fits[QUALITY].model.covariance)))

@@ -56,7 +56,7 @@ def camera_html(calibration: Calibration, quality: Quality) -> str:
         beyond, before = (disparity_to_depth(d + sign * _SMALL_PX / 2, curve)[0] for sign in (1, -1))
         rows += [
             ("lens", f"{lens.focal_length_mm:.1f} mm{number}"),
-            ("in focus", f"{calibration.in_focus_mm:.0f} mm from the sensor"),
+            ("in focus", f"{calibration.in_focus_text} from the sensor"),
             ("range", f"{near:.0f} to {far:.0f} mm"),
             (
                 f"{_SMALL_PX} px is worth",

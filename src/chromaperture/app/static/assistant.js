@@ -282,9 +282,9 @@ function finish() {
 }
 
 function done(found) {
-  const { focal_length_mm: f, in_focus_mm: focus, baseline_mm: base } = found.summary;
+  const { focal_length_mm: f, in_focus: focus, baseline_mm: base } = found.summary;
   return [
-    make("p", { id: "calibrated", text: found.unusable.length ? `This calibration cannot be used: ${found.unusable.join("; ")}.` : `Camera file ${found.camera} is ready: focal length ${f.toFixed(1)} mm, in focus at ${Math.round(focus)} mm, baseline ${base.toFixed(2)} mm.` }),
+    make("p", { id: "calibrated", text: found.unusable.length ? `This calibration cannot be used: ${found.unusable.join("; ")}.` : `Camera file ${found.camera} is ready: focal length ${f.toFixed(1)} mm, in focus at ${focus}, baseline ${base.toFixed(2)} mm.` }),
     make("ul", {}, ...found.sentences.map((line) => make("li", { class: `tone-${line.tone}`, text: line.text }))),
     make("div", { class: "row" },
       make("button", { class: "main", text: "Use this camera", onclick: () => attempt(async () => { await loadCameras(found.camera); document.getElementById("tab-photo").click(); }) }),

@@ -44,7 +44,7 @@ function describe() {
   $("camera-keep").disabled = !camera || Boolean(camera.error) || camera.isKeptOnly;
   if (!camera) $("camera-facts").textContent = "No camera file yet. “Calibrate” makes one, or open one.";
   else if (camera.error) $("camera-facts").textContent = camera.error;
-  else $("camera-facts").textContent = `${camera.title}${camera.in_focus_mm ? `, in focus at ${Math.round(camera.in_focus_mm)} mm` : ""}`;
+  else $("camera-facts").textContent = `${camera.title}${camera.in_focus ? `, in focus at ${camera.in_focus}` : ""}`;
 }
 
 async function upload(name, data) {
