@@ -14,7 +14,7 @@ from chromaperture.calibration.session import SHEETS, Session
 from chromaperture.camera_file import CameraSensor, Film
 from chromaperture.capture.exif import read_noise_profile
 from chromaperture.color.film import completed_film
-from chromaperture.color.noise import fit_photon_noise, noise_samples
+from chromaperture.color.noise import fit_photon_noise, noise_samples, photon_noise_of_sheets
 from chromaperture.color.unmixing import ideal_unmixing
 from chromaperture.optics.aperture import channel_transmission, design_named
 
@@ -75,11 +75,12 @@ def _sensor_with_noise(session: Session) -> tuple[CameraSensor, list[str]]:
     boards = list(session.boards)
     found, source = None, ""
     if session.sheets:
-        found, source = _measured_noise(session, list(session.sheets.values())), "measured on the white sheets"
+        found = photon_noise_of_sheets(session.read(path) for path in session.sheets.values())
+        source = "measured on the white sheets"
     if found is None:
         found, source = _stated_noise(session, [*session.sheets.values(), *boards[:1]]), "of the DNG's NoiseProfile"
     if found is None and not session.sheets:
-        found = _measured_noise(session, boards[:: max(1, len(boards) // _NOISE_BOARDS)])
+        found = _noise_of_boards(session, boards[:: max(1, len(boards) // _NOISE_BOARDS)])
         source = "measured on the boards, whose finest texture counts as noise"
     if found is None:
         return sensor, ["the photographs do not show how noise grows with light: it is estimated in every photograph"]
@@ -88,8 +89,8 @@ def _sensor_with_noise(session: Session) -> tuple[CameraSensor, list[str]]:
     return dataclasses.replace(sensor, full_well_electrons=full_well, read_noise_electrons=read_noise), [note]
 
 
-def _measured_noise(session: Session, paths: Sequence[Path]) -> tuple[float, float] | None:
-    """Full well and read noise, electrons, that photographs show."""
+def _noise_of_boards(session: Session, paths: Sequence[Path]) -> tuple[float, float] | None:
+    """Full well and read noise, electrons, that the finest detail shows; coarser detail is texture."""
     samples = [noise_samples(session.read(path)) for path in paths]
     return fit_photon_noise(*(np.concatenate(part) for part in zip(*samples, strict=True))) if samples else None
 
