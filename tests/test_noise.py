@@ -1,9 +1,23 @@
 from __future__ import annotations
 
+import io
+
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
 
-from chromaperture.color.noise import estimate_noise_variance, fit_photon_noise, noise_samples, photon_noise_variance
+from chromaperture.color.noise import (
+    estimate_noise_variance,
+    fit_photon_noise,
+    noise_ratio,
+    noise_samples,
+    photon_noise_of_sheets,
+    photon_noise_variance,
+)
+from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 
 
 def test_photon_noise_is_that_of_counted_electrons(rng):
@@ -95,3 +109,85 @@ def test_without_noise_or_without_levels_nothing_is_claimed(rng):
     assert fit_photon_noise(*noise_samples(ramp)) is None
     assert fit_photon_noise(*noise_samples(np.full((64, 64, 3), np.nan))) is None
     assert fit_photon_noise(*noise_samples(np.ones((64, 64, 3), np.float32))) is None
+
+
+SHADING = 1 - 0.3 * np.linspace(-1, 1, 640)[None, :, None] ** 2
+SHEETS = ((0.05, 0.7, 0.8), (0.75, 0.7, 0.06), (0.9, 0.88, 0.85), (0.4, 0.35, 0.4))
+
+
+def sheets(rng):
+    return [counted(rng, np.broadcast_to(np.array(c) * SHADING, (480, 640, 3))) for c in SHEETS]
+
+
+def as_jpeg(image, quality=95):
+    """Through a JPEG file without chroma subsampling, and back to linear light."""
+    file = io.BytesIO()
+    levels = np.rint(255 * linear_to_srgb(np.clip(image, 0, 1).astype(np.float32))).astype(np.uint8)
+    Image.fromarray(levels).save(file, "JPEG", quality=quality, subsampling=0)
+    return srgb_to_linear((np.asarray(Image.open(file)) / 255).astype(np.float32))
+
+
+def as_mosaic(image):
+    """Of every pixel one colour, the others interpolated bilinearly."""
+    known = np.zeros(image.shape, np.float32)
+    known[::2, ::2, 0] = known[1::2, 1::2, 2] = known[::2, 1::2, 1] = known[1::2, ::2, 1] = 1
+    cross = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32)
+    return cv2.filter2D(known * image, -1, cross) / cv2.filter2D(known, -1, cross)
+
+
+def test_linear_sheets_are_looked_at_pixel_by_pixel(rng):
+    """There the noise is known best."""
+    linear = sheets(rng)
+    samples = [noise_samples(sheet) for sheet in linear]
+    assert photon_noise_of_sheets(linear) == fit_photon_noise(*map(np.concatenate, zip(*samples, strict=True)))
+    assert photon_noise_of_sheets([]) is None
+
+
+@pytest.mark.parametrize(("developed", "least", "most"), [(as_jpeg, 0.8, 1.4), (as_mosaic, 0.8, 3)])
+def test_sheets_of_developed_files_show_the_noise_in_coarser_detail(rng, developed, least, most):
+    """Means of red and blue have four times the noise in a mosaic, those of green twice; the line is the lower edge."""
+    files = [developed(sheet) for sheet in sheets(rng)]
+    samples = [noise_samples(sheet) for sheet in files]
+    finest, _ = fit_photon_noise(*map(np.concatenate, zip(*samples, strict=True)))
+    assert finest > 4 * 6000  # what was taken for the sensor's: a quarter of the noise or less
+    full_well, read = photon_noise_of_sheets(files)
+    variance = 0.5 / full_well + (read / full_well) ** 2
+    assert least < variance / (0.5 / 6000 + (5 / 6000) ** 2) < most
+
+
+@pytest.fixture(scope="module")
+def texture():
+    """Grey detail as sharp as pixels on the left, blurred and of other colours on the right."""
+    rng = np.random.default_rng(5)
+    fine = rng.uniform(0.2, 0.6, (480, 640, 1)).repeat(3, axis=2)
+    soft = cv2.GaussianBlur(rng.uniform(0, 1, (480, 640, 3)), (0, 0), 3)
+    soft = 0.4 + (soft - soft.mean()) * 2
+    return np.where(np.arange(640)[:, None] < 400, fine, soft).astype(np.float32)
+
+
+@pytest.mark.parametrize("times", [1, 2, 4, 16])
+def test_the_noise_of_a_photograph_is_told_from_its_texture(rng, texture, times):
+    expected = photon_noise_variance(texture, full_well_electrons=6000, read_noise_electrons=5)
+    noisy = texture + np.sqrt(times * expected) * rng.standard_normal(texture.shape).astype(np.float32)
+    # Percentiles of 1200 blocks of 256 samples scatter by 2 %; the softest texture adds up to a tenth.
+    assert noise_ratio(noisy, expected) == pytest.approx(times, rel=0.12)
+    assert noise_ratio(noisy, 100 * expected) == 1  # less noise than expected is none of its business
+
+
+@pytest.mark.parametrize("developed", [as_jpeg, as_mosaic])
+def test_developed_photographs_show_their_noise_too(rng, developed):
+    level = np.broadcast_to(0.5 * SHADING, (480, 640, 3))
+    full_well, read = photon_noise_of_sheets([developed(sheet) for sheet in sheets(rng)])
+    noisy = developed(counted(rng, level, full_well=6000 / 4))
+    expected = photon_noise_variance(noisy, full_well_electrons=full_well, read_noise_electrons=read)
+    assert 2 < noise_ratio(noisy, expected) < 7  # of an ISO four times as high; the least of channels that differ
+    usual = developed(counted(rng, level))
+    assert noise_ratio(usual, expected) == 1
+
+
+@settings(max_examples=40, deadline=None)
+@given(shape=st.tuples(st.integers(1, 70), st.integers(1, 70)), value=st.sampled_from([np.nan, np.inf, 0.0, 1.0, 0.4]))
+def test_pictures_without_noise_or_pixels_have_no_ratio(shape, value):
+    image = np.full((*shape, 3), value, np.float32)
+    assert noise_ratio(image, np.full(image.shape, 1e-4, np.float32)) == 1
+    assert noise_ratio(image, np.zeros(image.shape, np.float32)) == 1

@@ -15,7 +15,7 @@ import numpy as np
 from chromaperture.camera_alignment import ChannelAlignment
 from chromaperture.camera_crop import cut_out, in_whole_frame
 from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config, label_maps, noise_model
+from chromaperture.camera_matching import default_config, label_maps, noise_of_photographs
 from chromaperture.camera_memory import check_camera_memory, volumes_go_to_disk
 from chromaperture.camera_scale import SAME_SCALE, at_scale, resized
 from chromaperture.capture.checks import check_capture
@@ -352,7 +352,7 @@ def scaled_method(
         label_maps=label_maps(working, config.matcher),
         blur=working.field_blur(),
         channel_moves_px=working.channel_moves_px,
-        noise=noise_model(working),
+        noise=noise_of_photographs(working),
         execution=execution,
     )
     if config.scale > 1:

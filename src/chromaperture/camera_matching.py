@@ -9,7 +9,7 @@ import numpy as np
 
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_scale import accurate_scale, at_scale, working_scale
-from chromaperture.color.noise import photon_noise_variance
+from chromaperture.color.noise import noise_ratio, photon_noise_variance
 from chromaperture.config import AccurateConfig, Config, MatcherConfig, Quality, preset
 from chromaperture.disparity.labels import LabelMap, label_map
 from chromaperture.disparity.result import ESTIMATED_NOISE, NoiseModel
@@ -71,6 +71,19 @@ def noise_model(calibration: Calibration) -> NoiseModel:
         full_well_electrons=sensor.full_well_electrons,
         read_noise_electrons=sensor.read_noise_electrons,
     )
+    return NoiseModel(variance, is_known=True)
+
+
+def noise_of_photographs(calibration: Calibration) -> NoiseModel:
+    """Return `noise_model`, times what a photograph has more than the calibration: it may be at another ISO."""
+    noise = noise_model(calibration)
+    if not noise.is_known:
+        return noise
+
+    def variance(image: np.ndarray) -> np.ndarray:
+        expected = noise.variance(image)
+        return np.asarray(expected * np.float32(noise_ratio(image, expected)))
+
     return NoiseModel(variance, is_known=True)
 
 

@@ -13,9 +13,9 @@ _IMMERKAER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 _BLOCK_SAMPLES = 32  # along each side
 KERNEL_NORM = 6.0  # root of the sum of squares of that kernel
 _BLOCK_SIGMA = 0.086  # relative standard error of a block's variance, sqrt(2 / 271): 1024 correlated px act as 271
-# Sides of the squares of pixels whose means are looked at. In the middle light they show 1.01, 1.02, 1.01 times the
-# noise variance of a simulated sensor in linear files, .10, .66, 1.13 in JPEG of quality 95, .05, .41, 1.08 in quality
-# 90, .02, .62, 1.54 in a Bayer mosaic that is interpolated bilinearly (``benchmarks/developed_files.py``).
+# Sides of the squares of pixels whose means are looked at. In the middle light they show 1.00, 1.00, 1.01 times the
+# noise variance of a simulated sensor in linear files, .11, .66, 1.18 in JPEG of quality 95, .05, .42, 1.10 in quality
+# 90, .01, .29, .97 in a Bayer mosaic that is interpolated bilinearly (``benchmarks/developed_files.py sheets``).
 _SCALES_PX = (1, 2, 4)
 _CLEARLY_MORE = 1.2  # noise by which a coarser scale must exceed the finer ones, which know it better; chosen by hand
 _MIDDLE_LIGHT = 0.5  # of the white level, where scales are compared
@@ -25,6 +25,13 @@ _FEWEST_BLOCKS = 40
 _LEAST_RANGE = 0.3  # of levels, as a fraction of the brightest
 _BINS, _LOW_QUANTILE = 12, 0.1  # of level; of variance in each, where the fit starts
 _ROUNDS = 10
+# Of `noise_ratio`. Of 240 photographs with the calibration's own noise, of simulated rooms through eight cameras and
+# of bench50, none has a ratio above 1.48 pixel by pixel, 3 above 1.5 in means of 2 x 2 px (docs/measurements.md).
+_RATIO_SAMPLES, _RATIO_PERCENTILE = 16, 5  # side of a block; of the blocks' least noise
+_OF_EXPECTED_NOISE = 0.61  # that percentile of white noise alone
+_CLEAR_RATIO = 1.5  # a smaller one is none: it may be the scatter of blocks, or detail in several colours
+_DEVELOPED = 0.5  # ratio at the finest scale of files that lack noise there: JPEG has .1, an interpolated mosaic .02
+_FEWEST_OF_RATIO = 30
 _MOST_ELECTRONS = 1e7  # no pixel holds more: quieter pictures were computed, not photographed
 
 
@@ -94,7 +101,7 @@ def noise_samples(image: np.ndarray, *, scale_px: int = 1) -> tuple[np.ndarray, 
 
 
 def _squares(values: np.ndarray, side: int) -> np.ndarray:
-    """Return squares of pixels without what is left over at the right and below; (H / side, side, W / side, side, C)."""
+    """Return squares of pixels, (H / side, side, W / side, side, C), without what is left over at the end."""
     rows, columns = (n // side for n in values.shape[:2])
     return values[: rows * side, : columns * side].reshape(rows, side, columns, side, -1)
 
@@ -126,6 +133,55 @@ def photon_noise_of_sheets(sheets: Iterable[np.ndarray]) -> tuple[float, float] 
             if variance > _CLEARLY_MORE * most:
                 best, most = found, variance
     return best
+
+
+def noise_ratio(image: np.ndarray, variance: np.ndarray) -> float:
+    """Measure how many times a photograph's noise has the variance that is expected; 1 where it is not clearly more.
+
+    A photograph at another ISO than the calibration has other noise. Detail is much alike in the three channels, their
+    noise is not: of the fine structure of a block, in units of the expected noise, the least eigenvalue of the
+    channels' covariance is the noise's.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float, linear, 1.0 = white level
+    variance : (H, W, 3) float
+        What is expected, (white level)^2.
+
+    Returns
+    -------
+    float
+        1, or at least `_CLEAR_RATIO`.
+    """
+    image = np.asarray(image, np.float32)
+    finest = _ratio_at(image, variance, 1)
+    # Means of 4 x 4 px show texture, too: they are looked at where finer ones lack noise.
+    coarser = _SCALES_PX[1:] if finest < _DEVELOPED else _SCALES_PX[1:2]
+    ratio = max(finest, *(_ratio_at(image, variance, scale) for scale in coarser))
+    return ratio if ratio >= _CLEAR_RATIO else 1.0
+
+
+def _ratio_at(image: np.ndarray, variance: np.ndarray, scale_px: int) -> float:
+    """Return `noise_ratio` in means of squares of pixels; 1 where blocks are too few."""
+    height, width = (n // scale_px for n in image.shape[:2])
+    if min(height, width) < _RATIO_SAMPLES:
+        return 1.0
+    whole = np.s_[: height * scale_px, : width * scale_px]
+    means, expected = (
+        cv2.resize(np.asarray(part[whole], np.float32), (width, height), interpolation=cv2.INTER_AREA)
+        for part in (image, variance)
+    )
+    known = np.ones((height, width), bool)
+    for light, noise in zip(cv2.split(means), cv2.split(expected), strict=True):
+        known &= (np.abs(light) < _CLIPS) & (noise > 0)  # what is not a number is not below
+    usable = _squares(known[..., None], _RATIO_SAMPLES).all(axis=(1, 3, 4))
+    if np.count_nonzero(usable) < _FEWEST_OF_RATIO:
+        return 1.0
+    unit = np.sqrt(np.where(known[..., None], expected, 1)) * np.float32(KERNEL_NORM / scale_px)
+    response = cv2.filter2D(np.where(known[..., None], means, 0), cv2.CV_32F, _IMMERKAER) / unit
+    blocks = _squares(response, _RATIO_SAMPLES).transpose(0, 2, 1, 3, 4)[usable].reshape(-1, _RATIO_SAMPLES**2, 3)
+    least = np.linalg.eigvalsh(blocks.transpose(0, 2, 1) @ blocks / _RATIO_SAMPLES**2)[:, 0]
+    return float(np.percentile(least, _RATIO_PERCENTILE)) / _OF_EXPECTED_NOISE
 
 
 def fit_photon_noise(level: np.ndarray, variance: np.ndarray) -> tuple[float, float] | None:

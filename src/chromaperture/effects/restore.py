@@ -13,10 +13,9 @@ import numpy as np
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_alignment import channel_shifts
 from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import sensor_noise
+from chromaperture.camera_matching import noise_of_photographs
 from chromaperture.color.alignment import align_channels, linear_displacement
 from chromaperture.color.image import SATURATION
-from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.color.registration import residual_displacement
 from chromaperture.color.unmixing import pure_channels
 from chromaperture.depth.conversion import depth_to_disparity
@@ -102,8 +101,7 @@ def restore(
     aligned, radius, scatter = _aligned(balanced, disparity_px, sigma_px, camera)
     if sharpness == "aligned":
         return SharpPicture(aligned, radius)
-    variance = sensor_noise(image, camera.calibration)
-    noise = (estimate_noise_variance(image) if variance is None else variance).mean(axis=(0, 1)) * gains**2
+    noise = noise_of_photographs(camera.calibration).variance(image).mean(axis=(0, 1)) * gains**2
     fitted = camera.alignment.lens_shift if blur is None else None
     rounds = SharpenConfig.reweightings if sharpness == "full" else 0
     settings = SharpenConfig(model_error=UNFITTED_ERROR, reweightings=rounds)
