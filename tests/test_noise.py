@@ -191,3 +191,4 @@ def test_pictures_without_noise_or_pixels_have_no_ratio(shape, value):
     image = np.full((*shape, 3), value, np.float32)
     assert noise_ratio(image, np.full(image.shape, 1e-4, np.float32)) == 1
     assert noise_ratio(image, np.zeros(image.shape, np.float32)) == 1
+    assert photon_noise_of_sheets([image]) is None

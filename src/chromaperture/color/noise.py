@@ -87,6 +87,8 @@ def noise_samples(image: np.ndarray, *, scale_px: int = 1) -> tuple[np.ndarray, 
     level, variance : (B,) float64
         Of each block and channel, white level and its square; clipped and non-finite blocks are left out.
     """
+    if min(image.shape[:2]) < scale_px * _BLOCK_SAMPLES:
+        return np.empty(0), np.empty(0)
     image = _squares(np.asarray(image, np.float32), scale_px).mean(axis=(1, 3))
 
     def blocks(values: np.ndarray) -> np.ndarray:
@@ -103,7 +105,7 @@ def noise_samples(image: np.ndarray, *, scale_px: int = 1) -> tuple[np.ndarray, 
 def _squares(values: np.ndarray, side: int) -> np.ndarray:
     """Return squares of pixels, (H / side, side, W / side, side, C), without what is left over at the end."""
     rows, columns = (n // side for n in values.shape[:2])
-    return values[: rows * side, : columns * side].reshape(rows, side, columns, side, -1)
+    return values[: rows * side, : columns * side].reshape(rows, side, columns, side, values.shape[2])
 
 
 def photon_noise_of_sheets(sheets: Iterable[np.ndarray]) -> tuple[float, float] | None:
