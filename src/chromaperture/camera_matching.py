@@ -75,7 +75,7 @@ def noise_model(calibration: Calibration) -> NoiseModel:
 
 
 def noise_of_photographs(calibration: Calibration) -> NoiseModel:
-    """Return `noise_model`, times what a photograph has more than the calibration: it may be at another ISO."""
+    """Return `noise_model` times each photograph's `noise_ratio`: it may be at another ISO than the calibration."""
     noise = noise_model(calibration)
     if not noise.is_known:
         return noise

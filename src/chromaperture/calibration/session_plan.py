@@ -146,7 +146,7 @@ def _shots(plan: PlannedSession) -> str:
     )
     sheets = "\n".join(f"- [ ] `white/{name}{plan.suffix}`: through {what}" for name, what in plan.white_sheets.items())
     columns, rows = plan.inner_corners
-    at = "As far as you like" if math.isinf(plan.focus_mm) else "At about the focus"
+    at = "At any distance" if math.isinf(plan.focus_mm) else "At about the focus"
     return f"""# What to photograph
 
 Files: RAW, or PNG, TIFF or JPEG without chroma subsampling, all of one kind, all of one size, none turned upright.

@@ -27,11 +27,12 @@ _BINS, _LOW_QUANTILE = 12, 0.1  # of level; of variance in each, where the fit s
 _ROUNDS = 10
 # Of `noise_ratio`. Of 240 photographs with the calibration's own noise, of simulated rooms through eight cameras and
 # of bench50, none has a ratio above 1.48 pixel by pixel, 3 above 1.5 in means of 2 x 2 px (docs/measurements.md).
-_RATIO_SAMPLES, _RATIO_PERCENTILE = 16, 5  # side of a block; of the blocks' least noise
-_OF_EXPECTED_NOISE = 0.61  # that percentile of white noise alone
+_RATIO_SAMPLES = 16  # along each side of a block; chosen by hand
+_RATIO_PERCENTILE = 5  # of the blocks' least eigenvalues: other blocks hold detail; chosen by hand
+_OF_EXPECTED_NOISE = 0.61  # that percentile where there is white noise of the expected variance alone; simulated
 _CLEAR_RATIO = 1.5  # a smaller one is none: it may be the scatter of blocks, or detail in several colours
 _DEVELOPED = 0.5  # ratio at the finest scale of files that lack noise there: JPEG has .1, an interpolated mosaic .02
-_FEWEST_OF_RATIO = 30
+_FEWEST_OF_RATIO = 30  # blocks, for a percentile; chosen by hand
 _MOST_ELECTRONS = 1e7  # no pixel holds more: quieter pictures were computed, not photographed
 
 
@@ -138,7 +139,7 @@ def photon_noise_of_sheets(sheets: Iterable[np.ndarray]) -> tuple[float, float] 
 
 
 def noise_ratio(image: np.ndarray, variance: np.ndarray) -> float:
-    """Measure how many times a photograph's noise has the variance that is expected; 1 where it is not clearly more.
+    """Return a photograph's noise variance over the expected one; 1 where it is not clearly more.
 
     A photograph at another ISO than the calibration has other noise. Detail is much alike in the three channels, their
     noise is not: of the fine structure of a block, in units of the expected noise, the least eigenvalue of the
