@@ -48,10 +48,8 @@ def with_page(loop: LiveLoop, folder: str) -> tuple[LivePage, threading.Thread]:
 def running(
     args: argparse.Namespace, camera: CodedApertureCamera, listener: Callable[[str], None]
 ) -> Iterator[LiveLoop]:
-    sensor = camera.calibration.sensor
-    levels = (sensor.black_level, sensor.white_level)
     with (
-        open_source(args.source, camera_levels=levels) as source,
+        open_source(args.source, camera_encoding=camera.calibration.sensor.encoding) as source,
         LiveLoop(source, camera, track=not args.no_model, listener=listener) as loop,
     ):
         yield loop

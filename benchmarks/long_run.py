@@ -37,8 +37,9 @@ import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, load_camera
 from chromaperture.capture.files import read_image
-from chromaperture.capture.source import Encoding, Frame
+from chromaperture.capture.source import Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource
+from chromaperture.color.encoding import Encoding
 from chromaperture.depth.field import DepthField
 from chromaperture.errors import InputError
 from chromaperture.products.samples import sample_camera, sample_image

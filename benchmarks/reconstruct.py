@@ -56,9 +56,8 @@ def off_surface(world: np.ndarray, poses: list[np.ndarray], truths: list[np.ndar
 
 def measured(data: Path, camera: CodedApertureCamera, work: Path | None) -> Iterator[View]:
     """Views of the walk, from the folder of stored ones if there is one."""
-    sensor, to_view = camera.calibration.sensor, undistorter(camera)
-    levels = (sensor.black_level, sensor.white_level)
-    with open_source(str(data / "cy_halves" / "walk"), camera_levels=levels) as source:
+    encoding, to_view = camera.calibration.sensor.encoding, undistorter(camera)
+    with open_source(str(data / "cy_halves" / "walk"), camera_encoding=encoding) as source:
         for frame in source:
             kept = work / f"{camera.config.quality}_{frame.index:03d}.npz" if work else None
             if kept is None or not kept.exists():

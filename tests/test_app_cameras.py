@@ -16,8 +16,9 @@ from apps import FACTS, TOKEN, served
 from chromaperture.app.camera_feed import CameraFeed, preview_jpeg, write_frame
 from chromaperture.app.session_folder import SessionFolder
 from chromaperture.capture.files import read_image
-from chromaperture.capture.source import Encoding, Frame
+from chromaperture.capture.source import Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource
+from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.errors import InputError
 

@@ -15,6 +15,7 @@ from apps import DESKTOP, FACTS, PHONE, chromium, pages, served, write_y4m
 from chromaperture.app.notes import heard
 from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import Decoded, linearise
+from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.products.samples import open_sample, sample_camera, sample_image
 
@@ -103,7 +104,7 @@ def test_live_depth_is_that_of_python(page_at, size):
     page.wait_for_selector("#live-speed:has-text('frames/s')")
     camera, image = open_sample(NAME)
     with heard() as notes:  # not pytest.warns: the app, in this process, records warnings at the same time
-        picture = linearise(Decoded(linear_to_srgb_bytes(image)), camera_levels=(16, 1016))
+        picture = linearise(Decoded(linear_to_srgb_bytes(image)), camera_encoding=Encoding(16, 1016))
     assert any("8-bit" in note for note in notes())
     frame = camera.measure(picture)
     for x, y in PLACES:
@@ -148,9 +149,12 @@ def test_a_page_in_the_background_pauses(page_at):
     ],
 )
 def test_a_camera_that_cannot_be_opened_is_one_sentence(page_at, error, sentence):
-    page = page_at(PHONE, script=f"""
+    page = page_at(
+        PHONE,
+        script=f"""
         navigator.mediaDevices.getUserMedia = async () => {{ throw new DOMException("no", "{error}"); }};
-    """)
+    """,
+    )
     page.click("#live-start")
     says(page, sentence)
     assert page.inner_text("#live-start") == "Start the camera"

@@ -24,6 +24,7 @@ from chromaperture.app.frame_message import MOST_COUNT, pack_frame, to_counts
 from chromaperture.app.icons import ICONS, STATIC, draw_icon
 from chromaperture.app.server import safe_name, static_files
 from chromaperture.capture.files import Decoded, linearise
+from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.errors import CaptureWarning
 from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
@@ -80,7 +81,7 @@ def test_a_frame_is_measured_as_python_measures_it(app, photo):
     camera, _ = open_sample(NAME)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CaptureWarning)
-        frame = camera.measure(linearise(Decoded(photo), camera_levels=(16, 1016)))
+        frame = camera.measure(linearise(Decoded(photo), camera_encoding=Encoding(16, 1016)))
     np.testing.assert_array_equal(np.isnan(depth), np.isnan(frame.depth_mm))
     np.testing.assert_allclose(depth, frame.depth_mm, atol=facts["depth"]["step"])  # half a count and its rounding
     known = np.isfinite(frame.sigma_mm)

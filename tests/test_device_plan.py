@@ -21,6 +21,7 @@ from chromaperture.camera_scale import resized
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.alignment import shift_back
 from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
+from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.pointcloud import depth_to_points
 from chromaperture.disparity.gpu.conversion_stage import add_conversion
@@ -85,7 +86,7 @@ def test_counts_become_light_as_files_do(camera):
     light, notes = light_of_counts(camera.calibration)
     counts = np.random.default_rng(3).integers(0, 256, (9, 8, 3), np.uint8)
     with pytest.warns(CaptureWarning, match="8-bit"):
-        expected = linearise(Decoded(counts), camera_levels=(16, 1016))
+        expected = linearise(Decoded(counts), camera_encoding=Encoding(16, 1016))
     np.testing.assert_array_equal(light[counts], expected)
     assert "8-bit" in notes[0]
 

@@ -13,9 +13,10 @@ from matplotlib.colors import to_rgb
 
 from chromaperture.camera import load_camera
 from chromaperture.capture.recording import Recorder, ReplaySource
-from chromaperture.capture.source import Encoding, Event, FileSource, Frame
+from chromaperture.capture.source import Event, FileSource, Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource
 from chromaperture.color.color_maps import UNKNOWN
+from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError
 from chromaperture.products.samples import sample_camera
 from chromaperture.viewer.loop import LiveLoop

@@ -23,7 +23,8 @@ from hypothesis import strategies as st
 
 from chromaperture.camera import load_camera
 from chromaperture.capture.files import read_image
-from chromaperture.capture.source import Encoding, FileSource, Frame
+from chromaperture.capture.source import FileSource, Frame
+from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError
 from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.reconstruction.fusion import Placed

@@ -19,9 +19,10 @@ import pytest
 from chromaperture.camera import load_camera
 from chromaperture.capture import playback
 from chromaperture.capture.recording import Recorder, ReplaySource
-from chromaperture.capture.source import Encoding, Event, FileSource, Frame
+from chromaperture.capture.source import Event, FileSource, Frame
 from chromaperture.capture.threaded_source import LiveSource, StreamEndedError
 from chromaperture.cli import streams
+from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError
 from chromaperture.products.samples import sample_camera
 from chromaperture.reconstruction.fusion import Submap

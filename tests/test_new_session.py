@@ -11,8 +11,9 @@ from PIL import Image
 
 from chromaperture.calibration.chessboard import find_corners
 from chromaperture.calibration.session import read_session
+from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb
-from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
@@ -154,7 +155,7 @@ def test_a_session_of_jpeg_files_is_read_as_light(run, tmp_path, simulated):
     assert run("session", "new", folder, *OPTIONS, "--photo", tmp_path / "photo.jpg", "-q").returncode == 0
     fill(folder, simulated, ".jpg", convert)
     session = read_session(folder)
-    with pytest.warns(CaptureWarning, match="8-bit"):
-        sheet = session.white("open")
+    assert session.sensor.encoding == Encoding(0.0, 255.0, "srgb")
+    sheet = session.white("open")  # without a warning: warnings are errors here
     # White paper through the open lens is exposed to 0.9; 8 bits of sRGB are 0.8 % apart there.
     np.testing.assert_allclose(sheet, 0.9, atol=0.01)

@@ -14,7 +14,7 @@ from PIL import Image
 from chromaperture import read_image
 from chromaperture.capture.deep_png import decode_rgb16
 from chromaperture.capture.files import decode, linearise, read_light
-from chromaperture.capture.source import Encoding, develop_counts
+from chromaperture.color.encoding import Encoding, develop_counts
 from chromaperture.errors import InputError
 from chromaperture.png_encoding import encode_png
 from chromaperture.rows_on_demand import RowsOnDemand
@@ -69,10 +69,10 @@ def test_a_cameras_levels_give_the_same_light_with_and_without_counts(rng, tmp_p
     path, levels = tmp_path / "a.png", (512.0, 60_000.0)
     path.write_bytes(encode_png(walk(rng, (70, 50, 3))))
     for own in ({}, {"black_level": 100.0}, {"white_level": 50_000.0}):
-        expected = linearise(decode(path), **own, camera_levels=levels)
-        np.testing.assert_array_equal(read_light(path, **own, camera_levels=levels), expected)
+        expected = linearise(decode(path), **own, camera_encoding=Encoding(*levels))
+        np.testing.assert_array_equal(read_light(path, **own, camera_encoding=Encoding(*levels)), expected)
     with pytest.raises(InputError, match="white level 100 must be above"):
-        read_light(path, white_level=100.0, camera_levels=levels)
+        read_light(path, white_level=100.0, camera_encoding=Encoding(*levels))
 
 
 def test_rows_that_are_made_on_demand_are_encoded_as_their_picture(rng):

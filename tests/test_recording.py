@@ -19,7 +19,8 @@ import pytest
 from chromaperture.capture import recording
 from chromaperture.capture.open import open_source
 from chromaperture.capture.recording import Recorder
-from chromaperture.capture.source import Encoding, Frame
+from chromaperture.capture.source import Frame
+from chromaperture.color.encoding import Encoding
 from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.products.mcap import write_mcap
 from chromaperture.products.rectified import View
@@ -58,7 +59,8 @@ def test_what_was_acknowledged_survives_kill(tmp_path):
         import sys
         import numpy as np
         from chromaperture.capture.recording import Recorder
-        from chromaperture.capture.source import Encoding, Frame
+        from chromaperture.capture.source import Frame
+        from chromaperture.color.encoding import Encoding
         with Recorder(sys.argv[1]) as recorder:
             for i in range(100000):
                 recorder.write(Frame(np.full((64, 64, 3), i % 60000, np.uint16), Encoding(), float(i), i))
@@ -188,8 +190,8 @@ def test_levels_that_nobody_gave_are_recorded_as_null_and_the_cameras_win(run, t
     assert (entry["black_level"], entry["white_level"]) == (None, None)
     with pytest.warns(CaptureWarning, match="white-level"):
         assert encoding_of(f"replay:{walk}") == Encoding(0, 65535)
-    assert encoding_of(f"replay:{walk}", camera_levels=(16, 1016)) == Encoding(16, 1016)
-    assert encoding_of(f"replay:{walk}", camera_levels=(16, 1016), white_level=900) == Encoding(16, 900)
+    assert encoding_of(f"replay:{walk}", camera_encoding=Encoding(16, 1016)) == Encoding(16, 1016)
+    assert encoding_of(f"replay:{walk}", camera_encoding=Encoding(16, 1016), white_level=900) == Encoding(16, 900)
     assert encoding_of(f"replay:{walk}?black_level=8&white_level=700") == Encoding(8, 700)
 
 
@@ -198,12 +200,12 @@ def test_record_with_a_camera_writes_its_levels(run, tmp_path):
     cv2.imwrite(str(tmp_path / "0.png"), frame(0).counts[..., ::-1])
     assert run("record", tmp_path / "0.png", "--out", walk, "-q", "--camera", camera)[0] == 0
     assert encoding_of(f"replay:{walk}") == Encoding(16, 1016)
-    assert encoding_of(f"replay:{walk}", camera_levels=(0, 4095)) == Encoding(16, 1016)  # they were given
+    assert encoding_of(f"replay:{walk}", camera_encoding=Encoding(0, 4095)) == Encoding(16, 1016)  # they were given
 
 
 def test_levels_that_were_given_are_replaced_by_the_readers_only(tmp_path):
     walk = recorded(tmp_path, frame(0).counts, black_level=64, white_level=1023)
-    assert encoding_of(walk, camera_levels=(16, 1016)) == Encoding(64, 1023)
+    assert encoding_of(walk, camera_encoding=Encoding(16, 1016)) == Encoding(64, 1023)
     assert encoding_of(walk, white_level=900) == Encoding(64, 900)
 
 
@@ -212,7 +214,7 @@ def test_levels_of_superpixels_are_those_of_the_mosaic(tmp_path):
     raw = recorded(tmp_path, frame(0).counts, black_level=100, white_level=2046, channel_offsets_px=offsets,
                    given=False)  # fmt: skip
     assert encoding_of(raw) == Encoding(100, 2046, "linear", offsets)  # the file's own are kept
-    assert encoding_of(raw, camera_levels=(16, 1016)) == Encoding(32, 2032, "linear", offsets)
+    assert encoding_of(raw, camera_encoding=Encoding(16, 1016)) == Encoding(32, 2032, "linear", offsets)
     assert encoding_of(raw, black_level=60) == Encoding(120, 2046, "linear", offsets)
 
 
@@ -220,8 +222,8 @@ def test_recordings_of_the_first_format_are_read(tmp_path):
     first = "chromaperture recording 1"
     guessed = recorded(tmp_path / "a", frame(0).counts, header=first)  # 0 and 65535: nobody gave them
     given = recorded(tmp_path / "b", frame(0).counts, header=first, black_level=64, white_level=1023)
-    assert encoding_of(guessed, camera_levels=(16, 1016)) == Encoding(16, 1016)
-    assert encoding_of(given, camera_levels=(16, 1016)) == Encoding(64, 1023)
+    assert encoding_of(guessed, camera_encoding=Encoding(16, 1016)) == Encoding(16, 1016)
+    assert encoding_of(given, camera_encoding=Encoding(16, 1016)) == Encoding(64, 1023)
 
 
 DATA = Path(__file__).parent / "data" / "recordings"
@@ -232,7 +234,7 @@ DATA = Path(__file__).parent / "data" / "recordings"
 def test_recordings_of_every_past_format_replay_as_they_were_made(version):
     """Each was made by the release whose format it has, from these numbers."""
     rng, events = np.random.default_rng(5), []
-    settings = {"listener": events.append, "camera_levels": (16, 1016)}
+    settings = {"listener": events.append, "camera_encoding": Encoding(16, 1016)}
     with open_source(f"replay:{DATA / f'format_{version}'}", **settings) as source:
         frames = list(source)
     assert events == []

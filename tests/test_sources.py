@@ -18,8 +18,9 @@ from chromaperture.capture.bayer import PATTERNS, superpixels
 from chromaperture.capture.files import read_image
 from chromaperture.capture.open import connected_sources, open_source
 from chromaperture.capture.playback import played
-from chromaperture.capture.source import Encoding, FileSource, Frame
+from chromaperture.capture.source import FileSource, Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource, StreamEndedError
+from chromaperture.color.encoding import Encoding
 from chromaperture.errors import CaptureWarning, InputError, MissingDependencyError
 from chromaperture.optics.sensor import mosaic
 from worlds import write_dng
@@ -191,7 +192,7 @@ def test_a_video_gives_its_frames_in_order(tmp_path):
         (".?speed=0", "speed"),
         (".?loop=maybe", "loop must be 1 or 0"),
         (".?focus=3", "choose fps, black_level, white_level, speed, loop"),
-        (".?camera_levels=3", "no setting"),
+        (".?camera_encoding=3", "no setting"),
         ("clip.mkv?fps=-1", "fps must be positive"),
         ("webcam?width=nan", "whole number"),
         ("aravis?focus=3", "no setting 'focus'"),
@@ -473,11 +474,14 @@ def test_photographs_of_a_tethered_camera(tmp_path):
 def test_the_cameras_levels_serve_where_a_file_can_hold_them(tmp_path):
     write(tmp_path / "deep.png", picture())
     write(tmp_path / "flat.png", (picture() // 4).astype(np.uint8))
-    with open_source(str(tmp_path), camera_levels=(16, 1016)) as source, pytest.warns(CaptureWarning, match="sRGB"):
+    with (
+        open_source(str(tmp_path), camera_encoding=Encoding(16, 1016)) as source,
+        pytest.warns(CaptureWarning, match="sRGB"),
+    ):
         deep, flat = (f.encoding for f in source)
     assert deep == Encoding(16, 1016)
     assert flat == Encoding(0, 255, "srgb")
-    with open_source(str(tmp_path / "deep.png"), camera_levels=(16, 1016), white_level=900) as source:
+    with open_source(str(tmp_path / "deep.png"), camera_encoding=Encoding(16, 1016), white_level=900) as source:
         assert next(iter(source)).encoding == Encoding(16, 900)
 
 

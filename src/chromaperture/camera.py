@@ -228,14 +228,13 @@ class CodedApertureCamera:
         InputError
             As `chromaperture.read_image`.
         """
-        sensor = self.calibration.sensor
         check_camera_memory(Path(path).name, self.calibration, self.config)
         is_known = self.calibration.is_calibrated
-        levels = (sensor.black_level, sensor.white_level) if is_known else None
+        encoding = self.calibration.sensor.encoding if is_known else None
         size_px = self._frame_px if self.config.crop_origin_px is None else None
         return read_light(
             path, size_px=size_px, any_scale=is_known, black_level=black_level, white_level=white_level,
-            camera_levels=levels,
+            camera_encoding=encoding,
         )  # fmt: skip
 
     def shows_frame_at(self, size_px: tuple[int, int]) -> bool:

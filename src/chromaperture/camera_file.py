@@ -11,13 +11,15 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import asdf
 import numpy as np
 
 from chromaperture.asdf_input import read_tree
 from chromaperture.camera_tree import CameraTree
+from chromaperture.color.encoding import Encoding
+from chromaperture.color.response import ResponseCurve
 from chromaperture.color.unmixing import ideal_unmixing, mixing_matrix, unmixing_rows
 from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
@@ -52,7 +54,7 @@ _ABOUT = (
 
 @dataclass(frozen=True)
 class CameraSensor:
-    """The sensor. Levels are counts of its linear files; electrons are None where unknown."""
+    """The sensor, and how its files are decoded, see `Encoding`; electrons are None where unknown."""
 
     width_px: int
     height_px: int
@@ -61,6 +63,14 @@ class CameraSensor:
     white_level: float = 65535.0
     full_well_electrons: float | None = None
     read_noise_electrons: float | None = None
+    curve: Literal["linear", "srgb"] = "linear"
+    response: tuple[float, ...] | None = None  # exponents of a `ResponseCurve`; None: values are light
+
+    @property
+    def encoding(self) -> Encoding:
+        """How the photographs that the camera was calibrated on are decoded."""
+        response = None if self.response is None else ResponseCurve(self.response)
+        return Encoding(self.black_level, self.white_level, self.curve, response=response)
 
 
 @dataclass(frozen=True)
@@ -233,6 +243,7 @@ class Calibration:
             "far_mm": self.far_mm,
             "black_level": self.sensor.black_level,
             "white_level": self.sensor.white_level,
+            "curve": self.sensor.curve if self.sensor.response is None else f"{self.sensor.curve}, then a tone curve",
             "provenance": dict(self.provenance),
         }
         known = {"design", "title", "width_px", "height_px", "provenance"}  # the others are placeholders

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 
@@ -14,6 +14,7 @@ Length = Field(min_length=2, max_length=100)  # of a table's side
 Moved = Annotated[Finite, Field(ge=-100, le=100)]  # px, by the lens
 Pair = tuple[Moved, Moved]
 Moves = Annotated[tuple[Annotated[tuple[tuple[Pair, Pair, Pair], ...], Length], ...], Length]
+Exponent = Annotated[Finite, Field(gt=0, le=100)]  # of a response curve
 Corners = Annotated[int, Field(gt=2, le=1000)]  # of a side of the chessboard
 
 
@@ -33,6 +34,8 @@ class SensorTable(CameraTable):
     white_level: Finite
     full_well_electrons: Positive | None
     read_noise_electrons: NotNegative | None
+    curve: Literal["linear", "srgb"] = "linear"
+    response: Annotated[tuple[Exponent, ...], Field(min_length=2, max_length=100)] | None = None
 
 
 class LensTable(CameraTable):

@@ -14,7 +14,8 @@ import numpy as np
 
 from chromaperture.app.session_folder import SessionFolder
 from chromaperture.capture.open import open_source
-from chromaperture.capture.source import CENTRED, Encoding, Event, Frame, develop_counts
+from chromaperture.capture.source import Event, Frame
+from chromaperture.color.encoding import CENTRED, Encoding, develop_counts
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.errors import ChromapertureError, InputError
 

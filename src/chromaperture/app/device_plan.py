@@ -125,10 +125,9 @@ def light_of_counts(calibration: Calibration) -> tuple[np.ndarray, list[str]]:
     (256,) float32, and a list of sentences
     """
     counts = np.repeat(np.arange(256, dtype=np.uint8)[:, None, None], 3, axis=2)
-    sensor = calibration.sensor
-    levels = (sensor.black_level, sensor.white_level) if calibration.is_calibrated else None
+    encoding = calibration.sensor.encoding if calibration.is_calibrated else None
     with heard() as notes:
-        light = linearise(Decoded(counts), camera_levels=levels)
+        light = linearise(Decoded(counts), camera_encoding=encoding)
     return np.ascontiguousarray(light[:, 0, 0]), notes()
 
 

@@ -20,7 +20,7 @@ from pydantic import Field
 from chromaperture.app.shot_checks import Reading
 from chromaperture.calibration.session import Session, read_session
 from chromaperture.calibration.session_plan import FOLDERS, PlannedSession, plan_files
-from chromaperture.capture.files import decode, is_photograph
+from chromaperture.capture.files import decode, has_8_bits, is_photograph
 from chromaperture.errors import InputError
 from chromaperture.evaluation.health import Check
 from chromaperture.optics.aperture import design_named
@@ -29,7 +29,6 @@ from chromaperture.validation import Name, Table, checked, read_text
 
 MOST_SHOTS = 300  # of a session; thirty boards are the most that docs/calibration-session.md asks for
 _MOST_JSON_BYTES = 16 * 2**20  # of assistant.json; chosen by hand
-_OF_8_BITS = (".jpg", ".jpeg", ".webp", ".bmp")  # whatever is in them
 _STATE = "assistant.json"  # beside session.toml; `calibrate` does not read it
 
 Kind = Literal["board", "tilt", "white", "tone"]
@@ -120,7 +119,7 @@ class SessionFolder:
     def is_encoded(self) -> bool:
         """Whether its files are of 8 bits, decoded as sRGB: no levels are known, and it is no RAW file."""
         first = next((self.folder / shot.file for shot in self.shots), None)
-        return first is not None and self.facts.white_level is None and _has_8_bits(first)
+        return first is not None and self.facts.white_level is None and has_8_bits(first)
 
     # ---- photographs
 
@@ -221,12 +220,6 @@ def _plan(
             f"({facts.nearest_mm:g} and {facts.farthest_mm:g} mm)"
         )
     return PlannedSession(**values, suffix=suffix, size_px=size_px, tone_error=tone_error)
-
-
-def _has_8_bits(path: Path) -> bool:
-    with path.open("rb") as file:
-        header = file.read(25)
-    return path.suffix.lower() in _OF_8_BITS or (header[1:4] == b"PNG" and header[-1] == 8)
 
 
 def _tone_error(shots: Sequence[Shot]) -> float | None:

@@ -216,10 +216,9 @@ class Workbench:
             raise InputError("a frame is not as large as it says; reload the page")
         eye = self.eye(camera, quality)
         counts = np.frombuffer(data, np.uint8).reshape(height, width, 3)
-        sensor = eye.calibration.sensor
-        levels = (sensor.black_level, sensor.white_level) if eye.calibration.is_calibrated else None
+        encoding = eye.calibration.sensor.encoding if eye.calibration.is_calibrated else None
         with heard() as notes:
-            frame = eye.measure(linearise(Decoded(counts), camera_levels=levels))
+            frame = eye.measure(linearise(Decoded(counts), camera_encoding=encoding))
         return frame, notes()
 
     def measure_photo(

@@ -25,6 +25,7 @@ from chromaperture.calibration.curves import (
     without_outliers,
 )
 from chromaperture.calibration.fit_curve import DepthFit
+from chromaperture.calibration.fit_response import with_response
 from chromaperture.calibration.lens_moves import lens_moves
 from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.place_boards import Pinhole, PlacedBoards, measure_pinhole, place_boards
@@ -107,8 +108,9 @@ def calibrate_session(
     session = read_session(folder)
     lens_from = _at_size_of(session, lens_from)
     lens = lens_from.blur if lens_from else None
-    sheets = measure_white_sheets(session)
     pinhole = measure_pinhole(session, lens_from, store=store, progress=progress)
+    session, tone_notes = with_response(session, pinhole.corners)
+    sheets = measure_white_sheets(session)
     placed = place_boards(session, pinhole, config)
     nominal = dict.fromkeys(QUALITIES, DepthField.constant(nominal_depth_model(session)))
     draft = assemble_camera(session, sheets, placed.intrinsics, nominal, config)
@@ -126,7 +128,7 @@ def calibrate_session(
     rendered = rendered_nonlinearity(matched, session, selected, config, store=store, progress=progress)
     evidence = dataclasses.replace(selected, rendered=rendered)
     curves = shifted if moves is None and not rendered else fit_curves(evidence, config, progress=progress)
-    steps = _Steps(session, config, sheets, pinhole, placed, evidence, curves, blurred)
+    steps = _Steps(session, config, tone_notes, sheets, pinhole, placed, evidence, curves, blurred)
     depth = {**with_accurate(curves), "accurate": blurred.camera.depth["accurate"]}
     depth = {quality: with_scale_error(curve, steps.tone) for quality, curve in depth.items()}
     made_from = origin(session.folder, steps.files, config, command=command, lens_from=lens_from)
@@ -152,6 +154,7 @@ class _Steps:
 
     session: Session
     config: CalibrationConfig
+    tone_notes: tuple[str, ...]
     sheets: WhiteSheets
     pinhole: Pinhole
     placed: PlacedBoards
@@ -170,7 +173,8 @@ class _Steps:
     @property
     def notes(self) -> tuple[str, ...]:
         curves = (note for curve in self.curves.values() for note in curve.notes)
-        steps = (*self.sheets.notes, *self.pinhole.notes, *self.placed.notes, *self.blurred.notes, *curves)
+        parts = (self.sheets, self.pinhole, self.placed, self.blurred)
+        steps = (*self.tone_notes, *(note for part in parts for note in part.notes), *curves)
         if self.tone:
             steps = (*steps, f"decoded light grows with the power 1 +- {self.session.tone_error:.2f} of the exposure: "
                      f"every error bar allows for {self.tone:.1%} of the disparity")  # fmt: skip

@@ -9,7 +9,7 @@ import csv
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +19,7 @@ from pydantic import Field
 from chromaperture.calibration.board_distances import check_units
 from chromaperture.camera_file import CameraSensor
 from chromaperture.camera_scale import LEAST_SIDE_PX, SCALES, reduced_size, resized_sensor
-from chromaperture.capture.files import decode, image_size, linearise, photographs
+from chromaperture.capture.files import decode, has_8_bits, image_size, linearise, photographs
 from chromaperture.disparity.working_scale import reduced
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, design_named
@@ -55,7 +55,7 @@ class Session:
 
     folder: Path
     design: str
-    sensor: CameraSensor  # of what `read` returns
+    sensor: CameraSensor  # of what `read` returns; photographs of 8 bits that hold no such levels are sRGB
     nominal_focal_length_mm: float
     nominal_f_number: float
     focused_at_about_mm: float
@@ -87,9 +87,7 @@ class Session:
                 f"{path.name} is {width}x{height} px but session.toml says "
                 f"{expected[0]}x{expected[1]}; correct session.toml or the photograph"
             )
-        # As `depth` reads: 8 bits, which cannot hold the levels of a sensor, are decoded from the sRGB curve.
-        levels = (self.sensor.black_level, self.sensor.white_level)
-        image = linearise(decode(path, size_px=expected), camera_levels=levels)
+        image = linearise(decode(path, size_px=expected), camera_encoding=self.sensor.encoding)  # as `depth` reads
         working = (self.sensor.width_px, self.sensor.height_px)
         if working == expected:
             return image
@@ -127,6 +125,9 @@ def read_session(folder: str | Path) -> Session:
     table = checked(_SessionTable, read_toml(settings), where=quoted(settings))
     boards = _distances(folder)
     full = CameraSensor(**table.sensor.model_dump(exclude={"linear", "tone_error"}))
+    first = next(iter(boards), None)
+    if first is not None and full.white_level > 255 and has_8_bits(first):  # which cannot hold such levels
+        full = replace(full, black_level=0.0, white_level=255.0, curve="srgb")
     size = (full.width_px, full.height_px)
     sensor = resized_sensor(full, *reduced_size(size, _scale(full, table.lens, boards)))
     check_units(np.array([*boards.values()]), table.lens.focused_at_about_mm, where=str(folder / "distances.csv"))

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from chromaperture.capture.bayer import superpixels
-from chromaperture.capture.source import Encoding, Frame
+from chromaperture.capture.source import Frame
 from chromaperture.capture.threaded_source import DeviceLostError, not_there
+from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError, MissingDependencyError
 
 _BUFFERS = 8  # frames in flight; chosen by hand, not tuned

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.capture.source import Encoding, Offsets
+from chromaperture.color.encoding import Encoding, Offsets
 from chromaperture.errors import InputError
 
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")

@@ -24,8 +24,9 @@ from chromaperture.capture.picture_header import (
     open_picture,
     same_frame,
 )
-from chromaperture.capture.source import Encoding, choose_encoding, develop_counts, format_encoding
-from chromaperture.capture.tiff import decode_tiff, tiff_size
+from chromaperture.capture.source import choose_encoding
+from chromaperture.capture.tiff import decode_tiff, tiff_bits, tiff_size
+from chromaperture.color.encoding import Encoding, develop_counts, format_encoding
 from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.validation import MOST_FILE_BYTES, read_bytes
 
@@ -59,7 +60,7 @@ def read_light(
     any_scale: bool = False,
     black_level: float | None = None,
     white_level: float | None = None,
-    camera_levels: tuple[float, float] | None = None,
+    camera_encoding: Encoding | None = None,
 ) -> np.ndarray:
     """`decode`, then `linearise`; counts of large files of 16 bit are not kept where their levels are known before.
 
@@ -75,18 +76,20 @@ def read_light(
     def deep_png(data: bytes) -> np.ndarray | None:
         deep = np.dtype(np.uint16)
         try:
-            found = choose_encoding(format_encoding(deep), np.empty(0, deep), **levels, camera_levels=camera_levels)
+            found = choose_encoding(format_encoding(deep), np.empty(0, deep), **levels, camera_encoding=camera_encoding)
         except InputError:  # levels that make no sense, which `linearise` says
+            return _deep_png(data)
+        if not found.given or found.curve != "linear" or found.response is not None:
             return _deep_png(data)
         image = _deep_png(data, (found.black_level, found.white_level))
         light.extend([] if image is None else [image])
         return image
 
-    if camera_levels is None or is_raw(path):  # the counts may say that a white level is wrong which nobody gave
+    if camera_encoding is None or is_raw(path):  # the counts may say that a white level is wrong which nobody gave
         decoded = decode(path, size_px=size_px, any_scale=any_scale)
     else:
         decoded = Decoded(_colour(_decode(path, size_px, any_scale, deep_png), path))
-    return light[0] if light else linearise(decoded, **levels, camera_levels=camera_levels)
+    return light[0] if light else linearise(decoded, **levels, camera_encoding=camera_encoding)
 
 
 def read_image(
@@ -134,11 +137,11 @@ def linearise(
     *,
     black_level: float | None = None,
     white_level: float | None = None,
-    camera_levels: tuple[float, float] | None = None,
+    camera_encoding: Encoding | None = None,
 ) -> np.ndarray:
     """Convert the content of a file to linear light; see `read_image` and, for the levels, `choose_encoding`."""
     levels = {"black_level": black_level, "white_level": white_level}
-    return develop_counts(decoded.array, encoding_of(decoded, **levels, camera_levels=camera_levels))
+    return develop_counts(decoded.array, encoding_of(decoded, **levels, camera_encoding=camera_encoding))
 
 
 def read_counts(
@@ -146,12 +149,12 @@ def read_counts(
     *,
     black_level: float | None = None,
     white_level: float | None = None,
-    camera_levels: tuple[float, float] | None = None,
+    camera_encoding: Encoding | None = None,
 ) -> tuple[np.ndarray, Encoding]:
     """Read a photograph as stored, (H, W, 3), and how to convert it to linear light; see `choose_encoding`."""
     decoded = decode(path)
     levels = {"black_level": black_level, "white_level": white_level}
-    return decoded.array, encoding_of(decoded, **levels, camera_levels=camera_levels)
+    return decoded.array, encoding_of(decoded, **levels, camera_encoding=camera_encoding)
 
 
 def encoding_of(
@@ -159,12 +162,12 @@ def encoding_of(
     *,
     black_level: float | None = None,
     white_level: float | None = None,
-    camera_levels: tuple[float, float] | None = None,
+    camera_encoding: Encoding | None = None,
 ) -> Encoding:
     """Choose how to convert the content of a file to linear light; see `choose_encoding`."""
     own = decoded.own or format_encoding(decoded.array.dtype)
     levels = {"black_level": black_level, "white_level": white_level}
-    return choose_encoding(own, decoded.array, **levels, camera_levels=camera_levels)
+    return choose_encoding(own, decoded.array, **levels, camera_encoding=camera_encoding)
 
 
 def photographs(folder: Path) -> list[Path]:
@@ -199,6 +202,17 @@ def image_size(path: str | Path) -> tuple[int, int]:
         raise InputError(_damaged(path)) from None
     check_size(width, height, path.name, None)
     return width, height
+
+
+def has_8_bits(path: Path) -> bool:
+    """Recognise a picture whose samples have 8 bits by its header; False where there is none, as reading will say."""
+    if is_raw(path):
+        return False
+    try:
+        data = _read(path)
+        return tiff_bits(data) == 8 if data.startswith(TIFF_MARKS) else bool(open_picture(data)) and not _is_deep(data)
+    except Exception:  # whatever a damaged file makes libraries raise
+        return False
 
 
 def decode(path: str | Path, *, size_px: tuple[int, int] | None = None, any_scale: bool = False) -> Decoded:

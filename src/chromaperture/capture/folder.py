@@ -11,6 +11,7 @@ from typing import Any
 
 from chromaperture.capture.files import photographs, read_counts
 from chromaperture.capture.source import Event, FileSource, Frame, Listener, checked_fps
+from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError, MissingDependencyError
 
 
@@ -23,7 +24,7 @@ class FolderSource(FileSource):
         A folder, a glob or a file.
     fps : float
         For the times of the frames.
-    black_level, white_level, camera_levels : float or (float, float), optional
+    black_level, white_level, camera_encoding : float or Encoding, optional
         See `choose_encoding`.
     listener : callable, optional
     """
@@ -35,12 +36,12 @@ class FolderSource(FileSource):
         fps: float = 30.0,
         black_level: float | None = None,
         white_level: float | None = None,
-        camera_levels: tuple[float, float] | None = None,
+        camera_encoding: Encoding | None = None,
         listener: Listener | None = None,
     ) -> None:
         super().__init__(pattern, listener=listener)
         self.fps, self.levels = checked_fps(fps), dict[str, Any](black_level=black_level, white_level=white_level)
-        self.levels["camera_levels"] = camera_levels
+        self.levels["camera_encoding"] = camera_encoding
         self.paths: list[Path] = []
 
     def open(self) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 from chromaperture.capture.files import read_counts
 from chromaperture.capture.source import Event, FileSource, Frame, Listener
 from chromaperture.capture.threaded_source import not_there
+from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError, MissingDependencyError
 
 
@@ -34,7 +35,7 @@ class TetheredCamera(FileSource):
         Number of photographs; unlimited when absent.
     shutterspeed, iso, aperture : str, optional
         Settings as the camera spells them.
-    black_level, white_level, camera_levels : float or (float, float), optional
+    black_level, white_level, camera_encoding : float or Encoding, optional
         See `choose_encoding`.
     retry_s : float
         Pause between attempts to reconnect a lost camera.
@@ -51,7 +52,7 @@ class TetheredCamera(FileSource):
         aperture: str | None = None,
         black_level: float | None = None,
         white_level: float | None = None,
-        camera_levels: tuple[float, float] | None = None,
+        camera_encoding: Encoding | None = None,
         retry_s: float = 1.0,
         listener: Listener | None = None,
     ) -> None:
@@ -59,7 +60,7 @@ class TetheredCamera(FileSource):
         self._port, self._count, self._retry_s = port, count, retry_s
         self._settings = {"shutterspeed": shutterspeed, "iso": iso, "f-number": aperture}
         self._levels: dict[str, Any] = {"black_level": black_level, "white_level": white_level}
-        self._levels["camera_levels"] = camera_levels
+        self._levels["camera_encoding"] = camera_encoding
         self._camera: Any = None
 
     def open(self) -> None:

@@ -22,6 +22,7 @@ from chromaperture.capture.source import FileSource, Listener, Source
 from chromaperture.capture.threaded_source import LiveSource
 from chromaperture.capture.video import VIDEOS, VideoSource
 from chromaperture.capture.webcam import Webcam, webcams
+from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError, MissingDependencyError
 
 _DEVICES: dict[str, Callable[..., Any]] = {"webcam": Webcam, "aravis": AravisCamera, "picamera2": PiCamera}
@@ -37,7 +38,7 @@ _SWITCH = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no
 
 
 def open_source(
-    spec: str, *, listener: Listener | None = None, camera_levels: tuple[float, float] | None = None, **settings: Any
+    spec: str, *, listener: Listener | None = None, camera_encoding: Encoding | None = None, **settings: Any
 ) -> Source:
     """Make a source from a text; entering it opens it.
 
@@ -49,8 +50,8 @@ def open_source(
         ``folder?fps=5``. All but cameras deliver frame by frame, or like a live camera with ``speed=1`` or ``loop=1``.
     listener : callable, optional
         Called with every `Event`, possibly from another thread; default: Python's logging.
-    camera_levels : (float, float), optional
-        Black and white level of the camera file, for pictures whose levels nobody gave.
+    camera_encoding : Encoding, optional
+        `CameraSensor.encoding` of the camera file, for pictures whose levels nobody gave.
     **settings
         The same settings as arguments; None is not given.
 
@@ -69,10 +70,10 @@ def open_source(
     if kind in _DEVICES or kind == "gphoto2" or (found and kind in _FILES):
         settings = dict(parse_qsl(query, keep_blank_values=True)) | settings
         if kind in _DEVICES:
-            return _device(kind, where, settings, listener)
+            return _device(kind, where, settings, listener, camera_encoding)
         if kind != "gphoto2" and not where:
             raise InputError(f"{kind} needs a folder: {kind}:FOLDER")
-        return _file(kind, where, _FILES[kind], settings, listener, camera_levels)
+        return _file(kind, where, _FILES[kind], settings, listener, camera_encoding)
     if found and "/" not in kind and not os.path.exists(spec) and kind.isidentifier() and "*" not in kind:
         raise InputError(f"unknown kind of source {kind!r}: choose {', '.join(sorted(_KINDS))}, or give a path")
     path, mark, query = spec.rpartition("?")
@@ -80,13 +81,17 @@ def open_source(
         path, query = spec, ""
     settings = dict(parse_qsl(query, keep_blank_values=True)) | settings
     if Path(path).suffix.lower() in VIDEOS and not os.path.isdir(path):
-        return _file("video", path, VideoSource, settings, listener, camera_levels)
-    return _file("folder", path, FolderSource, settings, listener, camera_levels)
+        return _file("video", path, VideoSource, settings, listener, camera_encoding)
+    return _file("folder", path, FolderSource, settings, listener, camera_encoding)
 
 
-def _device(kind: str, where: str, settings: dict[str, Any], listener: Listener | None) -> Source:
+def _device(
+    kind: str, where: str, settings: dict[str, Any], listener: Listener | None, camera_encoding: Encoding | None
+) -> Source:
     device = _DEVICES[kind]
     chosen = _checked(kind, device, settings)
+    if "camera_encoding" in inspect.signature(device).parameters:
+        chosen["camera_encoding"] = camera_encoding
     place = where or ("" if kind == "aravis" else "0")
     name = f"{kind}:{place}" if place else kind
     return LiveSource(name, lambda: device(place, **chosen), listener=listener)
@@ -98,15 +103,15 @@ def _file(
     maker: Callable[..., FileSource],
     settings: dict[str, Any],
     listener: Listener | None,
-    camera_levels: tuple[float, float] | None,
+    camera_encoding: Encoding | None,
 ) -> Source:
     """Make a source that is read at the reader's pace, or played when the settings name a speed or a loop."""
     playable = kind in _PLAYABLE
     speed = settings.pop("speed", None) if playable else None
     loop = _switch("loop", settings.pop("loop", False)) if playable else False
     chosen = _checked(kind, maker, settings, *(("speed", "loop") if playable else ()))
-    if "camera_levels" in inspect.signature(maker).parameters:
-        chosen["camera_levels"] = camera_levels
+    if "camera_encoding" in inspect.signature(maker).parameters:
+        chosen["camera_encoding"] = camera_encoding
     source = maker(where, listener=listener, **chosen)
     if speed is None and not loop:
         return source
@@ -116,7 +121,7 @@ def _file(
 def _checked(kind: str, maker: Callable[..., Any], settings: dict[str, Any], *others: str) -> dict[str, Any]:
     """Check the names of settings and convert texts to the types of the source's parameters."""
     known = {n: p for n, p in inspect.signature(maker).parameters.items() if p.kind is p.KEYWORD_ONLY}
-    for own in ("listener", "retry_s", "camera_levels"):
+    for own in ("listener", "retry_s", "camera_encoding"):
         known.pop(own, None)
     chosen = {}
     for name, value in settings.items():

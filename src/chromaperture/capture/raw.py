@@ -14,7 +14,7 @@ import numpy as np
 from chromaperture.capture.bayer import superpixels
 from chromaperture.capture.picture_header import check_size
 from chromaperture.capture.raw_container import check_complete
-from chromaperture.capture.source import Encoding
+from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.validation import quoted
 

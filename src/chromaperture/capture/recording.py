@@ -24,17 +24,9 @@ import numpy as np
 import tifffile
 
 from chromaperture.capture.recording_index import EncodingEntry, Entry, entry_of, line_of
-from chromaperture.capture.source import (
-    CENTRED,
-    Encoding,
-    Event,
-    FileSource,
-    Frame,
-    Listener,
-    choose_encoding,
-    format_encoding,
-)
+from chromaperture.capture.source import Event, FileSource, Frame, Listener, choose_encoding
 from chromaperture.capture.tiff import decode_tiff
+from chromaperture.color.encoding import CENTRED, Encoding, format_encoding
 from chromaperture.errors import InputError
 from chromaperture.validation import quoted, read_bytes
 
@@ -134,7 +126,7 @@ class ReplaySource(FileSource):
     folder : str
     black_level, white_level : float, optional
         Instead of the recorded ones.
-    camera_levels : (float, float), optional
+    camera_encoding : Encoding, optional
         Of the camera file, for levels that nobody gave; see `choose_encoding`.
     listener : callable, optional
     """
@@ -145,12 +137,12 @@ class ReplaySource(FileSource):
         *,
         black_level: float | None = None,
         white_level: float | None = None,
-        camera_levels: tuple[float, float] | None = None,
+        camera_encoding: Encoding | None = None,
         listener: Listener | None = None,
     ) -> None:
         super().__init__(f"replay:{folder}", listener=listener)
         self.folder = Path(folder)
-        self.levels, self.camera_levels = {"black_level": black_level, "white_level": white_level}, camera_levels
+        self.levels, self.camera_encoding = {"black_level": black_level, "white_level": white_level}, camera_encoding
         self.entries: list[Entry] = []
         self._is_first_format = False
 
@@ -207,13 +199,14 @@ class ReplaySource(FileSource):
             own = Encoding(**dict(recorded))
             if self._is_first_format and counts.dtype == np.uint16 and own == Encoding():
                 own = format_encoding(counts.dtype)
-        camera_levels = None if own.given else self.camera_levels
-        return choose_encoding(own, counts, **self.levels, camera_levels=camera_levels)
+        camera_encoding = None if own.given else self.camera_encoding
+        return choose_encoding(own, counts, **self.levels, camera_encoding=camera_encoding)
 
 
 def _recorded(encoding: Encoding) -> dict[str, Any]:
     """Return the fields to record; null for levels that neither a person nor a RAW file gave."""
     fields = asdict(encoding)
+    del fields["response"]  # of the camera file, which is read again
     if not encoding.given and encoding.channel_offsets_px == CENTRED:
         fields["black_level"] = fields["white_level"] = None
     return fields

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from chromaperture.capture.folder import natural
-from chromaperture.capture.source import Encoding, FileSource, Frame, Listener, checked_fps
+from chromaperture.capture.source import FileSource, Frame, Listener, checked_fps
+from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, made_of
 from chromaperture.optics.aperture_file import load_aperture

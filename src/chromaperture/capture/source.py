@@ -16,56 +16,13 @@ from functools import cached_property
 from types import TracebackType
 from typing import Any, Literal, Protocol, Self
 
-import cv2
 import numpy as np
 
+from chromaperture.color.encoding import CENTRED, Encoding, develop_counts
 from chromaperture.color.image import DARK
-from chromaperture.color.srgb import srgb_to_linear
 from chromaperture.errors import CaptureWarning, InputError
-from chromaperture.threads import each_band
 
-Offsets = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
-CENTRED: Offsets = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
 _TWELVE_BITS = 4096  # a 16-bit file with no count above is likely that of a sensor of 12 bits or fewer
-
-
-@dataclass(frozen=True)
-class Encoding:
-    """Conversion of counts to linear light.
-
-    Attributes
-    ----------
-    black_level, white_level : float
-        Counts of no light and of a full well.
-    curve : {"linear", "srgb"}
-        sRGB counts are decoded; levels apply before the curve.
-    channel_offsets_px : ((dx, dy),) * 3
-        Sampling positions of R, G and B from the pixel's centre; not zero for superpixels of a Bayer mosaic.
-    given : bool
-        False: nobody gave the levels. They are those of the number format or of a RAW file, and a camera file's replace
-        them. Not compared: light is the same.
-    """
-
-    black_level: float = 0.0
-    white_level: float = 65535.0
-    curve: Literal["linear", "srgb"] = "linear"
-    channel_offsets_px: Offsets = CENTRED
-    given: bool = field(default=True, compare=False)
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite([self.black_level, self.white_level]).all() and self.white_level > self.black_level):
-            raise InputError(
-                f"white level {self.white_level:g} must be above black level {self.black_level:g}; check the options"
-            )
-        if self.curve not in ("linear", "srgb"):
-            raise InputError(f"unknown curve {self.curve!r}: choose linear or srgb")
-
-
-def format_encoding(dtype: np.dtype[Any]) -> Encoding:
-    """Return the encoding of counts whose levels nobody gave: 8 bits sRGB, more linear, full scale white."""
-    if dtype == np.uint8:
-        return Encoding(0.0, 255.0, "srgb", given=False)
-    return Encoding(0.0, 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max), given=False)
 
 
 def choose_encoding(
@@ -74,7 +31,7 @@ def choose_encoding(
     *,
     black_level: float | None = None,
     white_level: float | None = None,
-    camera_levels: tuple[float, float] | None = None,
+    camera_encoding: Encoding | None = None,
 ) -> Encoding:
     """Choose levels: the given ones, else the camera's where the counts can hold them, else the file's own.
 
@@ -85,8 +42,9 @@ def choose_encoding(
     counts : (H, W, 3) array
     black_level, white_level : float, optional
         Of the sensor; superpixels hold twice its counts. Given levels make counts linear.
-    camera_levels : (float, float), optional
-        Of the camera file.
+    camera_encoding : Encoding, optional
+        Of the photographs that the camera was calibrated on, `CameraSensor.encoding`. Pictures of 8 bits tell nothing
+        of deeper ones, nor deeper ones of them.
 
     Warns
     -----
@@ -95,19 +53,12 @@ def choose_encoding(
         so that Python shows it once.
     """
     given = (black_level, white_level)
-    if camera_levels is not None and counts.dtype == np.uint8 and camera_levels[1] > 255:
-        if given == (None, None):
-            warnings.warn(
-                f"an 8-bit picture, but the camera was calibrated on linear counts up to {camera_levels[1]:g}: "
-                "decoded as sRGB, which costs accuracy; use the linear original",
-                CaptureWarning,
-                stacklevel=4,
-            )
-        camera_levels = None
-    black, white = (
-        level if level is not None or camera_levels is None else camera_levels[i] for i, level in enumerate(given)
-    )
-    if white is None and not own.given and own.white_level == 65535 and 0 < counts.max() < _TWELVE_BITS:
+    camera = camera_encoding
+    if camera is not None:
+        camera = _camera_of(counts, camera, are_given=given != (None, None))
+    known = (None, None) if camera is None else (camera.black_level, camera.white_level)
+    black, white = (level if level is not None else of_camera for level, of_camera in zip(given, known, strict=True))
+    if white is None and not own.given and own.white_level == 65535 and 0 < counts.max(initial=0) < _TWELVE_BITS:
         warnings.warn(
             f"a 16-bit picture without a count above {_TWELVE_BITS - 1}; if the sensor has fewer bits, "
             "give --white-level",
@@ -120,9 +71,27 @@ def choose_encoding(
     return Encoding(
         own.black_level if black is None else factor * float(black),
         own.white_level if white is None else factor * float(white),
-        "linear",
+        "linear" if camera is None else camera.curve,
         own.channel_offsets_px,
+        None if camera is None else camera.response,
     )
+
+
+def _camera_of(counts: np.ndarray, camera: Encoding, *, are_given: bool) -> Encoding | None:
+    """Return the camera's encoding where its levels can be those of the counts, else None."""
+    is_8_bit_camera = camera.white_level <= 255
+    if counts.dtype != np.uint8:
+        return None if is_8_bit_camera and camera.curve == "srgb" else camera
+    if is_8_bit_camera:
+        return None if are_given and camera.curve == "srgb" else camera
+    if not are_given:
+        warnings.warn(
+            f"an 8-bit picture, but the camera was calibrated on counts up to {camera.white_level:g}: "
+            "decoded as sRGB, which costs accuracy; use the linear original",
+            CaptureWarning,
+            stacklevel=5,
+        )
+    return None
 
 
 def checked_fps(fps: float) -> float:
@@ -159,35 +128,6 @@ class Frame:
     def image(self) -> np.ndarray:
         """(H, W, 3) float32 linear RGB, 1.0 = white level, all channels on one grid; computed on first use."""
         return develop_counts(self.counts, self.encoding)
-
-
-def develop_counts(counts: np.ndarray, encoding: Encoding) -> np.ndarray:
-    """Convert (H, W, 3) counts to linear light on one grid; (H, W, 3) float32, 1.0 = white level."""
-    black, span = np.float32(encoding.black_level), np.float32(encoding.white_level - encoding.black_level)
-    image = np.empty(counts.shape, np.float32)
-
-    def convert(rows: slice) -> None:
-        part = image[rows]
-        part[...] = counts[rows]
-        part -= black
-        part /= span
-
-    each_band(convert, len(image))
-    if encoding.curve == "srgb":
-        image = srgb_to_linear(image)
-    for channel, (dx, dy) in enumerate(encoding.channel_offsets_px):
-        if dx or dy:  # interpolate the channel at the pixel's centre, without the other channels
-            image[..., channel] = cv2.sepFilter2D(
-                np.ascontiguousarray(image[..., channel]), -1, _cubic(-dx), _cubic(-dy), borderType=cv2.BORDER_REPLICATE
-            )
-    return image
-
-
-def _cubic(t: float) -> np.ndarray:
-    """Compute weights of five neighbours for cubic interpolation at t px from the middle one, |t| <= 1 (Keys 1981)."""
-    x = np.abs(np.arange(-2, 3) - t)
-    near, far = 1 + x * x * (1.5 * x - 2.5), 2 + x * (-4 + x * (2.5 - 0.5 * x))
-    return np.where(x < 1, near, np.where(x < 2, far, 0.0)).astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -78,6 +78,12 @@ def tiff_size(data: bytes, name: str) -> tuple[int, int]:
         ) from None
 
 
+def tiff_bits(data: bytes) -> int:
+    """Return the bits of a sample of the first picture; raises whatever a damaged file makes tifffile raise."""
+    with tifffile.TiffFile(io.BytesIO(data)) as file:
+        return int(file.pages.first.bitspersample)
+
+
 def _check_page(page: tifffile.TiffPage, name: str) -> None:
     """Raise InputError where a page is no picture of a camera."""
     shape = page.shape

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from typing import Any
 
 import cv2
 
-from chromaperture.capture.source import Encoding, Event, FileSource, Frame, Listener, checked_fps, choose_encoding
+from chromaperture.capture.source import Event, FileSource, Frame, Listener, checked_fps, choose_encoding
+from chromaperture.color.encoding import Encoding, format_encoding
 from chromaperture.errors import InputError
 
 VIDEOS = {".avi", ".m4v", ".mjpeg", ".mkv", ".mov", ".mp4", ".mpg", ".ts", ".webm", ".y4m"}
@@ -23,6 +25,8 @@ class VideoSource(FileSource):
         For the times of the frames; default the clip's.
     black_level, white_level : float, optional
         Of linear counts; without them, counts are sRGB.
+    camera_encoding : Encoding, optional
+        See `choose_encoding`.
     listener : callable, optional
     """
 
@@ -33,11 +37,13 @@ class VideoSource(FileSource):
         fps: float | None = None,
         black_level: float | None = None,
         white_level: float | None = None,
+        camera_encoding: Encoding | None = None,
         listener: Listener | None = None,
     ) -> None:
         super().__init__(path, listener=listener)
         self.fps = None if fps is None else checked_fps(fps)
-        self.levels = (black_level, white_level)
+        self.levels: dict[str, Any] = {"black_level": black_level, "white_level": white_level}
+        self.levels["camera_encoding"] = camera_encoding
         self._clip: cv2.VideoCapture | None = None
 
     def open(self) -> None:
@@ -63,12 +69,12 @@ class VideoSource(FileSource):
             raise InputError(f"{self.name} is not open: use the source in a with statement")
         promised = int(clip.get(cv2.CAP_PROP_FRAME_COUNT))
         fps = self.fps or clip.get(cv2.CAP_PROP_FPS) or 30.0
-        (black, white), index = self.levels, 0
+        index = 0
         while True:
             ok, bgr = clip.read()
             if not ok:
                 break
-            encoding = choose_encoding(Encoding(0.0, 255.0, "srgb"), bgr, black_level=black, white_level=white)
+            encoding = choose_encoding(format_encoding(bgr.dtype), bgr, **self.levels)
             yield Frame(bgr[..., ::-1].copy(), encoding, index / fps, index, {})
             index += 1
         if index == 0:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import cv2
 
-from chromaperture.capture.source import Encoding, Frame
+from chromaperture.capture.source import Frame, choose_encoding
 from chromaperture.capture.threaded_source import DeviceLostError, not_there
+from chromaperture.color.encoding import Encoding, format_encoding
 from chromaperture.errors import InputError
 
 
@@ -22,6 +23,8 @@ class Webcam:
     width, height : int, optional
     fps : float, optional
     exposure_us, gain : float, optional
+    camera_encoding : Encoding, optional
+        See `choose_encoding`.
     """
 
     def __init__(
@@ -33,7 +36,9 @@ class Webcam:
         fps: float | None = None,
         exposure_us: float | None = None,
         gain: float | None = None,
+        camera_encoding: Encoding | None = None,
     ) -> None:
+        self._camera_encoding = camera_encoding
         path = f"/dev/video{device}" if device.isdigit() else device
         if not Path(path).exists():
             raise not_there(f"webcam {device}", f"there is no {path}")
@@ -66,7 +71,9 @@ class Webcam:
             "exposure_us": 100 * self._camera.get(cv2.CAP_PROP_EXPOSURE),
             "gain": self._camera.get(cv2.CAP_PROP_GAIN),
         }
-        return Frame(bgr[..., ::-1].copy(), Encoding(0.0, 255.0, "srgb"), time.time(), index, metadata)
+        counts = bgr[..., ::-1].copy()
+        encoding = choose_encoding(format_encoding(counts.dtype), counts, camera_encoding=self._camera_encoding)
+        return Frame(counts, encoding, time.time(), index, metadata)
 
     def close(self) -> None:
         """Release the webcam."""

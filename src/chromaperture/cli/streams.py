@@ -22,11 +22,10 @@ def open_stream(
 
     ``say`` receives the events instead, from the thread of the source.
     """
-    sensor = None if calibration is None else calibration.sensor
     return open_source(
         source,
         listener=lambda event: say(event.message),
-        camera_levels=None if sensor is None else (sensor.black_level, sensor.white_level),
+        camera_encoding=None if calibration is None else calibration.sensor.encoding,
         black_level=black_level,
         white_level=white_level,
     )

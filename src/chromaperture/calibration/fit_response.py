@@ -1,0 +1,186 @@
+"""The camera's response by its chessboards: whether decoded values are light, and which light they are where not.
+
+A chessboard that is shifted by one square is its own negative: black stands where white was. Blur is linear and alike
+at both places, so the light of two points one square apart adds up to the light of black and white, in every channel,
+whatever the aperture, the blur and the colour of the light. With f(v) the light of a decoded value v::
+
+    f(v(x)) + f(v(x + square)) = W
+
+holds along the blurred edges, where v runs through all tones, only if f is right; a wrong curve bends it. Any constant
+may be added to f: black itself is not determined. The points of all squares of one colour are averaged before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from chromaperture.calibration.session import Session
+from chromaperture.color.image import SATURATION
+from chromaperture.color.response import KNOTS, ResponseCurve, response_table
+from chromaperture.color.srgb import linear_to_srgb
+
+_PHASES = 16  # points across a square; far squares are 10 px wide
+_FEWEST_SQUARES = 4  # of each colour, not saturated; chosen by hand
+_BOARDS = 8  # that are read, the most blurred ones; twice as many changed exponents by less than .01
+_FEWEST_BOARDS = 2  # one may be lit unevenly; chosen by hand
+_DARKEST = 1e-4  # decoded value; below, 16 bits have 6 counts
+_CODE_SIGMA = 0.01  # sRGB code by which the points of simulated boards miss their curve: .0012 to .004
+# Weights of the prior, in standard deviations a knot for all points together: curves are smooth and near 1. Of twelve
+# linear sessions, bench50's four among them, exponents are then within .04 of 1 where there are values.
+_SMOOTH, _NEAR_ONE = 0.03, 0.15
+_FLAT_SLOPE = 0.02  # of the mean slope, added to it: a curve without slope would explain everything
+# Root mean square of exponent - 1 over the values of the boards: at most .024 of 16 linear sessions, .10 of JPEG files
+# that were sharpened or denoised, .2 and .4 of a weak and a strong S-curve, .4 and .9 of sRGB and linear mistaken.
+_LINEAR = 0.12
+_OTHER_CURVE = 0.5  # of that deviation is left by the other curve, sRGB or none, which is then meant
+_LARGEST_MISFIT = 0.02  # sRGB code, rms; boards behind nonlinear noise reduction have .009 to .012
+_TONE_LEFT = 0.03  # rms of the exponent's error that is left: by simulated S-curves and gamma
+_MOST_EXPONENT = 10.0  # limit of the fit
+_EIGHT_BITS = "the photographs have 8 bits a channel: linear files, as RAW, are more accurate"
+_ENCODED = {"srgb": "encoded by the sRGB curve", "linear": "linear, though their files usually are not"}
+
+
+@dataclass(frozen=True)
+class FoldedBoard:
+    """Mean decoded values at the same place of all squares of one colour, and of the other; (N, 3) float64 each."""
+
+    even: np.ndarray
+    odd: np.ndarray
+
+
+@dataclass(frozen=True)
+class FittedResponse:
+    """A response and how well it explains the boards.
+
+    Attributes
+    ----------
+    curve : ResponseCurve
+    deviation : float
+        Root mean square of exponent - 1 over the values of the boards.
+    exponents : (float, float)
+        Smallest and largest of them, 5th and 95th percentile.
+    misfit : float
+        Root mean square error of the boards' values by the curve, sRGB code.
+    """
+
+    curve: ResponseCurve
+    deviation: float
+    exponents: tuple[float, float]
+    misfit: float
+
+
+def with_response(session: Session, corners: Mapping[Path, np.ndarray]) -> tuple[Session, tuple[str, ...]]:
+    """Return a session that decodes its photographs by the response that its boards show, and notes.
+
+    Linear photographs are left as they are. ``corners`` are those of the boards that were found.
+    """
+    sensor, boards = session.sensor, _folded(session, corners)
+    notes = [_EIGHT_BITS] if sensor.white_level <= 255 else []
+    found = fit_response(boards) if len(boards) >= _FEWEST_BOARDS else None
+    if found is None or found.deviation < _LINEAR:
+        return session, tuple(notes)
+    other_curve: Literal["linear", "srgb"] = "srgb" if sensor.curve == "linear" else "linear"
+    otherwise = replace(session, sensor=replace(sensor, curve=other_curve))
+    other = fit_response(_folded(otherwise, corners))
+    if other.deviation < _OTHER_CURVE * found.deviation:
+        found, sensor = other, otherwise.sensor
+        notes.append(f"the chessboards show that the photographs are {_ENCODED[other_curve]}; they are decoded so")
+    if found.misfit > _LARGEST_MISFIT:
+        notes.append("no single tone curve explains the chessboards: switch noise reduction and local tones off")
+        return session, tuple(notes)
+    if found.deviation >= _LINEAR:
+        sensor = replace(sensor, response=found.curve.exponents)
+        low, high = found.exponents
+        notes.append(
+            f"the chessboards show a tone curve, which is undone: light grows with the powers {low:.2f} to {high:.2f} "
+            "of decoded values"
+        )
+    return replace(session, sensor=sensor, tone_error=min(session.tone_error, _TONE_LEFT)), tuple(notes)
+
+
+def _folded(session: Session, corners: Mapping[Path, np.ndarray]) -> list[FoldedBoard]:
+    """Fold the most blurred boards that were found."""
+    focus = session.focused_at_about_mm
+    blurred = sorted(session.boards, key=lambda path: -abs(1 / session.boards[path] - 1 / focus))
+    boards: list[FoldedBoard] = []
+    for path in blurred:
+        if path in corners and len(boards) < _BOARDS:
+            board = fold_board(session.read(path), corners[path], session.inner_corners)
+            boards += [] if board is None else [board]
+    return boards
+
+
+def fold_board(image: np.ndarray, corners_px: np.ndarray, inner_corners: tuple[int, int]) -> FoldedBoard | None:
+    """Average a photographed chessboard over its squares of either colour.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32, as decoded
+    corners_px : (N, 2) float, as `find_corners` returns them
+    inner_corners : (columns, rows)
+
+    Returns
+    -------
+    FoldedBoard or None
+        None where too few squares are not saturated.
+    """
+    columns, rows = inner_corners
+    grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2).astype(np.float32)
+    homography, _ = cv2.findHomography(grid, np.asarray(corners_px, np.float32))
+    if homography is None:
+        return None
+    phase = (np.arange(_PHASES) + 0.5) / _PHASES
+    x, y = np.meshgrid(*((np.arange(n - 1)[:, None] + phase).ravel() for n in inner_corners))
+    places = cv2.perspectiveTransform(np.stack([x, y], -1).reshape(1, -1, 2).astype(np.float32), homography)[0]
+    at_x, at_y = (np.ascontiguousarray(places[:, i]).reshape(y.shape) for i in (0, 1))
+    seen = cv2.remap(image, at_x, at_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    squares = seen.reshape(rows - 1, _PHASES, columns - 1, _PHASES, 3).transpose(0, 2, 1, 3, 4)
+    usable = squares.max(axis=(2, 3, 4)) < SATURATION  # False for NaN
+    is_odd = np.add.outer(np.arange(rows - 1), np.arange(columns - 1)) % 2 == 1
+    parts = (squares[usable & ~is_odd], squares[usable & is_odd])
+    if min(map(len, parts)) < _FEWEST_SQUARES:
+        return None
+    even, odd = (part.mean(axis=0, dtype=float).reshape(-1, 3) for part in parts)
+    return FoldedBoard(even, odd)
+
+
+def fit_response(boards: Sequence[FoldedBoard]) -> FittedResponse:
+    """Fit the response by which the light of points one square apart adds up to the same everywhere on a board.
+
+    The error of a sum is divided by the slopes of the curve, so that it is one of the measured values: a flat curve
+    explains nothing better.
+    """
+    even, odd = (np.stack([getattr(board, name) for board in boards]) for name in ("even", "odd"))
+    a, b = (np.asarray(linear_to_srgb(np.maximum(v, _DARKEST)), float) for v in (even, odd))  # (boards, N, 3) codes
+    codes = np.linspace(0, 1, len(response_table((1.0,) * KNOTS)[1]))
+
+    def errors(log_exponents: np.ndarray) -> np.ndarray:
+        light = response_table(tuple(np.exp(log_exponents)))[1]
+        slope = np.gradient(light, codes)
+        total = np.interp(a, codes, light) + np.interp(b, codes, light)
+        across = np.hypot(np.interp(a, codes, slope), np.interp(b, codes, slope))
+        across += _FLAT_SLOPE * across.mean()
+        weight = across**-2
+        white = (total * weight).sum(axis=1, keepdims=True) / weight.sum(axis=1, keepdims=True)  # of board and channel
+        return np.asarray(((total - white) / across).ravel())
+
+    def residuals(log_exponents: np.ndarray) -> np.ndarray:
+        prior = np.concatenate([_SMOOTH * np.diff(log_exponents, 2), _NEAR_ONE * log_exponents]) * a.size**0.5
+        return np.concatenate([errors(log_exponents) / _CODE_SIGMA, prior])
+
+    most = np.log(_MOST_EXPONENT)
+    fit = least_squares(residuals, np.zeros(KNOTS), loss="soft_l1", x_scale=0.1, bounds=(-most, most))
+    curve = ResponseCurve(tuple(float(q) for q in np.exp(fit.x)))
+    exponents = curve.exponent(np.concatenate([even.ravel(), odd.ravel()]))
+    low, high = np.percentile(exponents, (5, 95))
+    return FittedResponse(
+        curve, float(np.sqrt(np.mean((exponents - 1) ** 2))), (float(low), float(high)),
+        float(np.sqrt(np.mean(errors(fit.x) ** 2))),
+    )  # fmt: skip
