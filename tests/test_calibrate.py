@@ -16,6 +16,8 @@ from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.chessboard import board_distance, board_points, centered_pinhole, fit_intrinsics
 from chromaperture.calibration.curves import weaknesses
 from chromaperture.calibration.fit_curve import fit_depth_model
+from chromaperture.calibration.session import read_session
+from chromaperture.calibration.white_sheets import measure_white_sheets
 from chromaperture.camera_file import Calibration
 from chromaperture.color.unmixing import ideal_unmixing
 from chromaperture.config import preset
@@ -96,6 +98,17 @@ def distances(rulers_mm):
 def test_sessions_that_cannot_be_used_say_why(session, tmp_path, files, word):
     with pytest.raises(InputError, match=word):
         calibrated(copy_with(session, tmp_path, **files))
+
+
+@pytest.mark.parametrize("mixed", ["sheet_c", "cy_halves"])
+def test_white_sheets_that_were_mixed_up_are_named(session, tmp_path, mixed):
+    """Film never brightens: the sheet through the open pupil is the brightest, at one exposure."""
+    folder = copy_with(session, tmp_path)
+    for name, level in (("open", 45_100), (mixed, 60_100)):
+        sheet = np.full((108, 144, 3), level, np.uint16)
+        cv2.imwrite(str(folder / "white" / f"{name}.png"), sheet)
+    with pytest.raises(InputError, match=r"1\.33 times as bright .* mixed up"):
+        measure_white_sheets(read_session(folder))
 
 
 @pytest.mark.slow

@@ -24,12 +24,14 @@ from chromaperture.calibration.read_boards import BoardMeasurement
 from chromaperture.calibration.session import Session
 from chromaperture.camera_file import Film
 from chromaperture.cli.main import app, main
+from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.evaluation import blur_figures, figures, tables
 from chromaperture.evaluation.figures import layer_errors, plane_residual
 from chromaperture.evaluation.report import report_html
+from chromaperture.evaluation.session_facts import contradictions
 from chromaperture.evaluation.verdict import (
     board_depth,
     board_errors,
@@ -92,8 +94,10 @@ def result(tmp_path_factory):
     )  # fmt: skip
     residual_px = np.stack(residuals)
     fit = DepthFit(DepthModel(A, B, DELTA, covariance), np.zeros(5), np.zeros(5), 0.0)
+    lens = calibration.lens
+    f_number = view_reach(calibration.aperture) * lens.focal_length_mm / calibration.baseline_mm
     session = Session(
-        folder, "cy_halves", calibration.sensor, 50.0, 2.0, 2000.0, (9, 6), 30.0, 3.0, paths, ()
+        folder, "cy_halves", calibration.sensor, lens.focal_length_mm, f_number, 2000.0, (9, 6), 30.0, 3.0, paths, ()
     )  # fmt: skip
     both = ("paper", "real-time")
     ruler = BoardDistances(RULERS - DELTA, DELTA, 1.0, 1.0, np.eye(6), np.full(5, -1.0), np.full(5, 2.0))
@@ -294,6 +298,39 @@ def test_what_is_weak_is_named_with_what_to_do(result):
     assert "2000.png disagree by +14 mm" in said[0]
     lost = replace(result, intrinsics=None)
     assert any("add tilted boards" in s.text for s in weaknesses(lost))
+
+
+def test_stated_facts_that_the_photographs_contradict_are_named(result):
+    assert contradictions(result) == []
+    session = result.session
+    for wrong, word in (
+        ({"nominal_focal_length_mm": 0.7 * session.nominal_focal_length_mm}, "check square_mm"),
+        ({"nominal_f_number": 1.5 * session.nominal_f_number}, "1.50 times that of design cy_halves"),
+    ):
+        found = contradictions(replace(result, session=replace(session, **wrong)))
+        assert len(found) == 1
+        assert word in found[0]
+    # A ruler that begins 90 mm before the sensor mark moves the pupil by as much.
+    depth = {q: replace(f, sensor_to_pupil_mm=f.sensor_to_pupil_mm - 90) for q, f in result.calibration.depth.items()}
+    found = contradictions(replace(result, calibration=replace(result.calibration, depth=depth)))
+    assert len(found) == 1
+    assert "behind the sensor" in found[0]
+
+
+def test_film_of_another_design_cannot_be_used(result, monkeypatch, capsys, tmp_path):
+    """Halves that were called the open design have 2.5 times its baseline."""
+    other = replace(result, session=replace(result.session, nominal_f_number=2.6 * result.session.nominal_f_number))
+    code, said = printed(other, monkeypatch, capsys, "--out", tmp_path / "camera.asdf")
+    assert code == 1
+    assert "correct design in session.toml" in " ".join(said.split())
+
+
+def test_far_boards_may_disagree_with_their_ruler_as_far_as_corners_err(result):
+    off = replace(result, ruler_residual_mm=np.array([0, 0, 14.0, 0, 14.0]))
+    sure = replace(result.ruler, residual_sigma_mm=np.array([2, 2, 2, 2, 6.0]))
+    said = [s.text for s in weaknesses(replace(off, ruler=sure)) if "disagree" in s.text]
+    assert len(said) == 1
+    assert "2000.png" in said[0]
 
 
 class _Page(HTMLParser):

@@ -81,14 +81,14 @@ def with_response(session: Session, corners: Mapping[Path, np.ndarray]) -> tuple
 
     Linear photographs are left as they are. ``corners`` are those of the boards that were found.
     """
-    sensor, boards = session.sensor, _folded(session, corners)
+    sensor, boards = session.sensor, folded_boards(session, corners)
     notes = [_EIGHT_BITS] if sensor.white_level <= 255 else []
     found = fit_response(boards) if len(boards) >= _FEWEST_BOARDS else None
     if found is None or found.deviation < _LINEAR:
         return session, tuple(notes)
     other_curve: Literal["linear", "srgb"] = "srgb" if sensor.curve == "linear" else "linear"
     otherwise = replace(session, sensor=replace(sensor, curve=other_curve))
-    other = fit_response(_folded(otherwise, corners))
+    other = fit_response(folded_boards(otherwise, corners))
     if other.deviation < _OTHER_CURVE * found.deviation:
         found, sensor = other, otherwise.sensor
         notes.append(f"the chessboards show that the photographs are {_ENCODED[other_curve]}; they are decoded so")
@@ -105,7 +105,7 @@ def with_response(session: Session, corners: Mapping[Path, np.ndarray]) -> tuple
     return replace(session, sensor=sensor, tone_error=min(session.tone_error, _TONE_LEFT)), tuple(notes)
 
 
-def _folded(session: Session, corners: Mapping[Path, np.ndarray]) -> list[FoldedBoard]:
+def folded_boards(session: Session, corners: Mapping[Path, np.ndarray]) -> list[FoldedBoard]:
     """Fold the most blurred boards that were found."""
     focus = session.focused_at_about_mm
     blurred = sorted(session.boards, key=lambda path: -abs(1 / session.boards[path] - 1 / focus))

@@ -16,9 +16,11 @@ from chromaperture.capture.exif import read_noise_profile
 from chromaperture.color.film import completed_film
 from chromaperture.color.noise import fit_photon_noise, noise_samples, photon_noise_of_sheets
 from chromaperture.color.unmixing import ideal_unmixing
+from chromaperture.errors import InputError
 from chromaperture.optics.aperture import channel_transmission, design_named
 
 _NOISE_BOARDS = 8  # boards that the noise is fitted to where there is no sheet: more were not needed; chosen by hand
+_MOST_TRANSMISSION = 1.15  # of a film in a channel: 1, and uneven light; chosen by hand
 _DARKEST = 1e-3  # of the white level: least colour of white light through the aperture, which colours are divided by
 
 
@@ -33,7 +35,7 @@ class WhiteSheets:
 
 
 def measure_white_sheets(session: Session) -> WhiteSheets:
-    """Measure film and noise; raises InputError for a design without parallax."""
+    """Measure film and noise; raises InputError for a design without parallax and for sheets that cannot be."""
     ideal_unmixing(design_named(session.design))
     sensor, noise_notes = _sensor_with_noise(session)
     film, film_notes = _film(session)
@@ -53,6 +55,12 @@ def _film(session: Session) -> tuple[Film, list[str]]:
     sheets = {name: session.white(SHEETS.get(name, "")) for name in aperture.views}
     measured = {name: sheet / clear for name, sheet in sheets.items() if sheet is not None}
     white = session.white(session.design)
+    for name, color in {**measured, session.design: np.zeros(3) if white is None else white / clear}.items():
+        if color.max() > _MOST_TRANSMISSION:
+            raise InputError(
+                f"the white sheet through {name} is {color.max():.2f} times as bright as the one through the open "
+                "pupil: were files of white/ mixed up, or not all exposed alike?"
+            )
     film = completed_film(aperture, measured, light=None if white is None else white / clear)
     missing = [name for name in aperture.views if name not in measured]
     if missing:

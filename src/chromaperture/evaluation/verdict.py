@@ -9,6 +9,7 @@ import numpy as np
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import DepthModel, depth_sigma, depth_to_disparity, disparity_to_depth
+from chromaperture.evaluation.session_facts import baseline_ratio, contradictions, is_of_another_design
 
 QUALITY: Quality = "real-time"  # of the report: the one that users start with
 _STEPS = 400  # depths over the working range
@@ -17,6 +18,7 @@ _PLACES = 12  # image positions along the width and the height, for the mean ove
 _USELESS_PIXEL = 0.10  # rms error of a pixel at the best depth, relative
 _USELESS_BOARDS = 0.05  # median error of the boards over the frame, relative
 _LARGE_PUPIL_SIGMA_MM = 5.0  # standard deviation of delta above which more boards are advised; chosen by hand
+_DISAGREE = 3.0  # standard deviations of ruler and corners, and times the ruler's own error; chosen by hand
 _LARGE_CORNER_RMS_PX = 0.5  # residual of the lens model above which flatness and focus are questioned; chosen by hand
 
 
@@ -206,6 +208,11 @@ def unusable(result: CalibrationResult) -> list[str]:
     """
     faults = [faults_of(result, quality) for quality in qualities(result)]
     reasons = faults[0] if all(faults) else []
+    if is_of_another_design(result):
+        reasons.append(
+            f"the boards are displaced {baseline_ratio(result):.2f} times as far as through design "
+            f"{result.session.design}: correct design in session.toml"
+        )
     if result.session.tilts and not result.tilts and result.intrinsics is None:
         reasons.append(
             f"no chessboard was found in any of {len(result.session.tilts)} tilted photographs: it must lie inside the "
@@ -260,7 +267,8 @@ def weaknesses(result: CalibrationResult) -> list[Sentence]:
     nearer, farther = (rulers < 0.95 * focus).any(), (rulers > 1.05 * focus).any()  # 5 %: clearly off the focus
     if not (nearer and (farther or result.session.focuses_at_infinity)):
         side = "farther" if nearer else "nearer"
-        found.append(f"No board stands {side} than the focus at {focus:.0f} mm: photograph two or three there.")
+        at = result.calibration.in_focus_text
+        found.append(f"No board stands {side} than the focus at {at}: photograph two or three there.")
     sigma = np.sqrt(np.diag(np.asarray(result.fits[QUALITY].model.covariance)))
     if sigma[2] > _LARGE_PUPIL_SIGMA_MM:
         found.append(
@@ -280,10 +288,16 @@ def weaknesses(result: CalibrationResult) -> list[Sentence]:
     blank = [board.name for board in result.boards if not np.isfinite(board.grid_px[QUALITY]).mean() > 0.5]
     if blank:
         found.append(f"Less than half of the frame has texture on {', '.join(blank[:4])}: cover the wall with speckle.")
-    found += [
+    found += _against_rulers(result)
+    return [Sentence(text, "weak") for text in (*contradictions(result), *found, *result.outliers.values())]
+
+
+def _against_rulers(result: CalibrationResult) -> list[str]:
+    """Name the boards whose ruler and corners disagree by more than both may err; far boards' corners err by cm."""
+    sigma_mm = np.zeros(len(result.boards)) if result.ruler is None else result.ruler.residual_sigma_mm
+    limit_mm = _DISAGREE * np.fmax(sigma_mm, result.session.ruler_error_mm)
+    return [
         f"Ruler and corners of {board.name} disagree by {off:+.0f} mm: measure that distance again."
-        for board, off in zip(result.boards, result.ruler_residual_mm, strict=False)
-        # False without a pose, where ``off`` is NaN.
-        if abs(off) > 3 * result.session.ruler_error_mm and board.name not in result.outliers
+        for board, off, limit in zip(result.boards, result.ruler_residual_mm, limit_mm, strict=False)
+        if abs(off) > limit and board.name not in result.outliers  # False without a pose, where ``off`` is NaN
     ]
-    return [Sentence(text, "weak") for text in (*found, *result.outliers.values())]
