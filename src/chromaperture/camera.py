@@ -15,7 +15,7 @@ import numpy as np
 from chromaperture.camera_alignment import ChannelAlignment
 from chromaperture.camera_crop import cut_out, in_whole_frame
 from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config, label_maps, noise_of_photographs
+from chromaperture.camera_matching import default_config, label_maps, noise_of_photographs, repaired
 from chromaperture.camera_memory import check_camera_memory, volumes_go_to_disk
 from chromaperture.camera_scale import SAME_SCALE, at_scale, resized
 from chromaperture.capture.checks import check_capture
@@ -187,6 +187,8 @@ class CodedApertureCamera:
     def _checked(self, image: np.ndarray) -> Begun:
         frame_px, size_px, origin_px = self._frame_px, image.shape[1::-1], self.config.crop_origin_px
         image = check_capture(image, *(frame_px if origin_px is None else size_px))
+        if self.config.quality == "accurate":  # the others' windows outweigh a pixel
+            image = repaired(image, self.calibration)
         on_disk = volumes_go_to_disk(self.calibration, self.config, is_said=self.device_method is None)
         known, whole = (image, image) if origin_px is None else in_whole_frame(image, origin_px, frame_px)
         return Begun(self, known, whole, (size_px[0], size_px[1]), on_disk=on_disk)

@@ -9,6 +9,7 @@ import numpy as np
 
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_scale import accurate_scale, at_scale, working_scale
+from chromaperture.color.defective_pixels import without_defects
 from chromaperture.color.noise import noise_ratio, photon_noise_variance
 from chromaperture.config import AccurateConfig, Config, MatcherConfig, Quality, preset
 from chromaperture.disparity.labels import LabelMap, label_map
@@ -85,6 +86,11 @@ def noise_of_photographs(calibration: Calibration) -> NoiseModel:
         return np.asarray(expected * np.float32(noise_ratio(image, expected)))
 
     return NoiseModel(variance, is_known=True)
+
+
+def repaired(image: np.ndarray, calibration: Calibration) -> np.ndarray:
+    """Return an image without its defective pixels, by the noise of the camera and of the photograph."""
+    return without_defects(image, noise_of_photographs(calibration).variance(image))
 
 
 def sensor_noise(image: np.ndarray, calibration: Calibration) -> np.ndarray | None:

@@ -15,6 +15,7 @@ from chromaperture.camera_alignment import channel_shifts
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import noise_of_photographs
 from chromaperture.color.alignment import align_channels, linear_displacement
+from chromaperture.color.defective_pixels import without_defects
 from chromaperture.color.image import SATURATION
 from chromaperture.color.registration import residual_displacement
 from chromaperture.color.unmixing import pure_channels
@@ -97,11 +98,13 @@ def restore(
     if image.shape[:2] != disparity_px.shape:
         raise InputError(f"disparity {disparity_px.shape} and image {image.shape[:2]} differ in size: two photographs")
     gains = white_gains(camera.calibration)
+    noise = noise_of_photographs(camera.calibration).variance(image)
+    image = without_defects(np.asarray(image, np.float32), noise)
     balanced = np.maximum(np.asarray(image, np.float32), 0) * gains
     aligned, radius, scatter = _aligned(balanced, disparity_px, sigma_px, camera)
     if sharpness == "aligned":
         return SharpPicture(aligned, radius)
-    noise = noise_of_photographs(camera.calibration).variance(image).mean(axis=(0, 1)) * gains**2
+    noise_variance = noise.mean(axis=(0, 1)) * gains**2
     fitted = camera.alignment.lens_shift if blur is None else None
     rounds = SharpenConfig.reweightings if sharpness == "full" else 0
     settings = SharpenConfig(model_error=UNFITTED_ERROR, reweightings=rounds)
@@ -113,7 +116,7 @@ def restore(
 
     def sharpened(piece: tuple[slice, slice], middle: tuple[float, float] | None) -> np.ndarray:
         return all_in_focus(
-            balanced[piece], radius[piece], partial(transfer, frame_position=middle), noise_variance=noise,
+            balanced[piece], radius[piece], partial(transfer, frame_position=middle), noise_variance=noise_variance,
             aligned=aligned[piece], radius_sigma_px=scatter[piece], saturated=saturated[piece], config=settings,
         )  # fmt: skip
 
