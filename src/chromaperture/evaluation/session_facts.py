@@ -25,18 +25,18 @@ def contradictions(result: CalibrationResult) -> list[str]:
             f"{session.nominal_focal_length_mm:g} mm: check square_mm, pixel_pitch_mm and nominal_focal_length_mm; "
             "sideways positions are wrong by as much."
         )
+    (low, high), ratio = _BASELINE_RATIO, baseline_ratio(result)
+    if not found and not low <= ratio <= high:  # a wrong focal length makes a wrong baseline
+        found.append(
+            f"The baseline is {result.calibration.baseline_mm:.1f} mm, {ratio:.2f} times that of design "
+            f"{session.design} at f/{session.nominal_f_number:g}: check design, nominal_f_number, and that the film "
+            "fills the iris, wide open."
+        )
     delta_mm = float(result.calibration.on_axis("real-time").sensor_to_pupil_mm)
     if result.ruler is not None and delta_mm < 0:
         found.append(
             f"By boards and ruler the entrance pupil lies {-delta_mm:.0f} mm behind the sensor, as of long telephoto "
             "lenses only: were distances measured from the sensor mark? Depth counts from where the ruler began."
-        )
-    (low, high), ratio = _BASELINE_RATIO, baseline_ratio(result)
-    if not low <= ratio <= high:
-        found.append(
-            f"The baseline is {result.calibration.baseline_mm:.1f} mm, {ratio:.2f} times that of design "
-            f"{session.design} at f/{session.nominal_f_number:g}: check design, nominal_f_number, and that the film "
-            "fills the iris, wide open."
         )
     return found
 
