@@ -36,7 +36,7 @@ _CODE_SIGMA = 0.01  # sRGB code by which the points of simulated boards miss the
 # linear sessions, bench50's four among them, exponents are then within .04 of 1 where there are values.
 _SMOOTH, _NEAR_ONE = 0.03, 0.15
 _FLAT_SLOPE = 0.02  # of the mean slope, added to it: a curve without slope would explain everything
-# Root mean square of exponent - 1 over the values of the boards: at most .024 of 16 linear sessions, .10 of JPEG files
+# Root mean square of exponent - 1 over the values of the boards: at most .024 of 20 linear sessions, .10 of JPEG files
 # that were sharpened or denoised, .2 and .4 of a weak and a strong S-curve, .4 and .9 of sRGB and linear mistaken.
 _LINEAR = 0.12
 _OTHER_CURVE = 0.5  # of that deviation is left by the other curve, sRGB or none, which is then meant
