@@ -138,6 +138,20 @@ def test_the_calibrations_board_is_looked_for(near, calibration):
     assert outcome(checks) == 0
 
 
+def test_a_photograph_with_a_gamma_curve_is_not_taken_for_a_moved_focus(near, calibration):
+    seen = by_name(check_camera(near, calibration, board=BOARD))["linear light"]
+    assert seen.verdict == "ok"
+    assert seen.figures["rms_exponent_error"] < 0.1
+    encoded = np.clip(near, 0, 1) ** np.float32(1 / 2.2)
+    checks = by_name(check_camera(encoded, calibration, board=BOARD))
+    assert checks["linear light"].verdict == "warn"
+    assert "powers" in checks["linear light"].finding
+    others = [c for c in checks.values() if c.verdict == "warn" and c.name != "linear light"]
+    assert all(c.advice == "see the linear light first" for c in others)
+    in_focus = photographed(CAMERA, CAMERA.focus_mm)
+    assert by_name(check_camera(in_focus, calibration, board=BOARD))["linear light"].verdict == "cannot tell"
+
+
 def test_another_film_is_named_instead_of_the_focus(calibration):
     table = pinhole_rays(CAMERA, made_of(DESIGNS["cy_open"], "real"), cells=10)
     picture = np.asarray(render(table, wall(CAMERA, (0, 0, NEAR_MM), (0, 0, 0))), np.float32)

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from chromaperture.calibration.chessboard import Intrinsics, board_points, find_corners
+from chromaperture.calibration.fit_response import fit_response, fold_board
 from chromaperture.camera_file import Board, Calibration
 from chromaperture.camera_matching import sensor_noise
 from chromaperture.capture.exif import Exif
@@ -26,7 +27,10 @@ from chromaperture.evaluation.tint import measure_tint
 
 Verdict = Literal["ok", "warn", "cannot tell"]
 
-_FILM, _TINT, _DISTANCE, _ORIENTATION = "film", "tint over the frame", "board distance", "filter orientation"  # names
+# Names of the checks.
+_FILM, _TINT, _LIGHT, _DISTANCE, _ORIENTATION = (
+    "film", "tint over the frame", "linear light", "board distance", "filter orientation"
+)  # fmt: skip
 _QUALITY: Quality = "real-time"
 # Tolerances, chosen by hand from the causes named; relative unless in px.
 _FOCAL_TOLERANCE = 0.06  # zooms engrave and EXIF rounds; a lens of another focal length differs by more
@@ -39,6 +43,8 @@ _TURNED_TOLERANCE_PX = 0.35  # from the mirrored disparity: the bias is larger w
 _DEPTH_TOLERANCE = 0.02
 _SQUARE_TOLERANCE = 0.02  # of the square's side: poses behind blur err by 1 %; the disparity's tolerance is added
 _TINT_TOLERANCE = 0.10  # change of a channel ratio from the middle of the frame to its edge
+# Rms error of the exponents: single boards of four linear sessions have at most .10, of files with a tone curve .33.
+_TONE_TOLERANCE = 0.2
 _SATURATED = 0.02  # fraction of the pixels above which the exposure is too long
 _DARK = 0.05  # 99th percentile, of the white level, below which noise dominates
 _SEARCH_MARGIN_PX = 1.5  # beyond the calibrated disparities: a refocused camera has others
@@ -90,12 +96,18 @@ def check_camera(
     checks = [_resolution(image, calibration), *_settings(exif or Exif(), calibration), _exposure(image)]
     if checks[0].verdict == "warn":
         reason = "the photograph is not of the calibrated size"
-        return checks + [Check(name, "cannot tell", reason) for name in (_FILM, _TINT, _DISTANCE, _ORIENTATION)]
+        return checks + [Check(name, "cannot tell", reason) for name in (_FILM, _TINT, _LIGHT, _DISTANCE, _ORIENTATION)]
     film = _film(film_match(image, calibration), calibration)
     seen = _against_board(image, calibration, board or calibration.board)
-    if film.verdict == "warn":  # another film changes the disparity: neither focus nor squares can be judged
-        seen = [replace(c, advice="see the film first") if c.verdict == "warn" else c for c in seen]
-    return [*checks, film, _tint(image), *seen]
+    judged = [film, *seen]
+    # Values that are no light change colours and disparity, and another film disparity: what follows cannot be judged.
+    cause = next((c for name in (_LIGHT, _FILM) for c in judged if c.name == name and c.verdict == "warn"), None)
+    if cause is not None:
+        judged = [
+            replace(c, advice=f"see the {cause.name} first") if c.verdict == "warn" and c is not cause else c
+            for c in judged
+        ]
+    return [*checks, judged[0], _tint(image), *judged[1:]]
 
 
 def film_match(image: np.ndarray, calibration: Calibration) -> FilmMatch:
@@ -204,7 +216,7 @@ def _tint(image: np.ndarray) -> Check:
 
 def _against_board(image: np.ndarray, calibration: Calibration, board: Board | None) -> list[Check]:
     def unknown(reason: str, advice: str) -> list[Check]:
-        return [Check(name, "cannot tell", reason, advice) for name in (_DISTANCE, _ORIENTATION)]
+        return [Check(name, "cannot tell", reason, advice) for name in (_LIGHT, _DISTANCE, _ORIENTATION)]
 
     if board is None:
         return unknown("no board was asked for", "photograph the chessboard and give --board and --square-mm")
@@ -217,7 +229,25 @@ def _against_board(image: np.ndarray, calibration: Calibration, board: Board | N
     if found is None:
         advice = "add texture around the board (chromaperture board prints some) or come nearer to focus"
         return unknown("no disparity on the board", advice)
-    return [_board_distance(found, calibration, board), _orientation(found)]
+    light = _light(image, corners, board, found)
+    return [light, _board_distance(found, calibration, board), _orientation(found)]
+
+
+def _light(image: np.ndarray, corners_px: np.ndarray, board: Board, found: _BoardReading) -> Check:
+    """Tell whether the image is linear light, as the camera file decodes it, by the blurred edges of the board."""
+    folded = None
+    if abs(found.expected_px) > _FAR_FROM_FOCUS_PX:
+        folded = fold_board(np.asarray(image, np.float32), corners_px, board.inner_corners)
+    if folded is None:
+        return Check(_LIGHT, "cannot tell", "the board is in focus or saturated", "photograph it well off the focus")
+    tones = fit_response([folded])
+    low, high = tones.exponents
+    finding = f"light grows with the powers {low:.2f} to {high:.2f} of the decoded values"
+    figures = {"rms_exponent_error": tones.deviation}
+    if tones.deviation < _TONE_TOLERANCE:
+        return Check(_LIGHT, "ok", finding, "", figures)
+    advice = "export it as the calibration's photographs were: linear, or with the same tone curve"
+    return Check(_LIGHT, "warn", finding, advice, figures)
 
 
 @dataclass(frozen=True)
