@@ -373,6 +373,15 @@ def test_the_page_is_whole_and_needs_nothing_else(result):
         assert picture.std() > 5  # something is drawn on it
 
 
+def test_a_tone_curve_has_a_section(result):
+    sensor = replace(result.calibration.sensor, response=(0.8, 0.7, 1.5))
+    bent = replace(result, calibration=replace(result.calibration, sensor=sensor))
+    plain, text = (report_html(r, title="tones") for r in (result, bent))
+    assert "Tone curve" in text
+    assert "Tone curve" not in plain
+    assert text.count("data:image/png") == plain.count("data:image/png") + 1
+
+
 def test_what_is_missing_leaves_its_section_out_of_pictures(result, tmp_path):
     bare = replace(
         result,

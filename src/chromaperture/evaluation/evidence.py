@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.color.color_maps import DIFFERENCE, OTHER, color_map
-from chromaperture.color.srgb import linear_to_srgb
+from chromaperture.color.response import ResponseCurve
+from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 from chromaperture.evaluation.figures import (
     BLUE,
     CHANNEL_COLORS,
@@ -121,6 +122,25 @@ def draw_ruler(result: CalibrationResult) -> Figure | None:
     axes.axhline(0, color=GREY, linewidth=0.8)
     style_axes(axes, xlabel="distance by ruler, mm", ylabel="ruler - pose, mm")
     axes.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def draw_response(result: CalibrationResult) -> Figure | None:
+    """Draw the light of decoded values and its local exponents; None where values are light."""
+    exponents = result.calibration.sensor.response
+    if exponents is None:
+        return None
+    curve, codes = ResponseCurve(exponents), np.linspace(0, 1, 256)
+    values = srgb_to_linear(codes)
+    figure = new_figure(height=2.8)
+    of_light, of_powers = figure.subplots(1, 2)
+    of_light.plot(codes, codes, color=GREY, linewidth=0.8, label="decoded values")
+    of_light.plot(codes, linear_to_srgb(curve.light(values)), color=BLUE, label="light")
+    style_axes(of_light, xlabel="value, as sRGB code", ylabel="as sRGB code")
+    of_light.legend(frameon=False, fontsize=8)
+    of_powers.axhline(1, color=GREY, linewidth=0.8)
+    of_powers.plot(codes, curve.exponent(values), color=BLUE)
+    style_axes(of_powers, xlabel="value, as sRGB code", ylabel="power by which light grows")
     return figure
 
 

@@ -83,6 +83,7 @@ def _sections(result: CalibrationResult) -> list[dict[str, Any]]:
         _drawn("Film", result, evidence.draw_film,
                "In a good pair, the transmission of each film is near zero where it should block.",
                tables.unmixing(result)),
+        *_tone_curve(result),
         _drawn("The lens's blur", result, blur_figures.draw_blur,
                "How a point is blurred over the frame, near and far: the two halves of the pupil in their colours, cut "
                "by the lens's rims towards the corners.", lines=blur_figures.blur_lines(result)),
@@ -97,6 +98,17 @@ def _sections(result: CalibrationResult) -> list[dict[str, Any]]:
         _section("Notes", lines=result.notes or ("Nothing was missing.",)),
         _section("Where this comes from", tables=(tables.provenance(result),)),
     ]  # fmt: skip
+
+
+def _tone_curve(result: CalibrationResult) -> list[dict[str, Any]]:
+    """Return the section of the response; none where decoded values are light."""
+    if result.calibration.sensor.response is None:
+        return []
+    caption = (
+        "What the chessboards show of the tone curve, which is undone in all photographs. The darkest tones are "
+        "known least. Linear files have none."
+    )
+    return [_drawn("Tone curve", result, evidence.draw_response, caption)]
 
 
 def _noise_of_accurate(result: CalibrationResult) -> tuple[str, ...]:
