@@ -1,5 +1,6 @@
 """A session of simulated boards comes back as the camera that took it."""
 
+import contextlib
 import hashlib
 import shutil
 from dataclasses import asdict, replace
@@ -16,11 +17,13 @@ from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.chessboard import board_distance, board_points, centered_pinhole, fit_intrinsics
 from chromaperture.calibration.curves import weaknesses
 from chromaperture.calibration.fit_curve import fit_depth_model
+from chromaperture.calibration.fit_fields import check_scale
 from chromaperture.calibration.session import read_session
 from chromaperture.calibration.white_sheets import measure_white_sheets
 from chromaperture.camera_file import Calibration
 from chromaperture.color.unmixing import ideal_unmixing
 from chromaperture.config import preset
+from chromaperture.depth.field import DepthField
 from chromaperture.disparity.views import view_spaces
 from chromaperture.errors import InputError
 from chromaperture.evaluation import verdict
@@ -98,6 +101,14 @@ def distances(rulers_mm):
 def test_sessions_that_cannot_be_used_say_why(session, tmp_path, files, word):
     with pytest.raises(InputError, match=word):
         calibrated(copy_with(session, tmp_path, **files))
+
+
+@pytest.mark.parametrize(("slope", "runs_away"), [(0.5, False), (0.95, True), (1.2, True)])
+def test_a_field_that_runs_away_is_refused(slope, runs_away):
+    """B = B0 (1 + slope x) with x from -1 to 1 over the frame: 0.05 B0 and less at one side is no lens."""
+    field = DepthField(np.array([5.0, 0, 0, 0, 0, 0]), np.array([9000.0, 0, 0, 9000 * slope, 0, 0]), 50.0, np.eye(3))
+    with pytest.raises(InputError, match=r"runs away|positive") if runs_away else contextlib.nullcontext():
+        check_scale(field, (144, 108))
 
 
 @pytest.mark.parametrize("mixed", ["sheet_c", "cy_halves"])

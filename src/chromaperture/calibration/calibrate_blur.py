@@ -14,7 +14,7 @@ from chromaperture.calibration.calibration_config import DEFAULT, CalibrationCon
 from chromaperture.calibration.choose_curve import ranked_curves
 from chromaperture.calibration.curves import Evidence
 from chromaperture.calibration.fit_blur import fit_blur
-from chromaperture.calibration.fit_fields import fit_depth_field
+from chromaperture.calibration.fit_fields import check_scale, fit_depth_field
 from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.progress import Progress, reported, silent
 from chromaperture.calibration.session import Session
@@ -129,9 +129,11 @@ def fit_layers(layers: LayerEvidence, distances: BoardDistances, used: np.ndarra
     trials = [*((_DEGREES[0], curve) for curve in curves), *((degree, 0) for degree in _DEGREES[1:])]
     for trial, (degree, curve) in enumerate(trials):
         try:
-            return fit_depth_field(
+            field, _ = fit_depth_field(
                 *samples, size_px=layers.size_px, degree=degree, nonlinearity=curve, boards=measured
-            )[0]
+            )
+            check_scale(field, layers.size_px)
+            return field
         except InputError:
             if trial == len(trials) - 1:
                 raise

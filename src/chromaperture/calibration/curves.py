@@ -13,7 +13,7 @@ from chromaperture.calibration.board_distances import BoardDistances, find_outli
 from chromaperture.calibration.calibration_config import DEFAULT, CalibrationConfig
 from chromaperture.calibration.choose_curve import ranked_curves
 from chromaperture.calibration.fit_curve import DepthFit, fit_depth_model
-from chromaperture.calibration.fit_fields import fit_depth_field
+from chromaperture.calibration.fit_fields import check_scale, fit_depth_field
 from chromaperture.calibration.fit_local_fields import with_local
 from chromaperture.calibration.progress import Progress, reported, silent
 from chromaperture.calibration.read_boards import MEASURED, BoardMeasurement, grid
@@ -25,9 +25,6 @@ from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.errors import InputError
 from chromaperture.robust import robust_sigma
 
-# B at its smallest, of its median over the frame: less is a runaway polynomial. Vignetting takes the rim of the pupil,
-# where an open design has its film, so that its B falls to a third at the sides. Chosen by hand.
-_LEAST_SCALE = 0.1
 _THIN = 2  # every other point of the boards' grid enters the fit: neighbours have the matcher's window in common
 # Boards on both sides reach beyond 0 by this disparity, or by this part of what they span (a phone's lens: 0.6 px).
 _ONE_SIDE_PX = 0.3  # chosen by hand, not tuned
@@ -138,15 +135,14 @@ def fit_curve(evidence: Evidence, quality: Quality, config: CalibrationConfig = 
         for curve in ranked_curves(*samples, **options, known=known):
             try:
                 fields, _ = fit_depth_field(*samples, **options, nonlinearity=curve)
-                scale = np.asarray(fields.model(*size).scale_px_mm)
-            except InputError:  # B not positive somewhere, or a nonlinearity that is not monotonic
+                check_scale(fields, size)
+            except InputError:  # B runs away, or a nonlinearity that is not monotonic
                 continue
-            if np.min(scale) > _LEAST_SCALE * np.median(scale):
-                if config.per_pixel:
-                    fields = with_local(
-                        fields, columns, rows, grids, evidence.distances, size_px=size, boards=evidence.used
-                    )
-                return FittedCurve(fields, *_agreement(evidence, fields, quality, x, y))
+            if config.per_pixel:
+                fields = with_local(
+                    fields, columns, rows, grids, evidence.distances, size_px=size, boards=evidence.used
+                )
+            return FittedCurve(fields, *_agreement(evidence, fields, quality, x, y))
     note = f"{quality}: too little to fit fields over the frame, one depth curve for all of it"
     fitted = depth_to_disparity(evidence.from_sensor_mm, axis.model)
     return FittedCurve(DepthField.constant(axis.model), axis, grids - fitted[:, None, None], (note,))

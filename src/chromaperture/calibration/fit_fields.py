@@ -18,6 +18,9 @@ from chromaperture.depth.nonlinearity import Nonlinearity, scaled
 from chromaperture.errors import InputError
 from chromaperture.robust import huber_weights, robust_sigma
 
+# B at its smallest, of its median over the frame: less is a runaway polynomial. Vignetting takes the rim of the pupil,
+# where an open design has its film, so that its B falls to a third at the sides. Chosen by hand.
+_LEAST_SCALE = 0.1
 _ROUNDS = 8  # of reweighting; chosen by hand
 _GROSS = 6.0  # standard deviations beyond which a reading is a wrong match and has no weight; chosen by hand
 _SMALLEST_PX = 1e-9  # residual scale of exact data, against division by 0
@@ -25,6 +28,13 @@ _SAMPLES_A_TERM = 20  # least measurements for a coefficient of A; chosen by han
 _TILES = 4  # across the frame: wider tiles find no more covariance, errors are not correlated farther than that
 _LEAST_LEFT = 0.05  # least of 1 - leverage, which errors are divided by the root of; chosen by hand
 _RIDGE_PX = 1.0  # prior of a coefficient of the nonlinearity, tenths of a px as a rule: only determines unused ones
+
+
+def check_scale(field: DepthField, size_px: tuple[int, int]) -> None:
+    """Raise InputError where B is not positive, or far below its median: boards that tell little let it run away."""
+    scale = np.asarray(field.model(*size_px).scale_px_mm)
+    if not np.min(scale) > _LEAST_SCALE * np.median(scale):
+        raise InputError("the depth curve runs away over the frame: photograph more boards, with texture all over them")
 
 
 def fit_depth_field(
