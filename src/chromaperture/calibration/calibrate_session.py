@@ -52,7 +52,7 @@ class CalibrationResult:
     fits: Mapping[Quality, DepthFit]  # the curve on the axis, with its covariance
     boards: list[BoardMeasurement]
     notes: Sequence[str]  # a sentence for everything that was missing or weak
-    session: Session  # as its folder states it; noise that was measured is in ``calibration.sensor``
+    session: Session  # decoded as its boards show; noise that was measured is in ``calibration.sensor``
     grid_x_px: np.ndarray  # (w,) float64: image positions of the boards' grids
     grid_y_px: np.ndarray  # (h,) float64
     residual_px: Mapping[Quality, np.ndarray]  # (boards, h, w) float32: measured minus fitted on the grid; NaN unknown

@@ -28,11 +28,11 @@ from chromaperture.color.srgb import linear_to_srgb
 
 _PHASES = 16  # points across a square; far squares are 10 px wide
 _FEWEST_SQUARES = 4  # of each colour, not saturated; chosen by hand
-_BOARDS = 8  # that are read, the most blurred ones; twice as many changed exponents by less than .01
+_BOARDS = 8  # that are read, the most blurred ones; chosen by hand
 _FEWEST_BOARDS = 2  # one may be lit unevenly; chosen by hand
 _DARKEST = 1e-4  # decoded value; below, 16 bits have 6 counts
 _CODE_SIGMA = 0.01  # sRGB code by which the points of simulated boards miss their curve: .0012 to .004
-# Weights of the prior, in standard deviations a knot for all points together: curves are smooth and near 1. Of twelve
+# Weights of the prior, in standard deviations a knot for all points together: curves are smooth and near 1. Of 20
 # linear sessions, bench50's four among them, exponents are then within .04 of 1 where there are values.
 _SMOOTH, _NEAR_ONE = 0.03, 0.15
 _FLAT_SLOPE = 0.02  # of the mean slope, added to it: a curve without slope would explain everything
@@ -40,8 +40,8 @@ _FLAT_SLOPE = 0.02  # of the mean slope, added to it: a curve without slope woul
 # that were sharpened or denoised, .2 and .4 of a weak and a strong S-curve, .4 and .9 of sRGB and linear mistaken.
 _LINEAR = 0.12
 _OTHER_CURVE = 0.5  # of that deviation is left by the other curve, sRGB or none, which is then meant
-_LARGEST_MISFIT = 0.02  # sRGB code, rms; boards behind nonlinear noise reduction have .009 to .012
-_TONE_LEFT = 0.03  # rms of the exponent's error that is left: by simulated S-curves and gamma
+_LARGEST_MISFIT = 0.02  # sRGB code, rms; boards behind nonlinear noise reduction have .009 to .013
+_TONE_LEFT = 0.06  # rms of the exponents' error that is left: of the strong S-curve of docs/measurements.md
 _MOST_EXPONENT = 10.0  # limit of the fit
 _EIGHT_BITS = "the photographs have 8 bits a channel: linear files, as RAW, are more accurate"
 _ENCODED = {"srgb": "encoded by the sRGB curve", "linear": "linear, though their files usually are not"}
@@ -88,8 +88,9 @@ def with_response(session: Session, corners: Mapping[Path, np.ndarray]) -> tuple
         return session, tuple(notes)
     other_curve: Literal["linear", "srgb"] = "srgb" if sensor.curve == "linear" else "linear"
     otherwise = replace(session, sensor=replace(sensor, curve=other_curve))
-    other = fit_response(folded_boards(otherwise, corners))
-    if other.deviation < _OTHER_CURVE * found.deviation:
+    boards = folded_boards(otherwise, corners)  # fewer, where other values count as saturated
+    other = fit_response(boards) if len(boards) >= _FEWEST_BOARDS else None
+    if other is not None and other.deviation < _OTHER_CURVE * found.deviation:
         found, sensor = other, otherwise.sensor
         notes.append(f"the chessboards show that the photographs are {_ENCODED[other_curve]}; they are decoded so")
     if found.misfit > _LARGEST_MISFIT:

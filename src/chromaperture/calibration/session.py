@@ -94,6 +94,11 @@ class Session:
         # Corners and white sheets need a number everywhere: what is cut off counts as saturated.
         return np.nan_to_num(reduced(image, working), nan=1.0)
 
+    def decoded_as(self, sensor: CameraSensor) -> Session:
+        """Return the session with its photographs decoded as those that a camera was calibrated on."""
+        decoding = {name: getattr(sensor, name) for name in ("black_level", "white_level", "curve", "response")}
+        return replace(self, sensor=replace(self.sensor, **decoding))
+
     @property
     def sheets(self) -> dict[str, Path]:
         """Photographs of white sheets by name; those in the session's folder replace those beside it."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 
-KNOTS = 10  # exponents of a curve; with 8 a strong S-curve was fitted less closely, more are not determined
+KNOTS = 10  # exponents of a curve; chosen by hand
 _PLACES = 513  # of the table, evenly over sRGB codes; the light between them is off by less than 1e-4
 _LEAST = 1e-6  # decoded value whose logarithm stands for that of 0
 

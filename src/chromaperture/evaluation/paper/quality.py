@@ -88,6 +88,7 @@ def _walls(context: Context) -> tuple[str, int, Iterator[Wall]]:
         calibration = cameras.get(session.design)
         if calibration is None:
             raise InputError(f"--camera is of {', '.join(cameras)}, {session.folder} of {session.design}")
+        session = session.decoded_as(calibration.sensor)
         boards = chosen_boards(session, quick=context.quick)
         known = {str(b.get("file")) for b in calibration.provenance.get("boards", ())}
         seen = sum(path.name in known for path in boards)
