@@ -35,14 +35,14 @@ _CODE_SIGMA = 0.01  # sRGB code by which the points of simulated boards miss the
 # Weights of the prior, in standard deviations a knot for all points together: curves are smooth and near 1. Of 20
 # linear sessions, bench50's four among them, exponents are then within .04 of 1 where there are values.
 _SMOOTH, _NEAR_ONE = 0.03, 0.15
-_FLAT_SLOPE = 0.02  # of the mean slope, added to it: a curve without slope would explain everything
+_FLAT_SLOPE = 0.02  # of the mean slope, added to it: a curve without slope would explain everything; chosen by hand
 # Root mean square of exponent - 1 over the values of the boards: at most .024 of 20 linear sessions, .10 of JPEG files
-# that were sharpened or denoised, .2 and .4 of a weak and a strong S-curve, .4 and .9 of sRGB and linear mistaken.
+# that were sharpened or denoised, .26 and .38 of a weak and a strong S-curve, .77 and more of sRGB taken as linear.
 _LINEAR = 0.12
-_OTHER_CURVE = 0.5  # of that deviation is left by the other curve, sRGB or none, which is then meant
-_LARGEST_MISFIT = 0.02  # sRGB code, rms; boards behind nonlinear noise reduction have .009 to .013
+_OTHER_CURVE = 0.5  # share of that deviation that the other curve may leave to be taken; chosen by hand
+_LARGEST_MISFIT = 0.02  # sRGB code, rms, chosen by hand; boards behind nonlinear noise reduction have .009 to .013
 _TONE_LEFT = 0.06  # rms of the exponents' error that is left: of the strong S-curve of docs/measurements.md
-_MOST_EXPONENT = 10.0  # limit of the fit
+_MOST_EXPONENT = 10.0  # limit of the fit, far beyond any camera's; chosen by hand
 _EIGHT_BITS = "the photographs have 8 bits a channel: linear files, as RAW, are more accurate"
 _ENCODED = {"srgb": "encoded by the sRGB curve", "linear": "linear, though their files usually are not"}
 
