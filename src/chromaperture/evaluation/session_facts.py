@@ -12,7 +12,8 @@ from chromaperture.color.unmixing import view_reach
 # .98 to 1.08 of those of design and f-number, .75 to .88 of open designs, whose rim vignettes.
 _FOCAL_TOLERANCE = 0.15  # engraved ones are rounded, and lenses change theirs when they focus near
 _BASELINE_RATIO = (0.65, 1.35)  # a wrong f-number by a stop is 1.4
-_OTHER_DESIGN_RATIO = (0.4, 2.5)  # halves taken for the open design are 2.5, for three squares .07
+# Halves taken for the open design are 2.54, for three squares .07; a wrong f-number by two stops is 2.
+_OTHER_DESIGN_RATIO = (0.4, 2.2)
 
 
 def contradictions(result: CalibrationResult) -> list[str]:
