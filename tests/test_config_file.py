@@ -27,7 +27,8 @@ OTHER_VALUES = {  # where nine tenths of the value would not be valid
     "paths": 4,
     "bands_px": ((0.5, 1.5), (1.5, 3.0)),
     "gain": 2.0,
-    "vote_factors": (1.0, 0.5),  # without a known blur it is empty
+    "vote_factors": (1.0, 0.5),  # without a known blur it is empty, and so are the next
+    "learned_border_nats": (4.0, 8.0),
 }
 REFUSED = {"noise_debiasing"}  # by every method but "paper"
 

@@ -46,6 +46,8 @@ LEAST_LAYERS = 32
 ALLOWED_GROWTH = 2.0
 # Of what borders between planes cost, a fit each: docs/measurements.md, "Several fits vote", has two to five of them.
 VOTE_FACTORS = (1.0, 0.7, 1.4)
+# See `PlanesConfig`; docs/measurements.md, "Depth edges in the photograph", has others.
+LEARNED_BORDER_NATS = (5.0, 2.5, 10.0)
 Method = TypeVar("Method", bound="MatcherConfig")
 
 
@@ -245,8 +247,13 @@ class AccurateConfig(MatcherConfig):
             evidence = replace(evidence, allowed_growth=ALLOWED_GROWTH)
         elif one_pair:
             evidence = replace(evidence, own_detail=True)
-        planes, spectral = PlanesConfig(vote_factors=VOTE_FACTORS), SpectralConfig.for_blur(reach)
+        planes = PlanesConfig(vote_factors=VOTE_FACTORS, learned_border_nats=LEARNED_BORDER_NATS)
+        spectral = SpectralConfig.for_blur(reach)
         return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=spectral)
+
+    def with_guided_borders(self) -> AccurateConfig:
+        """Return the settings with borders of planes led by the guide alone, as graphics devices have them."""
+        return replace(self, planes=replace(self.planes, learned_border_nats=()))
 
     def with_half_pixels(self) -> AccurateConfig:
         """Return the settings for a dual-pixel sensor whose blur is known.
@@ -266,7 +273,10 @@ class AccurateConfig(MatcherConfig):
         if not isinstance(self.evidence, CrossFilterConfig):
             raise InputError("half pixels are matched with the blur: start from AccurateConfig.for_blur")
         evidence = replace(self.evidence, own_detail=True, allowed_growth=ALLOWED_GROWTH)
-        surface, planes = replace(self.surface, learned_error_bar=False), replace(self.planes, edge_share=1.0)
+        surface, planes = (
+            replace(self.surface, learned_error_bar=False),
+            replace(self.planes, edge_share=1.0, learned_border_nats=()),
+        )
         spectral = replace(self.spectral, dual_pixel=True)
         return replace(self, evidence=evidence, surface=surface, planes=planes, spectral=spectral)
 

@@ -50,6 +50,10 @@ class PlanesConfig:
     vote_factors : tuple of float
         Of ``boundary_penalty``, a fit each, which vote as `plane_voting.py` has it: learned with known blur. Without
         any one fit is taken wherever the surface's error bar allows it; with shifted views votes gained nothing.
+    learned_border_nats : tuple of float
+        Nats that a border between two blocks costs, a unit of the log odds of no depth edge between them
+        (``disparity/depth_edges.py``), a fit each; they vote in place of those of ``vote_factors``. Empty, or with
+        ``block_px`` other than 4: the guide leads borders. Graphics devices have ``vote_factors`` alone.
     """
 
     tiles_px: tuple[int, ...] = (48, 96, 192, 480)
@@ -67,6 +71,7 @@ class PlanesConfig:
     sweeps: int = 8
     edge_share: float = 0.4
     vote_factors: tuple[float, ...] = ()
+    learned_border_nats: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         require(bool(self.tiles_px) and min(self.tiles_px) >= 8, "tiles_px must hold sizes of at least 8 px")
@@ -74,7 +79,9 @@ class PlanesConfig:
         require(whole, "block_px, border_px and sweeps must be >= 1, edge_band_px and rounds >= 0")
         penalties = (
             self.boundary_penalty, self.plane_penalty, self.plane_tolerance, self.slope_tolerance, self.slope_penalty,
-            self.outside_penalty, self.edge_share, *self.vote_factors,
+            self.outside_penalty, self.edge_share, *self.vote_factors, *self.learned_border_nats,
         )  # fmt: skip
         least = all_finite(*penalties) and min(penalties) >= 0
-        require(least, "penalties, tolerances, edge_share and vote_factors of planes must be finite and >= 0")
+        require(
+            least, "penalties, tolerances, edge_share, vote_factors and learned_border_nats must be finite and >= 0"
+        )

@@ -11,6 +11,7 @@ import numpy as np
 
 from chromaperture.config import AccurateConfig
 from chromaperture.disparity.clipped_areas import clipped_filled
+from chromaperture.disparity.depth_edges import edge_log_odds
 from chromaperture.disparity.edge_likelihood import EdgeLikelihood
 from chromaperture.disparity.error_bar import (
     confidence,
@@ -103,6 +104,7 @@ class AccurateMethod:
         surface = optimised_surface(
             likelihood, views.guide, labels_px, config=self.config.surface, planes=self.config.planes, run=self.run,
             known_within_px=sigma_of_range(labels_px), line_costs=self.line_costs(image),
+            depth_edges=edge_log_odds(image) if self.config.planes.learned_border_nats else None,
         )  # fmt: skip
         return self.of_labels(surface, image, usable, labels_px)
 
@@ -137,6 +139,7 @@ def optimised_surface(
     run: Execution,
     known_within_px: float = math.inf,
     line_costs: LineCosts | None = None,
+    depth_edges: np.ndarray | None = None,
 ) -> Surface:
     """Find the surface that explains the whole volume.
 
@@ -154,6 +157,8 @@ def optimised_surface(
         Standard deviation of the posterior from which on the disparity is unknown.
     line_costs : callable, optional
         See `placed_edges`.
+    depth_edges : (2, H // 4, W // 4) float, optional
+        See `planes_of_surface`.
 
     Returns
     -------
@@ -180,7 +185,7 @@ def optimised_surface(
     sigma, first = posterior.sigma_px(disparity), disparity
     explained_by = planes_of_surface(
         disparity, sigma, likelihood, guide, labels_px, config=planes, surface=config, run=run,
-        line_costs=line_costs,
+        line_costs=line_costs, depth_edges=depth_edges,
     )  # fmt: skip
     if explained_by is not None:
         if explained_by.trusted is None:

@@ -1,9 +1,10 @@
 """A surface of few planes: where the evidence is weak, only pixels of the whole plane together say where it is.
 
-Windows and paths pool tens of pixels, a wall has tens of thousands. Planes are proposed from a first surface, every
-block of pixels chooses one by belief propagation, neighbours that one plane explains as well are joined, and the choice
-is made again (multi-model fitting by energy). Curved surfaces become as many planes as their evidence can tell apart.
-Where the camera's blur is known, several such fits vote (`plane_voting.py`).
+Windows and paths pool tens of pixels, a wall has tens of thousands. Planes are proposed from a first surface. Where the
+camera's blur is known, regions between the photograph's depth edges choose planes and join (`plane_regions.py`). Else
+every block of pixels chooses one by belief propagation, neighbours that one plane explains as well are joined, and the
+choice is made again (multi-model fitting by energy). Curved surfaces become as many planes as their evidence can tell
+apart. Several such fits vote (`plane_voting.py`).
 
 References
 ----------
@@ -13,13 +14,16 @@ H. Isack, Y. Boykov: Energy-based geometric multi-model fitting. IJCV 97, 2012. 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
+from chromaperture.disparity.depth_edges import BLOCK_PX
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.plane_edges import LineCosts, choices_of, placed_edges
 from chromaperture.disparity.plane_fit import Planes, Volume, candidates
 from chromaperture.disparity.plane_merging import merged_planes
+from chromaperture.disparity.plane_regions import border_costs, joined_regions, regions_between_edges
 from chromaperture.disparity.plane_voting import voted_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
@@ -27,6 +31,10 @@ from chromaperture.planes_config import PlanesConfig
 from chromaperture.stage_config import SurfaceConfig
 from chromaperture.threads import BAND_ROWS, each_band
 
+# Areas that end where the photograph has edges need less of a border left out, and lose less by a slope that is left
+# out: docs/measurements.md, "Depth edges in the photograph".
+BORDER_OF_REGIONS = 2 / 3  # of ``border_px``
+SLOPES_OF_REGIONS = 2.0  # times ``slope_tolerance``
 BORDER_APART_LABELS = 1.5  # by which two planes differ for their border to be a depth edge; chosen by hand
 
 
@@ -41,6 +49,7 @@ def planes_of_surface(
     surface: SurfaceConfig,
     run: Execution,
     line_costs: LineCosts | None = None,
+    depth_edges: np.ndarray | None = None,
 ) -> Planes | None:
     """Explain a surface by planes.
 
@@ -58,6 +67,8 @@ def planes_of_surface(
     run : Execution
     line_costs : callable, optional
         See `placed_edges`.
+    depth_edges : (2, H // 4, W // 4) float, optional
+        As `edge_log_odds`, which ``learned_border_nats`` need.
 
     Returns
     -------
@@ -73,20 +84,23 @@ def planes_of_surface(
         return None
     costs = block_costs(config)
     blocks = Volume(block_sums(likelihood, size), labels_px, costs, run)
-    links = links_of_blocks(guide, config=config, surface=surface)
-
-    def fit(factor: float) -> Planes:
-        def choose(planes: np.ndarray) -> np.ndarray:
-            cost = run.plane_costs(blocks.likelihood, planes, labels_px, costs)
-            return np.asarray(run.potts_beliefs(cost, links * factor, sweeps=config.sweeps).argmin(axis=2))
-
-        return fitting_planes(planes, blocks, guide.shape, choose, config=config)
-
-    if config.vote_factors:
-        fits = [fit(factor) for factor in config.vote_factors]
-        found = voted_planes(fits, label_px, sigma_px, blocks.step_px, size)
+    learned = depth_edges is not None and bool(config.learned_border_nats) and size == BLOCK_PX
+    if learned:
+        assert depth_edges is not None
+        fits = fits_of_regions(planes, blocks, depth_edges, guide.shape, config=config)
     else:
-        found = fit(1.0)
+        links = links_of_blocks(guide, config=config, surface=surface)
+
+        def fit(factor: float) -> Planes:
+            def choose(planes: np.ndarray) -> np.ndarray:
+                cost = run.plane_costs(blocks.likelihood, planes, labels_px, costs)
+                return np.asarray(run.potts_beliefs(cost, links * factor, sweeps=config.sweeps).argmin(axis=2))
+
+            return fitting_planes(planes, blocks, guide.shape, choose, config=config)
+
+        fits = [fit(factor) for factor in config.vote_factors or (1.0,)]
+    votes = learned or config.vote_factors
+    found = voted_planes(fits, label_px, sigma_px, blocks.step_px, size) if votes else fits[0]
     if config.edge_band_px == 0:
         return found
     choice = placed_edges(
@@ -151,6 +165,38 @@ def fitting_planes(
             break
         planes, choice = merged_planes(choice, planes, blocks, config=config, border=-(-config.border_px // size))
     return planes_of_pixels(planes, choice, shape, size)._replace(blocks=blocks)
+
+
+def fits_of_regions(
+    planes: np.ndarray, blocks: Volume, log_odds: np.ndarray, shape: tuple[int, int], *, config: PlanesConfig
+) -> list[Planes]:
+    """Let regions between depth edges choose planes and join, a fit for each of ``learned_border_nats``.
+
+    Parameters
+    ----------
+    planes : (K, 3) float
+        Candidates.
+    blocks : Volume
+        Sums of blocks.
+    log_odds : (2, h, w) float
+        As `edge_log_odds`, of the same blocks.
+    shape : (int, int)
+        Height and width of the picture.
+    config : PlanesConfig
+    """
+    size = config.block_px
+    planes = _scaled(planes, size)
+    region = regions_between_edges(log_odds)
+    cost = blocks.run.plane_costs(blocks.likelihood, planes, blocks.labels_px, blocks.costs)
+    border = max(1, round(config.border_px * BORDER_OF_REGIONS / size))
+    config = replace(config, slope_tolerance=config.slope_tolerance * SLOPES_OF_REGIONS)
+
+    def fit(nats: float) -> Planes:
+        joined = joined_regions(region, cost, border_costs(log_odds, nats), plane_penalty=config.plane_penalty)
+        merged = merged_planes(joined.region, planes[joined.plane], blocks, config=config, border=border)
+        return planes_of_pixels(*merged, shape, size)._replace(blocks=blocks)
+
+    return [fit(nats) for nats in config.learned_border_nats]
 
 
 def planes_of_pixels(planes: np.ndarray, choice: np.ndarray, shape: tuple[int, int], size: int) -> Planes:

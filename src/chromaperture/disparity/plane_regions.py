@@ -1,0 +1,157 @@
+"""Let regions of a photograph choose planes and join: areas end where the photograph shows depth edges.
+
+Blocks of pixels say little each, and those beside a near thing speak for it. What the photograph shows of depth edges
+(`depth_edges.py`) cuts it into regions, whose evidence is summed; neighbours are joined while that saves more than it
+costs. The sum is the energy of planes (Isack and Boykov 2012): what the planes miss of the evidence, and what borders
+cost, which is less where an edge is likely. Belief propagation over blocks stops far from its least value where borders
+are sharp; joining moves whole areas.
+
+References
+----------
+H. Isack, Y. Boykov: Energy-based geometric multi-model fitting. IJCV 97, 2012. doi:10.1007/s11263-011-0474-7
+J. Cousty, G. Bertrand, L. Najman, M. Couprie: Watershed cuts: minimum spanning forests and the drop of water principle.
+IEEE TPAMI 31, 2009. doi:10.1109/TPAMI.2008.173
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from scipy import ndimage, sparse
+
+SMOOTH_BLOCKS = 0.7  # sigma of what edges are smoothed by before regions are cut; chosen by hand
+OF_LINK = 1e-3  # of a link's own log odds: tells apart what is alike otherwise
+MOST_LOG_ODDS = 6.0  # of no edge: beyond, the network knows no better
+
+
+class Joined(NamedTuple):
+    """Regions that have one plane.
+
+    Attributes
+    ----------
+    region : (h, w) int, from 0 on
+    plane : (R,) int; of every region
+    """
+
+    region: np.ndarray
+    plane: np.ndarray
+
+
+def regions_between_edges(log_odds: np.ndarray) -> np.ndarray:
+    """Cut a picture of blocks into regions that no likely edge crosses.
+
+    They are the watersheds of the log odds: trees of least edges, one from every lowest place, which are the minimum
+    spanning tree of all blocks and of a root beside them (Cousty et al. 2009).
+
+    Parameters
+    ----------
+    log_odds : (2, h, w) float
+        As `edge_log_odds`.
+
+    Returns
+    -------
+    (h, w) int
+        From 0 on.
+    """
+    of_block = cv2.GaussianBlur(_strongest(log_odds), (0, 0), SMOOTH_BLOCKS)
+    place = np.arange(of_block.size).reshape(of_block.shape)
+    lowest, _ = ndimage.label(of_block == ndimage.minimum_filter(of_block, size=3), structure=np.ones((3, 3)))
+    starts = np.unique(lowest, return_index=True)[1]
+    starts = starts[lowest.ravel()[starts] > 0]
+    ends = [(place[:-1], place[1:]), (place[:, :-1], place[:, 1:])]
+    one, other = (np.concatenate([pair[side].ravel() for pair in ends]) for side in (0, 1))
+    # Both links of a block on a ridge are as high as the block: their own log odds tell to which side it belongs.
+    link = np.concatenate([log_odds[0, :-1].ravel(), log_odds[1, :, :-1].ravel()])
+    above = np.maximum(of_block.ravel()[one], of_block.ravel()[other]) + OF_LINK * link
+    above -= above.min() - 2  # a sparse 0 is no edge
+    rows = np.concatenate([one, np.full(len(starts), of_block.size)])
+    weights = np.concatenate([above, np.ones(len(starts))])
+    graph = sparse.coo_array((weights, (rows, np.concatenate([other, starts]))), shape=(of_block.size + 1,) * 2)
+    tree = sparse.csgraph.minimum_spanning_tree(graph.tocsr())[: of_block.size, : of_block.size]
+    return np.asarray(sparse.csgraph.connected_components(tree, directed=False)[1].reshape(of_block.shape))
+
+
+def border_costs(log_odds: np.ndarray, nats: float) -> np.ndarray:
+    """Return what a border between two blocks costs: so many nats a unit of the log odds of no edge; (2, h, w)."""
+    return np.asarray(nats * np.clip(-log_odds, 0, MOST_LOG_ODDS))
+
+
+def joined_regions(region: np.ndarray, cost: np.ndarray, links: np.ndarray, *, plane_penalty: float) -> Joined:
+    """Join neighbouring regions while the energy falls, all pairs of which each is the other's best at once.
+
+    Parameters
+    ----------
+    region : (h, w) int, from 0 on
+    cost : (h, w, K) float
+        Nats that every plane costs a block.
+    links : (2, h, w) float
+        Nats that a border between two blocks costs.
+    plane_penalty : float
+        Nats that a plane costs.
+    """
+    count, planes = int(region.max()) + 1, cost.shape[2]
+    order = np.argsort(region, axis=None, kind="stable")
+    starts = np.searchsorted(region.ravel()[order], np.arange(count))
+    total = np.add.reduceat(cost.reshape(-1, planes)[order], starts, axis=0, dtype=np.float64)
+    pairs, border = borders_of(region, links)
+    group = np.arange(count)
+    while len(pairs):
+        least = total.min(axis=1)
+        loss = (total[pairs[:, 0]] + total[pairs[:, 1]]).min(axis=1) - least[pairs].sum(axis=1)
+        gain = border + plane_penalty - loss
+        into = _best_of_both(pairs, gain, len(total))
+        if into is None:
+            break
+        used, renumbered = np.unique(into, return_inverse=True)
+        summed = np.zeros((len(used), planes))
+        np.add.at(summed, renumbered, total)
+        total, group = summed, renumbered[group]
+        pairs, border = _summed(renumbered[pairs], border)
+    return Joined(group[region], total.argmin(axis=1))
+
+
+def borders_of(region: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pairs of regions that meet, (P, 2) int, the lower first, and what their borders cost, (P,)."""
+    ends = [
+        np.stack([a.ravel(), b.ravel()], axis=1)
+        for a, b in ((region[:-1], region[1:]), (region[:, :-1], region[:, 1:]))
+    ]
+    costs = np.concatenate([links[0, :-1].ravel(), links[1, :, :-1].ravel()])
+    return _summed(np.concatenate(ends), costs)
+
+
+def _summed(pairs: np.ndarray, costs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sum what is said of the same pair, and leave out pairs of one region."""
+    apart = pairs[:, 0] != pairs[:, 1]
+    found, which = np.unique(np.sort(pairs[apart], axis=1), axis=0, return_inverse=True)
+    return found, np.bincount(which.ravel(), costs[apart], minlength=len(found))
+
+
+def _best_of_both(pairs: np.ndarray, gain: np.ndarray, count: int) -> np.ndarray | None:
+    """Return into which region every one goes where two are each other's best and gain; (count,) int, None if none."""
+    order = np.argsort(-gain, kind="stable")
+    best = np.full(count, -1)
+    for side in (0, 1):
+        ends = pairs[order, side]
+        first, place = np.unique(ends, return_index=True)
+        other = best[first]
+        better = (other < 0) | (gain[order[place]] > np.where(other < 0, -np.inf, gain[other]))
+        tied = (other >= 0) & (gain[order[place]] == gain[np.maximum(other, 0)]) & (order[place] < other)
+        best[first] = np.where(better | tied, order[place], other)
+    mutual = (best[pairs[:, 0]] == np.arange(len(pairs))) & (best[pairs[:, 1]] == np.arange(len(pairs))) & (gain > 0)
+    if not mutual.any():
+        return None
+    into = np.arange(count)
+    into[pairs[mutual, 1]] = pairs[mutual, 0]
+    return into
+
+
+def _strongest(log_odds: np.ndarray) -> np.ndarray:
+    """Return the largest log odds of the links of every block; (h, w) float32."""
+    out = np.full(log_odds.shape[1:], -np.inf, np.float32)
+    rows, columns = log_odds[0, :-1], log_odds[1, :, :-1]
+    for part, values in ((np.s_[:-1], rows), (np.s_[1:], rows), (np.s_[:, :-1], columns), (np.s_[:, 1:], columns)):
+        out[part] = np.maximum(out[part], values)
+    return out

@@ -1,0 +1,117 @@
+"""Regions between depth edges, and how they join: known areas, spoilt, and asked for back."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.planar import block_costs, fits_of_regions
+from chromaperture.disparity.plane_fit import Volume
+from chromaperture.disparity.plane_regions import (
+    MOST_LOG_ODDS,
+    border_costs,
+    borders_of,
+    joined_regions,
+    regions_between_edges,
+)
+from chromaperture.planes_config import PlanesConfig
+
+FAST = execution_named("numba")
+LABELS_PX = np.arange(-3.0, 3.01, 0.1)
+
+
+def edges_of(area: np.ndarray, there: float = 4.0, elsewhere: float = -5.0) -> np.ndarray:
+    """Log odds of edges between blocks of different areas."""
+    out = np.full((2, *area.shape), elsewhere, np.float32)
+    out[0, :-1][area[1:] != area[:-1]] = there
+    out[1, :, :-1][area[:, 1:] != area[:, :-1]] = there
+    return out
+
+
+def cards(rng: np.random.Generator, height: int, width: int, count: int) -> np.ndarray:
+    """Number of the topmost of some cards on a wall; (height, width)."""
+    area = np.zeros((height, width), int)
+    for k in range(1, count + 1):
+        y, x = rng.integers(0, height - 8), rng.integers(0, width - 8)
+        area[y : y + rng.integers(8, 20), x : x + rng.integers(8, 20)] = k
+    return area
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**31), count=st.integers(0, 4), noise=st.sampled_from([0.0, 0.5]))
+def test_no_region_crosses_an_edge_that_closes(seed: int, count: int, noise: float) -> None:
+    rng = np.random.default_rng(seed)
+    area = cards(rng, 40, 50, count)
+    odds = edges_of(area) + noise * rng.normal(size=(2, 40, 50)).astype(np.float32)
+    region = regions_between_edges(odds)
+    assert region.shape == area.shape
+    assert np.array_equal(np.unique(region), np.arange(region.max() + 1))
+    astray = 0
+    for k in np.unique(region):
+        inside = area == np.bincount(area[region == k]).argmax()
+        # A block's strongest link speaks for it, so a border may lie one block aside.
+        astray += ((region == k) & ~cv2.dilate(inside.astype(np.uint8), np.ones((3, 3))).astype(bool)).sum()
+    assert astray <= 0.01 * area.size  # corners of cards, and slivers between them that are a block wide
+
+
+def test_an_even_picture_is_one_region() -> None:
+    assert regions_between_edges(np.full((2, 9, 12), -5, np.float32)).max() == 0
+
+
+def energy(region: np.ndarray, cost: np.ndarray, links: np.ndarray, penalty: float) -> float:
+    """What planes and borders cost, region by region."""
+    numbers = np.unique(region)
+    total = penalty * len(numbers) + sum(cost[region == k].sum(axis=0).min() for k in numbers)
+    total += links[0, :-1][region[1:] != region[:-1]].sum()
+    return float(total + links[1, :, :-1][region[:, 1:] != region[:, :-1]].sum())
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**31), penalty=st.sampled_from([0.0, 1.0, 10.0]), scale=st.sampled_from([0.0, 0.3, 3.0]))
+def test_joining_lowers_the_energy_until_no_pair_does(seed: int, penalty: float, scale: float) -> None:
+    rng = np.random.default_rng(seed)
+    region = np.arange(30).reshape(5, 6)
+    cost, links = rng.normal(size=(5, 6, 4)), scale * rng.random((2, 5, 6))
+    found = joined_regions(region, cost, links, plane_penalty=penalty)
+    least = energy(found.region, cost, links, penalty)
+    assert least <= energy(region, cost, links, penalty) + 1e-9
+    for k, plane in enumerate(found.plane):
+        assert plane == cost[found.region == k].sum(axis=0).argmin()
+    for one, other in borders_of(found.region, links)[0]:
+        assert energy(np.where(found.region == other, one, found.region), cost, links, penalty) >= least - 1e-9
+
+
+def test_borders_are_summed() -> None:
+    region = np.array([[0, 0, 1], [2, 2, 1]])
+    links = np.arange(12, dtype=float).reshape(2, 2, 3)
+    pairs, border = borders_of(region, links)
+    # 0 meets 2 below twice (links 0 and 1), 1 at the right (7); 2 meets 1 at the right (10).
+    assert pairs.tolist() == [[0, 1], [0, 2], [1, 2]]
+    assert border.tolist() == [7, 1, 10]
+
+
+def test_a_sure_edge_costs_nothing_and_a_sure_surface_no_more_than_the_limit() -> None:
+    costs = border_costs(np.array([8.0, 0.0, -2.0, -50.0]), 5.0)
+    assert costs.tolist() == [0, 0, 10, 5 * MOST_LOG_ODDS]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_planes_between_edges_are_found_although_blocks_beside_them_speak_for_the_near_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    area = np.zeros((30, 45), int)
+    area[8:22, 12:30] = 1
+    truth = np.where(area == 1, -1.0, 1.5)
+    seen = truth.copy()
+    seen[6:24, 10:32] = -1.0  # windows two blocks beyond the card see the card
+    away = (LABELS_PX - seen[..., None]) / 0.6
+    sums = (8 * np.maximum(0, 1 - away**2) + rng.normal(0, 0.5, away.shape)).astype(np.float32)
+    config = PlanesConfig(learned_border_nats=(5.0,))
+    blocks = Volume(sums, LABELS_PX, block_costs(config), FAST)
+    planes = np.array([[0, 0, c] for c in (-2.0, -1.0, 0.0, 1.5, 2.5)])
+    (fit,) = fits_of_regions(planes, blocks, edges_of(area), (120, 180), config=config)
+    # The volume's parabola is sampled at tenths; its place is found to a fraction of one.
+    assert np.mean(np.abs(fit.label_px[2::4, 2::4] - truth) < 0.1) > 0.99
