@@ -177,7 +177,7 @@ def main() -> None:
             f"area under precision and recall, {len(aside)} scenes aside: {precision(network, [*map(load, aside)]):.3f}"
         )
     if args.write:
-        MODEL.write_bytes(written(network))
+        Path(str(MODEL)).write_bytes(written(network))
 
 
 if __name__ == "__main__":

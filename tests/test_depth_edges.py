@@ -16,10 +16,12 @@ from chromaperture.optics.render import render, render_depth
 from chromaperture.optics.scene import plane
 from chromaperture.optics.sensor import SensorModel, develop, expose
 from chromaperture.optics.textures import noise
+from chromaperture.products.samples import open_sample
 
 
 def pattern(seed: int, color: tuple[float, float, float]) -> np.ndarray:
-    return np.clip(noise((300, 300), seed=seed, exponent=1.0, mean=0.5, contrast=0.15)[..., None] * np.array(color), 0.01, 1)
+    grey = noise((300, 300), seed=seed, exponent=1.0, mean=0.5, contrast=0.15)
+    return np.clip(grey[..., None] * np.array(color), 0.01, 1)
 
 
 def captured(design: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -75,3 +77,9 @@ def test_an_even_photograph_has_no_edges(light: float) -> None:
 
 def test_the_network_is_small() -> None:
     assert len(MODEL.read_bytes()) < 1_000_000
+
+
+def test_pictures_too_small_for_planes_need_no_edges() -> None:
+    camera, image = open_sample("still_life_cy_halves", quality="accurate")
+    assert camera.method.depth_edges(image[:7]) is None
+    assert camera.method.depth_edges(image[:8]).shape == (2, 2, image.shape[1] // BLOCK_PX)

@@ -104,9 +104,16 @@ class AccurateMethod:
         surface = optimised_surface(
             likelihood, views.guide, labels_px, config=self.config.surface, planes=self.config.planes, run=self.run,
             known_within_px=sigma_of_range(labels_px), line_costs=self.line_costs(image),
-            depth_edges=edge_log_odds(image) if self.config.planes.learned_border_nats else None,
+            depth_edges=self.depth_edges(image),
         )  # fmt: skip
         return self.of_labels(surface, image, usable, labels_px)
+
+    def depth_edges(self, image: np.ndarray) -> np.ndarray | None:
+        """Return the log odds of depth edges in an image, as `clipped_filled` has it; None where nothing needs them."""
+        planes = self.config.planes
+        if not planes.learned_border_nats or min(image.shape[:2]) < 2 * planes.block_px:
+            return None
+        return edge_log_odds(image)
 
     def line_costs(self, image: np.ndarray) -> LineCosts | None:
         """Return what tells where edges are in an image, as `clipped_filled` has it."""
