@@ -50,9 +50,7 @@ VARIANTS: dict[str, MatcherConfig] = {
     "unmixed views": dataclasses.replace(REAL_TIME, space="unmixed"),
     "pure channels, else unmixed views": dataclasses.replace(REAL_TIME, space="pure"),
     "views read by Catmull and Rom's cubic": dataclasses.replace(
-        REAL_TIME,
-        views=ViewsConfig(presmooth_sigma_px=0.6, guide_range=0.15),
-        correlation=CorrelationConfig(cell_px=2),
+        REAL_TIME, views=ViewsConfig(presmooth_sigma_px=0.6, guide_range=0.15), correlation=CorrelationConfig(cell_px=2)
     ),
     "a score a pixel": dataclasses.replace(
         REAL_TIME, correlation=dataclasses.replace(REAL_TIME.correlation, cell_px=1)
@@ -76,7 +74,7 @@ VARIANTS: dict[str, MatcherConfig] = {
 ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only",
             "one octave", "three octaves", "window of 8 px", "pairs of channels alone", "no planes",
             "planes keep every slope", "edges where the evidence has them", "edges where the guide has them",
-            "one fit votes", "five fits vote", "one fit wherever the surface allows it", "planes everywhere",
+            "the guide leads borders", "one fit votes", "five fits vote", "one fit wherever the surface allows it", "planes everywhere",
             "error bar not learned", "no total variation", "four paths", "penalties a tenth",
             "penalties not led by the guide", "one curve for the frame")  # fmt: skip
 
@@ -112,9 +110,12 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
         "pairs of channels alone": {"spectral": dataclasses.replace(config.matcher.spectral, gain=0.0)},
         "no planes": {"planes": dataclasses.replace(planes, rounds=0)},
         "planes keep every slope": {"planes": dataclasses.replace(planes, slope_tolerance=0.0)},
-        "one fit votes": {"planes": dataclasses.replace(planes, vote_factors=(1.0,))},
-        "five fits vote": {"planes": dataclasses.replace(planes, vote_factors=(1.0, 0.5, 0.7, 1.4, 2.0))},
-        "one fit wherever the surface allows it": {"planes": dataclasses.replace(planes, vote_factors=())},
+        "the guide leads borders": {"planes": config.matcher.with_guided_borders().planes},
+        "one fit votes": {"planes": dataclasses.replace(planes, learned_border_nats=(5.0,))},
+        "five fits vote": {"planes": dataclasses.replace(planes, learned_border_nats=(5.0, 2.5, 10.0, 1.25, 20.0))},
+        "one fit wherever the surface allows it": {
+            "planes": dataclasses.replace(planes, vote_factors=(), learned_border_nats=())
+        },
         "edges where the evidence has them": {"planes": dataclasses.replace(planes, edge_band_px=0)},
         "edges where the guide has them": {"planes": dataclasses.replace(planes, edge_lines=False)},
         "error bar not learned": {"surface": dataclasses.replace(surface, learned_error_bar=False)},
