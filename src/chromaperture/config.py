@@ -263,7 +263,8 @@ class AccurateConfig(MatcherConfig):
         noise (``disparity/half_pixel_likelihood.py``). The error bar is not the learned one, which knows other
         evidence: with it .65 and .93 of the errors of real boxes lie within one and two bars and .59 and .78 of casual
         scenes, without .74, .97, .67 and .86 (``benchmarks/dual_pixel.py``). With `PlanesConfig`'s own ``edge_share``
-        of 0.4 they are .70, .96, .62 and .81.
+        of 0.4 they are .70, .96, .62 and .81. Depth edges of the photograph gain nothing (six of the rooms of
+        ``benchmarks/half_pixel_rooms.py``: .766 and .764 within a ratio of 1.25), so the guide leads borders.
 
         Raises
         ------
@@ -273,10 +274,8 @@ class AccurateConfig(MatcherConfig):
         if not isinstance(self.evidence, CrossFilterConfig):
             raise InputError("half pixels are matched with the blur: start from AccurateConfig.for_blur")
         evidence = replace(self.evidence, own_detail=True, allowed_growth=ALLOWED_GROWTH)
-        surface, planes = (
-            replace(self.surface, learned_error_bar=False),
-            replace(self.planes, edge_share=1.0, learned_border_nats=()),
-        )
+        surface = replace(self.surface, learned_error_bar=False)
+        planes = replace(self.planes, edge_share=1.0, learned_border_nats=())
         spectral = replace(self.spectral, dual_pixel=True)
         return replace(self, evidence=evidence, surface=surface, planes=planes, spectral=spectral)
 

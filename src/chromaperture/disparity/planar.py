@@ -84,10 +84,9 @@ def planes_of_surface(
         return None
     costs = block_costs(config)
     blocks = Volume(block_sums(likelihood, size), labels_px, costs, run)
-    learned = depth_edges is not None and bool(config.learned_border_nats) and size == BLOCK_PX
-    if learned:
-        assert depth_edges is not None
-        fits = fits_of_regions(planes, blocks, depth_edges, guide.shape, config=config)
+    edges = depth_edges if config.learned_border_nats and size == BLOCK_PX else None
+    if edges is not None:
+        fits = fits_of_regions(planes, blocks, edges, guide.shape, config=config)
     else:
         links = links_of_blocks(guide, config=config, surface=surface)
 
@@ -99,7 +98,7 @@ def planes_of_surface(
             return fitting_planes(planes, blocks, guide.shape, choose, config=config)
 
         fits = [fit(factor) for factor in config.vote_factors or (1.0,)]
-    votes = learned or config.vote_factors
+    votes = edges is not None or config.vote_factors
     found = voted_planes(fits, label_px, sigma_px, blocks.step_px, size) if votes else fits[0]
     if config.edge_band_px == 0:
         return found
