@@ -74,8 +74,8 @@ VARIANTS: dict[str, MatcherConfig] = {
 ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only",
             "one octave", "three octaves", "window of 8 px", "pairs of channels alone", "no planes",
             "planes keep every slope", "edges where the evidence has them", "edges where the guide has them",
-            "the guide leads borders", "one fit votes", "five fits vote", "one fit wherever the surface allows it", "planes everywhere",
-            "error bar not learned", "no total variation", "four paths", "penalties a tenth",
+            "the guide leads borders", "one fit votes", "five fits vote", "one fit wherever the surface allows it",
+            "planes everywhere", "error bar not learned", "no total variation", "four paths", "penalties a tenth",
             "penalties not led by the guide", "one curve for the frame")  # fmt: skip
 
 
