@@ -50,7 +50,9 @@ VARIANTS: dict[str, MatcherConfig] = {
     "unmixed views": dataclasses.replace(REAL_TIME, space="unmixed"),
     "pure channels, else unmixed views": dataclasses.replace(REAL_TIME, space="pure"),
     "views read by Catmull and Rom's cubic": dataclasses.replace(
-        REAL_TIME, views=ViewsConfig(presmooth_sigma_px=0.6, guide_range=0.15), correlation=CorrelationConfig(cell_px=2)
+        REAL_TIME,
+        views=ViewsConfig(presmooth_sigma_px=0.6, guide_range=0.15),
+        correlation=CorrelationConfig(cell_px=2),
     ),
     "a score a pixel": dataclasses.replace(
         REAL_TIME, correlation=dataclasses.replace(REAL_TIME.correlation, cell_px=1)

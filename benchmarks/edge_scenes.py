@@ -14,26 +14,24 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from error_bar_scenes import NEAREST_MM, few_surfaces, random_scene, texture
+from error_bar_scenes import NEAREST_MM, few_surfaces, photographed, random_scene, texture
 from numpy.random import Generator
 
+from chromaperture.disparity.depth_edges import BLOCK_PX
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import RayTable, lens_rays
-from chromaperture.optics.render import render, render_depth
 from chromaperture.optics.scene import Plane, plane
-from chromaperture.optics.sensor import SensorModel, develop, expose
 
-BLOCK_PX = 4
 PITCH_MM = 0.03097
 SIZES = ((720, 480), (720, 480), (360, 240))
 EXPOSURES = (0.2, 0.5, 0.9, 0.9)  # of the white level
 FILMS = ("ideal", "real", "leaky")
-# Between neighbouring pixels, of the distance. A floor in view changes by .007 a pixel at most.
-STEP = 0.015
-# Change of the slope of 1 / distance from one pixel to the next, of 1 / distance: a floor meets a wall with .001 to
-# .007.
+CUT_OUTS_MM = 2300.0  # the farthest; no wall is nearer
+STEP = 0.015  # between neighbouring pixels, of the distance; the steepest surfaces of these scenes reach it
+# Change of the slope of 1 / distance from one pixel to the next, of 1 / distance. In sixteen scenes the median of those
+# above is .0015 to .0029, and 99 % of all pixels are below 5e-7.
 FOLD = 5e-4
 
 
@@ -84,9 +82,8 @@ def scene(seed: int, half_field: tuple[float, float]) -> list[Plane]:
     """Draw the rooms of `error_bar_scenes`, two in three with things of other outlines before them."""
     rng = np.random.default_rng(seed + 50000)
     planes = (few_surfaces if seed % 2 else random_scene)(seed, half_field)
-    farthest = float(planes[0].center_mm[2]) if hasattr(planes[0], "center_mm") else 2300.0
     if seed % 3:
-        planes = planes + [cut_out(rng, half_field, min(farthest, 2300.0)) for _ in range(rng.integers(1, 6))]
+        planes = planes + [cut_out(rng, half_field, CUT_OUTS_MM) for _ in range(rng.integers(1, 6))]
     return planes
 
 
@@ -132,12 +129,7 @@ def captures(seed: int, scenes: int, keep: Callable[[int, np.ndarray, np.ndarray
     """Photograph scenes through one camera."""
     table, half_field = camera(seed)
     for number in range(seed * 100, seed * 100 + scenes):
-        planes = scene(number, half_field)
-        light, truth = render(table, planes, seed=number), render_depth(table, planes)
-        rng = np.random.default_rng(number + 77)
-        exposure = rng.choice(EXPOSURES) / np.percentile(light.max(axis=2), 99.5)
-        image = np.minimum(develop(expose(light, SensorModel(), seed=number, exposure=exposure), SensorModel()), 1)
-        keep(number, image, truth)
+        keep(number, *photographed(table, scene(number, half_field), seed=number, exposures=EXPOSURES))
 
 
 def main() -> None:

@@ -5,6 +5,7 @@ Photographs are those that scikit-image brings (public domain or CC0): `pip inst
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 
 import cv2
@@ -12,7 +13,10 @@ import numpy as np
 from numpy.random import Generator
 from skimage import data
 
+from chromaperture.optics.ray_table import RayTable
+from chromaperture.optics.render import render, render_depth
 from chromaperture.optics.scene import Plane, plane
+from chromaperture.optics.sensor import SensorModel, develop, expose
 from chromaperture.optics.textures import noise, srgb_to_linear
 
 PHOTOGRAPHS = ("astronaut", "coffee", "chelsea", "rocket", "immunohistochemistry", "hubble_deep_field")
@@ -176,3 +180,21 @@ def card(rng: Generator, half_field: tuple[float, float], farthest_mm: float) ->
         place = x + side * (width / 2 + deep * cosine), y, z + deep * sine
         found.append(plane(part, center_mm=place, width_mm=deep, tilt_deg=(0, -side * turn, 0)))
     return found
+
+
+def photographed(
+    table: RayTable, planes: list[Plane], *, seed: int, exposures: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Photograph a scene, its brightest half percent at one of some shares of the white level.
+
+    Returns
+    -------
+    image : (H, W, 3) float
+        With noise, at most 1.
+    truth_mm : (H, W) float
+    """
+    rng = np.random.default_rng(seed + 77)
+    light, truth_mm = render(table, planes, seed=seed), render_depth(table, planes)
+    exposure = rng.choice(exposures) / np.percentile(light.max(axis=2), 99.5)
+    image = develop(expose(light, SensorModel(), seed=seed, exposure=exposure), SensorModel())
+    return np.minimum(image, 1), truth_mm

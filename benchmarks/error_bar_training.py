@@ -37,8 +37,6 @@ from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_rays
-from chromaperture.optics.render import render, render_depth
-from chromaperture.optics.sensor import SensorModel, develop, expose
 
 EVERY_PX = 6
 # Of the errors, within one and two bars. Of Gaussian errors they are .68 and .95. Errors here have a heavy tail: both
@@ -54,7 +52,11 @@ EXPOSURES = (0.2, 0.5, 0.9, 0.9, 0.9)  # of the white level
 
 def draw(args: argparse.Namespace) -> None:
     """Render scenes and keep them with their truth."""
-    from error_bar_scenes import few_surfaces, random_scene  # their photographs are scikit-image's, not needed to fit
+    from error_bar_scenes import (  # their photographs are scikit-image's, not needed to fit
+        few_surfaces,
+        photographed,
+        random_scene,
+    )
 
     calibration = Calibration.load(args.camera)
     sensor = calibration.sensor
@@ -65,10 +67,7 @@ def draw(args: argparse.Namespace) -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     for seed in range(args.first, args.first + args.scenes):
         planes = (few_surfaces if seed % 2 else random_scene)(seed, (half_field[0], half_field[1]))
-        rng = np.random.default_rng(seed + 77)
-        light, truth = render(table, planes, seed=seed), render_depth(table, planes)
-        exposure = rng.choice(EXPOSURES) / np.percentile(light.max(axis=2), 99.5)
-        image = np.minimum(develop(expose(light, SensorModel(), seed=seed, exposure=exposure), SensorModel()), 1)
+        image, truth = photographed(table, planes, seed=seed, exposures=EXPOSURES)
         maps = {"image": image.astype(np.float32), "truth_mm": truth.astype(np.float32)}
         np.savez(args.out / f"{args.camera.stem}_{seed}.npz", **maps)
 

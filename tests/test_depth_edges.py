@@ -49,7 +49,7 @@ def test_the_outline_of_a_card_is_found(design: str) -> None:
         true, found = a != b, (odds[0, :-1] if axis == 0 else odds[1, :, :-1])
         # Of a random pair of an edge and none the edge has the larger log odds: the area under the ROC curve.
         above = (found[true][:, None] > found[~true][None]).mean()
-        assert above > 0.97, (axis, above)  # .99 or more when it was trained
+        assert above > 0.97, (axis, above)  # .984 to .992 when it was trained
 
 
 def test_light_and_exposure_do_not_matter() -> None:

@@ -82,22 +82,13 @@ def planes_of_surface(
     planes = candidates(label_px, sigma_px, pixels, config.tiles_px)
     if not len(planes):
         return None
-    costs = block_costs(config)
-    blocks = Volume(block_sums(likelihood, size), labels_px, costs, run)
+    blocks = Volume(block_sums(likelihood, size), labels_px, block_costs(config), run)
     edges = depth_edges if config.learned_border_nats and size == BLOCK_PX else None
     if edges is not None:
         fits = fits_of_regions(planes, blocks, edges, guide.shape, config=config)
     else:
         links = links_of_blocks(guide, config=config, surface=surface)
-
-        def fit(factor: float) -> Planes:
-            def choose(planes: np.ndarray) -> np.ndarray:
-                cost = run.plane_costs(blocks.likelihood, planes, labels_px, costs)
-                return np.asarray(run.potts_beliefs(cost, links * factor, sweeps=config.sweeps).argmin(axis=2))
-
-            return fitting_planes(planes, blocks, guide.shape, choose, config=config)
-
-        fits = [fit(factor) for factor in config.vote_factors or (1.0,)]
+        fits = fits_of_blocks(planes, blocks, links, guide.shape, config=config)
     votes = edges is not None or config.vote_factors
     found = voted_planes(fits, label_px, sigma_px, blocks.step_px, size) if votes else fits[0]
     if config.edge_band_px == 0:
@@ -164,6 +155,24 @@ def fitting_planes(
             break
         planes, choice = merged_planes(choice, planes, blocks, config=config, border=-(-config.border_px // size))
     return planes_of_pixels(planes, choice, shape, size)._replace(blocks=blocks)
+
+
+def fits_of_blocks(
+    planes: np.ndarray, blocks: Volume, links: np.ndarray, shape: tuple[int, int], *, config: PlanesConfig
+) -> list[Planes]:
+    """Let blocks choose planes by belief propagation, a fit for each of ``vote_factors``, or one.
+
+    Parameters are those of `fits_of_regions`, and ``links``, (2, h, w) float: as `links_of_blocks`.
+    """
+
+    def fit(factor: float) -> Planes:
+        def choose(planes: np.ndarray) -> np.ndarray:
+            cost = blocks.run.plane_costs(blocks.likelihood, planes, blocks.labels_px, blocks.costs)
+            return np.asarray(blocks.run.potts_beliefs(cost, links * factor, sweeps=config.sweeps).argmin(axis=2))
+
+        return fitting_planes(planes, blocks, shape, choose, config=config)
+
+    return [fit(factor) for factor in config.vote_factors or (1.0,)]
 
 
 def fits_of_regions(

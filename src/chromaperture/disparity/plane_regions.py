@@ -57,15 +57,12 @@ def regions_between_edges(log_odds: np.ndarray) -> np.ndarray:
         From 0 on.
     """
     of_block = cv2.GaussianBlur(_strongest(log_odds), (0, 0), SMOOTH_BLOCKS)
-    place = np.arange(of_block.size).reshape(of_block.shape)
     lowest, _ = ndimage.label(of_block == ndimage.minimum_filter(of_block, size=3), structure=np.ones((3, 3)))
     starts = np.unique(lowest, return_index=True)[1]
     starts = starts[lowest.ravel()[starts] > 0]
-    ends = [(place[:-1], place[1:]), (place[:, :-1], place[:, 1:])]
-    one, other = (np.concatenate([pair[side].ravel() for pair in ends]) for side in (0, 1))
+    one, other = _ends_of_links(np.arange(of_block.size).reshape(of_block.shape))
     # Both links of a block on a ridge are as high as the block: their own log odds tell to which side it belongs.
-    link = np.concatenate([log_odds[0, :-1].ravel(), log_odds[1, :, :-1].ravel()])
-    above = np.maximum(of_block.ravel()[one], of_block.ravel()[other]) + OF_LINK * link
+    above = np.maximum(*_ends_of_links(of_block)) + OF_LINK * _of_links(log_odds)
     above -= above.min() - 2  # a sparse 0 is no edge
     rows = np.concatenate([one, np.full(len(starts), of_block.size)])
     weights = np.concatenate([above, np.ones(len(starts))])
@@ -115,12 +112,19 @@ def joined_regions(region: np.ndarray, cost: np.ndarray, links: np.ndarray, *, p
 
 def borders_of(region: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the pairs of regions that meet, (P, 2) int, the lower first, and what their borders cost, (P,)."""
-    ends = [
-        np.stack([a.ravel(), b.ravel()], axis=1)
-        for a, b in ((region[:-1], region[1:]), (region[:, :-1], region[:, 1:]))
-    ]
-    costs = np.concatenate([links[0, :-1].ravel(), links[1, :, :-1].ravel()])
-    return _summed(np.concatenate(ends), costs)
+    return _summed(np.stack(_ends_of_links(region), axis=1), _of_links(links))
+
+
+def _ends_of_links(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what a map (h, w) has at both ends of every link, those between rows first; (L,) each."""
+    ends = (values[:-1], values[1:]), (values[:, :-1], values[:, 1:])
+    one, other = (np.concatenate([pair[side].ravel() for pair in ends]) for side in (0, 1))
+    return one, other
+
+
+def _of_links(links: np.ndarray) -> np.ndarray:
+    """Return the links (2, h, w) that have two ends, in the same order; (L,)."""
+    return np.concatenate([links[0, :-1].ravel(), links[1, :, :-1].ravel()])
 
 
 def _summed(pairs: np.ndarray, costs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -132,16 +136,12 @@ def _summed(pairs: np.ndarray, costs: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def _best_of_both(pairs: np.ndarray, gain: np.ndarray, count: int) -> np.ndarray | None:
     """Return into which region every one goes where two are each other's best and gain; (count,) int, None if none."""
-    order = np.argsort(-gain, kind="stable")
-    best = np.full(count, -1)
+    rank = np.empty(len(pairs), int)
+    rank[np.argsort(-gain, kind="stable")] = np.arange(len(pairs))
+    best = np.full(count, len(pairs))
     for side in (0, 1):
-        ends = pairs[order, side]
-        first, place = np.unique(ends, return_index=True)
-        other = best[first]
-        better = (other < 0) | (gain[order[place]] > np.where(other < 0, -np.inf, gain[other]))
-        tied = (other >= 0) & (gain[order[place]] == gain[np.maximum(other, 0)]) & (order[place] < other)
-        best[first] = np.where(better | tied, order[place], other)
-    mutual = (best[pairs[:, 0]] == np.arange(len(pairs))) & (best[pairs[:, 1]] == np.arange(len(pairs))) & (gain > 0)
+        np.minimum.at(best, pairs[:, side], rank)
+    mutual = (best[pairs] == rank[:, None]).all(axis=1) & (gain > 0)
     if not mutual.any():
         return None
     into = np.arange(count)

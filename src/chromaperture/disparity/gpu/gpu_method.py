@@ -208,7 +208,8 @@ def on_device(method: Method, choice: str, note: Callable[[str], None], *, pixel
     choice : str
         As `chosen_device`.
     note : callable
-        Called with one line where a device was asked for and the CPU is taken, or the device is software.
+        Called with one line where a device was asked for and the CPU is taken, where the device is software, and where
+        it computes less than the CPU.
     pixels : int
         Of a photograph. Where the device has no array for it the CPU reduces it to the working scale.
     """
