@@ -1,6 +1,6 @@
 """Random captures with known depth edges for `edge_training.py`: cards of any outline, through random cameras.
 
-    python benchmarks/edge_scenes.py --out FOLDER [--cameras 60] [--scenes 10] [--first 0]
+    python benchmarks/edge_scenes.py --out FOLDER [--cameras 60] [--scenes 10] [--first 0] [--rooms]
 
 Every camera has another design, film, lens and focus. Kept are the photograph at half its resolution, linear light, and
 between which blocks of 4 px the true distance jumps or bends. One camera of ten scenes takes 30 s on two cores.
@@ -15,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from error_bar_scenes import NEAREST_MM, few_surfaces, photographed, random_scene, texture
+from furnished_rooms import cover_of_card, furnished_room
 from numpy.random import Generator
 
 from chromaperture.disparity.depth_edges import BLOCK_PX
@@ -27,6 +28,7 @@ from chromaperture.optics.scene import Plane, plane
 PITCH_MM = 0.03097
 SIZES = ((720, 480), (720, 480), (360, 240))
 EXPOSURES = (0.2, 0.5, 0.9, 0.9)  # of the white level
+EXPOSURES_OF_ROOMS = (0.06, 0.2, 0.5, 0.9)
 FILMS = ("ideal", "real", "leaky")
 CUT_OUTS_MM = 2300.0  # the farthest; no wall is nearer
 STEP = 0.015  # between neighbouring pixels, of the distance; the steepest surfaces of these scenes reach it
@@ -62,28 +64,32 @@ def outline(rng: Generator, height: int, width: int) -> np.ndarray:
     return cover
 
 
-def cut_out(rng: Generator, half_field: tuple[float, float], farthest_mm: float) -> Plane:
+def cut_out(
+    rng: Generator, half_field: tuple[float, float], farthest_mm: float, cover: Callable[[Generator, int], np.ndarray]
+) -> Plane:
     """Draw a card of any outline anywhere in view, evenly in 1 / distance."""
     z = min(NEAREST_MM / (1 - rng.random() * (1 - NEAREST_MM / farthest_mm)), farthest_mm)
     x, y = (rng.uniform(-1, 1) * half * z for half in half_field)
-    picture = texture(rng, int(rng.choice([300, 500, 800])))
+    picture = cover(rng, int(rng.choice([300, 500, 800])))
     picture = picture[: int(len(picture) * rng.uniform(0.4, 1))]
     tilt = (
         rng.uniform(-30, 30) * (rng.random() < 0.2),
         rng.uniform(-45, 45) * (rng.random() < 0.25),
         rng.uniform(0, 360),
     )
-    cover = outline(rng, *picture.shape[:2])
+    shape = outline(rng, *picture.shape[:2])
     width = 2 * half_field[0] * z * rng.uniform(0.12, 0.6)
-    return plane(np.dstack([picture, cover]), center_mm=(x, y, z), width_mm=width, tilt_deg=tilt)
+    return plane(np.dstack([picture, shape]), center_mm=(x, y, z), width_mm=width, tilt_deg=tilt)
 
 
-def scene(seed: int, half_field: tuple[float, float]) -> list[Plane]:
-    """Draw the rooms of `error_bar_scenes`, two in three with things of other outlines before them."""
+def scene(seed: int, half_field: tuple[float, float], *, furnished: bool) -> list[Plane]:
+    """Draw the rooms of `error_bar_scenes` or `furnished_rooms`, two in three with things of other outlines in them."""
     rng = np.random.default_rng(seed + 50000)
-    planes = (few_surfaces if seed % 2 else random_scene)(seed, half_field)
+    room = furnished_room if furnished else few_surfaces if seed % 2 else random_scene
+    planes = room(seed, half_field)
     if seed % 3:
-        planes = planes + [cut_out(rng, half_field, CUT_OUTS_MM) for _ in range(rng.integers(1, 6))]
+        cover = cover_of_card if furnished else texture
+        planes = planes + [cut_out(rng, half_field, CUT_OUTS_MM, cover) for _ in range(rng.integers(1, 6))]
     return planes
 
 
@@ -125,11 +131,15 @@ def camera(seed: int) -> tuple[RayTable, tuple[float, float]]:
     return table, (float(half[0]), float(half[1]))
 
 
-def captures(seed: int, scenes: int, keep: Callable[[int, np.ndarray, np.ndarray], None]) -> None:
+def captures(
+    seed: int, scenes: int, keep: Callable[[int, np.ndarray, np.ndarray], None], *, furnished: bool
+) -> None:
     """Photograph scenes through one camera."""
     table, half_field = camera(seed)
+    exposures = EXPOSURES_OF_ROOMS if furnished else EXPOSURES
     for number in range(seed * 100, seed * 100 + scenes):
-        keep(number, *photographed(table, scene(number, half_field), seed=number, exposures=EXPOSURES))
+        planes = scene(number, half_field, furnished=furnished)
+        keep(number, *photographed(table, planes, seed=number, exposures=exposures))
 
 
 def main() -> None:
@@ -138,6 +148,7 @@ def main() -> None:
     arguments.add_argument("--cameras", type=int, default=60)
     arguments.add_argument("--scenes", type=int, default=10, help="of every camera")
     arguments.add_argument("--first", type=int, default=0, help="number of the first camera")
+    arguments.add_argument("--rooms", action="store_true", help="of furnished_rooms.py")
     args = arguments.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
 
@@ -146,7 +157,7 @@ def main() -> None:
         np.savez_compressed(args.out / f"{number}.npz", image=half.astype(np.float16), edges=edges_of(truth_mm))
 
     for seed in range(args.first, args.first + args.cameras):
-        captures(seed, args.scenes, keep)
+        captures(seed, args.scenes, keep, furnished=args.rooms)
         print(f"camera {seed}", flush=True)
 
 

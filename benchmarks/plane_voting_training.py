@@ -1,6 +1,6 @@
 """Find the weights of `plane_voting.py`, by which fits of planes and the surface that they explain vote.
 
-    python benchmarks/error_bar_training.py draw II.asdf --lens achromat_50 --focus-mm 1800 --out pictures
+    python benchmarks/error_bar_training.py draw II.asdf --lens achromat_50 --focus-mm 1800 --rooms --out pictures
     ...                                                                             # every other camera
     python benchmarks/plane_voting_training.py measure *.asdf --pictures pictures --out measured
     python benchmarks/plane_voting_training.py fit measured [--aside NAME ...]
@@ -31,7 +31,7 @@ from chromaperture.disparity.plane_agreement import where_they_agree
 LIMITS = 0.02, 0.05  # of the true distance
 PARTS = 4
 NEWTON_STEPS = 20
-NAMES = tuple(plane_voting.WEIGHTS)
+NAMES = tuple(plane_voting.OF_REGIONS.weights)
 
 Scene = dict[str, np.ndarray]
 
@@ -55,7 +55,7 @@ def kept(camera: CodedApertureCamera, image: np.ndarray, truth_mm: np.ndarray) -
     told: dict[str, np.ndarray] = {}
     labels: dict[str, np.ndarray] = {}
 
-    def asked(fits, surface_px, sigma_px, step_px, block_px):
+    def asked(fits, surface_px, sigma_px, step_px, block_px, *, trust):
         told.update(plane_voting.signs_of_trust(fits, surface_px, sigma_px, step_px, block_px))
         labels["plane"] = np.stack([fit.label_px for fit in fits])
         labels["surface"] = surface_px
@@ -63,7 +63,7 @@ def kept(camera: CodedApertureCamera, image: np.ndarray, truth_mm: np.ndarray) -
         some = middles(block_px)
         told["plane"], told["surface"] = labels["plane"][some] / step_px, labels["surface"][some] / step_px
         told["block_px"] = np.array(block_px)
-        return real(fits, surface_px, sigma_px, step_px, block_px)
+        return real(fits, surface_px, sigma_px, step_px, block_px, trust=trust)
 
     real, planar.voted_planes = planar.voted_planes, asked
     try:

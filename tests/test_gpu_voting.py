@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from chromaperture.disparity.plane_fit import Planes
-from chromaperture.disparity.plane_voting import voted_planes
+from chromaperture.disparity.plane_voting import OF_GUIDED, voted_planes
 from chromaperture.stage_config import SurfaceConfig
 from test_gpu_agreement import planes_and_surface
 from test_gpu_surface import any_device
@@ -35,7 +35,7 @@ def test_fits_vote_alike(shape, seed):
 
     device = any_device()
     fits, surface, sigma = fits_of(np.random.default_rng(seed), *shape)
-    expected = voted_planes(fits, surface, sigma, STEP, BLOCK)
+    expected = voted_planes(fits, surface, sigma, STEP, BLOCK, trust=OF_GUIDED)
     grid, chain = Grid(*shape, 2), Chain(device)
     small = Grid(shape[0] // BLOCK, shape[1] // BLOCK, 2)
     a = surface_arrays(chain, grid, SurfaceConfig())

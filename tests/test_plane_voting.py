@@ -12,6 +12,9 @@ from scipy.ndimage import correlate1d
 from chromaperture.disparity import plane_voting
 from chromaperture.disparity.plane_fit import Planes
 from chromaperture.disparity.plane_voting import (
+    OF_GUIDED,
+    OF_REGIONS,
+    Trust,
     neighbour_differences,
     planes_or_surface,
     signs_of_trust,
@@ -102,12 +105,13 @@ def test_votes_do_not_depend_on_the_order_of_fits_or_the_level(label: np.ndarray
     assert ((of_planes > 0) & (of_planes <= 1 + 1e-9)).all()
 
 
-def test_two_fits_outvote_a_third() -> None:
+@pytest.mark.parametrize("trust", [OF_GUIDED, OF_REGIONS])
+def test_two_fits_outvote_a_third(trust: Trust) -> None:
     """Two fits have the border at column 44, one at 68; one more takes all for its second plane."""
     true = two_planes()
     sigma = np.full((60, 90), STEP / 2)
     for others in ([two_planes(border=68), two_planes()], [even(2.0), two_planes()]):
-        found = voted_planes([*others, true], true.label_px, sigma, STEP, BLOCK)
+        found = voted_planes([*others, true], true.label_px, sigma, STEP, BLOCK, trust=trust)
         label = planes_or_surface(found, true.label_px, STEP)
         # At a middle .4 labels away planes have .98 of the votes, which counts as the same place.
         np.testing.assert_allclose(found.label_px, true.label_px, atol=0.5 * STEP)
@@ -116,7 +120,8 @@ def test_two_fits_outvote_a_third() -> None:
         assert found.trusted.all()
 
 
-def test_noise_gives_way_to_planes_and_smooth_contradiction_does_not() -> None:
+@pytest.mark.parametrize("trust", [OF_GUIDED, OF_REGIONS])
+def test_noise_gives_way_to_planes_and_smooth_contradiction_does_not(trust: Trust) -> None:
     rng = np.random.default_rng(2)
     planes = two_planes(200, 300, 148)
     surface = planes.label_px + rng.normal(0, 3 * STEP, (200, 300))
@@ -124,7 +129,7 @@ def test_noise_gives_way_to_planes_and_smooth_contradiction_does_not() -> None:
     surface[:, 288:] = planes.label_px[:, 288:] + 0.9 * STEP
     sigma = np.full((200, 300), STEP / 2)
     sigma[:, :148] = 3 * STEP
-    found = voted_planes([planes] * 3, surface, sigma, STEP, BLOCK)
+    found = voted_planes([planes] * 3, surface, sigma, STEP, BLOCK, trust=trust)
     taken = planes_or_surface(found, surface, STEP)
     # 28 px from the border between both the window of 16 px holds a twentieth of the other side.
     np.testing.assert_array_equal(taken[:, :120], planes.label_px[:, :120])
@@ -134,7 +139,7 @@ def test_noise_gives_way_to_planes_and_smooth_contradiction_does_not() -> None:
 
 def test_one_fit_of_no_doubt_stays_as_it_is() -> None:
     planes = two_planes()
-    found = voted_planes([planes], planes.label_px, np.full((60, 90), 0.1), STEP, BLOCK)
+    found = voted_planes([planes], planes.label_px, np.full((60, 90), 0.1), STEP, BLOCK, trust=OF_REGIONS)
     np.testing.assert_array_equal(found.choice, planes.choice)
     np.testing.assert_array_equal(planes_or_surface(found, planes.label_px, STEP), planes.label_px)
 
@@ -153,6 +158,6 @@ def test_neighbour_differences_do_not_depend_on_the_axis_or_the_level(label: np.
 @pytest.mark.parametrize("shape", [(8, 41), (33, 9), (11, 8)])
 def test_pictures_may_be_narrow(shape: tuple[int, int]) -> None:
     fits = [even(1.0, *shape), even(6.0, *shape)]
-    found = voted_planes(fits, np.full(shape, 6.0), np.full(shape, 0.1), STEP, BLOCK)
+    found = voted_planes(fits, np.full(shape, 6.0), np.full(shape, 0.1), STEP, BLOCK, trust=OF_REGIONS)
     assert found.choice.shape == found.trusted.shape == shape
     np.testing.assert_array_equal(planes_or_surface(found, np.full(shape, 6.0), STEP), np.full(shape, 6.0, np.float32))

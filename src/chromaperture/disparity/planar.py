@@ -24,7 +24,7 @@ from chromaperture.disparity.plane_edges import LineCosts, choices_of, placed_ed
 from chromaperture.disparity.plane_fit import Planes, Volume, candidates
 from chromaperture.disparity.plane_merging import merged_planes
 from chromaperture.disparity.plane_regions import border_costs, joined_regions, regions_between_edges
-from chromaperture.disparity.plane_voting import voted_planes
+from chromaperture.disparity.plane_voting import OF_GUIDED, OF_REGIONS, voted_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
 from chromaperture.planes_config import PlanesConfig
@@ -35,6 +35,9 @@ from chromaperture.threads import BAND_ROWS, each_band
 # out: docs/measurements.md, "Depth edges in the photograph".
 BORDER_OF_REGIONS = 2 / 3  # of ``border_px``
 SLOPES_OF_REGIONS = 2.0  # times ``slope_tolerance``
+# Of its evidence that a sloped plane does not count beside level ones: few walls lean, and a far wall's evidence hardly
+# tells. docs/measurements.md, "Rooms as people photograph them", has 0, .025 and .05.
+SLOPED_LESS = 0.012
 BORDER_APART_LABELS = 1.5  # by which two planes differ for their border to be a depth edge; chosen by hand
 
 
@@ -89,8 +92,10 @@ def planes_of_surface(
     else:
         links = links_of_blocks(guide, config=config, surface=surface)
         fits = fits_of_blocks(planes, blocks, links, guide.shape, config=config)
-    votes = edges is not None or config.vote_factors
-    found = voted_planes(fits, label_px, sigma_px, blocks.step_px, size) if votes else fits[0]
+    found = fits[0]
+    if edges is not None or config.vote_factors:
+        trust = OF_GUIDED if edges is None else OF_REGIONS
+        found = voted_planes(fits, label_px, sigma_px, blocks.step_px, size, trust=trust)
     if config.edge_band_px == 0:
         return found
     choice = placed_edges(
@@ -192,10 +197,11 @@ def fits_of_regions(
         Height and width of the picture.
     config : PlanesConfig
     """
-    size = config.block_px
-    planes = _scaled(planes, size)
+    size, sloped = config.block_px, len(planes)
+    planes = np.concatenate([_scaled(planes, size), level_planes(blocks.labels_px)])
     region = regions_between_edges(log_odds)
     cost = blocks.run.plane_costs(blocks.likelihood, planes, blocks.labels_px, blocks.costs)
+    cost[..., :sloped] *= np.float32(1 - SLOPED_LESS)
     border = max(1, round(config.border_px * BORDER_OF_REGIONS / size))
     config = replace(config, slope_tolerance=config.slope_tolerance * SLOPES_OF_REGIONS)
 
@@ -205,6 +211,11 @@ def fits_of_regions(
         return planes_of_pixels(*merged, shape, size)._replace(blocks=blocks)
 
     return [fit(nats) for nats in config.learned_border_nats]
+
+
+def level_planes(labels_px: np.ndarray) -> np.ndarray:
+    """Return a plane of one label for every label; (N, 3)."""
+    return np.stack([np.zeros_like(labels_px), np.zeros_like(labels_px), labels_px], axis=1)
 
 
 def planes_of_pixels(planes: np.ndarray, choice: np.ndarray, shape: tuple[int, int], size: int) -> Planes:

@@ -15,6 +15,7 @@ D. R. Cox: The regression analysis of binary sequences. JRSS B 20, 1958. doi:10.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,14 +30,30 @@ LEAST = 0.02  # labels: smaller differences and error bars are not told apart, a
 NEAR_LABELS = 2.0  # standard deviation of what counts as the same place; 3: docs/measurements.md
 # Share of the most votes with which a plane is as good as the best: one .4 labels away is; 1: docs/measurements.md.
 ALIKE = 0.98
-# Log odds that the plane is nearer to the truth where both are more than a label apart, by sign; found by
-# ``benchmarks/plane_voting_training.py``.
-WEIGHTS = {"rough": 0.22, "posterior": 0.29, "rejected": -1.51, "agreed": 0.38}
-CONSTANT = 0.29
+
+
+class Trust(NamedTuple):
+    """Log odds that a plane is nearer to the truth where it and the surface are more than a label apart.
+
+    Attributes
+    ----------
+    weights : dict
+        Of `signs_of_trust`.
+    constant : float
+    """
+
+    weights: dict[str, float]
+    constant: float
+
+
+# Found by ``benchmarks/plane_voting_training.py``: planes that end at the guide's edges often have the wrong area, and
+# contradiction tells; planes that end at the photograph's depth edges are mostly right.
+OF_GUIDED = Trust({"rough": 0.22, "posterior": 0.29, "rejected": -1.51, "agreed": 0.38}, 0.29)
+OF_REGIONS = Trust({"rough": 0.09, "posterior": 0.34, "rejected": -0.32, "agreed": -0.12}, 0.42)
 
 
 def voted_planes(
-    fits: Sequence[Planes], surface_px: np.ndarray, sigma_px: np.ndarray, step_px: float, block_px: int
+    fits: Sequence[Planes], surface_px: np.ndarray, sigma_px: np.ndarray, step_px: float, block_px: int, *, trust: Trust
 ) -> Planes:
     """Give every block the plane for which most of the fits' probability speaks.
 
@@ -50,6 +67,8 @@ def voted_planes(
         Between two labels.
     block_px : int
         Side of a block. H and W are at least twice as large.
+    trust : Trust
+        In these fits.
 
     Returns
     -------
@@ -58,7 +77,7 @@ def voted_planes(
     """
     label_of = np.stack([block_means(fit.label_px, block_px) for fit in fits])
     signs = signs_of_trust(fits, surface_px, sigma_px, step_px, block_px)
-    log_odds = np.asarray(CONSTANT + sum(WEIGHTS[name] * sign for name, sign in signs.items()))
+    log_odds = np.asarray(trust.constant + sum(trust.weights[name] * sign for name, sign in signs.items()))
     of_planes, of_surface = votes(
         label_of / np.float32(step_px), block_means(surface_px, block_px) / np.float32(step_px), log_odds
     )

@@ -13,7 +13,7 @@ from chromaperture.disparity.gpu.surface_stages import Grid, SurfaceArrays, add_
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.learned_error_bar import POOLED_PX
 from chromaperture.disparity.plane_agreement import AGREEMENT_SIGMAS
-from chromaperture.disparity.plane_voting import ALIKE, CONSTANT, LEAST, MOST_DIFFERENCE, NEAR_LABELS, ROUGH_PX, WEIGHTS
+from chromaperture.disparity.plane_voting import ALIKE, LEAST, MOST_DIFFERENCE, NEAR_LABELS, OF_GUIDED, ROUGH_PX
 
 
 class Voted(NamedTuple):
@@ -82,10 +82,10 @@ def add_voted_planes(
     add_gaussian(chain, maps, maps_room, shape, gaussian_taps(POOLED_PX / block_px), parts=1, planes=1 + fits)
     add_gaussian(chain, differences, room, shape, gaussian_taps(ROUGH_PX / block_px), parts=1)
     choice, trusted = (chain.array(name, blocks, np.uint32) for name in ("voted_choice", "planes_trusted"))
-    weights: dict[str, Any] = dict(WEIGHTS)
+    weights: dict[str, Any] = dict(OF_GUIDED.weights)
     chain.add(
         "planes_voted", [choices, kept, maps, differences, heights, counts, choice, trusted],
         groups=groups, uses=uses, height=shape[0], width=shape[1], fits=fits, least=LEAST, near=NEAR_LABELS,
-        alike=ALIKE, constant=CONSTANT, **weights,
+        alike=ALIKE, constant=OF_GUIDED.constant, **weights,
     )  # fmt: skip
     return Voted(kept, number, choice, trusted)
