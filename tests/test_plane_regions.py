@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.planar import block_costs, fits_of_regions
+from chromaperture.disparity.planar import between_labels, block_costs, fits_of_regions
 from chromaperture.disparity.plane_fit import Volume
 from chromaperture.disparity.plane_regions import (
     MOST_LOG_ODDS,
@@ -115,3 +115,28 @@ def test_planes_between_edges_are_found_although_blocks_beside_them_speak_for_th
     (fit,) = fits_of_regions(planes, blocks, edges_of(area), (120, 180), config=config)
     # The volume's parabola is sampled at tenths; its place is found to a fraction of one.
     assert np.mean(np.abs(fit.label_px[2::4, 2::4] - truth) < 0.1) > 0.99
+
+
+@pytest.mark.parametrize("share", [0.0, 0.21, 0.5, 0.83])
+def test_level_planes_are_placed_between_labels_and_sloped_ones_stay(share: float) -> None:
+    step = LABELS_PX[1] - LABELS_PX[0]
+    nearest = LABELS_PX[20 + round(share)]
+    choice = np.zeros((30, 45), int)
+    choice[:, 30:] = 1
+    label = np.where(choice == 0, LABELS_PX[20] + share * step, LABELS_PX[5])
+    label[:, 28:30] = LABELS_PX[5]  # windows beside the other plane see that
+    sums = 8 * np.exp(-(((LABELS_PX - label[..., None]) / 0.6) ** 2))
+    blocks = Volume(sums.astype(np.float32), LABELS_PX, block_costs(PlanesConfig()), FAST)
+    planes = np.array([[0, 0, nearest], [0.001, 0, LABELS_PX[5]]])
+    found = between_labels(planes, choice, blocks, border=2)
+    # A Gaussian is a parabola to 1 % of a label where two of them are a third of its width.
+    np.testing.assert_allclose(found[0], [0, 0, LABELS_PX[20] + share * step], atol=0.02 * step)
+    np.testing.assert_array_equal(found[1], planes[1])
+
+
+def test_level_planes_at_an_end_of_the_range_stay() -> None:
+    sums = np.zeros((30, 45, len(LABELS_PX)), np.float32)
+    sums[..., 0] = 5
+    blocks = Volume(sums, LABELS_PX, block_costs(PlanesConfig()), FAST)
+    planes = np.array([[0, 0, LABELS_PX[0]]])
+    np.testing.assert_array_equal(between_labels(planes, np.zeros((30, 45), int), blocks, border=2), planes)
