@@ -21,6 +21,7 @@ from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_rays
 from chromaperture.optics.scene import Plane, plane
+from chromaperture.viewer.pictures import depth_picture
 
 WORDS = (
     "depth", "light", "colour", "pupil", "lens", "field", "focus", "aperture", "film", "ray", "optics", "sensor",
@@ -341,7 +342,7 @@ def main() -> None:
         half_field = float(half[0]), float(half[1])
         room = furnished_room(seed, half_field) + (bent_things(seed, half_field) if args.bent else [])
         image, depth_mm = photographed(table, room, seed=seed, exposures=(0.9,))
-        near = cv2.applyColorMap(np.uint8(255 * np.clip((1 / depth_mm - 2e-4) * 1250, 0, 1)), cv2.COLORMAP_TURBO)
+        near = depth_picture(depth_mm.astype(np.float32), near_mm=NEAREST_MM, far_mm=WALLS_MM[1])[..., ::-1]
         pictures.append(np.vstack([np.uint8(255 * np.sqrt(np.clip(image, 0, 1)))[..., ::-1], near]))
     rows = [np.hstack(pictures[row : row + 4]) for row in range(0, 12, 4)]
     cv2.imwrite(str(args.out), np.vstack(rows))
