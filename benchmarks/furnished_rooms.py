@@ -342,7 +342,8 @@ def main() -> None:
         half_field = float(half[0]), float(half[1])
         room = furnished_room(seed, half_field) + (bent_things(seed, half_field) if args.bent else [])
         image, depth_mm = photographed(table, room, seed=seed, exposures=(0.9,))
-        near = depth_picture(depth_mm.astype(np.float32), near_mm=NEAREST_MM, far_mm=WALLS_MM[1])[..., ::-1]
+        near = depth_picture(depth_mm.astype(np.float32), near_mm=NEAREST_MM, far_mm=WALLS_MM[1])
+        near = near[:, : image.shape[1], ::-1]  # less the colour bar
         pictures.append(np.vstack([np.uint8(255 * np.sqrt(np.clip(image, 0, 1)))[..., ::-1], near]))
     rows = [np.hstack(pictures[row : row + 4]) for row in range(0, 12, 4)]
     cv2.imwrite(str(args.out), np.vstack(rows))
