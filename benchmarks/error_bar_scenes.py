@@ -174,12 +174,33 @@ def card(rng: Generator, half_field: tuple[float, float], farthest_mm: float) ->
         picture = np.dstack([picture, cover])
     found = [plane(picture, center_mm=(x, y, z), width_mm=width, tilt_deg=tilt)]
     if rng.random() < 0.25 and tilt_y == 0:
-        deep, turn, side = width * rng.uniform(0.4, 1), rng.uniform(50, 80), -1 if x > 0 else 1
-        cosine, sine = np.cos(np.radians(turn)) / 2, np.sin(np.radians(turn)) / 2
+        deep, turn = width * rng.uniform(0.4, 1), rng.uniform(50, 80)
         part = texture(rng, 400)[: max(2, min(400, int(400 * height / deep)))]
-        place = x + side * (width / 2 + deep * cosine), y, z + deep * sine
-        found.append(plane(part, center_mm=place, width_mm=deep, tilt_deg=(0, -side * turn, 0)))
+        found.append(side_of_box(part, front_mm=(x, y, z), width_mm=width, deep_mm=deep, turned_deg=turn))
     return found
+
+
+def side_of_box(
+    picture: np.ndarray, *, front_mm: tuple[float, float, float], width_mm: float, deep_mm: float, turned_deg: float
+) -> Plane:
+    """Put a side that goes back to the front of a box, on the side that the lens sees.
+
+    Parameters
+    ----------
+    picture : (h, w, 3) float
+    front_mm : (float, float, float)
+        Middle of the front.
+    width_mm : float
+        Of the front.
+    deep_mm : float
+        Width of the side.
+    turned_deg : float
+        By which it turns away from the front.
+    """
+    x, y, z = front_mm
+    side, cosine, sine = -1 if x > 0 else 1, np.cos(np.radians(turned_deg)) / 2, np.sin(np.radians(turned_deg)) / 2
+    place = x + side * (width_mm / 2 + deep_mm * cosine), y, z + deep_mm * sine
+    return plane(picture, center_mm=place, width_mm=deep_mm, tilt_deg=(0, -side * turned_deg, 0))
 
 
 def photographed(

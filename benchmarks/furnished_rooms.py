@@ -13,7 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from error_bar_scenes import NEAREST_MM, grain, photograph, photographed
+from error_bar_scenes import NEAREST_MM, grain, photograph, photographed, side_of_box
 from numpy.random import Generator
 
 from chromaperture.optics.aperture import DESIGNS, made_of
@@ -29,7 +29,7 @@ WORDS = (
 )  # fmt: skip
 FONTS = cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_TRIPLEX, cv2.FONT_HERSHEY_COMPLEX
 WALLS_MM = 2200.0, 3900.0
-STRIPS = 18  # of what is bent; a can of 100 mm is .4 mm off
+STRIPS = 18  # of what is bent: a can with a radius of 100 mm is .3 mm off between two joints
 WALL_TEXELS, FLOOR_TEXELS = 1500, 1200
 
 
@@ -69,8 +69,7 @@ def wallpaper(rng: Generator, size: int) -> np.ndarray:
     u, v = x / period, y / (period * tall)
     kind = rng.integers(4)
     if kind == 0:
-        inside = np.floor(u + v) + np.floor(u - v)
-        inside = inside % 2
+        inside = (np.floor(u + v) + np.floor(u - v)) % 2
     elif kind == 1:
         inside = (np.floor(u) + np.floor(v)) % 2
     elif kind == 2:
@@ -278,12 +277,10 @@ def thing(rng: Generator, half_field: tuple[float, float], farthest_mm: float) -
     tilt = (rng.uniform(-30, 20) if rng.random() < 0.2 else 0.0), turned, (rng.uniform(-8, 8) * (rng.random() < 0.5))
     found = [plane(front, center_mm=(x, y, z), width_mm=width, tilt_deg=tilt)]
     if rng.random() < 0.4 and not any(tilt):
-        deep, angle, side = width * rng.uniform(0.15, 1), rng.uniform(50, 85), -1 if x > 0 else 1
-        cosine, sine = np.cos(np.radians(angle)) / 2, np.sin(np.radians(angle)) / 2
+        deep, turned = width * rng.uniform(0.15, 1), rng.uniform(50, 85)
         flank = plaster(rng, 300) if rng.random() < 0.5 else cover_of_card(rng, 300)
         flank = cv2.resize(flank, (300, max(2, min(900, int(300 * height / deep)))), interpolation=cv2.INTER_AREA)
-        place = x + side * (width / 2 + deep * cosine), y, z + deep * sine
-        found.append(plane(flank, center_mm=place, width_mm=deep, tilt_deg=(0, -side * angle, 0)))
+        found.append(side_of_box(flank, front_mm=(x, y, z), width_mm=width, deep_mm=deep, turned_deg=turned))
     return found
 
 

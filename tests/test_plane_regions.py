@@ -129,7 +129,7 @@ def test_level_planes_are_placed_between_labels_and_sloped_ones_stay(share: floa
     blocks = Volume(sums.astype(np.float32), LABELS_PX, block_costs(PlanesConfig()), FAST)
     planes = np.array([[0, 0, nearest], [0.001, 0, LABELS_PX[5]]])
     found = between_labels(planes, choice, blocks, border=2)
-    # A Gaussian is a parabola to 1 % of a label where two of them are a third of its width.
+    # A Gaussian is no parabola: 41 places between two labels are found to .01 of a label.
     np.testing.assert_allclose(found[0], [0, 0, LABELS_PX[20] + share * step], atol=0.02 * step)
     np.testing.assert_array_equal(found[1], planes[1])
 

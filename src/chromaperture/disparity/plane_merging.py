@@ -101,19 +101,28 @@ def merged_planes(
 
 
 def _parts(choice: np.ndarray, planes: np.ndarray, volume: Volume, border: int) -> list[Part]:
-    square = np.ones((2 * border + 1, 2 * border + 1), np.uint8)
-    numbers = choice.astype(np.float32)
-    core = cv2.dilate(numbers, square) == cv2.erode(numbers, square)
-
-    used = np.unique(choice)
+    core, used = away_from_borders(choice, border), np.unique(choice)
 
     def pixels(k: int) -> tuple[Pixels, Pixels]:
-        every, inner = _places(choice == k), _places((choice == k) & core)
-        return every, inner if len(inner[0]) >= LEAST_CORE * len(every[0]) else every
+        every = choice == k
+        return _places(every), _places(counted(every, core))
 
     both = parallel_map(pixels, used.tolist())
     found, values = best_planes(planes[used][:, None], [inner for _, inner in both], volume)
     return [Part(*pair, plane, float(value)) for pair, plane, value in zip(both, found, values, strict=True)]
+
+
+def away_from_borders(choice: np.ndarray, border: int) -> np.ndarray:
+    """Find the entries with no other plane within so many rows and columns; (H, W) bool."""
+    square = np.ones((2 * border + 1, 2 * border + 1), np.uint8)
+    numbers = choice.astype(np.float32)
+    return np.asarray(cv2.dilate(numbers, square) == cv2.erode(numbers, square))
+
+
+def counted(every: np.ndarray, core: np.ndarray) -> np.ndarray:
+    """Return the entries of a plane that its fit counts: those in the core, or all if few are; (H, W) bool each."""
+    inner = every & core
+    return inner if np.count_nonzero(inner) >= LEAST_CORE * np.count_nonzero(every) else every
 
 
 class _Simplest:

@@ -46,8 +46,8 @@ class Trust(NamedTuple):
     constant: float
 
 
-# Found by ``benchmarks/plane_voting_training.py``: planes that end at the guide's edges often have the wrong area, and
-# contradiction tells; planes that end at the photograph's depth edges are mostly right.
+# For areas that the guide bounds, and for those between the photograph's depth edges, whose planes are right more often.
+# Both were found by ``benchmarks/plane_voting_training.py``; docs/measurements.md has what they gain.
 OF_GUIDED = Trust({"rough": 0.22, "posterior": 0.29, "rejected": -1.51, "agreed": 0.38}, 0.29)
 OF_REGIONS = Trust({"rough": 0.09, "posterior": 0.34, "rejected": -0.32, "agreed": -0.12}, 0.42)
 
@@ -68,7 +68,7 @@ def voted_planes(
     block_px : int
         Side of a block. H and W are at least twice as large.
     trust : Trust
-        In these fits.
+        Learned for fits of this kind.
 
     Returns
     -------
