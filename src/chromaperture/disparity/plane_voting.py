@@ -46,7 +46,7 @@ class Trust(NamedTuple):
     constant: float
 
 
-# For areas that the guide bounds, and for those between the photograph's depth edges, whose planes are right more often.
+# For areas that the guide bounds and those between the photograph's depth edges, whose planes are right more often.
 # Both were found by ``benchmarks/plane_voting_training.py``; docs/measurements.md has what they gain.
 OF_GUIDED = Trust({"rough": 0.22, "posterior": 0.29, "rejected": -1.51, "agreed": 0.38}, 0.29)
 OF_REGIONS = Trust({"rough": 0.09, "posterior": 0.34, "rejected": -0.32, "agreed": -0.12}, 0.42)
