@@ -2,11 +2,13 @@
 
     python benchmarks/ablation.py --data FOLDER [--quality real-time]
     python benchmarks/ablation.py --data FOLDER --quality accurate --camera CAMERA.asdf
+    python benchmarks/ablation.py --quality accurate --camera V.asdf --pictures pictures/V_*.npz
 
-FOLDER as for bench50.py. For real-time the camera is calibrated anew for every variant, because the depth curve belongs
-to the matcher's settings; the layers of accurate name distances whatever the settings, and only shifted views need
-another calibration. Times are of the whole measurement, the fastest of five (accurate: of one), beside StereoSGBM 3WAY
-on an equally large picture.
+FOLDER as for bench50.py. Pictures are random scenes by the same camera, as ``error_bar_training.py draw`` writes them:
+steps, room and desk are few, and move by chance. For real-time the camera is calibrated anew for every variant, because
+the depth curve belongs to the matcher's settings; the layers of accurate name distances whatever the settings, and only
+shifted views need another calibration, and with it ``--data``. Times are of the whole measurement, the fastest of five
+(accurate: of one), beside StereoSGBM 3WAY on an equally large picture.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import argparse
 import contextlib
 import dataclasses
 import json
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from unittest import mock
 
@@ -32,7 +35,7 @@ from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.config import AccurateConfig, MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.depth.field import DepthField
-from chromaperture.disparity import accurate
+from chromaperture.disparity import accurate, planar
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.stage_config import (
@@ -76,9 +79,12 @@ VARIANTS: dict[str, MatcherConfig] = {
 ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only",
             "one octave", "three octaves", "window of 8 px", "pairs of channels alone", "no planes",
             "planes keep every slope", "edges where the evidence has them", "edges where the guide has them",
-            "the guide leads borders", "one fit votes", "five fits vote", "one fit wherever the surface allows it",
-            "planes everywhere", "error bar not learned", "no total variation", "four paths", "penalties a tenth",
+            "no level planes among the candidates", "level planes at labels", "the guide leads borders",
+            "one fit votes", "five fits vote", "one fit wherever the surface allows it", "planes everywhere",
+            "error bar not learned", "no total variation", "four paths", "penalties a tenth",
             "penalties not led by the guide", "one curve for the frame")  # fmt: skip
+
+ACCURATE_WITHOUT_SESSION = tuple(name for name in ACCURATE if name != "shifted views")
 
 
 def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertureCamera:
@@ -127,37 +133,49 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
 
 
 def measure_accurate(name: str, args: argparse.Namespace) -> dict:
-    camera = accurate_camera(name, args.camera, args.data / args.design)
+    camera = accurate_camera(name, args.camera, (args.data or Path()) / args.design)
     replaced = {
         "walls not placed between layers": (
             accurate, "between_layers", lambda disparity_px, *volume, sigma_px: disparity_px
         ),
         "planes everywhere": (accurate, "planes_or_surface", lambda planes, *surface: planes.label_px),
+        "no level planes among the candidates": (planar, "level_planes", lambda labels_px: np.zeros((0, 3))),
+        "level planes at labels": (planar, "between_labels", lambda planes, *blocks, border: planes),
     }  # fmt: skip
     with mock.patch.object(*replaced[name]) if name in replaced else contextlib.nullcontext():
-        return figures_of(camera, args.data, args.design, args.scenes, rounds=1)
+        return figures_of(camera, scenes_of(camera, args), rounds=1)
 
 
-def measure(name: str, data: Path, design: str, scenes: list[str]) -> dict:
+def measure(name: str, args: argparse.Namespace) -> dict:
     matcher = VARIANTS[name]
     with mock.patch.object(read_boards, "RealTimeConfig", return_value=matcher):
-        camera_file = calibrate_session(data / design).calibration
+        camera_file = calibrate_session(args.data / args.design).calibration
     config = default_config(camera_file)
     matcher = matcher.with_range(*camera_file.disparity_range_px("real-time"))
     camera = CodedApertureCamera(camera_file, dataclasses.replace(config, matcher=matcher))
     if name == "no field over the frame":
         assert isinstance(camera.method, RealTimeMethod)
         camera.method = dataclasses.replace(camera.method, label_map=IDENTITY)
-    return figures_of(camera, data, design, scenes, rounds=5)
+    return figures_of(camera, scenes_of(camera, args), rounds=5)
 
 
-def figures_of(camera: CodedApertureCamera, data: Path, design: str, scenes: list[str], *, rounds: int) -> dict:
-    figures = []
-    for scene in scenes:
-        image = camera.read(data / design / "scene" / f"{scene}.png")
-        frame = camera.measure(image)
-        stored = cv2.imread(str(data / "truth" / f"{scene}.depth_0.1mm.png"), cv2.IMREAD_UNCHANGED)
+def scenes_of(camera: CodedApertureCamera, args: argparse.Namespace) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Read photographs and their true distances, mm, NaN unknown."""
+    for path in args.pictures:
+        with np.load(path) as picture:
+            yield picture["image"], picture["truth_mm"]
+    for scene in [] if args.pictures else args.scenes:
+        stored = cv2.imread(str(args.data / "truth" / f"{scene}.depth_0.1mm.png"), cv2.IMREAD_UNCHANGED)
         truth = np.where(stored > 0, stored / 10.0, np.nan)
+        yield camera.read(args.data / args.design / "scene" / f"{scene}.png"), truth
+
+
+def figures_of(
+    camera: CodedApertureCamera, scenes: Iterable[tuple[np.ndarray, np.ndarray]], *, rounds: int
+) -> dict[str, float]:
+    figures = []
+    for image, truth in scenes:
+        frame = camera.measure(image)
         figures.append(score(frame.depth_mm.astype(float), frame.sigma_mm.astype(float), truth))
     mean = {key: round(float(np.mean([f[key] for f in figures])), 3) for key in figures[0]}
     pair = [np.ascontiguousarray(image[..., channel]) for channel in (0, 2)]
@@ -168,7 +186,8 @@ def figures_of(camera: CodedApertureCamera, data: Path, design: str, scenes: lis
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("--pictures", type=Path, nargs="+", default=[], help="NAME_SEED.npz in place of --scenes")
     parser.add_argument("--design", default="cy_halves")
     parser.add_argument("--scenes", nargs="+", default=["steps", "room", "desk"])
     parser.add_argument("--quality", choices=["real-time", "accurate"], default="real-time")
@@ -177,12 +196,11 @@ def main() -> None:
     args = parser.parse_args()
     if args.quality == "accurate" and args.camera is None:
         parser.error("--quality accurate needs --camera")
-    for name in args.variants or (VARIANTS if args.quality == "real-time" else ACCURATE):
-        found = (
-            measure(name, args.data, args.design, args.scenes)
-            if args.quality == "real-time"
-            else (measure_accurate(name, args))
-        )
+    if args.data is None and (not args.pictures or args.quality == "real-time"):
+        parser.error("give --data, or --pictures with --quality accurate")
+    known = VARIANTS if args.quality == "real-time" else ACCURATE if args.data else ACCURATE_WITHOUT_SESSION
+    for name in args.variants or known:
+        found = measure(name, args) if args.quality == "real-time" else measure_accurate(name, args)
         print(json.dumps({name: found}), flush=True)
 
 

@@ -115,10 +115,25 @@ def test_a_field_that_runs_away_is_refused(slope, runs_away):
 def test_white_sheets_that_were_mixed_up_are_named(session, tmp_path, mixed):
     """Film never brightens: the sheet through the open pupil is the brightest, at one exposure."""
     folder = copy_with(session, tmp_path)
-    for name, level in (("open", 45_100), (mixed, 60_100)):
+    for name, level in (("open", 40_600), (mixed, 54_100)):
         sheet = np.full((108, 144, 3), level, np.uint16)
         cv2.imwrite(str(folder / "white" / f"{name}.png"), sheet)
     with pytest.raises(InputError, match=r"1\.33 times as bright .* mixed up"):
+        measure_white_sheets(read_session(folder))
+
+
+@pytest.mark.parametrize("clipped", [0, 2])
+def test_a_saturated_white_sheet_is_refused(session, tmp_path, clipped):
+    """In any channel, in the middle; a hot pixel is not that."""
+    folder = copy_with(session, tmp_path)
+    sheet = np.tile(np.array([30_000, 29_000, 28_000], np.uint16), (108, 144, 1))
+    sheet[54, 72, 1] = 65_535
+    for name in ("open", "cy_halves", "sheet_c", "sheet_y"):
+        cv2.imwrite(str(folder / "white" / f"{name}.png"), sheet)
+    measure_white_sheets(read_session(folder))
+    sheet[..., clipped] = 65_535
+    cv2.imwrite(str(folder / "white" / "open.png"), sheet)
+    with pytest.raises(InputError, match=r"open\.png is saturated: photograph all"):
         measure_white_sheets(read_session(folder))
 
 

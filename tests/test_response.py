@@ -1,5 +1,6 @@
 """A chessboard is its own negative one square on: that shows the tone curve that a camera laid over its light."""
 
+import re
 import shutil
 import warnings
 
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from chromaperture.calibration import fit_response as fit
+from chromaperture.calibration.board_light import board_color, color_notes
 from chromaperture.calibration.chessboard import find_corners
 from chromaperture.calibration.fit_response import fit_response, fold_board, with_response
 from chromaperture.calibration.session import read_session
@@ -73,6 +75,11 @@ def board(radius_px, *, mottle=0.0, seed=1, tint=(0.6, 0.8, 0.5), shift_px=3.0):
     return np.stack(channels, -1), corners.reshape(-1, 2).astype(np.float32)
 
 
+@pytest.fixture(scope="module")
+def blurred_boards():
+    return [board(radius, seed=radius) for radius in (1, 2, 4, 6, 8)]
+
+
 def decoded(light, name):
     """What is read of a file of 8 bits with a curve, which is taken for sRGB, with a little noise."""
     noise = np.random.default_rng(5).normal(0, 0.003, light.shape)
@@ -99,6 +106,35 @@ def test_the_curve_comes_back(name):
     assert np.sqrt(np.mean((found.curve.exponent(places) - exponent)[bright] ** 2)) < 0.1
     assert (found.deviation < 0.02) == (name == "sRGB")  # the limit is .12
     assert found.misfit < 0.01
+
+
+@given(
+    gain=st.floats(0.5, 2),
+    exposures=st.lists(st.floats(0.2, 1), min_size=5, max_size=5),
+    channel=st.sampled_from([0, 1, 2]),
+    which=st.integers(0, 4),
+)
+def test_a_white_balance_that_changes_is_named(blurred_boards, gain, exposures, channel, which):
+    """Boards of any blur and exposure have one colour; one whose channel has another gain is named, and by how much."""
+    colors = {}
+    for i, ((light, corners), exposure) in enumerate(zip(blurred_boards, exposures, strict=True)):
+        gains = np.full(3, exposure)
+        gains[channel] *= gain if i == which else 1
+        colors[f"{i}.png"] = board_color(light * gains, corners)
+    notes = color_notes(colors)
+    if abs(np.log(gain)) < 0.06:
+        assert notes == ()
+    elif abs(np.log(gain)) > 0.1:
+        percent = int(re.search(r"up to (\d+)% \((\d)\.png\)", *notes)[1])
+        # What blur brings from around the board moves colours by .015.
+        assert percent == pytest.approx(100 * np.expm1(abs(np.log(gain))), rel=0.02, abs=4)
+        assert f"({which}.png)" in notes[0]
+
+
+def test_boards_of_unknown_colour_are_left_out():
+    white = np.ones(3)
+    assert color_notes({}) == () == color_notes({"dark": np.zeros(3), "saturated": np.full(3, np.nan)})
+    assert color_notes({"a": white, "b": white, "dark": np.zeros(3)}) == ()
 
 
 def test_mottled_paper_and_uneven_light_bend_no_curve():

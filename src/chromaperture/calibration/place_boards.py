@@ -11,6 +11,7 @@ import numpy as np
 
 from chromaperture.calibration.assemble_camera import nominal_depth_model
 from chromaperture.calibration.board_distances import BoardDistances, check_units, fit_distances
+from chromaperture.calibration.board_light import board_color, color_notes
 from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.chessboard import MIN_VIEWS, Intrinsics, board_distance, find_corners, fit_intrinsics
 from chromaperture.calibration.measurement_cache import Store
@@ -46,11 +47,15 @@ class PlacedBoards:
 
 def measure_pinhole(session: Session, lens_from: Calibration | None, *, store: Store, progress: Progress) -> Pinhole:
     """Find the corners of all boards; fit the pinhole to the tilted ones, or take that of ``lens_from``."""
-    corners = {}
+    corners, colors = {}, {}
     for path in reported([*session.tilts, *session.boards], "chessboards", progress):
-        found = store.arrays(path, ("corners", session.inner_corners, session.sensor), partial(_corners, session, path))
+        what = ("corners, color", session.inner_corners, session.sensor)
+        found = store.arrays(path, what, partial(_corners, session, path))
         if found["corners"].size:
             corners[path] = found["corners"]
+        if path in session.boards and found["corners"].size:
+            colors[path.name] = found["color"]
+    notes = color_notes(colors)
     size = (session.sensor.width_px, session.sensor.height_px)
     if lens_from is not None:
         other = (lens_from.sensor.width_px, lens_from.sensor.height_px)
@@ -59,18 +64,21 @@ def measure_pinhole(session: Session, lens_from: Calibration | None, *, store: S
                 f"the camera file to take the lens from is of {other[0]}x{other[1]} px and the session of "
                 f"{size[0]}x{size[1]}: calibrate the lens again at this size"
             )
-        return Pinhole(Intrinsics(lens_from.lens.camera_matrix, lens_from.lens.distortion, 0.0), corners, ())
+        return Pinhole(Intrinsics(lens_from.lens.camera_matrix, lens_from.lens.distortion, 0.0), corners, notes)
     tilted = [corners[path] for path in session.tilts if path in corners]
     if len(tilted) < MIN_VIEWS:
         note = f"{len(tilted)} tilted boards with corners: intrinsics are nominal, points may be off by a few %"
-        return Pinhole(None, corners, (note,))
-    return Pinhole(fit_intrinsics(tilted, size, session.inner_corners, session.square_mm), corners, ())
+        return Pinhole(None, corners, (note, *notes))
+    return Pinhole(fit_intrinsics(tilted, size, session.inner_corners, session.square_mm), corners, notes)
 
 
 def _corners(session: Session, path: Path) -> dict[str, np.ndarray]:
-    """Return the corners of one board; none where the board is not found."""
-    found = find_corners(session.read(path)[..., 1], session.inner_corners)
-    return {"corners": np.zeros((0, 2), np.float32) if found is None else found}
+    """Return the corners of one board and its mean colour; no corners where the board is not found."""
+    image = session.read(path)
+    found = find_corners(image[..., 1], session.inner_corners)
+    if found is None:
+        return {"corners": np.zeros((0, 2), np.float32), "color": np.full(3, np.nan)}
+    return {"corners": found, "color": board_color(image, found)}
 
 
 def place_boards(session: Session, pinhole: Pinhole, config: CalibrationConfig) -> PlacedBoards:

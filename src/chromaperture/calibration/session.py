@@ -20,6 +20,7 @@ from chromaperture.calibration.board_distances import check_units
 from chromaperture.camera_file import CameraSensor
 from chromaperture.camera_scale import LEAST_SIDE_PX, SCALES, reduced_size, resized_sensor
 from chromaperture.capture.files import decode, has_8_bits, image_size, linearise, photographs
+from chromaperture.color.image import is_saturated
 from chromaperture.disparity.working_scale import reduced
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, design_named
@@ -107,12 +108,19 @@ class Session:
         return {path.stem: path for folder in folders for path in photographs(folder) if path.stem in names}
 
     def white(self, name: str) -> np.ndarray | None:
-        """Return the mean colour of the middle of a white sheet; (3,) float64, None where there is no photograph."""
+        """Return the mean colour of the middle of a white sheet; (3,) float64, None where there is no photograph.
+
+        Raises InputError where the middle is saturated.
+        """
         if name not in self.sheets:
             return None
         image = self.read(self.sheets[name])
         rows, columns = (slice(n * 2 // 5, n * 3 // 5) for n in image.shape[:2])  # vignetting spares the middle fifth
-        return image[rows, columns].reshape(-1, 3).mean(axis=0).astype(float)
+        middle = image[rows, columns].reshape(-1, 3)
+        if is_saturated(middle):
+            file = quoted(self.sheets[name])
+            raise InputError(f"{file} is saturated: photograph all white sheets again at one shorter exposure")
+        return middle.mean(axis=0).astype(float)
 
 
 def read_session(folder: str | Path) -> Session:

@@ -7,6 +7,7 @@ import numpy as np
 from chromaperture.errors import InputError
 
 SATURATION = 0.995  # of the white level; a pixel at or above it is clipped. Leaves 5 of 1000 counts for noise
+_CLIPPED = 0.001  # fraction of saturated samples that is accepted, for hot pixels; chosen by hand, not tuned
 DARK = 2e-3  # white level; a darker pixel has no signal: a sensor of 10 bits resolves 1e-3; chosen by hand
 
 
@@ -24,3 +25,8 @@ def checked_image(image: np.ndarray) -> np.ndarray:
     if min(image.shape[:2]) < 8:
         raise InputError(f"image of {image.shape[1]}x{image.shape[0]} px is smaller than the matching window")
     return np.ascontiguousarray(image, dtype=np.float32)
+
+
+def is_saturated(sheet: np.ndarray) -> bool:
+    """Return whether a white sheet, (..., 3) float, has more clipped samples than hot pixels, or unknown ones."""
+    return not np.isfinite(sheet).all() or bool((sheet >= SATURATION).mean() > _CLIPPED)

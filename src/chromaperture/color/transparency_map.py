@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from chromaperture.color.image import SATURATION
+from chromaperture.color.image import is_saturated
 from chromaperture.errors import InputError
 from chromaperture.optics.metrics import LUMINANCE
 
@@ -15,7 +15,6 @@ _BLUR = 0.025  # sigma over the image's width: removes noise and paper grain, ke
 _MOST_LIGHT = 1.03  # film only absorbs; 3 % is allowed for a flickering lamp or shutter. Chosen by hand, not tuned
 _DUST = 0.05  # relative darkness of a speck on sheet or sensor; chosen by hand, not tuned
 _DUSTY = 0.8  # fraction of clean pixels below which dark spots are a pattern, not dust; chosen by hand, not tuned
-_CLIPPED = 0.001  # fraction of saturated samples that is accepted, for hot pixels; chosen by hand, not tuned
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
         raise InputError(f"the two white sheets differ in size: {coded.shape} and {bare.shape}")
     blurred = []
     for name, image in (("coded", coded), ("bare", bare)):
-        if _is_saturated(image):
+        if is_saturated(image):
             raise InputError(f"the {name} white sheet is saturated: photograph both again at a shorter exposure")
         blurred.append(_smooth(np.asarray(image, np.float32)))
     if blurred[1].min() <= 0.01:
@@ -101,7 +100,7 @@ def flat_field(sheet: np.ndarray) -> np.ndarray:
     InputError
         The sheet is saturated, or dark somewhere.
     """
-    if _is_saturated(sheet):
+    if is_saturated(sheet):
         raise InputError("the white sheet is saturated: photograph it again at a shorter exposure")
     smooth = _smooth(np.asarray(sheet, np.float32))
     rows, columns = (slice(n * 9 // 20, n * 11 // 20 + 1) for n in sheet.shape[:2])
@@ -119,10 +118,6 @@ def compensate_vignetting(image: np.ndarray, shading: np.ndarray) -> np.ndarray:
     if image.shape != shading.shape:
         raise InputError(f"image {image.shape} and white sheet {shading.shape} differ in size: they are of one camera")
     return np.asarray(image, np.float32) / np.asarray(shading, np.float32)
-
-
-def _is_saturated(sheet: np.ndarray) -> bool:
-    return not np.isfinite(sheet).all() or bool((sheet >= SATURATION).mean() > _CLIPPED)
 
 
 def _smooth(sheet: np.ndarray) -> np.ndarray:
