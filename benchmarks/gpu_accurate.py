@@ -28,6 +28,7 @@ from chromaperture.camera_matching import default_config
 from chromaperture.disparity.gpu.accurate_chain import AccurateChain
 from chromaperture.disparity.gpu.device import Chain, Device, Dispatch
 from chromaperture.disparity.gpu.measured import Further
+from chromaperture.disparity.gpu.regions_between import DOWN
 from chromaperture.disparity.gpu.working_stages import Reduction
 from chromaperture.disparity.views import guide_weights
 from chromaperture.disparity.working_scale import ScaledMethod
@@ -148,6 +149,13 @@ def composed(camera: CodedApertureCamera, device: Device) -> tuple[AccurateChain
     return chain, {"first": chain.first, "last": chain.last}
 
 
+def down_between(chain: AccurateChain) -> float:
+    """MB that come down between the submissions."""
+    if not chain.uses_depth_edges:
+        return 0.0
+    return round(sum(4 * chain.first.arrays[name].size for name in DOWN) / 1e6, 1)
+
+
 def timed(camera: CodedApertureCamera, image: np.ndarray, device: str) -> dict[str, Any]:
     """Disparity, and whole calls with depth and colours, beside Numba's, after the depth has been compared."""
     with warnings.catch_warnings():
@@ -216,7 +224,10 @@ def main() -> None:
         "device_mbytes": round(sum(4 * array.size for array in arrays.values()) / 1e6),
         "largest_array": f"{largest.name}: {4 * largest.size / 1e6:.0f} MB",
         "mbytes_up": mbytes("image", "usable", "guide", "counted", "noise", "window_noise", "photograph"),
-        "mbytes_up_between": mbytes("edge_links", "line_light", "line_noise_at"),
+        "mbytes_down_between": down_between(chain),
+        "mbytes_up_between": mbytes(
+            "edge_links", "line_light", "line_noise_at", "voted_planes", "voted_choice", "planes_trusted"
+        ),
         "mbytes_down": mbytes("disparity", "sigma", "confidence", "depth_mm", "sigma_mm", "color"),
     }  # fmt: skip
     if chain.textures is not None:

@@ -25,11 +25,13 @@ REAL_TIME = (
 ACCURATE = (
     ("photograph,\nguide, noise", "tiles, spectra,\nrays", "correlations,\nwindows", "log-likelihood\nat the labels",
      "paths, variation,\nposterior"),
-    ("neighbours join,\nfour times", "blocks choose\nplanes", "planes of tiles,\nrefined, distinct"),
+    ("fits vote", "regions between\ndepth edges join", "planes of tiles,\nrefined, distinct"),
     ("lines across\nborders, edges", "planes or\nsurface", "known pixels,\nlearned error bar",
      "millimetres,\naligned colours", "maps"),
 )  # fmt: skip
-CPU = {"photograph", "maps", "photograph,\nguide, noise"}
+CPU = {
+    "photograph", "maps", "photograph,\nguide, noise", "fits vote", "regions between\ndepth edges join",
+}  # fmt: skip
 WIDTH, HEIGHT, GAP_X, GAP_Y = 1.5, 0.62, 0.42, 0.42
 ON_CPU, ON_DEVICE = "#f3e3c3", "#d7e6f5"
 

@@ -30,16 +30,21 @@ pytestmark = pytest.mark.extra("gpu", "wgpu")
 
 
 def guided(camera):
-    """Let the guide lead borders, as on devices."""
+    """Let the guide lead borders: the device then finds planes by itself."""
     config = replace(camera.config, matcher=camera.config.matcher.with_guided_borders())
     return CodedApertureCamera(camera.calibration, config)
 
 
 def small(name, width, height):
-    """A bundled capture and its camera in fewer pixels, as software devices are slow; the guide leads borders there."""
+    """A bundled capture and its camera in fewer pixels, as software devices are slow; the guide leads borders."""
+    camera, image = with_depth_edges(name, width, height)
+    return guided(camera), image
+
+
+def with_depth_edges(name, width, height):
+    """The same where the photograph's depth edges bound planes."""
     camera, image = open_sample(name, quality="accurate")
-    camera = guided(camera.at_size(width, height))
-    return camera, cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    return camera.at_size(width, height), cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def share_within(camera, found, expected, *, relative):
@@ -74,6 +79,25 @@ def test_the_depth_is_that_of_the_cpu(name, planes):
     np.testing.assert_array_equal(again.value_px, found.value_px)  # nothing is left of the last photograph
 
 
+@pytest.mark.parametrize("name", ["still_life_cy_halves", "still_life_cy_open"])
+def test_planes_between_depth_edges_are_those_of_the_cpu(name):
+    camera, image = with_depth_edges(name, 240, 160)
+    chain = AccurateChain(camera.method, any_device(), image.shape[:2])
+    assert chain.uses_depth_edges
+    image = image.copy()
+    image[10:16, 20:26] = 1.0  # clipped
+    image[40:43, 70:74] = np.nan
+    expected = camera.method.match(image)
+    begun = chain.start(image)
+    assert begun.last["plane_count"][0] > 3
+    found = chain.finish(begun).disparity
+    assert share_within(camera, found, expected, relative=1e-3) > 0.995
+    known = np.isfinite(expected.sigma_px) & np.isfinite(found.sigma_px)
+    assert (np.abs(found.sigma_px / expected.sigma_px - 1) < 0.01)[known].mean() > 0.99
+    guide_leads = guided(camera).method.match(image)
+    assert share_within(camera, guide_leads, expected, relative=1e-3) < 0.9
+
+
 @pytest.mark.parametrize("learned", [True, False])
 @pytest.mark.parametrize("band", [0, 8])
 def test_edges_and_error_bars_that_are_switched_off(learned, band):
@@ -90,8 +114,9 @@ def test_edges_and_error_bars_that_are_switched_off(learned, band):
     assert (np.abs(found.sigma_px / expected.sigma_px - 1) < 0.01)[known].mean() > 0.99
 
 
-def test_what_finds_no_room_is_computed_with_more():
-    camera, image = small("still_life_cy_halves", 150, 100)
+@pytest.mark.parametrize(("made", "width", "height"), [(small, 150, 100), (with_depth_edges, 240, 160)])
+def test_what_finds_no_room_is_computed_with_more(made, width, height):
+    camera, image = made("still_life_cy_halves", width, height)
     chain = AccurateChain(camera.method, any_device(), image.shape[:2], Room(4, 1, 2, 64))
     found, expected = chain.measure(image).disparity, camera.method.match(image)
     assert chain.room.planes > 2
@@ -99,8 +124,9 @@ def test_what_finds_no_room_is_computed_with_more():
     assert share_within(camera, found, expected, relative=1e-3) > 0.995
 
 
-def test_without_any_plane_the_surface_is_the_depth(monkeypatch):
-    camera, image = small("still_life_cy_halves", 120, 80)
+@pytest.mark.parametrize("made", [small, with_depth_edges])
+def test_without_any_plane_the_surface_is_the_depth(monkeypatch, made):
+    camera, image = made("still_life_cy_halves", 120, 80)
     monkeypatch.setattr(candidate_stages, "LEAST_SHARE", 2.0)  # of a tile's points
     monkeypatch.setattr(plane_fit, "LEAST_SHARE", 2.0)
     found = AccurateChain(camera.method, any_device(), image.shape[:2]).measure(image).disparity
@@ -186,9 +212,10 @@ def test_a_device_lost_in_mid_stream_is_an_error_or_the_cpu_once():
         np.testing.assert_array_equal(found, [expected, expected])
 
 
-def test_a_photograph_is_sent_up_before_the_one_before_comes_down():
+@pytest.mark.parametrize(("made", "width", "height"), [(small, 150, 100), (with_depth_edges, 240, 160)])
+def test_a_photograph_is_sent_up_before_the_one_before_comes_down(made, width, height):
     """As a stream does it; the second finds no room for its planes, and is computed again."""
-    camera, image = small("still_life_cy_halves", 150, 100)
+    camera, image = made("still_life_cy_halves", width, height)
     pictures = [image, np.ascontiguousarray(image[::-1])]
     on_gpu = AccurateOnDevice(camera.method, any_device())
     alone = [on_gpu.match(picture) for picture in pictures]

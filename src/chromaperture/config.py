@@ -252,7 +252,7 @@ class AccurateConfig(MatcherConfig):
         return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=spectral)
 
     def with_guided_borders(self) -> AccurateConfig:
-        """Return the settings with borders of planes led by the guide alone, as graphics devices have them."""
+        """Return the settings with borders of planes led by the guide, not by the photograph's depth edges."""
         return replace(self, planes=replace(self.planes, learned_border_nats=()))
 
     def with_half_pixels(self) -> AccurateConfig:

@@ -53,7 +53,7 @@ class PlanesConfig:
     learned_border_nats : tuple of float
         Nats that a border between two blocks costs, a unit of the log odds of no depth edge between them
         (``disparity/depth_edges.py``), a fit each; they vote in place of those of ``vote_factors``. Empty, or with
-        ``block_px`` other than 4: the guide leads borders. Graphics devices have ``vote_factors`` alone.
+        ``block_px`` other than 4: the guide leads borders.
     """
 
     tiles_px: tuple[int, ...] = (48, 96, 192, 480)

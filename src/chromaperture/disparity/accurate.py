@@ -26,7 +26,7 @@ from chromaperture.disparity.error_bar import (
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.learned_error_bar import learned_sigma
-from chromaperture.disparity.planar import BORDER_APART_LABELS, planes_of_surface
+from chromaperture.disparity.planar import BORDER_APART_LABELS, needs_depth_edges, planes_of_surface
 from chromaperture.disparity.plane_agreement import beside_borders, known_planes, where_they_agree
 from chromaperture.disparity.plane_edges import LineCosts
 from chromaperture.disparity.plane_fit import Planes
@@ -111,7 +111,7 @@ class AccurateMethod:
     def depth_edges(self, image: np.ndarray) -> np.ndarray | None:
         """Return the log odds of depth edges in an image, as `clipped_filled` has it; None where nothing needs them."""
         planes = self.config.planes
-        if not planes.learned_border_nats or min(image.shape[:2]) < 2 * planes.block_px:
+        if not needs_depth_edges(planes) or min(image.shape[:2]) < 2 * planes.block_px:
             return None
         return edge_log_odds(image)
 

@@ -87,16 +87,14 @@ def planes_of_surface(
     if not len(planes):
         return None
     blocks = Volume(block_sums(likelihood, size), labels_px, block_costs(config), run)
-    edges = depth_edges if config.learned_border_nats and size == BLOCK_PX else None
-    if edges is not None:
-        fits = fits_of_regions(planes, blocks, edges, guide.shape, config=config)
+    if depth_edges is not None and needs_depth_edges(config):
+        found = voted_regions(planes, blocks, depth_edges, label_px, sigma_px, config=config)
     else:
         links = links_of_blocks(guide, config=config, surface=surface)
         fits = fits_of_blocks(planes, blocks, links, guide.shape, config=config)
-    found = fits[0]
-    if edges is not None or config.vote_factors:
-        trust = OF_GUIDED if edges is None else OF_REGIONS
-        found = voted_planes(fits, label_px, sigma_px, blocks.step_px, size, trust=trust)
+        found = fits[0]
+        if config.vote_factors:
+            found = voted_planes(fits, label_px, sigma_px, blocks.step_px, size, trust=OF_GUIDED)
     if config.edge_band_px == 0:
         return found
     choice = placed_edges(
@@ -105,6 +103,38 @@ def planes_of_surface(
     )  # fmt: skip
     trusted = None if found.trusted is None else trust_of_moved(found.trusted, found.choice, choice)
     return found._replace(choice=choice, trusted=trusted)
+
+
+def needs_depth_edges(config: PlanesConfig) -> bool:
+    """Return whether planes end at the photograph's depth edges, not where the guide has some."""
+    return config.rounds > 0 and bool(config.learned_border_nats) and config.block_px == BLOCK_PX
+
+
+def voted_regions(
+    planes: np.ndarray,
+    blocks: Volume,
+    depth_edges: np.ndarray,
+    label_px: np.ndarray,
+    sigma_px: np.ndarray,
+    *,
+    config: PlanesConfig,
+) -> Planes:
+    """Let regions between depth edges choose planes and join, and the fits vote.
+
+    Parameters
+    ----------
+    planes : (K, 3) float
+        Candidates, of pixels.
+    blocks : Volume
+        Sums of blocks.
+    depth_edges : (2, h, w) float
+        As `edge_log_odds`, of the same blocks.
+    label_px, sigma_px : (H, W) float, px
+        The surface that the planes explain.
+    config : PlanesConfig
+    """
+    fits = fits_of_regions(planes, blocks, depth_edges, label_px.shape, config=config)
+    return voted_planes(fits, label_px, sigma_px, blocks.step_px, config.block_px, trust=OF_REGIONS)
 
 
 def trust_of_moved(trusted: np.ndarray, before: np.ndarray, choice: np.ndarray) -> np.ndarray:

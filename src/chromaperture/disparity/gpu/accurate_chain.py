@@ -1,7 +1,8 @@
 """Quality "accurate" on a device.
 
 The photograph goes up once and the maps come down once. Two submissions: the second has what the CPU makes of the
-photograph while the device works on the first, links of edges and light along lines. Nothing returns in between.
+photograph while the device works on the first, links of edges and light along lines. In between planes are found: by
+the CPU where depth edges bound them (`regions_between.py`), else by the device, and nothing returns.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from chromaperture.disparity.gpu.line_stages import add_colours, inputs_of, line
 from chromaperture.disparity.gpu.line_textures import LineTextures, line_textures
 from chromaperture.disparity.gpu.measured import NOTHING, Further, Measured, add_further, measured_from, outputs_of
 from chromaperture.disparity.gpu.plane_stages import BlockChoice
+from chromaperture.disparity.gpu.regions_between import DOWN, add_proposed, regions_found, voted_arrays
 from chromaperture.disparity.gpu.spectral_stages import WindowGrid, add_windows
 from chromaperture.disparity.gpu.surface_stages import (
     Grid,
@@ -44,7 +46,7 @@ from chromaperture.disparity.gpu.surface_stages import (
 from chromaperture.disparity.gpu.view_stages import STATS, add_two_views
 from chromaperture.disparity.gpu.voting_stages import Voted, add_voted_planes
 from chromaperture.disparity.gpu.working_stages import Reduction, add_reduced, add_upsampled
-from chromaperture.disparity.planar import BORDER_APART_LABELS, block_costs
+from chromaperture.disparity.planar import BORDER_APART_LABELS, block_costs, needs_depth_edges
 from chromaperture.disparity.plane_edges import edge_links
 from chromaperture.disparity.spectral_evidence import SpectralEvidence
 from chromaperture.disparity.views import filtered_views
@@ -114,6 +116,8 @@ class AccurateChain:
         Of the picture that is matched.
     labels_px : (N,) float64, px
     first, last : Chain
+    voted : Voted or None
+        What goes up of planes that depth edges bound; None where the device finds planes.
     """
 
     method: AccurateMethod
@@ -130,6 +134,7 @@ class AccurateChain:
     arrays: SurfaceArrays = field(init=False)
     light: Light = field(init=False)
     textures: LineTextures | None = field(init=False)
+    voted: Voted | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         config = self.method.config
@@ -170,28 +175,16 @@ class AccurateChain:
             chain, arrays.label, arrays.sigma, arrays.likelihood, self.grid,
             tiles_px=config.tiles_px, slope_penalty=config.slope_penalty,
         )  # fmt: skip
-        grid = Grid(size[0] // config.block_px, size[1] // config.block_px, self.grid.layers)
-        capacity = most_candidates(size, config.tiles_px)
-        chooser = BlockChoice(self.device, blocks, grid, capacity, config.sweeps, self.labels_px, block_costs(config))
-        unfinished = chain.array("unfinished", 1, np.uint32)
-
-        def add_fit(factor: float = 1.0) -> None:
-            add_first_choice(chain, chooser, arrays.links, size, config=config, factor=factor)
-            for again in range(config.rounds - 1):
-                rounds = room.later_joins if again else room.joins
-                add_joining(chain, chooser, unfinished, rounds=rounds, config=config)
-                chain.dispatches += chooser.chain.dispatches
-
-        if config.vote_factors:
-            voted = add_voted_planes(
-                chain, chooser, add_fit, arrays, self.grid, factors=config.vote_factors, block_px=config.block_px
-            )
+        if self.uses_depth_edges:
+            add_proposed(chain, self.grid, config=config)
+            voted, of_planes = voted_arrays(self.last, self.grid, config=config), 1
+            self.voted, unfinished = voted, self.last.array("unfinished", 1, np.uint32)
         else:
-            add_fit()
-            voted = Voted(chooser.planes, chooser.count, chooser.choice)
+            voted, of_planes = self._add_guided_planes(blocks), config.block_px
+            unfinished = chain.arrays["unfinished"]
         last, edges = self.last, EdgeGrid(*size, config.block_px)
-        most = min(room.planes, capacity * max(1, len(config.vote_factors)))
-        planes = add_planes_of_pixels(last, voted.planes, voted.number, unfinished, block=config.block_px, most=most)
+        most = min(room.planes, voted.planes.size // 4)
+        planes = add_planes_of_pixels(last, voted.planes, voted.number, unfinished, block=of_planes, most=most)
         heard = None
         if self.textures is not None:
             lines = line_arrays(last, self.textures)
@@ -207,6 +200,28 @@ class AccurateChain:
         add_sigma(last, arrays, self.grid)
         last.arrays |= {array.name: array for array in (voted.number, unfinished)}
         return OfPlanes(most, planes.number, choice, there, first, blocks, config.block_px)
+
+    def _add_guided_planes(self, blocks: Array) -> Voted:
+        """Compose planes whose borders the guide leads."""
+        config, chain, room, size = self.method.config.planes, self.first, self.room, self.grid[:2]
+        grid = Grid(size[0] // config.block_px, size[1] // config.block_px, self.grid.layers)
+        capacity = most_candidates(size, config.tiles_px)
+        chooser = BlockChoice(self.device, blocks, grid, capacity, config.sweeps, self.labels_px, block_costs(config))
+        unfinished = chain.array("unfinished", 1, np.uint32)
+
+        def add_fit(factor: float = 1.0) -> None:
+            add_first_choice(chain, chooser, self.arrays.links, size, config=config, factor=factor)
+            for again in range(config.rounds - 1):
+                rounds = room.later_joins if again else room.joins
+                add_joining(chain, chooser, unfinished, rounds=rounds, config=config)
+                chain.dispatches += chooser.chain.dispatches
+
+        if not config.vote_factors:
+            add_fit()
+            return Voted(chooser.planes, chooser.count, chooser.choice)
+        return add_voted_planes(
+            chain, chooser, add_fit, self.arrays, self.grid, factors=config.vote_factors, block_px=config.block_px
+        )
 
     def _add_maps(self, chain: Chain, planes: OfPlanes | None) -> None:
         """Compose what is left to do of a surface: its error bar, pixels of the photograph, depth and colours."""
@@ -252,6 +267,11 @@ class AccurateChain:
         return config.rounds > 0 and min(self.grid.height, self.grid.width) >= 2 * config.block_px
 
     @property
+    def uses_depth_edges(self) -> bool:
+        """Whether planes end at the photograph's depth edges, as `planes_of_surface` decides."""
+        return self.uses_planes and needs_depth_edges(self.method.config.planes)
+
+    @property
     def uses_windows(self) -> bool:
         """Whether windows of all channels together are evidence, too."""
         evidence = self.method.evidence
@@ -280,18 +300,33 @@ class AccurateChain:
         return self.finish(self.start(image))
 
     def start(self, image: np.ndarray) -> Started:
-        """Send an image (H, W, 3) to the device; at most two are under way, `finish` them in turn."""
+        """Send an image (H, W, 3) to the device; at most two are under way, `finish` them in turn.
+
+        Where depth edges bound planes, this waits for the first chain.
+        """
         small = image if self.reduction is None else reduced(image, self.reduction.size_px)
         views = filtered_views(small, self.method.space, config=self.method.config.views)
         filled, usable = clipped_filled(small, views.mask)
         first = self._inputs(filled, usable, views.guide)
         if self.reduction is not None:
             first["photograph"] = image
-        self.first.start(first, [])
+        ticket = self.first.start(first, DOWN if self.uses_depth_edges else [])
         last = self._inputs_of_last(filled, views.guide)  # while the device works
+        if self.uses_depth_edges:
+            last |= self._planes_between_edges(filled, ticket)
         if self.reduction is None and first["image"] is not image:
             last["image"] = image  # no longer without clipped areas: what follows makes colours of it
         return Started(self.last, self.last.start(last, self._outputs), first, last)
+
+    def _planes_between_edges(self, image: np.ndarray, ticket: Ticket) -> dict[str, np.ndarray]:
+        """Return the planes that go up, by what the first chain found."""
+        depth_edges = self.method.depth_edges(image)  # while the device works
+        assert depth_edges is not None
+        assert self.voted is not None
+        return regions_found(
+            self.first.finish(ticket), depth_edges, self.voted, self.grid, self.labels_px,
+            config=self.method.config.planes, run=self.method.run,
+        )  # fmt: skip
 
     def finish(self, started: Started) -> Measured:
         """Wait for a photograph; where the chains had no room for all that was found, run others with more."""
@@ -331,7 +366,7 @@ class AccurateChain:
         if isinstance(method.evidence, SpectralEvidence) and self.uses_windows:
             grid = self.windows
             inputs["window_noise"] = method.evidence.noise_of_windows(image, grid.rows, grid.columns)
-        if self.uses_planes:
+        if self.uses_planes and not self.uses_depth_edges:
             inputs["unfinished"] = np.zeros(1, np.uint32)
         return inputs
 
@@ -344,4 +379,6 @@ class AccurateChain:
             inputs["edge_links"] = edge_links(guide, config.edge_band_px)
         if self.textures is not None and edges is not None:
             inputs |= inputs_of(edges.photograph(image))
+        if self.uses_depth_edges:
+            inputs["unfinished"] = np.zeros(1, np.uint32)
         return inputs

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ class Begun(NamedTuple):
 
 @dataclass
 class AccurateOnDevice(OnDevice):
-    """Quality "accurate" on a device, which has no depth edges of the photograph: the guide leads borders of planes.
+    """Quality "accurate" on a device.
 
     Attributes
     ----------
@@ -39,9 +39,6 @@ class AccurateOnDevice(OnDevice):
     reduction: Reduction | None = None
     _chain: AccurateChain | None = None
     _lock: threading.Lock = field(default_factory=threading.Lock)
-
-    def __post_init__(self) -> None:
-        self.method = replace(self.method, config=self.method.config.with_guided_borders())
 
     def start(self, image: np.ndarray, further: Further = NOTHING) -> Begun:
         """Send an image (H, W, 3) to the device, which begins; at most two are under way, `finish` them in turn."""

@@ -125,10 +125,32 @@ def add_first_choice(
         "block_links", [weights, chooser.links], groups=groups_for(pixels), uses=("indexing",), height=shape[0],
         width=shape[1], block=size, penalty=float(config.boundary_penalty * size * factor),
     )  # fmt: skip
-    candidates, parts, distinct = (chain.arrays[name] for name in OUTPUTS)
-    chain.add(
-        "planes_of_blocks", [distinct, candidates, parts, chooser.planes, chooser.count],
-        groups=groups_for(chooser.capacity), uses=("indexing",), block=size, slope_penalty=float(chooser.costs.slope),
-    )  # fmt: skip
+    add_planes_of_blocks(
+        chain, chooser.planes, chooser.count, chooser.capacity, block_px=size, slope_penalty=float(chooser.costs.slope)
+    )
     chain.dispatches += chooser.chain.dispatches
     chain.arrays |= {array.name: array for array in (chooser.planes, chooser.count, chooser.choice)}
+
+
+def add_planes_of_blocks(
+    chain: Chain, planes: Array, count: Array, capacity: int, *, block_px: int, slope_penalty: float
+) -> None:
+    """Append the distinct planes in the coordinates of blocks of ``block_px``, which may be 1, and their number.
+
+    Parameters
+    ----------
+    chain : Chain
+        With `add_candidates`.
+    planes : Array
+        (capacity, 4).
+    count : Array
+    capacity : int
+    block_px : int
+    slope_penalty : float
+        `PlaneCosts.slope`.
+    """
+    candidates, parts, distinct = (chain.arrays[name] for name in OUTPUTS)
+    chain.add(
+        "planes_of_blocks", [distinct, candidates, parts, planes, count], groups=groups_for(capacity),
+        uses=("indexing",), block=block_px, slope_penalty=slope_penalty,
+    )  # fmt: skip

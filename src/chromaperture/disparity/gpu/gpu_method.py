@@ -240,10 +240,6 @@ def on_device(method: Method, choice: str, note: Callable[[str], None], *, pixel
         return method
     if device.info.is_software:
         note(f"{device.info.name} is software: slower than --device cpu")
-    if isinstance(method, AccurateMethod) and method.config.planes.learned_border_nats:
-        note(
-            "accurate on a device does not know the photograph's depth edges: --device cpu is slower and more accurate"
-        )
     return DeviceMethod(opened(device), method, not asked_for)
 
 
