@@ -62,7 +62,7 @@ class Room(NamedTuple):
         Rounds of joining behind the first choice of blocks, and behind later ones; of `still_life` 19 and 22 joins
         follow the first (720x480) and up to 2 another one (360x240).
     planes : int
-        Left in the end, of all fits together; of random scenes 9 to 43 (720x480).
+        Left in the end, of all fits together; of random scenes 6 to 25 (720x480), where the guide leads 9 to 43.
     lines : int
         Across borders; a tenth of it at 720x480.
     """
