@@ -80,8 +80,8 @@ ACCURATE = ("everything", "shifted views", "walls not placed between layers", "w
             "one octave", "three octaves", "window of 8 px", "pairs of channels alone", "no planes",
             "planes keep every slope", "edges where the evidence has them", "edges where the guide has them",
             "no level planes among the candidates", "level planes at labels", "the guide leads borders",
-            "one fit votes", "five fits vote", "one fit wherever the surface allows it", "planes everywhere",
-            "error bar not learned", "no total variation", "four paths", "penalties a tenth",
+            "one fit votes", "five fits vote", "one fit wherever the surface allows it", "error bar not learned",
+            "no total variation", "four paths", "penalties a tenth",
             "penalties not led by the guide", "one curve for the frame")  # fmt: skip
 
 ACCURATE_WITHOUT_SESSION = tuple(name for name in ACCURATE if name != "shifted views")
@@ -138,7 +138,6 @@ def measure_accurate(name: str, args: argparse.Namespace) -> dict:
         "walls not placed between layers": (
             accurate, "between_layers", lambda disparity_px, *volume, sigma_px: disparity_px
         ),
-        "planes everywhere": (accurate, "planes_or_surface", lambda planes, *surface: planes.label_px),
         "no level planes among the candidates": (planar, "level_planes", lambda labels_px: np.zeros((0, 3))),
         "level planes at labels": (planar, "between_labels", lambda planes, *blocks, border: planes),
     }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Find the weights of `plane_voting.py`, by which fits of planes and the surface that they explain vote.
+"""Find `plane_voting.OF_GUIDED`, by which fits of planes whose areas the guide bounds vote against their surface.
 
     python benchmarks/error_bar_training.py draw II.asdf --lens achromat_50 --focus-mm 1800 --rooms --out pictures
     ...                                                                             # every other camera
@@ -18,11 +18,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, load_camera
+from chromaperture.config import AccurateConfig
 from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.disparity import planar, plane_voting
 from chromaperture.disparity.accurate import AccurateMethod
@@ -31,7 +33,7 @@ from chromaperture.disparity.plane_agreement import where_they_agree
 LIMITS = 0.02, 0.05  # of the true distance
 PARTS = 4
 NEWTON_STEPS = 20
-NAMES = tuple(plane_voting.OF_REGIONS.weights)
+NAMES = tuple(plane_voting.OF_GUIDED.weights)
 
 Scene = dict[str, np.ndarray]
 
@@ -40,12 +42,19 @@ def measure(args: argparse.Namespace) -> None:
     """Measure pictures; keep signs, and which of planes and surface is right."""
     args.out.mkdir(parents=True, exist_ok=True)
     for file in args.cameras:
-        camera = load_camera(file, quality="accurate", scale=1, device="cpu")
+        camera = guided(load_camera(file, quality="accurate", scale=1, device="cpu"))
         for path in sorted(args.pictures.glob(f"{file.stem}_*.npz")):
             if not (args.out / path.name).exists():
                 with np.load(path) as picture:
                     np.savez(args.out / path.name, **kept(camera, picture["image"], picture["truth_mm"]))
                 print(path.name, flush=True)
+
+
+def guided(camera: CodedApertureCamera) -> CodedApertureCamera:
+    """Return a camera whose planes end where the guide has edges."""
+    matcher = camera.config.matcher
+    assert isinstance(matcher, AccurateConfig)
+    return CodedApertureCamera(camera.calibration, replace(camera.config, matcher=matcher.with_guided_borders()))
 
 
 def kept(camera: CodedApertureCamera, image: np.ndarray, truth_mm: np.ndarray) -> Scene:
@@ -55,7 +64,7 @@ def kept(camera: CodedApertureCamera, image: np.ndarray, truth_mm: np.ndarray) -
     told: dict[str, np.ndarray] = {}
     labels: dict[str, np.ndarray] = {}
 
-    def asked(fits, surface_px, sigma_px, step_px, block_px, *, trust):
+    def asked(fits, surface_px, sigma_px, step_px, block_px, *, trust=None):
         told.update(plane_voting.signs_of_trust(fits, surface_px, sigma_px, step_px, block_px))
         labels["plane"] = np.stack([fit.label_px for fit in fits])
         labels["surface"] = surface_px

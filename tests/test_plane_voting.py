@@ -13,7 +13,6 @@ from chromaperture.disparity import plane_voting
 from chromaperture.disparity.plane_fit import Planes
 from chromaperture.disparity.plane_voting import (
     OF_GUIDED,
-    OF_REGIONS,
     Trust,
     neighbour_differences,
     planes_or_surface,
@@ -105,8 +104,8 @@ def test_votes_do_not_depend_on_the_order_of_fits_or_the_level(label: np.ndarray
     assert ((of_planes > 0) & (of_planes <= 1 + 1e-9)).all()
 
 
-@pytest.mark.parametrize("trust", [OF_GUIDED, OF_REGIONS])
-def test_two_fits_outvote_a_third(trust: Trust) -> None:
+@pytest.mark.parametrize("trust", [OF_GUIDED, None])
+def test_two_fits_outvote_a_third(trust: Trust | None) -> None:
     """Two fits have the border at column 44, one at 68; one more takes all for its second plane."""
     true = two_planes()
     sigma = np.full((60, 90), STEP / 2)
@@ -120,8 +119,7 @@ def test_two_fits_outvote_a_third(trust: Trust) -> None:
         assert found.trusted.all()
 
 
-@pytest.mark.parametrize("trust", [OF_GUIDED, OF_REGIONS])
-def test_noise_gives_way_to_planes_and_smooth_contradiction_does_not(trust: Trust) -> None:
+def test_noise_gives_way_to_planes_and_smooth_contradiction_does_not() -> None:
     rng = np.random.default_rng(2)
     planes = two_planes(200, 300, 148)
     surface = planes.label_px + rng.normal(0, 3 * STEP, (200, 300))
@@ -129,17 +127,26 @@ def test_noise_gives_way_to_planes_and_smooth_contradiction_does_not(trust: Trus
     surface[:, 288:] = planes.label_px[:, 288:] + 0.9 * STEP
     sigma = np.full((200, 300), STEP / 2)
     sigma[:, :148] = 3 * STEP
-    found = voted_planes([planes] * 3, surface, sigma, STEP, BLOCK, trust=trust)
+    found = voted_planes([planes] * 3, surface, sigma, STEP, BLOCK, trust=OF_GUIDED)
     taken = planes_or_surface(found, surface, STEP)
     # 28 px from the border between both the window of 16 px holds a twentieth of the other side.
     np.testing.assert_array_equal(taken[:, :120], planes.label_px[:, :120])
     np.testing.assert_array_equal(taken[:, 180:288], surface[:, 180:288].astype(np.float32))
     np.testing.assert_array_equal(taken[:, 288:], planes.label_px[:, 288:])  # within a label
+    everywhere = voted_planes([planes] * 3, surface, sigma, STEP, BLOCK)
+    np.testing.assert_array_equal(planes_or_surface(everywhere, surface, STEP), planes.label_px)
+
+
+def test_the_surface_says_which_of_two_fits_is_right() -> None:
+    """Without a trust it has as many votes as both together."""
+    fits, surface = [even(8.0), two_planes()], two_planes().label_px + np.float32(1.2 * STEP)
+    found = voted_planes(fits, surface, np.full((60, 90), STEP / 2), STEP, BLOCK)
+    np.testing.assert_array_equal(planes_or_surface(found, surface, STEP), two_planes().label_px)
 
 
 def test_one_fit_of_no_doubt_stays_as_it_is() -> None:
     planes = two_planes()
-    found = voted_planes([planes], planes.label_px, np.full((60, 90), 0.1), STEP, BLOCK, trust=OF_REGIONS)
+    found = voted_planes([planes], planes.label_px, np.full((60, 90), 0.1), STEP, BLOCK)
     np.testing.assert_array_equal(found.choice, planes.choice)
     np.testing.assert_array_equal(planes_or_surface(found, planes.label_px, STEP), planes.label_px)
 
@@ -158,6 +165,6 @@ def test_neighbour_differences_do_not_depend_on_the_axis_or_the_level(label: np.
 @pytest.mark.parametrize("shape", [(8, 41), (33, 9), (11, 8)])
 def test_pictures_may_be_narrow(shape: tuple[int, int]) -> None:
     fits = [even(1.0, *shape), even(6.0, *shape)]
-    found = voted_planes(fits, np.full(shape, 6.0), np.full(shape, 0.1), STEP, BLOCK, trust=OF_REGIONS)
+    found = voted_planes(fits, np.full(shape, 6.0), np.full(shape, 0.1), STEP, BLOCK)
     assert found.choice.shape == found.trusted.shape == shape
     np.testing.assert_array_equal(planes_or_surface(found, np.full(shape, 6.0), STEP), np.full(shape, 6.0, np.float32))

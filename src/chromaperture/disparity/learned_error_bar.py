@@ -30,6 +30,7 @@ POOLED_PX = 8.0  # sigma of the windows in which signs are averaged; else they f
 WIDE_PX = 24.0  # the same, wider; chosen by hand
 REACHES_PX = (8, 32)  # of the range of the surface about a pixel
 SMOOTHED_PX = 3.0  # of the bar's logarithm: ranges within squares have corners; chosen by hand
+APART = 1.0  # steps by which the surface contradicts a plane; chosen by hand
 MOST_APART = 6.0  # steps: beyond, the surface was another one, whose distance says nothing; chosen by hand
 _FILE = Path(__file__).parent / "learned_error_bar.json"
 
@@ -92,7 +93,7 @@ def signs(
 
     ``posterior``: error bar of the posterior. ``range_N``: range of the surface within N px. With planes besides, of a
     pixel's plane ``scatter``: root mean square difference of the surface before it, ``rejected``: the share of it that
-    was not taken; ``apart`` and ``apart_wide``: share of the pixels around whose plane was not taken; and those of
+    the surface contradicts; ``apart`` and ``apart_wide``: share of the pixels around where it does; and those of
     `signs_of_evidence`, ``spread_of_frame`` the mean of one: photographs differ in what their evidence is worth.
     """
     label = np.asarray(surface.disparity_px, np.float32) / np.float32(step_px)
@@ -111,7 +112,7 @@ def signs(
         first = np.asarray(first_px, np.float32) / np.float32(step_px)
         each += [
             partial(of_blocks, surface, explained_by.blocks, explained_by.choice),
-            partial(of_planes, label, first, explained_by, step_px),
+            partial(of_planes, first, explained_by, step_px),
         ]
     return {name: sign for part in parallel_map(lambda work: work(), each) for name, sign in part.items()}
 
@@ -125,10 +126,10 @@ def of_blocks(surface: Surface, blocks: Volume, choice: np.ndarray) -> dict[str,
     return {**found, "spread_of_frame": np.full(label.shape, found["spread"].mean(), np.float32)}
 
 
-def of_planes(label: np.ndarray, first: np.ndarray, planes: Planes, step_px: float) -> dict[str, np.ndarray]:
-    """Return the signs that planes give, see `signs`; labels count in steps."""
+def of_planes(first: np.ndarray, planes: Planes, step_px: float) -> dict[str, np.ndarray]:
+    """Return the signs that planes give, see `signs`; ``first`` is the surface before them, steps."""
     there = planes.label_px / np.float32(step_px)
-    apart = (np.abs(label - there) > 1e-3).astype(np.float32)  # steps: rounding
+    apart = (np.abs(first - there) > APART).astype(np.float32)
     away = np.clip(first - there, -MOST_APART, MOST_APART)
     choice = planes.choice.ravel()
     area = np.maximum(np.bincount(choice), 1)

@@ -24,7 +24,7 @@ from chromaperture.disparity.plane_edges import LineCosts, choices_of, placed_ed
 from chromaperture.disparity.plane_fit import Planes, Volume, candidates
 from chromaperture.disparity.plane_merging import away_from_borders, counted, merged_planes
 from chromaperture.disparity.plane_regions import border_costs, joined_regions, regions_between_edges
-from chromaperture.disparity.plane_voting import OF_GUIDED, OF_REGIONS, voted_planes
+from chromaperture.disparity.plane_voting import OF_GUIDED, voted_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
 from chromaperture.planes_config import PlanesConfig
@@ -134,7 +134,7 @@ def voted_regions(
     config : PlanesConfig
     """
     fits = fits_of_regions(planes, blocks, depth_edges, label_px.shape, config=config)
-    return voted_planes(fits, label_px, sigma_px, blocks.step_px, config.block_px, trust=OF_REGIONS)
+    return voted_planes(fits, label_px, sigma_px, blocks.step_px, config.block_px)
 
 
 def trust_of_moved(trusted: np.ndarray, before: np.ndarray, choice: np.ndarray) -> np.ndarray:

@@ -2,10 +2,12 @@
 
 Which neighbours become one plane often hangs on next to nothing. Fits with other costs of borders are wrong in other
 places. Each says: with some probability a block lies on my plane, else where the surface is. The mean of what they say
-is a mixture of places, and its mode is the answer. How far a fit is to be trusted is told by what told the errors of
-planes and of surfaces apart on captures of known depth: a surface that is rough nearby follows noise, which planes take
-out; a plane that much of its own area contradicts is wrong elsewhere, too. The probability is that of logistic
-regression (Cox 1958); ``benchmarks/plane_voting_training.py`` found its weights.
+is a mixture of places, and its mode is the answer. Where the photograph's depth edges bound areas, the fits have one
+half of the votes and the surface the other, and the plane that wins is taken. Where the guide bounds them planes are
+wrong more often, and how far a fit is to be trusted is told by what told the errors of planes and of surfaces apart on
+captures of known depth: a surface that is rough nearby follows noise, which planes take out; a plane that much of its
+own area contradicts is wrong elsewhere, too. The probability is that of logistic regression (Cox 1958);
+``benchmarks/plane_voting_training.py`` found its weights.
 
 References
 ----------
@@ -46,14 +48,18 @@ class Trust(NamedTuple):
     constant: float
 
 
-# For areas that the guide bounds and those between the photograph's depth edges, whose planes are right more often.
-# Both were found by ``benchmarks/plane_voting_training.py``; docs/measurements.md has what they gain.
+# For areas that the guide bounds; found by ``benchmarks/plane_voting_training.py``. docs/measurements.md has the gain.
 OF_GUIDED = Trust({"rough": 0.22, "posterior": 0.29, "rejected": -1.51, "agreed": 0.38}, 0.29)
-OF_REGIONS = Trust({"rough": 0.09, "posterior": 0.34, "rejected": -0.32, "agreed": -0.12}, 0.42)
 
 
 def voted_planes(
-    fits: Sequence[Planes], surface_px: np.ndarray, sigma_px: np.ndarray, step_px: float, block_px: int, *, trust: Trust
+    fits: Sequence[Planes],
+    surface_px: np.ndarray,
+    sigma_px: np.ndarray,
+    step_px: float,
+    block_px: int,
+    *,
+    trust: Trust | None = None,
 ) -> Planes:
     """Give every block the plane for which most of the fits' probability speaks.
 
@@ -67,17 +73,20 @@ def voted_planes(
         Between two labels.
     block_px : int
         Side of a block. H and W are at least twice as large.
-    trust : Trust
-        Learned for fits of this kind.
+    trust : Trust or None
+        Without, a fit is as likely nearer to the truth as the surface, and planes are trusted everywhere.
 
     Returns
     -------
     Planes
-        Those of all fits that a block has, with ``trusted``: where more speaks for the plane than for the surface.
+        Those of all fits that a block has, with ``trusted``: with a trust, where more speaks for the plane than for
+        the surface.
     """
     label_of = np.stack([block_means(fit.label_px, block_px) for fit in fits])
-    signs = signs_of_trust(fits, surface_px, sigma_px, step_px, block_px)
-    log_odds = np.asarray(trust.constant + sum(trust.weights[name] * sign for name, sign in signs.items()))
+    log_odds = np.zeros_like(label_of)
+    if trust is not None:
+        signs = signs_of_trust(fits, surface_px, sigma_px, step_px, block_px)
+        log_odds += trust.constant + sum(trust.weights[name] * sign for name, sign in signs.items())
     of_planes, of_surface = votes(
         label_of / np.float32(step_px), block_means(surface_px, block_px) / np.float32(step_px), log_odds
     )
@@ -90,7 +99,7 @@ def voted_planes(
     firsts = np.cumsum([0, *(len(fit.planes) for fit in fits)])[: len(fits)]
     every = np.stack([fit.choice + first for fit, first in zip(fits, firsts, strict=True)])
     used, choice = np.unique(np.take_along_axis(every, best[at][None], axis=0)[0], return_inverse=True)
-    trusted = (of_planes.max(axis=0) >= of_surface)[at]
+    trusted = (of_planes.max(axis=0) >= of_surface)[at] if trust is not None else np.ones((height, width), bool)
     planes = np.concatenate([fit.planes for fit in fits])[used]
     return Planes(planes, choice.reshape(height, width), fits[0].blocks, trusted)
 

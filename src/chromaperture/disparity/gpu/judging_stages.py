@@ -17,6 +17,7 @@ from chromaperture.disparity.gpu.view_stages import SHARED
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.learned_error_bar import (
+    APART,
     MOST_APART,
     POOLED_PX,
     REACHES_PX,
@@ -28,7 +29,6 @@ from chromaperture.disparity.learned_error_bar import (
 from chromaperture.disparity.planar import BORDER_APART_LABELS
 from chromaperture.disparity.plane_agreement import BESIDE_PX, KNOWN_SHARE
 
-_ALIKE = 1e-3  # labels: a surface as near to its plane has taken it, as `learned_error_bar.of_planes` has it
 _PARTS = 32  # of the picture that are summed on their own: so many workgroups a plane
 
 
@@ -90,7 +90,7 @@ def add_judged(
             grid, known_within=known_within, count=grid.layers,
         )  # fmt: skip
         wide = chain.array("wide", grid.pixels)
-        per_pixel(chain, "bar_maps", [a.surface, a.sigma, planes.there, pooled, wide], grid, alike=_ALIKE)
+        per_pixel(chain, "bar_maps", [planes.first, a.sigma, planes.there, pooled, wide], grid, apart=APART)
         add_gaussian(chain, pooled, room, shape, taps, parts=2)
         if learned:
             add_gaussian(chain, wide, room, shape, gaussian_taps(WIDE_PX), parts=1)
@@ -183,9 +183,9 @@ def _add_signs_of_planes(
 ) -> Array:
     sums = chain.array("plane_sums", 8 * _PARTS * planes.most)
     chain.add(
-        "plane_sums", [planes.choice, beside, a.surface, a.sigma, planes.there, planes.first, planes.number, sums],
+        "plane_sums", [planes.choice, beside, a.sigma, planes.there, planes.first, planes.number, sums],
         groups=(planes.most, _PARTS), height=grid.height, width=grid.width, parts=_PARTS, known_within=known_within,
-        most_apart=MOST_APART, alike=_ALIKE,
+        most_apart=MOST_APART, apart=APART,
     )  # fmt: skip
     signs = chain.array("plane_signs", 4 * planes.most)
     chain.add(

@@ -1,5 +1,5 @@
-// Signs of every plane, see `learned_error_bar.py`: how far the surface before it scattered, the share of it that was not
-// taken, and whether it is known, see `plane_agreement.known_planes`.
+// Signs of every plane, see `learned_error_bar.py`: how far the surface before it scattered, the share of it that
+// contradicts it, and whether it is known, see `plane_agreement.known_planes`.
 
 @group(0) @binding(0) var<storage, read> sums: array<vec4f>;  // (planes, parts, 2)
 @group(0) @binding(1) var<storage, read_write> signs: array<vec4f>;  // (planes,)

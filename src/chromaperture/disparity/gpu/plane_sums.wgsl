@@ -3,15 +3,14 @@
 
 @group(0) @binding(0) var<storage, read> choice: array<u32>;  // (h, w)
 @group(0) @binding(1) var<storage, read> beside: array<u32>;  // (h, w)
-@group(0) @binding(2) var<storage, read> surface: array<vec4f>;  // (h, w): layer first
-@group(0) @binding(3) var<storage, read> sigma: array<f32>;  // (h, w), layers
-@group(0) @binding(4) var<storage, read> there: array<f32>;  // (h, w): layer of the plane
-@group(0) @binding(5) var<storage, read> first: array<f32>;  // (h, w): layer of the surface before
-@group(0) @binding(6) var<storage, read> plane_count: array<u32>;
-@group(0) @binding(7) var<storage, read_write> sums: array<vec4f>;  // (planes, parts, 2)
+@group(0) @binding(2) var<storage, read> sigma: array<f32>;  // (h, w), layers
+@group(0) @binding(3) var<storage, read> there: array<f32>;  // (h, w): layer of the plane
+@group(0) @binding(4) var<storage, read> first: array<f32>;  // (h, w): layer of the surface before
+@group(0) @binding(5) var<storage, read> plane_count: array<u32>;
+@group(0) @binding(6) var<storage, read_write> sums: array<vec4f>;  // (planes, parts, 2)
 
 var<workgroup> counts: array<vec4f, 64>;  // away, of which certain; all, of which certain
-var<workgroup> others: array<vec4f, 64>;  // squared distances of the surface before; pixels where the plane was not taken
+var<workgroup> others: array<vec4f, 64>;  // squared distances of the surface before; pixels where it contradicts the plane
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
@@ -26,7 +25,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
             let away = select(1.0, 0.0, beside[i] == 1u);
             let distance = clamp(first[i] - there[i], -most_apart, most_apart);
             count += vec4f(away, away * certain, 1.0, certain);
-            other += vec4f(distance * distance, select(0.0, 1.0, abs(surface[i].x - there[i]) > alike), 0.0, 0.0);
+            other += vec4f(distance * distance, select(0.0, 1.0, abs(distance) > apart), 0.0, 0.0);
         }
     }
     counts[local] = count;
