@@ -15,6 +15,7 @@ from chromaperture.disparity.plane_regions import (
     MOST_LOG_ODDS,
     border_costs,
     borders_of,
+    costs_of_regions,
     joined_regions,
     regions_between_edges,
 )
@@ -76,7 +77,7 @@ def test_joining_lowers_the_energy_until_no_pair_does(seed: int, penalty: float,
     rng = np.random.default_rng(seed)
     region = np.arange(30).reshape(5, 6)
     cost, links = rng.normal(size=(5, 6, 4)), scale * rng.random((2, 5, 6))
-    found = joined_regions(region, cost, links, plane_penalty=penalty)
+    found = joined_regions(region, costs_of_regions(region, cost), links, plane_penalty=penalty)
     least = energy(found.region, cost, links, penalty)
     assert least <= energy(region, cost, links, penalty) + 1e-9
     for k, plane in enumerate(found.plane):

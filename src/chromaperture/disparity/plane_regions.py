@@ -76,23 +76,27 @@ def border_costs(log_odds: np.ndarray, nats: float) -> np.ndarray:
     return np.asarray(nats * np.clip(-log_odds, 0, MOST_LOG_ODDS))
 
 
-def joined_regions(region: np.ndarray, cost: np.ndarray, links: np.ndarray, *, plane_penalty: float) -> Joined:
+def costs_of_regions(region: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """Sum what every plane costs the blocks of a region, nats; (R, K) float64 of (h, w) int from 0 on and (h, w, K)."""
+    order = np.argsort(region, axis=None, kind="stable")
+    starts = np.searchsorted(region.ravel()[order], np.arange(int(region.max()) + 1))
+    return np.asarray(np.add.reduceat(cost.reshape(-1, cost.shape[2])[order], starts, axis=0, dtype=np.float64))
+
+
+def joined_regions(region: np.ndarray, total: np.ndarray, links: np.ndarray, *, plane_penalty: float) -> Joined:
     """Join neighbouring regions while the energy falls, all pairs of which each is the other's best at once.
 
     Parameters
     ----------
     region : (h, w) int, from 0 on
-    cost : (h, w, K) float
-        Nats that every plane costs a block.
+    total : (R, K) float64
+        As `costs_of_regions`.
     links : (2, h, w) float
         Nats that a border between two blocks costs.
     plane_penalty : float
         Nats that a plane costs.
     """
-    count, planes = int(region.max()) + 1, cost.shape[2]
-    order = np.argsort(region, axis=None, kind="stable")
-    starts = np.searchsorted(region.ravel()[order], np.arange(count))
-    total = np.add.reduceat(cost.reshape(-1, planes)[order], starts, axis=0, dtype=np.float64)
+    count, planes = total.shape
     pairs, border = borders_of(region, links)
     group = np.arange(count)
     while len(pairs):
@@ -130,8 +134,10 @@ def _of_links(links: np.ndarray) -> np.ndarray:
 def _summed(pairs: np.ndarray, costs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sum what is said of the same pair, and leave out pairs of one region."""
     apart = pairs[:, 0] != pairs[:, 1]
-    found, which = np.unique(np.sort(pairs[apart], axis=1), axis=0, return_inverse=True)
-    return found, np.bincount(which.ravel(), costs[apart], minlength=len(found))
+    low, high = np.sort(pairs[apart], axis=1).T
+    count = int(pairs.max(initial=0)) + 1
+    found, which = np.unique(low * count + high, return_inverse=True)  # of 6000 pairs .1 ms, of rows 1.9
+    return np.stack(np.divmod(found, count), axis=1), np.bincount(which, costs[apart], minlength=len(found))
 
 
 def _best_of_both(pairs: np.ndarray, gain: np.ndarray, count: int) -> np.ndarray | None:
