@@ -1,7 +1,9 @@
 """Whether all boards were photographed with one white balance, in light of one colour.
 
 A chessboard is grey, and blur hardly changes its mean colour: what changes from board to board is the gain of a
-channel, by an automatic white balance or by other light. Film and blur are fitted as if all boards had one colour.
+channel, by an automatic white balance or by other light. Film and blur are fitted as if all boards had one colour. Of
+boards alone that matters little: gains of 8 % rms cost quality "accurate" .003 and .006 of the pixels within 2 and 5 %
+(16 simulated scenes through halves). But white sheets and scenes by the same settings may have other gains, too.
 """
 
 from __future__ import annotations
