@@ -13,13 +13,13 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-# Largest change that is no fault; chosen by hand. Without one it is at most .013 in eight sessions of ray-traced
-# lenses, .052 in one of the magenta annulus, whose two views have unlike colours.
+# Largest change of the logarithm of red or blue over green that is no fault; chosen by hand. Without a fault it is at
+# most .013 in eight sessions of ray-traced lenses, .052 in one of the magenta annulus, whose views have unlike colours.
 _LARGEST_CHANGE = 0.08
 
 
 def board_color(image: np.ndarray, corners_px: np.ndarray) -> np.ndarray:
-    """Return the mean colour between the inner corners of a chessboard; (3,) float64, NaN where a pixel is.
+    """Return the mean colour between the inner corners of a chessboard; (3,) float64, NaN if a pixel is.
 
     Parameters
     ----------

@@ -51,9 +51,10 @@ def measure_pinhole(session: Session, lens_from: Calibration | None, *, store: S
     for path in reported([*session.tilts, *session.boards], "chessboards", progress):
         what = ("corners, color", session.inner_corners, session.sensor)
         found = store.arrays(path, what, partial(_corners, session, path))
-        if found["corners"].size:
-            corners[path] = found["corners"]
-        if path in session.boards and found["corners"].size:
+        if not found["corners"].size:
+            continue
+        corners[path] = found["corners"]
+        if path in session.boards:
             colors[path.name] = found["color"]
     notes = color_notes(colors)
     size = (session.sensor.width_px, session.sensor.height_px)

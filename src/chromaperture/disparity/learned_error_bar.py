@@ -30,7 +30,7 @@ POOLED_PX = 8.0  # sigma of the windows in which signs are averaged; else they f
 WIDE_PX = 24.0  # the same, wider; chosen by hand
 REACHES_PX = (8, 32)  # of the range of the surface about a pixel
 SMOOTHED_PX = 3.0  # of the bar's logarithm: ranges within squares have corners; chosen by hand
-APART = 1.0  # steps by which the surface contradicts a plane; chosen by hand
+APART = 1.0  # steps: a surface that lies farther from a plane contradicts it; chosen by hand
 MOST_APART = 6.0  # steps: beyond, the surface was another one, whose distance says nothing; chosen by hand
 _FILE = Path(__file__).parent / "learned_error_bar.json"
 

@@ -136,7 +136,7 @@ def _summed(pairs: np.ndarray, costs: np.ndarray) -> tuple[np.ndarray, np.ndarra
     apart = pairs[:, 0] != pairs[:, 1]
     low, high = np.sort(pairs[apart], axis=1).T
     count = int(pairs.max(initial=0)) + 1
-    found, which = np.unique(low * count + high, return_inverse=True)  # of 6000 pairs .1 ms, of rows 1.9
+    found, which = np.unique(low * count + high, return_inverse=True)  # numbers: 6000 rows of two take 1.9 ms, not .1
     return np.stack(np.divmod(found, count), axis=1), np.bincount(which, costs[apart], minlength=len(found))
 
 

@@ -1,4 +1,4 @@
-"""Planes between the photograph's depth edges, for a device: the CPU finds them between its two submissions.
+"""Planes between the photograph's depth edges, for a device: the CPU finds them between two submissions to it.
 
 A network finds depth edges, and regions join one by one: there are no stages for either. The surface, the planes that
 it proposes and the volume's sums of blocks come down; planes, which block has which, and which are trusted go up. Sums
@@ -13,7 +13,7 @@ import numpy as np
 
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.gpu.candidate_stages import add_planes_of_blocks, most_candidates
-from chromaperture.disparity.gpu.device import Array, Chain
+from chromaperture.disparity.gpu.device import Chain
 from chromaperture.disparity.gpu.surface_stages import Grid
 from chromaperture.disparity.gpu.voting_stages import Voted
 from chromaperture.disparity.planar import block_costs, voted_regions
@@ -79,25 +79,24 @@ def regions_found(
     count = int(down[PROPOSED[1]][0])
     proposed = down[PROPOSED[0]].reshape(-1, 4)[:count, :3] * step + np.array([0, 0, first])
     if not count:
-        return _filled(voted, Planes(np.zeros((0, 3)), np.zeros((rows, columns), np.intp)))
+        nowhere = np.zeros((rows, columns), bool)
+        return _filled(voted, Planes(np.zeros((0, 3)), nowhere.astype(np.intp), None, nowhere))
     blocks = Volume(down["blocks"].reshape(rows, columns, grid.layers), labels_px, block_costs(config), run)
     label_px, sigma_px = (down[name].reshape(grid.height, grid.width) * np.float32(step) for name in ("label", "sigma"))
     found = voted_regions(proposed, blocks, depth_edges, label_px + np.float32(first), sigma_px, config=config)
     layers = (found.planes - np.array([0, 0, first])) / step
     of_blocks = np.s_[: rows * size : size, : columns * size : size]
-    trusted = None if found.trusted is None else found.trusted[of_blocks]
-    return _filled(voted, Planes(layers, found.choice[of_blocks], None, trusted))
+    assert found.trusted is not None
+    return _filled(voted, Planes(layers, found.choice[of_blocks], None, found.trusted[of_blocks]))
 
 
 def _filled(voted: Voted, planes: Planes) -> dict[str, np.ndarray]:
     """Return planes of pixels, in layers, and the choice of blocks as arrays of full size."""
+    assert voted.trusted is not None
     of_pixels = np.zeros((voted.planes.size // 4, 4), np.float32)
     of_pixels[: len(planes.planes), :3] = planes.planes
-    trusted = np.zeros(planes.choice.shape, np.uint32) if planes.trusted is None else planes.trusted
-    values = (of_pixels, np.array([len(planes.planes)]), planes.choice, trusted)
-    arrays: tuple[Array | None, ...] = (voted.planes, voted.number, voted.choice, voted.trusted)
-    return {
-        array.name: np.asarray(part, array.dtype).ravel()
-        for array, part in zip(arrays, values, strict=True)
-        if array is not None
-    }
+    values = (
+        (voted.planes, of_pixels), (voted.number, len(planes.planes)), (voted.choice, planes.choice),
+        (voted.trusted, planes.trusted),
+    )  # fmt: skip
+    return {array.name: np.asarray(part, array.dtype).ravel() for array, part in values}
