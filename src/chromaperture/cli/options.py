@@ -35,7 +35,7 @@ Design = Annotated[
 Quality = Annotated[
     str,
     typer.Option(
-        help="paper, real-time, or accurate, which takes about 12 s a megapixel.",
+        help="paper, real-time, or accurate, which takes about 8 s a megapixel.",
         autocompletion=lambda: ["paper", "real-time", "accurate"],
     ),
 ]

@@ -16,7 +16,7 @@ from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.errors import InputError
 from chromaperture.planes_config import PlanesConfig
 
-# Of all boards together: 24 s at 12 s a megapixel (README), which is less than the calibration itself takes.
+# Of all boards together: 16 s at 8 s a megapixel (README), which is less than the calibration itself takes.
 MOST_MEGAPIXELS = 2.0
 
 

@@ -122,7 +122,7 @@ def _noise_of_accurate(result: CalibrationResult) -> tuple[str, ...]:
         )
     if result.layers is None:
         return ()
-    return ("One pixel at quality accurate was not measured: it takes 12 s a megapixel and board.",)
+    return ("One pixel at quality accurate was not measured: it takes 8 s a megapixel and board.",)
 
 
 def _section(
