@@ -29,6 +29,7 @@ OTHER_VALUES = {  # where nine tenths of the value would not be valid
     "gain": 2.0,
     "vote_factors": (1.0, 0.5),  # without a known blur it is empty, and so are the next
     "learned_border_nats": (4.0, 8.0),
+    "most_block_nats": 2.0,
 }
 REFUSED = {"noise_debiasing"}  # by every method but "paper"
 

@@ -15,6 +15,7 @@ from chromaperture.disparity.plane_regions import (
     MOST_LOG_ODDS,
     border_costs,
     borders_of,
+    bounded,
     costs_of_regions,
     joined_regions,
     regions_between_edges,
@@ -141,3 +142,34 @@ def test_level_planes_at_an_end_of_the_range_stay() -> None:
     blocks = Volume(sums, LABELS_PX, block_costs(PlanesConfig()), FAST)
     planes = np.array([[0, 0, LABELS_PX[0]]])
     np.testing.assert_array_equal(between_labels(planes, np.zeros((30, 45), int), blocks, border=2), planes)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**31), most=st.floats(0.1, 100))
+def test_bounded_costs_keep_their_order_and_small_losses(seed: int, most: float) -> None:
+    cost = np.random.default_rng(seed).normal(0, 20, (4, 5, 6)).astype(np.float32)
+    found, least = bounded(cost, most), cost.min(axis=2, keepdims=True)
+    # Costs of 20 nats in float32: 1e-5 is five of their last bits.
+    np.testing.assert_allclose(found.min(axis=2), least[..., 0], atol=1e-5)
+    assert (found - least <= most * (1 + 1e-5) + 1e-5).all()
+    order = np.argsort(cost, axis=2)
+    assert (np.diff(np.take_along_axis(found, order, axis=2), axis=2) >= -1e-5).all()
+    small = bounded(least + most * 1e-3 * np.arange(3, dtype=np.float32), most) - least
+    expected = most * np.broadcast_to([0, 0.9995e-3, 1.998e-3], small.shape)
+    np.testing.assert_allclose(small, expected, atol=1e-5 + 1e-6 * most)
+    assert bounded(cost, 0.0) is cost
+
+
+def test_few_loud_blocks_do_not_outvote_the_others_of_their_region() -> None:
+    """A far wall with a rim of blocks that speak ten times as loud for the near thing beside them."""
+    cost = np.zeros((20, 20, 2), np.float32)
+    cost[..., 1] = 1.0  # the wall is plane 0
+    cost[:, :4] = [10.0, 0.0]
+    region = np.zeros((20, 20), int)
+    links = np.full((2, 20, 20), 100.0)
+
+    def chosen(cost: np.ndarray) -> int:
+        return int(joined_regions(region, costs_of_regions(region, cost), links, plane_penalty=1.0).plane[0])
+
+    assert chosen(cost) == 1
+    assert chosen(bounded(cost, 3.0)) == 0

@@ -48,6 +48,8 @@ ALLOWED_GROWTH = 2.0
 VOTE_FACTORS = (1.0, 0.7, 1.4)
 # See `PlanesConfig`; docs/measurements.md, "Depth edges in the photograph", has others.
 LEARNED_BORDER_NATS = (5.0, 2.5, 10.0)
+# See `PlanesConfig.most_block_nats`; docs/measurements.md, "Blocks that speak for another plane", has others.
+MOST_BLOCK_NATS, MOST_BLOCK_NATS_OF_BLUR = 3.0, 12.0
 Method = TypeVar("Method", bound="MatcherConfig")
 
 
@@ -243,11 +245,15 @@ class AccurateConfig(MatcherConfig):
         )
         layers = LayersConfig(step_px=0.3 * reach)
         evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
-        if reach < LEAST_REACH_OF_PAIRS:
+        by_blur = reach < LEAST_REACH_OF_PAIRS
+        if by_blur:
             evidence = replace(evidence, allowed_growth=ALLOWED_GROWTH)
         elif one_pair:
             evidence = replace(evidence, own_detail=True)
-        planes = PlanesConfig(vote_factors=VOTE_FACTORS, learned_border_nats=LEARNED_BORDER_NATS)
+        planes = PlanesConfig(
+            vote_factors=VOTE_FACTORS, learned_border_nats=LEARNED_BORDER_NATS,
+            most_block_nats=MOST_BLOCK_NATS_OF_BLUR if by_blur else MOST_BLOCK_NATS,
+        )  # fmt: skip
         spectral = SpectralConfig.for_blur(reach)
         return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=spectral)
 

@@ -54,6 +54,9 @@ class PlanesConfig:
         Nats that a border between two blocks costs, a unit of the log odds of no depth edge between them
         (``disparity/depth_edges.py``), a fit each; they vote in place of those of ``vote_factors``. Empty, or with
         ``block_px`` other than 4: the guide leads borders.
+    most_block_nats : float
+        Nats that a plane loses at most, against the block's best, at every block of a region between depth edges that
+        chooses among planes; 0 is any number.
     """
 
     tiles_px: tuple[int, ...] = (48, 96, 192, 480)
@@ -72,6 +75,7 @@ class PlanesConfig:
     edge_share: float = 0.4
     vote_factors: tuple[float, ...] = ()
     learned_border_nats: tuple[float, ...] = ()
+    most_block_nats: float = 0.0
 
     def __post_init__(self) -> None:
         require(bool(self.tiles_px) and min(self.tiles_px) >= 8, "tiles_px must hold sizes of at least 8 px")
@@ -80,8 +84,11 @@ class PlanesConfig:
         penalties = (
             self.boundary_penalty, self.plane_penalty, self.plane_tolerance, self.slope_tolerance, self.slope_penalty,
             self.outside_penalty, self.edge_share, *self.vote_factors, *self.learned_border_nats,
+            self.most_block_nats,
         )  # fmt: skip
         least = all_finite(*penalties) and min(penalties) >= 0
         require(
-            least, "penalties, tolerances, edge_share, vote_factors and learned_border_nats must be finite and >= 0"
+            least,
+            "penalties, tolerances, edge_share, vote_factors, learned_border_nats and most_block_nats must be finite "
+            "and >= 0",
         )

@@ -23,7 +23,13 @@ from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.plane_edges import LineCosts, choices_of, placed_edges
 from chromaperture.disparity.plane_fit import Planes, Volume, candidates
 from chromaperture.disparity.plane_merging import away_from_borders, counted, merged_planes
-from chromaperture.disparity.plane_regions import border_costs, costs_of_regions, joined_regions, regions_between_edges
+from chromaperture.disparity.plane_regions import (
+    border_costs,
+    bounded,
+    costs_of_regions,
+    joined_regions,
+    regions_between_edges,
+)
 from chromaperture.disparity.plane_voting import OF_GUIDED, voted_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
@@ -233,7 +239,7 @@ def fits_of_regions(
     region = regions_between_edges(log_odds)
     cost = blocks.run.plane_costs(blocks.likelihood, planes, blocks.labels_px, blocks.costs)
     cost[..., :sloped] *= np.float32(1 - SLOPED_LESS)
-    total = costs_of_regions(region, cost)
+    total = costs_of_regions(region, bounded(cost, config.most_block_nats))
     border = max(1, round(config.border_px * BORDER_OF_REGIONS / size))
     config = replace(config, slope_tolerance=config.slope_tolerance * SLOPES_OF_REGIONS)
 

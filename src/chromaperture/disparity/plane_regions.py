@@ -83,6 +83,25 @@ def costs_of_regions(region: np.ndarray, cost: np.ndarray) -> np.ndarray:
     return np.asarray(np.add.reduceat(cost.reshape(-1, cost.shape[2])[order], starts, axis=0, dtype=np.float64))
 
 
+def bounded(cost: np.ndarray, most_nats: float) -> np.ndarray:
+    """Bound what any plane costs a block more than the block's best plane, smoothly.
+
+    Blocks beside a near thing, or on a mirror, speak for another plane than their region's, and often louder than all
+    that are not. A loss c becomes m (1 - exp(-c / m)): all of it where it is small, m at most.
+
+    Parameters
+    ----------
+    cost : (h, w, K) float32
+        Of every plane, nats.
+    most_nats : float
+        m; 0 leaves costs as they are.
+    """
+    if most_nats == 0:
+        return cost
+    least = cost.min(axis=2, keepdims=True)
+    return np.asarray(least - np.float32(most_nats) * np.expm1((least - cost) / np.float32(most_nats)))
+
+
 def joined_regions(region: np.ndarray, total: np.ndarray, links: np.ndarray, *, plane_penalty: float) -> Joined:
     """Join neighbouring regions while the energy falls, all pairs of which each is the other's best at once.
 
