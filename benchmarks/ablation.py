@@ -119,7 +119,7 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
         "no planes": {"planes": dataclasses.replace(planes, rounds=0)},
         "planes keep every slope": {"planes": dataclasses.replace(planes, slope_tolerance=0.0)},
         "the guide leads borders": {"planes": config.matcher.with_guided_borders().planes},
-        "loud blocks not bounded": {"planes": dataclasses.replace(planes, most_block_nats=0.0)},
+        "losses of blocks not bounded": {"planes": dataclasses.replace(planes, most_block_nats=0.0)},
         "one fit votes": {"planes": dataclasses.replace(planes, learned_border_nats=(5.0,))},
         "five fits vote": {"planes": dataclasses.replace(planes, learned_border_nats=(5.0, 2.5, 10.0, 1.25, 20.0))},
         "one fit wherever the surface allows it": {

@@ -160,8 +160,8 @@ def test_bounded_costs_keep_their_order_and_small_losses(seed: int, most: float)
     assert bounded(cost, 0.0) is cost
 
 
-def test_few_loud_blocks_do_not_outvote_the_others_of_their_region() -> None:
-    """A far wall with a rim of blocks that speak ten times as loud for the near thing beside them."""
+def test_few_blocks_of_strong_evidence_do_not_outvote_the_others_of_their_region() -> None:
+    """A far wall with a rim of blocks whose evidence for the near thing beside them is ten times as strong."""
     cost = np.zeros((20, 20, 2), np.float32)
     cost[..., 1] = 1.0  # the wall is plane 0
     cost[:, :4] = [10.0, 0.0]

@@ -55,8 +55,8 @@ class PlanesConfig:
         (``disparity/depth_edges.py``), a fit each; they vote in place of those of ``vote_factors``. Empty, or with
         ``block_px`` other than 4: the guide leads borders.
     most_block_nats : float
-        Nats that a plane loses at most, against the block's best, at every block of a region between depth edges that
-        chooses among planes; 0 is any number.
+        Upper bound of the nats by which a plane is worse than the best one at a block, where regions between depth
+        edges choose planes; 0 is no bound.
     """
 
     tiles_px: tuple[int, ...] = (48, 96, 192, 480)

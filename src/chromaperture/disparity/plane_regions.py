@@ -86,8 +86,8 @@ def costs_of_regions(region: np.ndarray, cost: np.ndarray) -> np.ndarray:
 def bounded(cost: np.ndarray, most_nats: float) -> np.ndarray:
     """Bound what any plane costs a block more than the block's best plane, smoothly.
 
-    Blocks beside a near thing, or on a mirror, speak for another plane than their region's, and often louder than all
-    that are not. A loss c becomes m (1 - exp(-c / m)): all of it where it is small, m at most.
+    Windows of blocks beside a near thing see it, and its strong texture can outweigh all other blocks of a weakly
+    textured region. A loss c becomes m (1 - exp(-c / m)): about c where that is small, m at most.
 
     Parameters
     ----------
