@@ -48,7 +48,8 @@ ALLOWED_GROWTH = 2.0
 VOTE_FACTORS = (1.0, 0.7, 1.4)
 # See `PlanesConfig`; docs/measurements.md, "Depth edges in the photograph", has others.
 LEARNED_BORDER_NATS = (5.0, 2.5, 10.0)
-# See `PlanesConfig.most_block_nats`; the second where blur tells more than parallax. docs/measurements.md, "Blocks that speak for another plane", has others.
+# See `PlanesConfig.most_block_nats`; the second where blur tells more than parallax. docs/measurements.md, "Blocks that
+# speak for another plane", has others.
 MOST_BLOCK_NATS, MOST_BLOCK_NATS_OF_BLUR = 3.0, 12.0
 Method = TypeVar("Method", bound="MatcherConfig")
 

@@ -99,7 +99,11 @@ def bounded(cost: np.ndarray, most_nats: float) -> np.ndarray:
     if most_nats == 0:
         return cost
     least = cost.min(axis=2, keepdims=True)
-    return np.asarray(least - np.float32(most_nats) * np.expm1((least - cost) / np.float32(most_nats)))
+    out = (least - cost) / np.float32(most_nats)
+    np.exp(out, out=out)  # in float32 several times as fast as expm1, and exact to 1e-7 of the bound
+    out *= -np.float32(most_nats)
+    out += least + np.float32(most_nats)
+    return np.asarray(out)
 
 
 def joined_regions(region: np.ndarray, total: np.ndarray, links: np.ndarray, *, plane_penalty: float) -> Joined:
