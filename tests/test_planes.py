@@ -204,6 +204,25 @@ def test_two_even_walls_are_not_one_sloped_plane_which_takes_more_numbers() -> N
     assert 0 < apart - log_likelihood(one, x, y, pixels) < 60
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("of_missed", "slope_px", "kept"), [(0.09, 0.0, False), (0.0, 0.0, True), (0.09, 0.02, True)])
+def test_a_slope_has_to_gain_a_share_of_what_the_level_plane_misses(
+    seed: int, of_missed: float, slope_px: float, kept: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    plane = np.array([[slope_px, 0.0, -15 * slope_px]])
+    # Blocks find their labels with errors of .3 px, three layers: some slope explains these a little better than none.
+    label = plane_label(plane[0], 20, 30) + rng.normal(0, 0.3, (20, 30))
+    start = plane + np.array([0.002, 0.002, 0.0])
+    found, _ = merged_planes(
+        np.zeros((20, 30), int), start, of(volume_about(label)), config=PlanesConfig(), border=2, of_missed=of_missed
+    )
+    assert found[0, :2].any() == kept
+    # The mean of 416 blocks with such errors is known within .015 px, their slope along 26 columns within .002.
+    assert abs(found[0] @ [15, 10, 1] - (plane[0] @ [15, 10, 1])) < 0.08
+    assert abs(found[0, 0] - slope_px) < 0.01
+
+
 def test_blocks_add_up_and_keep_the_weakest_link() -> None:
     rng = np.random.default_rng(9)
     likelihood = rng.random((11, 9, 5)).astype(np.float32)

@@ -27,7 +27,10 @@ class PlanesConfig:
         Share of its log-likelihood that a plane may lose when it is joined to a neighbour. The blur that was
         calibrated is not exact, so the log-likelihood of a large plane never peaks where its neighbour's does.
     slope_tolerance : float
-        Share of its log-likelihood that a plane may lose when its slope is taken away.
+        Share of its log-likelihood that a plane may lose when its slope is taken away, where the guide leads borders.
+    slope_of_missed : float
+        The same where regions between depth edges choose planes, as a share of what the level plane misses: of its
+        blocks' best labels, nats. docs/measurements.md, "What a slope has to gain", has .06 to .16.
     slope_penalty : float
         Nats a pixel of a slope of one label per px; it grows with the square. Floors in view slope by 0.3.
     outside_penalty : float
@@ -65,6 +68,7 @@ class PlanesConfig:
     plane_penalty: float = 60.0
     plane_tolerance: float = 0.03
     slope_tolerance: float = 0.003
+    slope_of_missed: float = 0.09
     slope_penalty: float = 0.3
     outside_penalty: float = 0.05
     border_px: int = 12
@@ -82,9 +86,9 @@ class PlanesConfig:
         whole = min(self.block_px, self.border_px, self.sweeps) >= 1 and min(self.rounds, self.edge_band_px) >= 0
         require(whole, "block_px, border_px and sweeps must be >= 1, edge_band_px and rounds >= 0")
         penalties = (
-            self.boundary_penalty, self.plane_penalty, self.plane_tolerance, self.slope_tolerance, self.slope_penalty,
-            self.outside_penalty, self.edge_share, *self.vote_factors, *self.learned_border_nats,
-            self.most_block_nats,
+            self.boundary_penalty, self.plane_penalty, self.plane_tolerance, self.slope_tolerance,
+            self.slope_of_missed, self.slope_penalty, self.outside_penalty, self.edge_share, *self.vote_factors,
+            *self.learned_border_nats, self.most_block_nats,
         )  # fmt: skip
         least = all_finite(*penalties) and min(penalties) >= 0
         require(

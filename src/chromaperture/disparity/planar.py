@@ -14,7 +14,6 @@ H. Isack, Y. Boykov: Energy-based geometric multi-model fitting. IJCV 97, 2012. 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -37,10 +36,9 @@ from chromaperture.planes_config import PlanesConfig
 from chromaperture.stage_config import SurfaceConfig
 from chromaperture.threads import BAND_ROWS, each_band
 
-# Areas that end where the photograph has edges need less of a border left out, and lose less by a slope that is left
-# out: docs/measurements.md, "Depth edges in the photograph".
+# Areas that end where the photograph has edges need less of a border left out: docs/measurements.md, "Depth edges in
+# the photograph".
 BORDER_OF_REGIONS = 2 / 3  # of ``border_px``
-SLOPES_OF_REGIONS = 2.0  # times ``slope_tolerance``
 # Share of its evidence that a sloped plane loses beside level ones: that of a far wall hardly tells whether it leans.
 # docs/measurements.md, "Rooms as people photograph them", has 0, .025 and .05.
 SLOPED_LESS = 0.012
@@ -241,11 +239,12 @@ def fits_of_regions(
     cost[..., :sloped] *= np.float32(1 - SLOPED_LESS)
     total = costs_of_regions(region, bounded(cost, config.most_block_nats))
     border = max(1, round(config.border_px * BORDER_OF_REGIONS / size))
-    config = replace(config, slope_tolerance=config.slope_tolerance * SLOPES_OF_REGIONS)
 
     def fit(nats: float) -> Planes:
         joined = joined_regions(region, total, border_costs(log_odds, nats), plane_penalty=config.plane_penalty)
-        merged, choice = merged_planes(joined.region, planes[joined.plane], blocks, config=config, border=border)
+        merged, choice = merged_planes(
+            joined.region, planes[joined.plane], blocks, config=config, border=border, of_missed=config.slope_of_missed
+        )  # fmt: skip
         merged = between_labels(merged, choice, blocks, border=border)
         return planes_of_pixels(merged, choice, shape, size)._replace(blocks=blocks)
 

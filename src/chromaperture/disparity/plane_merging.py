@@ -40,7 +40,13 @@ class Part:
 
 
 def merged_planes(
-    choice: np.ndarray, planes: np.ndarray, volume: Volume, *, config: PlanesConfig, border: int
+    choice: np.ndarray,
+    planes: np.ndarray,
+    volume: Volume,
+    *,
+    config: PlanesConfig,
+    border: int,
+    of_missed: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Join neighbours, the pair that loses least first, while the loss stays below what a plane costs.
 
@@ -53,6 +59,9 @@ def merged_planes(
     config : PlanesConfig
     border : int
         Entries of the volume next to another plane that fits leave out.
+    of_missed : float, optional
+        Share of what a level plane misses of the evidence that a slope has to gain; without it the share of all
+        evidence that ``config.slope_tolerance`` is.
 
     Returns
     -------
@@ -60,7 +69,7 @@ def merged_planes(
     choice : (H, W) int
     """
     parts = dict(enumerate(_parts(choice, planes, volume, border)))
-    simplest = _Simplest(volume, config.slope_tolerance)
+    simplest = _Simplest(volume, config.slope_tolerance, of_missed)
     renumbered = np.searchsorted(np.unique(choice), choice)
     pairs = neighbouring_pairs(renumbered)
     queue: list[tuple[float, int, int, Part]] = []
@@ -126,11 +135,16 @@ def counted(every: np.ndarray, core: np.ndarray) -> np.ndarray:
 
 
 class _Simplest:
-    """Planes of one label where they are nearly as likely: the blur that was calibrated tilts planes by itself."""
+    """Planes of one label where a slope gains little: the blur that was calibrated tilts planes by itself.
 
-    def __init__(self, volume: Volume, tolerance: float) -> None:
+    Where a level plane misses much of the evidence, a slope gains more by chance. So its gain is compared with what the
+    level plane misses, as in an F-test, or more simply with all of the plane's evidence.
+    """
+
+    def __init__(self, volume: Volume, tolerance: float, of_missed: float | None) -> None:
         self.planes: dict[Part, np.ndarray] = {}
-        self._volume, self._tolerance = volume, tolerance
+        self._volume, self._tolerance, self._of_missed = volume, tolerance, of_missed
+        self._most = None if of_missed is None else volume.likelihood.max(axis=2)
 
     def find(self, parts: Iterable[Part]) -> None:
         """Find the planes of parts that are not known yet."""
@@ -138,7 +152,13 @@ class _Simplest:
         level = np.array([[[0, 0, part.plane @ part.middle]] for part in new])
         even, values = best_planes(level, [part.core for part in new], self._volume, even=True)
         for part, plane, value in zip(new, even, values, strict=True):
-            self.planes[part] = plane if part.value - value <= self._tolerance * part.value else part.plane
+            self.planes[part] = plane if part.value - value <= self._least_gain(part, value) else part.plane
+
+    def _least_gain(self, part: Part, of_level: float) -> float:
+        """Nats that a part's slope has to gain over its level plane, which has ``of_level``."""
+        if self._of_missed is None or self._most is None:
+            return self._tolerance * part.value
+        return self._of_missed * (float(self._most[part.core].sum(dtype=float)) - of_level)
 
     def numbers_of(self, part: Part) -> int:
         """How many numbers a part's plane takes."""
