@@ -117,7 +117,7 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
     changes |= {
         "pairs of channels alone": {"spectral": dataclasses.replace(config.matcher.spectral, gain=0.0)},
         "no planes": {"planes": dataclasses.replace(planes, rounds=0)},
-        "planes keep every slope": {"planes": dataclasses.replace(planes, slope_of_missed=0.0)},
+        "planes keep every slope": {"planes": dataclasses.replace(planes, slope_tolerance=0.0, slope_of_missed=0.0)},
         "the guide leads borders": {"planes": config.matcher.with_guided_borders().planes},
         "losses of blocks not bounded": {"planes": dataclasses.replace(planes, most_block_nats=0.0)},
         "one fit votes": {"planes": dataclasses.replace(planes, learned_border_nats=(5.0,))},

@@ -27,10 +27,11 @@ class PlanesConfig:
         Share of its log-likelihood that a plane may lose when it is joined to a neighbour. The blur that was
         calibrated is not exact, so the log-likelihood of a large plane never peaks where its neighbour's does.
     slope_tolerance : float
-        Share of its log-likelihood that a plane may lose when its slope is taken away, where the guide leads borders.
+        Share of its log-likelihood that a plane may lose when its slope is taken away.
     slope_of_missed : float
-        The same where regions between depth edges choose planes, as a share of what the level plane misses: of its
-        blocks' best labels, nats. docs/measurements.md, "What a slope has to gain", has .06 to .16.
+        The same where regions between depth edges choose planes, as a share of what the level plane misses of its
+        blocks' best labels; the larger of both counts. docs/measurements.md, "What a slope has to gain", has .06 to
+        .16.
     slope_penalty : float
         Nats a pixel of a slope of one label per px; it grows with the square. Floors in view slope by 0.3.
     outside_penalty : float

@@ -40,13 +40,7 @@ class Part:
 
 
 def merged_planes(
-    choice: np.ndarray,
-    planes: np.ndarray,
-    volume: Volume,
-    *,
-    config: PlanesConfig,
-    border: int,
-    of_missed: float | None = None,
+    choice: np.ndarray, planes: np.ndarray, volume: Volume, *, config: PlanesConfig, border: int, of_missed: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Join neighbours, the pair that loses least first, while the loss stays below what a plane costs.
 
@@ -59,9 +53,8 @@ def merged_planes(
     config : PlanesConfig
     border : int
         Entries of the volume next to another plane that fits leave out.
-    of_missed : float, optional
-        Share of what a level plane misses of the evidence that a slope has to gain; without it the share of all
-        evidence that ``config.slope_tolerance`` is.
+    of_missed : float
+        Share of what the level plane misses that a slope has to gain, besides ``config.slope_tolerance``.
 
     Returns
     -------
@@ -137,14 +130,14 @@ def counted(every: np.ndarray, core: np.ndarray) -> np.ndarray:
 class _Simplest:
     """Planes of one label where a slope gains little: the blur that was calibrated tilts planes by itself.
 
-    Where a level plane misses much of the evidence, a slope gains more by chance. So its gain is compared with what the
-    level plane misses, as in an F-test, or more simply with all of the plane's evidence.
+    A slope has to gain a share of all evidence of its plane. Where the level plane misses much of the best that blocks
+    offer, slopes gain more by chance: then they have to gain a share of that, as in an F-test.
     """
 
-    def __init__(self, volume: Volume, tolerance: float, of_missed: float | None) -> None:
+    def __init__(self, volume: Volume, tolerance: float, of_missed: float) -> None:
         self.planes: dict[Part, np.ndarray] = {}
         self._volume, self._tolerance, self._of_missed = volume, tolerance, of_missed
-        self._most = None if of_missed is None else volume.likelihood.max(axis=2)
+        self._most = volume.likelihood.max(axis=2) if of_missed else None
 
     def find(self, parts: Iterable[Part]) -> None:
         """Find the planes of parts that are not known yet."""
@@ -156,9 +149,10 @@ class _Simplest:
 
     def _least_gain(self, part: Part, of_level: float) -> float:
         """Nats that a part's slope has to gain over its level plane, which has ``of_level``."""
-        if self._of_missed is None or self._most is None:
-            return self._tolerance * part.value
-        return self._of_missed * (float(self._most[part.core].sum(dtype=float)) - of_level)
+        of_all = self._tolerance * part.value
+        if self._most is None:
+            return of_all
+        return max(of_all, self._of_missed * (float(self._most[part.core].sum(dtype=float)) - of_level))
 
     def numbers_of(self, part: Part) -> int:
         """How many numbers a part's plane takes."""
