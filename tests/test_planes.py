@@ -218,7 +218,8 @@ def test_a_slope_has_to_gain_a_share_of_what_the_level_plane_misses(
         np.zeros((20, 30), int), start, of(volume_about(label)), config=config, border=2, of_missed=of_missed
     )
     assert found[0, :2].any() == kept
-    # The mean of 416 blocks with such errors is known within .015 px, their slope along 26 columns within .002.
+    # The mean of 600 blocks with such errors is known within .012 px, their slope along 30 columns within .0014: six or
+    # seven of these.
     assert abs(found[0] @ [15, 10, 1] - (plane[0] @ [15, 10, 1])) < 0.08
     assert abs(found[0, 0] - slope_px) < 0.01
 
