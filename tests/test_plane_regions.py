@@ -160,6 +160,18 @@ def test_bounded_costs_keep_their_order_and_small_losses(seed: int, most: float)
     assert bounded(cost, 0.0) is cost
 
 
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**31), regions=st.sampled_from([1, 2, 32, 33, 100]), most=st.sampled_from([0.0, 3.0]))
+def test_costs_of_regions_are_sums_of_what_blocks_lose(seed: int, regions: int, most: float) -> None:
+    rng = np.random.default_rng(seed)
+    region = rng.permutation(np.append(np.arange(regions), rng.integers(0, regions, 240 - regions))).reshape(12, 20)
+    cost = rng.normal(0, 5, (12, 20, 7)).astype(np.float32)
+    found = costs_of_regions(region, cost, most_block_nats=most)
+    alone = bounded(cost, most).astype(float)
+    # The same float32 terms, added in float64 in the same order.
+    np.testing.assert_allclose(found, [alone[region == k].sum(axis=0) for k in range(regions)], rtol=1e-12, atol=1e-9)
+
+
 def test_few_blocks_of_strong_evidence_do_not_outvote_the_others_of_their_region() -> None:
     """A far wall with a rim of blocks whose evidence for the near thing beside them is ten times as strong."""
     cost = np.zeros((20, 20, 2), np.float32)

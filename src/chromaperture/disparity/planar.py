@@ -22,19 +22,13 @@ from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.plane_edges import LineCosts, choices_of, placed_edges
 from chromaperture.disparity.plane_fit import Planes, Volume, candidates
 from chromaperture.disparity.plane_merging import away_from_borders, counted, merged_planes
-from chromaperture.disparity.plane_regions import (
-    border_costs,
-    bounded,
-    costs_of_regions,
-    joined_regions,
-    regions_between_edges,
-)
+from chromaperture.disparity.plane_regions import border_costs, costs_of_regions, joined_regions, regions_between_edges
 from chromaperture.disparity.plane_voting import OF_GUIDED, voted_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
 from chromaperture.planes_config import PlanesConfig
 from chromaperture.stage_config import SurfaceConfig
-from chromaperture.threads import BAND_ROWS, each_band
+from chromaperture.threads import BAND_ROWS, each_band, parallel_map
 
 # Areas that end where the photograph has edges need less of a border left out: docs/measurements.md, "Depth edges in
 # the photograph".
@@ -237,7 +231,7 @@ def fits_of_regions(
     region = regions_between_edges(log_odds)
     cost = blocks.run.plane_costs(blocks.likelihood, planes, blocks.labels_px, blocks.costs)
     cost[..., :sloped] *= np.float32(1 - SLOPED_LESS)
-    total = costs_of_regions(region, bounded(cost, config.most_block_nats))
+    total = costs_of_regions(region, cost, most_block_nats=config.most_block_nats)
     border = max(1, round(config.border_px * BORDER_OF_REGIONS / size))
 
     def fit(nats: float) -> Planes:
@@ -248,7 +242,7 @@ def fits_of_regions(
         merged = between_labels(merged, choice, blocks, border=border)
         return planes_of_pixels(merged, choice, shape, size)._replace(blocks=blocks)
 
-    return [fit(nats) for nats in config.learned_border_nats]
+    return parallel_map(fit, config.learned_border_nats)
 
 
 def level_planes(labels_px: np.ndarray) -> np.ndarray:
