@@ -444,7 +444,7 @@ def test_ctrl_c_while_the_program_is_loaded(module):
     }
     ended = child(f"""
 import os, signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # what a shell starts in the background ignores it
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell has what it starts in the background ignore it
 class Interrupting:
     def find_spec(self, name, path=None, target=None):
         if name == {module!r}:

@@ -26,8 +26,10 @@ from chromaperture.threads import each_band
 # docs/measurements.md, "Depth edges in the photograph", has .4 and 1 for the one, 4 and 9 for the other.
 SMOOTH_BLOCKS = 0.7  # sigma of what edges are smoothed by before regions are cut
 MOST_LOG_ODDS = 6.0  # of no edge that a border costs
-_REGIONS_AT_ONCE = 32  # whose costs are gathered: .8 MB of 350 planes. All at once, 30 MB, take ten times as long
 OF_LINK = 1e-3  # of a link's own log odds: tells apart what is alike otherwise, and changes nothing else
+# Whose costs are gathered at once: .8 MB of 350 planes. All together are 30 MB of new memory, which in a measurement of
+# 720x480 px took .2 to .38 s in place of .02 to .03 s.
+_REGIONS_AT_ONCE = 32
 
 
 class Joined(NamedTuple):
