@@ -114,14 +114,17 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
         "penalties not led by the guide": {"surface": dataclasses.replace(surface, edge_floor=1.0)},
     }
     planes = config.matcher.planes
+    nats = planes.learned_border_nats
     changes |= {
         "pairs of channels alone": {"spectral": dataclasses.replace(config.matcher.spectral, gain=0.0)},
         "no planes": {"planes": dataclasses.replace(planes, rounds=0)},
         "planes keep every slope": {"planes": dataclasses.replace(planes, slope_tolerance=0.0, slope_of_missed=0.0)},
         "the guide leads borders": {"planes": config.matcher.with_guided_borders().planes},
         "losses of blocks not bounded": {"planes": dataclasses.replace(planes, most_block_nats=0.0)},
-        "one fit votes": {"planes": dataclasses.replace(planes, learned_border_nats=(5.0,))},
-        "five fits vote": {"planes": dataclasses.replace(planes, learned_border_nats=(5.0, 2.5, 10.0, 1.25, 20.0))},
+        "one fit votes": {"planes": dataclasses.replace(planes, learned_border_nats=nats[:1])},
+        "five fits vote": {
+            "planes": dataclasses.replace(planes, learned_border_nats=(*nats, nats[0] / 4, nats[0] * 4))
+        },
         "one fit wherever the surface allows it": {
             "planes": dataclasses.replace(planes, vote_factors=(), learned_border_nats=())
         },

@@ -46,8 +46,9 @@ LEAST_LAYERS = 32
 ALLOWED_GROWTH = 2.0
 # Of what borders between planes cost, a fit each: docs/measurements.md, "Several fits vote", has two to five of them.
 VOTE_FACTORS = (1.0, 0.7, 1.4)
-# See `PlanesConfig`; docs/measurements.md, "Depth edges in the photograph", has others.
-LEARNED_BORDER_NATS = (5.0, 2.5, 10.0)
+# See `PlanesConfig.learned_border_nats`; the second where blur tells more than parallax. docs/measurements.md, "Depth
+# edges in the photograph" and "Depth edges that the photograph does not show", has others.
+LEARNED_BORDER_NATS, LEARNED_BORDER_NATS_OF_BLUR = (2.5, 1.25, 5.0), (5.0, 2.5, 10.0)
 # See `PlanesConfig.most_block_nats`; the second where blur tells more than parallax. docs/measurements.md, "Blocks that
 # speak for another plane", has others.
 MOST_BLOCK_NATS, MOST_BLOCK_NATS_OF_BLUR = 3.0, 12.0
@@ -252,9 +253,10 @@ class AccurateConfig(MatcherConfig):
         elif one_pair:
             evidence = replace(evidence, own_detail=True)
         planes = PlanesConfig(
-            vote_factors=VOTE_FACTORS, learned_border_nats=LEARNED_BORDER_NATS,
+            vote_factors=VOTE_FACTORS,
+            learned_border_nats=LEARNED_BORDER_NATS_OF_BLUR if by_blur else LEARNED_BORDER_NATS,
             most_block_nats=MOST_BLOCK_NATS_OF_BLUR if by_blur else MOST_BLOCK_NATS,
-        )  # fmt: skip
+        )
         spectral = SpectralConfig.for_blur(reach)
         return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=spectral)
 
