@@ -78,7 +78,8 @@ VARIANTS: dict[str, MatcherConfig] = {
 
 ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only",
             "one octave", "three octaves", "window of 8 px", "pairs of channels alone", "no planes",
-            "planes keep every slope", "edges where the evidence has them", "edges where the guide has them",
+            "planes keep every slope", "losses of blocks not bounded", "borders cost twice as much",
+            "edges where the evidence has them", "edges where the guide has them",
             "no level planes among the candidates", "level planes at labels", "the guide leads borders",
             "one fit votes", "five fits vote", "one fit wherever the surface allows it", "error bar not learned",
             "no total variation", "four paths", "penalties a tenth",
@@ -121,6 +122,9 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
         "planes keep every slope": {"planes": dataclasses.replace(planes, slope_tolerance=0.0, slope_of_missed=0.0)},
         "the guide leads borders": {"planes": config.matcher.with_guided_borders().planes},
         "losses of blocks not bounded": {"planes": dataclasses.replace(planes, most_block_nats=0.0)},
+        "borders cost twice as much": {
+            "planes": dataclasses.replace(planes, learned_border_nats=tuple(2 * cost for cost in nats))
+        },
         "one fit votes": {"planes": dataclasses.replace(planes, learned_border_nats=nats[:1])},
         "five fits vote": {
             "planes": dataclasses.replace(planes, learned_border_nats=(*nats, nats[0] / 4, nats[0] * 4))
