@@ -25,7 +25,7 @@ from chromaperture.threads import thread_count
 
 def contestants(design: str) -> dict:
     """Functions without arguments: the peer, accurate as a whole, its evidence and its surface."""
-    camera, image = open_sample(f"still_life_{design}", quality="accurate")
+    camera, image = open_sample(f"still_life_{design}", quality="accurate", device="cpu")
     method = camera.method
     assert isinstance(method, AccurateMethod)
     layers_px = method.config.layers.values_px

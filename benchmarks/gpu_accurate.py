@@ -12,19 +12,23 @@ depth is compared with the CPU's before anything is timed.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import math
 import time
 import warnings
 from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
-from gpu import count, counting_device
+from gpu import count, counting_device, median_time_ms, median_times_ms, warmed
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_matching import default_config
+from chromaperture.config import AccurateConfig
 from chromaperture.disparity.gpu.accurate_chain import AccurateChain
 from chromaperture.disparity.gpu.device import Chain, Device, Dispatch
 from chromaperture.disparity.gpu.measured import Further
@@ -36,6 +40,7 @@ from chromaperture.errors import CaptureWarning
 from chromaperture.products.samples import open_sample
 
 LEAST_AGREEING, DEPTH_TOLERANCE = 0.995, 1e-3
+ROUNDS = 5  # on a device that is not software
 SUMS = 6  # over the points of a plane, from each start
 LINES, PARTS = 2000, 200  # across borders of a photograph of 720x480, and groups of them
 
@@ -149,6 +154,14 @@ def composed(camera: CodedApertureCamera, device: Device) -> tuple[AccurateChain
     return chain, {"first": chain.first, "last": chain.last}
 
 
+def chain_of(camera: CodedApertureCamera) -> AccurateChain:
+    """The chains that a camera's device has composed last."""
+    assert camera.device_method is not None
+    chain = camera.device_method.on_gpu._chain
+    assert isinstance(chain, AccurateChain)
+    return chain
+
+
 def down_between(chain: AccurateChain) -> float:
     """MB that come down between the submissions."""
     if not chain.uses_depth_edges:
@@ -156,8 +169,13 @@ def down_between(chain: AccurateChain) -> float:
     return round(sum(4 * chain.first.arrays[name].size for name in DOWN) / 1e6, 1)
 
 
-def timed(camera: CodedApertureCamera, image: np.ndarray, device: str) -> dict[str, Any]:
-    """Disparity, and whole calls with depth and colours, beside Numba's, after the depth has been compared."""
+def timed(
+    camera: CodedApertureCamera, image: np.ndarray, device: str
+) -> tuple[dict[str, Any], dict[str, float]]:
+    """Disparity, and whole calls with depth and colours, beside Numba's, after the depth has been compared.
+
+    Returns the figures, and the time of every stage by the device's timestamps in ms, empty where it keeps none.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CaptureWarning)  # the device is software
         on_gpu = CodedApertureCamera(camera.calibration, camera.config, device=device)
@@ -172,20 +190,32 @@ def timed(camera: CodedApertureCamera, image: np.ndarray, device: str) -> dict[s
     found: dict[str, Any] = {"device": info.name, "software": info.is_software}
     found["share_within_0.1_percent"] = round(float(close.mean()), 5)
     on_gpu.method.match(image)  # composes the chains without depth and colours
-    works = {
+    works: dict[str, Callable[[np.ndarray], object]] = {
         "device": on_gpu.method.match, "numba": camera.method.match,
         "device_whole": on_gpu.measure, "numba_whole": camera.measure,
     }  # fmt: skip
     for name, work in works.items():
         if name == "device_whole":
             on_gpu.measure(image)
-        wall, cpu = time.perf_counter(), time.process_time()
-        work(image)
-        found[f"{name}_wall_ms"] = round(1e3 * (time.perf_counter() - wall), 1)
-        found[f"{name}_cpu_ms"] = round(1e3 * (time.process_time() - cpu), 1)
+        if name.startswith("device") and not info.is_software:
+            warmed(functools.partial(work, image))
+        walls, cpus = [], []
+        for _ in range(ROUNDS if name.startswith("device") and not info.is_software else 1):
+            wall, cpu = time.perf_counter(), time.process_time()
+            work(image)
+            walls.append(1e3 * (time.perf_counter() - wall))
+            cpus.append(1e3 * (time.process_time() - cpu))
+        found[f"{name}_wall_ms"], found[f"{name}_cpu_ms"] = round(min(walls), 1), round(min(cpus), 1)
     for kind in ("", "_whole"):
         found[f"ratio{kind}_to_numba_cpu"] = round(found[f"device{kind}_cpu_ms"] / found[f"numba{kind}_cpu_ms"], 2)
-    return found
+    stages: dict[str, float] = defaultdict(float)
+    chain = chain_of(on_gpu)
+    if chain.first.device.timestamps:
+        for name, part in (("first", chain.first), ("last", chain.last)):
+            found[f"{name}_timestamps_ms"] = round(median_time_ms(part, {}), 3)
+            for stage, ms in median_times_ms(part, {}):
+                stages[stage] += ms
+    return found, stages
 
 
 def main() -> None:
@@ -196,16 +226,25 @@ def main() -> None:
         "--scale", type=int, help="match pictures reduced to 1 / scale; else the camera's working scale"
     )
     parser.add_argument("--device", help="run there, too")
+    parser.add_argument(
+        "--planes-on-device", action="store_true", help="the guide leads borders: nothing returns to the CPU in between"
+    )
     parser.add_argument("--bandwidth", type=float, default=4800.0, help="of the model's memory, GB/s")
     parser.add_argument("--rate", type=float, default=60.0, help="of the model's arithmetic, TFLOP/s")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     width, height = (int(side) for side in arguments.size.split("x"))
-    camera, image = open_sample(arguments.sample, quality="accurate")
+    camera, image = open_sample(arguments.sample, quality="accurate", device="cpu")
     if (width, height) != image.shape[1::-1]:
         camera, image = camera.at_size(width, height), cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     if arguments.scale:
         config = default_config(camera.calibration, "accurate", scale=arguments.scale)
+        camera = CodedApertureCamera(camera.calibration, config)
+    if arguments.planes_on_device:
+        matcher = camera.config.matcher
+        assert isinstance(matcher, AccurateConfig)
+        planes = replace(matcher.planes, learned_border_nats=())
+        config = replace(camera.config, matcher=replace(matcher, planes=planes))
         camera = CodedApertureCamera(camera.calibration, config)
     chain, chains = composed(camera, counting_device())
     stages = counted(chains, bandwidth=1e9 * arguments.bandwidth, rate=1e12 * arguments.rate)
@@ -234,19 +273,25 @@ def main() -> None:
         textures = chain.textures.covariances, chain.textures.shares, chain.textures.facts
         result["mbytes_of_textures"] = round(sum(part.nbytes for part in textures) / 1e6, 1)
     if arguments.device:
-        result |= timed(camera, image, arguments.device)
+        figures, times = timed(camera, image, arguments.device)
+        result |= figures
+        for name, ms in times.items():
+            stages[name]["ms"] = ms
     if arguments.json:
         print(json.dumps(result | {"stages": stages}, indent=2))
         return
     print("\n".join(f"{name:26s} {value}" for name, value in result.items()))
-    print(f"\n{'stage':18s} {'dispatches':>10s} {'MB':>10s} {'Mop':>10s} {'model ms':>9s}")
+    print(f"\n{'stage':18s} {'dispatches':>10s} {'MB':>10s} {'Mop':>10s} {'model ms':>9s} {'measured ms':>12s}")
     total: dict[str, float] = defaultdict(float)
     for name, row in sorted(stages.items(), key=lambda item: -item[1]["model_ms"]):
-        print(f"{name:18s} {row['dispatches']:10.0f} {row['mbytes']:10.1f} {row['mops']:10.1f} {row['model_ms']:9.3f}")
+        print(
+            f"{name:18s} {row['dispatches']:10.0f} {row['mbytes']:10.1f} {row['mops']:10.1f} {row['model_ms']:9.3f} "
+            f"{row['ms']:12.3f}"
+        )
         for key, value in row.items():
             total[key] += value
-    sums = (total["dispatches"], total["mbytes"], total["mops"], total["model_ms"])
-    print("{:18s} {:10.0f} {:10.1f} {:10.1f} {:9.3f}".format("sum", *sums))
+    sums = (total["dispatches"], total["mbytes"], total["mops"], total["model_ms"], total["ms"])
+    print("{:18s} {:10.0f} {:10.1f} {:10.1f} {:9.3f} {:12.3f}".format("sum", *sums))
 
 
 if __name__ == "__main__":

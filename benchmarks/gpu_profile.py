@@ -175,7 +175,7 @@ def main() -> None:
     parser.add_argument("--shaders", action="store_true", help="each shader's time besides")
     arguments = parser.parse_args()
     width, height = (int(side) for side in arguments.size.split("x"))
-    camera, image = open_sample(arguments.sample, quality="accurate")
+    camera, image = open_sample(arguments.sample, quality="accurate", device="cpu")
     camera, image = camera.at_size(width, height), cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     chain = AccurateChain(camera.method, open_device(arguments.device), (height, width))
 

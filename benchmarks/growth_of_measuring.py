@@ -55,7 +55,7 @@ def with_layers(camera: CodedApertureCamera, own: LayersConfig, axis: str, facto
 
 def case(quality: str, axis: str, value: float) -> dict:
     """Measure in this process."""
-    camera, image = open_sample(quality=quality)
+    camera, image = open_sample(quality=quality, device="cpu")
     repeats, place = 1, value
     if axis == "pixels":
         size = int(value), int(value) * 2 // 3

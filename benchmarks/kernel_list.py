@@ -41,7 +41,7 @@ def kernels_of(quality: str) -> dict[str, list]:
 
     event.register("numba:compile", Clock())
     for sample in samples():
-        camera, image = open_sample(sample, quality=quality)
+        camera, image = open_sample(sample, quality=quality, device="cpu")
         frame = camera.measure(image)
         frame.points()
         with tempfile.TemporaryDirectory() as folder:

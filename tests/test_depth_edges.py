@@ -80,6 +80,6 @@ def test_the_network_is_small() -> None:
 
 
 def test_pictures_too_small_for_planes_need_no_edges() -> None:
-    camera, image = open_sample("still_life_cy_halves", quality="accurate")
+    camera, image = open_sample("still_life_cy_halves", quality="accurate", device="cpu")
     assert camera.method.depth_edges(image[:7]) is None
     assert camera.method.depth_edges(image[:8]).shape == (2, 2, image.shape[1] // BLOCK_PX)

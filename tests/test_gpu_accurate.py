@@ -43,7 +43,7 @@ def small(name, width, height):
 
 def with_depth_edges(name, width, height):
     """The same where the photograph's depth edges bound planes."""
-    camera, image = open_sample(name, quality="accurate")
+    camera, image = open_sample(name, quality="accurate", device="cpu")
     return camera.at_size(width, height), cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
 
 

@@ -106,7 +106,7 @@ def test_pictures_one_pixel_wide(shape):
 
 def sample_at(name: str, width: int, height: int, **settings) -> tuple[CodedApertureCamera, np.ndarray]:
     """A bundled capture and its camera in fewer pixels, on whatever device there is: software is slow."""
-    camera, image = open_sample(name, **settings)
+    camera, image = open_sample(name, device="cpu", **settings)
     camera = camera.at_size(width, height)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CaptureWarning)  # the device is software

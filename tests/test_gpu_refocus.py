@@ -79,7 +79,7 @@ def test_one_chain_serves_one_focus_after_the_other():
 
 @cache
 def camera_on(device: str) -> CodedApertureCamera:
-    camera, _ = open_sample("still_life_cy_halves", quality="real-time")
+    camera, _ = open_sample("still_life_cy_halves", quality="real-time", device="cpu")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CaptureWarning)  # the device is software
         return CodedApertureCamera(camera.calibration, camera.config, device=device)

@@ -56,18 +56,18 @@ def path_costs(likelihood, guide, layers, config, **options):
 
 
 # Few sizes, because every size compiles eight shaders; the pictures are hypothesis's.
-SIZES = [(1, 2, 3, 1, 4), (7, 1, 9, 4, 8), (24, 20, 70, 8, 8), (12, 31, 65, 16, 8)]
+SIZES = [(1, 2, 3, 1, 4, 1), (7, 1, 9, 4, 8, 4), (24, 20, 70, 8, 8, 1), (12, 31, 65, 16, 8, 3)]
 
 
 @settings(max_examples=12, deadline=None)
 @given(st.sampled_from(SIZES), st.integers(0, 2**32 - 1))
 def test_path_costs_agree(size, seed):
-    height, width, count, lanes, paths = size
+    height, width, count, lanes, paths, ahead = size
     rng = np.random.default_rng(seed)
     likelihood, guide = volume(rng, height, width, count)
     layers = np.linspace(-4, 4, count)
     config = SurfaceConfig(paths=paths)
-    found = path_costs(likelihood, guide, layers, config, lanes=lanes)
+    found = path_costs(likelihood, guide, layers, config, lanes=lanes, ahead=ahead)
     expected = stages.aggregate_paths(likelihood, guide, layers, config=config)
     # The same operations in single precision: eight sums of some 30 nats.
     np.testing.assert_allclose(found, expected, atol=2e-3)

@@ -247,30 +247,39 @@ class Chain:
 
     def stage_times_ms(self, inputs: Mapping[str, np.ndarray]) -> list[tuple[str, float]]:
         """Run all stages, each timed by the device; raises DeviceError where it keeps no time."""
+        times = self._pass_times_ms(inputs, [[dispatch] for dispatch in self.dispatches])
+        return [(dispatch.stage, ms) for dispatch, ms in zip(self.dispatches, times, strict=True)]
+
+    def time_ms(self, inputs: Mapping[str, np.ndarray]) -> float:
+        """Run all stages as `run` does, timed by the device from the first to the last; raises DeviceError."""
+        return self._pass_times_ms(inputs, [self.dispatches])[0]
+
+    def _pass_times_ms(self, inputs: Mapping[str, np.ndarray], passes: Sequence[Sequence[Dispatch]]) -> list[float]:
         if not self.device.timestamps:
             raise DeviceError(f"{self.device.info.name} keeps no timestamps")
         wgpu = _wgpu()
         for name, values in inputs.items():
             self.write(self.arrays[name], values)
-        count = 2 * len(self.dispatches)
+        count = 2 * len(passes)
         with device_errors(self.device.info.name):
             queries = self.device.handle.create_query_set(type=wgpu.QueryType.timestamp, count=count)
             usage = wgpu.BufferUsage
             resolved = self.device.handle.create_buffer(size=8 * count, usage=usage.QUERY_RESOLVE | usage.COPY_SRC)
             encoder = self.device.handle.create_command_encoder()
-            for i, dispatch in enumerate(self.dispatches):
+            for i, dispatches in enumerate(passes):
                 one_pass = encoder.begin_compute_pass(
                     timestamp_writes={
                         "query_set": queries, "beginning_of_pass_write_index": 2 * i,
                         "end_of_pass_write_index": 2 * i + 1,
                     }
                 )  # fmt: skip
-                _encode(one_pass, dispatch)
+                for dispatch in dispatches:
+                    _encode(one_pass, dispatch)
                 one_pass.end()
             encoder.resolve_query_set(queries, 0, count, resolved, 0)
             self.device.handle.queue.submit([encoder.finish()])
             ticks = np.frombuffer(self.device.handle.queue.read_buffer(resolved), np.uint64).astype(float)
-        return [(d.stage, float(ticks[2 * i + 1] - ticks[2 * i]) / 1e6) for i, d in enumerate(self.dispatches)]
+        return [float(ms) for ms in (ticks[1::2] - ticks[0::2]) / 1e6]
 
     @property
     def device_bytes(self) -> int:

@@ -1,5 +1,11 @@
-// What a pixel costs by itself.
+// What a pixel costs by itself, and what it is computed from.
 
-fn own_cost(at: u32) -> vec4f {
-    return -likelihood[at];
+struct Own { likelihood: vec4f }
+
+fn own_read(at: u32) -> Own {
+    return Own(likelihood[at]);
+}
+
+fn own_cost(own: Own) -> vec4f {
+    return -own.likelihood;
 }

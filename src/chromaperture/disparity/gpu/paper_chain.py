@@ -58,9 +58,9 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
         chain, planes, layers_px, directions, config.correlation, chunked=True, kept=kept
     ):
         pitch = kept.pitch_of(chunk.size, fours)
-        add_recursions(
-            chain, planes, maps, links, map_count=chunk.size + 1, gain=1 - even, own=0.0, pitch=pitch
-        )  # fmt: skip
+        # Up to the map of the weights: behind the layers by four, or in their last place where that is free.
+        filtered = 4 * fours.quads + (chunk.size == 4 * fours.quads)
+        add_recursions(chain, planes, maps, links, map_count=filtered, gain=1 - even, own=0.0, pitch=pitch)
         chain.add(
             "running_winner", [maps, best], groups=groups_for(planes.pixels),
             uses=SHARED, phases=fours.phases, per_phase=fours.per_phase,

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 
 from chromaperture.disparity.gpu.device import Array, Chain, Device
-from chromaperture.disparity.gpu.surface_stages import Grid
+from chromaperture.disparity.gpu.surface_stages import AHEAD, Grid
 from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
 from chromaperture.disparity.stages.planes import PlaneCosts
 
@@ -32,15 +35,15 @@ def add_potts(
     sweeps : int
     """
     pixels, single = shape[0] * shape[1], chain.device.info.is_software
+    held: dict[str, Any] = {} if single else {"held": math.ceil(capacity / GROUP), "ahead": AHEAD}
     sent = [chain.array(f"sent_{side}", pixels * capacity) for side in ("right", "left", "down", "up")]
     chain.add("messages_zero", [count, *sent], groups=(_PARTS,), pixels=pixels, parts=_PARTS)
     for _ in range(sweeps):
         for along_x, (ahead, back) in ((True, sent[:2]), (False, sent[2:])):
             lines = shape[0] if along_x else shape[1]
             chain.add(
-                "potts_lines", [beliefs, ahead, back, links, count], groups=(lines / (GROUP if single else 1),),
-                uses=("choices_single" if single else "choices_shared",),
-                height=shape[0], width=shape[1], along_x=along_x,
+                "potts_lines_single" if single else "potts_lines", [beliefs, ahead, back, links, count],
+                groups=(lines / (GROUP if single else 1),), height=shape[0], width=shape[1], along_x=along_x, **held,
             )  # fmt: skip
     choice = chain.array("choice", pixels, np.uint32)
     chain.add(

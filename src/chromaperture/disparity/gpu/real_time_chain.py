@@ -43,6 +43,8 @@ from chromaperture.disparity.views import ViewSpace
 LABELLED = (*SHARED, "half_labels")  # functions of the stages that follow equal depth
 _AT_ONCE = 8  # samples of a line: `each` of ``smoothing_of_lines.wgsl``
 _LANES = 4  # invocations that share a path
+# Steps of a path that are read before they are needed. On an H200 a step waits 0.7 us for the memory without.
+_AHEAD, _AHEAD_IN_SOFTWARE = 4, 1
 
 
 def add_real_time(
@@ -145,6 +147,7 @@ def _add_paths(
     exchange, lanes = "lanes_quad", _LANES
     if not chain.device.subgroups:  # barriers of a rasteriser in software take three times as long as the paths
         exchange, lanes = ("lanes_single", 1) if chain.device.info.is_software else ("lanes_shared", _LANES)
+    ahead = _AHEAD_IN_SOFTWARE if chain.device.info.is_software else _AHEAD
     parts = path_parts(paths.jump_penalty)
     last_parts = 65535 / paths.jump_penalty  # what comes up the columns is not rounded on the CPU
     for direction, cost in enumerate(costs):
@@ -155,7 +158,8 @@ def _add_paths(
             uses=(*SHARED, exchange, "packed_costs", "own_of_rows" if along_row else "own_of_columns"),
             direction=direction, row_share=paths.row_share, guide_plane=planes.view_count * planes.pixels,
             pitch=pitch, jump=paths.jump_penalty, row_parts=parts, cost_parts=parts if direction < 3 else last_parts,
-            edge_range=paths.edge_range, edge_floor=paths.edge_floor, **size,
+            edge_range=paths.edge_range, edge_floor=paths.edge_floor,
+            ahead=ahead, vectors=-(-pitch // (4 * lanes)), **size,
         )  # fmt: skip
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(

@@ -21,9 +21,11 @@ from chromaperture.disparity.stages.variation import OPERATOR_NORM_SQUARED
 from chromaperture.stage_config import SurfaceConfig
 
 AT_ONCE = 8  # neighbours that an invocation of a filter has: what they read overlaps
-LANES = 8  # invocations of a path: 9 to 17 layers each for 65 to 129; a subgroup of 8 or more holds whole paths
+LANES = 16  # invocations of a path; 8, 16, 32: 10, 8, 10 ms for 143 layers of 720x480 on an H200 (docs/gpu.md)
 LANES_IN_SOFTWARE = 4  # the fewer, the less they tell each other; 2 and 1 have too many layers each for its registers
-MOST_LAYERS = 512  # of a path: 64 in the registers of each of 8 invocations
+# Steps of a path that are read before they are needed, as far as registers last. On an H200 a step waits 3 us without.
+AHEAD, LAYERS_AHEAD = 4, 72
+MOST_LAYERS = 512  # of a path: 32 in the registers of each of 16 invocations
 STEPS_SIDE = 64  # px that a workgroup of `coupling_steps.wgsl` loads along either axis
 _MOST_STEPS = 5  # iterations in shared memory: of 64 x 64 px loaded 54 x 54 are stored
 
@@ -64,6 +66,7 @@ def add_paths(
     *,
     config: SurfaceConfig,
     lanes: int | None = None,
+    ahead: int | None = None,
 ) -> None:
     """Append `stages.aggregate_paths`: a dispatch for every direction.
 
@@ -77,6 +80,8 @@ def add_paths(
     config : SurfaceConfig
     lanes : int
         Invocations that share a path; 1, 2, 4, ... 64. By default as many as suit the device.
+    ahead : int
+        Steps of a path that are read before they are needed; by default as suits the device.
 
     Raises
     ------
@@ -88,14 +93,17 @@ def add_paths(
     penalties = penalties_of(config, layers_px)
     lanes = lanes or (LANES_IN_SOFTWARE if chain.device.info.is_software else LANES)
     own_layers = math.ceil(grid.layers / lanes)
+    if ahead is None:
+        ahead = 1 if chain.device.info.is_software else max(1, min(AHEAD, LAYERS_AHEAD // own_layers))
     # Layers within which a change costs less than a jump: nothing comes from further away.
     reach = math.ceil(penalties.jump / penalties.slope_per_layer / own_layers)
     for i, (dx, dy) in enumerate((sign * x, sign * y) for x, y in LINES[: config.paths // 2] for sign in (1, -1)):
         lines = grid.height if dy == 0 else grid.width if dx == 0 else grid.height + grid.width - 1
         chain.add(
             "volume_paths", [likelihood, guide, total], groups=(lines / (GROUP // lanes),),
-            height=grid.height, width=grid.width, count=grid.layers, lines=lines, lanes=lanes, own_layers=own_layers,
-            reach=min(lanes - 1, reach), dx=float(dx), dy=float(dy), own=float(config.paths - 1), starts_total=i == 0,
+            height=grid.height, width=grid.width, count=grid.layers, lines=lines,
+            lanes=lanes, own_layers=own_layers, ahead=ahead, reach=min(lanes - 1, reach), dx=float(dx), dy=float(dy),
+            own=float(config.paths - 1), starts_total=i == 0,
             slope=penalties.slope_per_layer, jump=penalties.jump,
             edge_range=penalties.edge_range, edge_floor=penalties.edge_floor,
         )  # fmt: skip

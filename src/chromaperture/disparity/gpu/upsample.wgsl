@@ -10,17 +10,20 @@
 
 const coarse_pixels = width * height;
 
-// The working pixel before a pixel, and the share of the one after.
+// The working pixel before a pixel, the share of the one after, and the nearer one of both: 0 or 1. Half-way the one
+// after is; divisions of a GPU are not exact enough to tell.
 struct Place {
     before: u32,
     share: f32,
+    nearer: u32,
 }
 
 fn place(at: u32, full_count: u32, count: u32) -> Place {
     let twice = i32((2u * at + 1u) * count) - i32(full_count);  // of it, in 1 / full_count of a working pixel
     let unit = 2i * i32(full_count);
     let before = clamp(select(-1i, twice / unit, twice >= 0i), 0i, max(i32(count) - 2i, 0i));
-    return Place(u32(before), clamp(f32(twice - before * unit) / f32(unit), 0.0, 1.0));
+    let beyond = twice - before * unit;
+    return Place(u32(before), clamp(f32(beyond) / f32(unit), 0.0, 1.0), u32(2i * beyond >= unit));
 }
 
 fn is_known_at(i: u32) -> bool {
@@ -59,7 +62,7 @@ fn main(
     let row = place(i / full_width, full_height, height);
     let columns = vec2u(column.before, min(column.before + 1u, width - 1u));
     let rows = vec2u(row.before, min(row.before + 1u, height - 1u));
-    if (!is_known_at(rows[u32(row.share >= 0.5)] * width + columns[u32(column.share >= 0.5)])) {
+    if (!is_known_at(rows[row.nearer] * width + columns[column.nearer])) {
         disparity[i] = NAN_BITS;
         sigma[i] = NAN_BITS;
         confidence[i] = 0u;

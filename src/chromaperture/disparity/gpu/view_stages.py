@@ -30,6 +30,7 @@ SHARED = ("indexing", "shared")
 _PARTS = 256  # most workgroups that sum a picture up; one workgroup sums their sums
 _MOST_CONSTANTS = 24  # pixels of a Gaussian whose weights the shader names; more would be long to compile
 _SOFTWARE_PARTS = 16  # there the barriers of a workgroup take as long as to read 3000 pixels
+SAMPLES_AT_ONCE = 8  # that an invocation of `guide_scale.wgsl` reads before it counts them
 STATS = 16  # numbers of `shared.wgsl`'s `stats`
 _USABLE_AT, _VARIANCE_AT = 4, 8
 GUIDE_SCALE = 12  # place of the unit of the matched guide; that of the full one follows
@@ -213,7 +214,7 @@ def _add_guide_scale(
     chain.add(
         "guide_scale", [guide, stats], groups=(1,), uses=SHARED,
         first=first, width=width, sparse=sparse, sparse_width=across, sparse_count=across * down,
-        low_place=low, high_place=high, slot=slot, guide_range=config.guide_range,
+        low_place=low, high_place=high, slot=slot, at_once=SAMPLES_AT_ONCE, guide_range=config.guide_range,
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from chromaperture.color.image import SATURATION
 from chromaperture.disparity.gpu.device import Array, Chain
-from chromaperture.disparity.gpu.view_stages import SHARED
+from chromaperture.disparity.gpu.view_stages import SAMPLES_AT_ONCE, SHARED
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.stages.upsample import JUMP_PX, LEAST_WEIGHT
 
@@ -57,7 +57,7 @@ def add_upsampled(
     chain.add(
         "guide_scale", [coarse, stats], groups=(1,), uses=SHARED,
         first=3 * pixels, width=width, sparse=1, sparse_width=width, sparse_count=pixels,
-        low_place=low, high_place=high, slot=_SLOT, guide_range=guide_range,
+        low_place=low, high_place=high, slot=_SLOT, at_once=SAMPLES_AT_ONCE, guide_range=guide_range,
     )  # fmt: skip
     outputs = [chain.array(name, size[0] * size[1]) for name in names]
     chain.add(

@@ -22,8 +22,12 @@ def samples() -> tuple[str, ...]:
     return SAMPLES
 
 
-def open_sample(name: str = SAMPLES[0], *, quality: Quality = "real-time") -> tuple[CodedApertureCamera, np.ndarray]:
+def open_sample(
+    name: str = SAMPLES[0], *, quality: Quality = "real-time", device: str = "auto"
+) -> tuple[CodedApertureCamera, np.ndarray]:
     """Open a bundled capture: its camera, and the photograph as linear RGB, (H, W, 3) float32.
+
+    ``device`` is that of `load_camera`.
 
     Raises
     ------
@@ -34,7 +38,7 @@ def open_sample(name: str = SAMPLES[0], *, quality: Quality = "real-time") -> tu
 
     if name not in SAMPLES:
         raise InputError(f"no sample {name!r}: choose {', '.join(SAMPLES)}")
-    camera = load_camera(sample_camera(name), quality=quality)
+    camera = load_camera(sample_camera(name), quality=quality, device=device)
     return camera, camera.read(sample_image(name))
 
 
