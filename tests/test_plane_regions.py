@@ -19,6 +19,7 @@ from chromaperture.disparity.plane_regions import (
     costs_of_regions,
     joined_regions,
     regions_between_edges,
+    shares_of_blocks,
 )
 from chromaperture.planes_config import PlanesConfig
 
@@ -170,6 +171,49 @@ def test_costs_of_regions_are_sums_of_what_blocks_lose(seed: int, regions: int, 
     alone = bounded(cost, most).astype(float)
     # The same float32 terms, added in float64 in the same order.
     np.testing.assert_allclose(found, [alone[region == k].sum(axis=0) for k in range(regions)], rtol=1e-12, atol=1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**31))
+def test_blocks_count_by_their_shares(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    region = rng.permutation(np.append(np.arange(40), rng.integers(0, 40, 200))).reshape(12, 20)
+    cost, shares = rng.normal(0, 5, (12, 20, 7)).astype(np.float32), rng.uniform(0, 1, (12, 20)).astype(np.float32)
+    found = costs_of_regions(region, cost, most_block_nats=3.0, shares=shares)
+    alone = bounded(cost, 3.0) * shares[..., None]
+    expected = [alone[region == k].sum(axis=0, dtype=float) for k in range(40)]
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-9)  # the same float32 terms, added in float64
+
+
+def test_blocks_beside_likely_edges_count_less_but_in_thin_regions() -> None:
+    """A near card, what is behind it, and a wire one block wide."""
+    log_odds = np.full((2, 12, 20), -5.0, np.float32)
+    log_odds[1, :, 7] = 3.0  # right of column 7
+    log_odds[1, :, 14:16] = 1.0  # on both sides of column 15
+    region = np.zeros((12, 20), int)
+    region[:, 8:15], region[:, 15], region[:, 16:] = 1, 2, 3
+    shares = shares_of_blocks(region, log_odds, 0.3)
+    expected = np.ones((12, 20), np.float32)
+    expected[:, [7, 8, 14, 16]] = 0.3
+    np.testing.assert_array_equal(shares, expected)
+
+
+def test_a_strip_whose_rim_sees_the_thing_beside_it_keeps_its_own_plane() -> None:
+    """Five columns of blank wall beside a book: the first sees the book, and outvoted the others."""
+    cost = np.zeros((30, 20, 2), np.float32)
+    cost[:, :15] = [3.0, 0.0]  # the book is plane 1
+    cost[:, 15] = [3.0, 0.0]
+    cost[:, 16:, 1] = 0.6
+    log_odds = np.full((2, 30, 20), -6.0, np.float32)
+    log_odds[1, :, 14] = 2.0
+    region = (np.arange(20) >= 15) * np.ones((30, 1), int)
+
+    def chosen(share: float) -> list[int]:
+        total = costs_of_regions(region, cost, shares=shares_of_blocks(region, log_odds, share))
+        return total.argmin(axis=1).tolist()
+
+    assert chosen(1.0) == [1, 1]
+    assert chosen(0.3) == [1, 0]
 
 
 def test_few_blocks_of_strong_evidence_do_not_outvote_the_others_of_their_region() -> None:

@@ -61,6 +61,9 @@ class PlanesConfig:
     most_block_nats : float
         Upper bound of the nats by which a plane is worse than the best one at a block, where regions between depth
         edges choose planes; 0 is no bound.
+    share_beside_edges : float
+        How much blocks count there that a likely depth edge touches, in [0, 1]: their windows see both sides.
+        docs/measurements.md, "Blocks beside depth edges", has 0 to 1.
     """
 
     tiles_px: tuple[int, ...] = (48, 96, 192, 480)
@@ -81,6 +84,7 @@ class PlanesConfig:
     vote_factors: tuple[float, ...] = ()
     learned_border_nats: tuple[float, ...] = ()
     most_block_nats: float = 0.0
+    share_beside_edges: float = 0.3
 
     def __post_init__(self) -> None:
         require(bool(self.tiles_px) and min(self.tiles_px) >= 8, "tiles_px must hold sizes of at least 8 px")
@@ -89,11 +93,12 @@ class PlanesConfig:
         penalties = (
             self.boundary_penalty, self.plane_penalty, self.plane_tolerance, self.slope_tolerance,
             self.slope_of_missed, self.slope_penalty, self.outside_penalty, self.edge_share, *self.vote_factors,
-            *self.learned_border_nats, self.most_block_nats,
+            *self.learned_border_nats, self.most_block_nats, self.share_beside_edges,
         )  # fmt: skip
         least = all_finite(*penalties) and min(penalties) >= 0
         require(
             least,
-            "penalties, tolerances, edge_share, vote_factors, learned_border_nats and most_block_nats must be finite "
-            "and >= 0",
+            "penalties, tolerances, edge_share, vote_factors, learned_border_nats, most_block_nats and "
+            "share_beside_edges must be finite and >= 0",
         )
+        require(self.share_beside_edges <= 1, "share_beside_edges must be at most 1")

@@ -22,7 +22,13 @@ from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.plane_edges import LineCosts, choices_of, placed_edges
 from chromaperture.disparity.plane_fit import Planes, Volume, candidates
 from chromaperture.disparity.plane_merging import away_from_borders, counted, merged_planes
-from chromaperture.disparity.plane_regions import border_costs, costs_of_regions, joined_regions, regions_between_edges
+from chromaperture.disparity.plane_regions import (
+    border_costs,
+    costs_of_regions,
+    joined_regions,
+    regions_between_edges,
+    shares_of_blocks,
+)
 from chromaperture.disparity.plane_voting import OF_GUIDED, voted_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
@@ -231,7 +237,8 @@ def fits_of_regions(
     region = regions_between_edges(log_odds)
     cost = blocks.run.plane_costs(blocks.likelihood, planes, blocks.labels_px, blocks.costs)
     cost[..., :sloped] *= np.float32(1 - SLOPED_LESS)
-    total = costs_of_regions(region, cost, most_block_nats=config.most_block_nats)
+    shares = shares_of_blocks(region, log_odds, config.share_beside_edges)
+    total = costs_of_regions(region, cost, most_block_nats=config.most_block_nats, shares=shares)
     border = max(1, round(config.border_px * BORDER_OF_REGIONS / size))
 
     def fit(nats: float) -> Planes:
