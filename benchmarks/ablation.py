@@ -122,6 +122,7 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
         "planes keep every slope": {"planes": dataclasses.replace(planes, slope_tolerance=0.0, slope_of_missed=0.0)},
         "the guide leads borders": {"planes": config.matcher.with_guided_borders().planes},
         "losses of blocks not bounded": {"planes": dataclasses.replace(planes, most_block_nats=0.0)},
+        "blocks beside likely edges count fully": {"planes": dataclasses.replace(planes, share_beside_edges=1.0)},
         "borders cost twice as much": {
             "planes": dataclasses.replace(planes, learned_border_nats=tuple(2 * cost for cost in nats))
         },

@@ -169,8 +169,8 @@ def median_time_ms(chain: Chain, inputs: Mapping[str, np.ndarray]) -> float:
     """Time from the first stage to the last by the device's timestamps, median of several runs."""
     rounds = 1 if chain.device.info.is_software else STAGE_ROUNDS
     if rounds > 1:
-        warmed(lambda: chain.time_ms(inputs))
-    return statistics.median(chain.time_ms(inputs) for _ in range(rounds))
+        warmed(lambda: chain.pass_times_ms(inputs, [chain.dispatches]))
+    return statistics.median(chain.pass_times_ms(inputs, [chain.dispatches])[0] for _ in range(rounds))
 
 
 def count(row: dict[str, float], dispatch: Any, computed: float, *, bandwidth: float, rate: float) -> None:

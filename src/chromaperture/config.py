@@ -52,6 +52,8 @@ LEARNED_BORDER_NATS, LEARNED_BORDER_NATS_OF_BLUR = (2.5, 1.25, 5.0), (5.0, 2.5, 
 # See `PlanesConfig.most_block_nats`; the second where blur tells more than parallax. docs/measurements.md, "Blocks that
 # speak for another plane", has others.
 MOST_BLOCK_NATS, MOST_BLOCK_NATS_OF_BLUR = 3.0, 12.0
+# See `PlanesConfig.share_beside_edges`; the second as above. docs/measurements.md, "Blocks beside depth edges".
+SHARE_BESIDE_EDGES, SHARE_BESIDE_EDGES_OF_BLUR = 0.3, 1.0
 Method = TypeVar("Method", bound="MatcherConfig")
 
 
@@ -256,6 +258,7 @@ class AccurateConfig(MatcherConfig):
             vote_factors=VOTE_FACTORS,
             learned_border_nats=LEARNED_BORDER_NATS_OF_BLUR if by_blur else LEARNED_BORDER_NATS,
             most_block_nats=MOST_BLOCK_NATS_OF_BLUR if by_blur else MOST_BLOCK_NATS,
+            share_beside_edges=SHARE_BESIDE_EDGES_OF_BLUR if by_blur else SHARE_BESIDE_EDGES,
         )
         spectral = SpectralConfig.for_blur(reach)
         return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=spectral)

@@ -84,7 +84,7 @@ class PlanesConfig:
     vote_factors: tuple[float, ...] = ()
     learned_border_nats: tuple[float, ...] = ()
     most_block_nats: float = 0.0
-    share_beside_edges: float = 0.3
+    share_beside_edges: float = 1.0
 
     def __post_init__(self) -> None:
         require(bool(self.tiles_px) and min(self.tiles_px) >= 8, "tiles_px must hold sizes of at least 8 px")

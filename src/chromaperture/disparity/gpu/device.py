@@ -247,32 +247,24 @@ class Chain:
 
     def stage_times_ms(self, inputs: Mapping[str, np.ndarray]) -> list[tuple[str, float]]:
         """Run all stages, each timed by the device; raises DeviceError where it keeps no time."""
-        times = self._pass_times_ms(inputs, [[dispatch] for dispatch in self.dispatches])
-        return [(dispatch.stage, ms) for dispatch, ms in zip(self.dispatches, times, strict=True)]
+        times = self.pass_times_ms(inputs, [[one] for one in self.dispatches])
+        return [(one.stage, ms) for one, ms in zip(self.dispatches, times, strict=True)]
 
-    def time_ms(self, inputs: Mapping[str, np.ndarray]) -> float:
-        """Run all stages as `run` does, timed by the device from the first to the last; raises DeviceError."""
-        return self._pass_times_ms(inputs, [self.dispatches])[0]
-
-    def _pass_times_ms(self, inputs: Mapping[str, np.ndarray], passes: Sequence[Sequence[Dispatch]]) -> list[float]:
+    def pass_times_ms(self, inputs: Mapping[str, np.ndarray], passes: Sequence[Sequence[Dispatch]]) -> list[float]:
+        """Run stages in passes, each timed by the device from its first stage to its last; raises DeviceError."""
         if not self.device.timestamps:
             raise DeviceError(f"{self.device.info.name} keeps no timestamps")
-        wgpu = _wgpu()
+        wgpu, count = _wgpu(), 2 * len(passes)
         for name, values in inputs.items():
             self.write(self.arrays[name], values)
-        count = 2 * len(passes)
         with device_errors(self.device.info.name):
             queries = self.device.handle.create_query_set(type=wgpu.QueryType.timestamp, count=count)
-            usage = wgpu.BufferUsage
-            resolved = self.device.handle.create_buffer(size=8 * count, usage=usage.QUERY_RESOLVE | usage.COPY_SRC)
+            usage = wgpu.BufferUsage.QUERY_RESOLVE | wgpu.BufferUsage.COPY_SRC
+            resolved = self.device.handle.create_buffer(size=8 * count, usage=usage)
             encoder = self.device.handle.create_command_encoder()
             for i, dispatches in enumerate(passes):
-                one_pass = encoder.begin_compute_pass(
-                    timestamp_writes={
-                        "query_set": queries, "beginning_of_pass_write_index": 2 * i,
-                        "end_of_pass_write_index": 2 * i + 1,
-                    }
-                )  # fmt: skip
+                places = {"beginning_of_pass_write_index": 2 * i, "end_of_pass_write_index": 2 * i + 1}
+                one_pass = encoder.begin_compute_pass(timestamp_writes={"query_set": queries, **places})
                 for dispatch in dispatches:
                     _encode(one_pass, dispatch)
                 one_pass.end()
