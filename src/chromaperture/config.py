@@ -52,8 +52,9 @@ LEARNED_BORDER_NATS, LEARNED_BORDER_NATS_OF_BLUR = (2.5, 1.25, 5.0), (5.0, 2.5, 
 # See `PlanesConfig.most_block_nats`; the second where blur tells more than parallax. docs/measurements.md, "Blocks that
 # speak for another plane", has others.
 MOST_BLOCK_NATS, MOST_BLOCK_NATS_OF_BLUR = 3.0, 12.0
-# See `PlanesConfig.share_beside_edges`; the second as above. docs/measurements.md, "Blocks beside depth edges".
-SHARE_BESIDE_EDGES, SHARE_BESIDE_EDGES_OF_BLUR = 0.3, 1.0
+# See `PlanesConfig.share_beside_edges`: of one pair of views that lie apart. Other designs gained nothing by it:
+# docs/measurements.md, "Blocks beside depth edges".
+SHARE_BESIDE_EDGES_OF_PAIR = 0.3
 Method = TypeVar("Method", bound="MatcherConfig")
 
 
@@ -240,7 +241,8 @@ class AccurateConfig(MatcherConfig):
             count in blur, so that designs whose views lie close together are searched as finely.
         one_pair : bool
             Whether the widest separation is that of one pair of channels, as of two halves. Where such views lie apart,
-            evidence counts as far as it is a pixel's own; docs/measurements.md, "Weak texture of all pairs".
+            evidence counts as far as it is a pixel's own; docs/measurements.md, "Weak texture of all pairs". Blocks
+            beside likely depth edges count less.
         full_well_electrons : float, optional
             Of the sensor, see `CrossFilterConfig.for_blur`.
         """
@@ -258,7 +260,7 @@ class AccurateConfig(MatcherConfig):
             vote_factors=VOTE_FACTORS,
             learned_border_nats=LEARNED_BORDER_NATS_OF_BLUR if by_blur else LEARNED_BORDER_NATS,
             most_block_nats=MOST_BLOCK_NATS_OF_BLUR if by_blur else MOST_BLOCK_NATS,
-            share_beside_edges=SHARE_BESIDE_EDGES_OF_BLUR if by_blur else SHARE_BESIDE_EDGES,
+            share_beside_edges=SHARE_BESIDE_EDGES_OF_PAIR if one_pair and not by_blur else 1.0,
         )
         spectral = SpectralConfig.for_blur(reach)
         return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=spectral)

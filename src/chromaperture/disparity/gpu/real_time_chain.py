@@ -43,7 +43,7 @@ from chromaperture.disparity.views import ViewSpace
 LABELLED = (*SHARED, "half_labels")  # functions of the stages that follow equal depth
 _AT_ONCE = 8  # samples of a line: `each` of ``smoothing_of_lines.wgsl``
 _LANES = 4  # invocations that share a path
-# Steps of a path that are read before they are needed. On an H200 a step waits 0.7 us for the memory without.
+# Steps of a path that are read before they are needed. On an H200 a step took 0.7 us without.
 _AHEAD, _AHEAD_IN_SOFTWARE = 4, 1
 
 
