@@ -271,6 +271,19 @@ def test_chunks_of_layers_change_nothing(design, kind, monkeypatch):
     np.testing.assert_array_equal(run(chain, image, SHAPE, ["disparity"]).arrays["disparity"], whole)
 
 
+def test_stages_and_passes_are_timed():
+    chain, image = paper_chain("cy_halves"), wavy_capture("cy_halves", shape=SHAPE)
+    if not chain.device.timestamps:
+        pytest.skip("this device keeps no timestamps: timing is NOT tested")
+    before = chain.run({"image": image}, ["disparity"])["disparity"]
+    stages, passes = chain.stage_times_ms({"image": image}), chain.pass_times_ms({"image": image}, [chain.dispatches])
+    assert [name for name, _ in stages] == [dispatch.stage for dispatch in chain.dispatches]
+    assert min(ms for _, ms in stages) >= 0
+    assert len(passes) == 1
+    assert passes[0] > 0
+    np.testing.assert_array_equal(chain.run({"image": image}, ["disparity"])["disparity"], before)
+
+
 def test_paths_need_no_subgroups():
     image = wavy_capture("cy_halves", shape=SHAPE)
     device = open_device("gpu")
