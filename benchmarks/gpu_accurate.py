@@ -241,10 +241,8 @@ def main() -> None:
         config = default_config(camera.calibration, "accurate", scale=arguments.scale)
         camera = CodedApertureCamera(camera.calibration, config)
     if arguments.planes_on_device:
-        matcher = camera.config.matcher
-        assert isinstance(matcher, AccurateConfig)
-        planes = replace(matcher.planes, learned_border_nats=())
-        config = replace(camera.config, matcher=replace(matcher, planes=planes))
+        assert isinstance(camera.config.matcher, AccurateConfig)
+        config = replace(camera.config, matcher=camera.config.matcher.with_guided_borders())
         camera = CodedApertureCamera(camera.calibration, config)
     chain, chains = composed(camera, counting_device())
     stages = counted(chains, bandwidth=1e9 * arguments.bandwidth, rate=1e12 * arguments.rate)

@@ -21,14 +21,12 @@ import cv2
 import numpy as np
 from scipy import ndimage, sparse
 
+from chromaperture.disparity.plane_merging import LEAST_CORE
 from chromaperture.threads import each_band
 
 # docs/measurements.md, "Depth edges in the photograph", has .4 and 1 for the one, 4 and 9 for the other.
 SMOOTH_BLOCKS = 0.7  # sigma of what edges are smoothed by before regions are cut
 MOST_LOG_ODDS = 6.0  # of no edge that a border costs
-# Share of a region's blocks away from likely edges below which all of them count fully, as in fits (`LEAST_CORE` of
-# `plane_merging.py`).
-LEAST_AWAY = 0.25
 OF_LINK = 1e-3  # of a link's own log odds: tells apart what is alike otherwise, and changes nothing else
 # Whose costs are gathered at once: .8 MB of 350 planes. All together are 30 MB of new memory, which in a measurement of
 # 720x480 px took .2 to .38 s in place of .02 to .03 s.
@@ -103,7 +101,8 @@ def shares_of_blocks(region: np.ndarray, log_odds: np.ndarray, share: float) -> 
     (h, w) float32
     """
     away = _strongest(log_odds) <= 0
-    is_thin = np.bincount(region.ravel(), away.ravel()) < LEAST_AWAY * np.bincount(region.ravel())
+    # As in fits: where the rest of a region is less than this share of it, all of its blocks count.
+    is_thin = np.bincount(region.ravel(), away.ravel()) < LEAST_CORE * np.bincount(region.ravel())
     return np.where(away | is_thin[region], 1, share).astype(np.float32)
 
 
