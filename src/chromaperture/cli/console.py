@@ -193,7 +193,7 @@ def _compile(update: Update, *qualities: str, quiet: bool) -> None:
     def show(what: str, done: int, total: int) -> None:
         if waiting.pop():
             err.print(
-                "Compiling the matcher once for this machine (about 10 s); later runs start at once.", soft_wrap=True
+                "Compiling the matcher once for this machine (10 to 20 s); later runs start at once.", soft_wrap=True
             )
         waiting.append(False)
         update(what, done, total)
