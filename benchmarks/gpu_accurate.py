@@ -116,8 +116,6 @@ def operations(dispatch: Dispatch) -> float:
         "line_costs": lambda: PARTS * dispatch.groups[1] * (54 * 54 / 2 * 60 + 54**3 / 3 + 54**2 * 16),
         "edge_possible": lambda: 12.0 * (2 * c["around"] + 1) ** 2 * pixels,
         "planes_allowed": lambda: 12.0 * pixels * (2 * c["reach"] + 1) ** 2 / 8,  # beside other planes only
-        "step_distance": lambda: 4.0 * taps() * pixels,
-        "beside_steps": lambda: 4.0 * taps() * pixels,
         "plane_sums": lambda: 2.0 * pixels * dispatch.groups[0],
         "learned_bar": lambda: 90.0 * pixels,
         "range_line": lambda: 2 * taps() * pixels,

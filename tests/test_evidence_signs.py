@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chromaperture.disparity.evidence_signs import SHIFTS, along_answer, signs_of_evidence
+from chromaperture.disparity.evidence_signs import (
+    LEAST_FALL_NATS,
+    SHIFTS,
+    along_answer,
+    known_planes,
+    signs_of_evidence,
+)
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.plane_fit import Volume
 from chromaperture.disparity.stages.planes import PlaneCosts
@@ -62,6 +68,19 @@ def test_sharpness_is_the_fall_of_a_planes_evidence():
     assert np.exp(found[0, 0]) == pytest.approx(full, rel=2e-3)  # a ten-thousandth is added; single precision
     # The column of blocks in the middle is cut by the border: one of 18 is whole.
     assert np.exp(found[0, -1]) == pytest.approx(full / 2, rel=0.06)
+
+
+def test_planes_are_known_from_a_fall_of_their_evidence_on():
+    """A parabola of bend b falls by 16 b nats a pixel over four labels; half of the blocks have half of it."""
+    choice = (np.arange(WIDTH) >= WIDTH // 2).astype(int) * np.ones((HEIGHT, 1), int)
+    answer = np.full((HEIGHT, WIDTH), BEST)
+    for factor, expected in ((0.9, [False, False]), (1.2, [True, False]), (2.6, [True, True])):
+        volume = evidence(BEST, bend=factor * LEAST_FALL_NATS / 16)
+        volume.likelihood[::2, WIDTH // 2 // SIZE :] = 2.0 * SIZE**2
+        np.testing.assert_array_equal(known_planes(volume, answer, choice), expected)
+    choice[0, 0] = 2  # a plane without the middle of any block
+    np.testing.assert_array_equal(known_planes(volume, answer, choice), [True, True, False])
+    assert not known_planes(volume, answer + LABELS, choice).any()  # beyond all labels
 
 
 def test_pixels_without_a_whole_block_take_those_of_the_next(rng):

@@ -38,6 +38,7 @@ def judging(rng, device, shape, known_within, *, of_planes=True, learned=True):
     taken = np.where(cv2.GaussianBlur(np.abs(first - there), (0, 0), 3) > 0.3, first, there)
     away = (LABELS - first[..., None]) / 0.3
     likelihood = np.exp(-0.5 * away**2) + rng.gamma(0.5, 0.1, (*shape, len(LABELS)))
+    likelihood[planes.choice == 1] = 0.5  # evidence that is alike everywhere: a plane that is not known
     likelihood = likelihood.astype(np.float32)
     blocks = Volume(block_sums(likelihood, BLOCK), LABELS, PlaneCosts(0.3, 0.05), stages)
     layer = np.clip(np.rint((taken - LABELS[0]) / STEP), 0, len(LABELS) - 1).astype(int)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from chromaperture.disparity.accurate import judged
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.planar import block_links, block_sums, planes_of_surface, trust_of_moved
-from chromaperture.disparity.plane_agreement import BESIDE_PX, beside_borders, known_planes, where_they_agree
+from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.plane_edges import choices_of, placed_edges
 from chromaperture.disparity.plane_fit import Candidate, Planes, Volume, best_planes, candidates, distinct
 from chromaperture.disparity.plane_merging import merged_planes
@@ -341,42 +341,32 @@ def test_planes_hold_in_spots_that_they_surround_and_where_nearly_all_agrees() -
     np.testing.assert_allclose(where_they_agree(planes, surface, sigma)[:, 2:8], 0.5)
 
 
-def test_planes_are_known_beside_their_borders_whatever_the_posterior_says() -> None:
-    """A window there sees the other plane, so its posterior is as wide as their distance."""
-    choice = (np.arange(100) >= 50)[None].repeat(40, 0).astype(int)
+def test_a_plane_is_known_as_a_whole_by_its_evidence() -> None:
+    """In a texture that repeats, and beside a border, the posterior of a pixel is wide, whatever its plane knows."""
+    choice = (np.arange(100) >= 48)[None].repeat(40, 0).astype(int)
     planes = Planes(np.array([[0.0, 0, -1], [0, 0, 1]]), choice)
-    beside = beside_borders(planes, 0.5)
-    away = np.abs(np.arange(100) - 50)
-    np.testing.assert_array_equal(beside, (away <= BESIDE_PX)[None].repeat(40, 0))
-    assert not beside_borders(planes, 2.5).any()
-
     disparity = planes.label_px.copy()
     disparity[:, 45] = 0.0  # not on a plane
+    sharp = 16 * np.exp(-(((LABELS_PX + 1) / 0.3) ** 2))
 
-    def known(sigma_px: np.ndarray) -> np.ndarray:
+    def known(likelihood: np.ndarray, sigma_px: np.ndarray) -> np.ndarray:
+        """Of the first plane every block has some evidence, of the second none."""
+        volume = np.zeros((10, 25, len(LABELS_PX)), np.float32)
+        volume[:, :12] = likelihood
+        blocks = Volume(volume, LABELS_PX, COSTS, FAST)
         surface = judged(
             Surface(disparity, sigma_px, np.ones((40, 100))), np.zeros((40, 100)), LABELS_PX,
-            first_px=disparity, explained_by=planes, learned=False, known_within_px=1.0, edge_share=0.4,
+            first_px=disparity, explained_by=planes._replace(blocks=blocks), learned=False, known_within_px=1.0,
+            edge_share=0.4,
         )  # fmt: skip
         return np.isfinite(surface.disparity_px)
 
-    wide = np.where(beside, 2.0, 0.1)
-    np.testing.assert_array_equal(known(wide), np.broadcast_to(np.arange(100) != 45, wide.shape))
-    # Of a plane that is certain nowhere else nothing is known, as in noise.
-    wide[choice == 1] = 2.0
-    np.testing.assert_array_equal(known(wide), (choice == 0) & (np.arange(100) != 45))
-
-
-def test_a_plane_that_lies_beside_its_border_everywhere_is_judged_by_all_of_its_pixels() -> None:
-    choice = np.zeros((40, 100), int)
-    choice[:, 50:60] = 1
-    planes = Planes(np.array([[0.0, 0, -1], [0, 0, 1]]), choice)
-    beside = beside_borders(planes, 0.5)
-    assert beside[choice == 1].all()
-    certain = np.ones((40, 100), bool)
-    np.testing.assert_array_equal(known_planes(planes, certain, beside), [True, True])
-    certain[:, 50:56] = False  # three fifths of the strip
-    np.testing.assert_array_equal(known_planes(planes, certain, beside), [True, False])
+    wide, short = np.full((40, 100), 2.0), np.full((40, 100), 0.1)
+    on_first = (choice == 0) & (np.arange(100) != 45)
+    np.testing.assert_array_equal(known(sharp, wide), on_first)
+    np.testing.assert_array_equal(known(sharp, short), True)  # and without a plane's evidence, as before
+    # Evidence that is alike everywhere says nothing, however much of it there is.
+    assert not known(np.full(len(LABELS_PX), 16.0), wide).any()
 
 
 def test_a_far_plane_holds_beside_a_nearer_one_where_the_surface_lies_between() -> None:

@@ -23,11 +23,12 @@ from chromaperture.disparity.error_bar import (
     without_pixels,
     without_two_views,
 )
+from chromaperture.disparity.evidence_signs import known_planes
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.learned_error_bar import learned_sigma
-from chromaperture.disparity.planar import BORDER_APART_LABELS, needs_depth_edges, planes_of_surface
-from chromaperture.disparity.plane_agreement import beside_borders, known_planes, where_they_agree
+from chromaperture.disparity.planar import needs_depth_edges, planes_of_surface
+from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.plane_edges import LineCosts
 from chromaperture.disparity.plane_fit import Planes
 from chromaperture.disparity.plane_voting import planes_or_surface
@@ -258,11 +259,11 @@ def judged(
     disparity, sigma = surface.disparity_px, surface.sigma_px
     inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
     certain = sigma < known_within_px
-    if explained_by is not None:
-        # Beside a border the posterior is no witness: windows there see the other plane.
-        beside = beside_borders(explained_by, BORDER_APART_LABELS * step)
-        on_known = known_planes(explained_by, certain, beside)[explained_by.choice]
-        certain |= beside & on_known & (disparity == explained_by.label_px)
+    if explained_by is not None and explained_by.blocks is not None:
+        # The posterior of a pixel is no witness beside a border, where windows see the other plane, nor in a texture
+        # that repeats: there all of a plane says where it is.
+        of_plane = known_planes(explained_by.blocks, (disparity - labels_px[0]) / step, explained_by.choice)
+        certain |= of_plane[explained_by.choice] & (disparity == explained_by.label_px)
     known = inside & certain
     bias = 0.0 if explained_by is None else BIAS_OF_PLANES * step
     if learned:

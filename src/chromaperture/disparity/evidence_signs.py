@@ -7,6 +7,8 @@ less sure. Everything counts in steps between labels.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -14,6 +16,10 @@ from chromaperture.disparity.plane_fit import Volume
 
 SHIFTS = np.array([-24, -16, -12, -8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24], float)  # steps
 SHARP_STEPS = 4  # over which a plane's evidence must fall to be sharp: of 1, 2 and 4 the best; docs/measurements.md
+OF_FALL = (-SHARP_STEPS, 0, SHARP_STEPS)
+# Nats a pixel by which the evidence of a plane falls over so many steps, from which on it is known. Frames of noise
+# alone have .00012 at most; docs/measurements.md, "Planes are known as a whole".
+LEAST_FALL_NATS = 3e-4
 WINDOW_PX = 12.0  # sigma of the windows; of 4, 12 and 30 the best; docs/measurements.md
 # Pixels of a window that say one thing: detail and windows of correlation are that wide. Chosen by hand: it only scales
 # a sign, whose weight is learned.
@@ -37,27 +43,41 @@ def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> 
     choice : (H, W) int
         Plane of every pixel.
     """
-    height, width = blocks.likelihood.shape[:2]
-    size = label.shape[0] // height
-    middles = np.s_[size // 2 :: size, size // 2 :: size]
-    profile = along_answer(blocks.likelihood, label[middles][:height, :width]) / np.float32(size**2)
+    (height, width), size = blocks.likelihood.shape[:2], _size(blocks, label)
+    of_plane = _in_middles(choice, blocks)
+    profile = along_answer(blocks.likelihood, _in_middles(label, blocks)) / np.float32(size**2)
     pooled = cv2.GaussianBlur(profile, (0, 0), WINDOW_PX / size, borderType=cv2.BORDER_REFLECT_101)
     likely = np.exp((pooled - pooled.max(axis=2, keepdims=True)) * (2 * np.pi * WINDOW_PX**2 / PIXELS_ALIKE))
     likely *= np.gradient(SHIFTS).astype(np.float32)  # every shift stands for the shifts about it
     variance = likely @ np.square(SHIFTS).astype(np.float32) / likely.sum(axis=2)
+    fall = _mean_fall(profile[..., np.isin(SHIFTS, OF_FALL)], of_plane, int(of_plane.max()) + 1)
     of_blocks = {
         "spread": np.log(np.sqrt(variance) + LEAST_SPREAD),
-        "sharpness": _sharpness(profile, choice[middles][:height, :width]),
+        "sharpness": np.log(np.maximum(fall, 0) + LEAST_NATS)[of_plane],
     }
     rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(label.shape, (height, width), strict=True))
     return {name: values.astype(np.float32)[rows[:, None], columns] for name, values in of_blocks.items()}
 
 
-def along_answer(likelihood: np.ndarray, label: np.ndarray) -> np.ndarray:
-    """Read a volume (H, W, N) at an answer (H, W), in labels, and at `SHIFTS` from it; (H, W, S) float32."""
+def known_planes(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> np.ndarray:
+    """Find the planes whose evidence falls when the answer is shifted; as `signs_of_evidence`, (K,) bool.
+
+    Of a pixel alone several places can be as likely, by a texture that repeats; a whole plane tells them apart. Where
+    there is nothing but noise no shift of a plane lowers its evidence.
+    """
+    profile = along_answer(blocks.likelihood, _in_middles(label, blocks), OF_FALL)
+    profile /= np.float32(_size(blocks, label) ** 2)
+    fall = _mean_fall(profile, _in_middles(choice, blocks), int(choice.max()) + 1)
+    return np.asarray(fall >= LEAST_FALL_NATS)
+
+
+def along_answer(
+    likelihood: np.ndarray, label: np.ndarray, shifts: Sequence[float] | np.ndarray = SHIFTS
+) -> np.ndarray:
+    """Read a volume (H, W, N) at an answer (H, W), in labels, shifted by S numbers of them; (H, W, S) float32."""
     most = likelihood.shape[2] - 1
-    out = np.empty((*label.shape, len(SHIFTS)), np.float32)
-    for i, shift in enumerate(SHIFTS):
+    out = np.empty((*label.shape, len(shifts)), np.float32)
+    for i, shift in enumerate(shifts):
         place = np.clip(label + shift, 0, most)
         below = np.minimum(place.astype(np.intp), most - 1)[..., None]
         part = (place[..., None] - below).astype(np.float32)
@@ -66,9 +86,20 @@ def along_answer(likelihood: np.ndarray, label: np.ndarray) -> np.ndarray:
     return out
 
 
-def _sharpness(profile: np.ndarray, choice: np.ndarray) -> np.ndarray:
-    least, middle, most = (int(np.flatnonzero(shift == SHIFTS)[0]) for shift in (-SHARP_STEPS, 0, SHARP_STEPS))
-    falls = profile[..., middle] - (profile[..., least] + profile[..., most]) / 2
-    blocks = np.maximum(np.bincount(choice.ravel()), 1)
-    mean = np.bincount(choice.ravel(), falls.ravel()) / blocks
-    return np.log(np.maximum(mean, 0) + LEAST_NATS)[choice]
+def _size(blocks: Volume, values: np.ndarray) -> int:
+    """Return the side of a block, px, by a map of pixels."""
+    return int(values.shape[0] // blocks.likelihood.shape[0])
+
+
+def _in_middles(values: np.ndarray, blocks: Volume) -> np.ndarray:
+    """Return what a map of pixels has in the middle of every whole block; (h, w)."""
+    (height, width), size = blocks.likelihood.shape[:2], _size(blocks, values)
+    return values[size // 2 :: size, size // 2 :: size][:height, :width]
+
+
+def _mean_fall(profile: np.ndarray, choice: np.ndarray, planes: int) -> np.ndarray:
+    """Return by how much evidence at `OF_FALL`, (h, w, 3), falls on both sides, mean of the blocks of a plane; (K,)."""
+    before, middle, behind = np.moveaxis(profile, 2, 0)
+    falls = middle - (before + behind) / 2
+    blocks = np.maximum(np.bincount(choice.ravel(), minlength=planes), 1)
+    return np.asarray(np.bincount(choice.ravel(), falls.ravel(), minlength=planes) / blocks)

@@ -21,7 +21,6 @@ AGREEMENT_WINDOW_PX = 9  # two sigmas of the correlation window and the pixel: n
 WHOLE_AREA_SHARE = 0.9
 SURROUNDED_SHARE = 0.6
 BESIDE_PX = 12  # a nearer plane; docs/measurements.md has 8 to 24
-KNOWN_SHARE = 0.5  # of a plane's pixels that must be certain for it to be known beside borders; chosen by hand
 BORDER_PX = 2  # a spot closer to the border of its area touches it; chosen by hand
 
 
@@ -68,39 +67,6 @@ def _beside_nearer(planes: Planes, label_px: np.ndarray, surface_px: np.ndarray,
     for box, beside in parallel_map(of_plane, np.unique(planes.choice).tolist()):
         found[box] |= beside
     return found
-
-
-def beside_borders(planes: Planes, apart_px: float) -> np.ndarray:
-    """Find the pixels within `BESIDE_PX` of a border at which planes differ by so much; (H, W) bool."""
-    label_px = planes.label_px
-    step = np.zeros(label_px.shape, bool)
-    step[:, 1:] |= np.abs(np.diff(label_px, axis=1)) > apart_px
-    step[1:] |= np.abs(np.diff(label_px, axis=0)) > apart_px
-    from_step = cv2.distanceTransform((~step).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
-    return np.asarray(from_step <= BESIDE_PX)
-
-
-def known_planes(planes: Planes, certain: np.ndarray, beside: np.ndarray) -> np.ndarray:
-    """Find the planes of which at least `KNOWN_SHARE` of the pixels are certain; (K,) bool.
-
-    Pixels beside borders count where a plane has no others. Planes in noise are certain nowhere.
-
-    Parameters
-    ----------
-    planes : Planes
-    certain : (H, W) bool
-    beside : (H, W) bool
-        As `beside_borders`.
-    """
-
-    def shares(counted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        pixels, sure = (
-            np.bincount(planes.choice[part], minlength=len(planes.planes)) for part in (counted, counted & certain)
-        )
-        return pixels, sure / np.maximum(pixels, 1)
-
-    (away, of_away), (_, of_all) = shares(~beside), shares(np.ones_like(beside))
-    return np.asarray(np.where(away > 0, of_away, of_all) >= KNOWN_SHARE)
 
 
 def _without_noise(apart: np.ndarray, choice: np.ndarray) -> np.ndarray:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from chromaperture.disparity import evidence_signs
@@ -26,8 +26,6 @@ from chromaperture.disparity.learned_error_bar import (
     Weights,
     weights,
 )
-from chromaperture.disparity.planar import BORDER_APART_LABELS
-from chromaperture.disparity.plane_agreement import BESIDE_PX, KNOWN_SHARE
 
 _PARTS = 32  # of the picture that are summed on their own: so many workgroups a plane
 
@@ -83,18 +81,18 @@ def add_judged(
         add_gaussian(chain, pooled, room, shape, taps, parts=2)
         _add_surface_bar(chain, [pooled, near, far, bar], grid, learned=learned, edge_share=edge_share)
     else:
-        beside = _add_beside(chain, planes.there, grid, BORDER_APART_LABELS)
-        of_planes = _add_signs_of_planes(chain, a, planes, beside, grid, known_within)
+        of_planes = _add_signs_of_planes(chain, planes, grid)
+        of_blocks, averages = _add_signs_of_blocks(chain, a, planes, grid)
         per_pixel(
-            chain, "known_pixels", [planes.choice, beside, a.surface, a.sigma, planes.there, of_planes, known, bar],
-            grid, known_within=known_within, count=grid.layers,
+            chain, "known_pixels", [planes.choice, a.surface, a.sigma, planes.there, averages, known, bar], grid,
+            known_within=known_within, count=grid.layers,
+            known_from=math.log(evidence_signs.LEAST_FALL_NATS + evidence_signs.LEAST_NATS),
         )  # fmt: skip
         wide = chain.array("wide", grid.pixels)
         per_pixel(chain, "bar_maps", [planes.first, a.sigma, planes.there, pooled, wide], grid, apart=APART)
         add_gaussian(chain, pooled, room, shape, taps, parts=2)
         if learned:
             add_gaussian(chain, wide, room, shape, gaussian_taps(WIDE_PX), parts=1)
-            of_blocks, averages = _add_signs_of_blocks(chain, a, planes, grid)
             chain.add(
                 "learned_bar", [pooled, wide, near, far, of_planes, of_blocks, averages, bar],
                 groups=groups_for(grid.pixels), uses=("indexing", "surface_signs", "blocks_of_pixels"),
@@ -161,36 +159,16 @@ def _numbers(model: Weights) -> dict[str, Any]:
     return {"constant": float(model.constant), **{name: np.array(three) for name, *three in signs}}
 
 
-def _add_beside(chain: Chain, there: Array, grid: Grid, apart: float) -> Array:
-    names = "plane_steps", "step_distance", "beside_steps"
-    steps, away, beside = (chain.array(name, grid.pixels, np.uint32) for name in names)
-    per_pixel(chain, "plane_steps", [there, steps], grid, apart=apart)
-    per_pixel(chain, "step_distance", [steps, away], grid, reach=BESIDE_PX)
-    per_pixel(chain, "beside_steps", [away, beside], grid, reach=BESIDE_PX, around=_around(BESIDE_PX))
-    return beside
-
-
-def _around(reach_px: int) -> list[float]:
-    """Return how far each row about a pixel is within reach to either side, as `cv2.distanceTransform` counts."""
-    picture = np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)
-    picture[reach_px, reach_px] = 0
-    within = cv2.distanceTransform(picture, cv2.DIST_L2, cv2.DIST_MASK_5) <= reach_px
-    return [float((width - 1) // 2) for width in within.sum(axis=1)]
-
-
-def _add_signs_of_planes(
-    chain: Chain, a: SurfaceArrays, planes: OfPlanes, beside: Array, grid: Grid, known_within: float
-) -> Array:
-    sums = chain.array("plane_sums", 8 * _PARTS * planes.most)
+def _add_signs_of_planes(chain: Chain, planes: OfPlanes, grid: Grid) -> Array:
+    sums = chain.array("plane_sums", 4 * _PARTS * planes.most)
     chain.add(
-        "plane_sums", [planes.choice, beside, a.sigma, planes.there, planes.first, planes.number, sums],
-        groups=(planes.most, _PARTS), height=grid.height, width=grid.width, parts=_PARTS, known_within=known_within,
-        most_apart=MOST_APART, apart=APART,
+        "plane_sums", [planes.choice, planes.there, planes.first, planes.number, sums], groups=(planes.most, _PARTS),
+        height=grid.height, width=grid.width, parts=_PARTS, most_apart=MOST_APART, apart=APART,
     )  # fmt: skip
-    signs = chain.array("plane_signs", 4 * planes.most)
+    signs = chain.array("plane_signs", 2 * planes.most)
     chain.add(
         "plane_signs", [sums, signs], groups=groups_for(planes.most), uses=("indexing",), planes=planes.most,
-        parts=_PARTS, known_share=KNOWN_SHARE,
+        parts=_PARTS,
     )  # fmt: skip
     return signs
 

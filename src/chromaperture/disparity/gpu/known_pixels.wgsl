@@ -1,13 +1,12 @@
-// Whether a pixel is known, see `accurate.judged`: where its error bar is short, beside steps where its plane is known.
+// Whether a pixel is known, see `accurate.judged`: where its error bar is short, or where it lies on a known plane.
 
 @group(0) @binding(0) var<storage, read> choice: array<u32>;  // (h, w)
-@group(0) @binding(1) var<storage, read> beside: array<u32>;  // (h, w)
-@group(0) @binding(2) var<storage, read> surface: array<vec4f>;  // (h, w): layer first
-@group(0) @binding(3) var<storage, read> sigma: array<f32>;  // (h, w), layers
-@group(0) @binding(4) var<storage, read> there: array<f32>;  // (h, w): layer of the plane
-@group(0) @binding(5) var<storage, read> planes: array<vec4f>;  // (planes,): whether known third
-@group(0) @binding(6) var<storage, read_write> known: array<u32>;  // (h, w)
-@group(0) @binding(7) var<storage, read_write> bar: array<u32>;  // (h, w): the plane's number, for `learned_bar.wgsl`
+@group(0) @binding(1) var<storage, read> surface: array<vec4f>;  // (h, w): layer first
+@group(0) @binding(2) var<storage, read> sigma: array<f32>;  // (h, w), layers
+@group(0) @binding(3) var<storage, read> there: array<f32>;  // (h, w): layer of the plane
+@group(0) @binding(4) var<storage, read> averages: array<f32>;  // (planes + 1,): how much a plane's evidence falls
+@group(0) @binding(5) var<storage, read_write> known: array<u32>;  // (h, w)
+@group(0) @binding(6) var<storage, read_write> bar: array<u32>;  // (h, w): the plane's number, for `learned_bar.wgsl`
 
 @compute @workgroup_size(64)
 fn main(
@@ -17,7 +16,7 @@ fn main(
     let i = invocation(group, groups, local);
     if (i >= width * height) { return; }
     let u = surface[i].x;
-    let on_known = beside[i] == 1u && planes[choice[i]].z > 0.5 && u == there[i];
+    let on_known = averages[choice[i]] >= known_from && u == there[i];
     let inside = u > 0.5 && u < f32(count) - 1.5;
     known[i] = select(0u, 1u, inside && (sigma[i] < known_within || on_known));
     bar[i] = choice[i];

@@ -4,7 +4,7 @@
 @group(0) @binding(1) var<storage, read> wide: array<f32>;  // (h, w): that share in wider windows
 @group(0) @binding(2) var<storage, read> near_range: array<vec4f>;  // (h, w): largest and smallest about the pixel
 @group(0) @binding(3) var<storage, read> wide_range: array<vec4f>;  // (h, w)
-@group(0) @binding(4) var<storage, read> planes: array<vec4f>;  // (planes,): scatter, rejected
+@group(0) @binding(4) var<storage, read> planes: array<vec2f>;  // (planes,): scatter, rejected
 @group(0) @binding(5) var<storage, read> blocks: array<vec2f>;  // (blocks,): spread, sharpness
 @group(0) @binding(6) var<storage, read> averages: array<f32>;  // (planes + 1,): last the spread of the frame
 @group(0) @binding(7) var<storage, read_write> bar: array<u32>;  // (h, w): the plane's number, then the logarithm's bits
