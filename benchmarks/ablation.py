@@ -123,6 +123,7 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
         "the guide leads borders": {"planes": config.matcher.with_guided_borders().planes},
         "losses of blocks not bounded": {"planes": dataclasses.replace(planes, most_block_nats=0.0)},
         "blocks beside likely edges count fully": {"planes": dataclasses.replace(planes, share_beside_edges=1.0)},
+        "pixels known by their posterior alone": {"planes": dataclasses.replace(planes, known_from_nats=1e9)},
         "borders cost twice as much": {
             "planes": dataclasses.replace(planes, learned_border_nats=tuple(2 * cost for cost in nats))
         },

@@ -15,6 +15,8 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
+
 QUALITIES = ("paper", "real-time", "accurate")
 TARGET = Path(__file__).parents[1] / "src" / "chromaperture" / "kernels.json"
 
@@ -24,6 +26,7 @@ def kernels_of(quality: str) -> dict[str, list]:
     from numba.core import event
     from numba.core.dispatcher import Dispatcher
 
+    from chromaperture.color.nearest_known import fill_from_nearest
     from chromaperture.compile_ahead import text_of
     from chromaperture.products.samples import open_sample, samples
 
@@ -47,6 +50,7 @@ def kernels_of(quality: str) -> dict[str, list]:
         with tempfile.TemporaryDirectory() as folder:
             frame.save(folder, write="ply")
         frame.depth_mm, frame.sigma_mm, frame.color  # noqa: B018 - some are computed when they are asked for
+        fill_from_nearest(np.where(np.arange(image.shape[1]) < 1, np.nan, image[..., 0]))  # where pixels are unknown
     found: dict[str, list] = {}
     for kernel in (it for it in gc.get_objects() if isinstance(it, Dispatcher)):
         if hasattr(kernel._cache, "holds") and kernel.signatures:  # type: ignore[attr-defined]

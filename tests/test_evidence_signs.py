@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chromaperture.disparity.evidence_signs import (
-    LEAST_FALL_NATS,
-    SHIFTS,
-    along_answer,
-    known_planes,
-    signs_of_evidence,
-)
+from chromaperture.disparity.evidence_signs import SHIFTS, along_answer, known_planes, signs_of_evidence
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.plane_fit import Volume
 from chromaperture.disparity.stages.planes import PlaneCosts
@@ -75,12 +69,12 @@ def test_planes_are_known_from_a_fall_of_their_evidence_on():
     choice = (np.arange(WIDTH) >= WIDTH // 2).astype(int) * np.ones((HEIGHT, 1), int)
     answer = np.full((HEIGHT, WIDTH), BEST)
     for factor, expected in ((0.9, [False, False]), (1.2, [True, False]), (2.6, [True, True])):
-        volume = evidence(BEST, bend=factor * LEAST_FALL_NATS / 16)
+        volume = evidence(BEST, bend=factor * 3e-4 / 16)
         volume.likelihood[::2, WIDTH // 2 // SIZE :] = 2.0 * SIZE**2
-        np.testing.assert_array_equal(known_planes(volume, answer, choice), expected)
+        np.testing.assert_array_equal(known_planes(volume, answer, choice, from_nats=3e-4), expected)
     choice[0, 0] = 2  # a plane without the middle of any block
-    np.testing.assert_array_equal(known_planes(volume, answer, choice), [True, True, False])
-    assert not known_planes(volume, answer + LABELS, choice).any()  # beyond all labels
+    np.testing.assert_array_equal(known_planes(volume, answer, choice, from_nats=3e-4), [True, True, False])
+    assert not known_planes(volume, answer + LABELS, choice, from_nats=3e-4).any()  # beyond all labels
 
 
 def test_pixels_without_a_whole_block_take_those_of_the_next(rng):

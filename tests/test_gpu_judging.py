@@ -46,7 +46,7 @@ def judging(rng, device, shape, known_within, *, of_planes=True, learned=True):
     expected = judged(
         Surface(taken, sigma, peak), local_range(taken, 8), LABELS, first_px=first,
         explained_by=planes._replace(blocks=blocks) if of_planes else None, learned=learned,
-        known_within_px=known_within, edge_share=0.4,
+        known_within_px=known_within, known_from_nats=3e-4, edge_share=0.4,
     )  # fmt: skip
     grid, chain = Grid(*shape, len(LABELS)), Chain(device)
     a = surface_arrays(chain, grid, SurfaceConfig())
@@ -58,7 +58,7 @@ def judging(rng, device, shape, known_within, *, of_planes=True, learned=True):
     )  # fmt: skip
     add_judged(
         chain, a, grid, planes=on_device if of_planes else None, learned=learned,
-        known_within=min(known_within / STEP, 1e6), edge_share=0.4,
+        known_within=min(known_within / STEP, 1e6), known_from_nats=3e-4, edge_share=0.4,
     )  # fmt: skip
     surface = np.zeros((*shape, 4))
     # What is taken of a plane is its label to the bit, on a device as well.

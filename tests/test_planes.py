@@ -357,7 +357,7 @@ def test_a_plane_is_known_as_a_whole_by_its_evidence() -> None:
         surface = judged(
             Surface(disparity, sigma_px, np.ones((40, 100))), np.zeros((40, 100)), LABELS_PX,
             first_px=disparity, explained_by=planes._replace(blocks=blocks), learned=False, known_within_px=1.0,
-            edge_share=0.4,
+            known_from_nats=3e-4, edge_share=0.4,
         )  # fmt: skip
         return np.isfinite(surface.disparity_px)
 

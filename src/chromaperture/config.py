@@ -55,6 +55,9 @@ MOST_BLOCK_NATS, MOST_BLOCK_NATS_OF_BLUR = 3.0, 12.0
 # See `PlanesConfig.share_beside_edges`: of one pair of views that lie apart. Other designs gained nothing by it:
 # docs/measurements.md, "Blocks beside depth edges".
 SHARE_BESIDE_EDGES_OF_PAIR = 0.3
+# See `PlanesConfig.known_from_nats`, with known blur and noise: frames of noise alone have .00012 at most.
+# docs/measurements.md, "Planes are known as a whole".
+KNOWN_FROM_NATS_OF_BLUR = 3e-4
 Method = TypeVar("Method", bound="MatcherConfig")
 
 
@@ -261,6 +264,7 @@ class AccurateConfig(MatcherConfig):
             learned_border_nats=LEARNED_BORDER_NATS_OF_BLUR if by_blur else LEARNED_BORDER_NATS,
             most_block_nats=MOST_BLOCK_NATS_OF_BLUR if by_blur else MOST_BLOCK_NATS,
             share_beside_edges=SHARE_BESIDE_EDGES_OF_PAIR if one_pair and not by_blur else 1.0,
+            known_from_nats=KNOWN_FROM_NATS_OF_BLUR,
         )
         spectral = SpectralConfig.for_blur(reach)
         return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=spectral)

@@ -64,6 +64,10 @@ class PlanesConfig:
     share_beside_edges : float
         How much blocks count there that a likely depth edge touches, in [0, 1]: their windows see both sides.
         docs/measurements.md, "Blocks beside depth edges", has 0 to 1.
+    known_from_nats : float
+        Nats a pixel by which the evidence of a plane must fall when it is shifted for all of its pixels to be known,
+        see `evidence_signs.known_planes`. Shifted views of noise alone reach .012 (.1 to .9 in every pixel and channel,
+        120x160 px, halves, RGB circles and squares, four draws each).
     """
 
     tiles_px: tuple[int, ...] = (48, 96, 192, 480)
@@ -85,6 +89,7 @@ class PlanesConfig:
     learned_border_nats: tuple[float, ...] = ()
     most_block_nats: float = 0.0
     share_beside_edges: float = 1.0
+    known_from_nats: float = 0.02
 
     def __post_init__(self) -> None:
         require(bool(self.tiles_px) and min(self.tiles_px) >= 8, "tiles_px must hold sizes of at least 8 px")
@@ -94,11 +99,12 @@ class PlanesConfig:
             self.boundary_penalty, self.plane_penalty, self.plane_tolerance, self.slope_tolerance,
             self.slope_of_missed, self.slope_penalty, self.outside_penalty, self.edge_share, *self.vote_factors,
             *self.learned_border_nats, self.most_block_nats, self.share_beside_edges,
+            self.known_from_nats,
         )  # fmt: skip
         least = all_finite(*penalties) and min(penalties) >= 0
         require(
             least,
-            "penalties, tolerances, edge_share, vote_factors, learned_border_nats, most_block_nats and "
-            "share_beside_edges must be finite and >= 0",
+            "penalties, tolerances, edge_share, vote_factors, learned_border_nats, most_block_nats, share_beside_edges "
+            "and known_from_nats must be finite and >= 0",
         )
         require(self.share_beside_edges <= 1, "share_beside_edges must be at most 1")

@@ -207,7 +207,8 @@ def optimised_surface(
     extent = local_range(disparity, EDGE_REACH_PX)
     return judged(
         surface, extent, labels_px, first_px=first, explained_by=explained_by, learned=config.learned_error_bar,
-        known_within_px=known_within_px, edge_share=EDGE_SHARE if explained_by is None else planes.edge_share,
+        known_within_px=known_within_px, known_from_nats=planes.known_from_nats,
+        edge_share=EDGE_SHARE if explained_by is None else planes.edge_share,
     )  # fmt: skip
 
 
@@ -234,6 +235,7 @@ def judged(
     explained_by: Planes | None,
     learned: bool,
     known_within_px: float,
+    known_from_nats: float,
     edge_share: float,
 ) -> Surface:
     """Widen the error bar of a surface by what its posterior does not see, and leave out what is unknown.
@@ -252,8 +254,8 @@ def judged(
         Whether the bar is that of `learned_sigma`.
     known_within_px : float, px
         As `optimised_surface`.
-    edge_share : float
-        See `PlanesConfig`; a learned bar has weights instead.
+    known_from_nats, edge_share : float
+        See `PlanesConfig`; a learned bar has weights in place of the share.
     """
     step = float(labels_px[1] - labels_px[0])
     disparity, sigma = surface.disparity_px, surface.sigma_px
@@ -262,7 +264,8 @@ def judged(
     if explained_by is not None and explained_by.blocks is not None:
         # The posterior of a pixel is no witness beside a border, where windows see the other plane, nor in a texture
         # that repeats: there all of a plane says where it is.
-        of_plane = known_planes(explained_by.blocks, (disparity - labels_px[0]) / step, explained_by.choice)
+        label = (disparity - labels_px[0]) / step
+        of_plane = known_planes(explained_by.blocks, label, explained_by.choice, from_nats=known_from_nats)
         certain |= of_plane[explained_by.choice] & (disparity == explained_by.label_px)
     known = inside & certain
     bias = 0.0 if explained_by is None else BIAS_OF_PLANES * step

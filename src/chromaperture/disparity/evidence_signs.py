@@ -17,9 +17,6 @@ from chromaperture.disparity.plane_fit import Volume
 SHIFTS = np.array([-24, -16, -12, -8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24], float)  # steps
 SHARP_STEPS = 4  # over which a plane's evidence must fall to be sharp: of 1, 2 and 4 the best; docs/measurements.md
 OF_FALL = (-SHARP_STEPS, 0, SHARP_STEPS)
-# Nats a pixel by which the evidence of a plane falls over so many steps, from which on it is known. Frames of noise
-# alone have .00012 at most; docs/measurements.md, "Planes are known as a whole".
-LEAST_FALL_NATS = 3e-4
 WINDOW_PX = 12.0  # sigma of the windows; of 4, 12 and 30 the best; docs/measurements.md
 # Pixels of a window that say one thing: detail and windows of correlation are that wide. Chosen by hand: it only scales
 # a sign, whose weight is learned.
@@ -59,16 +56,16 @@ def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> 
     return {name: values.astype(np.float32)[rows[:, None], columns] for name, values in of_blocks.items()}
 
 
-def known_planes(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> np.ndarray:
-    """Find the planes whose evidence falls when the answer is shifted; as `signs_of_evidence`, (K,) bool.
+def known_planes(blocks: Volume, label: np.ndarray, choice: np.ndarray, *, from_nats: float) -> np.ndarray:
+    """Find the planes whose evidence falls by so much a pixel when the answer is shifted; (K,) bool.
 
     Of a pixel alone several places can be as likely, by a texture that repeats; a whole plane tells them apart. Where
-    there is nothing but noise no shift of a plane lowers its evidence.
+    there is nothing but noise a shift of a plane hardly lowers its evidence. See `signs_of_evidence`.
     """
     profile = along_answer(blocks.likelihood, _in_middles(label, blocks), OF_FALL)
     profile /= np.float32(_size(blocks, label) ** 2)
     fall = _mean_fall(profile, _in_middles(choice, blocks), int(choice.max()) + 1)
-    return np.asarray(fall >= LEAST_FALL_NATS)
+    return np.asarray(fall >= from_nats)
 
 
 def along_answer(

@@ -229,6 +229,7 @@ class AccurateChain:
         judged = add_judged(
             chain, self.arrays, self.grid, planes=planes, learned=method.config.surface.learned_error_bar,
             known_within=sigma_of_range(labels_px) / float(labels_px[1] - labels_px[0]),
+            known_from_nats=method.config.planes.known_from_nats,
             edge_share=EDGE_SHARE if planes is None else method.config.planes.edge_share,
         )  # fmt: skip
         add_label_maps(chain, judged, self.light, self.grid, method.label_map, labels_px)

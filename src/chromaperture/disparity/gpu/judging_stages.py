@@ -53,6 +53,7 @@ def add_judged(
     planes: OfPlanes | None,
     learned: bool,
     known_within: float,
+    known_from_nats: float,
     edge_share: float,
 ) -> Array:
     """Append `accurate.judged`; return (h, w, 4): layer, error bar in layers, peak, whether known.
@@ -65,7 +66,7 @@ def add_judged(
     planes : OfPlanes or None
     learned : bool
     known_within : float, layers
-    edge_share : float
+    known_from_nats, edge_share : float
         See `judged`.
     """
     pooled, room = (chain.array(name, 2 * grid.pixels) for name in ("pooled", "pooling"))
@@ -86,7 +87,7 @@ def add_judged(
         per_pixel(
             chain, "known_pixels", [planes.choice, a.surface, a.sigma, planes.there, averages, known, bar], grid,
             known_within=known_within, count=grid.layers,
-            known_from=math.log(evidence_signs.LEAST_FALL_NATS + evidence_signs.LEAST_NATS),
+            known_from=math.log(known_from_nats + evidence_signs.LEAST_NATS),
         )  # fmt: skip
         wide = chain.array("wide", grid.pixels)
         per_pixel(chain, "bar_maps", [planes.first, a.sigma, planes.there, pooled, wide], grid, apart=APART)
