@@ -52,9 +52,9 @@ LEARNED_BORDER_NATS, LEARNED_BORDER_NATS_OF_BLUR = (2.5, 1.25, 5.0), (5.0, 2.5, 
 # See `PlanesConfig.most_block_nats`; the second where blur tells more than parallax. docs/measurements.md, "Blocks that
 # speak for another plane", has others.
 MOST_BLOCK_NATS, MOST_BLOCK_NATS_OF_BLUR = 3.0, 12.0
-# See `PlanesConfig.share_beside_edges`: of one pair of views that lie apart. Other designs gained nothing by it:
-# docs/measurements.md, "Blocks beside depth edges".
-SHARE_BESIDE_EDGES_OF_PAIR = 0.3
+# See `PlanesConfig.share_beside_edges`: of one pair of views that lie apart, and where blur tells more than parallax.
+# Other designs gained nothing by it: docs/measurements.md, "Blocks beside depth edges".
+SHARE_BESIDE_EDGES_OF_PAIR, SHARE_BESIDE_EDGES_OF_BLUR = 0.3, 0.7
 # See `PlanesConfig.known_from_nats`, with known blur and noise: frames of noise alone have .00012 at most.
 # docs/measurements.md, "Planes are known as a whole".
 KNOWN_FROM_NATS_OF_BLUR = 3e-4
@@ -245,7 +245,7 @@ class AccurateConfig(MatcherConfig):
         one_pair : bool
             Whether the widest separation is that of one pair of channels, as of two halves. Where such views lie apart,
             evidence counts as far as it is a pixel's own; docs/measurements.md, "Weak texture of all pairs". Blocks
-            beside likely depth edges count less.
+            beside likely depth edges count less for it, and where blur tells more.
         full_well_electrons : float, optional
             Of the sensor, see `CrossFilterConfig.for_blur`.
         """
@@ -259,11 +259,12 @@ class AccurateConfig(MatcherConfig):
             evidence = replace(evidence, allowed_growth=ALLOWED_GROWTH)
         elif one_pair:
             evidence = replace(evidence, own_detail=True)
+        beside_edges = SHARE_BESIDE_EDGES_OF_BLUR if by_blur else SHARE_BESIDE_EDGES_OF_PAIR if one_pair else 1.0
         planes = PlanesConfig(
             vote_factors=VOTE_FACTORS,
             learned_border_nats=LEARNED_BORDER_NATS_OF_BLUR if by_blur else LEARNED_BORDER_NATS,
             most_block_nats=MOST_BLOCK_NATS_OF_BLUR if by_blur else MOST_BLOCK_NATS,
-            share_beside_edges=SHARE_BESIDE_EDGES_OF_PAIR if one_pair and not by_blur else 1.0,
+            share_beside_edges=beside_edges,
             known_from_nats=KNOWN_FROM_NATS_OF_BLUR,
         )
         spectral = SpectralConfig.for_blur(reach)
