@@ -66,8 +66,8 @@ class PlanesConfig:
         docs/measurements.md, "Blocks beside depth edges", has 0 to 1.
     known_from_nats : float
         Nats a pixel by which the evidence of a plane must fall when it is shifted for all of its pixels to be known,
-        see `evidence_signs.known_planes`. Shifted views of noise alone reach .012 (.1 to .9 in every pixel and channel,
-        120x160 px, halves, RGB circles and squares, four draws each).
+        see `evidence_signs.known_planes`; 0: of all planes. Shifted views of noise alone reach .012 (.1 to .9 in every
+        pixel and channel, 120x160 px, planes of more than seven blocks, halves, RGB circles and squares, four draws).
     """
 
     tiles_px: tuple[int, ...] = (48, 96, 192, 480)

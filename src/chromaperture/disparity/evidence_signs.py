@@ -65,7 +65,7 @@ def known_planes(blocks: Volume, label: np.ndarray, choice: np.ndarray, *, from_
     profile = along_answer(blocks.likelihood, _in_middles(label, blocks), OF_FALL)
     profile /= np.float32(_size(blocks, label) ** 2)
     fall = _mean_fall(profile, _in_middles(choice, blocks), int(choice.max()) + 1)
-    return np.asarray(fall >= from_nats)
+    return np.asarray(np.maximum(fall, 0) >= from_nats)
 
 
 def along_answer(
