@@ -50,7 +50,8 @@ def kernels_of(quality: str) -> dict[str, list]:
         with tempfile.TemporaryDirectory() as folder:
             frame.save(folder, write="ply")
         frame.depth_mm, frame.sigma_mm, frame.color  # noqa: B018 - some are computed when they are asked for
-        fill_from_nearest(np.where(np.arange(image.shape[1]) < 1, np.nan, image[..., 0]))  # where pixels are unknown
+        # What fills unknown pixels, of which the samples may have none.
+        fill_from_nearest(np.where(np.arange(image.shape[1]) < 1, np.nan, image[..., 0]))
     found: dict[str, list] = {}
     for kernel in (it for it in gc.get_objects() if isinstance(it, Dispatcher)):
         if hasattr(kernel._cache, "holds") and kernel.signatures:  # type: ignore[attr-defined]

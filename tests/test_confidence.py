@@ -96,7 +96,8 @@ def test_what_is_known_no_better_than_the_range_is_unknown(rng, quality, most_kn
     floor = getattr(config, "floor_px", 0.0)  # added in quadrature afterwards
     limit = np.hypot(sigma_of_range(config.layers.values_px), floor) * (1 + 1e-6)  # float32
     if quality == "accurate":
-        # By chance a small plane is known as a whole. About an end of the range a bar is range / sqrt(3) at most.
+        # A small plane may be known by chance. The error of an answer at an end of the range, with the truth anywhere
+        # in it, has a root mean square of range / sqrt(3): twice the limit.
         limit *= 2
     assert (found.sigma_px[known] <= limit).all()
     assert not found.confidence[~known].any()

@@ -52,10 +52,10 @@ LEARNED_BORDER_NATS, LEARNED_BORDER_NATS_OF_BLUR = (2.5, 1.25, 5.0), (5.0, 2.5, 
 # See `PlanesConfig.most_block_nats`; the second where blur tells more than parallax. docs/measurements.md, "Blocks that
 # speak for another plane", has others.
 MOST_BLOCK_NATS, MOST_BLOCK_NATS_OF_BLUR = 3.0, 12.0
-# See `PlanesConfig.share_beside_edges`: of one pair of views that lie apart, and where blur tells more than parallax.
-# Other designs gained nothing by it: docs/measurements.md, "Blocks beside depth edges".
+# See `PlanesConfig.share_beside_edges`: of two views that lie apart, and where blur tells more than parallax. Three
+# views that lie apart lose by .3: docs/measurements.md, "Blocks beside depth edges".
 SHARE_BESIDE_EDGES_OF_PAIR, SHARE_BESIDE_EDGES_OF_BLUR = 0.3, 0.7
-# See `PlanesConfig.known_from_nats`, with known blur and noise: frames of noise alone have .00012 at most.
+# See `PlanesConfig.known_from_nats`, where blur and noise are known: frames of noise alone reach .00012.
 # docs/measurements.md, "Planes are known as a whole".
 KNOWN_FROM_NATS_OF_BLUR = 3e-4
 Method = TypeVar("Method", bound="MatcherConfig")
@@ -244,8 +244,8 @@ class AccurateConfig(MatcherConfig):
             count in blur, so that designs whose views lie close together are searched as finely.
         one_pair : bool
             Whether the widest separation is that of one pair of channels, as of two halves. Where such views lie apart,
-            evidence counts as far as it is a pixel's own; docs/measurements.md, "Weak texture of all pairs". Blocks
-            beside likely depth edges count less for it, and where blur tells more.
+            evidence counts as far as it is a pixel's own; docs/measurements.md, "Weak texture of all pairs". And blocks
+            beside likely depth edges count less, as they do where views lie close together.
         full_well_electrons : float, optional
             Of the sensor, see `CrossFilterConfig.for_blur`.
         """

@@ -262,8 +262,8 @@ def judged(
     inside = (disparity > labels_px[0] + step / 2) & (disparity < labels_px[-1] - step / 2)
     certain = sigma < known_within_px
     if explained_by is not None and explained_by.blocks is not None:
-        # The posterior of a pixel is no witness beside a border, where windows see the other plane, nor in a texture
-        # that repeats: there all of a plane says where it is.
+        # Beside a border windows see the other plane, and in a texture that repeats several places are as likely: there
+        # the posterior of a pixel is wide, but the evidence of its whole plane says where it is.
         label = (disparity - labels_px[0]) / step
         of_plane = known_planes(explained_by.blocks, label, explained_by.choice, from_nats=known_from_nats)
         certain |= of_plane[explained_by.choice] & (disparity == explained_by.label_px)

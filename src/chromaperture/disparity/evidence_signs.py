@@ -16,7 +16,7 @@ from chromaperture.disparity.plane_fit import Volume
 
 SHIFTS = np.array([-24, -16, -12, -8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24], float)  # steps
 SHARP_STEPS = 4  # over which a plane's evidence must fall to be sharp: of 1, 2 and 4 the best; docs/measurements.md
-OF_FALL = (-SHARP_STEPS, 0, SHARP_STEPS)
+OF_FALL = (-SHARP_STEPS, 0, SHARP_STEPS)  # shifts at which that fall is read
 WINDOW_PX = 12.0  # sigma of the windows; of 4, 12 and 30 the best; docs/measurements.md
 # Pixels of a window that say one thing: detail and windows of correlation are that wide. Chosen by hand: it only scales
 # a sign, whose weight is learned.
@@ -57,10 +57,10 @@ def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> 
 
 
 def known_planes(blocks: Volume, label: np.ndarray, choice: np.ndarray, *, from_nats: float) -> np.ndarray:
-    """Find the planes whose evidence falls by so much a pixel when the answer is shifted; (K,) bool.
+    """Find the planes whose evidence falls by at least ``from_nats`` a pixel when the answer is shifted; (K,) bool.
 
-    Of a pixel alone several places can be as likely, by a texture that repeats; a whole plane tells them apart. Where
-    there is nothing but noise a shift of a plane hardly lowers its evidence. See `signs_of_evidence`.
+    One pixel may suit several places, where the texture repeats; all pixels of its plane together single out one. The
+    evidence of noise hardly falls. Parameters are those of `signs_of_evidence`.
     """
     profile = along_answer(blocks.likelihood, _in_middles(label, blocks), OF_FALL)
     profile /= np.float32(_size(blocks, label) ** 2)
@@ -95,7 +95,7 @@ def _in_middles(values: np.ndarray, blocks: Volume) -> np.ndarray:
 
 
 def _mean_fall(profile: np.ndarray, choice: np.ndarray, planes: int) -> np.ndarray:
-    """Return by how much evidence at `OF_FALL`, (h, w, 3), falls on both sides, mean of the blocks of a plane; (K,)."""
+    """Return the mean fall of the evidence of every plane's blocks, (h, w, 3) at `OF_FALL`; (K,)."""
     before, middle, behind = np.moveaxis(profile, 2, 0)
     falls = middle - (before + behind) / 2
     blocks = np.maximum(np.bincount(choice.ravel(), minlength=planes), 1)
