@@ -182,7 +182,7 @@ def fit(args: argparse.Namespace) -> None:
     path = Path(learned_error_bar.__file__).with_suffix(".json")
     stored = json.loads(path.read_text(encoding="utf-8"))
     for kind in args.only:
-        these = {name: scene for name, scene in scenes.items() if ("scatter" in scene) == (kind == "planes")}
+        these = {name: scene for name, scene in scenes.items() if ("rejected" in scene) == (kind == "planes")}
         learned = [name for name in these if not name.startswith(tuple(args.aside or ("\0",)))]
         names = [n for n in next(iter(these.values())) if n not in (*TRUTH, *args.without)]
         everything = fitted([these[name] for name in learned], names, args.shares)
@@ -202,7 +202,7 @@ def fit(args: argparse.Namespace) -> None:
             print(f"  {camera:20} {len(found):3}   {words[0]}   {words[1]}   {area:.3f}")
         if args.level:
             others = [dict(np.load(path)) for path in sorted(args.level.glob("*.npz"))]
-            everything = leveled(everything, [scene for scene in others if ("scatter" in scene) == (kind == "planes")])
+            everything = leveled(everything, [scene for scene in others if ("rejected" in scene) == (kind == "planes")])
         if args.keep:
             everything = mixed(
                 everything, learned_error_bar.weights()[kind], args.keep, [these[name] for name in learned]

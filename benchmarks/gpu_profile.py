@@ -107,8 +107,8 @@ STAGES = {
     "known pixels and error bar": Stage(
         (
             "plane_sums", "plane_signs", "answer_profile", "gaussian_line:profile_pooled", "block_signs",
-            "sums_of_blocks", "sharpness_of_blocks", "known_pixels", "bar_maps", "gaussian_line:pooled",
-            "gaussian_line:wide", "learned_bar", "gaussian_line:bar", "judged_results", "two_views", "label_maps",
+            "sums_of_blocks", "known_pixels", "block_maps", "gaussian_line:pooled", "frame_posterior", "learned_bar",
+            "gaussian_line:bar", "judged_results", "two_views", "label_maps",
         ),
         ("accurate:judged", "accurate:AccurateMethod.of_labels"),
     ),

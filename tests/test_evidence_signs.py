@@ -52,16 +52,26 @@ def test_wide_evidence_spreads_as_its_gaussian_does():
     np.testing.assert_allclose(np.exp(found["spread"]) - 0.05, expected, rtol=0.1)  # shifts are coarse
 
 
-def test_sharpness_is_the_fall_of_a_planes_evidence():
-    """Two planes: of the second every other block has no evidence."""
-    choice = (np.arange(WIDTH) >= WIDTH // 2).astype(int) * np.ones((HEIGHT, 1), int)
-    volume = evidence(BEST)
-    volume.likelihood[::2, WIDTH // 2 // SIZE + 1 :] = 0
-    found = signs_of_evidence(volume, np.full((HEIGHT, WIDTH), BEST), choice)["sharpness"]
-    full = 0.02 * 4**2  # nats a pixel at four labels
-    assert np.exp(found[0, 0]) == pytest.approx(full, rel=2e-3)  # a ten-thousandth is added; single precision
-    # The column of blocks in the middle is cut by the border: one of 18 is whole.
-    assert np.exp(found[0, -1]) == pytest.approx(full / 2, rel=0.06)
+def test_all_evidence_of_a_plane_tells_the_spread_of_its_shift():
+    """A parabola of bend b over n pixels, a hundred of which say one thing, is a Gaussian of variance 50 / (n b)."""
+    choice = (np.arange(WIDTH) >= 8 * SIZE).astype(int) * np.ones((HEIGHT, 1), int)
+    found = signs_of_evidence(evidence(BEST, bend=4e-4), np.full((HEIGHT, WIDTH), BEST), choice)
+    for x, columns in ((0, 8), (WIDTH - 1, SHAPE[1] - 8)):
+        expected = (50 / (columns * SHAPE[0] * SIZE**2 * 4e-4)) ** 0.5
+        np.testing.assert_allclose(np.exp(found["spread_of_plane"][:, x]) - 0.05, expected, rtol=0.1)  # coarse shifts
+        np.testing.assert_allclose(np.exp(found["evidence"][:, x]) - 1e-3, 2, rtol=1e-5)  # single precision
+    # Where evidence is sure it is the distance to the best answer, here for both planes.
+    off = signs_of_evidence(evidence(BEST + 6, bend=0.2), np.full((HEIGHT, WIDTH), BEST), choice)
+    np.testing.assert_allclose(np.exp(off["spread_of_plane"]) - 0.05, 6, atol=0.02)
+
+
+def test_a_plane_without_the_middle_of_any_block_has_no_evidence():
+    choice = np.zeros((HEIGHT, WIDTH), int)
+    choice[0, 0] = 1
+    found = signs_of_evidence(evidence(BEST), np.full((HEIGHT, WIDTH), BEST), choice)
+    assert np.exp(found["evidence"][0, 0]) == pytest.approx(1e-3, rel=1e-4)
+    even = np.sqrt(np.average(SHIFTS**2, weights=np.gradient(SHIFTS)))  # every shift is as likely
+    assert np.exp(found["spread_of_plane"][0, 0]) == pytest.approx(even + 0.05, rel=1e-4)
 
 
 def test_planes_are_known_from_a_fall_of_their_evidence_on():

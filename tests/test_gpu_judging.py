@@ -26,7 +26,7 @@ LABELS = np.linspace(-3, 3, 41)
 STEP, BLOCK = 0.15, 4
 
 
-def judging(rng, device, shape, known_within, *, of_planes=True, learned=True):
+def judging(rng, device, shape, known_within, *, of_planes=True, learned=True, fit_count=4):
     """A chain that judges a surface, what goes into it, and the surface that the CPU makes of it."""
     from chromaperture.disparity.gpu.device import Chain
     from chromaperture.disparity.gpu.judging_stages import OfPlanes, add_judged
@@ -40,12 +40,14 @@ def judging(rng, device, shape, known_within, *, of_planes=True, learned=True):
     likelihood = np.exp(-0.5 * away**2) + rng.gamma(0.5, 0.1, (*shape, len(LABELS)))
     likelihood[planes.choice == 1] = 0.5  # evidence that is alike everywhere: a plane that is not known
     likelihood = likelihood.astype(np.float32)
+    of_blocks = [n // BLOCK for n in shape]
+    fits = rng.normal(np.median(first), 0.3, (fit_count, *of_blocks)).astype(np.float32) if fit_count else None
     blocks = Volume(block_sums(likelihood, BLOCK), LABELS, PlaneCosts(0.3, 0.05), stages)
     layer = np.clip(np.rint((taken - LABELS[0]) / STEP), 0, len(LABELS) - 1).astype(int)
     peak = np.sqrt(-np.expm1(-2 * np.take_along_axis(likelihood, layer[..., None], axis=2)[..., 0]))
     expected = judged(
         Surface(taken, sigma, peak), local_range(taken, 8), LABELS, first_px=first,
-        explained_by=planes._replace(blocks=blocks) if of_planes else None, learned=learned,
+        explained_by=planes._replace(blocks=blocks, fits_px=fits) if of_planes else None, learned=learned,
         known_within_px=known_within, known_from_nats=3e-4, edge_share=0.4,
     )  # fmt: skip
     grid, chain = Grid(*shape, len(LABELS)), Chain(device)
@@ -55,6 +57,8 @@ def judging(rng, device, shape, known_within, *, of_planes=True, learned=True):
         chain.constant("choice", planes.choice.astype(np.uint32)),
         *(chain.constant(name, (label - LABELS[0]) / STEP) for name, label in (("there", there), ("before", first))),
         chain.constant("blocks", blocks.likelihood), BLOCK,
+        # A map that is no fit goes first, as where fits vote on the device.
+        None if fits is None else chain.constant("fits", np.concatenate([fits[:1], (fits - LABELS[0]) / STEP])), 1,
     )  # fmt: skip
     add_judged(
         chain, a, grid, planes=on_device if of_planes else None, learned=learned,
@@ -81,6 +85,10 @@ def assert_judged_alike(shape, known_within, chain, given, expected):
 @pytest.mark.parametrize("known_within", [0.3, math.inf])
 def test_error_bars_agree(rng, shape, known_within):
     assert_judged_alike(shape, known_within, *judging(rng, any_device(), shape, known_within))
+
+
+def test_error_bars_of_one_fit_agree(rng):
+    assert_judged_alike((61, 78), 0.3, *judging(rng, any_device(), (61, 78), 0.3, fit_count=0))
 
 
 @pytest.mark.parametrize(("of_planes", "learned"), [(False, True), (False, False), (True, False)])

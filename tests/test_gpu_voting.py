@@ -59,8 +59,10 @@ def test_fits_vote_alike(shape, seed):
     given[..., 0] = surface / STEP
     found = chain.run(
         {"surface": given, "sigma": (sigma / STEP).astype(np.float32)},
-        [array.name for array in (voted.planes, voted.choice, voted.trusted, voted.number)],
+        [array.name for array in (voted.planes, voted.choice, voted.trusted, voted.number, voted.fits)],
     )
+    of_fits = STEP * found[voted.fits.name].reshape(-1, *small[:2])[voted.skipped :]
+    np.testing.assert_allclose(of_fits, expected.fits_px, atol=1e-4)  # single precision of labels up to 10
     assert found[voted.number.name][0] == 16
     planes = found[voted.planes.name].reshape(-1, 4)[found[voted.choice.name].view(np.uint32)]
     y, x = np.mgrid[: small.height, : small.width]

@@ -50,30 +50,32 @@ def test_ranges_are_those_of_plain_windows(rng):
             assert found[y, x] == part.max() - part.min()
 
 
-def test_signs_of_planes_are_means_over_their_pixels(world):
-    """The surface before contradicts the second plane in every second row, by two labels."""
+def test_a_plane_is_rejected_where_the_surface_before_contradicts_it(world):
+    """The second plane in every second row, by two labels; a third of a label is no contradiction."""
     surface, first, planes = world
     contradicts = (planes.choice == 1) & (np.arange(len(first))[:, None] % 2 == 1)
     first = np.where(contradicts, planes.label_px + 2 * STEP_PX, planes.label_px + 0.3 * STEP_PX)
-    found = signs(surface, STEP_PX, first_px=first, explained_by=planes)
-    away = (first - planes.label_px) / STEP_PX
-    for k in (0, 1):
-        of = planes.choice == k
-        values = {name: found[name][of] for name in found}
-        # Single precision of values near 1.
-        np.testing.assert_allclose(values["scatter"], np.log(np.sqrt((away[of] ** 2).mean()) + 0.05), rtol=1e-4)
-        np.testing.assert_allclose(values["rejected"], [0, 0.5][k], rtol=1e-4)
-        # 36 px from the border the window of 8 px sees its own plane alone.
-        np.testing.assert_allclose(found["apart"][:, [5, 88][k]], [0, 0.5][k], atol=1e-3)
+    found = signs(surface, STEP_PX, first_px=first, explained_by=planes)["rejected"]
+    np.testing.assert_array_equal(found, np.where(planes.choice == 1, 0.5, 0))
 
 
-def test_without_planes_there_are_no_signs_of_planes(world):
+def test_fits_tell_how_far_they_put_a_pixel(world, rng):
     surface, first, planes = world
-    without = signs(surface, STEP_PX, first_px=first, explained_by=None)
-    with_planes = signs(surface, STEP_PX, first_px=first, explained_by=planes)
-    assert set(without) < set(with_planes)
-    for name, values in without.items():
-        np.testing.assert_array_equal(values, with_planes[name])
+    fits = rng.normal(1, 0.3, (5, 10, 22))  # of blocks of 4 px; two columns are left over
+    found = signs(surface, STEP_PX, first_px=first, explained_by=planes._replace(fits_px=fits))["fits"]
+    for y, x in [(0, 0), (3, 4), (39, 87), (20, 89)]:
+        away = [abs(fit[y // 4, min(x // 4, 21)] - surface.disparity_px[y, x]) / STEP_PX for fit in fits]
+        assert found[y, x] == pytest.approx(np.log(np.mean(away) + 1), abs=1e-4)  # single precision
+    one = signs(surface, STEP_PX, first_px=first, explained_by=planes)["fits"]
+    np.testing.assert_array_equal(one, 0)  # one fit agrees with itself
+
+
+def test_signs_are_those_that_have_weights(world):
+    surface, first, planes = world
+    for kind, explained_by in (("surface", None), ("planes", planes)):
+        found = signs(surface, STEP_PX, first_px=first, explained_by=explained_by)
+        assert set(found) == set(weights()[kind].names)
+        assert all(values.shape == first.shape and values.dtype == np.float32 for values in found.values())
 
 
 def test_planes_without_their_evidence_are_refused(world):
@@ -115,15 +117,17 @@ def test_stored_weights_widen_the_bar_where_less_is_known(kind):
     assert (model.least < model.most).all()
     by_name = dict(zip(model.names, model.weights, strict=True))
     assert by_name["posterior"] > 0
-    assert by_name.get("scatter", 1) > 0
+    assert min(by_name.get("fits", 1), by_name.get("rejected", 1), by_name.get("spread_of_plane", 1)) > 0
 
 
-def test_what_scatters_more_has_a_longer_bar(world, rng):
+def test_what_other_fits_put_elsewhere_has_a_longer_bar(world):
     surface, first, planes = world
-    noisier = planes.label_px + 4 * (first - planes.label_px)
-    little = learned_sigma(surface, STEP_PX, first_px=first, explained_by=planes)
-    much = learned_sigma(surface, STEP_PX, first_px=noisier, explained_by=planes)
-    assert (much[:15, :40] > little[:15, :40]).all()
+    fits = np.stack([planes.label_px[1::4, 1::4][:10, :22]] * 3)
+    bars = [
+        learned_sigma(surface, STEP_PX, first_px=first, explained_by=planes._replace(fits_px=fits + away))
+        for away in (0, 5 * STEP_PX)
+    ]
+    assert (bars[1][:15, :40] > bars[0][:15, :40]).all()
 
 
 @pytest.fixture(scope="module")

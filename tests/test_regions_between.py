@@ -10,12 +10,14 @@ from chromaperture.disparity.gpu.device import Array
 from chromaperture.disparity.gpu.regions_between import PROPOSED, regions_found
 from chromaperture.disparity.gpu.surface_stages import Grid
 from chromaperture.disparity.gpu.voting_stages import Voted
+from chromaperture.disparity.planar import costs_of_fits
 from chromaperture.planes_config import PlanesConfig
 
 SIZE = 4  # px of a block
 CONFIG = PlanesConfig(learned_border_nats=(5.0, 2.5), block_px=SIZE)
 LABELS_PX = np.arange(-3.0, 3.01, 0.1)
 CAPACITY = 6
+FITS = len(costs_of_fits(CONFIG.learned_border_nats))
 
 
 def room(name: str, size: int, dtype: type = np.float32) -> Array:
@@ -54,10 +56,12 @@ def test_the_planes_of_the_world_go_up(proposed: int) -> None:
     voted = Voted(
         room("voted_planes", 4 * 40), room("plane_count", 1, np.uint32),
         room("voted_choice", card.size, np.uint32), room("planes_trusted", card.size, np.uint32),
+        room("fits", FITS * card.size),
     )  # fmt: skip
     up = regions_found(down, edges, voted, grid, LABELS_PX, config=CONFIG, run=execution_named("numba"))
     assert {name: values.size for name, values in up.items()} == {
         "voted_planes": 160, "plane_count": 1, "voted_choice": card.size, "planes_trusted": card.size,
+        "fits": FITS * card.size,
     }  # fmt: skip
     assert up["voted_choice"].max() < up["plane_count"][0]
     choice = up["voted_choice"].reshape(card.shape)
@@ -67,6 +71,9 @@ def test_the_planes_of_the_world_go_up(proposed: int) -> None:
     true = np.where(card.repeat(4, 0).repeat(4, 1), 45.3, 20 + 0.05 * columns + 0.02 * rows)
     np.testing.assert_allclose(found, true, atol=0.1)  # layers; .04 is found, of blocks' noise
     assert up["planes_trusted"].dtype == np.uint32
+    # Single precision of labels up to 60.
+    for fit in up["fits"].reshape(FITS, *card.shape):
+        assert (np.abs(fit - found[SIZE // 2 :: SIZE, SIZE // 2 :: SIZE]) < 0.5).mean() > 0.9
 
 
 def test_nothing_proposed_is_no_plane() -> None:
@@ -77,7 +84,7 @@ def test_nothing_proposed_is_no_plane() -> None:
     down |= {PROPOSED[0]: np.zeros(4 * CAPACITY, np.float32), PROPOSED[1]: np.zeros(1, np.uint32)}
     voted = Voted(
         room("voted_planes", 400), room("plane_count", 1, np.uint32), room("voted_choice", blocks, np.uint32),
-        room("planes_trusted", blocks, np.uint32),
+        room("planes_trusted", blocks, np.uint32), room("fits", FITS * blocks),
     )  # fmt: skip
     up = regions_found(
         down, np.zeros((2, 4, 6), np.float32), voted, grid, LABELS_PX, config=CONFIG, run=execution_named("numba")

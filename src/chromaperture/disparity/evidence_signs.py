@@ -15,21 +15,23 @@ import numpy as np
 from chromaperture.disparity.plane_fit import Volume
 
 SHIFTS = np.array([-24, -16, -12, -8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24], float)  # steps
-SHARP_STEPS = 4  # over which a plane's evidence must fall to be sharp: of 1, 2 and 4 the best; docs/measurements.md
-OF_FALL = (-SHARP_STEPS, 0, SHARP_STEPS)  # shifts at which that fall is read
+OF_FALL = (-4, 0, 4)  # steps at which the fall of a plane's evidence is read; docs/measurements.md
 WINDOW_PX = 12.0  # sigma of the windows; of 4, 12 and 30 the best; docs/measurements.md
 # Pixels of a window that say one thing: detail and windows of correlation are that wide. Chosen by hand: it only scales
 # a sign, whose weight is learned.
 PIXELS_ALIKE = 10.0
+# Pixels of a whole plane that say one thing: what they agree on wrongly grows with the plane; of 30, 100 and 300 the
+# best; docs/measurements.md, "Fits that disagree".
+PIXELS_OF_PLANE_ALIKE = 100.0
 LEAST_SPREAD = 0.05  # steps, chosen by hand: every sign needs a finite logarithm
-LEAST_NATS = 1e-4  # a pixel, likewise
+LEAST_EVIDENCE = 1e-3  # nats a pixel, likewise
 
 
 def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> dict[str, np.ndarray]:
     """Return what the evidence says of an answer; (H, W) float32 each, logarithms.
 
-    ``spread``: of the standard deviation of the shift by a window's evidence, about the answer. ``sharpness``: of the
-    nats a pixel by which the evidence of a pixel's plane falls when the answer is shifted.
+    ``spread``: of the standard deviation of the shift by a window's evidence, about the answer; ``spread_of_plane``:
+    the same by all evidence of a pixel's plane. ``evidence``: of that plane's nats a pixel at the answer.
 
     Parameters
     ----------
@@ -44,16 +46,16 @@ def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> 
     of_plane = _in_middles(choice, blocks)
     profile = along_answer(blocks.likelihood, _in_middles(label, blocks)) / np.float32(size**2)
     pooled = cv2.GaussianBlur(profile, (0, 0), WINDOW_PX / size, borderType=cv2.BORDER_REFLECT_101)
-    likely = np.exp((pooled - pooled.max(axis=2, keepdims=True)) * (2 * np.pi * WINDOW_PX**2 / PIXELS_ALIKE))
-    likely *= np.gradient(SHIFTS).astype(np.float32)  # every shift stands for the shifts about it
-    variance = likely @ np.square(SHIFTS).astype(np.float32) / likely.sum(axis=2)
-    fall = _mean_fall(profile[..., np.isin(SHIFTS, OF_FALL)], of_plane, int(of_plane.max()) + 1)
-    of_blocks = {
-        "spread": np.log(np.sqrt(variance) + LEAST_SPREAD),
-        "sharpness": np.log(np.maximum(fall, 0) + LEAST_NATS)[of_plane],
+    sums, blocks_of = _sums_of_planes(profile, of_plane, int(choice.max()) + 1)
+    here = sums[:, SHIFTS == 0][:, 0] / np.maximum(blocks_of, 1)
+    planes = {
+        "spread_of_plane": log_spread(sums * (size**2 / PIXELS_OF_PLANE_ALIKE)),
+        "evidence": np.log(np.maximum(here, 0) + LEAST_EVIDENCE),
     }
+    spread = log_spread(pooled * np.float32(2 * np.pi * WINDOW_PX**2 / PIXELS_ALIKE)).astype(np.float32)
     rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(label.shape, (height, width), strict=True))
-    return {name: values.astype(np.float32)[rows[:, None], columns] for name, values in of_blocks.items()}
+    of_pixels = {name: values.astype(np.float32)[choice] for name, values in planes.items()}
+    return {"spread": spread[rows[:, None], columns], **of_pixels}
 
 
 def known_planes(blocks: Volume, label: np.ndarray, choice: np.ndarray, *, from_nats: float) -> np.ndarray:
@@ -64,8 +66,17 @@ def known_planes(blocks: Volume, label: np.ndarray, choice: np.ndarray, *, from_
     """
     profile = along_answer(blocks.likelihood, _in_middles(label, blocks), OF_FALL)
     profile /= np.float32(_size(blocks, label) ** 2)
-    fall = _mean_fall(profile, _in_middles(choice, blocks), int(choice.max()) + 1)
-    return np.asarray(np.maximum(fall, 0) >= from_nats)
+    sums, blocks_of = _sums_of_planes(profile, _in_middles(choice, blocks), int(choice.max()) + 1)
+    before, middle, behind = sums.T / np.maximum(blocks_of, 1)
+    return np.asarray(np.maximum(middle - (before + behind) / 2, 0) >= from_nats)
+
+
+def log_spread(evidence: np.ndarray) -> np.ndarray:
+    """Return the logarithm of the standard deviation about the answer by nats (..., S) at `SHIFTS`; (...), steps."""
+    likely = np.exp(evidence - evidence.max(axis=-1, keepdims=True))
+    likely *= np.gradient(SHIFTS).astype(likely.dtype)  # every shift stands for the shifts about it
+    variance = likely @ np.square(SHIFTS).astype(likely.dtype) / likely.sum(axis=-1)
+    return np.asarray(np.log(np.sqrt(variance) + LEAST_SPREAD))
 
 
 def along_answer(
@@ -94,9 +105,8 @@ def _in_middles(values: np.ndarray, blocks: Volume) -> np.ndarray:
     return values[size // 2 :: size, size // 2 :: size][:height, :width]
 
 
-def _mean_fall(profile: np.ndarray, choice: np.ndarray, planes: int) -> np.ndarray:
-    """Return the mean fall of the evidence of every plane's blocks, (h, w, 3) at `OF_FALL`; (K,)."""
-    before, middle, behind = np.moveaxis(profile, 2, 0)
-    falls = middle - (before + behind) / 2
-    blocks = np.maximum(np.bincount(choice.ravel(), minlength=planes), 1)
-    return np.asarray(np.bincount(choice.ravel(), falls.ravel(), minlength=planes) / blocks)
+def _sums_of_planes(profile: np.ndarray, choice: np.ndarray, planes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Sum evidence (h, w, S) over every plane's blocks, (K, S), and count them, (K,)."""
+    of = choice.ravel()
+    sums = [np.bincount(of, part.ravel(), minlength=planes) for part in np.moveaxis(profile, 2, 0)]
+    return np.stack(sums, axis=1), np.bincount(of, minlength=planes)

@@ -26,12 +26,11 @@ from chromaperture.disparity.plane_fit import Planes, Volume
 from chromaperture.disparity.winner import Surface
 from chromaperture.threads import each_band, parallel_map
 
-POOLED_PX = 8.0  # sigma of the windows in which signs are averaged; else they follow paths and blocks
-WIDE_PX = 24.0  # the same, wider; chosen by hand
+POOLED_PX = 8.0  # sigma of the window in which the posterior's variance is averaged; else it follows paths
 REACHES_PX = (8, 32)  # of the range of the surface about a pixel
 SMOOTHED_PX = 3.0  # of the bar's logarithm: ranges within squares have corners; chosen by hand
 APART = 1.0  # steps: a surface that lies farther from a plane contradicts it; chosen by hand
-MOST_APART = 6.0  # steps: beyond, the surface was another one, whose distance says nothing; chosen by hand
+LEAST_DISTANCE = 1.0  # steps: fits that lie closer agree; of .3 to 2 as good as the best; docs/measurements.md
 _FILE = Path(__file__).parent / "learned_error_bar.json"
 
 
@@ -91,55 +90,59 @@ def signs(
 ) -> dict[str, np.ndarray]:
     """Return the signs of an error, as `learned_sigma`; (H, W) float32 each, logarithms and shares.
 
-    ``posterior``: error bar of the posterior. ``range_N``: range of the surface within N px. With planes besides, of a
-    pixel's plane ``scatter``: root mean square difference of the surface before it, ``rejected``: the share of it that
-    the surface contradicts; ``apart`` and ``apart_wide``: share of the pixels around where it does; and those of
-    `signs_of_evidence`, ``spread_of_frame`` the mean of one: photographs differ in what their evidence is worth.
+    ``posterior``: error bar of the posterior. Without planes also ``range_N``: range of the surface within N px. With
+    planes also ``posterior_of_frame``: its mean, for photographs differ in what their evidence is worth; ``rejected``:
+    the share of a pixel's plane that the surface before contradicts; ``fits``: the mean distance at which several fits
+    of planes put the pixel; and those of `signs_of_evidence`.
     """
     label = np.asarray(surface.disparity_px, np.float32) / np.float32(step_px)
-
-    def of_posterior() -> dict[str, np.ndarray]:
-        posterior = pooled_sigma(surface.sigma_px, POOLED_PX) / np.float32(step_px)
-        return {"posterior": np.log(posterior + np.float32(0.02))}  # steps: below, nothing is told apart
-
-    def of_ranges() -> dict[str, np.ndarray]:
-        return {f"range_{reach}": np.log(part + np.float32(0.1)) for reach, part in ranges(label).items()}
-
-    each = [of_ranges, of_posterior]
-    if explained_by is not None:
-        if explained_by.blocks is None:
-            raise ValueError("the signs of the evidence need the blocks that chose the planes")
-        first = np.asarray(first_px, np.float32) / np.float32(step_px)
-        each += [
-            partial(of_blocks, surface, explained_by.blocks, explained_by.choice),
-            partial(of_planes, first, explained_by, step_px),
-        ]
-    return {name: sign for part in parallel_map(lambda work: work(), each) for name, sign in part.items()}
-
-
-def of_blocks(surface: Surface, blocks: Volume, choice: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the signs that the evidence gives, see `signs`."""
-    label = (np.asarray(surface.disparity_px, np.float32) - np.float32(blocks.labels_px[0])) / np.float32(
-        blocks.step_px
+    posterior = pooled_sigma(surface.sigma_px, POOLED_PX) / np.float32(step_px)
+    found = {"posterior": np.log(posterior + np.float32(0.02))}  # steps: below, nothing is told apart
+    if explained_by is None:
+        return {**found, **{f"range_{reach}": np.log(part + np.float32(0.1)) for reach, part in ranges(label).items()}}
+    if explained_by.blocks is None:
+        raise ValueError("the signs of the evidence need the blocks that chose the planes")
+    height, width = explained_by.blocks.likelihood.shape[:2]
+    size = label.shape[0] // height
+    middles = np.s_[size // 2 : height * size : size, size // 2 : width * size : size]  # windows of 8 px need no more
+    found["posterior_of_frame"] = np.full(label.shape, found["posterior"][middles].mean(), np.float32)
+    fits = None if explained_by.fits_px is None else explained_by.fits_px / np.float32(step_px)
+    each = (
+        partial(of_blocks, label, explained_by.blocks, explained_by.choice),
+        partial(of_planes, first_px, explained_by, step_px),
+        partial(of_fits, label, fits),
     )
-    found = signs_of_evidence(blocks, label, choice)
-    return {**found, "spread_of_frame": np.full(label.shape, found["spread"].mean(), np.float32)}
+    return found | {name: sign for part in parallel_map(lambda work: work(), each) for name, sign in part.items()}
 
 
-def of_planes(first: np.ndarray, planes: Planes, step_px: float) -> dict[str, np.ndarray]:
-    """Return the signs that planes give, see `signs`; ``first`` is the surface before them, steps."""
-    there = planes.label_px / np.float32(step_px)
-    apart = (np.abs(first - there) > APART).astype(np.float32)
-    away = np.clip(first - there, -MOST_APART, MOST_APART)
+def of_blocks(label: np.ndarray, blocks: Volume, choice: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the signs that the evidence gives, see `signs`; ``label`` in steps."""
+    above_first = label - np.float32(blocks.labels_px[0] / blocks.step_px)
+    return signs_of_evidence(blocks, above_first, choice)
+
+
+def of_planes(first_px: np.ndarray, planes: Planes, step_px: float) -> dict[str, np.ndarray]:
+    """Return the sign that planes give, see `signs`."""
+    apart = (np.abs(first_px - planes.label_px) > APART * step_px).astype(np.float32)
     choice = planes.choice.ravel()
-    area = np.maximum(np.bincount(choice), 1)
-    scatter, rejected = (np.bincount(choice, values.ravel()) / area for values in (away * away, apart))
-    of_plane: dict[str, np.ndarray] = {"scatter": np.log(np.sqrt(scatter) + 0.05), "rejected": rejected}
-    return {
-        "apart": pooled(apart),
-        "apart_wide": pooled(apart, WIDE_PX),
-        **{name: values.astype(np.float32)[planes.choice] for name, values in of_plane.items()},
-    }
+    share = np.bincount(choice, apart.ravel()) / np.maximum(np.bincount(choice), 1)
+    return {"rejected": share.astype(np.float32)[planes.choice]}
+
+
+def of_fits(label: np.ndarray, fits: np.ndarray | None) -> dict[str, np.ndarray]:
+    """Return how far fits (F, h, w) of blocks lie from an answer (H, W), see `signs`; steps. 0 without."""
+    if fits is None:
+        return {"fits": np.full(label.shape, np.log(LEAST_DISTANCE), np.float32)}
+    size = label.shape[0] // fits.shape[1]
+    rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(label.shape, fits.shape[1:], strict=True))
+    away = np.zeros(label.shape, np.float32)
+
+    def add(band: slice) -> None:
+        for fit in fits:
+            away[band] += np.abs(fit[rows[band, None], columns] - label[band])
+
+    each_band(add, len(label))
+    return {"fits": np.log(away / np.float32(len(fits)) + np.float32(LEAST_DISTANCE))}
 
 
 def pooled(values: np.ndarray, reach_px: float = POOLED_PX) -> np.ndarray:

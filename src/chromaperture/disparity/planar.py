@@ -14,6 +14,7 @@ H. Isack, Y. Boykov: Energy-based geometric multi-model fitting. IJCV 97, 2012. 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from chromaperture.disparity.plane_regions import (
     regions_between_edges,
     shares_of_blocks,
 )
-from chromaperture.disparity.plane_voting import OF_GUIDED, voted_planes
+from chromaperture.disparity.plane_voting import OF_GUIDED, block_means, voted_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
 from chromaperture.planes_config import PlanesConfig
@@ -42,6 +43,9 @@ BORDER_OF_REGIONS = 2 / 3  # of ``border_px``
 # Share of its evidence that a sloped plane loses beside level ones: that of a far wall hardly tells whether it leans.
 # docs/measurements.md, "Rooms as people photograph them", has 0, .025 and .05.
 SLOPED_LESS = 0.012
+# Of the least and of the greatest cost of borders: fits that do not vote, but tell how sure the answer is.
+# docs/measurements.md, "Fits that disagree", has other factors and other fits.
+JUDGING_FACTORS = (0.5, 2.0)
 PARABOLA_LABELS = 2  # either side, as derivatives of `stages.best_planes`
 BORDER_APART_LABELS = 1.5  # by which two planes differ for their border to be a depth edge; chosen by hand
 
@@ -137,8 +141,10 @@ def voted_regions(
         The surface that the planes explain.
     config : PlanesConfig
     """
-    fits = fits_of_regions(planes, blocks, depth_edges, label_px.shape, config=config)
-    return voted_planes(fits, label_px, sigma_px, blocks.step_px, config.block_px)
+    judged_by = replace(config, learned_border_nats=costs_of_fits(config.learned_border_nats))
+    fits = fits_of_regions(planes, blocks, depth_edges, label_px.shape, config=judged_by)
+    found = voted_planes(fits[: len(config.learned_border_nats)], label_px, sigma_px, blocks.step_px, config.block_px)
+    return found._replace(fits_px=np.stack([block_means(fit.label_px, config.block_px) for fit in fits]))
 
 
 def trust_of_moved(trusted: np.ndarray, before: np.ndarray, choice: np.ndarray) -> np.ndarray:
@@ -250,6 +256,12 @@ def fits_of_regions(
         return planes_of_pixels(merged, choice, shape, size)._replace(blocks=blocks)
 
     return parallel_map(fit, config.learned_border_nats)
+
+
+def costs_of_fits(border_nats: tuple[float, ...]) -> tuple[float, ...]:
+    """Return what borders cost in every fit: first those that vote, then those that only tell how sure a plane is."""
+    least, most = min(border_nats), max(border_nats)
+    return (*border_nats, *(factor * (least if factor < 1 else most) for factor in JUDGING_FACTORS))
 
 
 def level_planes(labels_px: np.ndarray) -> np.ndarray:

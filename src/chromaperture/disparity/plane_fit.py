@@ -70,12 +70,15 @@ class Planes(NamedTuple):
         Sums over blocks of pixels of the evidence that chose them.
     trusted : (H, W) bool, or None
         Where the plane is to be taken rather than the surface that it explains; None where no fits voted.
+    fits_px : (F, h, w) float, px, or None
+        Labels of every block by several fits of planes; None where there was one fit.
     """
 
     planes: np.ndarray
     choice: np.ndarray
     blocks: Volume | None = None
     trusted: np.ndarray | None = None
+    fits_px: np.ndarray | None = None
 
     @property
     def label_px(self) -> np.ndarray:

@@ -101,7 +101,7 @@ def voted_planes(
     used, choice = np.unique(np.take_along_axis(every, best[at][None], axis=0)[0], return_inverse=True)
     trusted = (of_planes.max(axis=0) >= of_surface)[at] if trust is not None else np.ones((height, width), bool)
     planes = np.concatenate([fit.planes for fit in fits])[used]
-    return Planes(planes, choice.reshape(height, width), fits[0].blocks, trusted)
+    return Planes(planes, choice.reshape(height, width), fits[0].blocks, trusted, label_of)
 
 
 def votes(label: np.ndarray, surface: np.ndarray, log_odds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -199,7 +199,9 @@ class AccurateChain:
         )
         add_sigma(last, arrays, self.grid)
         last.arrays |= {array.name: array for array in (voted.number, unfinished)}
-        return OfPlanes(most, planes.number, choice, there, first, blocks, config.block_px)
+        return OfPlanes(
+            most, planes.number, choice, there, first, blocks, config.block_px, voted.fits, voted.skipped
+        )  # fmt: skip
 
     def _add_guided_planes(self, blocks: Array) -> Voted:
         """Compose planes whose borders the guide leads."""

@@ -1,10 +1,8 @@
-// Of every block the logarithm of the spread of its window's evidence about the answer, and by how much its own evidence
-// falls when the answer is shifted; see `evidence_signs.py`.
+// Of every block the logarithm of the spread of its window's evidence about the answer; see `evidence_signs.py`.
 
-@group(0) @binding(0) var<storage, read> profile: array<f32>;  // (blocks, shifts), nats a pixel
-@group(0) @binding(1) var<storage, read> pooled: array<f32>;  // (blocks, shifts), averaged in windows
-@group(0) @binding(2) var<storage, read> shifts: array<f32>;  // and what each stands for
-@group(0) @binding(3) var<storage, read_write> signs: array<vec2f>;  // (blocks,)
+@group(0) @binding(0) var<storage, read> pooled: array<f32>;  // (blocks, shifts), nats a pixel, averaged in windows
+@group(0) @binding(1) var<storage, read> shifts: array<f32>;  // and what each stands for
+@group(0) @binding(2) var<storage, read_write> signs: array<f32>;  // (blocks,)
 
 @compute @workgroup_size(64)
 fn main(
@@ -13,15 +11,7 @@ fn main(
 ) {
     let i = invocation(group, groups, local);
     if (i >= blocks) { return; }
-    var most = -1.0e30;
-    for (var s = 0u; s < shift_count; s++) { most = max(most, pooled[i * shift_count + s]); }
-    var total = 0.0;
-    var squares = 0.0;
-    for (var s = 0u; s < shift_count; s++) {
-        let likely = exp((pooled[i * shift_count + s] - most) * samples) * shifts[shift_count + s];
-        total += likely;
-        squares += likely * shifts[s] * shifts[s];
-    }
-    let sides = (profile[i * shift_count + before] + profile[i * shift_count + behind]) / 2.0;
-    signs[i] = vec2f(log(sqrt(squares / total) + least_spread), profile[i * shift_count + middle] - sides);
+    var evidence = array<f32, shift_count>();
+    for (var s = 0u; s < shift_count; s++) { evidence[s] = pooled[i * shift_count + s] * samples; }
+    signs[i] = log_spread(&evidence);
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,11 +17,10 @@ from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.learned_error_bar import (
     APART,
-    MOST_APART,
+    LEAST_DISTANCE,
     POOLED_PX,
     REACHES_PX,
     SMOOTHED_PX,
-    WIDE_PX,
     Weights,
     weights,
 )
@@ -33,7 +31,7 @@ _PARTS = 32  # of the picture that are summed on their own: so many workgroups a
 class OfPlanes(NamedTuple):
     """Planes on a device: how many at most, how many, every pixel's, its layer there, the surface's layer before.
 
-    ``blocks`` are sums of the volume over squares of ``block`` px.
+    ``blocks`` are sums of the volume over squares of ``block`` px; ``fits`` is as `Voted` has it.
     """
 
     most: int
@@ -43,6 +41,8 @@ class OfPlanes(NamedTuple):
     first: Array
     blocks: Array
     block: int
+    fits: Array | None = None
+    skipped: int = 0
 
 
 def add_judged(
@@ -69,9 +69,8 @@ def add_judged(
     known_from_nats, edge_share : float
         See `judged`.
     """
-    pooled, room = (chain.array(name, 2 * grid.pixels) for name in ("pooled", "pooling"))
+    pooled, room = (chain.array(name, grid.pixels) for name in ("pooled", "pooling"))
     bar, known = (chain.array(name, grid.pixels, np.uint32) for name in ("bar", "known"))
-    near, far = _add_ranges(chain, a, grid)
     # The bar that is not learned has the same reaches: `accurate.POOLED_PX`, `accurate.EDGE_REACH_PX`.
     shape, taps = (grid.height, grid.width), gaussian_taps(POOLED_PX)
     if planes is None:
@@ -79,29 +78,29 @@ def add_judged(
             chain, "known_surface", [a.surface, a.sigma, known, pooled], grid, known_within=known_within,
             count=grid.layers,
         )  # fmt: skip
-        add_gaussian(chain, pooled, room, shape, taps, parts=2)
-        _add_surface_bar(chain, [pooled, near, far, bar], grid, learned=learned, edge_share=edge_share)
     else:
-        of_planes = _add_signs_of_planes(chain, planes, grid)
-        of_blocks, averages = _add_signs_of_blocks(chain, a, planes, grid)
+        spreads, evidence_of = _add_signs_of_blocks(chain, a, planes, grid)
         per_pixel(
-            chain, "known_pixels", [planes.choice, a.surface, a.sigma, planes.there, averages, known, bar], grid,
-            known_within=known_within, count=grid.layers,
-            known_from=math.log(known_from_nats + evidence_signs.LEAST_NATS),
+            chain, "known_pixels", [planes.choice, a.surface, a.sigma, planes.there, evidence_of, known, bar, pooled],
+            grid, known_within=known_within, count=grid.layers, known_from=known_from_nats,
         )  # fmt: skip
-        wide = chain.array("wide", grid.pixels)
-        per_pixel(chain, "bar_maps", [planes.first, a.sigma, planes.there, pooled, wide], grid, apart=APART)
-        add_gaussian(chain, pooled, room, shape, taps, parts=2)
-        if learned:
-            add_gaussian(chain, wide, room, shape, gaussian_taps(WIDE_PX), parts=1)
-            chain.add(
-                "learned_bar", [pooled, wide, near, far, of_planes, of_blocks, averages, bar],
-                groups=groups_for(grid.pixels), uses=("indexing", "surface_signs", "blocks_of_pixels"),
-                height=grid.height, width=grid.width, block=planes.block, number=planes.most,
-                **_numbers(weights()["planes"]),
-            )  # fmt: skip
-        else:
-            _add_surface_bar(chain, [pooled, near, far, bar], grid, learned=False, edge_share=edge_share)
+    add_gaussian(chain, pooled, room, shape, taps, parts=1)
+    if planes is not None and learned:
+        rejected = _add_signs_of_planes(chain, planes, grid)
+        of_blocks = _add_block_maps(chain, a, planes, spreads, grid)
+        of_frame = chain.array("posterior_of_frame", 1)
+        chain.add(
+            "frame_posterior", [pooled, of_frame], groups=(1,), uses=("weighed_signs",), height=grid.height,
+            width=grid.width, block=planes.block,
+        )  # fmt: skip
+        chain.add(
+            "learned_bar", [pooled, rejected, evidence_of, of_blocks, of_frame, bar], groups=groups_for(grid.pixels),
+            uses=("indexing", "weighed_signs"), height=grid.height, width=grid.width, **_numbers(weights()["planes"]),
+        )  # fmt: skip
+    else:
+        _add_surface_bar(
+            chain, [pooled, *_add_ranges(chain, a, grid), bar], grid, learned=learned, edge_share=edge_share
+        )
     if learned:
         add_gaussian(chain, bar, room, shape, gaussian_taps(SMOOTHED_PX), parts=1)
     results = chain.array("judged", 4 * grid.pixels)
@@ -149,7 +148,7 @@ def add_label_maps(
 
 def _add_surface_bar(chain: Chain, arrays: list[Array], grid: Grid, *, learned: bool, edge_share: float) -> None:
     chain.add(
-        "surface_bar", arrays, groups=groups_for(grid.pixels), uses=("indexing", "surface_signs"), height=grid.height,
+        "surface_bar", arrays, groups=groups_for(grid.pixels), uses=("indexing", "weighed_signs"), height=grid.height,
         width=grid.width, learned=learned, edge_share=edge_share, **_numbers(weights()["surface"]),
     )  # fmt: skip
 
@@ -161,21 +160,21 @@ def _numbers(model: Weights) -> dict[str, Any]:
 
 
 def _add_signs_of_planes(chain: Chain, planes: OfPlanes, grid: Grid) -> Array:
-    sums = chain.array("plane_sums", 4 * _PARTS * planes.most)
+    """Append `learned_error_bar.of_planes`."""
+    sums, rejected = chain.array("plane_sums", 2 * _PARTS * planes.most), chain.array("rejected", planes.most)
     chain.add(
         "plane_sums", [planes.choice, planes.there, planes.first, planes.number, sums], groups=(planes.most, _PARTS),
-        height=grid.height, width=grid.width, parts=_PARTS, most_apart=MOST_APART, apart=APART,
+        height=grid.height, width=grid.width, parts=_PARTS, apart=APART,
     )  # fmt: skip
-    signs = chain.array("plane_signs", 2 * planes.most)
     chain.add(
-        "plane_signs", [sums, signs], groups=groups_for(planes.most), uses=("indexing",), planes=planes.most,
+        "plane_signs", [sums, rejected], groups=groups_for(planes.most), uses=("indexing",), planes=planes.most,
         parts=_PARTS,
     )  # fmt: skip
-    return signs
+    return rejected
 
 
 def _add_signs_of_blocks(chain: Chain, a: SurfaceArrays, planes: OfPlanes, grid: Grid) -> tuple[Array, Array]:
-    """Append `evidence_signs.signs_of_evidence`: the signs of blocks, behind the planes' averages the frame's."""
+    """Append `evidence_signs.signs_of_evidence`: the spread of every block, and the signs of planes."""
     block = planes.block
     shifts = evidence_signs.SHIFTS
     height, width = grid.height // block, grid.width // block
@@ -189,24 +188,35 @@ def _add_signs_of_blocks(chain: Chain, a: SurfaceArrays, planes: OfPlanes, grid:
     )  # fmt: skip
     taps = gaussian_taps(evidence_signs.WINDOW_PX / block)
     add_gaussian(chain, pooled, room, (height, width), taps, parts=len(shifts))
-    signs, averages = chain.array("block_signs", 2 * height * width), chain.array("plane_averages", planes.most + 1)
-    sharp = evidence_signs.SHARP_STEPS
-    of_fall = ("before", -sharp), ("middle", 0), ("behind", sharp)
+    spreads, evidence_of = chain.array("block_spreads", height * width), chain.array("evidence_of", 4 * planes.most)
+    of_spread: dict[str, Any] = dict(shift_count=len(shifts), least_spread=evidence_signs.LEAST_SPREAD)
+    chain.add(
+        "block_signs", [pooled, each, spreads], groups=groups_for(height * width),
+        uses=("indexing", "spread_of_shift"), blocks=height * width, **of_spread,
+        samples=float(2 * np.pi * evidence_signs.WINDOW_PX**2 / evidence_signs.PIXELS_ALIKE),
+    )  # fmt: skip
+    of_fall = zip(("before", "middle", "behind"), evidence_signs.OF_FALL, strict=True)
     at: dict[str, Any] = {name: int(np.flatnonzero(shifts == shift)[0]) for name, shift in of_fall}
     chain.add(
-        "block_signs", [profile, pooled, each, signs], groups=groups_for(height * width), uses=("indexing",),
-        blocks=height * width, shift_count=len(shifts), least_spread=evidence_signs.LEAST_SPREAD,
-        samples=float(2 * np.pi * evidence_signs.WINDOW_PX**2 / evidence_signs.PIXELS_ALIKE), **at,
+        "sums_of_blocks", [planes.choice, profile, each, planes.number, evidence_of],
+        groups=(planes.most,), uses=("spread_of_shift",), **of_picture, **of_spread, **at,
+        samples=block**2 / evidence_signs.PIXELS_OF_PLANE_ALIKE, least_evidence=evidence_signs.LEAST_EVIDENCE,
     )  # fmt: skip
+    return spreads, evidence_of
+
+
+def _add_block_maps(chain: Chain, a: SurfaceArrays, planes: OfPlanes, spreads: Array, grid: Grid) -> Array:
+    """Append `learned_error_bar.of_fits`, and what of a block's signs its pixels have."""
+    signs = chain.array("block_maps", 2 * grid.pixels)
+    fits = planes.fits or chain.array("no_fits", 1)
+    blocks = (grid.height // planes.block) * (grid.width // planes.block)
     chain.add(
-        "sums_of_blocks", [planes.choice, signs, planes.number, averages], groups=(planes.most + 1,), **of_picture,
-        planes=planes.most, least_nats=evidence_signs.LEAST_NATS,
+        "block_maps", [a.surface, fits, spreads, signs], groups=groups_for(grid.pixels),
+        uses=("indexing", "blocks_of_pixels"), height=grid.height, width=grid.width, block=planes.block,
+        skipped=planes.skipped, fit_count=fits.size // blocks - planes.skipped if planes.fits else 0,
+        least=LEAST_DISTANCE,
     )  # fmt: skip
-    chain.add(
-        "sharpness_of_blocks", [planes.choice, averages, signs], groups=groups_for(height * width), uses=("indexing",),
-        **of_picture,
-    )  # fmt: skip
-    return signs, averages
+    return signs
 
 
 def _add_ranges(chain: Chain, a: SurfaceArrays, grid: Grid) -> tuple[Array, Array]:

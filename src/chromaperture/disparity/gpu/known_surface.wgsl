@@ -3,7 +3,7 @@
 @group(0) @binding(0) var<storage, read> surface: array<vec4f>;  // (h, w): layer first
 @group(0) @binding(1) var<storage, read> sigma: array<f32>;  // (h, w), layers
 @group(0) @binding(2) var<storage, read_write> known: array<u32>;  // (h, w)
-@group(0) @binding(3) var<storage, read_write> variance: array<vec2f>;  // (h, w): first
+@group(0) @binding(3) var<storage, read_write> variance: array<f32>;  // (h, w)
 
 @compute @workgroup_size(64)
 fn main(
@@ -14,5 +14,5 @@ fn main(
     if (i >= width * height) { return; }
     let u = surface[i].x;
     known[i] = select(0u, 1u, u > 0.5 && u < f32(count) - 1.5 && sigma[i] < known_within);
-    variance[i] = vec2f(sigma[i] * sigma[i], 0.0);
+    variance[i] = sigma[i] * sigma[i];
 }

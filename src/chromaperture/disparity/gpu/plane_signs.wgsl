@@ -1,8 +1,7 @@
-// Signs of every plane, see `learned_error_bar.py`: how far the surface before it scattered, and the share of it that
-// contradicts it.
+// The share of every plane's pixels where the surface before contradicts it; see `learned_error_bar.of_planes`.
 
-@group(0) @binding(0) var<storage, read> sums: array<vec4f>;  // (planes, parts), see `plane_sums.wgsl`
-@group(0) @binding(1) var<storage, read_write> signs: array<vec2f>;  // (planes,)
+@group(0) @binding(0) var<storage, read> sums: array<vec2f>;  // (planes, parts), see `plane_sums.wgsl`
+@group(0) @binding(1) var<storage, read_write> rejected: array<f32>;  // (planes,)
 
 @compute @workgroup_size(64)
 fn main(
@@ -11,8 +10,7 @@ fn main(
 ) {
     let k = invocation(group, groups, local);
     if (k >= planes) { return; }
-    var sum = vec4f();
+    var sum = vec2f();
     for (var part = 0u; part < parts; part++) { sum += sums[k * parts + part]; }
-    let area = max(sum.z, 1.0);
-    signs[k] = vec2f(log(sqrt(sum.x / area) + 0.05), sum.y / area);
+    rejected[k] = sum.x / max(sum.y, 1.0);
 }

@@ -1,26 +1,22 @@
-// What the pixels of a plane say of it: how far the surface before lay from it, at how many of them it contradicts the
-// plane, and how many there are. A workgroup has one plane and a part of the pixels.
+// At how many of a plane's pixels the surface before contradicts it, and how many there are. A workgroup has one plane and
+// a part of the pixels.
 
 @group(0) @binding(0) var<storage, read> choice: array<u32>;  // (h, w)
 @group(0) @binding(1) var<storage, read> there: array<f32>;  // (h, w): layer of the plane
 @group(0) @binding(2) var<storage, read> first: array<f32>;  // (h, w): layer of the surface before
 @group(0) @binding(3) var<storage, read> plane_count: array<u32>;
-@group(0) @binding(4) var<storage, read_write> sums: array<vec4f>;  // (planes, parts)
+@group(0) @binding(4) var<storage, read_write> sums: array<vec2f>;  // (planes, parts)
 
-var<workgroup> of_lane: array<vec4f, 64>;
+var<workgroup> of_lane: array<vec2f, 64>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     if (group.x >= plane_count[0]) { return; }
     let each = (width * height + parts - 1u) / parts;
     let start = group.y * each;
-    var sum = vec4f();
+    var sum = vec2f();
     for (var i = start + local; i < min(start + each, width * height); i += 64u) {
-        if (choice[i] == group.x) {
-            let distance = clamp(first[i] - there[i], -most_apart, most_apart);
-            // squared distances, contradictions, pixels
-            sum += vec4f(distance * distance, select(0.0, 1.0, abs(distance) > apart), 1.0, 0.0);
-        }
+        if (choice[i] == group.x) { sum += vec2f(select(0.0, 1.0, abs(first[i] - there[i]) > apart), 1.0); }
     }
     of_lane[local] = sum;
     workgroupBarrier();

@@ -3,7 +3,8 @@
 
 @group(0) @binding(0) var<storage, read> choices: array<u32>;  // (fits, h, w), of blocks
 @group(0) @binding(1) var<storage, read> kept: array<vec4f>;  // planes of all fits: layers, of blocks
-@group(0) @binding(2) var<storage, read> maps: array<f32>;  // (1 + fits, h, w): variance, shares apart
+// (1 + fits, h, w): variance, shares apart; in place of these then the layer of every fit's plane
+@group(0) @binding(2) var<storage, read_write> maps: array<f32>;
 @group(0) @binding(3) var<storage, read> differences: array<f32>;  // (h, w), layers
 @group(0) @binding(4) var<storage, read> heights: array<f32>;  // (h, w): the surface, layers
 @group(0) @binding(5) var<storage, read> counts: array<vec2u>;  // (planes,): pixels, of which apart
@@ -28,6 +29,7 @@ fn main(
         let counted = vec2f(counts[plane]);
         let log_odds = of_signs + rejected * counted.y / counted.x + agreed * (1.0 - maps[(1u + k) * blocks + i]);
         places[k] = dot(kept[plane], middle);
+        maps[(1u + k) * blocks + i] = places[k];
         shares[k] = 1.0 / ((1.0 + exp(-log_odds)) * f32(fits));
         left -= shares[k];
     }

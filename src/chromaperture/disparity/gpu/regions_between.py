@@ -16,7 +16,7 @@ from chromaperture.disparity.gpu.candidate_stages import add_planes_of_blocks, m
 from chromaperture.disparity.gpu.device import Chain
 from chromaperture.disparity.gpu.surface_stages import Grid
 from chromaperture.disparity.gpu.voting_stages import Voted
-from chromaperture.disparity.planar import block_costs, voted_regions
+from chromaperture.disparity.planar import block_costs, costs_of_fits, voted_regions
 from chromaperture.disparity.plane_fit import Planes, Volume
 from chromaperture.planes_config import PlanesConfig
 
@@ -44,7 +44,8 @@ def voted_arrays(chain: Chain, grid: Grid, *, config: PlanesConfig) -> Voted:
     blocks = (grid.height // config.block_px) * (grid.width // config.block_px)
     most = len(config.learned_border_nats) * (most_candidates(grid[:2], config.tiles_px) + grid.layers)
     choice, trusted = (chain.array(name, blocks, np.uint32) for name in ("voted_choice", "planes_trusted"))
-    return Voted(chain.array("voted_planes", 4 * most), chain.array("plane_count", 1, np.uint32), choice, trusted)
+    fits = chain.array("fits", len(costs_of_fits(config.learned_border_nats)) * blocks)
+    return Voted(chain.array("voted_planes", 4 * most), chain.array("plane_count", 1, np.uint32), choice, trusted, fits)
 
 
 def regions_found(
@@ -74,29 +75,34 @@ def regions_found(
     run : Execution
     """
     first, step = float(labels_px[0]), float(labels_px[1] - labels_px[0])
+    assert voted.fits is not None
     size = config.block_px
     rows, columns = grid.height // size, grid.width // size
     count = int(down[PROPOSED[1]][0])
     proposed = down[PROPOSED[0]].reshape(-1, 4)[:count, :3] * step + np.array([0, 0, first])
     if not count:
         nowhere = np.zeros((rows, columns), bool)
-        return _filled(voted, Planes(np.zeros((0, 3)), nowhere.astype(np.intp), None, nowhere))
+        fits = np.zeros((voted.fits.size // nowhere.size, *nowhere.shape), np.float32)
+        return _filled(voted, Planes(np.zeros((0, 3)), nowhere.astype(np.intp), None, nowhere, fits))
     blocks = Volume(down["blocks"].reshape(rows, columns, grid.layers), labels_px, block_costs(config), run)
     label_px, sigma_px = (down[name].reshape(grid.height, grid.width) * np.float32(step) for name in ("label", "sigma"))
     found = voted_regions(proposed, blocks, depth_edges, label_px + np.float32(first), sigma_px, config=config)
     layers = (found.planes - np.array([0, 0, first])) / step
     of_blocks = np.s_[: rows * size : size, : columns * size : size]
     assert found.trusted is not None
-    return _filled(voted, Planes(layers, found.choice[of_blocks], None, found.trusted[of_blocks]))
+    assert found.fits_px is not None
+    fits = (found.fits_px - np.float32(first)) / np.float32(step)
+    return _filled(voted, Planes(layers, found.choice[of_blocks], None, found.trusted[of_blocks], fits))
 
 
 def _filled(voted: Voted, planes: Planes) -> dict[str, np.ndarray]:
-    """Return planes of pixels, in layers, and the choice of blocks as arrays of full size."""
+    """Return planes of pixels and fits, in layers, and the choice of blocks as arrays of full size."""
     assert voted.trusted is not None
+    assert voted.fits is not None
     of_pixels = np.zeros((voted.planes.size // 4, 4), np.float32)
     of_pixels[: len(planes.planes), :3] = planes.planes
     values = (
         (voted.planes, of_pixels), (voted.number, len(planes.planes)), (voted.choice, planes.choice),
-        (voted.trusted, planes.trusted),
+        (voted.trusted, planes.trusted), (voted.fits, planes.fits_px),
     )  # fmt: skip
     return {array.name: np.asarray(part, array.dtype).ravel() for array, part in values}

@@ -29,12 +29,17 @@ class Voted(NamedTuple):
         Plane of every block, uint32.
     trusted : Array or None
         1 where the block's plane is to be taken rather than the surface; None where no fits voted.
+    fits : Array or None
+        Layers of every block by each fit, (skipped + fits, blocks); None where there was one fit.
+    skipped : int
     """
 
     planes: Array
     number: Array
     choice: Array
     trusted: Array | None = None
+    fits: Array | None = None
+    skipped: int = 0
 
 
 def add_voted_planes(
@@ -88,4 +93,4 @@ def add_voted_planes(
         groups=groups, uses=uses, height=shape[0], width=shape[1], fits=fits, least=LEAST, near=NEAR_LABELS,
         alike=ALIKE, constant=OF_GUIDED.constant, **weights,
     )  # fmt: skip
-    return Voted(kept, number, choice, trusted)
+    return Voted(kept, number, choice, trusted, maps, 1)
