@@ -79,6 +79,7 @@ VARIANTS: dict[str, MatcherConfig] = {
 ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only",
             "one octave", "three octaves", "window of 8 px", "pairs of channels alone", "no planes",
             "planes keep every slope", "losses of blocks not bounded", "borders cost twice as much",
+            "blocks beside likely edges count fully", "pixels known by their posterior alone",
             "edges where the evidence has them", "edges where the guide has them",
             "no level planes among the candidates", "level planes at labels", "the guide leads borders",
             "one fit votes", "five fits vote", "one fit wherever the surface allows it", "error bar not learned",

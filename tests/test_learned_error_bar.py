@@ -117,7 +117,7 @@ def test_stored_weights_widen_the_bar_where_less_is_known(kind):
     assert (model.least < model.most).all()
     by_name = dict(zip(model.names, model.weights, strict=True))
     assert by_name["posterior"] > 0
-    assert min(by_name.get("fits", 1), by_name.get("rejected", 1), by_name.get("spread_of_plane", 1)) > 0
+    assert min(by_name.get(name, 1) for name in ("fits", "rejected", "spread")) > 0
 
 
 def test_what_other_fits_put_elsewhere_has_a_longer_bar(world):

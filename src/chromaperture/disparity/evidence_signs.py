@@ -20,9 +20,6 @@ WINDOW_PX = 12.0  # sigma of the windows; of 4, 12 and 30 the best; docs/measure
 # Pixels of a window that say one thing: detail and windows of correlation are that wide. Chosen by hand: it only scales
 # a sign, whose weight is learned.
 PIXELS_ALIKE = 10.0
-# Pixels of a whole plane that say one thing: what they agree on wrongly grows with the plane; of 30, 100 and 300 the
-# best; docs/measurements.md, "Fits that disagree".
-PIXELS_OF_PLANE_ALIKE = 100.0
 LEAST_SPREAD = 0.05  # steps, chosen by hand: every sign needs a finite logarithm
 LEAST_EVIDENCE = 1e-3  # nats a pixel, likewise
 
@@ -30,8 +27,8 @@ LEAST_EVIDENCE = 1e-3  # nats a pixel, likewise
 def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> dict[str, np.ndarray]:
     """Return what the evidence says of an answer; (H, W) float32 each, logarithms.
 
-    ``spread``: of the standard deviation of the shift by a window's evidence, about the answer; ``spread_of_plane``:
-    the same by all evidence of a pixel's plane. ``evidence``: of that plane's nats a pixel at the answer.
+    ``spread``: of the standard deviation of the shift by a window's evidence, about the answer. ``evidence``: of the
+    nats a pixel of a pixel's plane at the answer.
 
     Parameters
     ----------
@@ -43,19 +40,16 @@ def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> 
         Plane of every pixel.
     """
     (height, width), size = blocks.likelihood.shape[:2], _size(blocks, label)
-    of_plane = _in_middles(choice, blocks)
     profile = along_answer(blocks.likelihood, _in_middles(label, blocks)) / np.float32(size**2)
     pooled = cv2.GaussianBlur(profile, (0, 0), WINDOW_PX / size, borderType=cv2.BORDER_REFLECT_101)
-    sums, blocks_of = _sums_of_planes(profile, of_plane, int(choice.max()) + 1)
-    here = sums[:, SHIFTS == 0][:, 0] / np.maximum(blocks_of, 1)
-    planes = {
-        "spread_of_plane": log_spread(sums * (size**2 / PIXELS_OF_PLANE_ALIKE)),
-        "evidence": np.log(np.maximum(here, 0) + LEAST_EVIDENCE),
-    }
-    spread = log_spread(pooled * np.float32(2 * np.pi * WINDOW_PX**2 / PIXELS_ALIKE)).astype(np.float32)
+    likely = np.exp((pooled - pooled.max(axis=2, keepdims=True)) * (2 * np.pi * WINDOW_PX**2 / PIXELS_ALIKE))
+    likely *= np.gradient(SHIFTS).astype(np.float32)  # every shift stands for the shifts about it
+    variance = likely @ np.square(SHIFTS).astype(np.float32) / likely.sum(axis=2)
+    spread = np.log(np.sqrt(variance) + LEAST_SPREAD).astype(np.float32)
+    here = means_of_planes(profile[..., SHIFTS == 0], _in_middles(choice, blocks), int(choice.max()) + 1)[:, 0]
+    evidence = np.log(np.maximum(here, 0) + LEAST_EVIDENCE).astype(np.float32)
     rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(label.shape, (height, width), strict=True))
-    of_pixels = {name: values.astype(np.float32)[choice] for name, values in planes.items()}
-    return {"spread": spread[rows[:, None], columns], **of_pixels}
+    return {"spread": spread[rows[:, None], columns], "evidence": evidence[choice]}
 
 
 def known_planes(blocks: Volume, label: np.ndarray, choice: np.ndarray, *, from_nats: float) -> np.ndarray:
@@ -66,17 +60,9 @@ def known_planes(blocks: Volume, label: np.ndarray, choice: np.ndarray, *, from_
     """
     profile = along_answer(blocks.likelihood, _in_middles(label, blocks), OF_FALL)
     profile /= np.float32(_size(blocks, label) ** 2)
-    sums, blocks_of = _sums_of_planes(profile, _in_middles(choice, blocks), int(choice.max()) + 1)
-    before, middle, behind = sums.T / np.maximum(blocks_of, 1)
+    means = means_of_planes(profile, _in_middles(choice, blocks), int(choice.max()) + 1)
+    before, middle, behind = means.T
     return np.asarray(np.maximum(middle - (before + behind) / 2, 0) >= from_nats)
-
-
-def log_spread(evidence: np.ndarray) -> np.ndarray:
-    """Return the logarithm of the standard deviation about the answer by nats (..., S) at `SHIFTS`; (...), steps."""
-    likely = np.exp(evidence - evidence.max(axis=-1, keepdims=True))
-    likely *= np.gradient(SHIFTS).astype(likely.dtype)  # every shift stands for the shifts about it
-    variance = likely @ np.square(SHIFTS).astype(likely.dtype) / likely.sum(axis=-1)
-    return np.asarray(np.log(np.sqrt(variance) + LEAST_SPREAD))
 
 
 def along_answer(
@@ -105,8 +91,8 @@ def _in_middles(values: np.ndarray, blocks: Volume) -> np.ndarray:
     return values[size // 2 :: size, size // 2 :: size][:height, :width]
 
 
-def _sums_of_planes(profile: np.ndarray, choice: np.ndarray, planes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Sum evidence (h, w, S) over every plane's blocks, (K, S), and count them, (K,)."""
+def means_of_planes(profile: np.ndarray, choice: np.ndarray, planes: int) -> np.ndarray:
+    """Return the means (K, S) of evidence (h, w, S) over the blocks of every plane; 0 where it has none."""
     of = choice.ravel()
     sums = [np.bincount(of, part.ravel(), minlength=planes) for part in np.moveaxis(profile, 2, 0)]
-    return np.stack(sums, axis=1), np.bincount(of, minlength=planes)
+    return np.stack(sums, axis=1) / np.maximum(np.bincount(of, minlength=planes), 1)[:, None]

@@ -2,7 +2,7 @@
 
 @group(0) @binding(0) var<storage, read> pooled: array<f32>;  // (blocks, shifts), nats a pixel, averaged in windows
 @group(0) @binding(1) var<storage, read> shifts: array<f32>;  // and what each stands for
-@group(0) @binding(2) var<storage, read_write> signs: array<f32>;  // (blocks,)
+@group(0) @binding(2) var<storage, read_write> spreads: array<f32>;  // (blocks,)
 
 @compute @workgroup_size(64)
 fn main(
@@ -11,7 +11,14 @@ fn main(
 ) {
     let i = invocation(group, groups, local);
     if (i >= blocks) { return; }
-    var evidence = array<f32, shift_count>();
-    for (var s = 0u; s < shift_count; s++) { evidence[s] = pooled[i * shift_count + s] * samples; }
-    signs[i] = log_spread(&evidence);
+    var most = -1.0e30;
+    for (var s = 0u; s < shift_count; s++) { most = max(most, pooled[i * shift_count + s]); }
+    var total = 0.0;
+    var squares = 0.0;
+    for (var s = 0u; s < shift_count; s++) {
+        let likely = exp((pooled[i * shift_count + s] - most) * samples) * shifts[shift_count + s];
+        total += likely;
+        squares += likely * shifts[s] * shifts[s];
+    }
+    spreads[i] = log(sqrt(squares / total) + least_spread);
 }

@@ -188,19 +188,17 @@ def _add_signs_of_blocks(chain: Chain, a: SurfaceArrays, planes: OfPlanes, grid:
     )  # fmt: skip
     taps = gaussian_taps(evidence_signs.WINDOW_PX / block)
     add_gaussian(chain, pooled, room, (height, width), taps, parts=len(shifts))
-    spreads, evidence_of = chain.array("block_spreads", height * width), chain.array("evidence_of", 4 * planes.most)
-    of_spread: dict[str, Any] = dict(shift_count=len(shifts), least_spread=evidence_signs.LEAST_SPREAD)
+    spreads, evidence_of = chain.array("block_spreads", height * width), chain.array("evidence_of", 2 * planes.most)
     chain.add(
-        "block_signs", [pooled, each, spreads], groups=groups_for(height * width),
-        uses=("indexing", "spread_of_shift"), blocks=height * width, **of_spread,
+        "block_signs", [pooled, each, spreads], groups=groups_for(height * width), uses=("indexing",),
+        blocks=height * width, shift_count=len(shifts), least_spread=evidence_signs.LEAST_SPREAD,
         samples=float(2 * np.pi * evidence_signs.WINDOW_PX**2 / evidence_signs.PIXELS_ALIKE),
     )  # fmt: skip
     of_fall = zip(("before", "middle", "behind"), evidence_signs.OF_FALL, strict=True)
     at: dict[str, Any] = {name: int(np.flatnonzero(shifts == shift)[0]) for name, shift in of_fall}
     chain.add(
-        "sums_of_blocks", [planes.choice, profile, each, planes.number, evidence_of],
-        groups=(planes.most,), uses=("spread_of_shift",), **of_picture, **of_spread, **at,
-        samples=block**2 / evidence_signs.PIXELS_OF_PLANE_ALIKE, least_evidence=evidence_signs.LEAST_EVIDENCE,
+        "sums_of_blocks", [planes.choice, profile, planes.number, evidence_of], groups=(planes.most,), **of_picture,
+        **at, shift_count=len(shifts), least_evidence=evidence_signs.LEAST_EVIDENCE,
     )  # fmt: skip
     return spreads, evidence_of
 

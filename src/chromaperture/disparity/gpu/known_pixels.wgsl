@@ -5,7 +5,7 @@
 @group(0) @binding(1) var<storage, read> surface: array<vec4f>;  // (h, w): layer first
 @group(0) @binding(2) var<storage, read> sigma: array<f32>;  // (h, w), layers
 @group(0) @binding(3) var<storage, read> there: array<f32>;  // (h, w): layer of the plane
-@group(0) @binding(4) var<storage, read> evidence_of: array<vec4f>;  // (planes,): first how much it falls
+@group(0) @binding(4) var<storage, read> evidence_of: array<vec2f>;  // (planes,): first how much it falls
 @group(0) @binding(5) var<storage, read_write> known: array<u32>;  // (h, w)
 @group(0) @binding(6) var<storage, read_write> bar: array<u32>;  // (h, w): the plane's number, for `learned_bar.wgsl`
 @group(0) @binding(7) var<storage, read_write> variance: array<f32>;  // (h, w)
