@@ -92,8 +92,10 @@ def served(folder, **options):
 
 def status(url: str, **headers: str) -> int:
     try:
-        return urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=WAIT_S).status
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=WAIT_S) as answer:
+            return answer.status
     except urllib.error.HTTPError as refused:
+        refused.close()
         return refused.code
 
 
@@ -209,9 +211,10 @@ def test_the_server_answers_its_owner_only(tmp_path):
         assert status(f"{root}/") == status(f"{root}/index.html") == status(f"{root}/wrong/") == 403
         assert status(page.url, Host="evil.example") == 403
         assert status(page.url, Origin="http://evil.example") == 403
-        answer = urllib.request.urlopen(page.url, timeout=WAIT_S)
-        assert answer.headers["Referrer-Policy"] == "no-referrer"  # the address is a secret
-        assert answer.headers["X-Frame-Options"] == "DENY"
+        with urllib.request.urlopen(page.url, timeout=WAIT_S) as answer:
+            headers = answer.headers
+        assert headers["Referrer-Policy"] == "no-referrer"  # the address is a secret
+        assert headers["X-Frame-Options"] == "DENY"
         for refused in (
             {"path": ""},
             {"path": "wrong"},
@@ -233,9 +236,10 @@ def test_the_server_answers_its_owner_only(tmp_path):
 def test_the_page_may_load_and_connect_to_nothing_else(tmp_path):
     """viser writes the address, with the token, behind "?websocket=" in the address bar: it must not leave the page."""
     with served(tmp_path) as (page, _):
-        answer = urllib.request.urlopen(f"{page.url}?websocket=ws://evil.example/", timeout=WAIT_S)
-        assert answer.headers["Referrer-Policy"] == "no-referrer"
-        parts = [part.split() for part in answer.headers["Content-Security-Policy"].split(";")]
+        with urllib.request.urlopen(f"{page.url}?websocket=ws://evil.example/", timeout=WAIT_S) as answer:
+            headers = answer.headers
+        assert headers["Referrer-Policy"] == "no-referrer"
+        parts = [part.split() for part in headers["Content-Security-Policy"].split(";")]
         rules = {name: set(allowed) for name, *allowed in parts}
         assert rules["default-src"] == {"'none'"}  # what has no rule of its own: media, objects, frames
         assert rules["frame-ancestors"] == rules["base-uri"] == rules["form-action"] == {"'none'"}

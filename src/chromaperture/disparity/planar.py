@@ -127,7 +127,7 @@ def voted_regions(
     *,
     config: PlanesConfig,
 ) -> Planes:
-    """Let regions between depth edges choose planes and join, and the fits vote.
+    """Let regions between depth edges choose planes and join, and the fits vote; more fits tell how sure the answer is.
 
     Parameters
     ----------
@@ -141,8 +141,8 @@ def voted_regions(
         The surface that the planes explain.
     config : PlanesConfig
     """
-    judged_by = replace(config, learned_border_nats=costs_of_fits(config.learned_border_nats))
-    fits = fits_of_regions(planes, blocks, depth_edges, label_px.shape, config=judged_by)
+    of_fits = replace(config, learned_border_nats=costs_of_fits(config.learned_border_nats))
+    fits = fits_of_regions(planes, blocks, depth_edges, label_px.shape, config=of_fits)
     found = voted_planes(fits[: len(config.learned_border_nats)], label_px, sigma_px, blocks.step_px, config.block_px)
     return found._replace(fits_px=np.stack([block_means(fit.label_px, config.block_px) for fit in fits]))
 

@@ -31,7 +31,7 @@ _PARTS = 32  # of the picture that are summed on their own: so many workgroups a
 class OfPlanes(NamedTuple):
     """Planes on a device: how many at most, how many, every pixel's, its layer there, the surface's layer before.
 
-    ``blocks`` are sums of the volume over squares of ``block`` px; ``fits`` is as `Voted` has it.
+    ``blocks`` are sums of the volume over squares of ``block`` px; ``fits`` and ``skipped`` are as `Voted` has them.
     """
 
     most: int

@@ -32,6 +32,7 @@ class Voted(NamedTuple):
     fits : Array or None
         Layers of every block by each fit, (skipped + fits, blocks); None where there was one fit.
     skipped : int
+        How many maps of ``fits`` come before the first fit.
     """
 
     planes: Array
