@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from chromaperture.disparity.plane_fit import Volume
+from chromaperture.disparity.plane_fit import Volume, blocks_of_pixels
 
 SHIFTS = np.array([-24, -16, -12, -8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24], float)  # steps
 OF_FALL = (-4, 0, 4)  # steps at which the fall of a plane's evidence is read; docs/measurements.md
@@ -39,7 +39,7 @@ def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> 
     choice : (H, W) int
         Plane of every pixel.
     """
-    (height, width), size = blocks.likelihood.shape[:2], _size(blocks, label)
+    size = _size(blocks, label)
     profile = along_answer(blocks.likelihood, _in_middles(label, blocks)) / np.float32(size**2)
     pooled = cv2.GaussianBlur(profile, (0, 0), WINDOW_PX / size, borderType=cv2.BORDER_REFLECT_101)
     likely = np.exp((pooled - pooled.max(axis=2, keepdims=True)) * (2 * np.pi * WINDOW_PX**2 / PIXELS_ALIKE))
@@ -48,8 +48,7 @@ def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> 
     spread = np.log(np.sqrt(variance) + LEAST_SPREAD).astype(np.float32)
     here = means_of_planes(profile[..., SHIFTS == 0], _in_middles(choice, blocks), int(choice.max()) + 1)[:, 0]
     evidence = np.log(np.maximum(here, 0) + LEAST_EVIDENCE).astype(np.float32)
-    rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(label.shape, (height, width), strict=True))
-    return {"spread": spread[rows[:, None], columns], "evidence": evidence[choice]}
+    return {"spread": spread[blocks_of_pixels(label.shape, spread.shape, size)], "evidence": evidence[choice]}
 
 
 def known_planes(blocks: Volume, label: np.ndarray, choice: np.ndarray, *, from_nats: float) -> np.ndarray:

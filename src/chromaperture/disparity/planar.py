@@ -21,7 +21,7 @@ import numpy as np
 from chromaperture.disparity.depth_edges import BLOCK_PX
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.plane_edges import LineCosts, choices_of, placed_edges
-from chromaperture.disparity.plane_fit import Planes, Volume, candidates
+from chromaperture.disparity.plane_fit import Planes, Volume, blocks_of_pixels, candidates
 from chromaperture.disparity.plane_merging import away_from_borders, counted, merged_planes
 from chromaperture.disparity.plane_regions import (
     border_costs,
@@ -43,7 +43,7 @@ BORDER_OF_REGIONS = 2 / 3  # of ``border_px``
 # Share of its evidence that a sloped plane loses beside level ones: that of a far wall hardly tells whether it leans.
 # docs/measurements.md, "Rooms as people photograph them", has 0, .025 and .05.
 SLOPED_LESS = 0.012
-# Of the least and of the greatest cost of borders: fits that do not vote, but tell how sure the answer is.
+# Factors on the least and on the greatest cost of borders: two fits that do not vote, but tell how sure the answer is.
 # docs/measurements.md, "Fits that disagree", has other factors and other fits.
 JUDGING_FACTORS = (0.5, 2.0)
 PARABOLA_LABELS = 2  # either side, as derivatives of `stages.best_planes`
@@ -143,8 +143,11 @@ def voted_regions(
     """
     of_fits = replace(config, learned_border_nats=costs_of_fits(config.learned_border_nats))
     fits = fits_of_regions(planes, blocks, depth_edges, label_px.shape, config=of_fits)
-    found = voted_planes(fits[: len(config.learned_border_nats)], label_px, sigma_px, blocks.step_px, config.block_px)
-    return found._replace(fits_px=np.stack([block_means(fit.label_px, config.block_px) for fit in fits]))
+    voting = len(config.learned_border_nats)
+    found = voted_planes(fits[:voting], label_px, sigma_px, blocks.step_px, config.block_px)
+    assert found.fits_px is not None
+    others = [block_means(fit.label_px, config.block_px) for fit in fits[voting:]]
+    return found._replace(fits_px=np.stack([*found.fits_px, *others]))
 
 
 def trust_of_moved(trusted: np.ndarray, before: np.ndarray, choice: np.ndarray) -> np.ndarray:
@@ -260,8 +263,8 @@ def fits_of_regions(
 
 def costs_of_fits(border_nats: tuple[float, ...]) -> tuple[float, ...]:
     """Return what borders cost in every fit: first those that vote, then those that only tell how sure a plane is."""
-    least, most = min(border_nats), max(border_nats)
-    return (*border_nats, *(factor * (least if factor < 1 else most) for factor in JUDGING_FACTORS))
+    less, more = JUDGING_FACTORS
+    return (*border_nats, less * min(border_nats), more * max(border_nats))
 
 
 def level_planes(labels_px: np.ndarray) -> np.ndarray:
@@ -304,8 +307,7 @@ def between_labels(planes: np.ndarray, choice: np.ndarray, blocks: Volume, *, bo
 
 def planes_of_pixels(planes: np.ndarray, choice: np.ndarray, shape: tuple[int, int], size: int) -> Planes:
     """Express planes of blocks in pixels, and the choice of blocks of ``size`` px as that of a picture's pixels."""
-    rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(shape, choice.shape, strict=True))
-    return Planes(_scaled(planes, 1 / size), choice[rows[:, None], columns])
+    return Planes(_scaled(planes, 1 / size), choice[blocks_of_pixels(shape, choice.shape, size)])
 
 
 def block_sums(likelihood: np.ndarray, size: int) -> np.ndarray:

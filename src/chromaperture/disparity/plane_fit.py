@@ -88,6 +88,15 @@ class Planes(NamedTuple):
         return (a * np.arange(width) + b * np.arange(height)[:, None] + c).astype(np.float32)
 
 
+def blocks_of_pixels(shape: tuple[int, ...], blocks: tuple[int, ...], size: int) -> Pixels:
+    """Return row (H, 1) and column (1, W) of the block of ``size`` px that a pixel is in.
+
+    What is left over at the right and below belongs to the last block.
+    """
+    rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(shape, blocks, strict=True))
+    return rows[:, None], columns[None]
+
+
 class Proposal(NamedTuple):
     """A plane through points that agree on it, (P,) int each, of a square tile."""
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from chromaperture.disparity.learned_error_bar import POOLED_PX, pooled
 from chromaperture.disparity.plane_agreement import AGREEMENT_SIGMAS
-from chromaperture.disparity.plane_fit import Planes
+from chromaperture.disparity.plane_fit import Planes, blocks_of_pixels
 from chromaperture.threads import parallel_map
 
 ROUGH_PX = 16.0  # sigma of the window in which differences are averaged; 4, 8, 32 px: docs/measurements.md
@@ -92,10 +92,7 @@ def voted_planes(
     )
     best = chosen_fit(of_planes)
     height, width = surface_px.shape
-    rows, columns = (
-        np.minimum(np.arange(n) // block_px, m - 1) for n, m in zip((height, width), best.shape, strict=True)
-    )
-    at = np.ix_(rows, columns)
+    at = blocks_of_pixels((height, width), best.shape, block_px)
     firsts = np.cumsum([0, *(len(fit.planes) for fit in fits)])[: len(fits)]
     every = np.stack([fit.choice + first for fit, first in zip(fits, firsts, strict=True)])
     used, choice = np.unique(np.take_along_axis(every, best[at][None], axis=0)[0], return_inverse=True)
