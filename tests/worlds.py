@@ -48,6 +48,7 @@ NARROW = PaperConfig(
     sigma_scale=1.0,
     edge_share=0.0,
     floor_px=0.0,
+    hue_share=0.0,
 )
 
 

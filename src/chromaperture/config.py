@@ -100,6 +100,9 @@ class PaperConfig(MatcherConfig):
         quadrature.
     floor_px : float
         Least standard deviation of the views' displacement, px.
+    hue_share : float
+        Of the error bar of the search range, where views mixed of several channels have nothing in common at the
+        disparity that was found; see `disparity.unlike_views`.
     """
 
     space: Literal["unmixed", "pure"] = "unmixed"
@@ -108,11 +111,13 @@ class PaperConfig(MatcherConfig):
     sigma_scale: float = 2.0
     edge_share: float = 0.5
     floor_px: float = 0.1
+    hue_share: float = 0.6
 
     def __post_init__(self) -> None:
         require_space(self.space, "unmixed", "pure")
         require(self.correlation.cell_px == 1, "cell_px does not apply to quality paper")
-        for name, value in (("edge_share", self.edge_share), ("floor_px", self.floor_px)):
+        for name in ("edge_share", "floor_px", "hue_share"):
+            value = getattr(self, name)
             require(all_finite(value) and value >= 0, f"{name} must be finite and >= 0, is {value:g}")
         positive = all_finite(self.sigma_scale) and self.sigma_scale > 0
         require(positive, f"sigma_scale must be positive, is {self.sigma_scale:g}")

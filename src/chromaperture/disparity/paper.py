@@ -10,6 +10,7 @@ from chromaperture.config import PaperConfig
 from chromaperture.disparity.error_bar import confidence, local_range, peak_sigma, sigma_of_range, surface_sigma
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.result import Disparity, NoiseModel
+from chromaperture.disparity.unlike_views import mixing, unlike_share
 from chromaperture.disparity.views import ViewSpace, filtered_views, moved_px
 from chromaperture.disparity.winner import Surface
 
@@ -49,7 +50,10 @@ class PaperMethod:
         widest = np.float32(sigma_of_range(layers_px))
         known = sigma < widest
         disparity = np.where(known, winner.disparity_px, np.float32(np.nan))
-        at_edges = np.hypot(sigma, np.float32(config.edge_share) * local_range(disparity, EDGE_REACH_PX))
-        found = Surface(disparity, at_edges, winner.peak)
+        at_edges = np.float32(config.edge_share) * local_range(disparity, EDGE_REACH_PX)
+        unlike = unlike_share(views.pictures, disparity, self.space.directions)
+        by_hue = widest * np.float32(config.hue_share * mixing(self.space.rows)) * unlike
+        wider = np.sqrt(sigma**2 + at_edges**2 + by_hue**2)
+        found = Surface(disparity, wider, winner.peak)
         sigma = np.minimum(surface_sigma(found, floor_px=config.floor_px / moved_px(self.space.directions)), widest)
         return Disparity(disparity, sigma, confidence(sigma, winner.peak))

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from chromaperture.config import PaperConfig
 from chromaperture.disparity.error_bar import (
     CONFIDENCE_SCALE_PX,
@@ -19,11 +21,12 @@ from chromaperture.disparity.error_bar import (
 from chromaperture.disparity.gpu.correlation_stages import Kept, add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.real_time_chain import add_links, add_recursions
-from chromaperture.disparity.gpu.view_stages import SHARED, add_views
+from chromaperture.disparity.gpu.view_stages import SHARED, Planes, add_views
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.paper import EDGE_REACH_PX
 from chromaperture.disparity.stages.bilateral import even_link
 from chromaperture.disparity.stages.correlation import MIN_WEIGHT
+from chromaperture.disparity.unlike_views import CELL_PX, LEAST_VARIANCE, WINDOW_CELLS, mixing
 from chromaperture.disparity.views import ViewSpace, moved_px
 
 
@@ -82,10 +85,31 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
         "side": 2 * EDGE_REACH_PX + 1,
     }
     chain.add("peak_range_x", [peaks, ranges], groups=groups_for(planes.pixels), uses=SHARED, **of_square)
+    unlike, cells = _add_unlike_share(chain, planes, peaks, space.directions)
     outputs = [chain.array(name, planes.pixels) for name in ("disparity", "sigma", "confidence")]
+    widest = sigma_of_range(layers_px)
     chain.add(
-        "peak_range", [peaks, ranges, *outputs], groups=groups_for(planes.pixels), uses=(*SHARED, "finishing"),
+        "peak_range", [peaks, ranges, unlike, *outputs], groups=groups_for(planes.pixels), uses=(*SHARED, "finishing"),
         edge_share=config.edge_share, floor_px=config.floor_px / moved_px(space.directions),
-        range_sigma_px=sigma_of_range(layers_px), max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX,
-        **of_square,
+        hue_px=config.hue_share * mixing(space.rows) * widest, range_sigma_px=widest, max_sigma_px=MAX_SIGMA_PX,
+        confidence_scale_px=CONFIDENCE_SCALE_PX, **cells, **of_square,
     )  # fmt: skip
+
+
+def _add_unlike_share(
+    chain: Chain, planes: Planes, peaks: Array, directions: np.ndarray
+) -> tuple[Array, dict[str, Any]]:
+    """Add `unlike_views.unlike_share`, in cells; return its map and their numbers along x and y."""
+    cells: dict[str, Any] = {"columns": max(1, planes.width // CELL_PX), "rows": max(1, planes.height // CELL_PX)}
+    count = cells["columns"] * cells["rows"]
+    moments, share = chain.array("unlike_moments", 8 * count), chain.array("unlike_share", count)
+    chain.add(
+        "unlike_moments", [planes.planes, peaks, moments], groups=groups_for(count), uses=SHARED,
+        width=planes.width, height=planes.height, view_count=planes.view_count, directions=np.ravel(directions),
+        cell=CELL_PX, **cells,
+    )  # fmt: skip
+    chain.add(
+        "unlike_share", [moments, share], groups=groups_for(count), uses=SHARED,
+        view_count=planes.view_count, side=WINDOW_CELLS, least_variance=LEAST_VARIANCE, **cells,
+    )  # fmt: skip
+    return share, cells

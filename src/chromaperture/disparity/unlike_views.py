@@ -1,0 +1,87 @@
+"""Where the views differ at the disparity that was found: colours that unmixing cannot tell from parallax.
+
+Eq. (1) makes the views from sensor channels that see several filters each, and takes all views to show a surface
+equally bright. A pattern of hues breaks that: what only one channel shows lies undisplaced in every view, with one sign
+or the other. The determinant of the views' correlations does not see the sign, so that its best layer is near the
+focus, sharply, wherever the surface is. The mean of the views, moved by the disparity, sees it: it has little of their
+variance.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from chromaperture.threads import parallel_map
+
+CELL_PX = 4  # side of the squares that the moments are averaged in; for speed
+WINDOW_CELLS = 7  # side of the window: 28 px, as wide as a Gaussian of 8 px; one of 4 px ranks as well
+LEAST_VARIANCE = 1e-7  # a third of a 10-bit step, squared: twenty times the rounding of float32 moments on even areas
+
+
+def unlike_share(pictures: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Return which share of the views' variance is not that of their mean, moved by the disparity; (H, W) float32.
+
+    0 where all views show the same, 1 where their mean is even.
+
+    Parameters
+    ----------
+    pictures : (H, W, K) float32
+        Views, as in `Views.pictures`.
+    disparity_px : (H, W) float32, px
+        NaN where unknown: there the views are not moved.
+    directions : (K, 2) float
+        Displacement (x, y) of each view per px of disparity.
+    """
+    height, width, count = pictures.shape
+    moved = np.empty((count, height, width), np.float32)
+    known = np.where(np.isfinite(disparity_px), disparity_px, np.float32(0))
+    rows, columns = np.indices((height, width), np.float32)
+
+    def move(k: int) -> None:
+        x, y = directions[k]
+        places = [rows + np.float32(y) * known, columns + np.float32(x) * known]
+        ndimage.map_coordinates(pictures[..., k], places, output=moved[k], order=1, mode="nearest")
+
+    parallel_map(move, range(count))
+    common = _variance(moved.mean(axis=0))
+    total = np.mean([_variance(view) for view in moved], axis=0)
+    share = np.clip((total - common) / (total + np.float32(LEAST_VARIANCE)), 0, 1).astype(np.float32)
+    return np.asarray(cv2.resize(share, (width, height), interpolation=cv2.INTER_LINEAR))
+
+
+def mixing(rows: np.ndarray) -> float:
+    """Return how far views are mixed from several channels: 0 of one channel each, 1 of two with equal weights.
+
+    Parameters
+    ----------
+    rows : (K, 3) float
+        Weights of R, G, B in the views. The second largest weight of each counts, as a share of the largest.
+    """
+    weights = np.sort(np.abs(np.asarray(rows, float)), axis=1)
+    return float(np.mean(weights[:, 1] / weights[:, 2]))
+
+
+def cell_means(plane: np.ndarray) -> np.ndarray:
+    """Return the means of squares of `CELL_PX`; what is left over at the right and below is not read.
+
+    Returns
+    -------
+    (h, w) float32
+        h = max(1, H // `CELL_PX`), w alike: of a picture that is smaller than a cell the border counts several times.
+    """
+    height, width = plane.shape
+    rows, columns = (max(1, size // CELL_PX) for size in (height, width))
+    if min(height, width) < CELL_PX:
+        beyond = (max(0, CELL_PX - size) for size in (height, width))
+        plane = np.pad(plane, [(0, more) for more in beyond], mode="edge")
+    squares = plane[: rows * CELL_PX, : columns * CELL_PX].reshape(rows, CELL_PX, columns, CELL_PX)
+    return np.asarray(squares.mean(axis=(1, 3), dtype=np.float32))
+
+
+def _variance(plane: np.ndarray) -> np.ndarray:
+    size = (WINDOW_CELLS, WINDOW_CELLS)
+    cells = cell_means(plane), cell_means(plane * plane)
+    mean, square = (cv2.blur(moment, size, borderType=cv2.BORDER_REPLICATE) for moment in cells)
+    return np.asarray(np.maximum(square - mean * mean, 0))
