@@ -237,9 +237,7 @@ def test_paper_as_a_whole(case):
     unlike = unlike_share(views.pictures, disparity, method.space.directions)
     cells = found.arrays["unlike_share"].reshape([max(1, size // CELL_PX) for size in SHAPE])
     error = np.abs(cv2.resize(cells, SHAPE[::-1], interpolation=cv2.INTER_LINEAR) - unlike)
-    # Moments of 32 bits, of views of .3 at most, are exact to 1e-8: a tenth of the least variance.
-    assert error.max() < 0.1
-    assert np.quantile(error, 0.95) < 1e-3
+    assert np.quantile(error, 0.99) < 1e-3  # even areas, whose variance is rounding, aside
 
 
 @cache

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from chromaperture.config import PaperConfig
-from chromaperture.disparity.unlike_views import CELL_PX, WINDOW_CELLS, cell_means, mixing, unlike_share
+from chromaperture.disparity.unlike_views import CELL_PX, WINDOW_CELLS, cell_moments, mixing, unlike_share
 from worlds import LAYOUT, capture, measured, moved, space_of, texture
 
 PAPER = PaperConfig().with_range(-4.0, 4.0)
@@ -73,10 +73,14 @@ def test_it_is_a_window_of_pixels(rng):
 
 def test_cells_cover_all_whole_squares(rng):
     plane = rng.normal(size=(2 * CELL_PX + 3, 3 * CELL_PX + 1)).astype(np.float32)
-    found = cell_means(plane)
-    assert found.shape == (2, 3)
-    assert found[1, 2] == pytest.approx(plane[CELL_PX : 2 * CELL_PX, 2 * CELL_PX : 3 * CELL_PX].mean(), abs=1e-6)
-    assert cell_means(np.full((1, 2), 3.0, np.float32)) == pytest.approx(3.0)
+    mean, variance = cell_moments(plane)
+    assert mean.shape == variance.shape == (2, 3)
+    square = plane[CELL_PX : 2 * CELL_PX, 2 * CELL_PX : 3 * CELL_PX]
+    assert mean[1, 2] == pytest.approx(square.mean(), abs=1e-6)  # float32
+    assert variance[1, 2] == pytest.approx(square.var(), abs=1e-6)
+    mean, variance = cell_moments(np.full((1, 2), 3.0, np.float32))
+    assert mean == pytest.approx(3.0)
+    assert variance == pytest.approx(0.0)
 
 
 def test_one_channel_a_view_is_not_mixed():

@@ -111,7 +111,7 @@ class PaperConfig(MatcherConfig):
     sigma_scale: float = 2.0
     edge_share: float = 0.5
     floor_px: float = 0.1
-    hue_share: float = 0.6
+    hue_share: float = 0.7
 
     def __post_init__(self) -> None:
         require_space(self.space, "unmixed", "pure")

@@ -17,7 +17,7 @@ from chromaperture.threads import parallel_map
 
 CELL_PX = 4  # side of the squares that the moments are averaged in; for speed
 WINDOW_CELLS = 7  # side of the window: 28 px, as wide as a Gaussian of 8 px; one of 4 px ranks as well
-LEAST_VARIANCE = 1e-7  # a third of a 10-bit step, squared: twenty times the rounding of float32 moments on even areas
+LEAST_VARIANCE = 1e-12  # no division by 0 on even areas: a thousandth of a 10-bit step, squared
 
 
 def unlike_share(pictures: np.ndarray, disparity_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -47,7 +47,7 @@ def unlike_share(pictures: np.ndarray, disparity_px: np.ndarray, directions: np.
     parallel_map(move, range(count))
     common = _variance(moved.mean(axis=0))
     total = np.mean([_variance(view) for view in moved], axis=0)
-    share = np.clip((total - common) / (total + np.float32(LEAST_VARIANCE)), 0, 1).astype(np.float32)
+    share = np.clip((total - common) / (total + LEAST_VARIANCE), 0, 1).astype(np.float32)
     return np.asarray(cv2.resize(share, (width, height), interpolation=cv2.INTER_LINEAR))
 
 
@@ -63,13 +63,14 @@ def mixing(rows: np.ndarray) -> float:
     return float(np.mean(weights[:, 1] / weights[:, 2]))
 
 
-def cell_means(plane: np.ndarray) -> np.ndarray:
-    """Return the means of squares of `CELL_PX`; what is left over at the right and below is not read.
+def cell_moments(plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and variance in squares of `CELL_PX`; what is left over at the right and below is not read.
 
     Returns
     -------
-    (h, w) float32
+    two (h, w) float64
         h = max(1, H // `CELL_PX`), w alike: of a picture that is smaller than a cell the border counts several times.
+        With 64 bits, since a dark area of little texture is far from the mean of the frame.
     """
     height, width = plane.shape
     rows, columns = (max(1, size // CELL_PX) for size in (height, width))
@@ -77,11 +78,11 @@ def cell_means(plane: np.ndarray) -> np.ndarray:
         beyond = (max(0, CELL_PX - size) for size in (height, width))
         plane = np.pad(plane, [(0, more) for more in beyond], mode="edge")
     squares = plane[: rows * CELL_PX, : columns * CELL_PX].reshape(rows, CELL_PX, columns, CELL_PX)
-    return np.asarray(squares.mean(axis=(1, 3), dtype=np.float32))
+    return squares.mean(axis=(1, 3), dtype=np.float64), squares.var(axis=(1, 3), dtype=np.float64)
 
 
 def _variance(plane: np.ndarray) -> np.ndarray:
+    mean, within = cell_moments(plane)
     size = (WINDOW_CELLS, WINDOW_CELLS)
-    cells = cell_means(plane), cell_means(plane * plane)
-    mean, square = (cv2.blur(moment, size, borderType=cv2.BORDER_REPLICATE) for moment in cells)
-    return np.asarray(np.maximum(square - mean * mean, 0))
+    of_window, square = (cv2.blur(m, size, borderType=cv2.BORDER_REPLICATE) for m in (mean, mean * mean + within))
+    return np.asarray(np.maximum(square - of_window * of_window, 0))

@@ -1,4 +1,4 @@
-// Mean and mean square of the views, moved by the disparity that was found, and of their mean, in squares of `cell` px
+// Mean and variance of the views, moved by the disparity that was found, and of their mean, in squares of `cell` px
 // (quality "paper"), as `unlike_views.py`.
 
 @group(0) @binding(0) var<storage, read> planes: array<f32>;  // (K + 2, H, W), of which the views
@@ -26,6 +26,7 @@ fn main(
 ) {
     let i = invocation(group, groups, local);
     if (i >= columns * rows) { return; }
+    var first = vec4f();  // differences from it are exact where there is little texture
     var sums = vec4f();
     var squares = vec4f();
     for (var n = 0u; n < cell * cell; n++) {
@@ -39,9 +40,11 @@ fn main(
             seen[k] = view_at(k, vec2f(f32(x), f32(y)) + moved * direction);
             seen.w += seen[k] / f32(view_count);
         }
-        sums += seen;
-        squares += seen * seen;
+        if (n == 0u) { first = seen; }
+        sums += seen - first;
+        squares += (seen - first) * (seen - first);
     }
-    moments[i] = sums / f32(cell * cell);
-    moments[columns * rows + i] = squares / f32(cell * cell);
+    let away = sums / f32(cell * cell);
+    moments[i] = first + away;
+    moments[columns * rows + i] = squares / f32(cell * cell) - away * away;
 }
