@@ -163,7 +163,10 @@ def test_best_layers_agree_for_every_design(design):
             "bilateral": BilateralConfig(sigma_px=30.0, texture_weighting=True),
             "correlation": CorrelationConfig(0.9, noise_debiasing=True),
         },
-        {"correlation": CorrelationConfig(0.3, noise_debiasing=True), "views": ViewsConfig(presmooth_sigma_px=0.0)},
+        {
+            "correlation": CorrelationConfig(0.3, noise_debiasing=True, sampling="catmull-rom"),
+            "views": ViewsConfig(presmooth_sigma_px=0.0),
+        },
         {"layers": LayersConfig(-3.0, 4.0, 0.25)},
         {"layers": LayersConfig(-5.0, 3.0, 1.0)},
         {"layers": LayersConfig(-3.1, 4.0, 0.3)},

@@ -204,12 +204,13 @@ def test_a_cell_s_score_is_the_correlation_of_its_weighted_window():
     pictures = np.stack([common + 0.5 * rng.normal(size=common.shape) for _ in range(2)], axis=-1).astype(np.float32)
     even = np.ones(common.shape, np.float32)
     views = Views(pictures, np.array([[1.0, 0.0], [-1.0, 0.0]]), 0 * even, even)
-    score = stages.correlate(views, np.array([-1.0, 0.0, 1.0]), config=CorrelationConfig(cell_px=2))
+    config = CorrelationConfig(sampling="catmull-rom", cell_px=2)
+    score = stages.correlate(views, np.array([-1.0, 0.0, 1.0]), config=config)
     assert score.shape == (15, 17, 3)
     triangle = np.array([1, 2, 3, 2, 1])
     weights = np.outer(triangle, triangle).ravel()
     for y, x, layer in ((4, 5, 0), (7, 7, 1), (10, 9, 2)):
-        moved = layer - 1  # px; views of whole px are read as they are
+        moved = layer - 1  # px; by whole px these cubics read views as they are
         windows = [
             pictures[2 * y - 2 : 2 * y + 3, 2 * x - 2 + sign * moved : 2 * x + 3 + sign * moved, k].ravel()
             for k, sign in enumerate((1, -1))

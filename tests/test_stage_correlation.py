@@ -16,7 +16,8 @@ from chromaperture.disparity.stages.correlation import (
     texture_weights,
     three_view_score,
 )
-from chromaperture.disparity.views import ViewNoise, Views, smooth
+from chromaperture.disparity.view_noise import ViewNoise
+from chromaperture.disparity.views import Views, smooth
 from chromaperture.stage_config import CorrelationConfig
 
 
@@ -115,7 +116,8 @@ def test_score_is_the_weighted_correlation_of_the_displaced_views(rng, direction
     decay, reach = 0.5, 50
     views = np.stack([smooth(rng.normal(0, 1, (20, 24)), 1.0) for _ in directions], axis=-1).astype(np.float32)
     layers = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-    volume = correlate(views_of(views, directions), layers, config=CorrelationConfig(window_decay=decay))
+    config = CorrelationConfig(window_decay=decay, sampling="catmull-rom")  # reads whole pixels as they are
+    volume = correlate(views_of(views, directions), layers, config=config)
     weights = np.outer(window_weights(decay, reach), window_weights(decay, reach)).ravel()
     for row, column, s in ((0, 0, 0), (10, 12, 4), (19, 3, 1), (7, 23, 2)):
         y, x = np.mgrid[row - reach : row + reach + 1, column - reach : column + reach + 1]

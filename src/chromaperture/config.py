@@ -148,7 +148,7 @@ class RealTimeConfig(MatcherConfig):
 
     views: ViewsConfig = ViewsConfig(presmooth_sigma_px=0.4, guide_range=0.15)
     space: Literal["unmixed", "pure", "channels"] = "channels"
-    correlation: CorrelationConfig = CorrelationConfig(window_decay=0.30, sampling="b-spline", cell_px=2)
+    correlation: CorrelationConfig = CorrelationConfig(window_decay=0.30, cell_px=2)
     paths: FourPathsConfig = FourPathsConfig()
     smoothing_sigma_px: float = 50.0
     smoothing_edge_range: float = 3.3

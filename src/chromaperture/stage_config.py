@@ -86,12 +86,13 @@ class ViewsConfig:
     Attributes
     ----------
     presmooth_sigma_px : float
-        Gaussian before matching; makes the noise that sub-pixel interpolation leaves independent of the sampling phase.
+        Gaussian before matching, of noise; sampling by B-splines smooths besides. With 0.4 paper finds as much as with
+        0.7 and cubics that keep detail, with 0.7 up to .02 less (docs/measurements.md, *Flat boards and the layers*).
     guide_range : float
         Difference of the guide that counts as 1, in linear light relative to the guide's 1st to 99th percentile.
     """
 
-    presmooth_sigma_px: float = 0.7
+    presmooth_sigma_px: float = 0.4
     guide_range: float = 0.06
 
     def __post_init__(self) -> None:
@@ -113,7 +114,8 @@ class CorrelationConfig:
         which lowers the score at disparity 0.
     sampling : {"catmull-rom", "b-spline"}
         Cubic by which a view is read between its pixels. The first keeps detail, but at whole pixels more of it than
-        between them, and draws surfaces there; the second smooths everywhere alike, by 0.58 px.
+        between them, and draws surfaces there; the second smooths everywhere alike, by 0.58 px, and flat boards lock to
+        no layer.
     cell_px : {1, 2}
         Side of the squares of pixels that share a score. 2: the window is a triangle of 5 px (``window_decay`` is not
         used), which takes a quarter of the volume and finds more (docs/measurements.md, *Cells*).
@@ -121,7 +123,7 @@ class CorrelationConfig:
 
     window_decay: float = 0.80
     noise_debiasing: bool = False
-    sampling: Literal["catmull-rom", "b-spline"] = "catmull-rom"
+    sampling: Literal["catmull-rom", "b-spline"] = "b-spline"
     cell_px: Literal[1, 2] = 1
 
     def __post_init__(self) -> None:
@@ -131,6 +133,11 @@ class CorrelationConfig:
         known = self.sampling in ("catmull-rom", "b-spline")
         require(known, f"sampling must be catmull-rom or b-spline, is {self.sampling!r}")
         require(0 < self.window_decay < 1, f"window_decay must lie between 0 and 1, got {self.window_decay:g}")
+
+    @property
+    def sampling_variance_px2(self) -> float:
+        """By how much reading a view between its pixels widens the smoothing, px^2 an axis."""
+        return 1 / 3 if self.sampling == "b-spline" else 0.0
 
 
 @dataclass(frozen=True)
@@ -188,12 +195,14 @@ class FourPathsConfig:
 
 @dataclass(frozen=True)
 class CorrelationEvidenceConfig:
-    """Evidence of quality "accurate" for a camera whose blur is not known: shifted views, unmixed and pure together.
+    """Evidence of quality "accurate" for a camera whose blur is not known: shifted views.
 
     Attributes
     ----------
     space : {"unmixed", "pure", "both"}
-        As `PaperConfig.space`; "both" takes the mean of the two where a design has both.
+        As `PaperConfig.space`; "both" takes the mean of the two where a design has both, and the sensor's channels
+        where three views would be mixed of channels that see several filters each: unmixing takes hues for
+        displacement.
     correlation : CorrelationConfig
         A smaller window than for a local best layer: the surface aggregates the rest.
     """

@@ -43,8 +43,7 @@ def peak_sigma(winner: Winner, config: PaperConfig, view_count: int, signal_frac
     -------
     (H, W) float32, px
     """
-    samples = effective_samples(config.correlation.window_decay)
-    samples /= noise_correlation_factor(config.views.presmooth_sigma_px)
+    samples = independent_samples(config)
     peak = np.clip(winner.peak, 1e-3, 1 - 1e-6)  # a peak of 0 or 1 would make the variance infinite or 0
     curvature = np.maximum(winner.curvature, 1e-9) * signal_fraction
     if view_count == 2:
@@ -79,10 +78,15 @@ def effective_samples(decay: float) -> float:
     return ((1 + decay) ** 3 / ((1 - decay) * (1 + decay**2))) ** 2
 
 
-def noise_correlation_factor(presmooth_sigma_px: float) -> float:
-    """Return how many px hold one independent noise sample after the pre-smoothing."""
+def independent_samples(config: PaperConfig) -> float:
+    """Return the number of independent noise samples in the window, of views that are smoothed twice.
+
+    Before matching, and where they are read between pixels.
+    """
+    variance_px2 = config.views.presmooth_sigma_px**2 + config.correlation.sampling_variance_px2
     area, fraction = _NOISE_AREA
-    return max(1.0, area * presmooth_sigma_px**2 * fraction)
+    px_a_sample = max(1.0, area * variance_px2 * fraction)
+    return effective_samples(config.correlation.window_decay) / px_a_sample
 
 
 def confidence(sigma_px: np.ndarray, peak: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions, view_reach
 from chromaperture.disparity.moved_views import PixelMaps, pixel_maps
 from chromaperture.disparity.nothing_to_match import constant_view, no_usable_pixel
+from chromaperture.disparity.view_noise import ViewNoise, noise_of_views
 from chromaperture.disparity.whole_light import (
     even_mean,
     halved_whole,
@@ -34,7 +35,6 @@ USABLE = 0.99  # fraction of a halved pixel that must be usable: below, a satura
 GUIDE_SIGMA_PX = 1.0  # noise of the guide would break the links between pixels; chosen by hand
 _PERCENTILE_SAMPLES = 20_000  # of the guide, from which its percentiles are taken; chosen by hand
 CONSTANT = 1e-6  # RMS of a view, of full scale, below which it has no texture: a thousandth of a 10-bit step
-_LEAST_PRESMOOTH_PX = 0.3  # below, the pixel's own area smooths the noise
 
 
 @dataclass(frozen=True)
@@ -66,34 +66,6 @@ def moved_px(directions: np.ndarray) -> float:
 
 
 @dataclass(frozen=True)
-class ViewNoise:
-    """Noise of the smoothed views.
-
-    Attributes
-    ----------
-    variance : (H, W, K) float32
-        Of the views. Even noise is a broadcast array.
-    covariance : (H, W, P) float32
-        Of the P pairs of views (0,1), (0,2), (1,2), before any shift.
-    presmooth_sigma_px : float
-        Of the Gaussian that correlates the noise of neighbours.
-    """
-
-    variance: np.ndarray
-    covariance: np.ndarray
-    presmooth_sigma_px: float
-
-    def overlap(self, layers_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Return the fraction of the covariance that is left when layers have moved the views apart; (D, P) float32.
-
-        White noise behind a Gaussian of sigma p has the autocorrelation exp(-r^2 / 4 p^2).
-        """
-        p = max(self.presmooth_sigma_px, _LEAST_PRESMOOTH_PX)
-        apart = np.array([np.linalg.norm(directions[k] - directions[m]) for k, m in view_pairs(len(directions))])
-        return np.exp(-((np.abs(layers_px)[:, None] * apart) ** 2) / (4 * p**2)).astype(np.float32)
-
-
-@dataclass(frozen=True)
 class Views:
     """The pictures of one capture, ready to be matched.
 
@@ -121,11 +93,6 @@ class Views:
     unit: float = 0.0
 
 
-def view_pairs(view_count: int) -> list[tuple[int, int]]:
-    """Return the pairs of views in the order of ``ViewNoise.covariance``."""
-    return list(combinations(range(view_count), 2))
-
-
 def view_spaces(
     aperture: Aperture, unmixing: np.ndarray | None, space: Literal["unmixed", "pure", "channels", "both"]
 ) -> list[ViewSpace]:
@@ -137,8 +104,9 @@ def view_spaces(
     unmixing : (K, 3) float or None
         Rows of M^-1, Eq. (1). Ideal film when absent.
     space : {"unmixed", "pure", "channels", "both"}
-        For ``pure`` and ``both``, a design without pure channels has its unmixed views only. ``channels``: see
-        `channel_space`.
+        For ``pure`` and ``both``, a design without pure channels has its unmixed views only, but for ``both`` and three
+        views its channels: through CMY circles and squares twice as much is found by them (docs/measurements.md, *Hues
+        in unmixed views*). ``channels``: see `channel_space`.
 
     Raises
     ------
@@ -151,6 +119,8 @@ def view_spaces(
     if space == "channels":
         return [channel_space(aperture, rows)]
     pure = None if space == "unmixed" else pure_channels(aperture)
+    if space == "both" and pure is None and len(rows) == 3:
+        return [channel_space(aperture, rows)]
     # Three pure channels are the unmixed views but for the leaks: one of the two is enough.
     if pure is None or (space == "both" and len(rows) == 3):
         matched = [rows]
@@ -214,12 +184,7 @@ def filtered_views(
     views, guide, mask = mixed(image, space)
     noise = None
     if noise_variance is not None:
-        rows, pairs = np.asarray(space.rows), view_pairs(len(space.rows))
-        products = np.stack([rows[k] * rows[m] for k, m in pairs])
-        p = max(config.presmooth_sigma_px, _LEAST_PRESMOOTH_PX)
-        left = np.float32(min(1.0, 1 / (4 * math.pi * p**2)))  # of the variance of white noise behind the Gaussian
-        variance, covariance = (_scaled(_mixed_noise(noise_variance, w), left) for w in (rows**2, products))
-        noise = ViewNoise(variance, covariance, config.presmooth_sigma_px)
+        noise = noise_of_views(noise_variance, space.rows, presmooth_sigma_px=config.presmooth_sigma_px)
     return smoothed_views(views, guide, mask, directions=space.directions, config=config, noise=noise)
 
 
@@ -373,22 +338,3 @@ def constant_variance(unit: float) -> float:
 def _mix(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Weighted sum of the channels; (H, W) float32."""
     return cv2.transform(image, np.asarray(weights, np.float32)[None, :])
-
-
-def is_even(maps: np.ndarray) -> bool:
-    """Return whether maps (H, W, N) hold one value a channel, by construction (`numpy.broadcast_to`)."""
-    return maps.strides[0] == 0 and maps.strides[1] == 0
-
-
-def _mixed_noise(variance: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Noise of weighted sums of the channels, (H, W, N) float32; even noise stays even."""
-    weights = np.asarray(weights, np.float32)
-    if is_even(variance):
-        return np.broadcast_to((weights @ variance[0, 0]).astype(np.float32), (*variance.shape[:2], len(weights)))
-    return cv2.transform(np.ascontiguousarray(variance, np.float32), weights).reshape(*variance.shape[:2], -1)
-
-
-def _scaled(maps: np.ndarray, factor: np.float32) -> np.ndarray:
-    if is_even(maps):
-        return np.broadcast_to(maps[0, 0] * factor, maps.shape)
-    return maps * factor

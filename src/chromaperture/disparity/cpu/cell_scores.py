@@ -31,7 +31,8 @@ from chromaperture.disparity.stages.correlation import (
     SCORE_PARTS,
     cell_variance_floor,
 )
-from chromaperture.disparity.views import Views, view_pairs
+from chromaperture.disparity.view_noise import view_pairs
+from chromaperture.disparity.views import Views
 from chromaperture.disparity.whole_light import whole_taps
 from chromaperture.stage_config import CorrelationConfig
 from chromaperture.threads import in_parallel

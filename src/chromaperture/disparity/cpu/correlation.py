@@ -35,8 +35,10 @@ from chromaperture.disparity.stages.correlation import (
     RELATIVE_EPSILON,
     SAMPLING,
     padding,
+    sampled_noise,
 )
-from chromaperture.disparity.views import Views, is_even, view_pairs
+from chromaperture.disparity.view_noise import is_even, view_pairs
+from chromaperture.disparity.views import Views
 from chromaperture.stage_config import CorrelationConfig
 from chromaperture.threads import in_parallel, thread_count
 
@@ -100,7 +102,7 @@ def filtered_scores(
     maps : RowMaps
     """
     height, width = views.mask.shape
-    noise = _noise_planes(views)
+    noise = _noise_planes(views, config)
     plan = _plan(views, layers_px, config, even_link, texture_weighting)
     least = 2 * plan.pad_y + 8  # rows of the smallest band
     run_rows = _equal_parts(height, most=max(_BAND_ROWS, _RUN_HALOS * plan.halo, least))
@@ -137,12 +139,13 @@ def _equal_parts(rows: int, *, most: int) -> int:
     return -(-rows // -(-rows // most))
 
 
-def _noise_planes(views: Views) -> tuple[np.ndarray, np.ndarray]:
+def _noise_planes(views: Views, config: CorrelationConfig) -> tuple[np.ndarray, np.ndarray]:
     """Noise variance of the views and covariance of their pairs as planes; 0 where no use is made of them."""
     count = views.pictures.shape[2]
-    if views.noise is None:
+    noise = sampled_noise(views, config)
+    if noise is None:
         return tuple(np.zeros((n, 1, 1), np.float32) for n in (count, len(view_pairs(count))))  # type: ignore[return-value]
-    return _planes(views.noise.variance), _planes(views.noise.covariance)
+    return _planes(noise.variance), _planes(noise.covariance)
 
 
 def _scratch(
@@ -228,8 +231,9 @@ def _plan(
     taps_of = SAMPLING[config.sampling]
     taps = np.array([[taps_of(t) for t in phase] for phase in entries.phases], np.float32)
     overlap = np.zeros((len(pairs), lanes), np.float32)
-    if views.noise is not None:
-        overlap[:, :count] = views.noise.overlap(layers_px, directions).T * config.noise_debiasing
+    noise = sampled_noise(views, config)
+    if noise is not None:
+        overlap[:, :count] = noise.overlap(layers_px, directions).T * config.noise_debiasing
     ceiling = np.where(np.arange(lanes) < count, 1, -1).astype(np.float32)
     samplings = layout.Samplings(
         owner=np.array(entries.owner),

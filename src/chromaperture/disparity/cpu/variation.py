@@ -180,8 +180,11 @@ def _nearest_likely(u, likelihood, fidelity, reach, tried, out):  # type: ignore
                         best = k
             found = np.float32(first + best)
             if 0 < first + best < layers - 1 and 0 < best < count - 1:
-                bend = cost[best - 1] - 2 * cost[best] + cost[best + 1]
-                offset = (cost[best - 1] - cost[best + 1]) / (2 * max(bend, np.float32(1e-12)))
+                center = gains[at + first + best]
+                before = math.exp(2 * (center - gains[at + first + best - 1]))
+                after = math.exp(2 * (center - gains[at + first + best + 1]))
+                slope, bend = half * (after - before), max(half * (before + after) - 1, np.float32(0))
+                offset = (here - found - half * fidelity * slope) / (1 + fidelity * bend)
                 found += min(max(offset, -half), half)
             out[y, x] = found
 

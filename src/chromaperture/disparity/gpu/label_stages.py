@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from chromaperture.disparity.blur_evidence import SPACING_PX
-from chromaperture.disparity.correlation_evidence import MAX_CORRELATION2, CorrelationEvidence
+from chromaperture.disparity.correlation_evidence import MOST_EXPLAINED, CorrelationEvidence
 from chromaperture.disparity.gpu.correlation_stages import add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.evidence_plan import EvidencePlan
@@ -109,7 +109,7 @@ def add_views_evidence(
             groups=groups_for(shape[0] * shape[1], 1), uses=("layer_polynomial", "label_polynomial"),
             height=shape[0], width=shape[1],
             count=len(labels_px), factors=len(space.rows) - 1.0, views_of_score=len(space.rows), is_first=i == 0,
-            most_correlation2=MAX_CORRELATION2, weight=1 / len(source.spaces),
+            most_explained=MOST_EXPLAINED, weight=1 / len(source.spaces),
             **_polynomial(layers_px, labels_px, label_map),
         )  # fmt: skip
 

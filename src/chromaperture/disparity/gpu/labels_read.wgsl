@@ -7,8 +7,8 @@
 @group(0) @binding(3) var<storage, read_write> likelihood: array<f32>;  // (h, w, count) nats
 
 fn unexplained_by(score: f32) -> f32 {
-    if (views_of_score == 2u) { return 1.0 - min(max(score, 0.0) * max(score, 0.0), most_correlation2); }
-    return max(1.0 - max(score, 0.0), sqrt(1.0 - most_correlation2));
+    let explained = clamp(score, 0.0, 1.0);
+    return 1.0 - most_explained * select(explained, explained * explained, views_of_score == 2u);
 }
 
 @compute @workgroup_size(64)

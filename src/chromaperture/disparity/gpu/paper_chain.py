@@ -11,13 +11,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.config import PaperConfig
-from chromaperture.disparity.error_bar import (
-    CONFIDENCE_SCALE_PX,
-    MAX_SIGMA_PX,
-    effective_samples,
-    noise_correlation_factor,
-    sigma_of_range,
-)
+from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, MAX_SIGMA_PX, independent_samples, sigma_of_range
 from chromaperture.disparity.gpu.correlation_stages import Kept, add_correlation
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.real_time_chain import add_links, add_recursions
@@ -69,13 +63,11 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
             uses=SHARED, phases=fours.phases, per_phase=fours.per_phase,
             pixels=planes.pixels, pitch=pitch, layer_count=chunk.size, first_layer=chunk.first,
         )  # fmt: skip
-    samples = effective_samples(config.correlation.window_decay)
-    samples /= noise_correlation_factor(config.views.presmooth_sigma_px)
     peaks, ranges = (chain.array(name, count * planes.pixels) for name, count in (("peaks", 3), ("ranges", 2)))
     chain.add(
         "peak", [best, peaks], groups=groups_for(planes.pixels), uses=SHARED,
         pixels=planes.pixels, view_count=planes.view_count, total_layers=len(layers_px), first_px=first, step_px=step,
-        samples=float(samples), sigma_scale=config.sigma_scale, range_sigma_px=sigma_of_range(layers_px),
+        samples=independent_samples(config), sigma_scale=config.sigma_scale, range_sigma_px=sigma_of_range(layers_px),
         max_sigma_px=MAX_SIGMA_PX,
     )  # fmt: skip
     of_square: dict[str, Any] = {

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.disparity.views import Views, view_pairs
+from chromaperture.disparity.view_noise import ViewNoise, view_pairs
+from chromaperture.disparity.views import Views
 from chromaperture.disparity.whole_light import plane_variance, whole_taps
 from chromaperture.stage_config import CorrelationConfig
 
@@ -49,8 +50,9 @@ def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig)
     height, width, view_count = views.pictures.shape
     pad = padding(layers_px, views.directions, config.sampling)
     padded = _pad(views.pictures.astype(np.float64), pad)
-    variances, covariances = (_pad(maps.astype(np.float64), pad) for maps in _noise(views, config))
-    overlap = None if views.noise is None else views.noise.overlap(layers_px, views.directions)
+    known = sampled_noise(views, config)
+    variances, covariances = (_pad(maps.astype(np.float64), pad) for maps in _noise(views, known, config))
+    overlap = None if known is None else known.overlap(layers_px, views.directions)
     epsilon = variance_floor(views.pictures)
     taps_of = SAMPLING[config.sampling]
 
@@ -194,10 +196,15 @@ def _whole_shift(view: np.ndarray, offset_px: np.ndarray, taps_of: Taps, *, roun
     return view
 
 
-def _noise(views: Views, config: CorrelationConfig) -> tuple[np.ndarray, np.ndarray]:
+def sampled_noise(views: Views, config: CorrelationConfig) -> ViewNoise | None:
+    """Return the noise of the views as the correlation samples them."""
+    return None if views.noise is None else views.noise.sampled(config.sampling_variance_px2)
+
+
+def _noise(views: Views, known: ViewNoise | None, config: CorrelationConfig) -> tuple[np.ndarray, np.ndarray]:
     """Noise variance of the views and covariance of their pairs that is to be subtracted; 0 without debiasing."""
-    if views.noise is not None and config.noise_debiasing:
-        return views.noise.variance, views.noise.covariance
+    if known is not None and config.noise_debiasing:
+        return known.variance, known.covariance
     count = views.pictures.shape[2]
     return np.zeros((*views.mask.shape, count)), np.zeros((*views.mask.shape, len(view_pairs(count))))
 
@@ -215,15 +222,17 @@ def three_view_score(r01: np.ndarray, r02: np.ndarray, r12: np.ndarray) -> np.nd
 def texture_weights(views: Views, *, config: CorrelationConfig) -> np.ndarray:
     """Weight every pixel by its texture against its noise, 0 where the capture is unusable; (H, W) float64.
 
-    The geometric mean over the views of the signal's fraction of the variance in the window.
+    The geometric mean over the views of the signal's fraction of the variance in the window, of the views as layers
+    sample them.
     """
     weights = np.ones(views.mask.shape)
     count = views.pictures.shape[2]
+    known = sampled_noise(views, config)
     for k in range(count):
-        view = views.pictures[..., k].astype(np.float64)
+        view = shift(views.pictures[..., k].astype(np.float64), np.zeros(2), taps_of=SAMPLING[config.sampling])
         mean = exponential_window(view, config.window_decay)
         variance = exponential_window(view**2, config.window_decay) - mean**2
-        noise = 0.0 if views.noise is None else views.noise.variance[..., k].astype(np.float64)
+        noise = 0.0 if known is None else known.variance[..., k].astype(np.float64)
         signal = np.maximum(variance - noise, 0)
         weights *= (signal / (signal + noise + variance_floor(views.pictures)[k])) ** (1 / count)
     return np.maximum(weights * views.mask, MIN_WEIGHT)
