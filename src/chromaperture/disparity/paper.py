@@ -51,9 +51,11 @@ class PaperMethod:
         known = sigma < widest
         disparity = np.where(known, winner.disparity_px, np.float32(np.nan))
         at_edges = np.float32(config.edge_share) * local_range(disparity, EDGE_REACH_PX)
-        unlike = unlike_share(views.pictures, disparity, self.space.directions)
-        by_hue = widest * np.float32(config.hue_share * mixing(self.space.rows)) * unlike
-        wider = np.sqrt(sigma**2 + at_edges**2 + by_hue**2)
+        wider = np.hypot(sigma, at_edges)
+        hue_share = np.float32(config.hue_share * mixing(self.space.rows))
+        if hue_share > 0:
+            unlike = unlike_share(views.pictures, disparity, self.space.directions)
+            wider = np.hypot(wider, hue_share * widest * unlike)
         found = Surface(disparity, wider, winner.peak)
         sigma = np.minimum(surface_sigma(found, floor_px=config.floor_px / moved_px(self.space.directions)), widest)
         return Disparity(disparity, sigma, confidence(sigma, winner.peak))

@@ -52,13 +52,16 @@ def unlike_share(pictures: np.ndarray, disparity_px: np.ndarray, directions: np.
 
 
 def mixing(rows: np.ndarray) -> float:
-    """Return how far views are mixed from several channels: 0 of one channel each, 1 of two with equal weights.
+    """Return how far three views are mixed from several channels: 0 of one channel each, 1 of two with equal weights.
 
     Parameters
     ----------
     rows : (K, 3) float
-        Weights of R, G, B in the views. The second largest weight of each counts, as a share of the largest.
+        Weights of R, G, B in the views. The second largest weight of each counts, as a share of the largest. Of two
+        views 0: their correlation has a sign, so that they do not take hues for a match.
     """
+    if len(rows) == 2:
+        return 0.0
     weights = np.sort(np.abs(np.asarray(rows, float)), axis=1)
     return float(np.mean(weights[:, 1] / weights[:, 2]))
 

@@ -77,13 +77,17 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
         "side": 2 * EDGE_REACH_PX + 1,
     }
     chain.add("peak_range_x", [peaks, ranges], groups=groups_for(planes.pixels), uses=SHARED, **of_square)
-    unlike, cells = _add_unlike_share(chain, planes, peaks, space.directions)
+    hue_share = config.hue_share * mixing(space.rows)
+    if hue_share > 0:
+        unlike, cells = _add_unlike_share(chain, planes, peaks, space.directions)
+    else:
+        unlike, cells = chain.constant("unlike_share", np.zeros(1, np.float32)), {"columns": 1, "rows": 1}
     outputs = [chain.array(name, planes.pixels) for name in ("disparity", "sigma", "confidence")]
     widest = sigma_of_range(layers_px)
     chain.add(
         "peak_range", [peaks, ranges, unlike, *outputs], groups=groups_for(planes.pixels), uses=(*SHARED, "finishing"),
         edge_share=config.edge_share, floor_px=config.floor_px / moved_px(space.directions),
-        hue_px=config.hue_share * mixing(space.rows) * widest, range_sigma_px=widest, max_sigma_px=MAX_SIGMA_PX,
+        hue_px=hue_share * widest, range_sigma_px=widest, max_sigma_px=MAX_SIGMA_PX,
         confidence_scale_px=CONFIDENCE_SCALE_PX, **cells, **of_square,
     )  # fmt: skip
 
