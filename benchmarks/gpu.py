@@ -118,6 +118,8 @@ def operations(dispatch: Dispatch) -> float:
         "enlarge": lambda: 40 * invocations,
         "running_winner": lambda: 4 * c["pixels"] * c["layer_count"],
         "peak": lambda: 30 * invocations,
+        "unlike_moments": lambda: 14 * c["cell"] ** 2 * views * invocations,
+        "unlike_share": lambda: 16 * c["side"] ** 2 * invocations,
     }
     return per.get(dispatch.stage, lambda: 0.0)()
 
