@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from chromaperture.calibration.assemble_camera import WITHOUT_BLUR
+from chromaperture.calibration.assemble_camera import curve_without_blur
 from chromaperture.calibration.calibrate_session import calibrate_session, leave_one_out
 from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.chessboard import board_distance, board_points, centered_pinhole, fit_intrinsics
@@ -267,7 +267,7 @@ def test_the_camera_file_records_what_made_it(session, calibrated_session, tmp_p
 @pytest.mark.parametrize("design", [name for name, aperture in DESIGNS.items() if aperture.views])
 def test_accurate_takes_the_curve_of_the_quality_that_matches_its_views(design):
     rows = ideal_unmixing(made_of(DESIGNS[design], "real"))
-    spaces = ("both", preset(WITHOUT_BLUR).space)
+    spaces = ("both", preset(curve_without_blur(design)).space)
     accurate, other = (view_spaces(DESIGNS[design], rows, space)[0].rows for space in spaces)
     np.testing.assert_array_equal(accurate, other)
 

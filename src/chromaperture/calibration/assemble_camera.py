@@ -12,7 +12,7 @@ from chromaperture.calibration.chessboard import Intrinsics
 from chromaperture.calibration.session import Session
 from chromaperture.calibration.white_sheets import WhiteSheets
 from chromaperture.camera_file import Board, Calibration, Lens
-from chromaperture.color.unmixing import view_reach
+from chromaperture.color.unmixing import mixes_three_views, view_reach
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
@@ -22,9 +22,13 @@ from chromaperture.optics.aperture import design_named
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.optics.pinhole import centered_pinhole
 
-# Whose depth curve serves ``accurate`` without a lens blur: both match the unmixed views with the same score. A curve
-# fitted to boards read by ``accurate`` itself was no different.
-WITHOUT_BLUR: Quality = "paper"
+
+def curve_without_blur(design: str) -> Quality:
+    """Return the quality whose depth curve serves ``accurate`` without a lens blur: that which matches the same views.
+
+    A curve fitted to boards read by ``accurate`` itself was no different.
+    """
+    return "real-time" if mixes_three_views(design_named(design)) else "paper"
 
 
 def nominal_depth_model(session: Session) -> DepthModel:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.calibration.assemble_camera import WITHOUT_BLUR, assemble_camera, nominal_depth_model
+from chromaperture.calibration.assemble_camera import assemble_camera, curve_without_blur, nominal_depth_model
 from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.calibration.calibrate_blur import BlurredCamera, LayerEvidence, calibrate_blur, fit_layers
 from chromaperture.calibration.calibration_config import DEFAULT, CalibrationConfig
@@ -118,7 +118,7 @@ def calibrate_session(
     everything = Evidence(sheets.sensor, boards, placed.distances, session.ruler_error_mm, np.ones(len(boards), bool))
     selected = without_outliers(everything, "paper")
     shifted = fit_curves(selected, config, progress=progress)
-    start = dataclasses.replace(draft, depth=with_accurate(shifted))
+    start = dataclasses.replace(draft, depth=with_accurate(shifted, draft.design))
     blurred = calibrate_blur(start, session, selected, config, lens=lens, store=store, progress=progress)
     moves = lens_moves(blurred.camera)
     matched = dataclasses.replace(blurred.camera, channel_moves_px=moves)
@@ -129,7 +129,7 @@ def calibrate_session(
     evidence = dataclasses.replace(selected, rendered=rendered)
     curves = shifted if moves is None and not rendered else fit_curves(evidence, config, progress=progress)
     steps = _Steps(session, config, tone_notes, sheets, pinhole, placed, evidence, curves, blurred)
-    depth = {**with_accurate(curves), "accurate": blurred.camera.depth["accurate"]}
+    depth = {**with_accurate(curves, draft.design), "accurate": blurred.camera.depth["accurate"]}
     depth = {quality: with_scale_error(curve, steps.tone) for quality, curve in depth.items()}
     made_from = origin(session.folder, steps.files, config, command=command, lens_from=lens_from)
     camera = assemble_camera(
@@ -248,7 +248,7 @@ def leave_one_out(result: CalibrationResult, board: int, qualities: Sequence[Qua
         if quality == "accurate" and result.layers is not None:
             fields[quality] = fit_layers(result.layers, evidence.distances, evidence.used)
         else:
-            curve = WITHOUT_BLUR if quality == "accurate" else quality
+            curve = curve_without_blur(camera.design) if quality == "accurate" else quality
             fields[quality] = fit_curve(evidence, curve, result.config).field
         fields[quality] = with_scale_error(fields[quality], tone)
     return dataclasses.replace(camera, depth=fields)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.calibration.assemble_camera import WITHOUT_BLUR
+from chromaperture.calibration.assemble_camera import curve_without_blur
 from chromaperture.calibration.board_distances import BoardDistances, find_outliers
 from chromaperture.calibration.calibration_config import DEFAULT, CalibrationConfig
 from chromaperture.calibration.choose_curve import ranked_curves
@@ -108,10 +108,10 @@ def fit_curves(
     return {quality: fit_curve(evidence, quality, config) for quality in reported(MEASURED, "depth curves", progress)}
 
 
-def with_accurate(curves: Mapping[Quality, FittedCurve]) -> dict[Quality, DepthField]:
+def with_accurate(curves: Mapping[Quality, FittedCurve], design: str) -> dict[Quality, DepthField]:
     """Return the depth fields of all qualities, ``accurate`` without a lens blur."""
     fields = {quality: curve.field for quality, curve in curves.items()}
-    return {**fields, "accurate": fields[WITHOUT_BLUR]}
+    return {**fields, "accurate": fields[curve_without_blur(design)]}
 
 
 def fit_curve(evidence: Evidence, quality: Quality, config: CalibrationConfig = DEFAULT) -> FittedCurve:

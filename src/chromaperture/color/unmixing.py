@@ -107,6 +107,11 @@ def pure_channels(aperture: Aperture) -> np.ndarray | None:
     return np.array(rows)
 
 
+def mixes_three_views(aperture: Aperture) -> bool:
+    """Return whether a design has three views that are mixed of channels which see several filters each: CMY."""
+    return len(aperture.views) == 3 and pure_channels(aperture) is None
+
+
 def view_directions(aperture: Aperture) -> np.ndarray:
     """Compute the displacement of every view per px of disparity.
 

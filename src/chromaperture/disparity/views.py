@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from chromaperture.color.image import SATURATION
-from chromaperture.color.unmixing import ideal_unmixing, pure_channels, view_directions, view_reach
+from chromaperture.color.unmixing import ideal_unmixing, mixes_three_views, pure_channels, view_directions, view_reach
 from chromaperture.disparity.moved_views import PixelMaps, pixel_maps
 from chromaperture.disparity.nothing_to_match import constant_view, no_usable_pixel
 from chromaperture.disparity.view_noise import ViewNoise, noise_of_views
@@ -119,7 +119,7 @@ def view_spaces(
     if space == "channels":
         return [channel_space(aperture, rows)]
     pure = None if space == "unmixed" else pure_channels(aperture)
-    if space == "both" and pure is None and len(rows) == 3:
+    if space == "both" and mixes_three_views(aperture):
         return [channel_space(aperture, rows)]
     # Three pure channels are the unmixed views but for the leaks: one of the two is enough.
     if pure is None or (space == "both" and len(rows) == 3):

@@ -181,10 +181,10 @@ def _nearest_likely(u, likelihood, fidelity, reach, tried, out):  # type: ignore
             found = np.float32(first + best)
             if 0 < first + best < layers - 1 and 0 < best < count - 1:
                 center = gains[at + first + best]
-                before = math.exp(2 * (center - gains[at + first + best - 1]))
-                after = math.exp(2 * (center - gains[at + first + best + 1]))
+                before = math.exp(center - gains[at + first + best - 1])
+                after = math.exp(center - gains[at + first + best + 1])
                 slope, bend = half * (after - before), max(half * (before + after) - 1, np.float32(0))
-                offset = (here - found - half * fidelity * slope) / (1 + fidelity * bend)
+                offset = (here - found - fidelity * slope) / (1 + 2 * fidelity * bend)
                 found += min(max(offset, -half), half)
             out[y, x] = found
 

@@ -1,5 +1,5 @@
 // The v that minimises (v - u)^2 / 2 - fidelity theta l(v) at every pixel, between layers by a parabola through
-// exp(-2 l); see `stages/variation.py`. The greatest log-likelihood of the pixel tells how far from u it can be.
+// exp(-l); see `stages/variation.py`. The greatest log-likelihood of the pixel tells how far from u it can be.
 
 @group(0) @binding(0) var<storage, read> variation: array<vec4f>;
 @group(0) @binding(1) var<storage, read> likelihood: array<f32>;  // (h, w, count)
@@ -39,11 +39,11 @@ fn main(
         return;
     }
     let center = likelihood[at + best];
-    let before = exp(2.0 * (center - likelihood[at + best - 1u]));
-    let after = exp(2.0 * (center - likelihood[at + best + 1u]));
+    let before = exp(center - likelihood[at + best - 1u]);
+    let after = exp(center - likelihood[at + best + 1u]);
     let slope = (after - before) / 2.0;
     let bend = max((before + after) / 2.0 - 1.0, 0.0);
-    let offset = (u - f32(best) - gain * slope / 2.0) / (1.0 + gain * bend);
+    let offset = (u - f32(best) - gain * slope) / (1.0 + 2.0 * gain * bend);
     goal[pixel] = f32(best) + clamp(offset, -0.5, 0.5);
 }
 
