@@ -28,7 +28,7 @@ from chromaperture.disparity.gpu.view_stages import Planes, add_views
 from chromaperture.disparity.labels import IDENTITY, LabelMap, labels_between
 from chromaperture.disparity.stages.correlation import SCORE_PARTS, exponential_window
 from chromaperture.disparity.stages.place import halved_surface, place_by_correlation
-from chromaperture.disparity.unlike_views import CELL_PX, mixing, unlike_share
+from chromaperture.disparity.unlike_views import CELL_PX, mixed_share, unlike_share
 from chromaperture.disparity.views import FILL_UNITS, Views, filtered_views, halved_views
 from chromaperture.disparity.winner import PathWinner, Surface
 from devices import needs_device
@@ -234,7 +234,7 @@ def test_paper_as_a_whole(case):
     assert np.quantile(np.abs(disparity - expected.value_px)[peaked], 0.999) < 2e-3
     assert np.quantile((np.abs(sigma - expected.sigma_px) / expected.sigma_px)[peaked], 0.99) < 0.01
     assert np.quantile(np.abs(confidence - expected.confidence)[peaked], 0.99) < 0.01
-    if mixing(method.space.rows) == 0:
+    if mixed_share(method.space.rows) == 0:
         return
     unlike = unlike_share(views.pictures, disparity, method.space.directions)
     cells = found.arrays["unlike_share"].reshape([max(1, size // CELL_PX) for size in SHAPE])

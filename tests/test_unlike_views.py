@@ -11,12 +11,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from chromaperture.config import PaperConfig
-from chromaperture.disparity.unlike_views import CELL_PX, WINDOW_CELLS, cell_moments, mixing, unlike_share
+from chromaperture.disparity.unlike_views import CELL_PX, WINDOW_CELLS, cell_moments, mixed_share, unlike_share
 from worlds import LAYOUT, capture, measured, moved, space_of, texture
 
 PAPER = PaperConfig().with_range(-4.0, 4.0)
-
-
 SIZES = st.tuples(st.integers(1, 40), st.integers(1, 40), st.integers(2, 3))
 STILL = np.zeros((3, 2))  # directions of views that no disparity moves
 
@@ -84,10 +82,10 @@ def test_cells_cover_all_whole_squares(rng):
 
 
 def test_one_channel_a_view_is_not_mixed():
-    assert mixing(np.eye(3)) == 0
-    assert mixing(space_of("cy_open").rows) == 0  # two views
-    assert mixing(space_of("cmy_circles").rows) == pytest.approx(1)  # Eq. (1): each view weighs all channels alike
-    assert mixing(space_of("rgb_squares").rows) == pytest.approx(0, abs=1e-9)
+    assert mixed_share(np.eye(3)) == 0
+    assert mixed_share(space_of("cy_open").rows) == 0  # two views
+    assert mixed_share(space_of("cmy_circles").rows) == pytest.approx(1)  # Eq. (1): each view weighs all channels alike
+    assert mixed_share(space_of("rgb_squares").rows) == pytest.approx(0, abs=1e-9)
 
 
 def hue_pattern(rng, design: str, disparity_px: float) -> np.ndarray:

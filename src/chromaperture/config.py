@@ -102,7 +102,8 @@ class PaperConfig(MatcherConfig):
         Least standard deviation of the views' displacement, px.
     hue_share : float
         Of the error bar of the search range, where views mixed of several channels have nothing in common at the
-        disparity that was found; see `disparity.unlike_views`.
+        disparity that was found; see `disparity.unlike_views`. docs/measurements.md, *Hues in unmixed views*, has 0
+        to 1.
     """
 
     space: Literal["unmixed", "pure"] = "unmixed"

@@ -86,8 +86,8 @@ class ViewsConfig:
     Attributes
     ----------
     presmooth_sigma_px : float
-        Gaussian before matching, of noise; sampling by B-splines smooths besides. With 0.4 paper finds as much as with
-        0.7 and cubics that keep detail, with 0.7 up to .02 less (docs/measurements.md, *Flat boards and the layers*).
+        Gaussian before matching, against noise. Reading views by B-splines smooths by 0.58 px besides: 0.70 px in all,
+        as 0.7 px before cubics that keep detail did (docs/measurements.md, *Flat boards and the layers*).
     guide_range : float
         Difference of the guide that counts as 1, in linear light relative to the guide's 1st to 99th percentile.
     """
@@ -114,8 +114,7 @@ class CorrelationConfig:
         which lowers the score at disparity 0.
     sampling : {"catmull-rom", "b-spline"}
         Cubic by which a view is read between its pixels. The first keeps detail, but at whole pixels more of it than
-        between them, and draws surfaces there; the second smooths everywhere alike, by 0.58 px, and flat boards lock to
-        no layer.
+        between them, and draws surfaces there; the second smooths everywhere alike, by 0.58 px.
     cell_px : {1, 2}
         Side of the squares of pixels that share a score. 2: the window is a triangle of 5 px (``window_decay`` is not
         used), which takes a quarter of the volume and finds more (docs/measurements.md, *Cells*).

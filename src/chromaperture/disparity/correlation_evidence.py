@@ -12,9 +12,9 @@ from chromaperture.disparity.result import NoiseModel
 from chromaperture.disparity.views import ViewSpace, filtered_views
 from chromaperture.stage_config import CorrelationEvidenceConfig, ViewsConfig
 
-# Share of a perfect score that counts, in each factor of the determinant: 3.5 nats, it must not outweigh the whole
-# neighbourhood. All scores count as much less. A limit instead makes the tops of peaks flat: flat boards through three
-# views locked to the labels by .11 px (`benchmarks/locking.py`).
+# What each factor of the determinant explains is scaled by this, so that a perfect one earns 3.5 nats and does not
+# outweigh the whole neighbourhood; chosen by hand. An upper bound in its place makes the tops of peaks flat:
+# flat boards through three views locked to the labels by .11 px (`benchmarks/locking.py`).
 MOST_EXPLAINED = 0.999
 
 

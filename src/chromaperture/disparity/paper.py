@@ -10,7 +10,7 @@ from chromaperture.config import PaperConfig
 from chromaperture.disparity.error_bar import confidence, local_range, peak_sigma, sigma_of_range, surface_sigma
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.result import Disparity, NoiseModel
-from chromaperture.disparity.unlike_views import mixing, unlike_share
+from chromaperture.disparity.unlike_views import mixed_share, unlike_share
 from chromaperture.disparity.views import ViewSpace, filtered_views, moved_px
 from chromaperture.disparity.winner import Surface
 
@@ -52,7 +52,7 @@ class PaperMethod:
         disparity = np.where(known, winner.disparity_px, np.float32(np.nan))
         at_edges = np.float32(config.edge_share) * local_range(disparity, EDGE_REACH_PX)
         wider = np.hypot(sigma, at_edges)
-        hue_share = np.float32(config.hue_share * mixing(self.space.rows))
+        hue_share = np.float32(config.hue_share * mixed_share(self.space.rows))
         if hue_share > 0:
             unlike = unlike_share(views.pictures, disparity, self.space.directions)
             wider = np.hypot(wider, hue_share * widest * unlike)

@@ -15,8 +15,10 @@ from scipy import ndimage
 
 from chromaperture.threads import parallel_map
 
-CELL_PX = 4  # side of the squares that the moments are averaged in; for speed
-WINDOW_CELLS = 7  # side of the window: 28 px, as wide as a Gaussian of 8 px; one of 4 px ranks as well
+CELL_PX = 4  # side of the squares whose mean and variance the window sums; chosen by hand, for speed
+# Side of the window: 28 px, as wide as a Gaussian of 8 px; one of 4 px ranks alike (docs/measurements.md, *Hues in
+# unmixed views*).
+WINDOW_CELLS = 7
 LEAST_VARIANCE = 1e-12  # no division by 0 on even areas: a thousandth of a 10-bit step, squared
 
 
@@ -51,7 +53,7 @@ def unlike_share(pictures: np.ndarray, disparity_px: np.ndarray, directions: np.
     return np.asarray(cv2.resize(share, (width, height), interpolation=cv2.INTER_LINEAR))
 
 
-def mixing(rows: np.ndarray) -> float:
+def mixed_share(rows: np.ndarray) -> float:
     """Return how far three views are mixed from several channels: 0 of one channel each, 1 of two with equal weights.
 
     Parameters

@@ -116,11 +116,9 @@ def view_spaces(
     rows = ideal_unmixing(aperture) if unmixing is None else np.asarray(unmixing, float)
     if rows.shape != (len(aperture.views), 3):
         raise InputError(f"unmixing must have shape ({len(aperture.views)}, 3) for {aperture.name}, got {rows.shape}")
-    if space == "channels":
+    if space == "channels" or (space == "both" and mixes_three_views(aperture)):
         return [channel_space(aperture, rows)]
     pure = None if space == "unmixed" else pure_channels(aperture)
-    if space == "both" and mixes_three_views(aperture):
-        return [channel_space(aperture, rows)]
     # Three pure channels are the unmixed views but for the leaks: one of the two is enough.
     if pure is None or (space == "both" and len(rows) == 3):
         matched = [rows]

@@ -37,7 +37,7 @@ from chromaperture.disparity.stages.correlation import (
     padding,
     sampled_noise,
 )
-from chromaperture.disparity.view_noise import is_even, view_pairs
+from chromaperture.disparity.view_noise import ViewNoise, is_even, view_pairs
 from chromaperture.disparity.views import Views
 from chromaperture.stage_config import CorrelationConfig
 from chromaperture.threads import in_parallel, thread_count
@@ -102,8 +102,9 @@ def filtered_scores(
     maps : RowMaps
     """
     height, width = views.mask.shape
-    noise = _noise_planes(views, config)
-    plan = _plan(views, layers_px, config, even_link, texture_weighting)
+    known = sampled_noise(views, config)
+    noise = _noise_planes(known, views.pictures.shape[2])
+    plan = _plan(views, known, layers_px, config, even_link, texture_weighting)
     least = 2 * plan.pad_y + 8  # rows of the smallest band
     run_rows = _equal_parts(height, most=max(_BAND_ROWS, _RUN_HALOS * plan.halo, least))
     band_rows = _equal_parts(run_rows, most=max(_BAND_ROWS, least))
@@ -139,10 +140,8 @@ def _equal_parts(rows: int, *, most: int) -> int:
     return -(-rows // -(-rows // most))
 
 
-def _noise_planes(views: Views, config: CorrelationConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Noise variance of the views and covariance of their pairs as planes; 0 where no use is made of them."""
-    count = views.pictures.shape[2]
-    noise = sampled_noise(views, config)
+def _noise_planes(noise: ViewNoise | None, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Noise variance of ``count`` views and covariance of their pairs as planes; 0 where no use is made of them."""
     if noise is None:
         return tuple(np.zeros((n, 1, 1), np.float32) for n in (count, len(view_pairs(count))))  # type: ignore[return-value]
     return _planes(noise.variance), _planes(noise.covariance)
@@ -202,7 +201,12 @@ class _Entries:
 
 
 def _plan(
-    views: Views, layers_px: np.ndarray, config: CorrelationConfig, even_link: float | None, texture_weighting: bool
+    views: Views,
+    noise: ViewNoise | None,
+    layers_px: np.ndarray,
+    config: CorrelationConfig,
+    even_link: float | None,
+    texture_weighting: bool,
 ) -> layout.Plan:
     """Choose the sub-pixel phases at which the views are sampled, where they are kept, and how layers find them."""
     directions, pairs = views.directions, view_pairs(len(views.directions))
@@ -231,7 +235,6 @@ def _plan(
     taps_of = SAMPLING[config.sampling]
     taps = np.array([[taps_of(t) for t in phase] for phase in entries.phases], np.float32)
     overlap = np.zeros((len(pairs), lanes), np.float32)
-    noise = sampled_noise(views, config)
     if noise is not None:
         overlap[:, :count] = noise.overlap(layers_px, directions).T * config.noise_debiasing
     ceiling = np.where(np.arange(lanes) < count, 1, -1).astype(np.float32)

@@ -20,7 +20,7 @@ from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.paper import EDGE_REACH_PX
 from chromaperture.disparity.stages.bilateral import even_link
 from chromaperture.disparity.stages.correlation import MIN_WEIGHT
-from chromaperture.disparity.unlike_views import CELL_PX, LEAST_VARIANCE, WINDOW_CELLS, mixing
+from chromaperture.disparity.unlike_views import CELL_PX, LEAST_VARIANCE, WINDOW_CELLS, mixed_share
 from chromaperture.disparity.views import ViewSpace, moved_px
 
 
@@ -77,7 +77,7 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
         "side": 2 * EDGE_REACH_PX + 1,
     }
     chain.add("peak_range_x", [peaks, ranges], groups=groups_for(planes.pixels), uses=SHARED, **of_square)
-    hue_share = config.hue_share * mixing(space.rows)
+    hue_share = config.hue_share * mixed_share(space.rows)
     if hue_share > 0:
         unlike, cells = _add_unlike_share(chain, planes, peaks, space.directions)
     else:
