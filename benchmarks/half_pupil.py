@@ -176,6 +176,8 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     scenes = sorted(path.name.split("_")[0] for path in args.data.glob("*_gt_defocus.png"))
+    if not scenes:
+        parser.error(f"{args.data} holds no NNN_gt_defocus.png")
     rows, means, maps = [], {}, {}
     for method in args.method:
         found = [measure(scene, method, args.data, tuple(args.range_px)) for scene in scenes]

@@ -21,7 +21,7 @@ CONFIGS = {
     "accurate with blur": Config(quality="accurate", matcher=AccurateConfig.for_blur(0.4)),
 }
 OTHER_SPACE = {"unmixed": "pure", "pure": "unmixed", "both": "pure", "channels": "pure"}
-OTHER_SAMPLING = {"catmull-rom": "b-spline", "b-spline": "catmull-rom"}
+OTHER_SAMPLING = {"b-spline": "smoothed-cubic", "smoothed-cubic": "b-spline"}
 OTHER_VALUES = {  # where nine tenths of the value would not be valid
     "allowed_growth": 2.5,
     "paths": 4,

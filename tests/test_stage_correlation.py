@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import BSpline
 
 from chromaperture.disparity.stages.correlation import (
+    SAMPLING,
     correlate,
     exponential_window,
     shift,
+    smoothed_cubic_taps,
     texture_weights,
     three_view_score,
 )
@@ -82,6 +85,40 @@ def test_shift_of_band_limited_texture_has_the_error_of_cubic_convolution():
     assert errors[1] < 3e-3  # 1e-3 is found, at 16 px a period
     # the next order of the error, relative 1 / period, is left
     np.testing.assert_allclose(np.log2(errors[1:-1] / errors[2:]), 3, atol=0.15)
+
+
+@given(st.floats(0, 1, exclude_max=True))
+def test_smoothing_weights_of_a_third_are_those_of_a_cubic_b_spline(phase):
+    spline = BSpline.basis_element(np.arange(-2.0, 3.0))
+    expected = np.nan_to_num(spline(phase - np.arange(-1, 3), extrapolate=False))
+    np.testing.assert_allclose(smoothed_cubic_taps(phase, variance_px2=1 / 3), expected, atol=1e-15)
+
+
+@given(st.floats(0, 1, exclude_max=True), st.floats(0, 1), st.integers(0, 2**32 - 1))
+def test_smoothing_weights_smooth_cubics_as_a_gaussian_does(phase, variance, seed):
+    cubic = np.polynomial.Polynomial(np.random.default_rng(seed).normal(0, 1, 4))
+    nodes, weights = np.polynomial.hermite_e.hermegauss(4)  # exact up to the seventh degree
+    expected = weights @ cubic(phase + np.sqrt(variance) * nodes) / weights.sum()
+    found = np.dot(smoothed_cubic_taps(phase, variance_px2=variance), cubic(np.arange(-1, 3)))
+    assert found == pytest.approx(expected, abs=1e-13)  # float64, values up to 40
+
+
+def displacement_found(taps, phase):
+    """Px by which weights displace a texture of 1/f behind a Gaussian of 0.4 px, read off by least squares."""
+    frequency = np.linspace(0.005, np.pi, 2000)
+    kernel = np.exp(-1j * np.outer(np.arange(-1, 3), frequency))
+    still, moved = taps(0.0) @ kernel, taps(phase) @ kernel
+    # Of power 1 / f^2 in the plane a line along x has 1 / f; a displacement d changes a wave by f d.
+    power = np.exp(-((0.4 * frequency) ** 2)) / frequency * np.abs(still)
+    turned = np.imag(moved * np.exp(1j * frequency * phase))
+    return phase - np.sum(power * frequency * turned) / np.sum(power * frequency**2 * np.abs(still))
+
+
+@pytest.mark.parametrize("phase", [0.1, 0.25, 0.4, 0.5, 0.75])
+def test_smoothing_displaces_texture_by_what_it_is_asked_for(phase):
+    found = displacement_found(lambda t: np.array(SAMPLING["smoothed-cubic"](t)), phase)
+    # .0023 px at worst; the cubic B-spline's .0128 locked flat boards to the layers (`benchmarks/locking.py`)
+    assert found == pytest.approx(phase, abs=0.003)
 
 
 # ---- score

@@ -131,7 +131,8 @@ class RealTimeConfig(MatcherConfig):
     Blur is several px wide and windows are wider, so the volume need not exist at every pixel; a guided interpolation
     brings the surface back to full resolution. ``presmooth_sigma_px``, ``window_decay`` and ``smoothing_sigma_px``
     count px of the halved picture; disparities do not. Chosen on simulated captures; ``benchmarks/ablation.py``
-    measures each. ``presmooth_sigma_px`` is that of views that lie 2 px a px of disparity apart, as two halves do; see
+    measures each. Views are read by B-splines: with the smoothed cubic of other methods flat boards lock half as much to the
+    layers, but no more is found (docs/measurements.md, *Flat boards and the layers*). ``presmooth_sigma_px`` is that of views that lie 2 px a px of disparity apart, as two halves do; see
     `for_views`.
 
     Attributes
@@ -149,7 +150,7 @@ class RealTimeConfig(MatcherConfig):
 
     views: ViewsConfig = ViewsConfig(presmooth_sigma_px=0.4, guide_range=0.15)
     space: Literal["unmixed", "pure", "channels"] = "channels"
-    correlation: CorrelationConfig = CorrelationConfig(window_decay=0.30, cell_px=2)
+    correlation: CorrelationConfig = CorrelationConfig(window_decay=0.30, sampling="b-spline", cell_px=2)
     paths: FourPathsConfig = FourPathsConfig()
     smoothing_sigma_px: float = 50.0
     smoothing_edge_range: float = 3.3

@@ -17,6 +17,11 @@ from chromaperture.errors import InputError
 MOST_LAYERS = 10_000  # of a range; more come of a wrong unit, and a megapixel of 16-bit scores takes 20 GB
 _BENCH_FULL_WELL = 5000.0  # electrons, of the sensor of bench50
 _ROUNDING = 1e-6  # of the quotient of a range and its step
+# Px^2 by which reading a view between its pixels smooths. Of textures of 1/f behind a Gaussian of 0.4 px a displacement
+# comes out wrong by at most .0128, .0083, .0047, .0023, .0013, .0033 px with 1/3, .38, .42, .45, .49, .55 px^2, and
+# detail differs between the phases by .031, .019, .011, .008, .014, .025 (docs/measurements.md, *Flat boards and the
+# layers*).
+SAMPLED_PX2 = {"catmull-rom": 0.0, "b-spline": 1 / 3, "smoothed-cubic": 0.45}
 
 
 def require(valid: bool, rule: str) -> None:
@@ -86,8 +91,7 @@ class ViewsConfig:
     Attributes
     ----------
     presmooth_sigma_px : float
-        Gaussian before matching, against noise. Reading views by B-splines smooths by 0.58 px besides: 0.70 px in all,
-        as 0.7 px before cubics that keep detail did (docs/measurements.md, *Flat boards and the layers*).
+        Gaussian before matching, against noise. Reading the views smooths by 0.67 px besides, see `CorrelationConfig`.
     guide_range : float
         Difference of the guide that counts as 1, in linear light relative to the guide's 1st to 99th percentile.
     """
@@ -112,9 +116,10 @@ class CorrelationConfig:
     noise_debiasing : bool
         Subtract the known noise from the views' variances and covariances; unmixing correlates it between the views,
         which lowers the score at disparity 0.
-    sampling : {"catmull-rom", "b-spline"}
+    sampling : {"catmull-rom", "b-spline", "smoothed-cubic"}
         Cubic by which a view is read between its pixels. The first keeps detail, but at whole pixels more of it than
-        between them, and draws surfaces there; the second smooths everywhere alike, by 0.58 px.
+        between them, and draws surfaces there. The others smooth everywhere alike to third order, by 0.58 and 0.67 px;
+        the last displaces fine detail least wrongly.
     cell_px : {1, 2}
         Side of the squares of pixels that share a score. 2: the window is a triangle of 5 px (``window_decay`` is not
         used), which takes a quarter of the volume and finds more (docs/measurements.md, *Cells*).
@@ -122,21 +127,20 @@ class CorrelationConfig:
 
     window_decay: float = 0.80
     noise_debiasing: bool = False
-    sampling: Literal["catmull-rom", "b-spline"] = "b-spline"
+    sampling: Literal["catmull-rom", "b-spline", "smoothed-cubic"] = "smoothed-cubic"
     cell_px: Literal[1, 2] = 1
 
     def __post_init__(self) -> None:
         require(self.cell_px in (1, 2), f"cell_px must be 1 or 2, is {self.cell_px!r}")
         apart = self.cell_px == 1 or not self.noise_debiasing
         require(apart, "noise_debiasing does not apply to quality real-time, whose cells are of 2 px")
-        known = self.sampling in ("catmull-rom", "b-spline")
-        require(known, f"sampling must be catmull-rom or b-spline, is {self.sampling!r}")
+        require(self.sampling in SAMPLED_PX2, f"sampling must be one of {', '.join(SAMPLED_PX2)}, is {self.sampling!r}")
         require(0 < self.window_decay < 1, f"window_decay must lie between 0 and 1, got {self.window_decay:g}")
 
     @property
     def sampling_variance_px2(self) -> float:
         """By how much reading a view between its pixels widens the smoothing, px^2 an axis."""
-        return 1 / 3 if self.sampling == "b-spline" else 0.0
+        return SAMPLED_PX2[self.sampling]
 
 
 @dataclass(frozen=True)

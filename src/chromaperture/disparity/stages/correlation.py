@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from chromaperture.disparity.view_noise import ViewNoise, view_pairs
 from chromaperture.disparity.views import Views
 from chromaperture.disparity.whole_light import plane_variance, whole_taps
-from chromaperture.stage_config import CorrelationConfig
+from chromaperture.stage_config import SAMPLED_PX2, CorrelationConfig
 
 Taps = Callable[[float], tuple[float, float, float, float]]
 
@@ -246,10 +247,10 @@ def variance_floor(pictures: np.ndarray) -> np.ndarray:
 def padding(layers_px: np.ndarray, directions: np.ndarray, sampling: str = "catmull-rom") -> tuple[int, int]:
     """Border (x, y) in px beyond which every shifted view is constant: the shift and two taps of the cubic.
 
-    Along an axis without shifts an interpolating cubic has no taps; a B-spline has them everywhere.
+    Along an axis without shifts an interpolating cubic has no taps; one that smooths has them everywhere.
     """
     reach = np.abs(layers_px).max() * np.abs(directions).max(axis=0)
-    x, y = (math.ceil(r) + 2 if r > 0 or sampling == "b-spline" else 0 for r in reach)
+    x, y = (math.ceil(r) + 2 if r > 0 or SAMPLED_PX2[sampling] else 0 for r in reach)
     return x, y
 
 
@@ -288,12 +289,22 @@ def cubic_taps(t: float) -> tuple[float, float, float, float]:
     )
 
 
-def spline_taps(t: float) -> tuple[float, float, float, float]:
-    """Weights of a cubic B-spline, as `cubic_taps`: their mean is t and their variance 1/3 for every t."""
-    return ((1 - t) ** 3 / 6, (4 - 6 * t**2 + 3 * t**3) / 6, (1 + 3 * t + 3 * t**2 - 3 * t**3) / 6, t**3 / 6)
+def smoothed_cubic_taps(t: float, *, variance_px2: float) -> tuple[float, float, float, float]:
+    """Weights of the cubic through four samples, smoothed by a Gaussian; as `cubic_taps`.
+
+    A Gaussian adds half its variance times the second derivative to a cubic. So the weights of all phases t have the
+    mean t, the same variance, and third moments of 0. With 1/3 px^2 they are those of a cubic B-spline.
+    """
+    cubic = (-t * (t - 1) * (t - 2) / 6, (t**2 - 1) * (t - 2) / 2, -t * (t + 1) * (t - 2) / 2, t * (t**2 - 1) / 6)
+    bend = (1 - t, 3 * t - 2, 1 - 3 * t, t)
+    a, b, c, d = (value + variance_px2 / 2 * second for value, second in zip(cubic, bend, strict=True))
+    return a, b, c, d
 
 
-SAMPLING: dict[str, Taps] = {"catmull-rom": cubic_taps, "b-spline": spline_taps}
+SAMPLING: dict[str, Taps] = {
+    name: partial(smoothed_cubic_taps, variance_px2=variance) if variance else cubic_taps
+    for name, variance in SAMPLED_PX2.items()
+}
 
 
 def exponential_window(maps: np.ndarray, decay: float) -> np.ndarray:
