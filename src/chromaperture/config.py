@@ -131,9 +131,9 @@ class RealTimeConfig(MatcherConfig):
     Blur is several px wide and windows are wider, so the volume need not exist at every pixel; a guided interpolation
     brings the surface back to full resolution. ``presmooth_sigma_px``, ``window_decay`` and ``smoothing_sigma_px``
     count px of the halved picture; disparities do not. Chosen on simulated captures; ``benchmarks/ablation.py``
-    measures each. Views are read by B-splines: with the smoothed cubic of other methods flat boards lock half as much to the
-    layers, but no more is found (docs/measurements.md, *Flat boards and the layers*). ``presmooth_sigma_px`` is that of views that lie 2 px a px of disparity apart, as two halves do; see
-    `for_views`.
+    measures each. Views are read by B-splines: with the smoothed cubic of other methods flat boards lock half as much
+    to the layers, but no more is found (docs/measurements.md, *Flat boards and the layers*). ``presmooth_sigma_px`` is
+    that of views that lie 2 px a px of disparity apart, as two halves do; see `for_views`.
 
     Attributes
     ----------
