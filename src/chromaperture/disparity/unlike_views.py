@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from chromaperture.threads import parallel_map
 
@@ -38,17 +37,17 @@ def unlike_share(pictures: np.ndarray, disparity_px: np.ndarray, directions: np.
     """
     height, width, count = pictures.shape
     moved = np.empty((count, height, width), np.float32)
-    known = np.where(np.isfinite(disparity_px), disparity_px, np.float32(0))
+    known = np.where(np.isfinite(disparity_px), disparity_px, 0).astype(np.float32)
     rows, columns = np.indices((height, width), np.float32)
 
     def move(k: int) -> None:
-        x, y = directions[k]
-        places = [rows + np.float32(y) * known, columns + np.float32(x) * known]
-        ndimage.map_coordinates(pictures[..., k], places, output=moved[k], order=1, mode="nearest")
+        x, y = (columns + np.float32(directions[k, 0]) * known, rows + np.float32(directions[k, 1]) * known)
+        view = np.ascontiguousarray(pictures[..., k])
+        cv2.remap(view, x, y, cv2.INTER_LINEAR, dst=moved[k], borderMode=cv2.BORDER_REPLICATE)
 
     parallel_map(move, range(count))
-    common = _variance(moved.mean(axis=0))
-    total = np.mean([_variance(view) for view in moved], axis=0)
+    common, *of_views = parallel_map(_variance, [moved.mean(axis=0), *moved])
+    total = np.mean(of_views, axis=0)
     share = np.clip((total - common) / (total + LEAST_VARIANCE), 0, 1).astype(np.float32)
     return np.asarray(cv2.resize(share, (width, height), interpolation=cv2.INTER_LINEAR))
 
@@ -82,8 +81,9 @@ def cell_moments(plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if min(height, width) < CELL_PX:
         beyond = (max(0, CELL_PX - size) for size in (height, width))
         plane = np.pad(plane, [(0, more) for more in beyond], mode="edge")
-    squares = plane[: rows * CELL_PX, : columns * CELL_PX].reshape(rows, CELL_PX, columns, CELL_PX)
-    return squares.mean(axis=(1, 3), dtype=np.float64), squares.var(axis=(1, 3), dtype=np.float64)
+    whole = plane[: rows * CELL_PX, : columns * CELL_PX].astype(np.float64)
+    mean, square = (cv2.resize(m, (columns, rows), interpolation=cv2.INTER_AREA) for m in (whole, whole * whole))
+    return np.asarray(mean), np.asarray(np.maximum(square - mean * mean, 0))
 
 
 def _variance(plane: np.ndarray) -> np.ndarray:
