@@ -91,7 +91,7 @@ class ViewsConfig:
     Attributes
     ----------
     presmooth_sigma_px : float
-        Gaussian before matching, against noise. Reading the views smooths by 0.67 px besides, see `CorrelationConfig`.
+        Gaussian before matching, against noise. Reading the views smooths besides, see `CorrelationConfig`.
     guide_range : float
         Difference of the guide that counts as 1, in linear light relative to the guide's 1st to 99th percentile.
     """

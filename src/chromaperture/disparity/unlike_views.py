@@ -41,7 +41,8 @@ def unlike_share(pictures: np.ndarray, disparity_px: np.ndarray, directions: np.
     rows, columns = np.indices((height, width), np.float32)
 
     def move(k: int) -> None:
-        x, y = (columns + np.float32(directions[k, 0]) * known, rows + np.float32(directions[k, 1]) * known)
+        x = columns + np.float32(directions[k, 0]) * known
+        y = rows + np.float32(directions[k, 1]) * known
         view = np.ascontiguousarray(pictures[..., k])
         cv2.remap(view, x, y, cv2.INTER_LINEAR, dst=moved[k], borderMode=cv2.BORDER_REPLICATE)
 
