@@ -69,7 +69,7 @@ def mixed_share(rows: np.ndarray) -> float:
 
 
 def cell_moments(plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and variance in squares of `CELL_PX`; what is left over at the right and below is not read.
+    """Return mean and mean square in squares of `CELL_PX`; what is left over at the right and below is not read.
 
     Returns
     -------
@@ -84,11 +84,10 @@ def cell_moments(plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         plane = np.pad(plane, [(0, more) for more in beyond], mode="edge")
     whole = plane[: rows * CELL_PX, : columns * CELL_PX].astype(np.float64)
     mean, square = (cv2.resize(m, (columns, rows), interpolation=cv2.INTER_AREA) for m in (whole, whole * whole))
-    return np.asarray(mean), np.asarray(np.maximum(square - mean * mean, 0))
+    return np.asarray(mean), np.asarray(square)
 
 
 def _variance(plane: np.ndarray) -> np.ndarray:
-    mean, within = cell_moments(plane)
     size = (WINDOW_CELLS, WINDOW_CELLS)
-    of_window, square = (cv2.blur(m, size, borderType=cv2.BORDER_REPLICATE) for m in (mean, mean * mean + within))
-    return np.asarray(np.maximum(square - of_window * of_window, 0))
+    mean, square = (cv2.blur(m, size, borderType=cv2.BORDER_REPLICATE) for m in cell_moments(plane))
+    return np.asarray(np.maximum(square - mean * mean, 0))

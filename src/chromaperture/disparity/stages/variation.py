@@ -241,8 +241,9 @@ def nearest_likely(u: np.ndarray, likelihood: np.ndarray, fidelity: float) -> np
 
     The best layer by trying all; about it exp(-l) is a parabola, and ``-l`` is bounded by its tangent. A parabola
     through l itself, which has a cusp where views match well, locks flat boards to the layers by .015 px in place of
-    .009 (`benchmarks/locking.py`); one through exp(-2 l), as in `between_layers`, by .004, but it trusts the noise of
-    single pixels too much: .04 of a wall whose evidence is weak are wrong by more than a layer, here .003.
+    .009 (`benchmarks/locking.py`, views read by B-splines); one through exp(-2 l), as in `between_layers`, by .004.
+    But that one trusts the noise of single pixels too much: .04 of a wall whose evidence is weak are wrong by more than
+    a layer, here .003.
     """
     layers = np.arange(likelihood.shape[2], dtype=np.float32)
     cost = (layers - u[..., None]) ** 2 / 2 - np.float32(fidelity) * likelihood
