@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from scipy.ndimage import median_filter
 
 from chromaperture.config import AccurateConfig
 from chromaperture.disparity import cpu, stages
-from chromaperture.disparity.accurate import AccurateMethod, optimised_surface
+from chromaperture.disparity.accurate import AccurateMethod, median_filtered, optimised_surface
 from chromaperture.disparity.correlation_evidence import CorrelationEvidence, log_likelihood
 from chromaperture.disparity.error_bar import surface_sigma
 from chromaperture.disparity.execution import execution_named
@@ -236,3 +240,29 @@ def test_a_flat_wall_seen_by_a_curved_lens_is_found_flat():
         errors.append(np.abs(found.value_px - truth).mean())
     assert errors[1] < 0.05  # a tenth of a layer
     assert errors[0] > 2 * errors[1]
+
+
+@given(
+    arrays(np.float32, array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=20), elements=st.integers(-9, 9)),
+)
+def test_the_median_is_that_of_scipy(label: np.ndarray) -> None:
+    expected = median_filter(median_filter(label, 5, mode="nearest"), 5, mode="nearest")
+    np.testing.assert_array_equal(median_filtered(label), expected)
+
+
+@pytest.mark.parametrize(("lines", "left_px"), [(1, 1), (2, 2)])
+@pytest.mark.parametrize("length_px", [8, -8])
+def test_the_median_leaves_planes_and_shortens_teeth_at_their_edge(lines, left_px, length_px) -> None:
+    y, x = np.mgrid[:60, :80].astype(np.float32)
+    near, far = 0.02 * x + 0.01 * y, 0.01 * x - 0.02 * y - 3
+    has_tooth = (y >= 20) & (y < 20 + lines)
+    found = median_filtered(np.where(x < 40 + length_px * has_tooth, near, far))
+    # Of a window around a line beside the edge two columns in five lie on the other plane, and three pixels of a tooth
+    # make that the larger half; of two lines of a tooth five do, where one column does.
+    beyond = np.abs(x - 39.5) > left_px
+    inside = beyond & (np.minimum(x, 79 - x) >= 4) & (np.minimum(y, 59 - y) >= 4)  # windows that lie in the picture
+    perfect = np.where(x < 40, near, far)
+    # Beside the edge the larger half of a window is not the whole of it: its middle is up to two pixels away.
+    off = np.abs(found - perfect)
+    assert off[inside].max() < 0.25
+    assert off[inside & (np.abs(x - 39.5) > 13)].max() < 1e-6  # a plane is its own middle, but for rounding

@@ -8,7 +8,7 @@ import pytest
 
 from chromaperture.config import AccurateConfig
 from chromaperture.disparity import stages
-from chromaperture.disparity.accurate import judged
+from chromaperture.disparity.accurate import judged, median_filtered
 from chromaperture.disparity.error_bar import local_range
 from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.labels import IDENTITY, LabelMap
@@ -96,6 +96,22 @@ def test_error_bars_of_one_fit_agree(rng):
 def test_error_bars_without_planes_and_by_the_posterior_agree(rng, shape, of_planes, learned):
     judged_alike = judging(rng, any_device(), shape, 0.3, of_planes=of_planes, learned=learned)
     assert_judged_alike(shape, 0.3, *judged_alike)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 70), (61, 78)])
+def test_medians_agree(rng, shape):
+    """To the bit, for a median is one of the values; three in four of them occur more than once."""
+    from chromaperture.disparity.gpu.device import Chain
+    from chromaperture.disparity.gpu.judging_stages import add_median
+    from chromaperture.disparity.gpu.surface_stages import Grid
+
+    judged = rng.uniform(0, 40, (*shape, 4)).astype(np.float32)
+    judged[..., 0] = np.where(rng.random(shape) < 0.75, judged[..., 0].round(), judged[..., 0])
+    chain, grid = Chain(any_device()), Grid(*shape, len(LABELS))
+    out = add_median(chain, chain.array("judged", judged.size), grid)
+    found = chain.run({"judged": judged}, [out.name])[out.name].reshape(judged.shape)
+    np.testing.assert_array_equal(found[..., 0], median_filtered(judged[..., 0]))
+    np.testing.assert_array_equal(found[..., 1:], judged[..., 1:])
 
 
 @pytest.mark.parametrize("shape", [(1, 7), (23, 40), (64, 91)])

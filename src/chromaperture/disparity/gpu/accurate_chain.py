@@ -24,7 +24,7 @@ from chromaperture.disparity.gpu.edge_stages import EdgeGrid, HeardLines, add_pl
 from chromaperture.disparity.gpu.evidence_plan import EvidencePlan, plan_evidence
 from chromaperture.disparity.gpu.evidence_stages import add_evidence
 from chromaperture.disparity.gpu.joining_stages import add_joining
-from chromaperture.disparity.gpu.judging_stages import Light, OfPlanes, add_judged, add_label_maps
+from chromaperture.disparity.gpu.judging_stages import Light, OfPlanes, add_judged, add_label_maps, add_median
 from chromaperture.disparity.gpu.label_stages import WindowsEarned, add_labels, add_views_evidence
 from chromaperture.disparity.gpu.line_stages import add_colours, inputs_of, line_arrays
 from chromaperture.disparity.gpu.line_textures import LineTextures, line_textures
@@ -234,6 +234,8 @@ class AccurateChain:
             known_from_nats=method.config.planes.known_from_nats,
             edge_share=EDGE_SHARE if planes is None else method.config.planes.edge_share,
         )  # fmt: skip
+        if planes is not None:
+            judged = add_median(chain, judged, self.grid)
         add_label_maps(chain, judged, self.light, self.grid, method.label_map, labels_px)
         photograph = self.first.arrays["image"]
         if self.reduction is not None:

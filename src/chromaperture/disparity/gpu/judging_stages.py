@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from chromaperture.disparity import evidence_signs
-from chromaperture.disparity.accurate import BIAS_OF_PLANES
+from chromaperture.disparity.accurate import BIAS_OF_PLANES, MEDIAN_PASSES, MEDIAN_PX
 from chromaperture.disparity.error_bar import CONFIDENCE_SCALE_PX, LIGHT_WINDOW_PX, MAX_SIGMA_PX, sigma_of_range
 from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.measured import MAPS
@@ -109,6 +109,16 @@ def add_judged(
         bias=0.0 if planes is None else BIAS_OF_PLANES,
     )  # fmt: skip
     return results
+
+
+def add_median(chain: Chain, judged: Array, grid: Grid) -> Array:
+    """Append `accurate.median_filtered`; return what `add_judged` returns, with other layers."""
+    room = chain.array("judged_median", judged.size)
+    before, after = judged, room
+    for _ in range(MEDIAN_PASSES):
+        per_pixel(chain, "median_of_window", [before, after], grid, reach=MEDIAN_PX // 2)
+        before, after = after, before
+    return before
 
 
 class Light(NamedTuple):
