@@ -222,7 +222,7 @@ def optimised_surface(
 
 
 def median_filtered(disparity_px: np.ndarray) -> np.ndarray:
-    """Return a map (H, W) of finite values without teeth at its edges, float32; beyond the border lies what is at it."""
+    """Return a map (H, W) of finite values with shorter teeth at its edges, float32; pixels at the border repeat."""
     out = np.ascontiguousarray(disparity_px, np.float32)
     for _ in range(MEDIAN_PASSES):
         out = np.asarray(cv2.medianBlur(out, MEDIAN_PX))
