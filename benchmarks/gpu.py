@@ -50,11 +50,11 @@ AGREEING_PX, LEAST_AGREEING = 0.02, 0.97  # Numba decides otherwise where two la
 
 def capture(design: str, width: int, height: int) -> np.ndarray:
     """The scene of `matcher.py` as the sensor sees it, (H, W, 3)."""
-    from chromaperture.color.unmixing import ideal_unmixing, view_directions
+    from chromaperture.color.unmixing import own_film_unmixing, view_directions
 
     aperture = design_named(design)
     views, _, _ = scene(view_directions(aperture), shape=(height, width))
-    image = np.stack(views, -1) @ np.linalg.pinv(ideal_unmixing(aperture)).T
+    image = np.stack(views, -1) @ np.linalg.pinv(own_film_unmixing(aperture)).T
     return (0.9 / image.max() * image).astype(np.float32)
 
 

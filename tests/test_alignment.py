@@ -13,7 +13,7 @@ from chromaperture.color.alignment import (
     white_balance,
 )
 from chromaperture.color.srgb import linear_to_srgb, linear_to_srgb_bytes
-from chromaperture.color.unmixing import ideal_unmixing
+from chromaperture.color.unmixing import own_film_unmixing
 from chromaperture.color.visibility import visible_from
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission
@@ -85,7 +85,7 @@ def photographed(design):
     planes = card_before_wall([(0.9, 0.6, 0.4), (0.4, 0.6, 0.9)], texels=(200, 300), exponent=1.5, contrast=0.12,
                               distances_mm=(1250, 850), widths_mm=(700, 110))  # fmt: skip
     table = pinhole_rays(camera, aperture, cells=16)
-    reach = np.linalg.norm(centroids(aperture, ideal_unmixing(aperture)), axis=1).mean()
+    reach = np.linalg.norm(centroids(aperture, own_film_unmixing(aperture)), axis=1).mean()
     d = camera.disparity_px(render_depth(table, planes), reach).astype(np.float32)
     image = render(table, planes) / channel_transmission(aperture).astype(np.float32)
     open_table = pinhole_rays(camera, DESIGNS["open"], cells=16)

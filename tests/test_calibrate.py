@@ -21,7 +21,7 @@ from chromaperture.calibration.fit_fields import check_scale
 from chromaperture.calibration.session import read_session
 from chromaperture.calibration.white_sheets import measure_white_sheets
 from chromaperture.camera_file import Calibration
-from chromaperture.color.unmixing import ideal_unmixing
+from chromaperture.color.unmixing import own_film_unmixing
 from chromaperture.config import preset
 from chromaperture.depth.field import DepthField
 from chromaperture.disparity.views import view_spaces
@@ -266,7 +266,7 @@ def test_the_camera_file_records_what_made_it(session, calibrated_session, tmp_p
 
 @pytest.mark.parametrize("design", [name for name, aperture in DESIGNS.items() if aperture.views])
 def test_accurate_takes_the_curve_of_the_quality_that_matches_its_views(design):
-    rows = ideal_unmixing(made_of(DESIGNS[design], "real"))
+    rows = own_film_unmixing(made_of(DESIGNS[design], "real"))
     spaces = ("both", preset(curve_without_blur(design)).space)
     accurate, other = (view_spaces(DESIGNS[design], rows, space)[0].rows for space in spaces)
     np.testing.assert_array_equal(accurate, other)

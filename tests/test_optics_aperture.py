@@ -81,7 +81,6 @@ def test_unmixing_doubles_the_baseline_of_complementary_discs():
     plain, unmixed = aperture_figures(design), aperture_figures(design, film_unmixing(design))
     assert plain.beta == pytest.approx((1 - TANGENT) / 2, abs=TOLERANCE)
     assert unmixed.beta == pytest.approx(1 - TANGENT, abs=TOLERANCE)
-    assert unmixed.baseline == pytest.approx(math.sqrt(3) * (1 - TANGENT), abs=TOLERANCE)
 
 
 def test_efficiencies_rise_in_the_order_of_figure_11():

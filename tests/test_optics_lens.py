@@ -204,8 +204,9 @@ def test_focusing_makes_the_distance_sharp():
     lens = load_lens("double_gauss_50")
     for distance in (700.0, 2000.0, 20000.0):
         data = paraxial(focused_at(lens, distance))
-        assert data.in_focus_mm + data.sensor_to_entrance_pupil_mm == pytest.approx(distance, rel=1e-9)  # rounding
-    assert paraxial(focused_at(lens, math.inf)).in_focus_mm == math.inf
+        focus_mm = data.focus_from_pupil_mm + data.sensor_to_entrance_pupil_mm
+        assert focus_mm == pytest.approx(distance, rel=1e-9)  # rounding
+    assert paraxial(focused_at(lens, math.inf)).focus_from_pupil_mm == math.inf
 
 
 def test_the_phone_lens_is_what_it_claims():

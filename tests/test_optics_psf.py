@@ -128,7 +128,7 @@ def test_what_cannot_be_asked():
         diffraction_psf(DESIGNS["open"], big, 500.0, size=31, wavelengths_um=(0.1,) * 3)
     with pytest.raises(InputError, match="behind the entrance pupil"):
         PHONE.blur_radius_px(2.0)
-    with pytest.raises(InputError, match="inside the focal length"):
+    with pytest.raises(InputError, match="closer than a scale of 1:1"):
         PupilCamera(64, 64, 4.0 / 0.0014, 0.9, 6.0, 3.0, 0.0014)
     assert np.isnan(PHONE.blur_radius_px(np.array([math.nan]))).all()
     far = PupilCamera(64, 64, 4.0 / 0.0014, 0.9, math.inf, 3.0, 0.0014)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.color.unmixing import ideal_unmixing, view_reach
+from chromaperture.color.unmixing import own_film_unmixing, view_reach
 from chromaperture.config import RealTimeConfig
 from chromaperture.disparity import cpu, stages
 from chromaperture.disparity.error_bar import sigma_of_range
@@ -170,7 +170,7 @@ def test_a_coloured_wall_is_found_by_channels_where_unmixing_sees_it_in_focus():
 
 def test_leaking_film_turns_the_displacements_of_channels():
     aperture = made_of(DESIGNS["cmy_circles"], "real")
-    found = channel_space(DESIGNS["cmy_circles"], ideal_unmixing(aperture))
+    found = channel_space(DESIGNS["cmy_circles"], own_film_unmixing(aperture))
     expected = centroids(aperture) / view_reach(DESIGNS["cmy_circles"])  # of the film itself
     np.testing.assert_allclose(found.directions, expected, atol=6e-4)  # rounded to 1e-3
     np.testing.assert_array_equal(found.rows, np.eye(3))

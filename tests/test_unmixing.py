@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from chromaperture.color.unmixing import ideal_unmixing, mixing_matrix, unmixing_rows, view_directions
+from chromaperture.color.unmixing import mixing_matrix, own_film_unmixing, unmixing_rows, view_directions
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, channel_transmission
 
@@ -53,7 +53,7 @@ def test_a_grey_scene_gives_the_views_through_the_filters(rng, design):
     image = np.zeros((6, 9, 3))
     for k, name in enumerate(aperture.views):  # every film adds its colour times its view
         image += views[..., k, None] * np.array(aperture.filter_named(name).transmission)
-    found = image @ ideal_unmixing(aperture).T
+    found = image @ own_film_unmixing(aperture).T
     np.testing.assert_allclose(found, views, atol=1e-12)  # rounding of float64
 
 
@@ -61,7 +61,7 @@ def test_red_and_blue_of_ideal_halves_are_the_half_views(rng):
     """Yellow passes red and green, cyan green and blue: red sees the yellow half only and blue the cyan half."""
     cyan, yellow = rng.uniform(0, 1, (2, 5, 5))
     image = np.stack([yellow, cyan + yellow, cyan], axis=-1)
-    found = image @ ideal_unmixing(DESIGNS["cy_halves"]).T
+    found = image @ own_film_unmixing(DESIGNS["cy_halves"]).T
     np.testing.assert_allclose(found, np.stack([cyan, yellow], axis=-1), atol=1e-6)  # rounding
 
 
@@ -72,7 +72,7 @@ def test_noise_of_the_views_is_correlated_as_the_matrix_says(rng):
     expected = rows @ np.diag(deviations**2) @ rows.T
     # a million draws know a covariance to 0.15 % of the variances
     np.testing.assert_allclose(np.cov(noise.T), expected, atol=0.006 * expected.max())
-    ideal = rng.normal(0, 0.02, (1_000_000, 3)) @ ideal_unmixing(DESIGNS["cy_halves"]).T
+    ideal = rng.normal(0, 0.02, (1_000_000, 3)) @ own_film_unmixing(DESIGNS["cy_halves"]).T
     assert np.corrcoef(ideal.T)[0, 1] == pytest.approx(-0.5, abs=0.005)  # a million draws: 0.001
 
 
@@ -98,7 +98,7 @@ def test_filters_that_cannot_be_told_apart_are_refused(filter_colors, message):
 @pytest.mark.parametrize("design", ["magenta_annulus", "open"])
 def test_designs_without_parallax_are_refused(design):
     with pytest.raises(InputError, match="no disparity"):
-        ideal_unmixing(DESIGNS[design])
+        own_film_unmixing(DESIGNS[design])
 
 
 # Where the designs' films lie, seen from behind the camera, x right, y down.

@@ -16,7 +16,7 @@ import tifffile
 from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.calibration.curves import Evidence
 from chromaperture.camera_file import Calibration, CameraSensor, Film, Lens
-from chromaperture.color.unmixing import ideal_unmixing, view_directions
+from chromaperture.color.unmixing import own_film_unmixing, view_directions
 from chromaperture.config import PaperConfig
 from chromaperture.depth.field import DepthField
 from chromaperture.disparity.estimate import estimate_disparity
@@ -110,7 +110,7 @@ def wavy_capture(
         cv2.remap(texture, x - disparity * np.float32(u), y - disparity * np.float32(v), cv2.INTER_CUBIC)
         for u, v in view_directions(aperture)
     ]
-    image = np.stack(views, axis=-1) @ np.linalg.pinv(ideal_unmixing(aperture)).T
+    image = np.stack(views, axis=-1) @ np.linalg.pinv(own_film_unmixing(aperture)).T
     image = image * (0.8 / image.max()) + rng.normal(0, 0.006, image.shape)
     image[-20:, -25:] = 0.3  # an even area without even noise
     if saturated:

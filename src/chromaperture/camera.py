@@ -1,4 +1,4 @@
-"""The whole method on one screen: one photograph in, millimetres out."""
+"""One photograph in, millimetres out: `CodedApertureCamera.measure` and the steps that it takes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Begun(NamedTuple):
     camera : CodedApertureCamera
         That measures it.
     known, image : (H, W, 3) float32
-        The whole frame: NaN, or continued, outside of what the photograph shows.
+        The whole frame. Outside of what the photograph shows, ``known`` is NaN, and ``image`` repeats its border.
     size_px : (int, int)
         Width and height of the photograph.
     waiting : Waiting or None
@@ -134,7 +134,7 @@ class CodedApertureCamera:
             with stage("read"):
                 image = self.read(image)
         if self._is_of_another_size(image):
-            return self.at_size(*image.shape[1::-1]).measure(image, stage=stage)
+            return self._resized_to(image).measure(image, stage=stage)
         with stage("check"):
             begun = self._checked(image)
         with stage("disparity"):  # Eq. (1) and section 3.1
@@ -157,7 +157,7 @@ class CodedApertureCamera:
         At most two are begun and not yet completed; `complete` them in turn. On the CPU nothing happens before that.
         """
         if self._is_of_another_size(image):
-            return self.at_size(*image.shape[1::-1]).begin(image)
+            return self._resized_to(image).begin(image)
         begun = self._checked(image)
         if not isinstance(self.method, DeviceMethod):
             return begun
@@ -175,14 +175,17 @@ class CodedApertureCamera:
         return camera._completed(begun, measured, lambda name: nullcontext())
 
     def _is_of_another_size(self, image: np.ndarray) -> bool:
-        """Return whether the image shows the whole frame in other pixels, which is said."""
+        """Return whether the image shows the whole frame in other pixels."""
         size_px = image.shape[1::-1]
         if size_px == self._frame_px or self.config.crop_origin_px is not None:
             return False
-        if np.ndim(image) != 3 or not self.shows_frame_at(size_px):
-            return False
+        return np.ndim(image) == 3 and self.shows_frame_at(size_px)
+
+    def _resized_to(self, image: np.ndarray) -> CodedApertureCamera:
+        """Return the camera for the pixels of an image of the whole frame, with a warning that says so."""
+        size_px = image.shape[1::-1]
         warnings.warn(self.scaled_note(size_px), CaptureWarning, stacklevel=3)
-        return True
+        return self.at_size(*size_px)
 
     def _checked(self, image: np.ndarray) -> Begun:
         frame_px, size_px, origin_px = self._frame_px, image.shape[1::-1], self.config.crop_origin_px

@@ -20,7 +20,7 @@ from chromaperture.asdf_input import read_tree
 from chromaperture.camera_tree import CameraTree
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.response import ResponseCurve
-from chromaperture.color.unmixing import ideal_unmixing, mixing_matrix, unmixing_rows
+from chromaperture.color.unmixing import mixing_matrix, own_film_unmixing, unmixing_rows
 from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
 from chromaperture.depth.field import DepthField
@@ -253,7 +253,7 @@ class Calibration:
     def uncalibrated(cls, design: str, *, width_px: int, height_px: int) -> Calibration:
         """Return a camera of which only the aperture is known; it measures disparity, not depth."""
         aperture = design_named(design)
-        ideal_unmixing(aperture)  # refuses designs without parallax
+        own_film_unmixing(aperture)  # refuses designs without parallax
         colors = {name: np.array(aperture.filter_named(name).transmission) for name in aperture.views}
         focal_px = 1.2 * max(width_px, height_px)  # a normal lens; a placeholder, no point cloud is made
         matrix = centered_pinhole(focal_px, (width_px, height_px))

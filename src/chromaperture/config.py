@@ -129,7 +129,7 @@ class RealTimeConfig(MatcherConfig):
     """Quality "real-time": matching at half the resolution, semi-global along rows and columns.
 
     Blur is several px wide and windows are wider, so the volume need not exist at every pixel; a guided interpolation
-    brings the surface back to full resolution. ``presmooth_sigma_px``, ``window_decay`` and ``smoothing_sigma_px``
+    brings the surface back to full resolution. ``presmooth_sigma_px`` and ``smoothing_sigma_px``
     count px of the halved picture; disparities do not. Chosen on simulated captures; ``benchmarks/ablation.py``
     measures each. Views are read by B-splines: with the smoothed cubic of other methods flat boards lock half as much
     to the layers, but no more is found (docs/measurements.md, *Flat boards and the layers*). ``presmooth_sigma_px`` is

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 from chromaperture.stage_config import all_finite, require
 
-# Of px of half disparity for a px of the pupil edge's displacement: the open aperture has .09, circles .20, halves
-# .33, three squares .42. docs/measurements.md (*All channels at once*) has what this evidence gains for each.
+# Of px of half disparity for a px of the pupil edge's displacement, with the samples' real film: the open aperture has
+# .09, circles .20, halves .33, three squares .42 (with film that leaks nothing .13, .27, .42, .50). What this evidence
+# gains for each is in docs/measurements.md, *All channels at once*.
 LEAST_REACH_OF_PAIRS = 0.15
 LEAST_REACH_OF_PAIRS_ALONE = 0.37
 

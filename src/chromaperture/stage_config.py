@@ -142,6 +142,13 @@ class CorrelationConfig:
         """By how much reading a view between its pixels widens the smoothing, px^2 an axis."""
         return SAMPLED_PX2[self.sampling]
 
+    @property
+    def window_px(self) -> float:
+        """Width of the window along an axis: the sum of its weights over the greatest; px of the matched picture."""
+        if self.cell_px == 2:
+            return (1 + 2 + 3 + 2 + 1) / 3  # the triangle
+        return (1 + self.window_decay) / (1 - self.window_decay)
+
 
 @dataclass(frozen=True)
 class BilateralConfig:
@@ -179,8 +186,8 @@ class FourPathsConfig:
         Share of the costs along the rows that the columns take for evidence of their own; see
         `disparity.stages.four_paths`, and docs/measurements.md, *Rows before columns*.
     temperature : float
-        Nats by which a layer may cost more and still count for the error bar: the one number of the error bar that is
-        fitted, on captures of known depth.
+        Nats by which a layer may cost more and still be 1/e as probable. Where the layers that are left are as wide as
+        the range, a pixel is unknown. Fitted on captures of known depth.
     """
 
     jump_penalty: float = 11.0
@@ -310,8 +317,7 @@ class SurfaceConfig:
     coupling_rounds, variation_iterations : int
         Rounds of the coupling, 0 switches the variation off; primal-dual iterations in each.
     temperature : float
-        Nats a path by which a layer may cost more and still be 1/e as probable: the one number of the error bar that is
-        fitted, on captures of known depth.
+        Nats a path by which a layer may cost more and still be 1/e as probable. Fitted on captures of known depth.
     learned_error_bar : bool
         Judge the surface by ``disparity/learned_error_bar.py``, else by its posterior and its range alone. Learned with
         the blur of calibrated cameras, so off without.

@@ -1,8 +1,8 @@
 """Fit the blur of a lens to photographs of boards at known distances, whatever their pattern.
 
 With the true blur H_k, two channels are equal after each is filtered with the blur of the other, P and Q
-(``disparity/phase.py``). The residual of a tile is ``P / |P| - Q / |Q|`` in its core, in space: a window before the
-transform would bias it by the tile's border. The roll-off of the filter is held at the blur of the last step; if it
+(``disparity/blur_evidence.py``). The residual of a tile is ``P / |P| - Q / |Q|`` in its core, in space: a window before
+the transform would bias it by the tile's border. The roll-off of the filter is held at the blur of the last step; if it
 followed the parameters, more blur would always fit better, because it suppresses noise.
 """
 

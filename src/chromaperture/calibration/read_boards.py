@@ -181,8 +181,7 @@ def _middle_median(disparity: np.ndarray, config: PaperConfig | RealTimeConfig) 
     if known.size < middle.size * _KNOWN:
         return np.nan, np.nan
     median = float(np.median(known))
-    decay = config.correlation.window_decay
-    window_px = (1 + decay) / (1 - decay)  # so many neighbours have one error
+    window_px = config.correlation.window_px  # so many neighbours have one error
     error = MEDIAN_INEFFICIENCY * robust_sigma(known - median) * window_px / np.sqrt(known.size)
     return median, max(_MIN_SIGMA_PX, error)
 

@@ -15,7 +15,7 @@ from chromaperture.camera_file import CameraSensor, Film
 from chromaperture.capture.exif import read_noise_profile
 from chromaperture.color.film import completed_film
 from chromaperture.color.noise import fit_photon_noise, noise_samples, photon_noise_of_sheets
-from chromaperture.color.unmixing import ideal_unmixing
+from chromaperture.color.unmixing import own_film_unmixing
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import channel_transmission, design_named
 
@@ -36,7 +36,7 @@ class WhiteSheets:
 
 def measure_white_sheets(session: Session) -> WhiteSheets:
     """Measure film and noise; raises InputError for a design without parallax and for sheets that cannot be."""
-    ideal_unmixing(design_named(session.design))
+    own_film_unmixing(design_named(session.design))
     sensor, noise_notes = _sensor_with_noise(session)
     film, film_notes = _film(session)
     stems = {"open", session.design, *(SHEETS.get(name, "") for name in film.filters)}

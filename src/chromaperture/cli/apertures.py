@@ -81,7 +81,7 @@ def apertures(
 def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list[float]) -> list[dict[str, Any]]:
     """Return the figures of designs in one lens, at equal exposure of the open aperture; lists run over distances.
 
-    A design without views has no baseline, disparity and depth error: None.
+    The baseline is b = 2 r_c, Eq. (6). A design without views has no baseline, disparity and depth error: None.
     """
     import numpy as np
 
@@ -99,7 +99,7 @@ def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list
             "transmission_rgb": light.channel_transmission.round(6).tolist(),
             "efficiency_mean": round(light.efficiency_mean, 6),
             "efficiency_luminance": round(light.efficiency_luminance, 6),
-            "baseline_mm": round(views.baseline * camera.pupil_radius_mm, 3) if aperture.views else None,
+            "baseline_mm": round(2 * views.beta * camera.pupil_radius_mm, 3) if aperture.views else None,
             "distances_mm": [float(z) for z in distances_mm],
             "disparity_px": curve.disparity_px.round(3).tolist() if aperture.views else None,
             "disparity_px_per_mm": curve.disparity_per_mm.round(6).tolist() if aperture.views else None,

@@ -63,7 +63,7 @@ def unmixing_rows(mixing: np.ndarray, view_count: int) -> np.ndarray:
     return np.linalg.inv(mixing)[:view_count]
 
 
-def ideal_unmixing(aperture: Aperture) -> np.ndarray:
+def own_film_unmixing(aperture: Aperture) -> np.ndarray:
     """Compute the unmixing rows of the aperture's own film under white light; (K, 3) float64.
 
     Raises
@@ -82,7 +82,7 @@ def ideal_unmixing(aperture: Aperture) -> np.ndarray:
 
 def view_reach(aperture: Aperture) -> float:
     """Compute the mean distance of the unmixed views' centroids from the centre, in pupil radii: r_c / R of Eq. (6)."""
-    return float(np.linalg.norm(centroids(aperture, ideal_unmixing(aperture)), axis=1).mean())
+    return float(np.linalg.norm(centroids(aperture, own_film_unmixing(aperture)), axis=1).mean())
 
 
 def pure_channels(aperture: Aperture) -> np.ndarray | None:
@@ -116,14 +116,15 @@ def view_directions(aperture: Aperture) -> np.ndarray:
     """Compute the displacement of every view per px of disparity.
 
     View k is the centre view displaced by ``d * u_k``, where ``u_k`` is the centroid of its (unmixed) pupil in units of
-    the mean centroid distance. Film leakage only scales d, which the calibrated scale absorbs.
+    the mean centroid distance, for ideal film. Leaks of real film bring the views together, which the calibrated scale
+    takes up; uneven ones also move the middle of two views off that of the pupil, by .16 d for the open band
+    (docs/conventions.md).
 
     Returns
     -------
     (K, 2) float64, (x, y)
     """
-    # For the design's ideal film: leakage of real film scales all views alike.
-    rho = centroids(aperture, ideal_unmixing(aperture))
+    rho = centroids(aperture, own_film_unmixing(aperture))
     directions = rho / np.linalg.norm(rho, axis=1).mean()
     # The grid is accurate to 4e-4; rounding to 1e-3 keeps axis-aligned shifts exactly on the axis.
     return np.round(directions, 3) + 0.0

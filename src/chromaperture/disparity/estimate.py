@@ -90,7 +90,7 @@ def method_for(
     aperture : Aperture or str
         The aperture in the pupil, or the name of a design such as ``"cy_halves"``.
     unmixing : (K, 3) float, optional
-        Rows of M^-1, Eq. (1). Ideal film when absent.
+        Rows of M^-1, Eq. (1). That of the aperture's own film when absent.
     label_maps : sequence of LabelMap
         What equal depth means at every pixel, one map for each view space that is matched. Without them a method looks
         for surfaces of even disparity, or of even distance if it knows the blur, and ``accurate`` matches its first

@@ -54,10 +54,6 @@ class Disparity:
         median = f", median {np.median(self.value_px[known]):.2f} px" if known.any() else ""
         return f"Disparity({width}x{height} px, {known.mean():.1%} filled{median})"
 
-    def full_disparity_px(self) -> np.ndarray:
-        """Displacement between two opposed sub-apertures, 2 d: what a stereo pair would call disparity; (H, W)."""
-        return 2 * self.value_px
-
 
 class Method(Protocol):
     """One way to estimate disparity, for one camera."""

@@ -12,7 +12,13 @@ import cv2
 import numpy as np
 
 from chromaperture.color.image import SATURATION
-from chromaperture.color.unmixing import ideal_unmixing, mixes_three_views, pure_channels, view_directions, view_reach
+from chromaperture.color.unmixing import (
+    mixes_three_views,
+    own_film_unmixing,
+    pure_channels,
+    view_directions,
+    view_reach,
+)
 from chromaperture.disparity.moved_views import PixelMaps, pixel_maps
 from chromaperture.disparity.nothing_to_match import constant_view, no_usable_pixel
 from chromaperture.disparity.view_noise import ViewNoise, noise_of_views
@@ -102,7 +108,7 @@ def view_spaces(
     ----------
     aperture : Aperture
     unmixing : (K, 3) float or None
-        Rows of M^-1, Eq. (1). Ideal film when absent.
+        Rows of M^-1, Eq. (1). That of the aperture's own film when absent.
     space : {"unmixed", "pure", "channels", "both"}
         For ``pure`` and ``both``, a design without pure channels has its unmixed views only, but for ``both`` and three
         views its channels: through CMY circles and squares twice as much is found by them (docs/measurements.md, *Hues
@@ -113,7 +119,7 @@ def view_spaces(
     InputError
         ``unmixing`` does not fit the aperture, or the aperture has no parallax.
     """
-    rows = ideal_unmixing(aperture) if unmixing is None else np.asarray(unmixing, float)
+    rows = own_film_unmixing(aperture) if unmixing is None else np.asarray(unmixing, float)
     if rows.shape != (len(aperture.views), 3):
         raise InputError(f"unmixing must have shape ({len(aperture.views)}, 3) for {aperture.name}, got {rows.shape}")
     if space == "channels" or (space == "both" and mixes_three_views(aperture)):

@@ -33,7 +33,7 @@ class Texture:
     contrast: float = 0.18  # its standard deviation
     exponent: float = 1.0  # amplitudes fall as frequency^-exponent, from the lowest frequency of ``patch_px``
     patch_px: int = 512  # side of the picture that has this contrast
-    # Independent pixels in the matching window; 320 is that of 0.80^(|x| + |y|), the matcher's default
+    # Independent pixels in the matching window; 320 is that of 0.80^(|x| + |y|), the window of quality "paper"
     window_px2: float = 320.0
 
 

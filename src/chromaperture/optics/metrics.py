@@ -1,9 +1,8 @@
-"""Figures of an aperture that follow from its masks alone: light, centroids, baseline."""
+"""Figures of an aperture that follow from its masks alone: light, centroids and how far they are from the centre."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -20,8 +19,7 @@ class ApertureFigures:
     efficiency_mean: float  # mean of the three
     efficiency_luminance: float  # the same, weighted by luminance (ITU-R BT.709)
     centroids: np.ndarray  # (K, 2) float64; of the K channels, pupil radii; NaN for a channel without light
-    beta: float  # r_c / R, mean distance of the outlying centroids from the pupil's centre: Eq. (6)
-    baseline: float  # largest distance of two centroids, in pupil radii; 0 without parallax
+    beta: float  # r_c / R, mean distance of the outlying centroids from the pupil's centre, half the baseline: Eq. (6)
 
 
 def film_unmixing(aperture: Aperture) -> np.ndarray:
@@ -52,5 +50,4 @@ def aperture_figures(aperture: Aperture, unmixing: np.ndarray | None = None) -> 
         efficiency_luminance=float(transmission @ LUMINANCE),
         centroids=rho,
         beta=float(distance[outlying].mean()) if outlying.any() else 0.0,
-        baseline=max((float(np.linalg.norm(a - b)) for a, b in combinations(seen, 2)), default=0.0),
     )

@@ -24,7 +24,7 @@ class Paraxial:
     entrance_diameter_mm: float
     exit_diameter_mm: float
     sensor_to_entrance_pupil_mm: float  # the paper's delta
-    in_focus_mm: float  # distance from the entrance pupil that is in focus on the sensor; inf when focused at infinity
+    focus_from_pupil_mm: float  # of what is in focus on the sensor, to the entrance pupil; inf when focused at infinity
     # F: distance of a pinhole in the entrance pupil from an image plane of the sensor's scale; fx = F / mu
     pinhole_distance_mm: float
 
@@ -92,7 +92,7 @@ def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Parax
         entrance_diameter_mm=float(2 * radius / abs(front[0, 0])),
         exit_diameter_mm=float(2 * radius / abs(rear[1, 1])),
         sensor_to_entrance_pupil_mm=float(vertices[-1] + gap - entrance),
-        in_focus_mm=float(in_focus + entrance),
+        focus_from_pupil_mm=float(in_focus + entrance),
         pinhole_distance_mm=float(abs(after[0] + gap * after[1])),
     )
 

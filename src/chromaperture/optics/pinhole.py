@@ -12,7 +12,6 @@ its Figure 1 shows is 1/z_of + 1/(z_id (1 + c/D)) = 1/f, from which (5) follows.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,10 +38,10 @@ class PupilCamera:
             raise InputError("a camera needs a positive image size, focal_px and pixel_pitch_mm")
         if not (self.pupil_radius_mm > 0 and self.sensor_to_pupil_mm >= 0):
             raise InputError("a camera needs a positive pupil_radius_mm and a sensor_to_pupil_mm of at least 0")
-        # The paraxial focal length is below F: an object inside it would be imaged behind the camera.
+        # Nearer than F from the pupil the picture would be larger than the object.
         if not self.focus_mm - self.sensor_to_pupil_mm > self.image_distance_mm:
             raise InputError(
-                f"focus at {self.focus_mm:g} mm lies inside the focal length: it must exceed "
+                f"focus at {self.focus_mm:g} mm is closer than a scale of 1:1, which is not supported: it must exceed "
                 f"{self.sensor_to_pupil_mm + self.image_distance_mm:.0f} mm from the sensor"
             )
 
@@ -106,7 +105,7 @@ def pupil_camera(lens: Prescription, *, width_px: int, height_px: int, pixel_pit
         height_px=height_px,
         focal_px=data.pinhole_distance_mm / pixel_pitch_mm,
         pupil_radius_mm=data.entrance_diameter_mm / 2,
-        focus_mm=data.in_focus_mm + data.sensor_to_entrance_pupil_mm if math.isfinite(data.in_focus_mm) else math.inf,
+        focus_mm=data.focus_from_pupil_mm + data.sensor_to_entrance_pupil_mm,  # inf stays inf
         sensor_to_pupil_mm=data.sensor_to_entrance_pupil_mm,
         pixel_pitch_mm=pixel_pitch_mm,
     )
