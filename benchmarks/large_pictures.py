@@ -32,8 +32,9 @@ import tifffile
 from numpy.polynomial import chebyshev
 
 from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration, CameraSensor, Film, Lens
+from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
+from chromaperture.camera_parts import CameraSensor, Film, Lens
 from chromaperture.camera_scale import reduced_size, resized, working_scale
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField

@@ -7,8 +7,9 @@ import pytest
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_alignment import channel_shifts
-from chromaperture.camera_file import Calibration, Film
+from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
+from chromaperture.camera_parts import Film
 from chromaperture.capture.checks import check_capture
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField

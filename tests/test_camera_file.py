@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from chromaperture.camera import load_camera
-from chromaperture.camera_file import FORMAT_VERSION, Board, Calibration, CameraSensor, Film, Lens
+from chromaperture.camera_file import FORMAT_VERSION, Calibration
+from chromaperture.camera_parts import Board, CameraSensor, Film, Lens
 from chromaperture.capture.files import read_image
 from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.errors import InputError

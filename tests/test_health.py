@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from chromaperture.camera_file import Board, Calibration
+from chromaperture.camera_file import Calibration
+from chromaperture.camera_parts import Board
 from chromaperture.capture.exif import Exif, read_exif
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.errors import InputError

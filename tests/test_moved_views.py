@@ -13,7 +13,8 @@ from chromaperture.calibration.lens_moves import beyond_disparity, lens_moves
 from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.progress import silent
 from chromaperture.calibration.read_boards import BoardMeasurement, measure_again
-from chromaperture.camera_file import Calibration, Film
+from chromaperture.camera_file import Calibration
+from chromaperture.camera_parts import Film
 from chromaperture.camera_scale import resized
 from chromaperture.config import RealTimeConfig
 from chromaperture.depth.conversion import DepthModel

@@ -22,7 +22,7 @@ from chromaperture.calibration.curves import Evidence
 from chromaperture.calibration.fit_curve import DepthFit
 from chromaperture.calibration.read_boards import BoardMeasurement
 from chromaperture.calibration.session import Session
-from chromaperture.camera_file import Film
+from chromaperture.camera_parts import Film
 from chromaperture.cli.main import app, main
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth

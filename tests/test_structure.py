@@ -21,8 +21,9 @@ MAX_LINES = 400
 
 STAGES = {"capture", "color", "disparity", "depth"}
 BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "planes_config", "spectral_config", "storage",
-                         "camera_file", "camera_matching", "camera_scale", "camera_memory", "camera_alignment",
-                         "camera_crop", "camera", "cluster", "formats", "frame", "calibration", "products"}  # fmt: skip
+                         "camera_parts", "camera_file", "camera_matching", "camera_scale", "camera_memory",
+                         "camera_alignment", "camera_crop", "camera", "cluster", "formats", "frame", "calibration",
+                         "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
 COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory", "rows_on_demand", "scratch"}
 ALLOWED: dict[str, set[str]] = {
@@ -47,9 +48,10 @@ ALLOWED: dict[str, set[str]] = {
     "asdf_input": set(),
     "camera_tree": set(),
     "cluster": set(),
-    "camera_file": {"optics", "color", "config", "depth", "storage", "asdf_input", "camera_tree"},
+    "camera_parts": {"color"},
+    "camera_file": {"optics", "color", "config", "depth", "storage", "asdf_input", "camera_parts", "camera_tree"},
     "config_file": {"config"},
-    "camera_scale": {"optics", "camera_file", "depth", "capture"},
+    "camera_scale": {"optics", "camera_parts", "camera_file", "depth", "capture"},
     "camera_memory": {"camera_file", "camera_scale", "config"},
     "camera_matching": {"camera_file", "camera_scale", "color", "config", "disparity"},
     "camera_alignment": {"camera_file", "camera_scale", "color", "config", "depth"},
@@ -58,7 +60,8 @@ ALLOWED: dict[str, set[str]] = {
     "camera_crop": {"camera_file", "frame"},
     "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "camera_crop",
                "config", "frame"} | STAGES,
-    "calibration": {"optics", "stage_config", "camera_matching", "camera_scale", "camera_file", "config"} | STAGES,
+    "calibration": {"optics", "stage_config", "camera_matching", "camera_scale", "camera_parts", "camera_file",
+                    "config"} | STAGES,
     "products": {"camera", "camera_file", "cluster", "config", "formats", "frame", "storage", "capture", "color",
                  "depth"},
     "pages": {"color", "depth"},  # pages of maps and points, of whatever is put on them

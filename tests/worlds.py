@@ -15,7 +15,8 @@ import tifffile
 
 from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.calibration.curves import Evidence
-from chromaperture.camera_file import Calibration, CameraSensor, Film, Lens
+from chromaperture.camera_file import Calibration
+from chromaperture.camera_parts import CameraSensor, Film, Lens
 from chromaperture.color.unmixing import own_film_unmixing, view_directions
 from chromaperture.config import PaperConfig
 from chromaperture.depth.field import DepthField

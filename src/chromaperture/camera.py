@@ -15,23 +15,20 @@ import numpy as np
 from chromaperture.camera_alignment import ChannelAlignment
 from chromaperture.camera_crop import cut_out, in_whole_frame
 from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config, label_maps, noise_of_photographs, repaired
+from chromaperture.camera_matching import default_config, repaired, scaled_method
 from chromaperture.camera_memory import check_camera_memory, volumes_go_to_disk
-from chromaperture.camera_scale import SAME_SCALE, at_scale, resized
+from chromaperture.camera_scale import SAME_SCALE, resized
 from chromaperture.capture.checks import check_capture
 from chromaperture.capture.files import read_light
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.config import Config, ExecutionName, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field_bands import field_to_depth
-from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.gpu.alignment_stage import Alignment
 from chromaperture.disparity.gpu.conversion_stage import Conversion
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Waiting, device_method, on_device
+from chromaperture.disparity.gpu.gpu_method import DeviceMethod, Waiting, device_method
 from chromaperture.disparity.gpu.measured import Further, Measured
-from chromaperture.disparity.result import Disparity, Method
-from chromaperture.disparity.working_scale import ScaledMethod
+from chromaperture.disparity.result import Disparity
 from chromaperture.errors import CaptureWarning
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.scratch import volumes_on_disk
@@ -155,6 +152,10 @@ class CodedApertureCamera:
         """Send a photograph of a stream to the device, and return at once; as `measure` otherwise.
 
         At most two are begun and not yet completed; `complete` them in turn. On the CPU nothing happens before that.
+
+        Parameters
+        ----------
+        image : (H, W, 3) float, linear RGB, 1.0 = white level
         """
         if self._is_of_another_size(image):
             return self._resized_to(image).begin(image)
@@ -166,8 +167,12 @@ class CodedApertureCamera:
     def complete(self, begun: Begun, *, meanwhile: Callable[[], None] = lambda: None) -> DepthFrame:
         """Return the measurement of a photograph that was begun; raises as `measure`.
 
-        ``meanwhile`` is called once the device is free, before the CPU finishes the photograph: the time to begin
-        another.
+        Parameters
+        ----------
+        begun : Begun
+            Of `begin`.
+        meanwhile : callable, optional
+            Called once the device is free, before the CPU finishes the photograph: the time to begin another.
         """
         camera = begun.camera
         measured = camera._matched(begun)
@@ -224,6 +229,12 @@ class CodedApertureCamera:
     ) -> np.ndarray:
         """Read a photograph with the given levels, else this camera's where the file can hold its counts.
 
+        Parameters
+        ----------
+        path : str or Path
+        black_level, white_level : float, optional
+            Counts of the file for no light, and for the most that it can tell.
+
         Returns
         -------
         (H, W, 3) float32, linear RGB
@@ -243,7 +254,7 @@ class CodedApertureCamera:
         )  # fmt: skip
 
     def shows_frame_at(self, size_px: tuple[int, int]) -> bool:
-        """Whether photographs of a size, width and height, have the aspect of this calibrated camera's."""
+        """Whether photographs of a size, width and height in px, have the aspect of this calibrated camera's."""
         return self.calibration.is_calibrated and same_frame(self._frame_px, size_px)
 
     def at_size(self, width_px: int, height_px: int) -> CodedApertureCamera:
@@ -251,6 +262,11 @@ class CodedApertureCamera:
 
         It matches at the same working scale where that is a whole fraction of the size. Elsewhere its settings are
         those of `default_config`: settings in px would not fit.
+
+        Parameters
+        ----------
+        width_px, height_px : int
+            Of the photographs.
 
         Raises
         ------
@@ -282,7 +298,18 @@ class CodedApertureCamera:
         )
 
     def millimetres(self, disparity: Disparity) -> tuple[np.ndarray, np.ndarray]:
-        """Return depth and its standard deviation in mm; NaN for a camera never calibrated; two (H, W) float32."""
+        """Return depth and its standard deviation in mm, Eq. (10); NaN for a camera never calibrated.
+
+        Parameters
+        ----------
+        disparity : Disparity
+            Of the whole frame, px.
+
+        Returns
+        -------
+        depth_mm, sigma_mm : (H, W) float32
+            From the sensor plane.
+        """
         pixels, most_mm = disparity.value_px, self.config.depth.max_depth_mm
         if not self.calibration.is_calibrated:
             unknown = np.full(pixels.shape, np.nan, np.float32)
@@ -332,40 +359,6 @@ class CodedApertureCamera:
         from chromaperture.frame.notebook import camera_html
 
         return camera_html(self.calibration, self.config.quality)
-
-
-def scaled_method(
-    calibration: Calibration, config: Config, execution: ExecutionName = "numba", device: str = "cpu"
-) -> Method:
-    """Compose the method that a configuration describes, for photographs of a camera's full size.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    config : Config
-        At a ``scale`` above 1 the method is that of the camera of reduced pictures.
-    execution : {"numba", "numpy"}
-    device : str
-        As `CodedApertureCamera`.
-    """
-    working = at_scale(calibration, config.scale)
-    method: Method = method_for(
-        config.matcher,
-        aperture=working.aperture,
-        unmixing=working.unmixing,
-        label_maps=label_maps(working, config.matcher),
-        blur=working.field_blur(),
-        channel_moves_px=working.channel_moves_px,
-        noise=noise_of_photographs(working),
-        execution=execution,
-    )
-    if config.scale > 1:
-        size_px = (working.sensor.width_px, working.sensor.height_px)
-        method = ScaledMethod(method, config.matcher, size_px, working.aperture, execution_named(execution))
-    if device == "cpu":
-        return method
-    pixels = calibration.sensor.width_px * calibration.sensor.height_px
-    return on_device(method, device, lambda text: warnings.warn(text, CaptureWarning, stacklevel=4), pixels=pixels)
 
 
 def load_camera(

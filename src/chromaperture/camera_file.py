@@ -11,15 +11,14 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import asdf
 import numpy as np
 
 from chromaperture.asdf_input import read_tree
+from chromaperture.camera_parts import Board, CameraSensor, Film, Lens
 from chromaperture.camera_tree import CameraTree
-from chromaperture.color.encoding import Encoding
-from chromaperture.color.response import ResponseCurve
 from chromaperture.color.unmixing import mixing_matrix, own_film_unmixing, unmixing_rows
 from chromaperture.config import QUALITIES, Quality
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
@@ -50,58 +49,6 @@ _ABOUT = (
     "channel_moves_px is the displacement (x, y) of R, G, B by the lens at every disparity alike, px, in rows and "
     "columns of places evenly spaced over the frame; real-time takes it off before it matches three channels."
 )
-
-
-@dataclass(frozen=True)
-class CameraSensor:
-    """The sensor, and how its files are decoded, see `Encoding`; electrons are None where unknown."""
-
-    width_px: int
-    height_px: int
-    pixel_pitch_mm: float
-    black_level: float = 0.0
-    white_level: float = 65535.0
-    full_well_electrons: float | None = None
-    read_noise_electrons: float | None = None
-    curve: Literal["linear", "srgb"] = "linear"
-    response: tuple[float, ...] | None = None  # exponents of a `ResponseCurve`; None: values are light
-
-    @property
-    def encoding(self) -> Encoding:
-        """How the photographs that the camera was calibrated on are decoded."""
-        response = None if self.response is None else ResponseCurve(self.response)
-        return Encoding(self.black_level, self.white_level, self.curve, response=response)
-
-
-@dataclass(frozen=True)
-class Lens:
-    """The lens as a pinhole at the centre of the entrance pupil."""
-
-    focal_length_mm: float  # effective focal length
-    camera_matrix: np.ndarray  # (3, 3) float64, px
-    distortion: np.ndarray = field(default_factory=lambda: np.zeros(5))  # (5,) float64, OpenCV's k1, k2, p1, p2, k3
-    f_number: float | None = None
-
-
-@dataclass(frozen=True)
-class Film:
-    """Colours of white light on the sensor: R, G, B, 1 = white level."""
-
-    filters: Mapping[str, np.ndarray]  # (3,) float64; through a whole pupil of each filter
-    clear: np.ndarray  # (3,) float64; through the open pupil, at the same exposure
-    aperture: np.ndarray  # (3,) float64; through the coded aperture: the camera's white
-
-    def transmissions(self) -> dict[str, np.ndarray]:
-        """Return the transmission of each filter in R, G, B; dict of str to (3,)."""
-        return {name: color / self.clear for name, color in self.filters.items()}
-
-
-@dataclass(frozen=True)
-class Board:
-    """A chessboard: inner corners (columns, rows) and side of a square, mm."""
-
-    inner_corners: tuple[int, int]
-    square_mm: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -183,7 +130,17 @@ class Calibration:
         return bool(self.depth)
 
     def depth_model(self, quality: Quality = "real-time") -> DepthModel:
-        """Return the depth curve of a quality over the frame; raises InputError where there is none."""
+        """Return the depth curve of a quality over the frame, (H, W) maps where it varies.
+
+        Parameters
+        ----------
+        quality : {"paper", "real-time", "accurate"}
+
+        Raises
+        ------
+        InputError
+            The camera has no curve for that quality.
+        """
         return self._curve(quality).model(self.sensor.width_px, self.sensor.height_px)
 
     def _curve(self, quality: Quality) -> DepthField:
@@ -208,17 +165,23 @@ class Calibration:
         return float(self.paper_parameters(self.on_axis("paper")).baseline_mm)
 
     def paper_parameters(self, model: DepthModel) -> PaperParameters:
-        """Return a depth curve of this camera as the paper's z~_of, b, delta and f (section 3.4, Figure 7)."""
+        """Return a depth curve as the paper's z~_of, b, delta and f, mm (section 3.4, Figure 7).
+
+        Parameters
+        ----------
+        model : DepthModel
+            Of this camera: `depth_model`, `on_axis`.
+        """
         return model_to_paper(
             model, image_distance_mm=self.image_distance_mm, pixel_pitch_mm=self.sensor.pixel_pitch_mm
         )
 
     def on_axis(self, quality: Quality) -> DepthModel:
-        """Return the depth curve of a quality in the middle of the frame, as numbers."""
+        """Return the depth curve of a quality in the middle of the frame, as numbers; raises as `depth_model`."""
         return self._curve(quality).on_axis(self.sensor.width_px, self.sensor.height_px)
 
     def disparity_range_px(self, quality: Quality = "real-time") -> tuple[float, float]:
-        """Return the smallest and the largest disparity of the working range over the frame."""
+        """Return the smallest and the largest disparity of the working range over the frame, px; as `depth_model`."""
         model = self.depth_model(quality)
         near, far = (depth_to_disparity(z, model) for z in (self.near_mm, self.far_mm))
         return float(np.min(near)), float(np.max(far))
@@ -251,7 +214,20 @@ class Calibration:
 
     @classmethod
     def uncalibrated(cls, design: str, *, width_px: int, height_px: int) -> Calibration:
-        """Return a camera of which only the aperture is known; it measures disparity, not depth."""
+        """Return a camera of which only the aperture is known; it measures disparity, not depth.
+
+        Parameters
+        ----------
+        design : str
+            Such as ``"cy_halves"``, see `design_named`.
+        width_px, height_px : int
+            Of the photographs.
+
+        Raises
+        ------
+        InputError
+            There is no such design, or it has no parallax.
+        """
         aperture = design_named(design)
         own_film_unmixing(aperture)  # refuses designs without parallax
         colors = {name: np.array(aperture.filter_named(name).transmission) for name in aperture.views}
@@ -269,7 +245,13 @@ class Calibration:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write the camera file; whole or not at all."""
+        """Write the camera file; whole or not at all.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``NAME.asdf``.
+        """
         path = Path(path)
         tree = {
             _ROOT: {
@@ -298,6 +280,10 @@ class Calibration:
     @classmethod
     def load(cls, path: str | Path) -> Calibration:
         """Read a camera file.
+
+        Parameters
+        ----------
+        path : str or Path
 
         Raises
         ------

@@ -1,7 +1,8 @@
-"""From a camera file to what the matcher needs: settings, labels of equal depth, noise."""
+"""From a camera file to its matcher: settings, labels of equal depth, noise, and the method that uses them."""
 
 from __future__ import annotations
 
+import warnings
 from functools import partial
 from typing import Literal
 
@@ -11,9 +12,14 @@ from chromaperture.camera_file import Calibration
 from chromaperture.camera_scale import accurate_scale, at_scale, working_scale
 from chromaperture.color.defective_pixels import without_defects
 from chromaperture.color.noise import noise_ratio, photon_noise_variance
-from chromaperture.config import AccurateConfig, Config, MatcherConfig, Quality, preset
+from chromaperture.config import AccurateConfig, Config, ExecutionName, MatcherConfig, Quality, preset
+from chromaperture.disparity.estimate import method_for
+from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.gpu.gpu_method import on_device
 from chromaperture.disparity.labels import LabelMap, label_map
-from chromaperture.disparity.result import ESTIMATED_NOISE, NoiseModel
+from chromaperture.disparity.result import ESTIMATED_NOISE, Method, NoiseModel
+from chromaperture.disparity.working_scale import ScaledMethod
+from chromaperture.errors import CaptureWarning
 
 
 def default_config(
@@ -97,3 +103,37 @@ def sensor_noise(image: np.ndarray, calibration: Calibration) -> np.ndarray | No
     """Return the noise variance of every channel of an image, (H, W, 3); None where it is not known."""
     noise = noise_model(calibration)
     return noise.variance(image) if noise.is_known else None
+
+
+def scaled_method(
+    calibration: Calibration, config: Config, execution: ExecutionName = "numba", device: str = "cpu"
+) -> Method:
+    """Compose the method that a configuration describes, for photographs of a camera's full size.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    config : Config
+        At a ``scale`` above 1 the method is that of the camera of reduced pictures.
+    execution : {"numba", "numpy"}
+    device : str
+        As `CodedApertureCamera`.
+    """
+    working = at_scale(calibration, config.scale)
+    method: Method = method_for(
+        config.matcher,
+        aperture=working.aperture,
+        unmixing=working.unmixing,
+        label_maps=label_maps(working, config.matcher),
+        blur=working.field_blur(),
+        channel_moves_px=working.channel_moves_px,
+        noise=noise_of_photographs(working),
+        execution=execution,
+    )
+    if config.scale > 1:
+        size_px = (working.sensor.width_px, working.sensor.height_px)
+        method = ScaledMethod(method, config.matcher, size_px, working.aperture, execution_named(execution))
+    if device == "cpu":
+        return method
+    pixels = calibration.sensor.width_px * calibration.sensor.height_px
+    return on_device(method, device, lambda text: warnings.warn(text, CaptureWarning, stacklevel=4), pixels=pixels)

@@ -11,7 +11,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from chromaperture.camera_file import Calibration, CameraSensor
+from chromaperture.camera_file import Calibration
+from chromaperture.camera_parts import CameraSensor
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.depth.field_scale import resized_field
 from chromaperture.errors import InputError

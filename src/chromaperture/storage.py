@@ -195,15 +195,28 @@ def _is_device(path: Path) -> bool:
 
 
 def write_float_tiff(path: str | Path, values: np.ndarray) -> None:
-    """Write (H, W) as float32 TIFF; NaN stays NaN.
+    """Write a map as float32 TIFF; NaN stays NaN.
 
+    Parameters
+    ----------
+    path : str or Path
+    values : (H, W) float
+
+    Notes
+    -----
     Not compressed: zlib makes measured floats a fifth smaller, and takes 0.9 s for 6 megapixels instead of 0.03 s.
     """
     tifffile.imwrite(path, np.asarray(values, np.float32), metadata=None)
 
 
 def write_depth_png(path: str | Path, depth_mm: Rows) -> None:
-    """Write (H, W) depth as 16-bit PNG in whole mm; 0 is unknown or beyond 65535 mm."""
+    """Write depth as 16-bit PNG in whole mm; 0 is unknown or beyond 65535 mm.
+
+    Parameters
+    ----------
+    path : str or Path
+    depth_mm : (H, W) float, NaN where unknown
+    """
 
     def whole(rows: slice) -> np.ndarray:
         depth = depth_mm[rows]
@@ -215,7 +228,13 @@ def write_depth_png(path: str | Path, depth_mm: Rows) -> None:
 
 
 def write_color_png(path: str | Path, color: np.ndarray) -> None:
-    """Write a colour picture (H, W, 3) as 8-bit sRGB PNG: linear RGB, or sRGB as uint8."""
+    """Write a colour picture as 8-bit sRGB PNG.
+
+    Parameters
+    ----------
+    path : str or Path
+    color : (H, W, 3) float, linear RGB, 1.0 = white level; or uint8, sRGB
+    """
     write_png(path, color if color.dtype == np.uint8 else linear_to_srgb_bytes(color))
 
 

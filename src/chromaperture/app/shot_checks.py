@@ -18,7 +18,8 @@ from chromaperture.calibration.chessboard import board_points, find_corners
 from chromaperture.calibration.read_boards import read_board
 from chromaperture.calibration.session import Session
 from chromaperture.calibration.white_sheets import WhiteSheets
-from chromaperture.camera_file import Calibration, Film
+from chromaperture.camera_file import Calibration
+from chromaperture.camera_parts import Film
 from chromaperture.color.film import completed_film
 from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import view_reach

@@ -11,7 +11,8 @@ from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.chessboard import Intrinsics
 from chromaperture.calibration.session import Session
 from chromaperture.calibration.white_sheets import WhiteSheets
-from chromaperture.camera_file import Board, Calibration, Lens
+from chromaperture.camera_file import Calibration
+from chromaperture.camera_parts import Board, Lens
 from chromaperture.color.unmixing import mixes_three_views, view_reach
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import DepthModel

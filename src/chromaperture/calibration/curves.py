@@ -17,7 +17,7 @@ from chromaperture.calibration.fit_fields import check_scale, fit_depth_field
 from chromaperture.calibration.fit_local_fields import with_local
 from chromaperture.calibration.progress import Progress, reported, silent
 from chromaperture.calibration.read_boards import MEASURED, BoardMeasurement, grid
-from chromaperture.camera_file import CameraSensor
+from chromaperture.camera_parts import CameraSensor
 from chromaperture.config import Quality
 from chromaperture.depth.conversion import depth_to_disparity, disparity_to_depth
 from chromaperture.depth.field import DepthField

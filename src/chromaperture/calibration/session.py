@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from chromaperture.calibration.board_distances import check_units
-from chromaperture.camera_file import CameraSensor
+from chromaperture.camera_parts import CameraSensor
 from chromaperture.camera_scale import LEAST_SIDE_PX, SCALES, reduced_size, resized_sensor
 from chromaperture.capture.files import decode, has_8_bits, image_size, linearise, photographs
 from chromaperture.color.image import is_saturated

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from chromaperture.calibration.session import SHEETS, Session
-from chromaperture.camera_file import CameraSensor, Film
+from chromaperture.camera_parts import CameraSensor, Film
 from chromaperture.capture.exif import read_noise_profile
 from chromaperture.color.film import completed_film
 from chromaperture.color.noise import fit_photon_noise, noise_samples, photon_noise_of_sheets

@@ -37,7 +37,7 @@ def check(
     from rich.markup import escape
 
     from chromaperture.camera import load_camera
-    from chromaperture.camera_file import Board
+    from chromaperture.camera_parts import Board
     from chromaperture.capture.exif import read_exif
     from chromaperture.cli.console import out as console
     from chromaperture.cli.console import print_json, table

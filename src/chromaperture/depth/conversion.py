@@ -207,6 +207,11 @@ def depth_to_disparity(depth_mm: Map, model: DepthModel) -> np.ndarray:
     Returns
     -------
     (H, W) float64, px, + beyond focus; NaN at or behind the entrance pupil.
+
+    Raises
+    ------
+    InputError
+        A curve over the frame has another shape than the depth.
     """
     z = _map(depth_mm, model) - model.sensor_to_pupil_mm
     linear = np.asarray(model.infinity_disparity_px - model.scale_px_mm * _reciprocal(z, z > 0))

@@ -133,7 +133,14 @@ def write_depth_ply(
 
 
 def write_ply(path: str | Path, cloud: PointCloud) -> None:
-    """Write a binary PLY with positions in mm and 8-bit colours."""
+    """Write a binary PLY with positions in mm and 8-bit colours.
+
+    Parameters
+    ----------
+    path : str or Path
+    cloud : PointCloud
+        Of `depth_to_points` or `DepthFrame.points`.
+    """
     vertices = np.empty(_VERTICES, _VERTEX)
     with Path(path).open("wb") as file:
         file.write(_ply_header(len(cloud.points_mm)))

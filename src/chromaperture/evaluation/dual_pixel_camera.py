@@ -21,8 +21,9 @@ import numpy as np
 import scipy.optimize
 
 from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration, CameraSensor, Film
+from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, sensor_noise
+from chromaperture.camera_parts import CameraSensor, Film
 from chromaperture.color.srgb import srgb_to_linear
 from chromaperture.config import QUALITIES, AccurateConfig, Config, Quality
 from chromaperture.depth.field import DepthField, polynomials

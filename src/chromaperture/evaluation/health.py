@@ -13,8 +13,9 @@ import numpy as np
 
 from chromaperture.calibration.chessboard import Intrinsics, board_points, find_corners
 from chromaperture.calibration.fit_response import fit_response, fold_board
-from chromaperture.camera_file import Board, Calibration
+from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import sensor_noise
+from chromaperture.camera_parts import Board
 from chromaperture.capture.exif import Exif
 from chromaperture.color.film_match import FilmMatch, match_film
 from chromaperture.color.image import SATURATION, checked_image

@@ -68,14 +68,26 @@ class Aperture:
     views: tuple[str, ...]
 
     def filter_named(self, name: str) -> Filter:
-        """Return the filter of that name; raises InputError when there is none."""
+        """Return the filter of a name such as ``"cyan"``.
+
+        Raises
+        ------
+        InputError
+            The aperture has no such filter.
+        """
         for part in self.parts:
             if part.filter.name == name:
                 return part.filter
         raise InputError(f"aperture {self.name!r} has no {name!r} filter")
 
     def with_film(self, film: Mapping[str, Sequence[float] | np.ndarray]) -> Aperture:
-        """Replace film, R, G, B transmission by filter name, in the same geometry; other filters stay."""
+        """Replace film in the same geometry.
+
+        Parameters
+        ----------
+        film : mapping of str to (3,) float
+            Transmission in R, G, B by the filter's name; other filters stay.
+        """
 
         def swap(part: SubAperture) -> SubAperture:
             if part.filter.name not in film:
@@ -102,7 +114,18 @@ class Aperture:
         return out
 
     def film_map(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Look up the transmission like `transmission_map`, but without the pupil's rim."""
+        """Look up the transmission like `transmission_map`, but without the pupil's rim.
+
+        Parameters
+        ----------
+        x, y : (...,) float
+            Pupil coordinates, radii.
+
+        Returns
+        -------
+        (..., 3) float64
+            In R, G, B.
+        """
         out = np.broadcast_to(np.array(self.remainder.transmission), (*np.shape(x), 3)).copy()
         for part in self.parts:
             out[part.shape.contains(x, y)] = part.filter.transmission
@@ -282,7 +305,18 @@ DESIGNS: dict[str, Aperture] = {
 
 
 def design_named(name: str) -> Aperture:
-    """Look up one of the designs of Figure 10; raises InputError with the known names."""
+    """Look up one of the designs of Figure 10.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``"cy_halves"``.
+
+    Raises
+    ------
+    InputError
+        There is no such design; the message has the known names.
+    """
     try:
         return DESIGNS[name]
     except KeyError:

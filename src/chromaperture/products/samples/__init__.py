@@ -27,7 +27,13 @@ def open_sample(
 ) -> tuple[CodedApertureCamera, np.ndarray]:
     """Open a bundled capture: its camera, and the photograph as linear RGB, (H, W, 3) float32.
 
-    ``device`` is that of `load_camera`.
+    Parameters
+    ----------
+    name : str
+        One of `SAMPLES`.
+    quality : {"paper", "real-time", "accurate"}
+    device : str
+        As `load_camera`.
 
     Raises
     ------
