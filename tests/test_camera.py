@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera import CodedApertureCamera, load_camera
 from chromaperture.camera_alignment import channel_shifts
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
@@ -14,6 +14,8 @@ from chromaperture.capture.checks import check_capture
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.products.measure_file import measure_file
+from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 from worlds import capture, texture
 
 CYAN, YELLOW = np.array([0.10, 0.63, 0.65]), np.array([0.92, 0.85, 0.10])
@@ -55,7 +57,7 @@ def test_channels_brought_closer_by_leaks_are_moved_by_their_own_curve():
 
 
 def test_captures_that_cannot_be_measured_say_why():
-    image = np.full((48, 64, 3), 0.3, np.float32)
+    image = np.full((48, 64, 3), (0.3, 0.25, 0.2), np.float32)
     for broken, word in (
         (image[:, :40], "40x48"),
         (image[..., 0], "RGB"),
@@ -71,3 +73,48 @@ def test_captures_that_cannot_be_measured_say_why():
     partly[:8] = 1.0
     with pytest.warns(CaptureWarning, match="17%"):
         check_capture(partly, 64, 48)
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (None, "read files with read_image"),
+        (np.zeros((0, 0, 3), np.float32), "with pixels"),
+        ([[0.5, 0.5, 0.5]], "RGB image"),
+        (5, "RGB image"),
+    ],
+)
+def test_what_is_no_picture_is_refused(image, message):
+    camera = CodedApertureCamera(leaking_camera(48, 64))
+    with pytest.raises(InputError, match=message):
+        camera.measure(image)
+
+
+def test_a_grey_picture_is_refused(rng):
+    """Its channels agree everywhere, as if all of the scene were in focus, with short error bars."""
+    camera = CodedApertureCamera(leaking_camera(48, 64))
+    with pytest.raises(InputError, match="grey"):
+        camera.measure(np.repeat(texture(rng, 48, 64)[..., None], 3, axis=2))
+
+
+@pytest.mark.parametrize("damage", [1e30, 2.5, -0.5, np.inf])
+def test_values_that_are_no_light_are_unknown(rng, damage):
+    camera = CodedApertureCamera(leaking_camera(96, 128))
+    image = capture(texture(rng, 96, 128), "cy_halves", 2.6, {"cyan": CYAN, "yellow": YELLOW})
+    image[30:50, 20:40] = np.nan
+    expected = camera.measure(image)
+    image[30:50, 20:40] = damage
+    found = camera.measure(image)
+    np.testing.assert_array_equal(found.disparity_px, expected.disparity_px)
+    np.testing.assert_array_equal(found.disparity_sigma_px, expected.disparity_sigma_px)
+
+
+def test_results_of_an_earlier_measurement_beside_new_ones_are_warned_of(tmp_path):
+    camera = load_camera(sample_camera(SAMPLES[0]), quality="paper", device="cpu")
+    photo = sample_image(SAMPLES[0])
+    measure_file(photo, camera, out=tmp_path, write=["depth", "sigma"])
+    before = (tmp_path / f"{photo.stem}.sigma.tiff").read_bytes()
+    with pytest.warns(CaptureWarning, match="sigma.tiff beside the new files"):
+        measure_file(photo, camera, out=tmp_path, write="depth")
+    assert (tmp_path / f"{photo.stem}.sigma.tiff").read_bytes() == before
+    measure_file(photo, camera, out=tmp_path, write=["depth", "sigma"])  # all that lies there: no warning

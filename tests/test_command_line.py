@@ -150,7 +150,8 @@ def bad_inputs(folder):
     tifffile.imwrite(folder / "nan.tif", nan, photometric="rgb")
     (folder / "file").write_text("in the way")
     here = folder.joinpath
-    with_camera = ("--camera", camera, "--out", here("out"))
+    camera_alone = ("--camera", camera)
+    with_camera = (*camera_alone, "--out", here("out"))
     return {
         "truncated image": (["depth", here("truncated.png"), *with_camera], "damaged"),
         "not an image": (["depth", here("text.png"), *with_camera], "not an image"),
@@ -178,6 +179,23 @@ def bad_inputs(folder):
         "folder is a file": (["depth", image, "--camera", camera, "--out", here("file")], "cannot write"),
         "no error bar": (["depth", image, *with_camera, "--max-relative-sigma", "0"], "positive"),
         "same names": (["depth", image, image, *with_camera], "same files"),
+        "a result over a photograph": (
+            ["depth", here("portrait.png"), here("portrait.color.png"), *camera_alone],
+            "would replace the photograph",
+        ),
+        "picture over the photograph": (
+            ["refocus", here("small.png"), *camera_alone, "--focus-mm", "1500", "--out", here("small.png")],
+            "replace an input",
+        ),
+        "page over a camera": (["view", image, "--out", here("corrupt.asdf")], "must end in .html"),
+        "page over a map": (["compare", image, image, "--out", here("nan.tif")], "must end in .html"),
+        "camera over a session": (["calibrate", folder, "--out", here("session.toml")], "must end in .asdf"),
+        "capture over its depth": (
+            ["simulate-rgbd", here("small.png"), here("grey.png"), here("grey.png"), "--focal-px", "600"],
+            "replace an input",
+        ),
+        "session into another": (["simulate", folder], "is not empty"),
+        "error bars compared": (["compare", here("a.sigma.tiff"), here("nan.tif"), "--json"], "no depth map"),
         "no session": (["calibrate", folder, "--out", here("c.asdf")], "session"),
     }
 

@@ -105,12 +105,20 @@ def test_chroma_subsampling_is_warned_of(tmp_path, rng, subsampling, name):
         read_image(tmp_path / "a.jpg")
 
 
-def test_full_chroma_is_not_warned_of(tmp_path, rng):
+def test_lossy_webp_is_warned_of(tmp_path, rng):
     picture = rng.integers(0, 255, (16, 16, 3)).astype(np.uint8)
-    Image.fromarray(picture).save(tmp_path / "a.jpg", subsampling=0)
+    Image.fromarray(picture).save(tmp_path / "a.webp", quality=95)
+    with pytest.warns(CaptureWarning, match="WEBP file with 4:2:0"):
+        read_image(tmp_path / "a.webp")
+
+
+@pytest.mark.parametrize(("name", "options"), [("a.jpg", {"subsampling": 0}), ("a.webp", {"lossless": True})])
+def test_full_chroma_is_not_warned_of(tmp_path, rng, name, options):
+    picture = rng.integers(0, 255, (16, 16, 3)).astype(np.uint8)
+    Image.fromarray(picture).save(tmp_path / name, **options)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        read_image(tmp_path / "a.jpg")
+        read_image(tmp_path / name)
 
 
 def test_small_counts_in_a_deep_file_are_warned_of(tmp_path, counts):

@@ -70,7 +70,18 @@ def test_without_a_terminal_a_line_for_every_state_that_lasts(soon, monkeypatch)
     assert seen.out == ""
     lines = seen.err.splitlines()
     assert all(re.fullmatch(r"\[\d+:\d\d\] .+", line) for line in lines)
-    assert len(lines) == len(set(lines)) == 3  # no state twice, however long it lasts
+    assert len({line.partition("] ")[2].partition(",")[0] for line in lines}) == 3
+
+
+def test_a_state_that_lasts_is_said_again(soon, monkeypatch):
+    """A step of ten seconds is no program that hangs."""
+    seen = Watched(monkeypatch)
+    with soon(quiet=False) as update:
+        update("restoration", 1, 3)
+        end = time.monotonic() + PATIENCE_S
+        while seen.err.count("restoration, 2 of 3") < 3:
+            assert time.monotonic() < end, seen.err
+            time.sleep(0.005)
 
 
 def test_lines_are_rate_limited(capfd):

@@ -21,6 +21,7 @@ from chromaperture.camera_scale import SAME_SCALE, resized
 from chromaperture.capture.checks import check_capture
 from chromaperture.capture.files import read_light
 from chromaperture.capture.picture_header import same_frame
+from chromaperture.color.image import checked_image
 from chromaperture.config import Config, ExecutionName, Quality
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field_bands import field_to_depth
@@ -126,10 +127,15 @@ class CodedApertureCamera:
         Notes
         -----
         With ``config.crop_origin_px`` the image is a part of the frame, of any size; so is the result.
+
+        That the photograph was taken through this camera's film, unturned and with its channels in the order R, G, B,
+        is not checked: of others every distance is wrong. ``chromaperture depth`` and ``check`` compare its colours
+        with the film's.
         """
         if isinstance(image, str | Path):
             with stage("read"):
                 image = self.read(image)
+        image = checked_image(image)
         if self._is_of_another_size(image):
             return self._resized_to(image).measure(image, stage=stage)
         with stage("check"):
@@ -157,6 +163,7 @@ class CodedApertureCamera:
         ----------
         image : (H, W, 3) float, linear RGB, 1.0 = white level
         """
+        image = checked_image(image)
         if self._is_of_another_size(image):
             return self._resized_to(image).begin(image)
         begun = self._checked(image)
@@ -184,7 +191,7 @@ class CodedApertureCamera:
         size_px = image.shape[1::-1]
         if size_px == self._frame_px or self.config.crop_origin_px is not None:
             return False
-        return np.ndim(image) == 3 and self.shows_frame_at(size_px)
+        return self.shows_frame_at(size_px)
 
     def _resized_to(self, image: np.ndarray) -> CodedApertureCamera:
         """Return the camera for the pixels of an image of the whole frame, with a warning that says so."""

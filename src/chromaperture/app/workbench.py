@@ -85,12 +85,12 @@ class Workbench:
 
     def __init__(self, folder: Path, camera: Path | None = None, *, reserve_bytes: int = RESERVE_BYTES) -> None:
         self.folder, self.reserve_bytes = folder, reserve_bytes
+        self.given = camera
+        if camera is not None:
+            Calibration.load(camera)  # fails before folders are made
         for name in ("cameras", "sessions", "photos"):
             with staged(folder / name):
                 pass
-        self.given = camera
-        if camera is not None:
-            Calibration.load(camera)
         self._eyes: OrderedDict[tuple[Any, ...], CodedApertureCamera] = OrderedDict()
         self._photos: OrderedDict[str, Photo] = OrderedDict()
         self._about: dict[tuple[Path, int], dict[str, Any]] = {}

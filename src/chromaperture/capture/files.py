@@ -255,7 +255,7 @@ def _read(path: Path) -> bytes:
 
 
 def _damaged(path: Path) -> str:
-    return f"{path.name} is damaged or not an image (PNG, TIFF, PPM or JPEG); copy or export the file again"
+    return f"{path.name} is damaged or not an image (PNG, TIFF, PPM, JPEG, BMP or WebP); copy or export the file again"
 
 
 def _deep_png(data: bytes, levels: tuple[float, float] | None = None) -> np.ndarray | None:
@@ -301,7 +301,7 @@ def _decode(
                 return cv2.cvtColor(counts, cv2.COLOR_BGR2RGB if counts.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
             return counts
         picture = open_picture(data)
-        _warn_of_subsampling(picture)
+        _warn_of_subsampling(picture, data)
         coded = picture.mode in ("P", "RGBA", "CMYK", "YCbCr")
         return np.asarray(picture.convert("RGB") if coded else picture)
     except InputError as error:
@@ -352,13 +352,16 @@ def _are_alike(counts: np.ndarray) -> bool:
     return np.array_equal(counts[..., 0], counts[..., 1]) and np.array_equal(counts[..., 1], counts[..., 2])
 
 
-def _warn_of_subsampling(picture: Image.Image) -> None:
+def _warn_of_subsampling(picture: Image.Image, data: bytes) -> None:
+    kind = None
     if isinstance(picture, JpegImagePlugin.JpegImageFile):
         kind = _SUBSAMPLED.get(JpegImagePlugin.get_sampling(picture))
-        if kind:
-            warnings.warn(
-                f"a JPEG with {kind} chroma, which halves the resolution of the colours the depth is read from; "
-                "use RAW, PNG or TIFF, or JPEG at best quality (4:4:4)",  # names no file: Python shows it once
-                CaptureWarning,
-                stacklevel=5,
-            )
+    elif picture.format == "WEBP" and b"VP8L" not in data[:64]:  # lossless, maybe after a header
+        kind = "4:2:0"
+    if kind:
+        warnings.warn(
+            f"a {picture.format} file with {kind} chroma, which halves the resolution of the colours the depth is read "
+            "from; use RAW, PNG or TIFF, or JPEG at best quality (4:4:4)",  # names no file: Python shows it once
+            CaptureWarning,
+            stacklevel=5,
+        )

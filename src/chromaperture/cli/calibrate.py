@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from chromaperture.cli.checks import check_output
 from chromaperture.cli.options import Json, Quiet
 
 if TYPE_CHECKING:
@@ -58,6 +59,9 @@ def calibrate(
     from chromaperture.storage import staged
 
     page = report or out.with_suffix(".report.html")
+    check_output(out, ".asdf", inputs=[lens_from])
+    if not no_report:
+        check_output(page, ".html", inputs=[out], option="--report")
     for path in [out] if no_report else [out, page]:
         with staged(path.parent):  # fails now and not after minutes of work
             pass

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from chromaperture.cli.checks import check_output
 from chromaperture.cli.options import Json, Quality, Quiet
 from chromaperture.errors import InputError
 
@@ -38,8 +39,10 @@ def compare(
     cameras = [path.suffix == ".asdf" for path in (a, b)]
     if any(cameras) and not all(cameras):
         raise InputError("a camera and a depth map cannot be compared; give two of a kind")
-    figures, page = _cameras(a, b, quality) if all(cameras) else _maps(a, b)
     target = out or (None if json else Path("comparison.html"))
+    if target is not None:
+        check_output(target, ".html", inputs=[a, b])
+    figures, page = _cameras(a, b, quality) if all(cameras) else _maps(a, b)
     if target is not None:
         with staged(target.parent) as stage:
             stage.path(target.name).write_text(render(page), encoding="utf-8")
@@ -54,8 +57,11 @@ def compare(
 def _maps(a: Path, b: Path) -> tuple[dict[str, Any], Page]:
     from chromaperture.evaluation.compare import compare_depth
     from chromaperture.evaluation.compare_page import depth_page
-    from chromaperture.products.result_files import picture_beside, read_depth
+    from chromaperture.products.result_files import picture_beside, read_depth, stem_and_output
 
+    for path in (a, b):
+        if stem_and_output(path)[1] not in (None, "depth", "depth-png", "exr"):
+            raise InputError(f"{path.name} is no depth map; give STEM.depth.tiff beside it")
     first, second = read_depth(a), read_depth(b)
     if first.name == second.name:  # of two folders: say which
         first, second = (read_depth(path, name=_with_folder(path)) for path in (a, b))

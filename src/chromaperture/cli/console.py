@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 Update = Callable[[str, int, int], None]  # what is being done, how many are done, of how many; 0: nobody knows
 
 LINE_EVERY_S = 2.0  # between two lines of progress, where there is no terminal; chosen by hand
+SAME_AFTER = 2.5  # times as long between two lines that say the same; chosen by hand
 _SPEED_OVER_S = 600.0  # the remaining time follows the last so many seconds: one photograph may take minutes
 # Of quality accurate, a camera's first photograph in a program: 2.7 to 3.6 s for 720x480 px on two cores (chromaperture
 # demo). Later ones take 1.9 s (benchmarks/accurate_speed.py).
@@ -82,7 +83,7 @@ def progress(*, quiet: bool, line_every_s: float = LINE_EVERY_S) -> Iterator[Upd
     """Show how far a command is, on standard error; yields ``update(what, done, total)``.
 
     On a terminal it is a bar with the remaining time; elsewhere a line as often as ``line_every_s`` while there is
-    something new, and none for what takes no longer than that.
+    something new, less often where there is nothing, and none for what takes no longer than that.
     """
     if quiet:
         yield lambda what, done, total: None
@@ -119,17 +120,18 @@ def _bar() -> Iterator[Update]:
 
 @contextlib.contextmanager
 def _lines(every_s: float) -> Iterator[Update]:
-    """Print the newest state as a line, from a thread: also while a step takes minutes, and no state twice."""
+    """Print the newest state as a line, from a thread; one that lasts is said again after `SAME_AFTER`."""
     newest: tuple[str, int, int] | None = None
     ended, began = threading.Event(), time.monotonic()
 
     def run() -> None:
         printed: tuple[str, int, int] | None = None
+        said = began
         first = (0, 0, began)  # of this step: how many were done, of how many, and when
         while not ended.wait(every_s):
             state, now = newest, time.monotonic()
-            if state is not None and state != printed:
-                printed = state
+            if state is not None and (state != printed or now - said >= SAME_AFTER * every_s):
+                printed, said = state, now
                 if state[1] < first[0] or state[2] != first[1]:
                     first = (*state[1:], now)
                 minutes, seconds = divmod(int(now - began), 60)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _CAPTIONS = {
     "still_life_cy_halves": "much parallax: near things stand before the wall, edges have a long error bar",
-    "still_life_cy_open": "more light, little parallax: the wall at the top right should be as blue as with the halves",
+    "still_life_cy_open": "more light, little parallax: the wall at the top right should be as dark as with the halves",
 }
 # Where the sample's far wall, blurred and of two colours, fills the picture: rows and columns, in parts of the sides.
 _WALL = (0.02, 0.30), (0.70, 0.98)

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from chromaperture.cli.checks import check_film
 from chromaperture.cli.options import (
+    Anyway,
     BlackLevel,
     CameraOrDesign,
     CropOrigin,
@@ -30,8 +32,6 @@ from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.errors import CaptureWarning, InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from chromaperture.camera import CodedApertureCamera
     from chromaperture.products.archive_cluster import Recipe
 
@@ -69,9 +69,7 @@ def depth(
         # Escaped: rich would take the names of the tables for markup.
         typer.Option(help="TOML file of settings, tables \\[matcher] and \\[depth]; docs/settings.md lists them."),
     ] = None,
-    anyway: Annotated[
-        bool, typer.Option("--anyway", help="Measure even through a film that is not the camera's.")
-    ] = False,
+    anyway: Anyway = False,
     files_from: Annotated[
         Path | None, typer.Option(help="Text file with one photograph a line, besides IMAGE; - is standard input.")
     ] = None,
@@ -169,47 +167,23 @@ def jobs_in_memory(camera: CodedApertureCamera, jobs: int) -> int:
 
 def refuse_common_results(names: Sequence[str], out: str | None) -> None:
     """Refuse photographs whose results would have the same names; raises InputError."""
-    from chromaperture.products.archive_store import folder_of, stem_of
+    from chromaperture.frame.frame_files import OUTPUTS
+    from chromaperture.products.archive_store import absolute, folder_of, joined, stem_of
 
-    if len({(folder_of(name) if out is None else out, stem_of(name)) for name in names}) < len(names):
-        raise InputError("two images would write the same files; measure them into different --out folders")
-
-
-def check_film(camera: CodedApertureCamera, image: np.ndarray, name: str, *, refuse: bool = True) -> None:
-    """Warn of a photograph that is unlikely to be taken through the camera's film; refuse one that cannot be.
-
-    Raises
-    ------
-    InputError
-        The film is certainly another one, and ``refuse``.
-    """
-    from chromaperture.camera_scale import at_scale
-    from chromaperture.disparity.working_scale import reduced
-    from chromaperture.evaluation.health import film_match
-
-    if not camera.shows_frame_at(image.shape[1::-1]):
-        return  # without a film to compare with; the size is refused later
-    camera = camera.at_size(*image.shape[1::-1])
-    calibration = camera.calibration
-    working = at_scale(calibration, camera.config.scale)
-    if working is not calibration:
-        image = reduced(image, (working.sensor.width_px, working.sensor.height_px))
-    match = film_match(image, working)
-    if not match.doubts:
-        return
-    title = calibration.aperture.title
-    if match.is_wrong and refuse:
-        raise InputError(
-            f"{name} was not taken through this camera's film ({title}): {' and '.join(match.findings)}; give the "
-            "camera file of the film that was in the lens, or --anyway"
-        )
-    sure = "was not" if match.is_wrong else "may not have been"
-    warnings.warn(
-        f"{name} {sure} taken through this camera's film ({title}): {' and '.join(match.findings)}; with another film "
-        "every distance is wrong. Strongly coloured light looks similar",
-        CaptureWarning,
-        stacklevel=2,
-    )
+    first: dict[str, str] = {}  # photograph of every beginning of results
+    for name in names:
+        begin = absolute(joined(folder_of(name) if out is None else out, stem_of(name)))
+        if begin in first:
+            raise InputError(
+                f"{first[begin]} and {name} would write the same files; measure only one of them, or into different "
+                "--out folders"
+            )
+        first[begin] = name
+    given = {absolute(name): name for name in names}
+    for begin, name in first.items():
+        replaced = next((given[begin + o.suffix] for o in OUTPUTS.values() if begin + o.suffix in given), None)
+        if replaced is not None:
+            raise InputError(f"a result of {name} would replace the photograph {replaced}; choose another --out folder")
 
 
 def cameras(

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.options import BlackLevel, Camera, Device, MaxRelativeSigma, Quality, Quiet, WhiteLevel
+from chromaperture.cli.checks import check_film
+from chromaperture.cli.options import Anyway, BlackLevel, Camera, Device, MaxRelativeSigma, Quality, Quiet, WhiteLevel
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.errors import InputError
 
@@ -43,6 +44,7 @@ def export(
     ] = None,
     quality: Quality = "real-time",
     device: Device = "auto",
+    anyway: Anyway = False,
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
@@ -74,6 +76,8 @@ def export(
 
         def views() -> Iterator[View]:
             for number, frame in enumerate(stream):
+                if not number:
+                    check_film(eye, frame.image, "the first frame", refuse=not anyway)
                 view = to_view(eye.measure(frame.image), frame.time_s, frame.index)
                 see(view)
                 yield view

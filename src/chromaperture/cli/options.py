@@ -11,6 +11,7 @@ import typer
 from chromaperture.errors import InputError
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")]
+Anyway = Annotated[bool, typer.Option("--anyway", help="Measure even through a film that is not the camera's.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
 Camera = Annotated[Path, typer.Option("--camera", "-c", help="Camera file.", metavar="CAMERA.asdf")]
 CameraOrDesign = Annotated[

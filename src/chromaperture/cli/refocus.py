@@ -11,7 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.options import BlackLevel, CameraOrDesign, Design, Device, Json, Quality, Quiet, WhiteLevel
+from chromaperture.cli.checks import check_film, check_output
+from chromaperture.cli.options import (
+    Anyway,
+    BlackLevel,
+    CameraOrDesign,
+    Design,
+    Device,
+    Json,
+    Quality,
+    Quiet,
+    WhiteLevel,
+)
 from chromaperture.errors import InputError
 
 if TYPE_CHECKING:
@@ -58,6 +69,7 @@ def refocus(
     ] = None,
     quality: Quality = "accurate",
     device: Device = "auto",
+    anyway: Anyway = False,
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     json: Json = False,
@@ -80,6 +92,7 @@ def refocus(
     target = out or photo.with_name(f"{photo.stem}.{'sweep.gif' if sweep else 'refocus.png'}")
     request = _Request(focus_mm, pixel, sweep, f_number, strength, bokeh, background, sharpness, target)
     _check(request)  # before the minute of work
+    check_output(target, inputs=[photo, camera, Path(bokeh)])
     if quality == "accurate" and camera is None:
         quality = "real-time"  # the accurate one needs a calibration
     eye = camera_for(photo, camera, design, quality=quality, config=None, device=device)
@@ -92,6 +105,7 @@ def refocus(
     with progress(quiet=quiet) as update:
         update(f"{photo.name}: depth", 0, 3)
         image = eye.read(photo, black_level=black_level, white_level=white_level)
+        check_film(eye, image, photo.name, refuse=not anyway)
         picture = _restored(image, eye, request, lambda: update(f"{photo.name}: restoration", 1, 3))
         update(f"{photo.name}: focus", 2, 3)
         lens = Focus(0.0 if sweep else chosen_radius(eye, picture, focus_mm, pixel), pupil, bokeh)
@@ -129,6 +143,10 @@ def _check_focus(camera: CodedApertureCamera, focus_mm: float | None, pixel: tup
     from chromaperture.effects.restore import focus_radius
 
     sensor = camera.calibration.sensor
+    if focus_mm is not None and not camera.calibration.is_calibrated:
+        raise InputError(
+            "--focus-mm needs distances, so the file of a calibrated camera (--camera); with --design give --point X,Y"
+        )
     if focus_mm is not None:
         focus_radius(camera, focus_mm)
     if pixel is not None and not (0 <= pixel[0] < sensor.width_px and 0 <= pixel[1] < sensor.height_px):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from chromaperture.cli.checks import check_output
 from chromaperture.cli.options import (
     BOARDS_PANEL,
     CAMERA_PANEL,
@@ -73,6 +75,8 @@ def simulate(
     from chromaperture.optics.simulated_session import SessionPlan, write_session
     from chromaperture.storage import staged
 
+    if out.is_dir() and any(out.iterdir()):
+        raise InputError(f"{out} is not empty; give a new folder, so that photographs of two cameras do not mix")
     if cells < 4 or cells % 2:
         raise InputError(f"--cells must be even and at least 4, got {cells}")
     if step_mm <= 0 or farthest_mm < nearest_mm:
@@ -101,7 +105,7 @@ def simulate(
         )
         stage.take_all()
     if not quiet:
-        typer.echo(f"Wrote {out}; calibrate it with: chromaperture calibrate {out} --out camera.asdf")
+        typer.echo(f"Wrote {out}; calibrate it with: chromaperture calibrate {shlex.quote(str(out))} --out camera.asdf")
 
 
 def simulate_rgbd(
@@ -132,8 +136,7 @@ def simulate_rgbd(
     from chromaperture.optics.sensor import SensorModel, expose
     from chromaperture.storage import staged
 
-    if out.suffix.lower() != ".png":
-        raise InputError(f"a coded capture is written as .png, not {out.name!r}")
+    check_output(out, ".png", inputs=[color, depth], option="OUT")
     aperture = _design(design, film)
     picture, depth_mm = read_rgbd(color, depth, depth_unit_mm=depth_unit_mm, sensor_to_pupil_mm=sensor_to_pupil_mm)
     height, width = depth_mm.shape

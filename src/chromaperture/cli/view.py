@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from chromaperture.cli.checks import check_output
 from chromaperture.cli.options import Quality, Quiet, Seconds
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ def view(
     from chromaperture.storage import staged
     from chromaperture.viewer.serve_page import PageServer
 
+    if out is not None:
+        check_output(out, ".html", inputs=[file])
     text = render(page_of(file, quality))
     if out is not None:
         with staged(out.parent) as stage:

@@ -16,6 +16,8 @@ def checked_image(image: np.ndarray) -> np.ndarray:
     if np.ma.isMaskedArray(image):  # np.asarray would drop the mask
         raise InputError("masked arrays are not read; set the masked pixels to NaN with image.filled(numpy.nan)")
     image = np.asarray(image)
+    if image.dtype == object or image.size == 0:
+        raise InputError("expected an RGB image of shape (height, width, 3) with pixels; read files with read_image")
     if image.ndim != 3 or image.shape[2] != 3:
         raise InputError(f"expected an RGB image of shape (height, width, 3), got {image.shape}")
     if not np.issubdtype(image.dtype, np.floating):
@@ -23,7 +25,7 @@ def checked_image(image: np.ndarray) -> np.ndarray:
             f"expected linear float values in [0, 1], got {image.dtype}; read files with chromaperture.read_image"
         )
     if min(image.shape[:2]) < 8:
-        raise InputError(f"image of {image.shape[1]}x{image.shape[0]} px is smaller than the matching window")
+        raise InputError(f"image of {image.shape[1]}x{image.shape[0]} px is smaller than the matching window of 8 px")
     return np.ascontiguousarray(image, dtype=np.float32)
 
 

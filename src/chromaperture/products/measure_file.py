@@ -97,6 +97,15 @@ class MeasuredFile:
             if "json" in self.outputs:
                 write_json(stage.path(stem + OUTPUTS["json"].suffix), summary)
             names = list(stage.names)
+        others = [stem + output.suffix for name, output in OUTPUTS.items() if name not in self.outputs]
+        older = [name for name in others if (self.folder / name).exists()]
+        if older:
+            warnings.warn(
+                f"{', '.join(older)} beside the new files of {self.path.name} may be of another measurement: what was "
+                "not asked for stays as it was",
+                CaptureWarning,
+                stacklevel=2,
+            )
         return Written(summary, [self.folder / name for name in names])
 
 
