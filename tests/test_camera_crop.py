@@ -59,7 +59,7 @@ def test_points_of_a_part_lie_on_the_rays_of_the_frame(whole):
 def test_a_part_beyond_the_frame_is_refused(whole, origin, shape):
     camera = cropping(whole[0], origin)
     with pytest.raises(InputError, match=r"does not lie in the camera's 720x480 px"):
-        camera.measure(np.full((*shape, 3), 0.5, np.float32) * np.linspace(0.5, 1, shape[1])[:, None])
+        camera.measure(np.full((*shape, 3), (0.5, 0.45, 0.4), np.float32) * np.linspace(0.5, 1, shape[1])[:, None])
 
 
 def test_the_command_line_measures_a_part(run, tmp_path):

@@ -138,6 +138,8 @@ def bad_inputs(folder):
         "newer.asdf": re.sub(rb"format_version: \d+", b"format_version: 7", camera.read_bytes()),
         "config.toml": b"[matcher]\nstep = 0.5\n",
     }
+    (folder / "session").mkdir()
+    made["session/session.toml"] = b""
     for name, content in made.items():
         (folder / name).write_bytes(content)
     cv2.imwrite(str(folder / "black.png"), np.full_like(counts, 16))
@@ -194,7 +196,7 @@ def bad_inputs(folder):
             ["simulate-rgbd", here("small.png"), here("grey.png"), here("grey.png"), "--focal-px", "600"],
             "replace an input",
         ),
-        "session into another": (["simulate", folder], "is not empty"),
+        "session into another": (["simulate", here("session")], "holds a session"),
         "error bars compared": (["compare", here("a.sigma.tiff"), here("nan.tif"), "--json"], "no depth map"),
         "no session": (["calibrate", folder, "--out", here("c.asdf")], "session"),
     }

@@ -100,6 +100,7 @@ def test_tilts_that_leave_the_frame_are_not_made(tmp_path):
     result = CliRunner().invoke(app(), ["simulate", str(out), *common])
     assert result.exit_code == 0, result.output
     assert not (out / "tilt").exists()
+    out = tmp_path / "small squares"
     result = CliRunner().invoke(app(), ["simulate", str(out), *common, "--square-mm", "10"])
     assert result.exit_code == 0, result.output
     assert len(list((out / "tilt").iterdir())) == 4

@@ -60,7 +60,7 @@ def _maps(a: Path, b: Path) -> tuple[dict[str, Any], Page]:
     from chromaperture.products.result_files import picture_beside, read_depth, stem_and_output
 
     for path in (a, b):
-        if stem_and_output(path)[1] not in (None, "depth", "depth-png", "exr"):
+        if stem_and_output(path)[1] in ("sigma", "disparity"):  # maps themselves; others stand for their depth
             raise InputError(f"{path.name} is no depth map; give STEM.depth.tiff beside it")
     first, second = read_depth(a), read_depth(b)
     if first.name == second.name:  # of two folders: say which

@@ -75,8 +75,8 @@ def simulate(
     from chromaperture.optics.simulated_session import SessionPlan, write_session
     from chromaperture.storage import staged
 
-    if out.is_dir() and any(out.iterdir()):
-        raise InputError(f"{out} is not empty; give a new folder, so that photographs of two cameras do not mix")
+    if (out / "session.toml").exists():
+        raise InputError(f"{out} holds a session; give a new folder, so that photographs of two cameras do not mix")
     if cells < 4 or cells % 2:
         raise InputError(f"--cells must be even and at least 4, got {cells}")
     if step_mm <= 0 or farthest_mm < nearest_mm:
