@@ -115,7 +115,7 @@ def test_a_method_without_such_volumes_is_refused(calibration, monkeypatch):
     config = default_config(calibration, "real-time")
     assert volume_bytes(calibration, config) == 0
     monkeypatch.setenv(memory.LIMIT, "0.01")
-    image = np.full((480, 720, 3), (0.5, 0.45, 0.4), np.float32)
+    image = np.full((480, 720, 3), 0.5, np.float32)
     with pytest.raises(OutOfMemoryError, match=r"0\.0 GB free"):
         CodedApertureCamera(calibration, config).measure(image)
 

@@ -56,7 +56,7 @@ def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarra
         )
     if np.count_nonzero(lit < DARK) > _MOST_DARK * lit.size:
         raise all_black()
-    if np.ptp(lit, axis=1).max() == 0:
+    if np.ptp(lit, axis=1).max() == 0 and np.ptp(lit) > 0:  # one of a single value is refused by the matcher
         raise InputError(
             "the image is grey: R, G and B are the same; the depth is in the colours, so give the original"
         )
