@@ -8,10 +8,12 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from chromaperture.cli.apertures import design_table
 from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of, open_band, open_disc
 from chromaperture.optics.aperture_file import aperture_from_dict, load_aperture
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
+from chromaperture.optics.pinhole import PupilCamera
 
 # Areas and centroids below are closed forms of discs, squares and circle segments, in pupil radii. The grid
 # of 1000^2 midpoints is good to 4e-4.
@@ -261,3 +263,10 @@ def test_what_is_no_file_is_refused(tmp_path, name):
         load_aperture("n" * 5000 + name)
     with pytest.raises(InputError, match="no aperture file"):
         load_aperture("zero\0" + name)
+
+
+def test_the_printed_baseline_is_that_of_equation_6():
+    """Twice the distance of the circles' centres from the middle, not that of two circles, 1.73 times it."""
+    camera = PupilCamera(720, 480, 1600.0, 12.0, 2000.0, 50.0, 0.031)
+    (row,) = design_table([DESIGNS["rgb_circles"]], camera, [2500.0])
+    assert row["baseline_mm"] == pytest.approx(2 * 0.6 * 12.0, abs=24 * TOLERANCE)

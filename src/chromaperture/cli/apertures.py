@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from chromaperture.cli.checks import check_output
 from chromaperture.cli.options import Film, FocusMm, Json, Lens, Quiet, SensorWidthMm, Width
 from chromaperture.errors import InputError
 
@@ -50,8 +51,8 @@ def apertures(
     names = design or list(DESIGNS)
     if template and len(names) != 1:
         raise InputError("--template needs exactly one design")
-    if figure and figure.suffix.lower() not in (".png", ".svg"):
-        raise InputError(f"--figure {figure.name} must end in .png or .svg")
+    if figure:
+        check_output(figure, ".png", ".svg", option="--figure")
     chosen = [made_of(load_aperture(n), film) if n in DESIGNS else load_aperture(n) for n in names]
     optics = focused_at(load_lens(lens), focus_mm)
     pitch = sensor_width_mm / width

@@ -134,8 +134,7 @@ def _check(request: _Request) -> None:
             raise InputError(f"unknown --{name} {getattr(request, name)!r}: choose {', '.join(known)}")
     bokeh_mask(request.bokeh)
     allowed = SUFFIXES if request.sweep else (".png",)
-    if request.target.suffix.lower() not in allowed:
-        raise InputError(f"--out {request.target.name} must end in {' or '.join(allowed)}")
+    check_output(request.target, *allowed)
 
 
 def _check_focus(camera: CodedApertureCamera, focus_mm: float | None, pixel: tuple[int, int] | None) -> None:

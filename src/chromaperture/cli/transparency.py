@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from chromaperture.cli.checks import check_output
 from chromaperture.cli.options import BlackLevel, Json, Quiet, WhiteLevel
 from chromaperture.errors import InputError
 
@@ -39,8 +40,8 @@ def transparency(
 
     if not exposure > 0:
         raise InputError(f"--exposure must be positive, got {exposure:g}")
-    if figure is not None and figure.suffix.lower() not in (".png", ".svg"):
-        raise InputError(f"--figure {figure.name} must end in .png or .svg")
+    if figure is not None:
+        check_output(figure, ".png", ".svg", option="--figure")
 
     def read(path: Path) -> np.ndarray:
         return read_image(path, black_level=black_level, white_level=white_level)
