@@ -170,7 +170,7 @@ def refuse_common_results(names: Sequence[str], out: str | None) -> None:
     from chromaperture.frame.frame_files import OUTPUTS
     from chromaperture.products.archive_store import absolute, folder_of, joined, stem_of
 
-    first: dict[str, str] = {}  # photograph of every beginning of results
+    first: dict[str, str] = {}  # photograph by the path that its results begin with
     for name in names:
         begin = absolute(joined(folder_of(name) if out is None else out, stem_of(name)))
         if begin in first:
