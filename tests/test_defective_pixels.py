@@ -25,7 +25,7 @@ def photograph(rng):
 
 
 def test_what_has_no_defect_is_returned_as_it_is(photograph):
-    found = without_defects(photograph, noise_of(photograph))
+    found = without_defects(photograph, noise_of)
     assert found is photograph
 
 
@@ -35,7 +35,7 @@ def test_defects_come_back_as_their_neighbourhood(photograph, rng, level):
     places = tuple(rng.integers(0, n, 200) for n in photograph.shape)
     spoiled = photograph.copy()
     spoiled[places] = level
-    found = without_defects(spoiled, noise_of(spoiled))
+    found = without_defects(spoiled, noise_of)
     touched = np.zeros(photograph.shape, bool)
     touched[places] = True
     np.testing.assert_array_equal(found[~touched], photograph[~touched])
@@ -51,10 +51,10 @@ def test_defects_come_back_as_their_neighbourhood(photograph, rng, level):
 def test_a_point_that_all_channels_show_stays(row, column, level):
     image = np.full((10, 10, 3), 0.1, np.float32)
     image[row, column] = level * np.array([1.0, 0.8, 0.9])
-    assert without_defects(image, noise_of(image)) is image
+    assert without_defects(image, noise_of) is image
 
 
 def test_unknown_pixels_stay_unknown(photograph):
     photograph[10:20, 10:20] = np.nan
-    found = without_defects(photograph, noise_of(photograph))
+    found = without_defects(photograph, noise_of)
     np.testing.assert_array_equal(np.isnan(found), np.isnan(photograph))

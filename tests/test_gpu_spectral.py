@@ -101,7 +101,7 @@ def test_likelihoods_of_alike_colours_agree(seed):
     image = picture(source, seed)
     spectra = model.windows.spectra(without_shading(image), rows, columns)
     powers, node = model.powers()[1], model.nodes(rows, columns)
-    noise = source.noise_of_windows(image, rows, columns)
+    noise = source.noise_of_windows(source.noise.variance(image), rows, columns)
     expected = stages.spectral_likelihood(
         spectra, powers, node, noise, channel_error=config.channel_error, rounds=config.rounds
     )
@@ -126,7 +126,7 @@ def test_what_labels_earn_agrees(label_map):
     chain = Chain(any_device())
     arrays = [chain.array(name, n) for name, n in (("i", image.size), ("s", image.size), ("n", 3 * grid.count))]
     earned = add_windows(chain, source, grid, arrays, layers, labels)
-    noise = source.noise_of_windows(image, grid.rows, grid.columns)
+    noise = source.noise_of_windows(source.noise.variance(image), grid.rows, grid.columns)
     found = chain.run({"i": image, "s": image - without_shading(image), "n": noise}, [earned.name])[earned.name]
     expected = source.of_windows(image, layers, labels)
     away = np.abs(found.reshape(expected.shape) - expected)

@@ -123,9 +123,10 @@ def test_maps_of_the_working_scale_at_all_pixels(photograph):
     for name, one in zip(("disparity", "sigma", "confidence"), expected, strict=True):
         here = found[name].reshape(one.shape)
         np.testing.assert_array_equal(np.isnan(here), np.isnan(one))
-        # Sums in another order; where both sides of an edge weigh the same to rounding either may be taken.
+        # Sums in another order; where both sides of an edge weigh the same to rounding either may be taken: up to
+        # 1e-3 of the pixels by a rasteriser in software, 1.4e-3 by an H200, whose exponentials are less exact.
         differs = ~np.isclose(here, one, rtol=1e-5, atol=1e-5, equal_nan=True)
-        assert differs.sum() <= 1e-3 * differs.size + 1
+        assert differs.sum() <= 2e-3 * differs.size + 1
 
 
 def scaled(config, scale_px: tuple[int, int]) -> ScaledMethod:

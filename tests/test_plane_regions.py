@@ -23,7 +23,7 @@ from chromaperture.disparity.plane_regions import (
 )
 from chromaperture.planes_config import PlanesConfig
 
-FAST = execution_named("numba")
+FAST, READABLE = execution_named("numba"), execution_named("numpy")
 LABELS_PX = np.arange(-3.0, 3.01, 0.1)
 
 
@@ -73,19 +73,39 @@ def energy(region: np.ndarray, cost: np.ndarray, links: np.ndarray, penalty: flo
     return float(total + links[1, :, :-1][region[:, 1:] != region[:, :-1]].sum())
 
 
+@pytest.mark.parametrize("run", [FAST, READABLE], ids=["numba", "numpy"])
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**31), penalty=st.sampled_from([0.0, 1.0, 10.0]), scale=st.sampled_from([0.0, 0.3, 3.0]))
-def test_joining_lowers_the_energy_until_no_pair_does(seed: int, penalty: float, scale: float) -> None:
+def test_joining_lowers_the_energy_until_no_pair_does(run, seed: int, penalty: float, scale: float) -> None:
     rng = np.random.default_rng(seed)
     region = np.arange(30).reshape(5, 6)
     cost, links = rng.normal(size=(5, 6, 4)), scale * rng.random((2, 5, 6))
-    found = joined_regions(region, costs_of_regions(region, cost), links, plane_penalty=penalty)
+    found = joined_regions(region, costs_of_regions(region, cost), links, plane_penalty=penalty, run=run)
     least = energy(found.region, cost, links, penalty)
     assert least <= energy(region, cost, links, penalty) + 1e-9
     for k, plane in enumerate(found.plane):
         assert plane == cost[found.region == k].sum(axis=0).argmin()
     for one, other in borders_of(found.region, links)[0]:
         assert energy(np.where(found.region == other, one, found.region), cost, links, penalty) >= least - 1e-9
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**31), size=st.integers(1, 12), penalty=st.sampled_from([0.0, 1.0, 10.0]), ties=st.booleans()
+)  # fmt: skip
+def test_compiled_joining_is_that_of_numpy(seed: int, size: int, penalty: float, ties: bool) -> None:
+    """The same joins in the same order, with whole numbers many pairs gain as much."""
+    rng = np.random.default_rng(seed)
+    region = np.arange(size * (size + 1)).reshape(size, size + 1)
+    total, links = 4 * rng.random((region.size, 9)), 3 * rng.random((2, size, size + 1))
+    if ties:
+        total, links = total.round(), links.round()
+    pairs, border = borders_of(region, links)
+    (into, joined), (into_numpy, joined_numpy) = (
+        run.join_regions(total, pairs, border, plane_penalty=penalty) for run in (FAST, READABLE)
+    )
+    np.testing.assert_array_equal(into, into_numpy)
+    np.testing.assert_array_equal(joined, joined_numpy)
 
 
 def test_borders_are_summed() -> None:
@@ -225,7 +245,7 @@ def test_few_blocks_of_strong_evidence_do_not_outvote_the_others_of_their_region
     links = np.full((2, 20, 20), 100.0)
 
     def chosen(cost: np.ndarray) -> int:
-        return int(joined_regions(region, costs_of_regions(region, cost), links, plane_penalty=1.0).plane[0])
+        return int(joined_regions(region, costs_of_regions(region, cost), links, plane_penalty=1.0, run=FAST).plane[0])
 
     assert chosen(cost) == 1
     assert chosen(bounded(cost, 3.0)) == 0

@@ -96,7 +96,7 @@ def noise_of_photographs(calibration: Calibration) -> NoiseModel:
 
 def repaired(image: np.ndarray, calibration: Calibration) -> np.ndarray:
     """Return an image without its defective pixels, by the noise of the camera and of the photograph."""
-    return without_defects(image, noise_of_photographs(calibration).variance(image))
+    return without_defects(image, noise_of_photographs(calibration).variance)
 
 
 def sensor_noise(image: np.ndarray, calibration: Calibration) -> np.ndarray | None:

@@ -33,7 +33,7 @@ from chromaperture.disparity.plane_agreement import where_they_agree
 from chromaperture.disparity.plane_edges import LineCosts
 from chromaperture.disparity.plane_fit import Planes
 from chromaperture.disparity.plane_voting import planes_or_surface
-from chromaperture.disparity.result import Disparity
+from chromaperture.disparity.result import Disparity, NoiseModel
 from chromaperture.disparity.stages.between_layers import between_layers
 from chromaperture.disparity.views import ViewSpace, filtered_views
 from chromaperture.disparity.winner import Surface, parabola_winner
@@ -67,8 +67,22 @@ MEDIAN_PX, MEDIAN_PASSES = 5, 2
 class Evidence(Protocol):
     """Log-likelihood of every label at every pixel."""
 
-    def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
-        """Return nats a pixel, (H, W, N) float32, for labels between ``layers_px``, the layers to evaluate."""
+    @property
+    def noise(self) -> NoiseModel:
+        """Noise of the photographs."""
+
+    def at(
+        self,
+        image: np.ndarray,
+        layers_px: np.ndarray,
+        labels_px: np.ndarray,
+        *,
+        noise_variance: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Return nats a pixel, (H, W, N) float32, for labels between ``layers_px``, the layers to evaluate.
+
+        ``noise_variance`` is that of the image, (H, W, 3); without it `noise` is asked.
+        """
 
 
 @dataclass(frozen=True)
@@ -102,14 +116,15 @@ class AccurateMethod:
         layers_px = self.config.layers.values_px
         labels_px = with_halves(layers_px)
         image, usable = clipped_filled(image, views.mask)
-        likelihood = self.evidence.at(image, layers_px, labels_px)
+        variance = self.evidence.noise.variance(image)  # once: all stages that follow need it
+        likelihood = self.evidence.at(image, layers_px, labels_px, noise_variance=variance)
         if not usable.all():
             each_band(
                 lambda rows: np.multiply(likelihood[rows], usable[rows, :, None], out=likelihood[rows]), len(usable)
             )
         surface = optimised_surface(
             likelihood, views.guide, labels_px, config=self.config.surface, planes=self.config.planes, run=self.run,
-            known_within_px=sigma_of_range(labels_px), line_costs=self.line_costs(image),
+            known_within_px=sigma_of_range(labels_px), line_costs=self.line_costs(image, variance),
             depth_edges=self.depth_edges(image),
         )  # fmt: skip
         return self.of_labels(surface, image, usable, labels_px)
@@ -121,11 +136,11 @@ class AccurateMethod:
             return None
         return edge_log_odds(image)
 
-    def line_costs(self, image: np.ndarray) -> LineCosts | None:
-        """Return what tells where edges are in an image, as `clipped_filled` has it."""
+    def line_costs(self, image: np.ndarray, noise_variance: np.ndarray) -> LineCosts | None:
+        """Return what tells where edges are in an image, as `clipped_filled` has it, of known noise; (H, W, 3) each."""
         if self.edges is None or not self.config.planes.edge_lines:
             return None
-        return partial(self.edges.costs, self.edges.photograph(image))
+        return partial(self.edges.costs, self.edges.photograph(image, noise_variance))
 
     def of_labels(self, surface: Surface, image: np.ndarray, usable: np.ndarray, labels_px: np.ndarray) -> Disparity:
         """Return the disparity of a surface of labels; image and where it is usable as `clipped_filled` has them."""

@@ -70,7 +70,14 @@ class BlurEvidence:
     noise: NoiseModel
     run: Execution
 
-    def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
+    def at(
+        self,
+        image: np.ndarray,
+        layers_px: np.ndarray,
+        labels_px: np.ndarray,
+        *,
+        noise_variance: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Return nats a pixel; (H, W, N).
 
         Where blur is wide, correlations are computed at every second layer, those of secondary pairs everywhere at
@@ -86,7 +93,7 @@ class BlurEvidence:
         at_last = count % 2 == 0
         layers_of = {pair: few + at_last for pair in self.all_pairs[primary:]}
         in_turn = np.concatenate([evens[::2], evens[1::2][::-1], between[sharp]])
-        computed = self._correlations(image, in_turn, layers_of)
+        computed = self._correlations(image, in_turn, layers_of, noise_variance)
         likelihood = np.empty((*computed.shape[2:4], len(layers_px)), np.float32)
 
         def explain(rows: slice) -> None:
@@ -143,15 +150,25 @@ class BlurEvidence:
             likelihood += np.float32(self.config.fallback_weight) * weight * evidence[primary:].mean(axis=0)
         return np.asarray(likelihood)
 
+    def known_variance(self, image: np.ndarray, noise_variance: np.ndarray | None = None) -> np.ndarray | None:
+        """Return the variance of an image's noise, (H, W, 3), as given or computed; None where it is not known."""
+        if not self.noise.is_known:
+            return None
+        return self.noise.variance(image) if noise_variance is None else noise_variance
+
     def _correlations(
-        self, image: np.ndarray, layers_px: np.ndarray, layers_of: Mapping[tuple[int, int], int] | None = None
+        self,
+        image: np.ndarray,
+        layers_px: np.ndarray,
+        layers_of: Mapping[tuple[int, int], int] | None = None,
+        noise_variance: np.ndarray | None = None,
     ) -> np.ndarray:
         """Correlation of P and Q of every pair of channels, in every band; (pairs, bands, H / 3, W / 3, D) float32.
 
         ``layers_of`` has pairs for which only so many of the first layers are computed; others hold nothing.
         """
         blur = self.blur
-        noise_variance = self.noise.variance(image) if self.noise.is_known else None
+        noise_variance = self.known_variance(image, noise_variance)
         image = np.where(np.isfinite(image), image, np.float32(0))
         self.check_size(image)
         height, width = image.shape[:2]

@@ -40,9 +40,16 @@ class CorrelationEvidence:
     noise: NoiseModel
     run: Execution
 
-    def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
+    def at(
+        self,
+        image: np.ndarray,
+        layers_px: np.ndarray,
+        labels_px: np.ndarray,
+        *,
+        noise_variance: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Return nats a pixel; (H, W, N) float32."""
-        variance = self.noise.variance(image)
+        variance = self.noise.variance(image) if noise_variance is None else noise_variance
         likelihood = np.zeros((*image.shape[:2], len(labels_px)), np.float32)
         for space, label_map in zip(self.spaces, self.label_maps, strict=True):
             views = filtered_views(image, space, config=self.views, noise_variance=variance)

@@ -128,10 +128,13 @@ class Groups(NamedTuple):
 
 
 class Photograph:
-    """What lines in both directions need of a photograph, (H, W, 3) float linear RGB; computed when it is asked for."""
+    """What lines in both directions need of a photograph, (H, W, 3) float linear RGB, and of its noise's variance.
 
-    def __init__(self, image: np.ndarray, noise: NoiseModel) -> None:
-        self._image, self._noise = image, noise
+    Computed when it is asked for.
+    """
+
+    def __init__(self, image: np.ndarray, noise_variance: np.ndarray) -> None:
+        self._image, self._variance = image, noise_variance
 
     def samples(self, lines: Lines) -> np.ndarray:
         """Sample lines; (P, 3, 2 HALF) float64."""
@@ -163,7 +166,7 @@ class Photograph:
     @cached_property
     def noise_variance(self) -> np.ndarray:
         """Variance of noise at the grid points; (h, w, 3) float32."""
-        variance = np.nan_to_num(np.asarray(self._noise.variance(self._known), np.float32), posinf=0, neginf=0)
+        variance = np.nan_to_num(np.asarray(self._variance, np.float32), posinf=0, neginf=0)
         return cv2.GaussianBlur(variance, (0, 0), SHADES_PX[0])[::GRID_PX, ::GRID_PX]
 
 
@@ -186,9 +189,9 @@ class EdgeLikelihood:
     # Of a node, a layer and a direction, 30 kB each: kept for the next photograph.
     _textures: dict[TextureKey, Texture] = field(default_factory=dict, init=False, repr=False, compare=False)
 
-    def photograph(self, image: np.ndarray) -> Photograph:
-        """Return an image (H, W, 3), linear RGB, as `costs` needs it."""
-        return Photograph(image, self.noise)
+    def photograph(self, image: np.ndarray, noise_variance: np.ndarray | None = None) -> Photograph:
+        """Return an image, linear RGB, as `costs` needs it; its noise's variance where it is known; (H, W, 3) each."""
+        return Photograph(image, self.noise.variance(image) if noise_variance is None else noise_variance)
 
     def costs(self, photograph: Photograph, lines: Lines) -> np.ndarray:
         """Compute the negative log-likelihood of the places of edges.

@@ -186,6 +186,11 @@ class Execution(Protocol):
     ) -> np.ndarray:
         """Find the plane through three points that most points agree with, and fit it to these; (3,)."""
 
+    def join_regions(
+        self, total: np.ndarray, pairs: np.ndarray, border: np.ndarray, *, plane_penalty: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Join neighbouring regions while the energy falls: which one each became part of, (R,), and costs, (R, K)."""
+
     def potts_beliefs(self, cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
         """Cost of every choice at every pixel, with the best of all others; (H, W, K)."""
 

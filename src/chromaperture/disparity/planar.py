@@ -251,7 +251,8 @@ def fits_of_regions(
     border = max(1, round(config.border_px * BORDER_OF_REGIONS / size))
 
     def fit(nats: float) -> Planes:
-        joined = joined_regions(region, total, border_costs(log_odds, nats), plane_penalty=config.plane_penalty)
+        links = border_costs(log_odds, nats)
+        joined = joined_regions(region, total, links, plane_penalty=config.plane_penalty, run=blocks.run)
         merged, choice = merged_planes(
             joined.region, planes[joined.plane], blocks, config=config, border=border, of_missed=config.slope_of_missed
         )  # fmt: skip

@@ -21,7 +21,9 @@ import cv2
 import numpy as np
 from scipy import ndimage, sparse
 
+from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.plane_merging import LEAST_CORE
+from chromaperture.disparity.stages.joining import summed_pairs
 from chromaperture.threads import each_band
 
 # docs/measurements.md, "Depth edges in the photograph", has .4 and 1 for the one, 4 and 9 for the other.
@@ -164,8 +166,10 @@ def bounded(cost: np.ndarray, most_nats: float) -> np.ndarray:
     return np.asarray(out)
 
 
-def joined_regions(region: np.ndarray, total: np.ndarray, links: np.ndarray, *, plane_penalty: float) -> Joined:
-    """Join neighbouring regions while the energy falls, all pairs of which each is the other's best at once.
+def joined_regions(
+    region: np.ndarray, total: np.ndarray, links: np.ndarray, *, plane_penalty: float, run: Execution
+) -> Joined:
+    """Join neighbouring regions while the energy falls; see `stages.join_regions`.
 
     Parameters
     ----------
@@ -176,28 +180,17 @@ def joined_regions(region: np.ndarray, total: np.ndarray, links: np.ndarray, *, 
         Nats that a border between two blocks costs.
     plane_penalty : float
         Nats that a plane costs.
+    run : Execution
     """
-    count, planes = total.shape
     pairs, border = borders_of(region, links)
-    group = np.arange(count)
-    while len(pairs):
-        least = total.min(axis=1)
-        loss = (total[pairs[:, 0]] + total[pairs[:, 1]]).min(axis=1) - least[pairs].sum(axis=1)
-        gain = border + plane_penalty - loss
-        into = _best_of_both(pairs, gain, len(total))
-        if into is None:
-            break
-        used, renumbered = np.unique(into, return_inverse=True)
-        summed = np.zeros((len(used), planes))
-        np.add.at(summed, renumbered, total)
-        total, group = summed, renumbered[group]
-        pairs, border = _summed(renumbered[pairs], border)
-    return Joined(group[region], total.argmin(axis=1))
+    into, total = run.join_regions(total, pairs, border, plane_penalty=plane_penalty)
+    left, numbers = np.unique(into, return_inverse=True)
+    return Joined(numbers[region], total[left].argmin(axis=1))
 
 
 def borders_of(region: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the pairs of regions that meet, (P, 2) int, the lower first, and what their borders cost, (P,)."""
-    return _summed(np.stack(_ends_of_links(region), axis=1), _of_links(links))
+    return summed_pairs(np.stack(_ends_of_links(region), axis=1), _of_links(links))[:2]
 
 
 def _ends_of_links(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -210,30 +203,6 @@ def _ends_of_links(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _of_links(links: np.ndarray) -> np.ndarray:
     """Return the links (2, h, w) that have two ends, in the same order; (L,)."""
     return np.concatenate([links[0, :-1].ravel(), links[1, :, :-1].ravel()])
-
-
-def _summed(pairs: np.ndarray, costs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sum what is said of the same pair, and leave out pairs of one region."""
-    apart = pairs[:, 0] != pairs[:, 1]
-    low, high = np.sort(pairs[apart], axis=1).T
-    count = int(pairs.max(initial=0)) + 1
-    found, which = np.unique(low * count + high, return_inverse=True)  # numbers: 6000 rows of two take 1.9 ms, not .1
-    return np.stack(np.divmod(found, count), axis=1), np.bincount(which, costs[apart], minlength=len(found))
-
-
-def _best_of_both(pairs: np.ndarray, gain: np.ndarray, count: int) -> np.ndarray | None:
-    """Return into which region every one goes where two are each other's best and gain; (count,) int, None if none."""
-    rank = np.empty(len(pairs), int)
-    rank[np.argsort(-gain, kind="stable")] = np.arange(len(pairs))
-    best = np.full(count, len(pairs))
-    for side in (0, 1):
-        np.minimum.at(best, pairs[:, side], rank)
-    mutual = (best[pairs] == rank[:, None]).all(axis=1) & (gain > 0)
-    if not mutual.any():
-        return None
-    into = np.arange(count)
-    into[pairs[mutual, 1]] = pairs[mutual, 0]
-    return into
 
 
 def _strongest(log_odds: np.ndarray) -> np.ndarray:

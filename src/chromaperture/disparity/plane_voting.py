@@ -95,10 +95,12 @@ def voted_planes(
     at = blocks_of_pixels((height, width), best.shape, block_px)
     firsts = np.cumsum([0, *(len(fit.planes) for fit in fits)])[: len(fits)]
     every = np.stack([fit.choice + first for fit, first in zip(fits, firsts, strict=True)])
-    used, choice = np.unique(np.take_along_axis(every, best[at][None], axis=0)[0], return_inverse=True)
+    voted = np.take_along_axis(every, best[at][None], axis=0)[0]
+    used = np.flatnonzero(np.bincount(voted.ravel()))
+    choice = np.searchsorted(used, voted)
     trusted = (of_planes.max(axis=0) >= of_surface)[at] if trust is not None else np.ones((height, width), bool)
     planes = np.concatenate([fit.planes for fit in fits])[used]
-    return Planes(planes, choice.reshape(height, width), fits[0].blocks, trusted, label_of)
+    return Planes(planes, choice, fits[0].blocks, trusted, label_of)
 
 
 def votes(label: np.ndarray, surface: np.ndarray, log_odds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -36,6 +36,7 @@ from chromaperture.disparity.half_pixel_likelihood import (
 )
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.own_detail import own_detail
+from chromaperture.disparity.result import NoiseModel
 from chromaperture.disparity.spectral_model import SpectralModel, Windows
 from chromaperture.disparity.stages.paths import lagrange_weights
 from chromaperture.disparity.stages.tiles import without_shading
@@ -63,28 +64,41 @@ class SpectralEvidence:
     pairs: BlurEvidence
     _powers: dict[bytes, np.ndarray] = field(default_factory=dict, init=False, repr=False, compare=False)
 
-    def at(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
+    @property
+    def noise(self) -> NoiseModel:
+        """Noise of the photographs."""
+        return self.pairs.noise
+
+    def at(
+        self,
+        image: np.ndarray,
+        layers_px: np.ndarray,
+        labels_px: np.ndarray,
+        *,
+        noise_variance: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Return nats a pixel; (H, W, N) float32. Without known noise the pairs alone: faint detail would be noise."""
+        variance = self.pairs.known_variance(image, noise_variance)
 
         def of_pairs() -> np.ndarray:
-            likelihood = self.pairs.at(image, layers_px, labels_px)
-            own = self.own_detail(image)
+            likelihood = self.pairs.at(image, layers_px, labels_px, noise_variance=variance)
+            own = self.own_detail(image, variance)
             return likelihood if own is None else np.multiply(likelihood, own[..., None], out=likelihood)
 
         # Side by side: what either does on one core the other fills up. The calling thread takes the first, which takes
         # longer; other threads help it when they have done the second.
-        both = [of_pairs, lambda: self.of_windows(image, layers_px, labels_px)]
+        both = [of_pairs, lambda: self.of_windows(image, layers_px, labels_px, variance)]
         likelihood, *more = parallel_map(lambda work: work(), both[: 1 + self.is_used(layers_px)])
         for at_windows in more:
             _add_enlarged(at_windows, self.config.stride_px, likelihood)
         return likelihood
 
-    def own_detail(self, image: np.ndarray) -> np.ndarray | None:
+    def own_detail(self, image: np.ndarray, noise_variance: np.ndarray | None = None) -> np.ndarray | None:
         """Return how much of the pairs' evidence is a pixel's own; (H, W) float32, None where all of it counts."""
         pairs = self.pairs
         if not pairs.config.own_detail:
             return None
-        variance = pairs.noise.variance(image) if pairs.noise.is_known else None
+        variance = pairs.known_variance(image, noise_variance)
         finite = np.where(np.isfinite(image), image, np.float32(0))
         channels = tuple(sorted({k for pair in pairs.blur.pairs for k in pair}))
         return own_detail(finite, variance, channels, pairs.config)
@@ -94,15 +108,24 @@ class SpectralEvidence:
         enough = len(layers_px[::EVERY_LAYER]) >= LEAST_LAYERS
         return self.config.gain != 0 and self.pairs.noise.is_known and enough
 
-    def of_windows(self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
+    def of_windows(
+        self, image: np.ndarray, layers_px: np.ndarray, labels_px: np.ndarray, noise_variance: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return what labels earn in windows around every ``stride_px``-th pixel; (h, w, N) float32, nats a pixel."""
         few_px = layers_px[::EVERY_LAYER]
         rows, columns = (np.arange(0, n, self.config.stride_px) for n in image.shape[:2])
-        at_windows = self.at_windows(image, few_px, rows, columns)
+        at_windows = self.at_windows(image, few_px, rows, columns, noise_variance)
         at_windows = _at_labels(at_windows, few_px, labels_px, self.pairs.label_map, rows, columns)
         return _tempered(at_windows, self.config)
 
-    def at_windows(self, image: np.ndarray, layers_px: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    def at_windows(
+        self,
+        image: np.ndarray,
+        layers_px: np.ndarray,
+        rows: np.ndarray,
+        columns: np.ndarray,
+        noise_variance: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Compute the log-likelihood of every layer in windows around pixels; (len(rows), len(columns), D), nats a px.
 
         Parameters
@@ -111,11 +134,15 @@ class SpectralEvidence:
         layers_px : (D,) float, px
         rows, columns : int
             Of the windows' middles.
+        noise_variance : (H, W, 3) float, optional
+            Of the image; without it the noise model is asked.
         """
         config, run = self.config, self.pairs.run
         model = self.model(layers_px)
         windows = model.windows
-        noise = self.noise_of_windows(image, rows, columns)
+        if noise_variance is None:
+            noise_variance = self.noise.variance(image)
+        noise = self.noise_of_windows(noise_variance, rows, columns)
         image = np.where(np.isfinite(image), image, np.float32(0))
         if config.dual_pixel:
             image = of_equal_light(image)
@@ -139,9 +166,9 @@ class SpectralEvidence:
         kind = HalvesModel if self.config.dual_pixel else SpectralModel
         return kind(self.pairs.blur, layers_px, Windows(self.config), self.config.slopes, self.pairs.run)
 
-    def noise_of_windows(self, image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return the noise's power in windows around pixels; (len(rows) * len(columns), 3) float32."""
-        variance = np.nan_to_num(np.asarray(self.pairs.noise.variance(image), np.float32), posinf=0, neginf=0)
+    def noise_of_windows(self, noise_variance: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return the power of noise, (H, W, 3), in windows around pixels; (len(rows) * len(columns), 3) float32."""
+        variance = np.nan_to_num(np.asarray(noise_variance, np.float32), posinf=0, neginf=0)
         # The mean over the square of a window's taper.
         sigma = self.config.taper_px / math.sqrt(2)
         mean = cv2.GaussianBlur(variance, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)

@@ -99,7 +99,7 @@ def restore(
         raise InputError(f"disparity {disparity_px.shape} and image {image.shape[:2]} differ in size: two photographs")
     gains = white_gains(camera.calibration)
     noise = noise_of_photographs(camera.calibration).variance(image)
-    image = without_defects(np.asarray(image, np.float32), noise)
+    image = without_defects(np.asarray(image, np.float32), lambda _: noise)
     balanced = np.maximum(np.asarray(image, np.float32), 0) * gains
     aligned, radius, scatter = _aligned(balanced, disparity_px, sigma_px, camera)
     if sharpness == "aligned":

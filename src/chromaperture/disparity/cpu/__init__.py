@@ -7,6 +7,7 @@ from chromaperture.disparity.cpu.cross_filter import cross_filter
 from chromaperture.disparity.cpu.edge_costs import edge_costs
 from chromaperture.disparity.cpu.enlarge import enlarge
 from chromaperture.disparity.cpu.four_paths import four_path_winner
+from chromaperture.disparity.cpu.joining import join_regions
 from chromaperture.disparity.cpu.paths import aggregate_paths, posterior, read_at_labels
 from chromaperture.disparity.cpu.place import halved_surface, place_by_correlation
 from chromaperture.disparity.cpu.plane_refining import best_planes
@@ -32,6 +33,7 @@ __all__ = [
     "four_path_winner",
     "halved_surface",
     "iterate_variation",
+    "join_regions",
     "place_by_correlation",
     "plane_costs",
     "point_transforms",

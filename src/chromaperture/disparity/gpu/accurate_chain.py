@@ -7,7 +7,9 @@ the CPU where depth edges bound them (`regions_between.py`), else by the device,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from operator import call
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +53,7 @@ from chromaperture.disparity.plane_edges import edge_links
 from chromaperture.disparity.spectral_evidence import SpectralEvidence
 from chromaperture.disparity.views import filtered_views
 from chromaperture.disparity.working_scale import reduced
+from chromaperture.threads import beside, parallel_map
 
 
 class Room(NamedTuple):
@@ -312,26 +315,22 @@ class AccurateChain:
         small = image if self.reduction is None else reduced(image, self.reduction.size_px)
         views = filtered_views(small, self.method.space, config=self.method.config.views)
         filled, usable = clipped_filled(small, views.mask)
-        first = self._inputs(filled, usable, views.guide)
+        variance = self.method.evidence.noise.variance(filled)
+        first = self._inputs(filled, usable, views.guide, variance)
         if self.reduction is not None:
             first["photograph"] = image
         ticket = self.first.start(first, DOWN if self.uses_depth_edges else [])
-        last = self._inputs_of_last(filled, views.guide)  # while the device works
-        if self.uses_depth_edges:
-            last |= self._planes_between_edges(filled, ticket)
+        with beside() as begin:  # while the device works
+            depth_edges = begin(lambda: self.method.depth_edges(filled))
+            last = self._inputs_of_last(filled, views.guide, variance)
+        if self.voted is not None:
+            last |= regions_found(
+                self.first.finish(ticket), depth_edges.result(), self.voted, self.grid, self.labels_px,
+                config=self.method.config.planes, run=self.method.run,
+            )  # fmt: skip
         if self.reduction is None and first["image"] is not image:
             last["image"] = image  # no longer without clipped areas: what follows makes colours of it
         return Started(self.last, self.last.start(last, self._outputs), first, last)
-
-    def _planes_between_edges(self, image: np.ndarray, ticket: Ticket) -> dict[str, np.ndarray]:
-        """Return the planes that go up, by what the first chain found."""
-        depth_edges = self.method.depth_edges(image)  # while the device works
-        assert depth_edges is not None
-        assert self.voted is not None
-        return regions_found(
-            self.first.finish(ticket), depth_edges, self.voted, self.grid, self.labels_px,
-            config=self.method.config.planes, run=self.method.run,
-        )  # fmt: skip
 
     def finish(self, started: Started) -> Measured:
         """Wait for a photograph; where the chains had no room for all that was found, run others with more."""
@@ -355,27 +354,38 @@ class AccurateChain:
     def _outputs(self) -> list[str]:
         return [*outputs_of(self.further), *(("plane_count", "unfinished") if self.uses_planes else ())]
 
-    def _inputs(self, image: np.ndarray, usable: np.ndarray, guide: np.ndarray) -> dict[str, np.ndarray]:
-        method = self.method
+    def _inputs(
+        self, image: np.ndarray, usable: np.ndarray, guide: np.ndarray, variance: np.ndarray
+    ) -> dict[str, np.ndarray]:
         inputs = {"image": image, "usable": usable, "guide": guide}
+        of_noise: dict[str, Callable[[], np.ndarray]] = {}
         if self.plan is not None:
-            pairs = self.plan.source
             if not np.isfinite(image).all():
                 inputs["image"] = np.where(np.isfinite(image), image, np.float32(0))
-            inputs["noise"] = np.zeros((len(self.plan.nodes.places), 3))
-            if pairs.noise.is_known:
-                margin = pairs.config.noise_margin
-                inputs["noise"] = self.plan.nodes.noise_powers(pairs.noise.variance(image), noise_margin=margin)
-            own = method.evidence.own_detail(image) if isinstance(method.evidence, SpectralEvidence) else None
-            inputs["counted"] = usable if own is None else usable * own
-        if isinstance(method.evidence, SpectralEvidence) and self.uses_windows:
+            of_noise["noise"] = lambda: self._noise_of_tiles(variance)
+            of_noise["counted"] = lambda: self._counted(image, usable, variance)
+        if isinstance(evidence := self.method.evidence, SpectralEvidence) and self.uses_windows:
             grid = self.windows
-            inputs["window_noise"] = method.evidence.noise_of_windows(image, grid.rows, grid.columns)
+            of_noise["window_noise"] = lambda: evidence.noise_of_windows(variance, grid.rows, grid.columns)
         if self.uses_planes and not self.uses_depth_edges:
             inputs["unfinished"] = np.zeros(1, np.uint32)
-        return inputs
+        return inputs | dict(zip(of_noise, parallel_map(call, of_noise.values()), strict=True))
 
-    def _inputs_of_last(self, image: np.ndarray, guide: np.ndarray) -> dict[str, np.ndarray]:
+    def _noise_of_tiles(self, variance: np.ndarray) -> np.ndarray:
+        """Return the power of noise in every tile, (tiles, 3); 0 where it is not known."""
+        assert self.plan is not None
+        pairs, nodes = self.plan.source, self.plan.nodes
+        if not pairs.noise.is_known:
+            return np.zeros((len(nodes.places), 3))
+        return nodes.noise_powers(variance, noise_margin=pairs.config.noise_margin)
+
+    def _counted(self, image: np.ndarray, usable: np.ndarray, variance: np.ndarray) -> np.ndarray:
+        """Return how much of the evidence of pairs counts at every pixel; (H, W)."""
+        evidence = self.method.evidence
+        own = evidence.own_detail(image, variance) if isinstance(evidence, SpectralEvidence) else None
+        return usable if own is None else usable * own
+
+    def _inputs_of_last(self, image: np.ndarray, guide: np.ndarray, variance: np.ndarray) -> dict[str, np.ndarray]:
         if not self.uses_planes:
             return {}
         config, edges = self.method.config.planes, self.method.edges
@@ -383,7 +393,7 @@ class AccurateChain:
         if config.edge_band_px > 0:  # else edges stay where blocks have them
             inputs["edge_links"] = edge_links(guide, config.edge_band_px)
         if self.textures is not None and edges is not None:
-            inputs |= inputs_of(edges.photograph(image))
+            inputs |= inputs_of(edges.photograph(image, variance))
         if self.uses_depth_edges:
             inputs["unfinished"] = np.zeros(1, np.uint32)
         return inputs

@@ -50,7 +50,7 @@ def voted_arrays(chain: Chain, grid: Grid, *, config: PlanesConfig) -> Voted:
 
 def regions_found(
     down: Mapping[str, np.ndarray],
-    depth_edges: np.ndarray,
+    depth_edges: np.ndarray | None,
     voted: Voted,
     grid: Grid,
     labels_px: np.ndarray,
@@ -65,7 +65,7 @@ def regions_found(
     down : dict of str to array
         `DOWN`, flat; layers.
     depth_edges : (2, h, w) float
-        As `edge_log_odds`.
+        As `AccurateMethod.depth_edges`, which are there where planes need them.
     voted : Voted
         Arrays that are filled. Where no plane was found their number is 0.
     grid : Grid
@@ -76,6 +76,7 @@ def regions_found(
     """
     first, step = float(labels_px[0]), float(labels_px[1] - labels_px[0])
     assert voted.fits is not None
+    assert depth_edges is not None
     size = config.block_px
     rows, columns = grid.height // size, grid.width // size
     count = int(down[PROPOSED[1]][0])

@@ -7,6 +7,7 @@ from chromaperture.disparity.stages.cross_filter import cross_filter
 from chromaperture.disparity.stages.edge_costs import edge_costs
 from chromaperture.disparity.stages.enlarge import enlarge
 from chromaperture.disparity.stages.four_paths import four_path_winner
+from chromaperture.disparity.stages.joining import join_regions
 from chromaperture.disparity.stages.paths import aggregate_paths, posterior, read_at_labels
 from chromaperture.disparity.stages.place import halved_surface, place_by_correlation
 from chromaperture.disparity.stages.plane_refining import best_planes
@@ -34,6 +35,7 @@ __all__ = [
     "four_path_winner",
     "halved_surface",
     "iterate_variation",
+    "join_regions",
     "place_by_correlation",
     "plane_costs",
     "point_transforms",
