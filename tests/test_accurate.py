@@ -217,10 +217,12 @@ def test_halved_label_maps_have_half_the_disparity_at_half_the_label():
 class GivenCorrelations:
     """Evidence from a volume of correlations that is known beforehand."""
 
+    noise = ESTIMATED_NOISE
+
     def __init__(self, volume, labels):
         self.volume, self.labels = volume, labels
 
-    def at(self, image, layers_px, labels_px):
+    def at(self, image, layers_px, labels_px, *, noise_variance=None):
         likelihood = log_likelihood(self.volume, view_count=2)
         return cpu.read_at_labels(likelihood, layers_px, labels_px, self.labels)
 

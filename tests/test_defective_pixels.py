@@ -6,8 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from chromaperture.camera_matching import noise_model, noise_of_photographs, repaired
 from chromaperture.color.defective_pixels import without_defects
 from chromaperture.color.noise import photon_noise_variance
+from chromaperture.products.samples import open_sample
 
 FULL_WELL, READ = 5000.0, 4.0
 
@@ -58,3 +60,17 @@ def test_unknown_pixels_stay_unknown(photograph):
     photograph[10:20, 10:20] = np.nan
     found = without_defects(photograph, noise_of)
     np.testing.assert_array_equal(np.isnan(found), np.isnan(photograph))
+
+
+@pytest.mark.parametrize("times", [1.0, 9.0])
+def test_the_noise_of_a_camera_decides_first_and_that_of_the_photograph_last(rng, times):
+    """A photograph at another ISO: what stands out of the camera's noise may be the photograph's own."""
+    camera, image = open_sample("still_life_cy_halves", quality="real-time", device="cpu")
+    calibration = camera.calibration
+    spread = np.sqrt((times - 1) * noise_model(calibration).variance(image))
+    image = (image + rng.normal(size=image.shape) * spread).astype(np.float32)
+    places = tuple(rng.integers(0, n, 300) for n in image.shape)
+    image[places] = np.clip(image[places] + rng.uniform(0, 0.5, 300), 0, 0.95)
+    expected = without_defects(image, noise_of_photographs(calibration).variance)
+    assert (expected != image).any()
+    np.testing.assert_array_equal(repaired(image, calibration), expected)

@@ -143,9 +143,10 @@ def test_the_same_lines_are_heard(rng, apart):
         np.testing.assert_allclose(weight.view(np.float32), expected.weight, rtol=1e-3)
         each, mine = edges.costs(photograph, expected.lines), costs_found[numbers - 1]
         relative = np.abs(mine - mine.min(axis=1, keepdims=True) - each) / each.max(axis=1, keepdims=True)
-        # Lines whose power is just between two steps of its share them with others: more on a GPU whose logarithms are
-        # less exact.
-        assert np.percentile(relative, 95) < 3e-4, np.percentile(relative, (90, 95, 97, 98, 99, 100))
+        # Lines whose power is just between two steps of its share them with others: by a rasteriser in software .02 of
+        # the costs differ by 3e-4 then, by an H200, whose logarithms are less exact, .05 (and .02 by 1.3e-3).
+        assert np.percentile(relative, 90) < 3e-4
+        assert np.percentile(relative, 98) < 2e-3
         count += len(numbers)
     assert count > 40
     assert got["line_numbers"][0] >= count

@@ -96,6 +96,9 @@ def noise_of_photographs(calibration: Calibration) -> NoiseModel:
 
 def repaired(image: np.ndarray, calibration: Calibration) -> np.ndarray:
     """Return an image without its defective pixels, by the noise of the camera and of the photograph."""
+    by_camera = without_defects(image, noise_model(calibration).variance)
+    if by_camera is image:  # the noise of the photograph is that of the camera or more: nothing stands out of it either
+        return image
     return without_defects(image, noise_of_photographs(calibration).variance)
 
 

@@ -169,22 +169,31 @@ def _ratio_at(image: np.ndarray, variance: np.ndarray, scale_px: int) -> float:
     height, width = (n // scale_px for n in image.shape[:2])
     if min(height, width) < _RATIO_SAMPLES:
         return 1.0
-    whole = np.s_[: height * scale_px, : width * scale_px]
-    means, expected = (
-        cv2.resize(np.asarray(part[whole], np.float32), (width, height), interpolation=cv2.INTER_AREA)
-        for part in (image, variance)
-    )
+    means, expected = (_means(part, (height, width), scale_px) for part in (image, variance))
     known = np.ones((height, width), bool)
-    for light, noise in zip(cv2.split(means), cv2.split(expected), strict=True):
+    for light, noise in zip(means, expected, strict=True):
         known &= (np.abs(light) < _CLIPS) & (noise > 0)  # what is not a number is not below
     usable = _squares(known[..., None], _RATIO_SAMPLES).all(axis=(1, 3, 4))
     if np.count_nonzero(usable) < _FEWEST_OF_RATIO:
         return 1.0
-    unit = np.sqrt(np.where(known[..., None], expected, 1)) * np.float32(KERNEL_NORM / scale_px)
-    response = cv2.filter2D(np.where(known[..., None], means, 0), cv2.CV_32F, _IMMERKAER) / unit
-    blocks = _squares(response, _RATIO_SAMPLES).transpose(0, 2, 1, 3, 4)[usable].reshape(-1, _RATIO_SAMPLES**2, 3)
-    least = np.linalg.eigvalsh(blocks.transpose(0, 2, 1) @ blocks / _RATIO_SAMPLES**2)[:, 0]
+    responses = [
+        cv2.filter2D(np.where(known, light, np.float32(0)), cv2.CV_32F, _IMMERKAER)
+        / np.sqrt(np.where(known, noise, np.float32(1)))
+        for light, noise in zip(means, expected, strict=True)
+    ]
+    covariance = np.empty((np.count_nonzero(usable), 3, 3), np.float32)
+    for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+        of_blocks = _means(responses[a] * responses[b], usable.shape, _RATIO_SAMPLES)[0]
+        covariance[:, a, b] = covariance[:, b, a] = of_blocks[usable]
+    least = np.linalg.eigvalsh(covariance * np.float32(scale_px / KERNEL_NORM) ** 2)[:, 0]
     return float(np.percentile(least, _RATIO_PERCENTILE)) / _OF_EXPECTED_NOISE
+
+
+def _means(values: np.ndarray, size: tuple[int, int], side_px: int) -> list[np.ndarray]:
+    """Return the means of so many rows and columns of squares, for every channel; (h, w) float32 each."""
+    height, width = size
+    whole = np.asarray(values, np.float32)[: height * side_px, : width * side_px]
+    return [cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA) for part in cv2.split(whole)]
 
 
 def fit_photon_noise(level: np.ndarray, variance: np.ndarray) -> tuple[float, float] | None:

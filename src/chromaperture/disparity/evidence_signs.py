@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from chromaperture.disparity.plane_fit import Volume, blocks_of_pixels
+from chromaperture.disparity.plane_fit import Volume, of_pixels
 
 SHIFTS = np.array([-24, -16, -12, -8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24], float)  # steps
 OF_FALL = (-4, 0, 4)  # steps at which the fall of a plane's evidence is read; docs/measurements.md
@@ -48,7 +48,7 @@ def signs_of_evidence(blocks: Volume, label: np.ndarray, choice: np.ndarray) -> 
     spread = np.log(np.sqrt(variance) + LEAST_SPREAD).astype(np.float32)
     here = means_of_planes(profile[..., SHIFTS == 0], _in_middles(choice, blocks), int(choice.max()) + 1)[:, 0]
     evidence = np.log(np.maximum(here, 0) + LEAST_EVIDENCE).astype(np.float32)
-    return {"spread": spread[blocks_of_pixels(label.shape, spread.shape, size)], "evidence": evidence[choice]}
+    return {"spread": of_pixels(spread, label.shape, size), "evidence": evidence[choice]}
 
 
 def known_planes(blocks: Volume, label: np.ndarray, choice: np.ndarray, *, from_nats: float) -> np.ndarray:

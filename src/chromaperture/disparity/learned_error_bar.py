@@ -140,7 +140,7 @@ def of_fits(label: np.ndarray, fits: np.ndarray | None) -> dict[str, np.ndarray]
 
     def add(band: slice) -> None:
         for fit in fits:
-            away[band] += np.abs(fit[rows[band], columns] - label[band])
+            away[band] += np.abs(fit[rows[band]][:, columns] - label[band])
 
     each_band(add, len(label))
     return {"fits": np.log(away / np.float32(len(fits)) + np.float32(LEAST_DISTANCE))}

@@ -21,7 +21,7 @@ import numpy as np
 from chromaperture.disparity.depth_edges import BLOCK_PX
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.plane_edges import LineCosts, choices_of, placed_edges
-from chromaperture.disparity.plane_fit import Planes, Volume, blocks_of_pixels, candidates
+from chromaperture.disparity.plane_fit import Planes, Volume, candidates, of_pixels
 from chromaperture.disparity.plane_merging import away_from_borders, counted, merged_planes
 from chromaperture.disparity.plane_regions import (
     border_costs,
@@ -30,7 +30,7 @@ from chromaperture.disparity.plane_regions import (
     regions_between_edges,
     shares_of_blocks,
 )
-from chromaperture.disparity.plane_voting import OF_GUIDED, block_means, voted_planes
+from chromaperture.disparity.plane_voting import OF_GUIDED, labels_of_blocks, voted_planes
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.variation import edge_weights
 from chromaperture.planes_config import PlanesConfig
@@ -146,7 +146,7 @@ def voted_regions(
     voting = len(config.learned_border_nats)
     found = voted_planes(fits[:voting], label_px, sigma_px, blocks.step_px, config.block_px)
     assert found.fits_px is not None
-    others = [block_means(fit.label_px, config.block_px) for fit in fits[voting:]]
+    others = [labels_of_blocks(fit, config.block_px) for fit in fits[voting:]]
     return found._replace(fits_px=np.stack([*found.fits_px, *others]))
 
 
@@ -308,7 +308,7 @@ def between_labels(planes: np.ndarray, choice: np.ndarray, blocks: Volume, *, bo
 
 def planes_of_pixels(planes: np.ndarray, choice: np.ndarray, shape: tuple[int, int], size: int) -> Planes:
     """Express planes of blocks in pixels, and the choice of blocks of ``size`` px as that of a picture's pixels."""
-    return Planes(_scaled(planes, 1 / size), choice[blocks_of_pixels(shape, choice.shape, size)])
+    return Planes(_scaled(planes, 1 / size), of_pixels(choice, shape, size))
 
 
 def block_sums(likelihood: np.ndarray, size: int) -> np.ndarray:

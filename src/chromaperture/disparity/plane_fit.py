@@ -89,12 +89,18 @@ class Planes(NamedTuple):
 
 
 def blocks_of_pixels(shape: tuple[int, ...], blocks: tuple[int, ...], size: int) -> Pixels:
-    """Return row (H, 1) and column (1, W) of the block of ``size`` px that a pixel is in.
+    """Return the row (H,) and the column (W,) of blocks of ``size`` px that rows and columns of pixels are in.
 
     What is left over at the right and below belongs to the last block.
     """
     rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(shape, blocks, strict=True))
-    return rows[:, None], columns[None]
+    return rows, columns
+
+
+def of_pixels(of_blocks: np.ndarray, shape: tuple[int, ...], size: int) -> np.ndarray:
+    """Give pixels what their block of ``size`` px has, (h, w) to (H, W), as `blocks_of_pixels`."""
+    rows, columns = blocks_of_pixels(shape, of_blocks.shape, size)
+    return np.asarray(of_blocks[:, columns][rows])  # whole rows are copied: a sixth of the time of single pixels
 
 
 class Proposal(NamedTuple):

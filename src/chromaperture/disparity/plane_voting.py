@@ -23,7 +23,7 @@ import numpy as np
 
 from chromaperture.disparity.learned_error_bar import POOLED_PX, pooled
 from chromaperture.disparity.plane_agreement import AGREEMENT_SIGMAS
-from chromaperture.disparity.plane_fit import Planes, blocks_of_pixels
+from chromaperture.disparity.plane_fit import Planes, of_pixels
 from chromaperture.threads import parallel_map
 
 ROUGH_PX = 16.0  # sigma of the window in which differences are averaged; 4, 8, 32 px: docs/measurements.md
@@ -82,7 +82,7 @@ def voted_planes(
         Those of all fits that a block has, with ``trusted``: with a trust, where more speaks for the plane than for
         the surface.
     """
-    label_of = np.stack([block_means(fit.label_px, block_px) for fit in fits])
+    label_of = np.stack([labels_of_blocks(fit, block_px) for fit in fits])
     log_odds = np.zeros_like(label_of)
     if trust is not None:
         signs = signs_of_trust(fits, surface_px, sigma_px, step_px, block_px)
@@ -91,16 +91,13 @@ def voted_planes(
         label_of / np.float32(step_px), block_means(surface_px, block_px) / np.float32(step_px), log_odds
     )
     best = chosen_fit(of_planes)
-    height, width = surface_px.shape
-    at = blocks_of_pixels((height, width), best.shape, block_px)
     firsts = np.cumsum([0, *(len(fit.planes) for fit in fits)])[: len(fits)]
-    every = np.stack([fit.choice + first for fit, first in zip(fits, firsts, strict=True)])
-    voted = np.take_along_axis(every, best[at][None], axis=0)[0]
-    used = np.flatnonzero(np.bincount(voted.ravel()))
-    choice = np.searchsorted(used, voted)
-    trusted = (of_planes.max(axis=0) >= of_surface)[at] if trust is not None else np.ones((height, width), bool)
+    every = np.stack([_of_blocks(fit.choice, block_px) + first for fit, first in zip(fits, firsts, strict=True)])
+    used, choice = np.unique(np.take_along_axis(every, best[None], axis=0)[0], return_inverse=True)
+    trusted = of_planes.max(axis=0) >= of_surface if trust is not None else np.ones(best.shape, bool)
     planes = np.concatenate([fit.planes for fit in fits])[used]
-    return Planes(planes, choice, fits[0].blocks, trusted, label_of)
+    at_pixels = (of_pixels(part.reshape(best.shape), surface_px.shape, block_px) for part in (choice, trusted))
+    return Planes(planes, next(at_pixels), fits[0].blocks, next(at_pixels), label_of)
 
 
 def votes(label: np.ndarray, surface: np.ndarray, log_odds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -197,6 +194,14 @@ def neighbour_differences(label: np.ndarray) -> np.ndarray:
     out[:, :-1] += np.abs(np.diff(label, axis=1))
     out[:-1] += np.abs(np.diff(label, axis=0))
     return np.minimum(out, np.float32(MOST_DIFFERENCE))
+
+
+def labels_of_blocks(fit: Planes, block_px: int) -> np.ndarray:
+    """Return the label of a plane, of which every block has one, in the middles of blocks; (h, w) float32, px."""
+    choice = _of_blocks(fit.choice, block_px)
+    y, x = (block_px * np.arange(n) + (block_px - 1) / 2 for n in choice.shape)
+    a, b, c = (fit.planes[:, i][choice] for i in range(3))
+    return np.asarray(a * x + b * y[:, None] + c, np.float32)
 
 
 def block_means(values: np.ndarray, block_px: int) -> np.ndarray:

@@ -23,6 +23,9 @@ from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.threads import parallel_map, thread_count
 
 _PARTS = 8  # of the work of each thread: sets are of unlike size
+# Points in all steps of all starts, some .1 ms of work, below which no other thread is asked to help: with 16 threads
+# waking them took longer than the work.
+_FEW_POINTS = 20_000
 
 
 def best_planes(
@@ -48,8 +51,9 @@ def best_planes(
             part[0], part[-1] + 1, out, values,
         )  # fmt: skip
 
-    parts = np.array_split(np.arange(len(planes)), _PARTS * thread_count())
-    parallel_map(some, [part for part in parts if len(part)])
+    visits = int(points.starts[-1]) * in_layers.shape[1] * (1 + steps)
+    count = min(_PARTS * thread_count(), len(planes), 1 + visits // _FEW_POINTS)
+    parallel_map(some, np.array_split(np.arange(len(planes)), count))
     out[:, 2] += labels_px[0] / step
     return out * step, values
 
