@@ -173,7 +173,7 @@ def bad_inputs(folder):
         "neither camera nor design": (["depth", image, "--out", here("out")], "--camera"),
         "corrupt camera": (["depth", image, "--camera", here("corrupt.asdf"), "--out", here("out")], "damaged"),
         "newer camera": (["depth", image, "--camera", here("newer.asdf"), "--out", here("out")], "upgrade"),
-        "image as camera": (["depth", image, "--camera", image, "--out", here("out")], "not a camera file"),
+        "image as camera": (["depth", image, "--camera", image, "--out", here("out")], "is no camera file; give"),
         "missing camera": (["info", here("none.asdf")], "no camera file"),
         "unknown quality": (["depth", image, *with_camera, "--quality", "best"], "real-time"),
         "levels": (["depth", image, *with_camera, "--black-level", "9000"], "black level"),

@@ -352,6 +352,31 @@ def test_a_recorded_sequence_is_exported_as_bright_as_its_pictures(run, tmp_path
     np.testing.assert_array_equal(again, direct)
 
 
+def test_a_black_frame_in_the_midst_is_left_out_of_an_export(run, tmp_path):
+    camera = sample_camera("still_life_cy_halves")
+    (tmp_path / "frames").mkdir()
+    picture = cv2.imread(str(sample_image("still_life_cy_halves")), cv2.IMREAD_UNCHANGED)
+    for i, light in enumerate((1, 0, 1)):
+        cv2.imwrite(str(tmp_path / "frames" / f"{i}.png"), light * picture)
+    code, _, complaint = run("export", tmp_path / "frames", tmp_path / "tum", "--camera", camera, "-q")
+    assert code == 0, complaint
+    assert "frame 1 is left out: the image is all black" in complaint
+    assert len(list((tmp_path / "tum" / "rgb").iterdir())) == 2
+    code, _, complaint = run("export", tmp_path / "frames" / "1.png", tmp_path / "none", "--camera", camera, "-q")
+    assert code == 2
+    assert "all black" in complaint
+    assert not (tmp_path / "none").exists()
+
+
+def test_the_folder_of_a_recording_is_known_as_one(run, tmp_path):
+    with Recorder(tmp_path / "walk") as recorder:
+        recorder.write(frame(1))
+    code, _, complaint = run("export", tmp_path / "walk", tmp_path / "out", "--camera",
+                             sample_camera("still_life_cy_halves"))  # fmt: skip
+    assert code == 2
+    assert f"give replay:{tmp_path / 'walk'}" in complaint
+
+
 # Export: a wall that other readers must find where it is.
 
 

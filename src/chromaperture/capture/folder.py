@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from chromaperture.capture.files import photographs, read_counts
+from chromaperture.capture.recording import HEADER
 from chromaperture.capture.source import Event, FileSource, Frame, Listener, checked_fps
 from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError, MissingDependencyError
@@ -53,6 +54,8 @@ class FolderSource(FileSource):
             self.paths = [folder] if os.path.isfile(folder) else _matching(self.name)
         self.paths.sort(key=natural)
         if not self.paths:
+            if os.path.isfile(folder / HEADER):
+                raise InputError(f"{self.name} is a recording; give replay:{self.name}")
             raise InputError(f"no picture at {self.name}; give a folder, a glob in quotes, or a file")
 
     def frames(self) -> Iterator[Frame]:

@@ -34,7 +34,7 @@ _FORMATS = [f"chromaperture recording {number}" for number in (1, 2, 3)]
 _FORMAT, _FIRST_FORMAT = _FORMATS[-1], _FORMATS[0]
 _MOST_HEADER_BYTES, _MOST_INDEX_BYTES = 10_000, 2_000_000_000  # of the index: two days at 30 frames a second
 _MOST_PICTURE_BYTES = 2_000_000_000  # of a frame: 160 megapixels of float32
-_INDEX, _HEADER = "index.jsonl", "recording.json"
+_INDEX, HEADER = "index.jsonl", "recording.json"
 
 
 class Recorder:
@@ -58,12 +58,12 @@ class Recorder:
         self._source, self._index = source, -1
 
     def __enter__(self) -> Self:
-        if (self.folder / _HEADER).exists() or (self.folder / _INDEX).exists():
+        if (self.folder / HEADER).exists() or (self.folder / _INDEX).exists():
             raise InputError(f"{self.folder} holds a recording already; choose another folder")
         try:
             (self.folder / "frames").mkdir(parents=True, exist_ok=True)
             header = json.dumps({"format": _FORMAT, "source": self._source}) + "\n"
-            _write_durably(self.folder / _HEADER, header.encode())
+            _write_durably(self.folder / HEADER, header.encode())
             self._index = os.open(self.folder / _INDEX, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
             _sync_folder(self.folder)
         except BaseException as error:
@@ -81,7 +81,7 @@ class Recorder:
         self._index = -1
         if kind is not None and not self.count:  # nothing was recorded: the same folder can be given again
             with contextlib.suppress(OSError):
-                for path in (self.folder / _INDEX, self.folder / _HEADER, *(self.folder / "frames").iterdir()):
+                for path in (self.folder / _INDEX, self.folder / HEADER, *(self.folder / "frames").iterdir()):
                     path.unlink(missing_ok=True)
                 (self.folder / "frames").rmdir()
 
@@ -150,7 +150,7 @@ class ReplaySource(FileSource):
         """Read the index; report and leave out damaged lines."""
         none = f"no recording at {quoted(self.folder)}; give a folder that 'chromaperture record' made"
         try:
-            header = json.loads(read_bytes(self.folder / _HEADER, most_bytes=_MOST_HEADER_BYTES))
+            header = json.loads(read_bytes(self.folder / HEADER, most_bytes=_MOST_HEADER_BYTES))
             kind = header.get("format")
             data = read_bytes(self.folder / _INDEX, most_bytes=_MOST_INDEX_BYTES)
         except (InputError, ValueError, AttributeError, RecursionError):

@@ -56,7 +56,7 @@ def export(
 
     chromaperture export replay:session/walk walk --camera camera.asdf --format nerfstudio
     """
-    from chromaperture.cli.console import compile_kernels, progress
+    from chromaperture.cli.console import compile_kernels, progress, say_warning
     from chromaperture.cli.setup import camera_for
     from chromaperture.cli.streams import open_stream
     from chromaperture.products.rectified import undistorter
@@ -75,13 +75,22 @@ def export(
     with stream, progress(quiet=quiet) as update:
 
         def views() -> Iterator[View]:
-            for number, frame in enumerate(stream):
-                if not number:
+            written = 0
+            for frame in stream:
+                try:
+                    measured = eye.measure(frame.image)
+                except InputError as error:
+                    if not written:
+                        raise
+                    say_warning(f"frame {frame.index} is left out: {error}")
+                    continue
+                if not written:
                     check_film(eye, frame.image, "the first frame", refuse=not anyway)
-                view = to_view(eye.measure(frame.image), frame.time_s, frame.index)
+                view = to_view(measured, frame.time_s, frame.index)
                 see(view)
                 yield view
-                update(f"frame {frame.index}", number + 1, 0)
+                written += 1
+                update(f"frame {frame.index}", written, 0)
 
         count = write(out, views(), camera_matrix=matrix, max_relative_sigma=max_relative_sigma)
     if not quiet:
