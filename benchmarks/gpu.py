@@ -36,6 +36,7 @@ from chromaperture.disparity.estimate import method_for
 from chromaperture.disparity.gpu.device import AdapterInfo, Chain, Device, Dispatch
 from chromaperture.disparity.gpu.gpu_method import DeviceMethod, GpuMethod, on_device
 from chromaperture.disparity.gpu.measured import NOTHING
+from chromaperture.disparity.gpu.stage_timing import pass_times_ms, stage_times_ms
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.disparity.paper import PaperMethod
 from chromaperture.disparity.real_time import RealTimeMethod
@@ -156,7 +157,7 @@ def median_times_ms(chain: Chain, inputs: Mapping[str, np.ndarray]) -> list[tupl
     """Time of every dispatch by the device's timestamps, median of several runs; 0 where it keeps none."""
     if not chain.device.timestamps:
         return [(dispatch.stage, 0.0) for dispatch in chain.dispatches]
-    runs = [chain.stage_times_ms(inputs) for _ in range(1 if chain.device.info.is_software else STAGE_ROUNDS)]
+    runs = [stage_times_ms(chain, inputs) for _ in range(1 if chain.device.info.is_software else STAGE_ROUNDS)]
     return [(runs[0][i][0], statistics.median(run[i][1] for run in runs)) for i in range(len(runs[0]))]
 
 
@@ -171,8 +172,8 @@ def median_time_ms(chain: Chain, inputs: Mapping[str, np.ndarray]) -> float:
     """Time from the first stage to the last by the device's timestamps, median of several runs."""
     rounds = 1 if chain.device.info.is_software else STAGE_ROUNDS
     if rounds > 1:
-        warmed(lambda: chain.pass_times_ms(inputs, [chain.dispatches]))
-    return statistics.median(chain.pass_times_ms(inputs, [chain.dispatches])[0] for _ in range(rounds))
+        warmed(lambda: pass_times_ms(chain, inputs, [chain.dispatches]))
+    return statistics.median(pass_times_ms(chain, inputs, [chain.dispatches])[0] for _ in range(rounds))
 
 
 def count(row: dict[str, float], dispatch: Any, computed: float, *, bandwidth: float, rate: float) -> None:

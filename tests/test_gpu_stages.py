@@ -24,6 +24,7 @@ from chromaperture.disparity.gpu.device import Chain, Device, open_device
 from chromaperture.disparity.gpu.layers_by_four import sliding
 from chromaperture.disparity.gpu.paper_chain import add_paper
 from chromaperture.disparity.gpu.real_time_chain import add_real_time, add_recursions
+from chromaperture.disparity.gpu.stage_timing import pass_times_ms, stage_times_ms
 from chromaperture.disparity.gpu.view_stages import Planes, add_views
 from chromaperture.disparity.labels import IDENTITY, LabelMap, labels_between
 from chromaperture.disparity.stages.correlation import SCORE_PARTS, exponential_window
@@ -284,7 +285,7 @@ def test_stages_and_passes_are_timed():
     if not chain.device.timestamps:
         pytest.skip("this device keeps no timestamps: timing is NOT tested")
     before = chain.run({"image": image}, ["disparity"])["disparity"]
-    stages, passes = chain.stage_times_ms({"image": image}), chain.pass_times_ms({"image": image}, [chain.dispatches])
+    stages, passes = stage_times_ms(chain, {"image": image}), pass_times_ms(chain, {"image": image}, [chain.dispatches])
     assert [name for name, _ in stages] == [dispatch.stage for dispatch in chain.dispatches]
     assert min(ms for _, ms in stages) >= 0
     assert len(passes) == 1

@@ -136,6 +136,19 @@ def beside() -> Iterator[Callable[[Callable[[], R]], Future[R]]]:
         yield begin
 
 
+def begun(work: Callable[[], R]) -> Callable[[], R]:
+    """Begin work on another thread; what is returned waits for its outcome, and does it if no thread has begun it."""
+    task = _Task(work)
+    if thread_count() > 1:
+        _start(_pool(), [task])
+
+    def outcome() -> R:
+        task()
+        return task.result.result()
+
+    return outcome
+
+
 class _Task(Generic[R]):
     """Work that the first thread to call it does; ``result`` is its outcome.
 

@@ -1,4 +1,4 @@
-"""One device and the chains of stages that run on it: the only module that speaks to ``wgpu``.
+"""One device and the chains of stages that run on it: with `stage_timing` the only module that speaks to ``wgpu``.
 
 How a stage is dispatched: a `Chain` is a list of dispatches over named arrays of 32-bit numbers on the device. It is
 composed once for a size of picture and then run for every frame::
@@ -24,10 +24,10 @@ import importlib.util
 import logging
 import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,6 +35,7 @@ import numpy as np
 from chromaperture.disparity.gpu.shader_text import shader
 from chromaperture.disparity.gpu.workgroups import dispatch_size
 from chromaperture.errors import InputError, MissingDependencyError, OutOfMemoryError
+from chromaperture.threads import begun
 
 # Real devices first; within a kind those that wgpu names first. A rasteriser in software is the last choice.
 _KINDS = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2, "Unknown": 3, "CPU": 4}
@@ -72,16 +73,30 @@ class Array(NamedTuple):
     is_constant: bool = False
 
 
-class Dispatch(NamedTuple):
-    """A stage over its arrays."""
+@dataclass(frozen=True, eq=False)
+class Dispatch:
+    """A stage over its arrays; ``pipeline`` waits for the compiled shader."""
 
     stage: str
     source: str
-    pipeline: Any
-    bindings: Any
     groups: tuple[int, int, int]
     arrays: tuple[Array, ...]
     constants: Mapping[str, Any]
+    device: Device | None = None
+    pipeline: Callable[[], Any] = lambda: None
+
+    @cached_property
+    def bound(self) -> tuple[Any, Any]:
+        """The pipeline and its arrays, for the device."""
+        assert self.device is not None
+        entries = [
+            {"binding": i, "resource": {"buffer": a.buffer, "offset": 0, "size": a.buffer.size}}
+            for i, a in enumerate(self.arrays)
+        ]
+        with device_errors(self.device.info.name):
+            pipeline = self.pipeline()
+            layout = pipeline.get_bind_group_layout(0)
+            return pipeline, self.device.handle.create_bind_group(layout=layout, entries=entries)
 
 
 @dataclass
@@ -103,16 +118,20 @@ class Device:
     subgroups: bool
     timestamps: bool
     largest_bytes: int
-    pipelines: dict[str, Any] = field(default_factory=dict)
+    pipelines: dict[str, Callable[[], Any]] = field(default_factory=dict)
 
-    def pipeline(self, source: str, entry: str) -> Any:
-        """Compile a shader once."""
-        key = f"{entry}:{source}"
-        if key not in self.pipelines:
+    def pipeline(self, source: str, entry: str) -> Callable[[], Any]:
+        """Begin to compile a shader, each once; what is returned waits for it, and raises DeviceError."""
+
+        def made() -> Any:
             with device_errors(self.info.name):
                 module = self.handle.create_shader_module(code=source)
                 compute = {"module": module, "entry_point": entry}
-                self.pipelines[key] = self.handle.create_compute_pipeline(layout="auto", compute=compute)
+                return self.handle.create_compute_pipeline(layout="auto", compute=compute)
+
+        key = f"{entry}:{source}"
+        if key not in self.pipelines:
+            self.pipelines[key] = begun(made)  # a driver takes up to .1 s a shader, and there are some 120
         return self.pipelines[key]
 
 
@@ -195,14 +214,7 @@ class Chain:
         count = dispatch_size(stage, len(arrays), groups)
         source = shader(stage, uses, constants)
         pipeline = self.device.pipeline(source, entry)
-        entries = [
-            {"binding": i, "resource": {"buffer": a.buffer, "offset": 0, "size": a.buffer.size}}
-            for i, a in enumerate(arrays)
-        ]
-        with device_errors(self.device.info.name):
-            layout = pipeline.get_bind_group_layout(0)
-            bindings = self.device.handle.create_bind_group(layout=layout, entries=entries)
-        self.dispatches.append(Dispatch(stage, source, pipeline, bindings, count, tuple(arrays), constants))
+        self.dispatches.append(Dispatch(stage, source, count, tuple(arrays), constants, self.device, pipeline))
 
     def run(self, inputs: Mapping[str, np.ndarray], outputs: Sequence[str]) -> dict[str, np.ndarray]:
         """Send the inputs, run all stages and return the outputs, flat; raises DeviceError, OutOfMemoryError."""
@@ -218,7 +230,7 @@ class Chain:
             encoder = self.device.handle.create_command_encoder()
             one_pass = encoder.begin_compute_pass()
             for dispatch in self.dispatches:
-                _encode(one_pass, dispatch)
+                encode(one_pass, dispatch)
             one_pass.end()
             staging, offset = self._staging(ticket), 0
             for array in ticket.outputs:
@@ -245,34 +257,6 @@ class Chain:
                 staging.unmap()
         return found
 
-    def stage_times_ms(self, inputs: Mapping[str, np.ndarray]) -> list[tuple[str, float]]:
-        """Run all stages, each timed by the device; raises DeviceError where it keeps no time."""
-        times = self.pass_times_ms(inputs, [[one] for one in self.dispatches])
-        return [(one.stage, ms) for one, ms in zip(self.dispatches, times, strict=True)]
-
-    def pass_times_ms(self, inputs: Mapping[str, np.ndarray], passes: Sequence[Sequence[Dispatch]]) -> list[float]:
-        """Run stages in passes, each timed by the device from its first stage to its last; raises DeviceError."""
-        if not self.device.timestamps:
-            raise DeviceError(f"{self.device.info.name} keeps no timestamps")
-        wgpu, count = _wgpu(), 2 * len(passes)
-        for name, values in inputs.items():
-            self.write(self.arrays[name], values)
-        with device_errors(self.device.info.name):
-            queries = self.device.handle.create_query_set(type=wgpu.QueryType.timestamp, count=count)
-            usage = wgpu.BufferUsage.QUERY_RESOLVE | wgpu.BufferUsage.COPY_SRC
-            resolved = self.device.handle.create_buffer(size=8 * count, usage=usage)
-            encoder = self.device.handle.create_command_encoder()
-            for i, dispatches in enumerate(passes):
-                places = {"beginning_of_pass_write_index": 2 * i, "end_of_pass_write_index": 2 * i + 1}
-                one_pass = encoder.begin_compute_pass(timestamp_writes={"query_set": queries, **places})
-                for dispatch in dispatches:
-                    _encode(one_pass, dispatch)
-                one_pass.end()
-            encoder.resolve_query_set(queries, 0, count, resolved, 0)
-            self.device.handle.queue.submit([encoder.finish()])
-            ticks = np.frombuffer(self.device.handle.queue.read_buffer(resolved), np.uint64).astype(float)
-        return [float(ms) for ms in (ticks[1::2] - ticks[0::2]) / 1e6]
-
     @property
     def device_bytes(self) -> int:
         """Memory of all arrays."""
@@ -286,9 +270,11 @@ class Chain:
         return self._readback[ticket.slot][0]
 
 
-def _encode(one_pass: Any, dispatch: Dispatch) -> None:
-    one_pass.set_pipeline(dispatch.pipeline)
-    one_pass.set_bind_group(0, dispatch.bindings)
+def encode(one_pass: Any, dispatch: Dispatch) -> None:
+    """Append a stage to a pass."""
+    pipeline, bindings = dispatch.bound
+    one_pass.set_pipeline(pipeline)
+    one_pass.set_bind_group(0, bindings)
     one_pass.dispatch_workgroups(*dispatch.groups)
 
 

@@ -62,4 +62,4 @@ class PlannedChain(Chain):
             raise ValueError(f"stage {stage}: a plan has no entry point but main")
         size = dispatch_size(stage, len(arrays), groups)
         source = shader(stage, uses, constants)
-        self.dispatches.append(Dispatch(stage, source, None, None, size, tuple(arrays), constants))
+        self.dispatches.append(Dispatch(stage, source, size, tuple(arrays), constants))
