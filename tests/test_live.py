@@ -18,7 +18,7 @@ from chromaperture.capture.threaded_source import DeviceLostError, LiveSource
 from chromaperture.color.color_maps import UNKNOWN
 from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError
-from chromaperture.products.samples import sample_camera
+from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.viewer.loop import LiveLoop
 from chromaperture.viewer.pictures import depth_picture
 from chromaperture.viewer.slots import Slot
@@ -158,6 +158,34 @@ def test_frames_that_cannot_be_measured_are_said_once_and_the_loop_goes_on():
         eye.gate.release(2)
         assert loop.to_view.take() is not None
     assert sum("cannot measure" in line for line in said) == 1
+
+
+def test_the_first_frame_that_was_measured_is_looked_at_once():
+    said: list[str] = []
+    seen: list[int] = []
+
+    def look(frame: Frame) -> str:
+        seen.append(frame.index)
+        return "another film"
+
+    eye, source = Eye(), Running(frames=9)
+    source.live, eye.fails = False, True
+    eye.gate.release(9)
+    with LiveLoop(source, eye, track=False, listener=said.append, on_first=look) as loop:
+        until(lambda: loop.unused > 1)
+        eye.fails = False
+        assert loop.over.wait(WAIT_S)
+    assert len(seen) == 1
+    assert seen[0] >= 2
+    assert said.count("another film") == 1
+
+
+def test_the_film_of_a_live_view_is_checked(run, tmp_path):
+    options = "--no-page", "--no-model", "-q", "--out", tmp_path
+    for camera, doubts in (("still_life_cy_halves", False), ("still_life_cy_open", True)):
+        result = run("live", sample_image("still_life_cy_halves"), "--camera", sample_camera(camera), *options)
+        assert result.returncode == 0, result.stderr
+        assert ("was not taken through this camera's film" in result.stderr) == doubts
 
 
 def test_a_device_begins_a_frame_while_the_cpu_finishes_the_one_before():

@@ -486,6 +486,15 @@ def test_a_camera_that_does_not_move_is_found_where_it_was(tmp_path, monkeypatch
     assert (out / "mesh.glb").stat().st_size > 1000
 
 
+@pytest.mark.extra("reconstruct", "open3d")
+def test_frames_through_another_film_are_refused(run, tmp_path):
+    command = "reconstruct", sample_image("still_life_cy_halves"), "--camera", sample_camera("still_life_cy_open")
+    result = run(*command, "--out", tmp_path / "model", "--quality", "real-time")
+    assert result.returncode == 2
+    assert "the first frame was not taken through this camera's film" in result.stderr
+    assert not (tmp_path / "model").exists()
+
+
 @pytest.mark.parametrize("command", ["reconstruct", "live"])
 def test_a_missing_extra_is_named(command, monkeypatch, capsys, tmp_path):
     monkeypatch.setitem(sys.modules, "open3d", None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from chromaperture.camera import CodedApertureCamera
+    from chromaperture.capture.source import Frame
 
 
 def check_output(path: Path, *suffixes: str, inputs: Iterable[Path | None] = (), option: str = "--out") -> None:
@@ -39,12 +40,32 @@ def check_film(camera: CodedApertureCamera, image: np.ndarray, name: str, *, ref
     InputError
         The film is certainly another one, and ``refuse``.
     """
+    if line := film_doubts(camera, image, name, refuse=refuse):
+        warnings.warn(line, CaptureWarning, stacklevel=2)
+
+
+def film_checked(frames: Iterable[Frame], camera: CodedApertureCamera, *, refuse: bool = True) -> Iterator[Frame]:
+    """Pass frames on; the first is checked, see `check_film`."""
+    for number, frame in enumerate(frames):
+        if not number:
+            check_film(camera, frame.image, "the first frame", refuse=refuse)
+        yield frame
+
+
+def film_doubts(camera: CodedApertureCamera, image: np.ndarray, name: str, *, refuse: bool = False) -> str:
+    """Return what speaks against the camera's film in a photograph, one line; empty where nothing does.
+
+    Raises
+    ------
+    InputError
+        As `check_film`.
+    """
     from chromaperture.camera_scale import at_scale
     from chromaperture.disparity.working_scale import reduced
     from chromaperture.evaluation.health import film_match
 
     if not camera.shows_frame_at(image.shape[1::-1]):
-        return  # without a film to compare with; the size is refused later
+        return ""  # without a film to compare with; the size is refused later
     camera = camera.at_size(*image.shape[1::-1])
     calibration = camera.calibration
     working = at_scale(calibration, camera.config.scale)
@@ -52,7 +73,7 @@ def check_film(camera: CodedApertureCamera, image: np.ndarray, name: str, *, ref
         image = reduced(image, (working.sensor.width_px, working.sensor.height_px))
     match = film_match(image, working)
     if not match.doubts:
-        return
+        return ""
     title = calibration.aperture.title
     if match.is_wrong and refuse:
         raise InputError(
@@ -60,9 +81,7 @@ def check_film(camera: CodedApertureCamera, image: np.ndarray, name: str, *, ref
             "camera file of the film that was in the lens, or --anyway"
         )
     sure = "was not" if match.is_wrong else "may not have been"
-    warnings.warn(
+    return (
         f"{name} {sure} taken through this camera's film ({title}): {' and '.join(match.findings)}; with another film "
-        "every distance is wrong. Strongly coloured light looks similar",
-        CaptureWarning,
-        stacklevel=2,
+        "every distance is wrong. Strongly coloured light looks similar"
     )

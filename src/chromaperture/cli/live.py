@@ -81,6 +81,7 @@ def live(
 
     Example: chromaperture live "webcam:0?exposure_us=5000" --camera camera.asdf
     """
+    from chromaperture.cli.checks import film_doubts
     from chromaperture.cli.console import compile_kernels, print_json, say_warning
     from chromaperture.cli.setup import camera_for
     from chromaperture.cli.streams import open_stream
@@ -115,6 +116,7 @@ def live(
             listener=say_warning,
             reserve_bytes=int(keep_free_gb * 2**30),
             watchdog=watchdog,
+            on_first=lambda frame: film_doubts(eye, frame.image, "the first frame"),
         )
         loops.append(loop)
         limits = {"max_relative_sigma": max_relative_sigma}

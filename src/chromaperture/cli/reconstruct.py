@@ -8,7 +8,19 @@ from typing import Annotated, Any
 
 import typer
 
-from chromaperture.cli.options import BlackLevel, Camera, Device, Frames, Json, MemoryMb, Quiet, VoxelMm, WhiteLevel
+from chromaperture.cli.checks import film_checked
+from chromaperture.cli.options import (
+    Anyway,
+    BlackLevel,
+    Camera,
+    Device,
+    Frames,
+    Json,
+    MemoryMb,
+    Quiet,
+    VoxelMm,
+    WhiteLevel,
+)
 from chromaperture.errors import InputError
 
 
@@ -27,6 +39,7 @@ def reconstruct(
     memory_mb: MemoryMb = 512,
     max_distance_mm: Annotated[float, typer.Option(help="Leave out what is farther away.")] = 6000.0,
     max_relative_sigma: Annotated[float, typer.Option(help="Leave out pixels with a wider error bar.")] = 0.08,
+    anyway: Anyway = False,
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
     json: Json = False,
@@ -58,8 +71,9 @@ def reconstruct(
     stream = open_stream(source, calibration=eye.calibration, black_level=black_level, white_level=white_level)
     with stream, progress(quiet=quiet) as update:
         number = itertools.count(1)
+        checked = film_checked(stream, eye, refuse=not anyway)
         model = build(
-            itertools.islice(stream, frames), eye, config=config, listener=say_warning,
+            itertools.islice(checked, frames), eye, config=config, listener=say_warning,
             progress=lambda p: update(f"frame {p.index}: {p.note or 'tracked'}"[:60], next(number), frames or 0),
         )  # fmt: skip
     report, files = write_model(out, model, facts={"source": source, "camera": str(camera), "quality": quality})

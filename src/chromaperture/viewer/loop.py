@@ -6,8 +6,6 @@ A slow stage costs frames, not latency: it takes the newest item.
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import functools
 import gc
 import threading
 import time
@@ -31,6 +29,7 @@ from chromaperture.viewer.free_space import RESERVE_BYTES, require_space
 from chromaperture.viewer.notices import RareNotices
 from chromaperture.viewer.old_submaps import forget_old
 from chromaperture.viewer.slots import Meter, Slot
+from chromaperture.viewer.tidying import tidy, trim_memory
 from chromaperture.viewer.trail import Trail
 from chromaperture.viewer.watchdog import Watchdog
 
@@ -81,6 +80,9 @@ class LiveLoop:
         Interval in which memory that nothing uses is freed, see `tidy`.
     watchdog : Watchdog, optional
         Entered by the caller. By default nothing is said about a stage that hangs.
+    on_first : callable, optional
+        Receives the first frame that was measured, from the thread that measures; what it returns is said, unless it
+        is empty.
 
     Attributes
     ----------
@@ -102,6 +104,7 @@ class LiveLoop:
         reserve_bytes: int = RESERVE_BYTES,
         tidy_every_s: float = 20.0,
         watchdog: Watchdog | None = None,
+        on_first: Callable[[Frame], str] = lambda frame: "",
     ) -> None:
         if track:
             open3d()
@@ -128,6 +131,7 @@ class LiveLoop:
         self._ahead: _Ahead | None = None
         self.recorded = self.unused = 0  # frames on the disk, and frames that could not be measured
         self.failure: BaseException | None = None
+        self._on_first: Callable[[Frame], str] | None = on_first
 
     def __enter__(self) -> Self:
         gc.freeze()  # modules and calibration stay: `tidy` need not look at them, which would take a tenth of a second
@@ -308,6 +312,10 @@ class LiveLoop:
         except Exception as error:
             self._unused(here.frame, error)
             return
+        if (on_first := self._on_first) is not None:
+            self._on_first = None
+            if line := on_first(here.frame):
+                self.say(line)
         measured = Measured(here.arrived, here.frame, measurement)
         now = time.monotonic()
         self.meters["depth"].record(now - here.start, now - here.arrived)
@@ -365,30 +373,6 @@ def one_line(error: BaseException) -> str:
     """Return the message of an error; its kind too, unless it was written for the user."""
     text = " ".join(str(error).split())
     return text if text and isinstance(error, ChromapertureError) else f"{type(error).__name__}: {text}".rstrip(": ")
-
-
-def tidy() -> None:
-    """Free what only refers to itself, as connections of browsers that left, and return it to the system.
-
-    Left alone, Python's collector looks at old objects only when there are a quarter more: within 17 minutes of
-    browsers that came and went 35 000 objects and 140 MB waited for it.
-    """
-    gc.collect()
-    trim_memory()
-
-
-def trim_memory() -> None:
-    """Return freed memory to the system: glibc keeps fragments freed by many threads, and grows for hours."""
-    if (trim := _trim()) is not None:
-        trim(0)
-
-
-@functools.cache  # a CDLL is a reference cycle: create one only
-def _trim() -> Callable[[int], int] | None:
-    with contextlib.suppress(OSError, AttributeError):
-        trim: Callable[[int], int] = ctypes.CDLL("libc.so.6").malloc_trim
-        return trim
-    return None  # not glibc
 
 
 def within_limits(measured: Measured, *, max_sigma: float, near_mm: float, far_mm: float) -> Measured:
