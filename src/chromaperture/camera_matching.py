@@ -97,7 +97,7 @@ def noise_of_photographs(calibration: Calibration) -> NoiseModel:
 def repaired(image: np.ndarray, calibration: Calibration) -> np.ndarray:
     """Return an image without its defective pixels, by the noise of the camera and of the photograph."""
     by_camera = without_defects(image, noise_model(calibration).variance)
-    if by_camera is image:  # the noise of the photograph is that of the camera or more: nothing stands out of it either
+    if by_camera is image:  # a photograph has the noise of its camera or more: then nothing stands out of that either
         return image
     return without_defects(image, noise_of_photographs(calibration).variance)
 

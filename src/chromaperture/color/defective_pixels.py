@@ -26,8 +26,8 @@ def without_defects(image: np.ndarray, variance: Callable[[np.ndarray], np.ndarr
     ----------
     image : (H, W, 3) float32, linear RGB
     variance : callable
-        From the image to the variance of its noise, (H, W, 3). Asked only where a pixel may be defective: of most
-        photographs none stands out of its neighbours.
+        From the image to the variance of its noise, (H, W, 3). It is called only where a pixel stands out of its
+        neighbours.
 
     Returns
     -------

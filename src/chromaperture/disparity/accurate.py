@@ -81,7 +81,7 @@ class Evidence(Protocol):
     ) -> np.ndarray:
         """Return nats a pixel, (H, W, N) float32, for labels between ``layers_px``, the layers to evaluate.
 
-        ``noise_variance`` is that of the image, (H, W, 3); without it `noise` is asked.
+        ``noise_variance`` is that of the image, (H, W, 3); without it, it is computed.
         """
 
 
@@ -137,7 +137,10 @@ class AccurateMethod:
         return edge_log_odds(image)
 
     def line_costs(self, image: np.ndarray, noise_variance: np.ndarray) -> LineCosts | None:
-        """Return what tells where edges are in an image, as `clipped_filled` has it, of known noise; (H, W, 3) each."""
+        """Return what tells where edges are in an image, as `clipped_filled` has it.
+
+        ``noise_variance`` is that of the image; (H, W, 3) each.
+        """
         if self.edges is None or not self.config.planes.edge_lines:
             return None
         return partial(self.edges.costs, self.edges.photograph(image, noise_variance))

@@ -128,9 +128,9 @@ class Groups(NamedTuple):
 
 
 class Photograph:
-    """What lines in both directions need of a photograph, (H, W, 3) float linear RGB, and of its noise's variance.
+    """What lines in both directions need of a photograph, computed when it is asked for.
 
-    Computed when it is asked for.
+    The photograph is linear RGB, the variance that of its noise; (H, W, 3) float each.
     """
 
     def __init__(self, image: np.ndarray, noise_variance: np.ndarray) -> None:
@@ -190,8 +190,11 @@ class EdgeLikelihood:
     _textures: dict[TextureKey, Texture] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def photograph(self, image: np.ndarray, noise_variance: np.ndarray | None = None) -> Photograph:
-        """Return an image, linear RGB, as `costs` needs it; its noise's variance where it is known; (H, W, 3) each."""
-        return Photograph(image, self.noise.variance(image) if noise_variance is None else noise_variance)
+        """Return an image, linear RGB, as `costs` needs it; without the variance of its noise that is computed.
+
+        Both are (H, W, 3).
+        """
+        return Photograph(image, self.noise.given_or_computed(image, noise_variance))
 
     def costs(self, photograph: Photograph, lines: Lines) -> np.ndarray:
         """Compute the negative log-likelihood of the places of edges.

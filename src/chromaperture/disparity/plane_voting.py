@@ -96,8 +96,10 @@ def voted_planes(
     used, choice = np.unique(np.take_along_axis(every, best[None], axis=0)[0], return_inverse=True)
     trusted = of_planes.max(axis=0) >= of_surface if trust is not None else np.ones(best.shape, bool)
     planes = np.concatenate([fit.planes for fit in fits])[used]
-    at_pixels = (of_pixels(part.reshape(best.shape), surface_px.shape, block_px) for part in (choice, trusted))
-    return Planes(planes, next(at_pixels), fits[0].blocks, next(at_pixels), label_of)
+    choice_at, trusted_at = (
+        of_pixels(part.reshape(best.shape), surface_px.shape, block_px) for part in (choice, trusted)
+    )
+    return Planes(planes, choice_at, fits[0].blocks, trusted_at, label_of)
 
 
 def votes(label: np.ndarray, surface: np.ndarray, log_odds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

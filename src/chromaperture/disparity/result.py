@@ -26,6 +26,10 @@ class NoiseModel(NamedTuple):
     variance: Callable[[np.ndarray], np.ndarray]
     is_known: bool
 
+    def given_or_computed(self, image: np.ndarray, noise_variance: np.ndarray | None) -> np.ndarray:
+        """Return the variance of an image's noise, (H, W, 3): what was computed before, if there is something."""
+        return self.variance(image) if noise_variance is None else noise_variance
+
 
 ESTIMATED_NOISE = NoiseModel(estimate_noise_variance, is_known=False)
 

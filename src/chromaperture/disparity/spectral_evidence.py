@@ -135,14 +135,12 @@ class SpectralEvidence:
         rows, columns : int
             Of the windows' middles.
         noise_variance : (H, W, 3) float, optional
-            Of the image; without it the noise model is asked.
+            Of the image; computed where it is not given.
         """
         config, run = self.config, self.pairs.run
         model = self.model(layers_px)
         windows = model.windows
-        if noise_variance is None:
-            noise_variance = self.noise.variance(image)
-        noise = self.noise_of_windows(noise_variance, rows, columns)
+        noise = self.noise_of_windows(self.noise.given_or_computed(image, noise_variance), rows, columns)
         image = np.where(np.isfinite(image), image, np.float32(0))
         if config.dual_pixel:
             image = of_equal_light(image)

@@ -23,8 +23,8 @@ from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.threads import parallel_map, thread_count
 
 _PARTS = 8  # of the work of each thread: sets are of unlike size
-# Points in all steps of all starts, some .1 ms of work, below which no other thread is asked to help: with 16 threads
-# waking them took longer than the work.
+# Points in all steps of all starts, .2 ms of work, for each part that may go to another thread; chosen by hand. Smaller
+# parts leave threads waiting for the interpreter's lock: docs/gpu.md, "On an NVIDIA H200".
 _FEW_POINTS = 20_000
 
 

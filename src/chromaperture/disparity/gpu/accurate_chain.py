@@ -53,7 +53,7 @@ from chromaperture.disparity.plane_edges import edge_links
 from chromaperture.disparity.spectral_evidence import SpectralEvidence
 from chromaperture.disparity.views import filtered_views
 from chromaperture.disparity.working_scale import reduced
-from chromaperture.threads import beside, parallel_map
+from chromaperture.threads import begun, parallel_map
 
 
 class Room(NamedTuple):
@@ -320,12 +320,11 @@ class AccurateChain:
         if self.reduction is not None:
             first["photograph"] = image
         ticket = self.first.start(first, DOWN if self.uses_depth_edges else [])
-        with beside() as begin:  # while the device works
-            depth_edges = begin(lambda: self.method.depth_edges(filled))
-            last = self._inputs_of_last(filled, views.guide, variance)
+        depth_edges = begun(lambda: self.method.depth_edges(filled))  # while the device works
+        last = self._inputs_of_last(filled, views.guide, variance)
         if self.voted is not None:
             last |= regions_found(
-                self.first.finish(ticket), depth_edges.result(), self.voted, self.grid, self.labels_px,
+                self.first.finish(ticket), depth_edges(), self.voted, self.grid, self.labels_px,
                 config=self.method.config.planes, run=self.method.run,
             )  # fmt: skip
         if self.reduction is None and first["image"] is not image:
