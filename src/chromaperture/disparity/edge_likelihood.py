@@ -190,10 +190,7 @@ class EdgeLikelihood:
     _textures: dict[TextureKey, Texture] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def photograph(self, image: np.ndarray, noise_variance: np.ndarray | None = None) -> Photograph:
-        """Return an image, linear RGB, as `costs` needs it; without the variance of its noise that is computed.
-
-        Both are (H, W, 3).
-        """
+        """Return an image (H, W, 3), linear RGB, as `costs` needs it; a variance that is not given is computed."""
         return Photograph(image, self.noise.given_or_computed(image, noise_variance))
 
     def costs(self, photograph: Photograph, lines: Lines) -> np.ndarray:
