@@ -13,7 +13,7 @@ from typing import Literal, TypeVar, get_args
 import numpy as np
 
 from chromaperture.errors import InputError
-from chromaperture.planes_config import PlanesConfig
+from chromaperture.planes_config import PlanesConfig, PlateConfig
 from chromaperture.spectral_config import LEAST_REACH_OF_PAIRS, SpectralConfig
 from chromaperture.stage_config import (
     BilateralConfig,
@@ -44,19 +44,7 @@ LEAST_LAYERS = 32
 # Of the power in a window, see `CrossFilterConfig`. docs/measurements.md (*Detail from elsewhere*) has 1, 1.5, 2 and 4,
 # and why only views that lie close together have it.
 ALLOWED_GROWTH = 2.0
-# Of what borders between planes cost, a fit each: docs/measurements.md, "Several fits vote", has two to five of them.
-VOTE_FACTORS = (1.0, 0.7, 1.4)
-# See `PlanesConfig.learned_border_nats`; the second where blur tells more than parallax. docs/measurements.md, "Depth
-# edges in the photograph" and "Depth edges that the photograph does not show", has others.
-LEARNED_BORDER_NATS, LEARNED_BORDER_NATS_OF_BLUR = (2.5, 1.25, 5.0), (5.0, 2.5, 10.0)
-# See `PlanesConfig.most_block_nats`; the second where blur tells more than parallax. docs/measurements.md, "Blocks that
-# speak for another plane", has others.
-MOST_BLOCK_NATS, MOST_BLOCK_NATS_OF_BLUR = 3.0, 12.0
-# See `PlanesConfig.share_beside_edges`: of two views that lie apart, and where blur tells more than parallax. Three
-# views that lie apart lose by .3: docs/measurements.md, "Blocks beside depth edges".
-SHARE_BESIDE_EDGES_OF_PAIR, SHARE_BESIDE_EDGES_OF_BLUR = 0.3, 0.7
 # See `PlanesConfig.known_from_nats`, where blur and noise are known: frames of noise alone reach .00012.
-# docs/measurements.md, "Planes are known as a whole".
 KNOWN_FROM_NATS_OF_BLUR = 3e-4
 Method = TypeVar("Method", bound="MatcherConfig")
 
@@ -202,7 +190,9 @@ class AccurateConfig(MatcherConfig):
         With the camera's blur where the camera file has one, else with shifted views.
     surface : SurfaceConfig
     planes : PlanesConfig
-        Explain the surface by planes where that costs no evidence.
+        Of regions between depth edges: where the surface of weak evidence is looked for.
+    plate : PlateConfig
+        The surface, which starts from those planes and follows the evidence.
     spectral : SpectralConfig
         Evidence of all channels together, beside that of pairs, where the camera's blur and noise are known.
     """
@@ -211,6 +201,7 @@ class AccurateConfig(MatcherConfig):
     evidence: CrossFilterConfig | CorrelationEvidenceConfig = CorrelationEvidenceConfig()
     surface: SurfaceConfig = SurfaceConfig()
     planes: PlanesConfig = PlanesConfig()
+    plate: PlateConfig = PlateConfig()
     spectral: SpectralConfig = SpectralConfig()
 
     @property
@@ -251,35 +242,22 @@ class AccurateConfig(MatcherConfig):
             count in blur, so that designs whose views lie close together are searched as finely.
         one_pair : bool
             Whether the widest separation is that of one pair of channels, as of two halves. Where such views lie apart,
-            evidence counts as far as it is a pixel's own; docs/measurements.md, "Weak texture of all pairs". And blocks
-            beside likely depth edges count less, as they do where views lie close together.
+            evidence counts as far as it is a pixel's own; docs/measurements.md, "Weak texture of all pairs".
         full_well_electrons : float, optional
             Of the sensor, see `CrossFilterConfig.for_blur`.
         """
         surface = SurfaceConfig(
-            slope_penalty=25.0 / reach, edge_range=1.0, huber_layers=0.02, temperature=0.3, learned_error_bar=True
+            slope_penalty=25.0 / reach, edge_range=1.0, temperature=0.3, learned_error_bar="blur"
         )
         layers = LayersConfig(step_px=0.3 * reach)
         evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
-        by_blur = reach < LEAST_REACH_OF_PAIRS
-        if by_blur:
+        if reach < LEAST_REACH_OF_PAIRS:
             evidence = replace(evidence, allowed_growth=ALLOWED_GROWTH)
         elif one_pair:
             evidence = replace(evidence, own_detail=True)
-        beside_edges = SHARE_BESIDE_EDGES_OF_BLUR if by_blur else SHARE_BESIDE_EDGES_OF_PAIR if one_pair else 1.0
-        planes = PlanesConfig(
-            vote_factors=VOTE_FACTORS,
-            learned_border_nats=LEARNED_BORDER_NATS_OF_BLUR if by_blur else LEARNED_BORDER_NATS,
-            most_block_nats=MOST_BLOCK_NATS_OF_BLUR if by_blur else MOST_BLOCK_NATS,
-            share_beside_edges=beside_edges,
-            known_from_nats=KNOWN_FROM_NATS_OF_BLUR,
-        )
+        planes = PlanesConfig(known_from_nats=KNOWN_FROM_NATS_OF_BLUR)
         spectral = SpectralConfig.for_blur(reach)
         return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=spectral)
-
-    def with_guided_borders(self) -> AccurateConfig:
-        """Return the settings with borders of planes led by the guide, not by the photograph's depth edges."""
-        return replace(self, planes=replace(self.planes, learned_border_nats=()))
 
     def with_half_pixels(self) -> AccurateConfig:
         """Return the settings for a dual-pixel sensor whose blur is known.
@@ -287,10 +265,7 @@ class AccurateConfig(MatcherConfig):
         Red and blue are the light of the pixels' halves, green their mean. Both halves see most of the pupil: what a
         layer's blur brings from elsewhere is no evidence, and evidence counts as far as it is a pixel's own. They share
         noise (``disparity/half_pixel_likelihood.py``). The error bar is not the learned one, which knows other
-        evidence: with it .65 and .93 of the errors of real boxes lie within one and two bars and .59 and .78 of casual
-        scenes, without .74, .97, .67 and .86 (``benchmarks/dual_pixel.py``). With `PlanesConfig`'s own ``edge_share``
-        of 0.4 they are .70, .96, .62 and .81. Depth edges of the photograph gain nothing (six of the rooms of
-        ``benchmarks/half_pixel_rooms.py``: .766 and .764 within a ratio of 1.25), so the guide leads borders.
+        evidence.
 
         Raises
         ------
@@ -300,10 +275,9 @@ class AccurateConfig(MatcherConfig):
         if not isinstance(self.evidence, CrossFilterConfig):
             raise InputError("half pixels are matched with the blur: start from AccurateConfig.for_blur")
         evidence = replace(self.evidence, own_detail=True, allowed_growth=ALLOWED_GROWTH)
-        surface = replace(self.surface, learned_error_bar=False)
-        planes = replace(self.planes, edge_share=1.0, learned_border_nats=())
+        surface = replace(self.surface, learned_error_bar="none")
         spectral = replace(self.spectral, dual_pixel=True)
-        return replace(self, evidence=evidence, surface=surface, planes=planes, spectral=spectral)
+        return replace(self, evidence=evidence, surface=surface, spectral=spectral)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Defaults of the planes that explain a surface (quality "accurate"); see `stage_config`."""
+"""Defaults of the planes and of the plate that explain the evidence of blocks (quality "accurate")."""
 
 from __future__ import annotations
 
@@ -9,102 +9,96 @@ from chromaperture.stage_config import all_finite, require
 
 @dataclass(frozen=True)
 class PlanesConfig:
-    """Planes that explain the surface (quality "accurate"), see ``disparity/planar.py``.
-
-    Chosen on ray-traced scenes that no table shows; ``benchmarks/ablation.py --quality accurate`` measures each.
+    """Planes between depth edges, from which the plate starts; see ``disparity/plane_regions.py``.
 
     Attributes
     ----------
     tiles_px : tuple of int
-        Sizes of the squares to which planes are fitted at first.
-    block_px : int
-        Side of the squares of pixels that choose one plane together.
-    boundary_penalty : float
-        Nats that a px of boundary between two planes costs on an even guide.
+        Sizes of the squares to which planes are fitted.
     plane_penalty : float
-        Nats that a plane costs: its three numbers. Joining that saves one number may lose a third.
-    plane_tolerance : float
-        Share of its log-likelihood that a plane may lose when it is joined to a neighbour. The blur that was
-        calibrated is not exact, so the log-likelihood of a large plane never peaks where its neighbour's does.
-    slope_tolerance : float
-        Share of its log-likelihood that a plane may lose when its slope is taken away.
-    slope_of_missed : float
-        The same where regions between depth edges choose planes, as a share of what the level plane misses of its
-        blocks' best labels; the larger of both counts. docs/measurements.md, "What a slope has to gain", has .06 to
-        .16.
+        Nats that a plane costs.
+    border_nats : float
+        Nats that a border between two blocks costs, a unit of the log odds of no depth edge between them.
     slope_penalty : float
-        Nats a pixel of a slope of one label per px; it grows with the square. Floors in view slope by 0.3.
+        Nats a block of a slope of one label a block; it grows with the square.
     outside_penalty : float
         Nats a pixel where a plane leaves the search range.
-    border_px : int
-        Pixels closer to another plane do not count in a fit: their windows see both.
-    edge_band_px : int
-        Reach inwards, from the border of a nearer plane, within which the guide alone decides where its edge is;
-        0 leaves edges where the evidence has them.
-    edge_lines : bool
-        Whether lines across borders tell where edges are, where the camera's blur is known; else the guide alone.
-    rounds : int
-        Of choosing and joining; 0 switches the planes off.
-    sweeps : int
-        Of the belief propagation in each round.
-    edge_share : float
-        Of the range of the disparity about a pixel, by which an error bar that is not learned widens. The edges of
-        planes follow the picture: on seven ray-traced scenes 0.4 makes the bar honest in every tenth of the pixels, by
-        sigma, and 1.0, as of a surface without planes, is too wide in two of them.
-    vote_factors : tuple of float
-        Of ``boundary_penalty``, a fit each, which vote as `plane_voting.py` has it: learned with known blur. Without
-        any one fit is taken wherever the surface's error bar allows it; with shifted views votes gained nothing.
-    learned_border_nats : tuple of float
-        Nats that a border between two blocks costs, a unit of the log odds of no depth edge between them
-        (``disparity/depth_edges.py``), a fit each; they vote in place of those of ``vote_factors``. Empty, or with
-        ``block_px`` other than 4: the guide leads borders.
-    most_block_nats : float
-        Upper bound of the nats by which a plane is worse than the best one at a block, where regions between depth
-        edges choose planes; 0 is no bound.
-    share_beside_edges : float
+    max_block_nats : float
+        Upper bound of the nats by which a plane is worse than the best one at a block; 0 is no bound.
+    edge_block_weight : float
         How much blocks count there that a likely depth edge touches, in [0, 1]: their windows see both sides.
-        docs/measurements.md, "Blocks beside depth edges", has 0 to 1.
     known_from_nats : float
-        Nats a pixel by which the evidence of a plane must fall when it is shifted for all of its pixels to be known,
-        see `evidence_signs.known_planes`; 0: of all planes. Shifted views of noise alone reach .012 (.1 to .9 in every
-        pixel and channel, 120x160 px, planes of more than seven blocks, halves, RGB circles and squares, four draws).
+        Nats a pixel by which the evidence of a region must fall when its surface is shifted for all of its pixels to be
+        known. Shifted views of noise alone reach .012, blurred ones .00012.
     """
 
     tiles_px: tuple[int, ...] = (48, 96, 192, 480)
-    block_px: int = 4
-    boundary_penalty: float = 7.5
     plane_penalty: float = 60.0
-    plane_tolerance: float = 0.03
-    slope_tolerance: float = 0.003
-    slope_of_missed: float = 0.09
+    border_nats: float = 1.25
     slope_penalty: float = 0.3
     outside_penalty: float = 0.05
-    border_px: int = 12
-    edge_band_px: int = 8
-    edge_lines: bool = True
-    rounds: int = 5
-    sweeps: int = 8
-    edge_share: float = 0.4
-    vote_factors: tuple[float, ...] = ()
-    learned_border_nats: tuple[float, ...] = ()
-    most_block_nats: float = 0.0
-    share_beside_edges: float = 1.0
+    max_block_nats: float = 3.0
+    edge_block_weight: float = 0.3
     known_from_nats: float = 0.02
 
     def __post_init__(self) -> None:
         require(bool(self.tiles_px) and min(self.tiles_px) >= 8, "tiles_px must hold sizes of at least 8 px")
-        whole = min(self.block_px, self.border_px, self.sweeps) >= 1 and min(self.rounds, self.edge_band_px) >= 0
-        require(whole, "block_px, border_px and sweeps must be >= 1, edge_band_px and rounds >= 0")
-        penalties = (
-            self.boundary_penalty, self.plane_penalty, self.plane_tolerance, self.slope_tolerance,
-            self.slope_of_missed, self.slope_penalty, self.outside_penalty, self.edge_share, *self.vote_factors,
-            *self.learned_border_nats, self.most_block_nats, self.share_beside_edges,
-            self.known_from_nats,
+        numbers = (
+            self.plane_penalty, self.border_nats, self.slope_penalty, self.outside_penalty, self.max_block_nats,
+            self.edge_block_weight, self.known_from_nats,
         )  # fmt: skip
-        least = all_finite(*penalties) and min(penalties) >= 0
-        require(
-            least,
-            "penalties, tolerances, edge_share, vote_factors, learned_border_nats, most_block_nats, share_beside_edges "
-            "and known_from_nats must be finite and >= 0",
-        )
-        require(self.share_beside_edges <= 1, "share_beside_edges must be at most 1")
+        require(all_finite(*numbers) and min(numbers) >= 0, "penalties, nats and weights must be finite and >= 0")
+        require(self.edge_block_weight <= 1, "edge_block_weight must be at most 1")
+
+
+@dataclass(frozen=True)
+class PlateConfig:
+    """The plate that follows the evidence from a start of planes; see ``disparity/thin_plate.py``.
+
+    Labels are half a layer apart: 0.15 px of blur where the blur is known. docs/decisions.md has the alternatives.
+
+    Attributes
+    ----------
+    rounds : int
+    evidence_share : float
+        Share of the pixels' nats that counts: windows overlap, so that neighbours say much the same.
+    edge_block_weight : float
+        Share of that for blocks that a likely depth edge touches.
+    max_block_nats : float
+        Upper bound of what a block earns at its best label.
+    bend_penalty : float
+        Nats a block, for a second difference of one label; it grows with the square up to ``bend_labels``.
+    bend_labels : float
+        Second difference from which on a bend is a fold, whose cost grows no more.
+    slope_penalty, slope_labels : float
+        The same for first differences.
+    edge_log_odds : float
+        Added to the log odds of depth edges: the plate is better cut once too often.
+    smoothed_labels : float
+        Sigma by which evidence is smoothed along the labels before a parabola is laid through it.
+    own_evidence_nats : float
+        By which blocks within a window must earn more on the surface of the paths than on their plane for the plate to
+        start from that surface.
+    """
+
+    rounds: int = 3
+    evidence_share: float = 0.15
+    edge_block_weight: float = 0.3
+    max_block_nats: float = 3.0
+    bend_penalty: float = 3000.0
+    bend_labels: float = 0.006
+    slope_penalty: float = 0.02
+    slope_labels: float = 1.0
+    edge_log_odds: float = 2.0
+    smoothed_labels: float = 1.0
+    own_evidence_nats: float = 6.4
+
+    def __post_init__(self) -> None:
+        require(1 <= self.rounds <= 100, f"rounds must lie between 1 and 100, is {self.rounds}")
+        positive = (
+            self.evidence_share, self.max_block_nats, self.bend_penalty, self.bend_labels, self.slope_penalty,
+            self.slope_labels, self.smoothed_labels,
+        )  # fmt: skip
+        require(all_finite(*positive) and min(positive) > 0, "shares, penalties, nats and labels must be positive")
+        others = (self.edge_block_weight, self.own_evidence_nats)
+        require(all_finite(self.edge_log_odds, *others) and min(others) >= 0, "weights and nats must be >= 0")

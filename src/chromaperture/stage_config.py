@@ -308,19 +308,13 @@ class SurfaceConfig:
         Difference of the guide, in units of ``guide_range``, at which the penalties have fallen to 1/e.
     edge_floor : float
         Fraction of the penalties that remains across the strongest edge of the guide.
-    huber_layers : float
-        Slopes below, layers per px, are smoothed by the total variation; steeper ones become steps.
     interpolation_sigma_px : float
-        Gaussian window over which neighbours decide where between two layers the surface lies, before the variation.
-    coupling_layers2 : (float, float)
-        First and last coupling theta of variation and volume, layers squared.
-    coupling_rounds, variation_iterations : int
-        Rounds of the coupling, 0 switches the variation off; primal-dual iterations in each.
+        Gaussian window over which neighbours decide where between two layers the surface lies.
     temperature : float
         Nats a path by which a layer may cost more and still be 1/e as probable. Fitted on captures of known depth.
-    learned_error_bar : bool
-        Judge the surface by ``disparity/learned_error_bar.py``, else by its posterior and its range alone. Learned with
-        the blur of calibrated cameras, so off without.
+    learned_error_bar : {"blur", "views", "none"}
+        Judge the surface by ``disparity/learned_error_bar.py``, as learned from evidence of that kind, or by its
+        posterior and its range alone.
     """
 
     paths: int = 8
@@ -328,21 +322,16 @@ class SurfaceConfig:
     jump_penalty: float = 25.0
     edge_range: float = 0.5
     edge_floor: float = 0.05
-    huber_layers: float = 0.05
     interpolation_sigma_px: float = 8.0
-    coupling_layers2: tuple[float, float] = (2.0, 0.02)
-    coupling_rounds: int = 25
-    variation_iterations: int = 40
     temperature: float = 0.5
-    learned_error_bar: bool = False
+    learned_error_bar: Literal["blur", "views", "none"] = "views"
 
     def __post_init__(self) -> None:
         require(self.paths in (4, 8), f"paths must be 4 or 8, got {self.paths}")
-        require(len(self.coupling_layers2) == 2, "coupling_layers2 must hold the first and the last coupling")
         lengths = (self.edge_range, self.interpolation_sigma_px, self.temperature)
-        numbers = (self.slope_penalty, self.jump_penalty, *lengths, *self.coupling_layers2)
+        numbers = (self.slope_penalty, self.jump_penalty, *lengths)
         positive = all_finite(*numbers) and min(numbers) > 0
-        require(positive, "penalties, edge_range, interpolation_sigma_px, temperature and couplings must be positive")
+        require(positive, "penalties, edge_range, interpolation_sigma_px and temperature must be positive")
         require(0 <= self.edge_floor <= 1, "edge_floor must lie in [0, 1]")
-        require(self.huber_layers >= 0 and self.coupling_rounds >= 0, "huber_layers and coupling_rounds must be >= 0")
-        require(self.variation_iterations >= 1, "variation_iterations must be >= 1")
+        kinds = ("blur", "views", "none")
+        require(self.learned_error_bar in kinds, f"learned_error_bar must be one of {', '.join(kinds)}")

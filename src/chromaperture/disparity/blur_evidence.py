@@ -39,6 +39,7 @@ from chromaperture.threads import each_band, parallel_map
 
 # 3.5 nats a band at most: a perfect agreement must not outweigh the whole neighbourhood
 MAX_CORRELATION2_OF_BANDS = 0.999
+CONTRARY = 0.3  # product of two pairs' correlations; .1 and any finds the same: docs/decisions.md
 SPACING_PX = round(2 * SAMPLING_PX)  # of the evidence: windows of sigma 4 px leave nothing finer
 # Blur, px at the pupil's edge, up to which every layer is computed: half of them would move walls of sharp texture by
 # 0.013 px of half disparity (2.2 px of blur), of less sharp texture by 0.003 px (3.4 px).
@@ -263,9 +264,23 @@ def with_midpoints(volume: np.ndarray) -> np.ndarray:
 
 def _nats(correlation: np.ndarray, weights: Sequence[float]) -> np.ndarray:
     """Log-likelihood of correlations (pairs, bands, ...) against uncorrelated pictures; (pairs, ...) float32."""
-    explained = np.minimum(np.maximum(correlation, 0) ** 2, np.float32(MAX_CORRELATION2_OF_BANDS))
-    bands = np.moveaxis(explained, 1, 0)
+    bands = np.moveaxis(explained_variance(correlation), 1, 0)
     return np.asarray(sum(np.float32(-0.5 * w) * np.log1p(-band) for w, band in zip(weights, bands, strict=True)))
+
+
+def explained_variance(correlation: np.ndarray) -> np.ndarray:
+    """Return the share of variance that pairs of channels explain of each other, bounded; as (pairs, bands, ...).
+
+    Where orange meets blue, one channel rises as another falls: their correlation is negative, and as good a sign. But a
+    surface that only changes between two colours has signs that agree: of the three pairs none or two are negative. A
+    negative correlation counts as far as the product of the other two is negative, in full from `CONTRARY` on.
+    """
+    found = np.maximum(correlation, 0) ** 2
+    for i in range(len(correlation) if len(correlation) == 3 else 0):
+        one, other = (correlation[k] for k in range(3) if k != i)
+        contrary = np.clip(one * other / np.float32(-CONTRARY), 0, 1)
+        found[i] += contrary * np.minimum(correlation[i], 0) ** 2
+    return np.asarray(np.minimum(found, np.float32(MAX_CORRELATION2_OF_BANDS)))
 
 
 def _bands(picture: np.ndarray, config: CrossFilterConfig) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -12,7 +12,6 @@ from chromaperture.config import AccurateConfig, ExecutionName, MatcherConfig, P
 from chromaperture.disparity.accurate import AccurateMethod, Evidence
 from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.correlation_evidence import CorrelationEvidence
-from chromaperture.disparity.edge_likelihood import EdgeLikelihood
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.labels import IDENTITY, LabelMap
 from chromaperture.disparity.paper import PaperMethod
@@ -129,8 +128,7 @@ def method_for(
                 config.spectral, BlurEvidence(cross_filter, blur, label_map, noise, run)
             )
             space = view_spaces(aperture, unmixing, "unmixed")[0]
-            edges = EdgeLikelihood(blur, label_map, noise, run)
-            return AccurateMethod(config, space, evidence, label_map, run, edges)
+            return AccurateMethod(config, space, evidence, label_map, run)
         case AccurateConfig(evidence=CorrelationEvidenceConfig() as correlation):
             maps = tuple(label_maps) or (IDENTITY,)
             spaces = tuple(view_spaces(aperture, unmixing, correlation.space))[: len(maps)]

@@ -15,7 +15,6 @@ from chromaperture.config import ExecutionName
 from chromaperture.disparity.labels import LabelMap
 from chromaperture.disparity.stages.cross_filter import Tile
 from chromaperture.disparity.stages.paths import Posterior
-from chromaperture.disparity.stages.plane_refining import PointSets
 from chromaperture.disparity.stages.planes import PlaneCosts
 from chromaperture.disparity.stages.upsample import Coarse
 from chromaperture.disparity.stages.variation import Problem, State, Steps
@@ -141,17 +140,6 @@ class Execution(Protocol):
     ) -> np.ndarray:
         """Sum the path costs of every pixel and layer; (H, W, D)."""
 
-    def coupled_variation(
-        self,
-        disparity_px: np.ndarray,
-        likelihood: np.ndarray,
-        guide: np.ndarray,
-        layers_px: np.ndarray,
-        *,
-        config: SurfaceConfig,
-    ) -> np.ndarray:
-        """Refine a disparity map by total variation coupled to the volume; (H, W)."""
-
     def posterior(self, cost: np.ndarray, layers_px: np.ndarray, *, temperature: float) -> Posterior:
         """Return mean and variance of the layers of every pixel by their cost."""
 
@@ -159,19 +147,6 @@ class Execution(Protocol):
         self, likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarray, costs: PlaneCosts
     ) -> np.ndarray:
         """Cost of every plane at every pixel; (H, W, K)."""
-
-    def best_planes(
-        self,
-        likelihood: np.ndarray,
-        points: PointSets,
-        planes: np.ndarray,
-        labels_px: np.ndarray,
-        costs: PlaneCosts,
-        *,
-        steps: int,
-        even: bool = False,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the most likely plane of every set of points, near one of its first planes; (S, 3) and nats, (S,)."""
 
     def agreed_plane(
         self,
@@ -190,14 +165,6 @@ class Execution(Protocol):
         self, total: np.ndarray, pairs: np.ndarray, border: np.ndarray, *, plane_penalty: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Join neighbouring regions while the energy falls: which one each became part of, (R,), and costs, (R, K)."""
-
-    def potts_beliefs(self, cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
-        """Cost of every choice at every pixel, with the best of all others; (H, W, K)."""
-
-    def edge_costs(
-        self, lines: np.ndarray, near: np.ndarray, far: np.ndarray, share: np.ndarray, noise: np.ndarray
-    ) -> np.ndarray:
-        """Compute negative log-likelihoods of Gaussian lines, at every place of their edge; (P, T)."""
 
     def iterate_variation(self, problem: Problem, state: State, steps: Steps) -> None:
         """Run primal-dual iterations in place."""

@@ -1,9 +1,10 @@
 """The error bar of quality "accurate" by what its errors were like on captures of known depth.
 
-The posterior of a pixel does not know that a whole plane is wrong, or that the surface before the planes said something
-else. Such signs are numbers that a photograph tells without its truth; here they are logarithms, and the logarithm of
-the error bar is a weighted sum of them. ``benchmarks/error_bar_training.py`` makes scenes, finds the weights and writes
-``learned_error_bar.json``. Everything counts in steps between labels: 0.15 px of blur, whatever the design.
+The posterior of a pixel does not know that a whole wall is wrong, or that planes and paths said something else. Such
+signs are numbers that a photograph tells without its truth; here they are logarithms, and the logarithm of the error bar
+is a weighted sum of them. ``benchmarks/error_bar_training.py`` finds the weights on the choosing part of
+``benchmarks/world_scenes.py`` and writes ``learned_error_bar.json``. Everything counts in labels: 0.15 px of blur,
+whatever the design.
 
 References
 ----------
@@ -13,25 +14,27 @@ R. Koenker, G. Bassett: Regression quantiles. Econometrica 46, 1978. doi:10.2307
 from __future__ import annotations
 
 import json
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
 
-from chromaperture.disparity.error_bar import pooled_sigma
-from chromaperture.disparity.evidence_signs import signs_of_evidence
-from chromaperture.disparity.plane_fit import Planes, Volume, blocks_of_pixels
-from chromaperture.disparity.winner import Surface
-from chromaperture.threads import each_band, parallel_map
+from chromaperture.disparity.block_surface import BlockSurface, block_means, read_along
+from chromaperture.disparity.depth_edges import BLOCK_PX
 
-POOLED_PX = 8.0  # sigma of the window in which the posterior's variance is averaged; else it follows paths
-REACHES_PX = (8, 32)  # of the range of the surface about a pixel
-SMOOTHED_PX = 3.0  # of the bar's logarithm: planes, blocks and ranges within squares have corners; chosen by hand
-APART = 1.0  # steps: a surface that lies farther from a plane contradicts it; chosen by hand
-# Steps, added to the mean distance of fits: below, they agree. With .3 the loss is .004 more, with 2 .002 less.
-LEAST_DISTANCE = 1.0
+Source = Literal["blur", "views"]
+POOLED_BLOCKS = 2.0  # sigma of the window in which signs are averaged
+REACHES_BLOCKS = 2, 8  # of the range of the surface about a block
+SMOOTHED_BLOCKS = 0.75  # sigma, of the bar's logarithm
+LEAST_LABELS = 0.1  # every sign needs a finite logarithm
+SHIFTS = np.array([-24, -16, -12, -8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24], float)  # labels
+SPREAD_BLOCKS = 3.0  # sigma of the window whose evidence is read along the surface
+# Pixels of a window that say one thing: detail and windows of correlation are that wide. Chosen by hand: it only scales
+# a sign, whose weight is learned.
+PIXELS_ALIKE = 10.0
+LEAST_EVIDENCE = 1e-3  # nats a pixel
 _FILE = Path(__file__).parent / "learned_error_bar.json"
 
 
@@ -55,124 +58,73 @@ class Weights(NamedTuple):
     most: np.ndarray
 
 
-def learned_sigma(surface: Surface, step_px: float, *, first_px: np.ndarray, explained_by: Planes | None) -> np.ndarray:
-    """Return the standard deviation of a surface by the signs of its errors; (H, W) float32, px.
+def learned_bar(found: dict[str, np.ndarray], source: Source) -> np.ndarray:
+    """Return the standard deviation of a surface of blocks by the signs of its errors; (h, w) float32, labels."""
+    model = weights()[source]
+    logarithm = np.full(next(iter(found.values())).shape, model.constant, np.float32)
+    for name, weight, least, most in zip(model.names, model.weights, model.least, model.most, strict=True):
+        logarithm += np.float32(weight) * np.clip(found[name], np.float32(least), np.float32(most))
+    return np.asarray(np.exp(pooled(logarithm, SMOOTHED_BLOCKS)), np.float32)
+
+
+def signs(surface: BlockSurface, first: np.ndarray, sigma: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the signs of an error of every block; (h, w) float32 each, logarithms but for ``edges``.
+
+    ``posterior``: error bar of the paths' posterior about the surface; ``frame``: its mean, for photographs differ in
+    what their evidence is worth; ``spread``: standard deviation of a shift of the surface by the evidence of a window;
+    ``evidence``: nats a pixel along the surface; ``paths`` and ``planes``: how far the paths' surface and the planes
+    lie from it; ``edges``: how likely depth edges are nearby; ``range_N``: range of the surface within N blocks.
 
     Parameters
     ----------
-    surface : Surface
-        Without NaN; labels, and the error bar of its posterior.
-    step_px : float
-        Between two labels.
-    first_px : (H, W) float, px
-        The surface before planes explained it.
-    explained_by : Planes or None
-        With the evidence of blocks.
-
-    Raises
-    ------
-    ValueError
-        The planes come without the evidence of blocks.
+    surface : BlockSurface
+    first, sigma : (H, W) float, labels
+        The paths' surface, and the standard deviation of their posterior about the final one.
     """
-    model = weights()["planes" if explained_by is not None else "surface"]
-    found = signs(surface, step_px, first_px=first_px, explained_by=explained_by)
-    logarithm = np.full(first_px.shape, model.constant, np.float32)
-
-    def add(rows: slice) -> None:
-        for name, weight, least, most in zip(model.names, model.weights, model.least, model.most, strict=True):
-            logarithm[rows] += np.float32(weight) * np.clip(found[name][rows], np.float32(least), np.float32(most))
-
-    each_band(add, len(logarithm))
-    return np.asarray(step_px * np.exp(pooled(logarithm, SMOOTHED_PX)), np.float32)
-
-
-def signs(
-    surface: Surface, step_px: float, *, first_px: np.ndarray, explained_by: Planes | None
-) -> dict[str, np.ndarray]:
-    """Return the signs of an error, as `learned_sigma`; (H, W) float32 each, logarithms and shares.
-
-    ``posterior``: error bar of the posterior. Without planes also ``range_N``: range of the surface within N px. With
-    planes also ``posterior_of_frame``: its mean, for photographs differ in what their evidence is worth; ``rejected``:
-    the share of a pixel's plane that the surface before contradicts; ``fits``: the mean distance at which several fits
-    of planes put the pixel; and those of `signs_of_evidence`.
-    """
-    label = np.asarray(surface.disparity_px, np.float32) / np.float32(step_px)
-    posterior = pooled_sigma(surface.sigma_px, POOLED_PX) / np.float32(step_px)
-    found = {"posterior": np.log(posterior + np.float32(0.02))}  # steps: below, nothing is told apart
-    if explained_by is None:
-        return {**found, **{f"range_{reach}": np.log(part + np.float32(0.1)) for reach, part in ranges(label).items()}}
-    if explained_by.blocks is None:
-        raise ValueError("the signs of the evidence need the blocks that chose the planes")
-    height, width = explained_by.blocks.likelihood.shape[:2]
-    size = label.shape[0] // height
-    middles = np.s_[size // 2 : height * size : size, size // 2 : width * size : size]  # windows of 8 px need no more
-    found["posterior_of_frame"] = np.full(label.shape, found["posterior"][middles].mean(), np.float32)
-    fits = None if explained_by.fits_px is None else explained_by.fits_px / np.float32(step_px)
-    each = (
-        partial(of_blocks, label, explained_by.blocks, explained_by.choice),
-        partial(of_planes, first_px, explained_by, step_px),
-        partial(of_fits, label, fits),
-    )
-    return found | {name: sign for part in parallel_map(lambda work: work(), each) for name, sign in part.items()}
+    label = np.asarray(surface.label, np.float32)
+    posterior = np.log(np.sqrt(pooled(block_means(np.square(sigma)))) + np.float32(LEAST_LABELS))
+    away = {"paths": block_means(first), "planes": surface.regions.label}
+    found = {
+        "posterior": posterior,
+        "frame": np.full_like(posterior, posterior.mean()),
+        **_signs_of_evidence(surface.nats, label),
+        **{name: np.log(pooled(np.abs(part - label)) + np.float32(LEAST_LABELS)) for name, part in away.items()},
+        "edges": pooled(1 / (1 + np.exp(-surface.log_odds.max(axis=0)))),
+    }
+    for reach in REACHES_BLOCKS:
+        square = np.ones((2 * reach + 1,) * 2, np.uint8)
+        found[f"range_{reach}"] = np.log(cv2.dilate(label, square) - cv2.erode(label, square) + np.float32(LEAST_LABELS))
+    return {name: np.asarray(part, np.float32) for name, part in found.items()}
 
 
-def of_blocks(label: np.ndarray, blocks: Volume, choice: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the signs that the evidence gives, see `signs`; ``label`` in steps."""
-    above_first = label - np.float32(blocks.labels_px[0] / blocks.step_px)
-    return signs_of_evidence(blocks, above_first, choice)
+def _signs_of_evidence(nats: np.ndarray, label: np.ndarray) -> dict[str, np.ndarray]:
+    """Return what the evidence says of a surface by what it would say if the surface lay elsewhere."""
+    profile = np.stack([read_along(nats, label + shift) for shift in SHIFTS], axis=2) / np.float32(BLOCK_PX**2)
+    around = cv2.GaussianBlur(profile, (0, 0), SPREAD_BLOCKS, borderType=cv2.BORDER_REFLECT_101)
+    pixels = 2 * np.pi * (SPREAD_BLOCKS * BLOCK_PX) ** 2 / PIXELS_ALIKE
+    likely = np.exp((around - around.max(axis=2, keepdims=True)) * np.float32(pixels))
+    likely *= np.gradient(SHIFTS).astype(np.float32)  # every shift stands for the shifts about it
+    variance = likely @ np.square(SHIFTS).astype(np.float32) / likely.sum(axis=2)
+    here = np.maximum(around[..., len(SHIFTS) // 2], 0)
+    return {"spread": np.log(np.sqrt(variance) + LEAST_LABELS), "evidence": np.log(here + LEAST_EVIDENCE)}
 
 
-def of_planes(first_px: np.ndarray, planes: Planes, step_px: float) -> dict[str, np.ndarray]:
-    """Return the sign that planes give, see `signs`."""
-    apart = (np.abs(first_px - planes.label_px) > APART * step_px).astype(np.float32)
-    choice = planes.choice.ravel()
-    share = np.bincount(choice, apart.ravel()) / np.maximum(np.bincount(choice), 1)
-    return {"rejected": share.astype(np.float32)[planes.choice]}
-
-
-def of_fits(label: np.ndarray, fits: np.ndarray | None) -> dict[str, np.ndarray]:
-    """Return how far fits (F, h, w) of blocks lie from an answer (H, W), see `signs`; steps. 0 without."""
-    if fits is None:
-        return {"fits": np.full(label.shape, np.log(LEAST_DISTANCE), np.float32)}
-    size = label.shape[0] // fits.shape[1]
-    rows, columns = blocks_of_pixels(label.shape, fits.shape[1:], size)
-    away = np.zeros(label.shape, np.float32)
-
-    def add(band: slice) -> None:
-        for fit in fits:
-            away[band] += np.abs(fit[rows[band]][:, columns] - label[band])
-
-    each_band(add, len(label))
-    return {"fits": np.log(away / np.float32(len(fits)) + np.float32(LEAST_DISTANCE))}
-
-
-def pooled(values: np.ndarray, reach_px: float = POOLED_PX) -> np.ndarray:
-    """Return the mean in a Gaussian window; (H, W) float32."""
+def pooled(values: np.ndarray, sigma: float = POOLED_BLOCKS) -> np.ndarray:
+    """Return the mean in a Gaussian window; (h, w) float32."""
     values = np.ascontiguousarray(values, np.float32)
-    return np.asarray(cv2.GaussianBlur(values, (0, 0), reach_px, borderType=cv2.BORDER_REFLECT_101))
-
-
-def ranges(label: np.ndarray) -> dict[int, np.ndarray]:
-    """Return the range of a map within each of `REACHES_PX`; (H, W) float32 each. A square of squares is a square."""
-    low: np.ndarray = np.ascontiguousarray(label, np.float32)
-    high = low
-    found: dict[int, np.ndarray] = {}
-    before = 0
-    for reach in REACHES_PX:
-        square = np.ones((2 * (reach - before) + 1,) * 2, np.uint8)
-        low, high, before = cv2.erode(low, square), cv2.dilate(high, square), reach
-        found[reach] = np.subtract(high, low)
-    return found
+    return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REFLECT_101))
 
 
 @cache
 def weights() -> dict[str, Weights]:
-    """Read the weights: "planes" where planes explain the surface, "surface" where none do."""
-    stored = json.loads(_FILE.read_text(encoding="utf-8"))
-    return {name: _weights_of(stored[name]) for name in ("planes", "surface")}
-
-
-def _weights_of(part: dict) -> Weights:
-    names = tuple(part["signs"])
-    columns = np.array([part["signs"][name] for name in names], float).T
-    return Weights(names, columns[0], float(part["constant"]), columns[1], columns[2])
+    """Return the stored weights, of cameras whose blur is known and of shifted views."""
+    stored = json.loads(_FILE.read_text())
+    return {
+        kind: Weights(
+            tuple(model["weights"]),
+            np.array(list(model["weights"].values())),
+            model["constant"],
+            *(np.array([model[end][name] for name in model["weights"]]) for end in ("least", "most")),
+        )
+        for kind, model in stored.items()
+    }

@@ -21,9 +21,11 @@ import cv2
 import numpy as np
 from scipy import ndimage, sparse
 
+from chromaperture.disparity.depth_edges import BLOCK_PX
 from chromaperture.disparity.execution import Execution
-from chromaperture.disparity.plane_merging import LEAST_CORE
 from chromaperture.disparity.stages.joining import summed_pairs
+from chromaperture.disparity.stages.planes import PlaneCosts
+from chromaperture.planes_config import PlanesConfig
 from chromaperture.threads import each_band
 
 # docs/measurements.md, "Depth edges in the photograph", has .4 and 1 for the one, 4 and 9 for the other.
@@ -35,17 +37,61 @@ OF_LINK = 1e-3  # of a link's own log odds: tells apart what is alike otherwise,
 _REGIONS_AT_ONCE = 32
 
 
-class Joined(NamedTuple):
+# Share of its evidence that a sloped plane loses beside level ones: that of a far wall hardly tells whether it leans.
+SLOPED_LESS = 0.012
+LEAST_CORE = 0.25  # share of a region's blocks away from depth edges below which all of them count; chosen by hand
+
+
+class Regions(NamedTuple):
     """Regions that have one plane.
 
     Attributes
     ----------
     region : (h, w) int, from 0 on
-    plane : (R,) int; of every region
+    label : (h, w) float; of their planes, which stay within the labels.
     """
 
     region: np.ndarray
-    plane: np.ndarray
+    label: np.ndarray
+
+
+def planes_of_regions(
+    nats: np.ndarray, planes: np.ndarray, log_odds: np.ndarray, *, config: PlanesConfig, run: Execution
+) -> Regions:
+    """Let regions between depth edges choose planes, level ones of every label among them, and join.
+
+    Parameters
+    ----------
+    nats : (h, w, N) float32
+        Sums of the evidence of blocks.
+    planes : (K, 3) float
+        ``label = a x + b y + c`` of pixels, labels from 0 on.
+    log_odds : (2, h, w) float
+        As `edge_log_odds`, of the same blocks.
+    config : PlanesConfig
+    run : Execution
+    """
+    labels = np.arange(nats.shape[2], dtype=float)
+    every = np.concatenate([of_blocks(planes), np.stack([0 * labels, 0 * labels, labels], axis=1)])
+    region = regions_between_edges(log_odds)
+    costs = PlaneCosts(config.slope_penalty, config.outside_penalty * BLOCK_PX**2)
+    cost = run.plane_costs(nats, every, labels, costs)
+    cost[..., : len(planes)] *= np.float32(1 - SLOPED_LESS)
+    shares = shares_of_blocks(region, log_odds, config.edge_block_weight)
+    total = costs_of_regions(region, cost, most_block_nats=config.max_block_nats, shares=shares)
+    pairs, border = borders_of(region, border_costs(log_odds, config.border_nats))
+    into, total = run.join_regions(total, pairs, border, plane_penalty=config.plane_penalty)
+    left, numbers = np.unique(into, return_inverse=True)
+    joined = numbers[region]
+    a, b, c = every[total[left].argmin(axis=1)].T[:, joined]
+    label = a * np.arange(joined.shape[1]) + b * np.arange(joined.shape[0])[:, None] + c
+    return Regions(joined, np.clip(label, 0, len(labels) - 1))
+
+
+def of_blocks(planes: np.ndarray) -> np.ndarray:
+    """Express planes of pixels in the coordinates of blocks, whose middles are whole numbers; (K, 3)."""
+    a, b, c = planes.T
+    return np.stack([a * BLOCK_PX, b * BLOCK_PX, c + (a + b) * (BLOCK_PX - 1) / 2], axis=1)
 
 
 def regions_between_edges(log_odds: np.ndarray) -> np.ndarray:
@@ -164,28 +210,6 @@ def bounded(cost: np.ndarray, most_nats: float) -> np.ndarray:
     out *= -np.float32(most_nats)
     out += least + np.float32(most_nats)
     return np.asarray(out)
-
-
-def joined_regions(
-    region: np.ndarray, total: np.ndarray, links: np.ndarray, *, plane_penalty: float, run: Execution
-) -> Joined:
-    """Join neighbouring regions while the energy falls; see `stages.join_regions`.
-
-    Parameters
-    ----------
-    region : (h, w) int, from 0 on
-    total : (R, K) float64
-        As `costs_of_regions`.
-    links : (2, h, w) float
-        Nats that a border between two blocks costs.
-    plane_penalty : float
-        Nats that a plane costs.
-    run : Execution
-    """
-    pairs, border = borders_of(region, links)
-    into, total = run.join_regions(total, pairs, border, plane_penalty=plane_penalty)
-    left, numbers = np.unique(into, return_inverse=True)
-    return Joined(numbers[region], total[left].argmin(axis=1))
 
 
 def borders_of(region: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-defs=False
-"""Costs of planes and belief propagation, compiled; ``stages/planes.py`` explains what is computed."""
+"""Costs of planes, compiled; ``stages/planes.py`` explains what is computed."""
 
 from __future__ import annotations
 
@@ -8,12 +8,8 @@ import numpy as np
 from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.paths import FAST
-from chromaperture.disparity.cpu.workspace import workspace
 from chromaperture.disparity.stages.planes import LEAST_AREA, LEAST_POINTS, NEAR, PlaneCosts
 from chromaperture.threads import in_parallel
-
-_CACHED = 1 << 18  # numbers in half of a level-2 cache of 2 MB
-_NEVER = np.float32(1e30)  # nats; cost of the lanes beyond the last choice
 
 
 def plane_costs(likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarray, costs: PlaneCosts) -> np.ndarray:
@@ -45,27 +41,6 @@ def agreed_plane(
     plane = np.empty(3)
     found = _agreed_plane(corners, x, y, label, weight, tolerance_px, rounds, plane)
     return plane if found else np.full(3, np.nan)
-
-
-def potts_beliefs(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
-    """Min-sum belief propagation on the pixel grid, as `stages.potts_beliefs`; (H, W, K) float32."""
-    height, width, count = cost.shape
-    shape = height, width, -(-count // v.LANES) * v.LANES
-    links = np.ascontiguousarray(links, np.float32)
-    with workspace() as memory:
-        beliefs = memory.array("beliefs", shape, np.float32)  # the cost and all four messages
-        messages = memory.array("messages", (4, *shape), np.float32)
-
-        def begin(_: int, top: int, bottom: int) -> None:
-            beliefs[top:bottom, :, :count] = cost[top:bottom]
-            beliefs[top:bottom, :, count:] = _NEVER
-            messages[:, top:bottom] = 0
-
-        in_parallel(begin, height)
-        for _ in range(sweeps):
-            in_parallel(lambda _, first, last: _along_rows(beliefs, messages, links[0], first, last), height)
-            in_parallel(lambda _, first, last: _along_columns(beliefs, messages, links[1], first, last), width)
-        return beliefs[..., :count].copy()
 
 
 @compiled(fastmath=FAST)
@@ -151,51 +126,3 @@ def _fit_near(place, reach, plane):
     plane[1] = (q * xl + s * yl + t * l1) / determinant
     plane[2] = (r * xl + t * yl + u * l1) / determinant
     return True
-
-
-@inlined(fastmath=FAST)
-def _send(beliefs, to, back, here, there, count, penalty):
-    """Renew one message; beliefs hold the cost and all messages, so the one from the receiver is taken off.
-
-    Arrays are flat, ``count`` whole vectors a pixel.
-    """
-    least, most = v.broadcast(np.float32(np.inf)), v.broadcast(penalty)
-    for k in range(0, count, v.LANES):
-        least = v.smaller(least, v.sub(v.load(beliefs, here + k), v.load(back, here + k)))
-    least = v.least_lane(least)
-    for k in range(0, count, v.LANES):
-        message = v.sub(v.sub(v.load(beliefs, here + k), v.load(back, here + k)), least)
-        message = v.smaller(message, most)
-        change = v.sub(message, v.load(to, there + k))
-        v.store(beliefs, there + k, v.add(v.load(beliefs, there + k), change))
-        v.store(to, there + k, message)
-
-
-@compiled(fastmath=FAST)
-def _along_rows(beliefs, messages, links, first, last):
-    width, count = beliefs.shape[1:]
-    values, right, left = beliefs.reshape(-1), messages[0].reshape(-1), messages[1].reshape(-1)
-    for y in range(first, last):
-        at = y * width * count
-        for x in range(width - 1):
-            _send(values, right, left, at + x * count, at + (x + 1) * count, count, links[y, x])
-        for x in range(width - 1, 0, -1):
-            _send(values, left, right, at + x * count, at + (x - 1) * count, count, links[y, x - 1])
-
-
-@compiled(fastmath=FAST)
-def _along_columns(beliefs, messages, links, first, last):
-    height, width, count = beliefs.shape
-    values, down, up = beliefs.reshape(-1), messages[2].reshape(-1), messages[3].reshape(-1)
-    row = width * count
-    together = max(1, _CACHED // (3 * height * count))  # columns whose beliefs and messages stay in the cache
-    for left in range(first, last, together):
-        right = min(left + together, last)
-        for y in range(height - 1):
-            for x in range(left, right):
-                at = y * row + x * count
-                _send(values, down, up, at, at + row, count, links[y, x])
-        for y in range(height - 1, 0, -1):
-            for x in range(left, right):
-                at = y * row + x * count
-                _send(values, up, down, at, at - row, count, links[y - 1, x])

@@ -17,31 +17,11 @@ import numpy as np
 from chromaperture.compilation import compiled, inlined
 from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.paths import FAST
-from chromaperture.disparity.stages.variation import Problem, State, Steps, couple
-from chromaperture.stage_config import SurfaceConfig
+from chromaperture.disparity.stages.variation import Problem, State, Steps
 from chromaperture.threads import in_parallel, parallel_map, thread_count
 
 SWEEP = 10  # iterations in one sweep: seven arrays of so many rows of 2000 px fill a level-2 cache of 512 kB
-AHEAD = 16  # pixels whose layers are fetched into the cache before they are needed: 2.4 times as fast
-_LINE = 16  # numbers of a line of the cache
-_CACHED = 1 << 18  # numbers in half of a level-2 cache of 2 MB
 EXTRAPOLATED, U, DUAL_X, DUAL_Y = range(4)
-
-
-def coupled_variation(
-    disparity_px: np.ndarray, likelihood: np.ndarray, guide: np.ndarray, layers_px: np.ndarray, *, config: SurfaceConfig
-) -> np.ndarray:
-    """Refine a disparity map, as `stages.coupled_variation`; (H, W) float32, px."""
-    likelihood = np.ascontiguousarray(likelihood, np.float32)
-    few = max(1, _CACHED // (likelihood.shape[1] * likelihood.shape[2]))  # rows that are read from memory once
-    bands = np.array_split(likelihood, max(thread_count(), len(likelihood) // few))
-    ends = parallel_map(lambda rows: (rows.min(), rows.max()), bands)
-    range_nats = float(max(high for _, high in ends) - min(low for low, _ in ends))
-
-    def decouple(u: np.ndarray, likelihood: np.ndarray, fidelity: float) -> np.ndarray:
-        return nearest_likely(u, likelihood, fidelity, range_nats=range_nats)
-
-    return couple(disparity_px, likelihood, guide, layers_px, config, iterate_variation, decouple)
 
 
 def iterate_variation(
@@ -117,76 +97,6 @@ def variation_gap(problem: Problem, state: State) -> float:
 def _edges(problem: Problem) -> np.ndarray:
     """Edge weights, or an empty array for none: one compiled text serves both."""
     return np.empty((2, 0, 0), np.float32) if problem.edges is None else problem.edges
-
-
-def nearest_likely(
-    u: np.ndarray, likelihood: np.ndarray, fidelity: float, *, range_nats: float = math.inf
-) -> np.ndarray:
-    """Return the best layer near ``u``, as `stages.variation.nearest_likely`; (H, W) float32.
-
-    ``range_nats`` is the largest difference of two log-likelihoods: no layer beyond what it can outweigh is tried.
-    """
-    out = np.empty_like(u)
-    layers = likelihood.shape[2]
-    reach = min(math.sqrt(2 * fidelity * range_nats), layers)
-    vectors = min(-(-(2 * int(reach) + 6) // v.LANES), layers // v.LANES)
-    # Fewer layers than one vector, or too many to be tried by whole vectors, are tried one by one.
-    tried = vectors * v.LANES if vectors * v.LANES >= 2 * int(reach) + 6 else 0
-
-    def rows(_: int, top: int, bottom: int) -> None:
-        part = slice(top, bottom)
-        _nearest_likely(u[part], likelihood[part], np.float32(fidelity), np.float32(reach), tried, out[part])
-
-    in_parallel(rows, len(u))
-    return out
-
-
-@compiled(fastmath=FAST, error_model="numpy")
-def _nearest_likely(u, likelihood, fidelity, reach, tried, out):  # type: ignore[no-untyped-def]
-    height, width, layers = likelihood.shape
-    half, eight = np.float32(0.5), v.broadcast(np.float32(v.LANES))
-    gains = likelihood.reshape(-1)
-    cost = np.empty(layers + v.LANES, np.float32)
-    lanes = np.arange(v.LANES).astype(np.float32)
-    for y in range(height):
-        for x in range(width):
-            here, at = u[y, x], (y * width + x) * layers
-            if tried > 0:
-                # The best layer, and one more on either side of it; u itself lies up to half a layer off any.
-                first = min(max(int(here - reach) - 2, 0), layers - tried)
-                for k in range(0, tried + _LINE, _LINE):
-                    v.prefetch(gains, at + AHEAD * layers + first + k)
-                count = tried
-                away = v.add(v.load(lanes, 0), v.broadcast(np.float32(first) - here))
-                lowest = v.broadcast(np.float32(np.inf))
-                for k in range(0, tried, v.LANES):
-                    gain = v.mul(v.broadcast(fidelity), v.load(gains, at + first + k))
-                    value = v.sub(v.mul(v.mul(v.broadcast(half), away), away), gain)
-                    v.store(cost, k, value)
-                    lowest = v.smaller(lowest, value)
-                    away = v.add(away, eight)
-                least = v.lane(v.least_lane(lowest), 0)
-                best = 0
-                while cost[best] > least and best < tried - 1:
-                    best += 1
-            else:
-                first, count = 0, layers
-                for k in range(layers):
-                    away_of = np.float32(k) - here
-                    cost[k] = half * away_of * away_of - fidelity * gains[at + k]
-                best = 0
-                for k in range(1, layers):
-                    if cost[k] < cost[best]:
-                        best = k
-            found = np.float32(first + best)
-            if 0 < first + best < layers - 1 and 0 < best < count - 1:
-                center = gains[at + first + best]
-                before = math.exp(center - gains[at + first + best - 1])
-                after = math.exp(center - gains[at + first + best + 1])
-                slope, bend = half * (after - before), max(half * (before + after) - 1, np.float32(0))
-                offset = (here - found - fidelity * slope) / (1 + 2 * fidelity * bend)
-                found += min(max(offset, -half), half)
-            out[y, x] = found
 
 
 @compiled(fastmath=FAST, error_model="numpy")

@@ -13,7 +13,7 @@ import numpy as np
 
 from chromaperture.config import MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.disparity.accurate import AccurateMethod
-from chromaperture.disparity.gpu.accurate_on_device import AccurateOnDevice
+from chromaperture.disparity.gpu.accurate_chain import AccurateOnDevice
 from chromaperture.disparity.gpu.device import Array, Chain, Device, DeviceError, Ticket, adapters, open_device
 from chromaperture.disparity.gpu.measured import (
     NOTHING,
@@ -217,9 +217,9 @@ def on_device(method: Method, choice: str, note: Callable[[str], None], *, pixel
         matching = on_device(method.method, choice, note)
         if not isinstance(matching, DeviceMethod):
             return method
-        if 12 * pixels > matching.on_gpu.device.largest_bytes:  # three floats a pixel
+        too_large = 12 * pixels > matching.on_gpu.device.largest_bytes  # three floats a pixel
+        if too_large or not isinstance(matching.on_gpu, GpuMethod):
             return replace(method, method=matching)
-        assert isinstance(matching.on_gpu, GpuMethod | AccurateOnDevice)
         on_gpu = replace(matching.on_gpu, reduction=Reduction(method.size_px, guide_weights(method.aperture)))
         return DeviceMethod(on_gpu, method, matching.may_fall_back)
     asked_for = choice not in ("auto", "cpu")

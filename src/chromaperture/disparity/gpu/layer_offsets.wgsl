@@ -1,10 +1,9 @@
-// Offset from the nearest layer at which averaged tangents are least, half a layer at most, and the start of the
-// variation there.
+// Offset from the nearest layer at which averaged tangents are least, half a layer at most, and the label there.
 
 @group(0) @binding(0) var<storage, read> winner: array<vec4f>;
 @group(0) @binding(1) var<storage, read> averaged: array<vec2f>;
 @group(0) @binding(2) var<storage, read_write> offset: array<f32>;
-@group(0) @binding(3) var<storage, read_write> variation: array<vec4f>;  // u and its extrapolation, layers; dual
+@group(0) @binding(3) var<storage, read_write> label: array<f32>;
 
 @compute @workgroup_size(64)
 fn main(
@@ -16,6 +15,5 @@ fn main(
     let pull = averaged[pixel];
     let o = clamp(-pull.x / max(pull.y, 1.0e-9), -0.5, 0.5);  // 1e-9: even evidence
     offset[pixel] = o;
-    let u = winner[pixel].x + o;
-    variation[pixel] = vec4f(u, u, 0.0, 0.0);
+    label[pixel] = winner[pixel].x + o;
 }

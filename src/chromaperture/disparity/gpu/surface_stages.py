@@ -1,7 +1,6 @@
 """Stages of quality "accurate" from a volume of log-likelihoods to a surface, appended to a chain.
 
-Paths, the place between the layers, variation coupled to the volume, posterior, range about a pixel: the files of
-``stages/`` explain each. Disparities count in layers here. Volumes are (h, w, count), the layers of a pixel next to
+Paths, the place between the layers, posterior, sums of blocks: the files of ``stages/`` explain each. Disparities count in layers here. Volumes are (h, w, count), the layers of a pixel next to
 each other.
 """
 
@@ -17,7 +16,6 @@ from chromaperture.disparity.gpu.device import Array, Chain, DeviceError
 from chromaperture.disparity.gpu.workgroups import GROUP, groups_for
 from chromaperture.disparity.stages.between_layers import TANGENTS
 from chromaperture.disparity.stages.paths import LEAST_UNEXPLAINED, LINES, penalties_of
-from chromaperture.disparity.stages.variation import OPERATOR_NORM_SQUARED
 from chromaperture.stage_config import SurfaceConfig
 
 AT_ONCE = 8  # neighbours that an invocation of a filter has: what they read overlaps
@@ -27,8 +25,6 @@ LANES_IN_SOFTWARE = 4  # the fewer, the less they tell each other; 2 and 1 have 
 # On an H200 a step took 5 us without, and 1.3 us with it and 16 lanes (docs/gpu.md).
 AHEAD, LAYERS_AHEAD = 4, 72
 MOST_LAYERS = 512  # of a path: 32 in the registers of each of 16 invocations
-STEPS_SIDE = 64  # px that a workgroup of `coupling_steps.wgsl` loads along either axis
-_MOST_STEPS = 5  # iterations in shared memory: of 64 x 64 px loaded 54 x 54 are stored
 
 
 class Grid(NamedTuple):
@@ -156,107 +152,41 @@ def gaussian_taps(sigma: float) -> np.ndarray:
     return np.asarray(cv2.getGaussianKernel(size, sigma, cv2.CV_32F)[:, 0])
 
 
-class SurfaceArrays(NamedTuple):
-    """What the stages between the volume and the surface work on."""
+def add_path_surface(
+    chain: Chain, likelihood: Array, guide: Array, grid: Grid, labels_px: np.ndarray, *, config: SurfaceConfig
+) -> None:
+    """Append the paths, the surface of least cost between the labels, and the posterior of the labels.
 
-    likelihood: Array  # (h, w, count)
-    guide: Array  # (h, w)
-    cost: Array  # (h, w, count)
-    winner: Array  # (h, w, 4)
-    offset: Array  # (h, w)
-    tangents: Array  # (h, w, 2)
-    averages: Array  # (h, w, 2)
-    links: Array  # (h, w, 2)
-    goal: Array  # (h, w)
-    surface: Array  # (h, w, 4): layer, extrapolated, dual
-    other: Array  # (h, w, 4): the iterations go to and fro
-    posterior: Array  # (h, w, 2): mean and variance
-    sigma: Array  # (h, w)
-    label: Array  # (h, w): layer
-    couplings: Array  # (rounds,)
-    round: Array  # (1,)
-
-
-def surface_arrays(chain: Chain, grid: Grid, config: SurfaceConfig) -> SurfaceArrays:
-    """Make the arrays; raises OutOfMemoryError."""
+    Makes the arrays ``label``, (h, w), and ``posterior``, (h, w, 2): mean and variance; labels from 0 on.
+    """
     pixels = grid.pixels
     sizes = dict(
-        likelihood=grid.size, guide=pixels, cost=grid.size, winner=4 * pixels, offset=pixels, tangents=2 * pixels,
-        averages=2 * pixels, links=2 * pixels, goal=pixels, surface=4 * pixels, other=4 * pixels,
-        posterior=2 * pixels, sigma=pixels, label=pixels,
+        cost=grid.size, winner=4 * pixels, offset=pixels, tangents=2 * pixels, averages=2 * pixels, label=pixels,
+        posterior=2 * pixels,
     )  # fmt: skip
-    made = {name: chain.array(name, size) for name, size in sizes.items()}
-    rounds = np.geomspace(*config.coupling_layers2, max(1, config.coupling_rounds))
-    couplings = chain.constant("couplings", rounds)
-    return SurfaceArrays(**made, couplings=couplings, round=chain.array("round", 1, np.uint32))
-
-
-def add_start(chain: Chain, a: SurfaceArrays, grid: Grid, *, config: SurfaceConfig) -> None:
-    """Append the best layers by cost and `between_layers`, which starts the variation."""
-    per_pixel(chain, "volume_winner", [a.cost, a.likelihood, a.winner], grid, count=grid.layers)
+    cost, winner, offset, tangents, averages, label, posterior = (chain.array(*size) for size in sizes.items())
+    add_paths(chain, likelihood, guide, cost, grid, labels_px, config=config)
+    per_pixel(chain, "volume_winner", [cost, likelihood, winner], grid, count=grid.layers)
     taps = gaussian_taps(config.interpolation_sigma_px)
     for i in range(TANGENTS):
         per_pixel(
-            chain, "layer_tangents", [a.winner, a.offset, a.tangents], grid,
+            chain, "layer_tangents", [winner, offset, tangents], grid,
             is_first=i == 0, least_unexplained=LEAST_UNEXPLAINED,
         )  # fmt: skip
-        add_gaussian(chain, a.tangents, a.averages, (grid.height, grid.width), taps, parts=2)
-        per_pixel(chain, "layer_offsets", [a.winner, a.tangents, a.offset, a.surface], grid)
-
-
-def add_variation(chain: Chain, a: SurfaceArrays, grid: Grid, layers_px: np.ndarray, *, config: SurfaceConfig) -> None:
-    """Append `stages.coupled_variation`; the result is in ``surface``."""
-    step = float(layers_px[1] - layers_px[0])
-    chain.add("count_up", [a.round], groups=(1,), to_zero=True)
+        add_gaussian(chain, tangents, averages, (grid.height, grid.width), taps, parts=2)
+        per_pixel(chain, "layer_offsets", [winner, tangents, offset, label], grid)
     per_pixel(
-        chain, "link_weights", [a.guide, a.links], grid, edge_range=config.edge_range, edge_floor=config.edge_floor
-    )
-    primal_step = OPERATOR_NORM_SQUARED**-0.5
-    # An even number of dispatches a round: it ends in the array in which it began.
-    parts = _even_parts(config.variation_iterations)
-    for _ in range(config.coupling_rounds):
-        per_pixel(
-            chain, "coupling_target", [a.surface, a.likelihood, a.winner, a.couplings, a.round, a.goal], grid,
-            count=grid.layers, fidelity=1 / (config.slope_penalty * step),
-        )  # fmt: skip
-        for i, steps in enumerate(parts):
-            before, after = (a.surface, a.other) if i % 2 == 0 else (a.other, a.surface)
-            chain.add(
-                "coupling_steps", [before, after, a.goal, a.links, a.couplings, a.round],
-                groups=tuple(side / (STEPS_SIDE - 2 * steps) for side in (grid.width, grid.height)),
-                height=grid.height, width=grid.width, steps=steps, is_fresh=i == 0,
-                primal_step=primal_step, dual_step=1 / (OPERATOR_NORM_SQUARED * primal_step),
-                huber=float(config.huber_layers), highest=float(grid.layers - 1),
-            )  # fmt: skip
-        chain.add("count_up", [a.round], groups=(1,), to_zero=False)
-
-
-def _even_parts(iterations: int) -> list[int]:
-    """Cut iterations into an even number of nearly equal parts; 0 does nothing but copy."""
-    dispatches = 2 * math.ceil(iterations / _MOST_STEPS / 2)
-    return [iterations // dispatches + (i < iterations % dispatches) for i in range(dispatches)]
-
-
-def add_posterior(chain: Chain, a: SurfaceArrays, grid: Grid, *, config: SurfaceConfig) -> None:
-    """Append `stages.posterior`, in layers, and the error bar of the surface."""
-    per_pixel(
-        chain, "volume_posterior", [a.cost, a.posterior], grid,
+        chain, "volume_posterior", [cost, posterior], grid,
         count=grid.layers, temperature=config.temperature * config.paths,
     )  # fmt: skip
-    add_sigma(chain, a, grid)
 
 
-def add_sigma(chain: Chain, a: SurfaceArrays, grid: Grid) -> None:
-    """Append the error bar that the posterior gives the surface, `Posterior.sigma_px`."""
-    per_pixel(chain, "surface_sigma", [a.surface, a.posterior, a.sigma, a.label], grid)
-
-
-def add_block_sums(chain: Chain, a: SurfaceArrays, grid: Grid, size: int) -> Array:
-    """Append sums of the volume over squares of pixels, as `planar.block_sums`."""
+def add_block_sums(chain: Chain, likelihood: Array, grid: Grid, size: int) -> Array:
+    """Append sums of the volume over squares of pixels, as `block_surface.block_sums`; the array is ``blocks``."""
     entries = (grid.height // size) * (grid.width // size) * grid.layers
     blocks = chain.array("blocks", entries)
     chain.add(
-        "block_sums", [a.likelihood, blocks], groups=groups_for(entries), uses=("indexing",),
+        "block_sums", [likelihood, blocks], groups=groups_for(entries), uses=("indexing",),
         height=grid.height, width=grid.width, count=grid.layers, size=size,
     )  # fmt: skip
     return blocks

@@ -4,18 +4,15 @@ from chromaperture.disparity.stages.band_correlation import band_correlation, ba
 from chromaperture.disparity.stages.bilateral import bilateral_winner
 from chromaperture.disparity.stages.correlation import correlate, texture_weights
 from chromaperture.disparity.stages.cross_filter import cross_filter
-from chromaperture.disparity.stages.edge_costs import edge_costs
 from chromaperture.disparity.stages.enlarge import enlarge
 from chromaperture.disparity.stages.four_paths import four_path_winner
 from chromaperture.disparity.stages.joining import join_regions
 from chromaperture.disparity.stages.paths import aggregate_paths, posterior, read_at_labels
 from chromaperture.disparity.stages.place import halved_surface, place_by_correlation
-from chromaperture.disparity.stages.plane_refining import best_planes
-from chromaperture.disparity.stages.planes import agreed_plane, plane_costs, potts_beliefs
+from chromaperture.disparity.stages.planes import agreed_plane, plane_costs
 from chromaperture.disparity.stages.smoothing import smooth_along_surface
 from chromaperture.disparity.stages.spectral_likelihood import spectral_likelihood
 from chromaperture.disparity.stages.upsample import upsample
-from chromaperture.disparity.stages.variation import coupled_variation
 from chromaperture.disparity.stages.variation import gap_per_px as variation_gap
 from chromaperture.disparity.stages.variation import iterate as iterate_variation
 from chromaperture.optics.lens_blur import point_transforms
@@ -25,12 +22,9 @@ __all__ = [
     "agreed_plane",
     "band_correlation",
     "band_powers",
-    "best_planes",
     "bilateral_winner",
     "correlate",
-    "coupled_variation",
     "cross_filter",
-    "edge_costs",
     "enlarge",
     "four_path_winner",
     "halved_surface",
@@ -40,7 +34,6 @@ __all__ = [
     "plane_costs",
     "point_transforms",
     "posterior",
-    "potts_beliefs",
     "read_at_labels",
     "smooth_along_surface",
     "spectral_likelihood",

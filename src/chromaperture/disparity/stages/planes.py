@@ -2,11 +2,6 @@
 
 A plane in the world is a plane in labels of equal depth: ``label(x, y) = a x + b y + c``, because 1 / depth is linear
 in the image. A set of planes is a (K, 3) array of a, b (px per px) and c (px).
-
-References
-----------
-P. Felzenszwalb, D. Huttenlocher: Efficient belief propagation for early vision. IJCV 70, 2006.
-doi:10.1007/s11263-006-7899-4 (messages under a Potts penalty)
 """
 
 from __future__ import annotations
@@ -102,40 +97,3 @@ def agreed_plane(
         except np.linalg.LinAlgError:
             return np.full(3, np.nan)
     return np.asarray(plane)
-
-
-def potts_beliefs(cost: np.ndarray, links: np.ndarray, *, sweeps: int) -> np.ndarray:
-    """Min-sum belief propagation on the pixel grid: what every choice at a pixel costs, with the best of all others.
-
-    Neighbours that choose differently pay the penalty of their link. Each sweep sends messages right, left, down and
-    up, each using those before it; exact on a single row or column, approximate on a grid.
-
-    Parameters
-    ----------
-    cost : (H, W, K) float, nats
-    links : (2, H, W) float, nats
-        Penalties of the links to the right and downwards; the last column and the last row are not read.
-    sweeps : int
-
-    Returns
-    -------
-    (H, W, K) float32
-        The choice at a pixel is the smallest.
-    """
-    cost = np.asarray(cost, np.float32)
-    messages = np.zeros((4, *cost.shape), np.float32)  # from the left, right, above, below
-    for _ in range(sweeps):
-        for axis, (forward, backward) in enumerate(((0, 1), (2, 3))):
-            lines, sent = np.moveaxis(cost, 1 - axis, 0), np.moveaxis(messages, 2 - axis, 1)
-            penalty = np.moveaxis(links[axis], 1 - axis, 0)[..., None].astype(np.float32)
-            count = len(lines)
-            for to, back, places in (
-                (forward, backward, range(count - 1)),
-                (backward, forward, range(count - 1, 0, -1)),
-            ):
-                ahead = 1 if to == forward else -1
-                for i in places:
-                    value = lines[i] + sent[:, i].sum(axis=0) - sent[back, i]
-                    value -= value.min(axis=-1, keepdims=True)
-                    sent[to, i + ahead] = np.minimum(value, penalty[min(i, i + ahead)])
-    return np.asarray(cost + messages.sum(axis=0), np.float32)

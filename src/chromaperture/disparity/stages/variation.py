@@ -1,4 +1,4 @@
-"""Total variation by the first-order primal-dual algorithm, alone and coupled to a volume, in plain NumPy.
+"""Total variation by the first-order primal-dual algorithm, in plain NumPy.
 
 The oracle of ``cpu/variation.py``. Minimises over ``lo <= u <= hi`` the energy ::
 
@@ -12,20 +12,15 @@ References
 ----------
 A. Chambolle, T. Pock: A first-order primal-dual algorithm for convex problems with applications to imaging.
 J. Math. Imaging Vis. 40, 2011. doi:10.1007/s10851-010-0251-1 (the paper's reference [6])
-R. Newcombe, S. Lovegrove, A. Davison: DTAM: dense tracking and mapping in real-time. ICCV 2011 (coupling of
-volume and total variation). doi:10.1109/ICCV.2011.6126513
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-
-from chromaperture.stage_config import SurfaceConfig
 
 OPERATOR_NORM_SQUARED = 8.0  # of the forward-difference gradient; edge weights up to 1 do not raise it
 
@@ -78,9 +73,6 @@ class Steps(NamedTuple):
     primal: np.ndarray
     dual: np.ndarray
     extrapolation: np.ndarray
-
-
-Solver = Callable[[Problem, State, Steps], None]
 
 
 def edge_weights(guide: np.ndarray, *, edge_range: float, floor: float = 0.05) -> np.ndarray:
@@ -185,72 +177,3 @@ def dual_energy(problem: Problem, dual: np.ndarray) -> float:
 def gap_per_px(problem: Problem, state: State) -> float:
     """Primal-dual gap per pixel: how far the energy can be above the least one; >= 0 up to rounding."""
     return (energy(problem, state.u) - dual_energy(problem, state.dual)) / state.u.size
-
-
-def coupled_variation(
-    disparity_px: np.ndarray, likelihood: np.ndarray, guide: np.ndarray, layers_px: np.ndarray, *, config: SurfaceConfig
-) -> np.ndarray:
-    """Refine a disparity map by total variation coupled to the volume of log-likelihoods.
-
-    Minimises ``slope_penalty * sum e |grad u|_h - l(v) + (u - v)^2 / (2 theta)`` in turns: u by
-    primal-dual steps, v by trying every layer; theta falls geometrically until the two are one. Inside,
-    disparity counts in layers.
-
-    Parameters
-    ----------
-    disparity_px : (H, W) float, px
-        Start; no NaN.
-    likelihood : (H, W, D) float, nats a pixel
-    guide : (H, W) float
-    layers_px : (D,) float, px
-    config : SurfaceConfig
-
-    Returns
-    -------
-    (H, W) float32, px
-    """
-    return couple(disparity_px, likelihood, guide, layers_px, config, iterate, nearest_likely)
-
-
-def couple(
-    disparity_px: np.ndarray,
-    likelihood: np.ndarray,
-    guide: np.ndarray,
-    layers_px: np.ndarray,
-    config: SurfaceConfig,
-    solve: Solver,
-    decouple: Callable[[np.ndarray, np.ndarray, float], np.ndarray],
-) -> np.ndarray:
-    """Alternate the two steps of `coupled_variation` with a given solver of each; (H, W) float32, px."""
-    step = float(layers_px[1] - layers_px[0])
-    edges = edge_weights(guide, edge_range=config.edge_range, floor=config.edge_floor)
-    state = State.start(((disparity_px - layers_px[0]) / step).astype(np.float32))
-    steps = step_sizes(config.variation_iterations, primal_step=OPERATOR_NORM_SQUARED**-0.5)
-    fidelity = 1 / (config.slope_penalty * step)  # of a nat, against a total variation of weight 1 a layer
-    bounds = (0.0, len(layers_px) - 1.0)
-    for theta in np.geomspace(*config.coupling_layers2, config.coupling_rounds):
-        target = decouple(state.u, likelihood, float(theta) * fidelity)
-        weight = np.full(target.shape, 1 / theta, np.float32)
-        state.extrapolated = state.u.copy()
-        solve(Problem(target, weight, edges, bounds, config.huber_layers, True), state, steps)
-    return (layers_px[0] + step * state.u).astype(np.float32)
-
-
-def nearest_likely(u: np.ndarray, likelihood: np.ndarray, fidelity: float) -> np.ndarray:
-    """Return the v that minimises ``(v - u)^2 / 2 - fidelity * l(v)``; (H, W).
-
-    The best layer by trying all; about it exp(-l) is a parabola, and ``-l`` is bounded by its tangent. A parabola
-    through l itself, which has a cusp where views match well, locks flat boards to the layers by .015 px in place of
-    .009 (`benchmarks/locking.py`, views read by B-splines); one through exp(-2 l), as in `between_layers`, by .004.
-    But that one trusts the noise of single pixels too much: .04 of a wall whose evidence is weak are wrong by more than
-    a layer, here .003.
-    """
-    layers = np.arange(likelihood.shape[2], dtype=np.float32)
-    cost = (layers - u[..., None]) ** 2 / 2 - np.float32(fidelity) * likelihood
-    best = cost.argmin(axis=2)
-    inner = np.clip(best, 1, len(layers) - 2)
-    left, center, right = (np.take_along_axis(likelihood, (inner + o)[..., None], 2)[..., 0] for o in (-1, 0, 1))
-    before, after = np.exp(center - left), np.exp(center - right)  # as multiples of the layer's own
-    slope, bend = (after - before) / 2, np.maximum((before + after) / 2 - 1, 0)
-    offset = (u - inner - np.float32(fidelity) * slope) / (1 + np.float32(2 * fidelity) * bend)
-    return np.where(best == inner, inner + np.clip(offset, -0.5, 0.5), best).astype(np.float32)
