@@ -2,9 +2,9 @@
 
     python benchmarks/ablation.py --data FOLDER [--quality real-time]
     python benchmarks/ablation.py --data FOLDER --quality accurate --camera CAMERA.asdf
-    python benchmarks/ablation.py --quality accurate --camera V.asdf --pictures pictures/V_*.npz
+    python benchmarks/ablation.py --quality accurate --camera V.asdf --pictures pictures/*.npz
 
-FOLDER as for bench50.py. Pictures are random scenes by the same camera, as ``error_bar_training.py draw`` writes them:
+FOLDER as for bench50.py. Pictures are scenes by the same camera, as ``world_scenes.py draw`` writes them:
 steps, room and desk are few, and move by chance. For real-time the camera is calibrated anew for every variant, because
 the depth curve belongs to the matcher's settings; the layers of accurate name distances whatever the settings, and only
 shifted views need another calibration, and with it ``--data``. Times are of the whole measurement, the fastest of five
@@ -35,7 +35,7 @@ from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.config import AccurateConfig, MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.depth.field import DepthField
-from chromaperture.disparity import accurate, planar
+from chromaperture.disparity import accurate, block_surface
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.disparity.real_time import RealTimeMethod
 from chromaperture.stage_config import (
@@ -77,14 +77,11 @@ VARIANTS: dict[str, MatcherConfig] = {
 
 
 ACCURATE = ("everything", "shifted views", "walls not placed between layers", "widest pair of channels only",
-            "one octave", "three octaves", "window of 8 px", "pairs of channels alone", "no planes",
-            "planes keep every slope", "losses of blocks not bounded", "borders cost twice as much",
-            "blocks beside likely edges count fully", "pixels known by their posterior alone",
-            "edges where the evidence has them", "edges where the guide has them",
-            "no level planes among the candidates", "level planes at labels", "the guide leads borders",
-            "one fit votes", "five fits vote", "one fit wherever the surface allows it", "error bar not learned",
-            "no total variation", "four paths", "penalties a tenth",
-            "penalties not led by the guide", "one curve for the frame")  # fmt: skip
+            "one octave", "three octaves", "window of 8 px", "pairs of channels alone", "level planes only",
+            "planes alone", "the paths' surface alone", "blocks never keep their own surface",
+            "losses of blocks not bounded", "borders cost twice as much", "blocks beside likely edges count fully",
+            "pixels known by their posterior alone", "plate four times as stiff", "error bar not learned", "four paths",
+            "penalties a tenth", "penalties not led by the guide", "one curve for the frame")  # fmt: skip
 
 ACCURATE_WITHOUT_SESSION = tuple(name for name in ACCURATE if name != "shifted views")
 
@@ -108,36 +105,25 @@ def accurate_camera(name: str, camera_file: Path, session: Path) -> CodedApertur
         "one octave": {"evidence": dataclasses.replace(evidence, bands_px=((0.6, 1.4),), band_weights=(1.0,))},
         "three octaves": {"evidence": dataclasses.replace(evidence, **octaves)},
         "window of 8 px": {"evidence": dataclasses.replace(evidence, window_sigma_px=8.0)},
-        "no total variation": {"surface": dataclasses.replace(surface, coupling_rounds=0)},
         "four paths": {"surface": dataclasses.replace(surface, paths=4)},
         "penalties a tenth": {
             "surface": dataclasses.replace(surface, slope_penalty=surface.slope_penalty / 10, jump_penalty=2.5)
         },
         "penalties not led by the guide": {"surface": dataclasses.replace(surface, edge_floor=1.0)},
     }
-    planes = config.matcher.planes
-    nats = planes.learned_border_nats
+    planes, plate = config.matcher.planes, config.matcher.plate
     changes |= {
         "pairs of channels alone": {"spectral": dataclasses.replace(config.matcher.spectral, gain=0.0)},
-        "no planes": {"planes": dataclasses.replace(planes, rounds=0)},
-        "planes keep every slope": {"planes": dataclasses.replace(planes, slope_tolerance=0.0, slope_of_missed=0.0)},
-        "the guide leads borders": {"planes": config.matcher.with_guided_borders().planes},
-        "losses of blocks not bounded": {"planes": dataclasses.replace(planes, most_block_nats=0.0)},
-        "blocks beside likely edges count fully": {"planes": dataclasses.replace(planes, share_beside_edges=1.0)},
+        "blocks never keep their own surface": {"plate": dataclasses.replace(plate, own_evidence_nats=1e9)},
+        "losses of blocks not bounded": {"planes": dataclasses.replace(planes, max_block_nats=0.0)},
+        "blocks beside likely edges count fully": {
+            "planes": dataclasses.replace(planes, edge_block_weight=1.0),
+            "plate": dataclasses.replace(plate, edge_block_weight=1.0),
+        },
         "pixels known by their posterior alone": {"planes": dataclasses.replace(planes, known_from_nats=1e9)},
-        "borders cost twice as much": {
-            "planes": dataclasses.replace(planes, learned_border_nats=tuple(2 * cost for cost in nats))
-        },
-        "one fit votes": {"planes": dataclasses.replace(planes, learned_border_nats=nats[:1])},
-        "five fits vote": {
-            "planes": dataclasses.replace(planes, learned_border_nats=(*nats, nats[0] / 4, nats[0] * 4))
-        },
-        "one fit wherever the surface allows it": {
-            "planes": dataclasses.replace(planes, vote_factors=(), learned_border_nats=())
-        },
-        "edges where the evidence has them": {"planes": dataclasses.replace(planes, edge_band_px=0)},
-        "edges where the guide has them": {"planes": dataclasses.replace(planes, edge_lines=False)},
-        "error bar not learned": {"surface": dataclasses.replace(surface, learned_error_bar=False)},
+        "borders cost twice as much": {"planes": dataclasses.replace(planes, border_nats=2 * planes.border_nats)},
+        "plate four times as stiff": {"plate": dataclasses.replace(plate, bend_penalty=4 * plate.bend_penalty)},
+        "error bar not learned": {"surface": dataclasses.replace(surface, learned_error_bar="none")},
     }
     matcher = dataclasses.replace(config.matcher, **changes.get(name, {}))
     return CodedApertureCamera(calibration, dataclasses.replace(config, matcher=matcher))
@@ -149,8 +135,11 @@ def measure_accurate(name: str, args: argparse.Namespace) -> dict:
         "walls not placed between layers": (
             accurate, "between_layers", lambda disparity_px, *volume, sigma_px: disparity_px
         ),
-        "no level planes among the candidates": (planar, "level_planes", lambda labels_px: np.zeros((0, 3))),
-        "level planes at labels": (planar, "between_labels", lambda planes, *blocks, border: planes),
+        "level planes only": (block_surface, "plane_proposals", lambda *surface, run: np.zeros((0, 3))),
+        "planes alone": (block_surface, "thin_plate", lambda nats, start, *edges, config: start),
+        "the paths' surface alone": (
+            block_surface, "speaks_against", lambda nats, own, label, config: np.ones(own.shape, bool)
+        ),
     }  # fmt: skip
     with mock.patch.object(*replaced[name]) if name in replaced else contextlib.nullcontext():
         return figures_of(camera, scenes_of(camera, args), rounds=1)
@@ -197,7 +186,7 @@ def figures_of(
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path)
-    parser.add_argument("--pictures", type=Path, nargs="+", default=[], help="NAME_SEED.npz in place of --scenes")
+    parser.add_argument("--pictures", type=Path, nargs="+", default=[], help="KIND_NUMBER.npz in place of --scenes")
     parser.add_argument("--design", default="cy_halves")
     parser.add_argument("--scenes", nargs="+", default=["steps", "room", "desk"])
     parser.add_argument("--quality", choices=["real-time", "accurate"], default="real-time")

@@ -16,22 +16,21 @@ import cv2
 import numpy as np
 from timing import fastest_ms
 
-from chromaperture.disparity.accurate import AccurateMethod, optimised_surface, with_halves
-from chromaperture.disparity.error_bar import sigma_of_range
+from chromaperture.disparity.accurate import AccurateMethod, explained_surface, path_surface
 from chromaperture.disparity.views import filtered_views
 from chromaperture.products.samples import open_sample
 from chromaperture.threads import thread_count
 
 
 def contestants(design: str) -> dict:
-    """Functions without arguments: the peer, accurate as a whole, its evidence and its surface."""
+    """Functions without arguments: the peer, accurate as a whole, its evidence, paths, and surface of blocks."""
     camera, image = open_sample(f"still_life_{design}", quality="accurate", device="cpu")
     method = camera.method
     assert isinstance(method, AccurateMethod)
-    layers_px = method.config.layers.values_px
-    labels_px = with_halves(layers_px)
+    layers_px, labels_px = method.config.layers.values_px, method.labels_px
     likelihood = method.evidence.at(image, layers_px, labels_px)
     guide = filtered_views(image, method.space, config=method.config.views).guide
+    found = path_surface(likelihood, guide, labels_px, config=method.config, run=method.run)
     red, blue = (np.clip(255 * image[..., k], 0, 255).astype(np.uint8) for k in (0, 2))
     disparities = -(-len(labels_px) // 16) * 16
     peer = cv2.StereoSGBM.create(
@@ -42,9 +41,9 @@ def contestants(design: str) -> dict:
         "sgbm_eight_paths": lambda: peer.compute(red, blue),
         "accurate": lambda: camera.measure(image),
         "accurate_evidence": lambda: method.evidence.at(image, layers_px, labels_px),
-        "accurate_surface": lambda: optimised_surface(
-            likelihood, guide, labels_px, config=method.config.surface, planes=method.config.planes, run=method.run,
-            known_within_px=sigma_of_range(labels_px),
+        "accurate_paths": lambda: path_surface(likelihood, guide, labels_px, config=method.config, run=method.run),
+        "accurate_blocks": lambda: explained_surface(
+            found, method.depth_edges(image), labels_px, config=method.config, run=method.run
         ),
     }  # fmt: skip
 

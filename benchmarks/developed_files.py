@@ -6,7 +6,7 @@
 ``sheets`` photographs white sheets with a sensor of 5000 electrons and prints, for linear files, JPEG and a Bayer
 mosaic that is interpolated bilinearly, what noise is found in the pixels and in means of 2 x 2 and 4 x 4 px, in units
 of the sensor's variance in the middle light, and what `photon_noise_of_sheets` answers. ``depth`` measures pictures of
-``error_bar_training.py draw``, NAME_SEED.npz, as they are and with the noise of 4 and 16 times the ISO, with the camera
+``world_scenes.py draw``, KIND_NUMBER.npz, as they are and with the noise of 4 and 16 times the ISO, with the camera
 as it is, without `noise_ratio`, and with the photograph's own noise in the camera file.
 """
 

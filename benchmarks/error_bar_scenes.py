@@ -1,4 +1,4 @@
-"""Random scenes for `error_bar_training.py`: a room of planes with generated textures and free photographs.
+"""Random scenes for `world_scenes.py` and `edge_scenes.py`: a room of planes, generated textures and photographs.
 
 Photographs are those that scikit-image brings (public domain or CC0): `pip install 'chromaperture[bench]'`.
 """
@@ -23,7 +23,7 @@ PHOTOGRAPHS = ("astronaut", "coffee", "chelsea", "rocket", "immunohistochemistry
 NEAREST_MM, FARTHEST_MM = 1000.0, 3900.0
 WALLS_MM = 2400.0, 3700.0
 # Of the textures: their red askew by up to 1.2 of their pixels, 1 to 5 mm on a wall; printers keep to .1 mm. With
-# 0.2, as before, bars are half as long again, for errors of whole planes that no sign tells; docs/measurements.md.
+# 0.2, as before, bars are half as long again, for errors of whole planes that no sign tells.
 MISPRINTED = 0.02
 
 

@@ -2,7 +2,7 @@
 
     python benchmarks/gpu_accurate.py [--sample still_life_cy_halves] [--size 720x480] [--device gpu] [--json]
 
-Without ``--device`` nothing is computed: the chains are composed for the size and their dispatches counted, as
+Without ``--device`` nothing is computed: the chain is composed for the size and its dispatches counted, as
 `benchmarks/gpu.py` counts them (bytes: arrays that a stage binds, each once; operations: those of the inner loops, at
 most). The larger of bytes over bandwidth and operations over the arithmetic rate is the least time that a device of
 these could take; it leaves out that a path is as many steps one after the other as it has pixels. With ``--device`` the
@@ -19,7 +19,6 @@ import time
 import warnings
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -28,21 +27,15 @@ from gpu import count, counting_device, median_time_ms, median_times_ms, warmed
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_matching import default_config
-from chromaperture.config import AccurateConfig
-from chromaperture.disparity.gpu.accurate_chain import AccurateChain
+from chromaperture.disparity.accurate import AccurateMethod
+from chromaperture.disparity.gpu.accurate_chain import DOWN, AccurateChain
 from chromaperture.disparity.gpu.device import Chain, Device, Dispatch
-from chromaperture.disparity.gpu.measured import Further
-from chromaperture.disparity.gpu.regions_between import DOWN
-from chromaperture.disparity.gpu.working_stages import Reduction
-from chromaperture.disparity.views import guide_weights
 from chromaperture.disparity.working_scale import ScaledMethod
 from chromaperture.errors import CaptureWarning
 from chromaperture.products.samples import open_sample
 
 LEAST_AGREEING, DEPTH_TOLERANCE = 0.995, 1e-3
 ROUNDS = 5  # on a device that is not software
-SUMS = 6  # over the points of a plane, from each start
-LINES, PARTS = 2000, 200  # across borders of a photograph of 720x480, and groups of them
 
 
 def operations(dispatch: Dispatch) -> float:
@@ -58,7 +51,7 @@ def operations(dispatch: Dispatch) -> float:
         return 2.0 * c["reach"] + 1
 
     per = {
-        "gaussian_line": lambda: 2 * taps() * pixels / c["every"] * c["planes"] * c["parts"],
+        "gaussian_line": lambda: 2 * taps() * pixels * c["planes"] * c["parts"],
         "tile_rows": transforms,
         "tile_columns": transforms,
         "tile_smoothing": lambda: 2 * taps() * c["pictures"] * c["size"] * (c["size"] // 2 + 1),
@@ -95,81 +88,39 @@ def operations(dispatch: Dispatch) -> float:
         "volume_winner": lambda: 3.0 * entries,
         "layer_tangents": lambda: 8.0 * pixels,
         "layer_offsets": lambda: 6.0 * pixels,
-        "coupling_target": lambda: 60.0 * pixels,  # some six layers a pixel
-        "coupling_steps": lambda: 28.0 * c["steps"] * pixels * 64**2 / (64 - 2 * c["steps"]) ** 2,
         "volume_posterior": lambda: 10.0 * entries,
-        "surface_sigma": lambda: 4.0 * pixels,
         "block_sums": lambda: 1.0 * entries,
-        "agreed_planes": lambda: (7.0 * c["trials"] + 30 * c["fits"]) * c["rounds"] * c["point_count"],
-        # a sixth of the points of all tiles, three trials in each of some four steps
-        "plane_refining": lambda: 500.0 * 12 * dispatch.arrays[1].size / 6,
-        "plane_costs": lambda: 8.0 * pixels * dispatch.arrays[1].size / 4,
-        "potts_lines": lambda: 8.0 * dispatch.arrays[0].size,
-        # some 32 pairs behind a choice and 4 behind a join, from two starts
-        "pair_joins": lambda: 60.0 * 2 * SUMS * c["most_points"] * c["side_by_side"] / 8,
-        "part_planes": lambda: 60.0 * 2 * SUMS * dispatch.arrays[1].size,
-        "part_counts": lambda: 4.0 * (2 * c["border"] + 1) ** 2 * pixels,
-        "line_sides": lambda: 8.0 * (2 * c["reach"] + 1) ** 2 * LINES,
-        "line_powers": lambda: 5.0 * LINES**2,
-        "line_parts": lambda: 6.0 * LINES**2,
-        # 54 x 54 numbers composed, and eliminated with 16 lines
-        "line_costs": lambda: PARTS * dispatch.groups[1] * (54 * 54 / 2 * 60 + 54**3 / 3 + 54**2 * 16),
-        "edge_possible": lambda: 12.0 * (2 * c["around"] + 1) ** 2 * pixels,
-        "planes_allowed": lambda: 12.0 * pixels * (2 * c["reach"] + 1) ** 2 / 8,  # beside other planes only
-        "plane_sums": lambda: 2.0 * pixels * dispatch.groups[0],
-        "learned_bar": lambda: 90.0 * pixels,
-        "range_line": lambda: 2 * taps() * pixels,
-        "label_maps": lambda: 20.0 * pixels,
-        "conversion": lambda: 60.0 * dispatch.arrays[0].size,
-        # 8 x 8 samples of three channels by their weights
-        "channels_shifted": lambda: 3.0 * 64 * 3 * pixels,
-        "hidden_filled": lambda: 20.0 * pixels,
-        "upsample": lambda: 100.0 * c["full_width"] * c["full_height"],
-        "reduce": lambda: 8.0 * c["full_width"] * c["full_height"],
     }
     return float(per.get(dispatch.stage, lambda: 0.0)())
 
 
-def counted(chains: dict[str, Chain], *, bandwidth: float, rate: float) -> dict[str, dict[str, float]]:
+def counted(chain: Chain, *, bandwidth: float, rate: float) -> dict[str, dict[str, float]]:
     """Dispatches, bytes, operations and the model's time of every stage."""
     found: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
-    for chain in chains.values():
-        for dispatch in chain.dispatches:
-            count(found[dispatch.stage], dispatch, operations(dispatch), bandwidth=bandwidth, rate=rate)
+    for dispatch in chain.dispatches:
+        count(found[dispatch.stage], dispatch, operations(dispatch), bandwidth=bandwidth, rate=rate)
     return found
 
 
-def composed(camera: CodedApertureCamera, device: Device) -> tuple[AccurateChain, dict[str, Chain]]:
-    """Compose the chains of a camera with depth and colours; planes and lines have room for all that may be found."""
-    method, reduction = camera.method, None
-    sensor = camera.calibration.sensor
+def composed(camera: CodedApertureCamera, device: Device) -> AccurateChain:
+    """Compose the chain of a camera."""
+    method, sensor = camera.method, camera.calibration.sensor
+    shape = sensor.height_px, sensor.width_px
     if isinstance(method, ScaledMethod):
-        reduction = Reduction(method.size_px, guide_weights(method.aperture))
-        method = method.method
-    further = Further(camera.conversion, camera.device_alignment)
-    shape = (sensor.height_px, sensor.width_px)
-    chain = AccurateChain(method, device, shape, reduction=reduction, further=further)
-    return chain, {"first": chain.first, "last": chain.last}
+        shape, method = method.size_px[::-1], method.method
+    assert isinstance(method, AccurateMethod)
+    return AccurateChain(method, device, shape)
 
 
-def chain_of(camera: CodedApertureCamera) -> AccurateChain:
-    """The chains that a camera's device has composed last."""
+def chain_of(camera: CodedApertureCamera) -> Chain:
+    """The chain that a camera's device has composed."""
     assert camera.device_method is not None
-    chain = camera.device_method.on_gpu._chain
-    assert isinstance(chain, AccurateChain)
-    return chain
+    accurate = camera.device_method.on_gpu._chain
+    assert isinstance(accurate, AccurateChain)
+    return accurate.chain
 
 
-def down_between(chain: AccurateChain) -> float:
-    """MB that come down between the submissions."""
-    if not chain.uses_depth_edges:
-        return 0.0
-    return round(sum(4 * chain.first.arrays[name].size for name in DOWN) / 1e6, 1)
-
-
-def timed(
-    camera: CodedApertureCamera, image: np.ndarray, device: str
-) -> tuple[dict[str, Any], dict[str, float]]:
+def timed(camera: CodedApertureCamera, image: np.ndarray, device: str) -> tuple[dict[str, Any], dict[str, float]]:
     """Disparity, and whole calls with depth and colours, beside Numba's, after the depth has been compared.
 
     Returns the figures, and the time of every stage by the device's timestamps in ms, empty where it keeps none.
@@ -187,14 +138,11 @@ def timed(
     info = on_gpu.device_method.on_gpu.device.info
     found: dict[str, Any] = {"device": info.name, "software": info.is_software}
     found["share_within_0.1_percent"] = round(float(close.mean()), 5)
-    on_gpu.method.match(image)  # composes the chains without depth and colours
     works: dict[str, Callable[[np.ndarray], object]] = {
         "device": on_gpu.method.match, "numba": camera.method.match,
         "device_whole": on_gpu.measure, "numba_whole": camera.measure,
     }  # fmt: skip
     for name, work in works.items():
-        if name == "device_whole":
-            on_gpu.measure(image)
         if name.startswith("device") and not info.is_software:
             warmed(functools.partial(work, image))
         walls, cpus = [], []
@@ -208,11 +156,10 @@ def timed(
         found[f"ratio{kind}_to_numba_cpu"] = round(found[f"device{kind}_cpu_ms"] / found[f"numba{kind}_cpu_ms"], 2)
     stages: dict[str, float] = defaultdict(float)
     chain = chain_of(on_gpu)
-    if chain.first.device.timestamps:
-        for name, part in (("first", chain.first), ("last", chain.last)):
-            found[f"{name}_timestamps_ms"] = round(median_time_ms(part, {}), 3)
-            for stage, ms in median_times_ms(part, {}):
-                stages[stage] += ms
+    if chain.device.timestamps:
+        found["timestamps_ms"] = round(median_time_ms(chain, {}), 3)
+        for stage, ms in median_times_ms(chain, {}):
+            stages[stage] += ms
     return found, stages
 
 
@@ -224,9 +171,6 @@ def main() -> None:
         "--scale", type=int, help="match pictures reduced to 1 / scale; else the camera's working scale"
     )
     parser.add_argument("--device", help="run there, too")
-    parser.add_argument(
-        "--planes-on-device", action="store_true", help="the guide leads borders: nothing returns to the CPU in between"
-    )
     parser.add_argument("--bandwidth", type=float, default=4800.0, help="of the model's memory, GB/s")
     parser.add_argument("--rate", type=float, default=60.0, help="of the model's arithmetic, TFLOP/s")
     parser.add_argument("--json", action="store_true")
@@ -238,36 +182,27 @@ def main() -> None:
     if arguments.scale:
         config = default_config(camera.calibration, "accurate", scale=arguments.scale)
         camera = CodedApertureCamera(camera.calibration, config)
-    if arguments.planes_on_device:
-        assert isinstance(camera.config.matcher, AccurateConfig)
-        config = replace(camera.config, matcher=camera.config.matcher.with_guided_borders())
-        camera = CodedApertureCamera(camera.calibration, config)
-    chain, chains = composed(camera, counting_device())
-    stages = counted(chains, bandwidth=1e9 * arguments.bandwidth, rate=1e12 * arguments.rate)
-    arrays = {id(array.buffer): array for part in chains.values() for array in part.arrays.values()}
-    largest = max(arrays.values(), key=lambda array: array.size)
+    chain = composed(camera, counting_device())
+    stages = counted(chain.chain, bandwidth=1e9 * arguments.bandwidth, rate=1e12 * arguments.rate)
+    arrays = chain.chain.arrays.values()
+    largest = max(arrays, key=lambda array: array.size)
 
     def mbytes(*names: str) -> float:
-        return round(sum(4 * array.size for array in arrays.values() if array.name in names) / 1e6, 1)
+        return round(sum(4 * array.size for array in arrays if array.name in names) / 1e6, 1)
 
     result: dict[str, Any] = {
         "sample": arguments.sample, "size": arguments.size, "scale": camera.config.scale,
         "matched": f"{chain.grid.width}x{chain.grid.height}", "labels": chain.grid.layers,
-        "layers_computed": len(chain.plan.computed_px), "tiles": len(chain.plan.nodes.places),
-        "tile_samples": chain.plan.nodes.size, "pairs": len(chain.plan.source.all_pairs),
-        "planes": chain.uses_planes, "dispatches": sum(len(part.dispatches) for part in chains.values()),
-        "device_mbytes": round(sum(4 * array.size for array in arrays.values()) / 1e6),
+        "dispatches": len(chain.chain.dispatches), "device_mbytes": round(chain.chain.device_bytes / 1e6),
         "largest_array": f"{largest.name}: {4 * largest.size / 1e6:.0f} MB",
-        "mbytes_up": mbytes("image", "usable", "guide", "counted", "noise", "window_noise", "photograph"),
-        "mbytes_down_between": down_between(chain),
-        "mbytes_up_between": mbytes(
-            "edge_links", "line_light", "line_noise_at", "voted_planes", "voted_choice", "planes_trusted"
-        ),
-        "mbytes_down": mbytes("disparity", "sigma", "confidence", "depth_mm", "sigma_mm", "color"),
+        "mbytes_up": mbytes("image", "usable", "guide", "counted", "noise", "window_noise"),
+        "mbytes_down": mbytes(*DOWN),
     }  # fmt: skip
-    if chain.textures is not None:
-        textures = chain.textures.covariances, chain.textures.shares, chain.textures.facts
-        result["mbytes_of_textures"] = round(sum(part.nbytes for part in textures) / 1e6, 1)
+    if chain.plan is not None:
+        result |= {
+            "layers_computed": len(chain.plan.computed_px), "tiles": len(chain.plan.nodes.places),
+            "tile_samples": chain.plan.nodes.size, "pairs": len(chain.plan.source.all_pairs),
+        }  # fmt: skip
     if arguments.device:
         figures, times = timed(camera, image, arguments.device)
         result |= figures

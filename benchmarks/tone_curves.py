@@ -5,7 +5,7 @@
 
 ``boards`` fits the response to the chessboards of sessions. ``depth`` writes a linear session anew through several
 curves, as deep PNG or JPEG files, calibrates from each with and without `with_response`, and measures pictures of
-``error_bar_training.py draw`` that went through the same curve: shares within 2 and 5 % of the true depth, and of
+``world_scenes.py draw`` that went through the same curve: shares within 2 and 5 % of the true depth, and of
 errors within one and two error bars.
 """
 

@@ -1,5 +1,7 @@
 """Cross-filtered evidence: a plane blurred by known PSFs is found at its depth."""
 
+from itertools import combinations
+
 import cv2
 import numpy as np
 import pytest
@@ -8,7 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from chromaperture.config import AccurateConfig, PaperConfig
-from chromaperture.disparity.blur_evidence import SPACING_PX, BlurEvidence
+from chromaperture.disparity.blur_evidence import (
+    CONTRARY,
+    MAX_CORRELATION2_OF_BANDS,
+    SPACING_PX,
+    BlurEvidence,
+    explained_variance,
+)
+from chromaperture.disparity.error_bar import sigma_of_range
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.execution import execution_named
 from chromaperture.disparity.labels import IDENTITY
@@ -85,6 +94,108 @@ def test_weak_texture_is_found_where_strong_texture_is(design):
     found, expected = (best_layer(likelihood(image, blur, layers), layers) for image in (weak, strong))
     # In px of blur: .004, .043, .000, .009; with a floor of 1e-12 under the product of both powers .03, .32, .01, .08.
     assert found == pytest.approx(expected, abs=0.06 * blur.reach)
+
+
+# ---- correlations of either sign
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 6), st.integers(0, 2**32 - 1))
+def test_channels_that_rise_together_explain_the_square_of_their_correlation(pairs, seed):
+    correlation = np.random.default_rng(seed).uniform(0, 1, (pairs, 2, 3, 4)).astype(np.float32)
+    expected = np.minimum(correlation**2, MAX_CORRELATION2_OF_BANDS)
+    np.testing.assert_allclose(explained_variance(correlation), expected, rtol=1e-6)  # float32
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (2, 1, 0)])
+@pytest.mark.parametrize(
+    ("signs", "counted"),
+    [
+        ((1, -1, -1), (1, 1, 1)),  # one channel falls as the two others rise: a change between two colours
+        ((-1, 1, 1), (0, 1, 1)),  # no two colours do that
+        ((-1, -1, -1), (0, 0, 0)),  # nor that
+        ((1, 1, -1), (1, 1, 0)),
+    ],
+)
+def test_negative_correlations_count_where_two_colours_explain_all_three(signs, counted, order):
+    size = np.array([0.9, 0.8, 0.7])
+    correlation = (size * signs)[list(order)]
+    expected = (size**2 * counted)[list(order)]
+    found = explained_variance(correlation.astype(np.float32)[:, None, None])
+    np.testing.assert_allclose(found[:, 0, 0], expected, rtol=1e-6)  # products of .56 and more are beyond CONTRARY
+
+
+def test_a_negative_correlation_counts_as_far_as_the_others_contradict_each_other():
+    other = np.array([0.0, 0.1, 0.25, 0.5, 1.0])
+    correlation = np.stack([np.full(5, 0.6), -other, np.full(5, -0.8)]).astype(np.float32)
+    share = np.minimum(0.6 * other / CONTRARY, 1)
+    np.testing.assert_allclose(explained_variance(correlation)[2], 0.64 * share, rtol=1e-5)  # float32
+
+
+@pytest.mark.parametrize("pairs", [1, 2])
+def test_fewer_than_three_pairs_cannot_contradict_each_other(pairs):
+    assert not explained_variance(np.full((pairs, 2, 4), -0.9, np.float32)).any()
+
+
+def test_certainty_is_finite():
+    assert explained_variance(np.ones((3, 2))).max() == pytest.approx(MAX_CORRELATION2_OF_BANDS)
+    one_falls = explained_variance(np.array([1.0, -1.0, -1.0])[:, None])
+    np.testing.assert_allclose(one_falls, MAX_CORRELATION2_OF_BANDS)
+
+
+HUES = {
+    "orange": (0.9, 0.45, 0.1), "blue": (0.15, 0.3, 0.9), "red": (0.8, 0.1, 0.1), "green": (0.1, 0.7, 0.15),
+    "yellow": (0.85, 0.8, 0.1), "cyan": (0.1, 0.7, 0.8), "magenta": (0.8, 0.15, 0.7),
+}  # fmt: skip
+# Between these one channel changes alone, and there is nothing to compare.
+ONE_CHANNEL = {("orange", "yellow"), ("green", "cyan")}
+HUE_PAIRS = [pair for pair in combinations(HUES, 2) if pair not in ONE_CHANNEL]
+
+
+def striped(blur, layer_px, hues, rng, noise=0.002):
+    """A wall of vertical stripes, 5 to 15 px wide, of two hues in turn."""
+    stripes = np.repeat(np.arange(60) % 2, rng.integers(5, 16, 60))[:256]
+    at_infinity, scale = blur.reference
+    first = blurred(np.broadcast_to(stripes.astype(float), (256, 256)), blur, (at_infinity - layer_px) / scale)
+    one, other = (0.8 * np.array(HUES[name]) for name in hues)
+    image = one * first + other * (1 - first)
+    return (image + rng.normal(0, noise, image.shape)).astype(np.float32)
+
+
+def accurately_measured(image, blur, design="cy_halves", *, noise):
+    config = AccurateConfig.for_blur(blur.reach, one_pair=design == "cy_halves")
+    config = config.with_range(-6 * blur.reach, 6 * blur.reach)
+    found = estimate_disparity(
+        image, aperture=design, config=config, label_maps=[IDENTITY], blur=blur,
+        noise_variance=np.full_like(image, noise**2),
+    )  # fmt: skip
+    return found, config
+
+
+@pytest.mark.parametrize("hues", HUE_PAIRS, ids="-".join)
+@pytest.mark.parametrize("edge_px", [2.5, -3.0])
+def test_a_wall_striped_in_two_hues_is_at_its_distance(hues, edge_px, rng):
+    blur = blur_for("cy_halves")
+    true_px = edge_px * blur.reach
+    found, _ = accurately_measured(striped(blur, true_px, hues, rng), blur, noise=0.002)
+    at_infinity, scale = blur.reference
+    true_mm, found_mm = scale / (at_infinity - true_px), scale / (at_infinity - found.value_px)
+    assert np.isfinite(found_mm).all()
+    # Stripes are coarse, and hues of which one channel hardly differs leave little: red and magenta are off by .03,
+    # most pairs by .006 at most. Beyond focus a px of blur is six times as far as before it.
+    assert np.median(found_mm) == pytest.approx(true_mm, rel=0.05)
+    assert np.quantile(np.abs(found_mm / true_mm - 1), 0.9) < 0.06
+
+
+@pytest.mark.parametrize("design", ["cy_halves", "cy_open", "cmy_circles"])
+@pytest.mark.parametrize("noise", [0.002, 0.02])
+def test_a_blank_wall_is_unknown_or_as_wide_as_the_range(design, noise, rng):
+    blur = blur_for(design)
+    image = (0.5 + rng.normal(0, noise, (H, W, 3))).astype(np.float32)
+    found, config = accurately_measured(image, blur, design, noise=noise)
+    known = np.isfinite(found.value_px)
+    assert (found.sigma_px[known] >= 0.99 * sigma_of_range(config.layers.values_px)).all()
+    assert known.mean() < 0.01  # none is found
 
 
 def test_shifted_views_would_be_biased():

@@ -101,3 +101,19 @@ def test_what_is_known_no_better_than_the_range_is_unknown(rng, quality, most_kn
         limit *= 2
     assert (found.sigma_px[known] <= limit).all()
     assert not found.confidence[~known].any()
+
+
+@pytest.mark.parametrize("design", ["cy_halves", "rgb_squares", "cmy_circles"])
+@pytest.mark.parametrize("kind", ["blank wall", "noise"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_noise_alone_is_unknown_to_accurate_or_as_wide_as_the_range(design, kind, seed):
+    rng = np.random.default_rng(seed)
+    shape, config = (120, 160, 3), preset("accurate").with_range(-4.0, 4.0)
+    if kind == "noise":
+        image, variance = rng.uniform(0.1, 0.9, shape), None
+    else:
+        image, variance = 0.5 + rng.normal(0, 0.01, shape), np.full(shape, 0.01**2, np.float32)
+    found = estimate_disparity(image.astype(np.float32), aperture=design, config=config, noise_variance=variance)
+    known = np.isfinite(found.value_px)
+    # Regions of three views may be known by chance.
+    assert (found.sigma_px[known] >= 0.99 * sigma_of_range(config.layers.values_px)).all()

@@ -27,9 +27,8 @@ OTHER_VALUES = {  # where nine tenths of the value would not be valid
     "paths": 4,
     "bands_px": ((0.5, 1.5), (1.5, 3.0)),
     "gain": 2.0,
-    "vote_factors": (1.0, 0.5),  # without a known blur it is empty, and so are the next
-    "learned_border_nats": (4.0, 8.0),
-    "most_block_nats": 2.0,
+    "rounds": 4,
+    "learned_error_bar": "none",
 }
 REFUSED = {"noise_debiasing"}  # by every method but "paper"
 
@@ -285,5 +284,5 @@ def test_what_would_take_minutes_or_all_memory_is_refused(folder, text, words):
 
 
 def test_iterations_without_end_are_refused(folder):
-    with pytest.raises(InputError, match="variation_iterations must lie between"):
-        read(CONFIGS["accurate"], "[matcher.surface]\nvariation_iterations = 1000000", folder)
+    with pytest.raises(InputError, match="rounds must lie between"):
+        read(CONFIGS["accurate"], "[matcher.plate]\nrounds = 1000000", folder)

@@ -1,7 +1,7 @@
 """A small rendered session, calibrated with every step switched on, against the world it was rendered from."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -17,7 +17,6 @@ from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.simulated_session import SessionPlan, write_session
-from chromaperture.planes_config import PlanesConfig
 from chromaperture.robust import robust_sigma
 
 # A thin 50 mm f/2 lens on a frame as small as corners of boards at 3.2 m are found in.
@@ -71,8 +70,7 @@ def test_the_default_calibration_finds_the_camera_that_took_the_session(folder, 
         assert np.nanmedian(depth) == pytest.approx(truth, abs=15), quality
         assert np.isfinite(depth).mean() > 0.9, quality  # a board is texture all over
 
-    # The report's error bar of quality accurate: the scatter of its depth on a board, whole frame, without planes, by
-    # which a board would not scatter at all.
+    # The report's error bar of quality accurate: the scatter of its depth on a board, whole frame.
     assert with_accurate_noise(result, most_megapixels=0.05) is result  # three boards are 0.074 megapixels
     boards = []
     measured = with_accurate_noise(result, progress=lambda what, number, total: boards.append((number, total)))
@@ -80,8 +78,8 @@ def test_the_default_calibration_finds_the_camera_that_took_the_session(folder, 
     chosen = chosen_boards(result)
     assert [RULERS[i] for i in chosen] == [1000.0, 2200.0, 3200.0]  # nearest, closest to the focus, farthest
     assert np.flatnonzero(np.isfinite(measured.pixel_sigma_px["accurate"])).tolist() == chosen
-    config, found = default_config(camera, "accurate"), depth_accuracy(measured, "accurate")
-    eye = CodedApertureCamera(camera, replace(config, matcher=replace(config.matcher, planes=PlanesConfig(rounds=0))))
+    found = depth_accuracy(measured, "accurate")
+    eye = CodedApertureCamera(camera, default_config(camera, "accurate"))
     for i in (chosen[0], chosen[2]):
         depth = eye.measure(result.session.read(list(result.session.boards)[i])).depth_mm
         scatter = robust_sigma(depth[np.isfinite(depth)] - np.nanmedian(depth))

@@ -57,8 +57,8 @@ def test_settings_of_half_pixels_are_those_of_the_blur_but_for_what_halves_share
     assert halves.evidence.own_detail
     assert halves.evidence.allowed_growth == ALLOWED_GROWTH
     assert halves.spectral.dual_pixel
-    assert not halves.surface.learned_error_bar
-    assert halves.planes.vote_factors == film.planes.vote_factors
+    assert halves.surface.learned_error_bar == "none"
+    assert (halves.planes, halves.plate) == (film.planes, film.plate)
     assert halves.layers == film.layers
     assert halves.with_half_pixels() == halves
     with pytest.raises(InputError, match="for_blur"):

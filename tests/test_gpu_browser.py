@@ -21,17 +21,13 @@ from chromaperture.disparity.gpu.device import Chain, open_device
 from chromaperture.disparity.gpu.gpu_method import GpuMethod
 from chromaperture.disparity.gpu.measured import NOTHING, Further
 from chromaperture.disparity.gpu.refocus_stages import RefocusChain, inputs_of
+from chromaperture.disparity.gpu.surface_stages import Grid, add_block_sums, add_path_surface
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.effects.refocusing import Focus, refocus
-from chromaperture.planes_config import PlanesConfig
+from chromaperture.stage_config import SurfaceConfig
 from devices import EXPECTED, needs_device
-from test_gpu_agreement import STEP, agreement
 from test_gpu_alignment import camera_of, chain_behind_disparity
-from test_gpu_edges import edges_of
-from test_gpu_joining import joining_chain, patches
-from test_gpu_judging import judging
-from test_gpu_planes import candidate_chain
-from test_gpu_surface import device_as
+from test_gpu_surface import device_as, volume
 from worlds import wavy_capture
 
 SHAPE = (60, 84)
@@ -142,28 +138,19 @@ def test_colours_and_depth_of_a_disparity_in_a_browser(scale, tmp_path, rng):
 
 
 @pytest.mark.parametrize("software", [True, False])
-def test_planes_of_accurate_in_a_browser(software, tmp_path, rng):
-    """Their edges, where they are taken, and their error bars: both forms of shaders that have two."""
-    device = device_as(software=software)
-    chain, name, expected, _ = edges_of(rng, device, lines=True)
-    choice = in_browser(recorded(chain, {}, name), tmp_path / "edges").view(np.uint32).reshape(expected.shape)
-    assert (choice == expected).mean() > 0.999
-    chain, given, _, expected = agreement(rng, device, (61, 78))
-    surface = in_browser(recorded(chain, given, "surface"), tmp_path / "surface").reshape(61, 78, 4)
-    assert (np.abs(STEP * surface[..., 0] - expected[1]) < 1e-4).mean() > 0.999
-    chain, given, expected = judging(rng, device, (61, 78), 0.3)
-    bars = in_browser(recorded(chain, given, "judged"), tmp_path / "bars").reshape(61, 78, 4)
-    np.testing.assert_allclose(STEP * bars[..., 1], expected.sigma_px, rtol=1e-3)
-    chain, given, output = joining_chain(device, *patches(rng, 16, 20, 20), PlanesConfig(), rounds=6)
-    joined = chain.run(given, [output])[output]
-    assert len(np.unique(joined.reshape(-1, 4)[:20, 3])) < 16
-    found = in_browser(recorded(chain, given, output), tmp_path / "joined").view(np.uint32)
-    np.testing.assert_array_equal(found, joined)
-    chain = candidate_chain(rng, device, (96, 120))[0]
-    planes = chain.run({}, ["candidates"])["candidates"].reshape(-1, 4)
-    found = in_browser(recorded(chain, {}, "candidates"), tmp_path / "planes").reshape(-1, 4)
-    # Newton's method ends where a step gains little: a little earlier or later.
-    assert (np.abs(found - planes)[:, :3].max(axis=1) < 0.05).mean() > 0.9
+def test_stages_of_accurate_in_a_browser(software, tmp_path, rng):
+    """Paths, posterior and sums of blocks: both forms of shaders that have two."""
+    likelihood, guide = volume(rng, 20, 26, 33)
+    chain, grid = Chain(device_as(software=software)), Grid(*likelihood.shape)
+    arrays = [chain.array(name, n) for name, n in (("likelihood", grid.size), ("guide", grid.pixels))]
+    add_path_surface(chain, *arrays, grid, np.linspace(-4, 4, 33), config=SurfaceConfig())
+    add_block_sums(chain, arrays[0], grid, 4)
+    given = {"likelihood": likelihood, "guide": guide}
+    expected = chain.run(given, ["label", "posterior", "blocks"])
+    for name, values in expected.items():
+        found = in_browser(recorded(chain, given, name), tmp_path / name)
+        # Layers that are as good may swap.
+        assert np.isclose(found, values, rtol=1e-3, atol=1e-3).mean() > 0.99
 
 
 def test_a_refocused_picture_in_a_browser(tmp_path, rng):

@@ -18,9 +18,12 @@ LENS = BlurModel(6.0, 12000.0, axial_red_px=-0.2, axial_blue_px=0.3, spherical_p
 
 
 class Case:
-    """A picture, its evidence on the CPU, and the chain that computes it on a device."""
+    """A picture, its evidence on the CPU, and the chain that computes it on a device.
 
-    def __init__(self, design, shape, noise, label_map, *, half_range=5):
+    The picture is a pattern at one depth, grey or by ``gains`` of R, G, B: of opposite signs in two hues.
+    """
+
+    def __init__(self, design, shape, noise, label_map, *, half_range=5, gains=(1, 1, 1), config=None):
         from chromaperture.disparity.gpu.device import Chain
         from chromaperture.disparity.gpu.evidence_plan import plan_evidence
         from chromaperture.disparity.gpu.evidence_stages import add_evidence
@@ -31,11 +34,11 @@ class Case:
         rng = np.random.default_rng(3)
         pattern = 0.5 + rng.normal(0, 0.15, (256, 256))
         at_infinity, scale = self.blur.reference
-        image = blurred(pattern, self.blur, (at_infinity - 1.2 * self.blur.reach) / scale)
+        image = 0.5 + gains * (blurred(pattern, self.blur, (at_infinity - 1.2 * self.blur.reach) / scale) - 0.5)
         self.image = (image + rng.normal(0, 0.004, image.shape)).astype(np.float32)
         variance = np.full_like(self.image, 0.004**2)
         model = NoiseModel(lambda _: variance, is_known=True) if noise else ESTIMATED_NOISE
-        self.source = BlurEvidence(CrossFilterConfig(), self.blur, label_map, model, execution_named("numpy"))
+        self.source = BlurEvidence(config or CrossFilterConfig(), self.blur, label_map, model, execution_named("numpy"))
         self.layers = np.arange(-half_range, half_range + 1) * 0.9 * self.blur.reach
         self.labels = np.linspace(self.layers[0], self.layers[-1], 4 * half_range + 1)
         self.plan = plan_evidence(self.source, self.layers)
@@ -84,13 +87,38 @@ def test_evidence_agrees(design, shape, noise, label_map):
     kept = [correlation[:primary], correlation[primary:, ..., : case.plan.parts[0].end]]
     expected = np.concatenate([part.ravel() for part in kept])
     np.testing.assert_allclose(found["correlation"], expected, atol=1e-4)
+    check_likelihood(case, found["likelihood"])
+
+
+def check_likelihood(case, found):
+    """Compare with the CPU's, which is returned."""
     expected = case.source.at(case.image, case.layers, case.labels) * case.usable[..., None]
-    off = np.abs(found["likelihood"].reshape(expected.shape) - expected)
+    off = np.abs(found.reshape(expected.shape) - expected)
     # Near its limit of 0.999 the squared correlation's logarithm enlarges a difference 500 times. The device goes
     # between pixels before labels: with a map that bends, an end of the range has a part of its evidence only there.
     assert off[..., 1:-1].max() < 5e-3
     assert off.max() < 0.03
     assert off.mean() < 1e-4
+    return expected
+
+
+ORANGE_AND_BLUE = np.array([0.9, 0.35, -0.7])  # how R, G, B rise from blue to orange
+
+
+@pytest.mark.parametrize(
+    ("design", "secondary", "earns"),
+    [("cy_halves", True, True), ("cmy_circles", True, True), ("cy_halves", False, False)],
+)
+def test_channels_that_fall_where_others_rise_are_evidence_too(design, secondary, earns):
+    """A texture of orange and blue: of three pairs two correlate negatively; a pair alone says nothing."""
+    config = CrossFilterConfig(fallback_weight=0.5 if secondary else 0.0)
+    case = Case(design, (54, 66), True, IDENTITY, gains=ORANGE_AND_BLUE, config=config)
+    assert len(case.source.all_pairs) == (3 if secondary else 1)
+    expected = check_likelihood(case, case.run("likelihood")["likelihood"])
+    correlation = case.source._correlations(case.image, case.layers)
+    assert correlation.mean(axis=(1, 2, 3)).min() < -0.5  # of a pair at a layer
+    positive_only = case.source._explained(np.maximum(correlation, 0)).max(axis=2).mean()
+    assert (expected.max(axis=2).mean() > 1.5 * positive_only + 0.5) == earns
 
 
 # One to three passes behind the first, every radix of `fourier.wgsl`; 1024 is the longest line.

@@ -3,14 +3,19 @@
 import os
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from chromaperture.config import AccurateConfig
 from chromaperture.disparity import stages
-from chromaperture.disparity.stages.between_layers import between_layers
-from chromaperture.disparity.winner import parabola_winner
+from chromaperture.disparity.accurate import PathSurface, path_surface
+from chromaperture.disparity.block_surface import block_sums
+from chromaperture.disparity.depth_edges import BLOCK_PX
+from chromaperture.disparity.execution import execution_named
+from chromaperture.disparity.stages.paths import Posterior
 from chromaperture.stage_config import SurfaceConfig
 from devices import EXPECTED
 
@@ -73,57 +78,58 @@ def test_path_costs_agree(size, seed):
     np.testing.assert_allclose(found, expected, atol=2e-3)
 
 
-def surface_of(likelihood, guide, layers, config):
+def path_surface_on_device(likelihood, guide, layers, config):
+    """Label, mean and variance of the posterior, and sums of blocks, as `accurate.path_surface` has them."""
     from chromaperture.disparity.gpu.device import Chain
-    from chromaperture.disparity.gpu.surface_stages import (
-        Grid,
-        add_paths,
-        add_posterior,
-        add_start,
-        add_variation,
-        surface_arrays,
-    )
+    from chromaperture.disparity.gpu.surface_stages import Grid, add_block_sums, add_path_surface
 
     chain, grid = Chain(any_device()), Grid(*likelihood.shape)
-    a = surface_arrays(chain, grid, config)
-    add_paths(chain, a.likelihood, a.guide, a.cost, grid, layers, config=config)
-    add_start(chain, a, grid, config=config)
-    add_variation(chain, a, grid, layers, config=config)
-    add_posterior(chain, a, grid, config=config)
-    got = chain.run({"likelihood": likelihood, "guide": guide}, ["surface", "sigma", "winner", "offset"])
-    shape = likelihood.shape[:2]
-    step = layers[1] - layers[0]
-    start = layers[0] + step * (got["winner"].reshape(*shape, 4)[..., 0] + got["offset"].reshape(shape))
-    surface = layers[0] + step * got["surface"].reshape(*shape, 4)[..., 0]
-    return start, surface, step * got["sigma"].reshape(shape)
+    arrays = [chain.array(name, n) for name, n in (("likelihood", grid.size), ("guide", grid.pixels))]
+    add_path_surface(chain, *arrays, grid, layers, config=config)
+    add_block_sums(chain, arrays[0], grid, BLOCK_PX)
+    got = chain.run({"likelihood": likelihood, "guide": guide}, ["label", "posterior", "blocks"])
+    shape, step = likelihood.shape[:2], layers[1] - layers[0]
+    mean, variance = np.moveaxis(got["posterior"].reshape(*shape, 2), 2, 0)
+    posterior = Posterior(layers[0] + step * mean, step**2 * variance)
+    blocks = got["blocks"].reshape(*(n // BLOCK_PX for n in shape), len(layers))
+    return PathSurface(layers[0] + step * got["label"].reshape(shape), posterior, blocks)
 
 
-@pytest.mark.parametrize(("height", "width", "count"), [(37, 53, 65), (33, 70, 21)])
-def test_the_surface_and_its_error_bar_agree(rng, height, width, count):
+# The second is wider than a path's invocations hold at once, and leaves pixels beside the blocks at two borders.
+@pytest.mark.parametrize(("height", "width", "count"), [(36, 52, 65), (33, 70, 21), (40, 25, 3)])
+def test_the_surface_its_posterior_and_sums_of_blocks_agree(rng, height, width, count):
     likelihood, guide = volume(rng, height, width, count)
     layers = np.linspace(-4, 4, count)
-    config = SurfaceConfig(coupling_rounds=12, variation_iterations=20)
-    start, surface, sigma = surface_of(likelihood, guide, layers, config)
-
-    cost = stages.aggregate_paths(likelihood, guide, layers, config=config)
-    paths = parabola_winner(cost, layers, lower_is_better=True)
-    first = np.where(np.isfinite(paths.disparity_px), paths.disparity_px, layers[cost.argmin(axis=2)])
-    first = between_layers(first, likelihood, layers, sigma_px=config.interpolation_sigma_px)
-    # Two layers of one cost may be told apart by rounding; everything else is the same arithmetic.
+    config = AccurateConfig()
+    found = path_surface_on_device(likelihood, guide, layers, config.surface)
+    expected = path_surface(likelihood, guide, layers, config=config, run=execution_named("numpy"))
     step = layers[1] - layers[0]
-    assert (np.abs(start - first) < 1e-3 * step).mean() > 0.99
-    varied = stages.coupled_variation(first, likelihood, guide, layers, config=config)
-    assert (np.abs(surface - varied) < 0.01 * step).mean() > 0.99
-    posterior = stages.posterior(cost, layers, temperature=config.temperature * config.paths)
-    np.testing.assert_allclose(sigma, posterior.sigma_px(surface), rtol=2e-3, atol=1e-4)
+    # Two layers of one cost may be told apart by rounding; everything else is the same arithmetic.
+    assert (np.abs(found.label_px - expected.label_px) < 1e-3 * step).mean() > 0.99
+    for at in (found.label_px, expected.posterior.mean_px):
+        np.testing.assert_allclose(found.posterior.sigma_px(at), expected.posterior.sigma_px(at), rtol=2e-3, atol=1e-4)
+    np.testing.assert_allclose(found.nats, expected.nats, rtol=1e-5)  # 16 numbers of some nats
 
 
-def test_iterations_do_not_depend_on_the_squares(rng):
-    """A map of several squares, iterated in parts of one to five: the same as pixel by pixel."""
-    likelihood, guide = volume(rng, 60, 47, 9)
-    layers = np.linspace(0, 2, 9)
-    for iterations in (1, 7, 23):
-        config = SurfaceConfig(coupling_rounds=2, variation_iterations=iterations)
-        start, surface, _ = surface_of(likelihood, guide, layers, config)
-        varied = stages.coupled_variation(start, likelihood, guide, layers, config=config)
-        assert (np.abs(surface - varied) < 1e-4).mean() > 0.998, iterations
+@pytest.mark.parametrize("shape", [(1, 9, 5), (3, 40, 7), (4, 7, 5)])
+def test_pictures_of_one_row_of_blocks_or_none(rng, shape):
+    likelihood, guide = volume(rng, *shape)
+    found = path_surface_on_device(likelihood, guide, np.arange(shape[2]) * 0.5, SurfaceConfig())
+    np.testing.assert_allclose(found.nats, block_sums(likelihood), rtol=1e-5)
+    assert np.isfinite(found.label_px).all()
+
+
+@pytest.mark.parametrize(("sigma", "planes", "parts"), [(1.5, 1, 2), (4.0, 3, 3)])
+@pytest.mark.parametrize("shape", [(19, 30), (1, 13), (40, 1)])
+def test_gaussians_are_those_of_opencv(rng, shape, planes, parts, sigma):
+    from chromaperture.disparity.gpu.device import Chain
+    from chromaperture.disparity.gpu.surface_stages import add_gaussian, gaussian_taps
+
+    values = rng.normal(size=(planes, *shape, parts)).astype(np.float32)
+    chain = Chain(any_device())
+    arrays = [chain.array(name, values.size) for name in ("values", "between")]
+    add_gaussian(chain, *arrays, shape, gaussian_taps(sigma), parts=parts, planes=planes)
+    found = chain.run({"values": values}, ["values"])["values"].reshape(values.shape)
+    border = cv2.BORDER_REFLECT_101
+    expected = [cv2.GaussianBlur(plane, (0, 0), sigma, borderType=border).reshape(plane.shape) for plane in values]
+    np.testing.assert_allclose(found, expected, atol=2e-6)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from chromaperture.config import AccurateConfig, PaperConfig, RealTimeConfig
 from chromaperture.disparity import stages
 from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.gpu.accurate_on_device import AccurateOnDevice
+from chromaperture.disparity.gpu.accurate_chain import AccurateOnDevice
 from chromaperture.disparity.gpu.device import Chain, open_device
 from chromaperture.disparity.gpu.gpu_method import DeviceMethod, GpuMethod, on_device
 from chromaperture.disparity.gpu.working_stages import Reduction, add_reduced, add_upsampled
@@ -135,21 +135,28 @@ def scaled(config, scale_px: tuple[int, int]) -> ScaledMethod:
 
 
 @pytest.mark.parametrize(
-    ("config", "kind"),
-    [
-        (RealTimeConfig().with_range(-2, 2), GpuMethod),
-        (PaperConfig().with_range(-2, 2), GpuMethod),
-        (AccurateConfig().with_range(-2, 2), AccurateOnDevice),
-    ],
-    ids=["real-time", "paper", "accurate"],
+    "config", [RealTimeConfig().with_range(-2, 2), PaperConfig().with_range(-2, 2)], ids=["real-time", "paper"]
 )
-def test_the_whole_method(config, kind):
+def test_the_whole_method(config):
     image = wavy_capture("cy_halves", shape=(120, 165))
     method = scaled(config, (82, 60))
     both = on_device(method, "gpu", lambda note: None)
     assert isinstance(both, DeviceMethod)
-    assert isinstance(both.on_gpu, kind)
+    assert isinstance(both.on_gpu, GpuMethod)
     np.testing.assert_array_equal(both.on_gpu.reduction.guide_rgb, guide_weights(method.aperture))
+    check_alike(both, method, image)
+
+
+def test_of_accurate_the_cpu_reduces_and_enlarges():
+    image = wavy_capture("cy_halves", shape=(120, 165))
+    method = scaled(AccurateConfig().with_range(-2, 2), (82, 60))
+    both = on_device(method, "gpu", lambda note: None)
+    assert isinstance(both, ScaledMethod)
+    assert isinstance(both.method.on_gpu, AccurateOnDevice)
+    check_alike(both, method, image)
+
+
+def check_alike(both, method, image):
     found, expected = both.match(image), method.match(image)
     same = np.isclose(found.value_px, expected.value_px, atol=0.01, equal_nan=True)
     assert same.mean() > 0.995

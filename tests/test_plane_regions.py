@@ -9,22 +9,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.planar import between_labels, block_costs, fits_of_regions
-from chromaperture.disparity.plane_fit import Volume
 from chromaperture.disparity.plane_regions import (
     MOST_LOG_ODDS,
     border_costs,
     borders_of,
     bounded,
     costs_of_regions,
-    joined_regions,
+    of_blocks,
+    planes_of_regions,
     regions_between_edges,
     shares_of_blocks,
 )
 from chromaperture.planes_config import PlanesConfig
 
 FAST, READABLE = execution_named("numba"), execution_named("numpy")
-LABELS_PX = np.arange(-3.0, 3.01, 0.1)
+LABELS = np.arange(61.0)
 
 
 def edges_of(area: np.ndarray, there: float = 4.0, elsewhere: float = -5.0) -> np.ndarray:
@@ -80,13 +79,16 @@ def test_joining_lowers_the_energy_until_no_pair_does(run, seed: int, penalty: f
     rng = np.random.default_rng(seed)
     region = np.arange(30).reshape(5, 6)
     cost, links = rng.normal(size=(5, 6, 4)), scale * rng.random((2, 5, 6))
-    found = joined_regions(region, costs_of_regions(region, cost), links, plane_penalty=penalty, run=run)
-    least = energy(found.region, cost, links, penalty)
+    into, total = run.join_regions(
+        costs_of_regions(region, cost), *borders_of(region, links), plane_penalty=penalty
+    )  # fmt: skip
+    found = into[region]
+    least = energy(found, cost, links, penalty)
     assert least <= energy(region, cost, links, penalty) + 1e-9
-    for k, plane in enumerate(found.plane):
-        assert plane == cost[found.region == k].sum(axis=0).argmin()
-    for one, other in borders_of(found.region, links)[0]:
-        assert energy(np.where(found.region == other, one, found.region), cost, links, penalty) >= least - 1e-9
+    for k in np.unique(found):
+        np.testing.assert_allclose(total[k], cost[found == k].sum(axis=0), atol=1e-9)
+    for one, other in borders_of(found, links)[0]:
+        assert energy(np.where(found == other, one, found), cost, links, penalty) >= least - 1e-9
 
 
 @settings(max_examples=60, deadline=None)
@@ -122,47 +124,101 @@ def test_a_sure_edge_costs_nothing_and_a_sure_surface_no_more_than_the_limit() -
     assert costs.tolist() == [0, 0, 10, 5 * MOST_LOG_ODDS]
 
 
+def evidence_of(label: np.ndarray, rng: np.random.Generator, strength: np.ndarray | float = 8.0) -> np.ndarray:
+    """Sums of the evidence of blocks: parabolas six labels wide, and noise of half a nat."""
+    away = (LABELS - label[..., None]) / 6
+    peak = np.broadcast_to(strength, label.shape)[..., None]
+    return (peak * np.maximum(0, 1 - away**2) + rng.normal(0, 0.5, away.shape)).astype(np.float32)
+
+
+@pytest.mark.parametrize("run", [FAST, READABLE], ids=["numba", "numpy"])
 @pytest.mark.parametrize("seed", range(3))
-def test_planes_between_edges_are_found_although_blocks_beside_them_speak_for_the_near_one(seed: int) -> None:
+def test_planes_between_edges_are_found_although_blocks_beside_them_speak_for_the_near_one(seed: int, run) -> None:
     rng = np.random.default_rng(seed)
     area = np.zeros((30, 45), int)
     area[8:22, 12:30] = 1
-    truth = np.where(area == 1, -1.0, 1.5)
+    truth = np.where(area == 1, 20.0, 45.0)
     seen = truth.copy()
-    seen[6:24, 10:32] = -1.0  # windows two blocks beyond the card see the card
-    away = (LABELS_PX - seen[..., None]) / 0.6
-    sums = (8 * np.maximum(0, 1 - away**2) + rng.normal(0, 0.5, away.shape)).astype(np.float32)
-    config = PlanesConfig(learned_border_nats=(5.0,))
-    blocks = Volume(sums, LABELS_PX, block_costs(config), FAST)
-    planes = np.array([[0, 0, c] for c in (-2.0, -1.0, 0.0, 1.5, 2.5)])
-    (fit,) = fits_of_regions(planes, blocks, edges_of(area), (120, 180), config=config)
-    # The volume's parabola is sampled at tenths; its place is found to a fraction of one.
-    assert np.mean(np.abs(fit.label_px[2::4, 2::4] - truth) < 0.1) > 0.99
+    seen[6:24, 10:32] = 20.0  # windows two blocks beyond the card see the card
+    none = np.empty((0, 3))  # level planes of every label are there anyway
+    found = planes_of_regions(evidence_of(seen, rng), none, edges_of(area), config=PlanesConfig(), run=run)
+    # Evidence is as noisy at every label: its place is found to a label where blocks are many.
+    assert np.mean(np.abs(found.label - truth) <= 1) > 0.99
+    assert np.array_equal(np.unique(found.region), np.arange(found.region.max() + 1))
 
 
-@pytest.mark.parametrize("share", [0.0, 0.21, 0.5, 0.83])
-def test_level_planes_are_placed_between_labels_and_sloped_ones_stay(share: float) -> None:
-    step = LABELS_PX[1] - LABELS_PX[0]
-    nearest = LABELS_PX[20 + round(share)]
-    choice = np.zeros((30, 45), int)
-    choice[:, 30:] = 1
-    label = np.where(choice == 0, LABELS_PX[20] + share * step, LABELS_PX[5])
-    label[:, 28:30] = LABELS_PX[5]  # windows beside the other plane see that
-    sums = 8 * np.exp(-(((LABELS_PX - label[..., None]) / 0.6) ** 2))
-    blocks = Volume(sums.astype(np.float32), LABELS_PX, block_costs(PlanesConfig()), FAST)
-    planes = np.array([[0, 0, nearest], [0.001, 0, LABELS_PX[5]]])
-    found = between_labels(planes, choice, blocks, border=2)
-    # A Gaussian is no parabola: 41 places between two labels are found to .01 of a label.
-    np.testing.assert_allclose(found[0], [0, 0, LABELS_PX[20] + share * step], atol=0.02 * step)
-    np.testing.assert_array_equal(found[1], planes[1])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_weak_area_behind_an_edge_gets_its_own_plane(seed: int) -> None:
+    """A strong wall at the left, and at the right a floor whose blocks hardly say anything one by one."""
+    rng = np.random.default_rng(seed)
+    area = (np.arange(45) >= 20)[None].repeat(30, axis=0).astype(int)
+    floor = np.array([0.05, 0.2, 16.0])  # of pixels
+    a, b, c = of_blocks(floor[None])[0]
+    y, x = np.mgrid[:30, :45]
+    truth = np.where(area == 1, a * x + b * y + c, 40.0)
+    nats = evidence_of(truth, rng, np.where(area == 1, 0.5, 8.0))
+    alone = nats.argmax(axis=2)
+    assert np.median(np.abs(alone - truth)[area == 1]) > 3  # 4 is found: half of all labels are guessed
+    found = planes_of_regions(nats, np.array([floor, [0.0, 0, 30]]), edges_of(area), config=PlanesConfig(), run=FAST)
+    np.testing.assert_allclose(found.label[area == 0], 40.0, atol=1.0)
+    # Whichever block a border puts on the other side.
+    assert np.mean(np.abs(found.label - truth)[area == 1] < 0.01) > 0.97
 
 
-def test_level_planes_at_an_end_of_the_range_stay() -> None:
-    sums = np.zeros((30, 45, len(LABELS_PX)), np.float32)
-    sums[..., 0] = 5
-    blocks = Volume(sums, LABELS_PX, block_costs(PlanesConfig()), FAST)
-    planes = np.array([[0, 0, LABELS_PX[0]]])
-    np.testing.assert_array_equal(between_labels(planes, np.zeros((30, 45), int), blocks, border=2), planes)
+def test_regions_without_an_edge_between_share_one_plane() -> None:
+    """Watersheds cut a picture wherever odds vary; joining takes these borders away again, and their planes."""
+    rng = np.random.default_rng(4)
+    odds = (-5 + rng.normal(0, 0.5, (2, 30, 45))).astype(np.float32)
+    assert regions_between_edges(odds).max() > 20
+    truth = np.full((30, 45), 25.0)
+    found = planes_of_regions(evidence_of(truth, rng), np.empty((0, 3)), odds, config=PlanesConfig(), run=FAST)
+    assert found.region.max() == 0
+    np.testing.assert_array_equal(found.label, 25.0)
+
+
+def test_labels_of_steep_planes_stay_in_range() -> None:
+    rng = np.random.default_rng(4)
+    steep = np.array([[1.0, 0.0, -60.0]])
+    nats = evidence_of(of_blocks(steep)[0, 0] * np.arange(45.0) + of_blocks(steep)[0, 2] + np.zeros((30, 1)), rng, 20.0)
+    odds = np.full((2, 30, 45), -5, np.float32)
+    found = planes_of_regions(nats, steep, odds, config=PlanesConfig(slope_penalty=0.0), run=FAST)
+    np.testing.assert_allclose(found.label[0], np.clip(4 * np.arange(45) + 1.5 - 60, 0, 60))
+
+
+def levels_of(nats: np.ndarray, log_odds: np.ndarray, **settings_) -> list[float]:
+    """Labels of a strip of blocks, by level planes alone, that cost next to nothing."""
+    config = PlanesConfig(plane_penalty=1.0, **settings_)
+    found = planes_of_regions(nats.astype(np.float32), np.empty((0, 3)), log_odds, config=config, run=FAST)
+    return found.label[15].tolist()
+
+
+@pytest.mark.parametrize(("share", "strip"), [(1.0, 20.0), (0.3, 45.0)])
+def test_blocks_beside_a_likely_edge_count_less_for_the_plane_of_their_region(share: float, strip: float) -> None:
+    """Five columns beside a book, of which the first sees the book five times as well as the others the wall."""
+    nats = np.zeros((30, 20, 61))
+    nats[:, :16, 20], nats[:, 16:, 45] = 3.0, 0.6
+    log_odds = np.full((2, 30, 20), -6.0, np.float32)
+    log_odds[1, :, 14] = 2.0
+    found = levels_of(nats, log_odds, edge_block_weight=share, max_block_nats=0.0)
+    assert found == [20.0] * 15 + [strip] * 5
+
+
+@pytest.mark.parametrize(("most", "expected"), [(0.0, 20.0), (3.0, 45.0)])
+def test_what_a_block_says_is_bounded(most: float, expected: float) -> None:
+    """A fifth of the blocks have ten times the evidence of the others, for something else."""
+    nats = np.zeros((30, 20, 61))
+    nats[:, :4, 20], nats[:, 4:, 45] = 10.0, 1.0
+    log_odds = np.full((2, 30, 20), -6.0, np.float32)
+    assert levels_of(nats, log_odds, max_block_nats=most) == [expected] * 20
+
+
+def test_planes_of_pixels_are_those_of_the_middles_of_blocks() -> None:
+    planes = np.array([[0.3, -0.2, 5.0], [0.0, 0.1, 1.0]])
+    y, x = np.mgrid[:6, :7]
+    for (a, b, c), (p, q, r) in zip(planes, of_blocks(planes), strict=True):
+        rows, columns = np.mgrid[:24, :28]
+        of_pixels = (a * columns + b * rows + c).reshape(6, 4, 7, 4).mean(axis=(1, 3))
+        np.testing.assert_allclose(p * x + q * y + r, of_pixels, atol=1e-12)
 
 
 @settings(max_examples=40, deadline=None)
@@ -242,10 +298,9 @@ def test_few_blocks_of_strong_evidence_do_not_outvote_the_others_of_their_region
     cost[..., 1] = 1.0  # the wall is plane 0
     cost[:, :4] = [10.0, 0.0]
     region = np.zeros((20, 20), int)
-    links = np.full((2, 20, 20), 100.0)
 
     def chosen(cost: np.ndarray) -> int:
-        return int(joined_regions(region, costs_of_regions(region, cost), links, plane_penalty=1.0, run=FAST).plane[0])
+        return int(costs_of_regions(region, cost)[0].argmin())
 
     assert chosen(cost) == 1
     assert chosen(bounded(cost, 3.0)) == 0

@@ -95,7 +95,6 @@ MAY_IMPORT_EXECUTIONS = MAY_IMPORT_CPU | {
     "disparity/spectral_model.py",  # what that takes away
     "disparity/total_variation.py",  # the problem and its state
     "disparity/plane_fit.py",  # what a plane costs
-    "disparity/planar.py",  # the same, and the weights of links
     "disparity/plane_regions.py",  # how pairs of regions are summed
     "disparity/working_scale.py",  # the maps that both bring to full size
     "calibration/fit_blur.py",  # a photograph without its shading

@@ -46,6 +46,9 @@ LEAST_LAYERS = 32
 ALLOWED_GROWTH = 2.0
 # See `PlanesConfig.known_from_nats`, where blur and noise are known: frames of noise alone reach .00012.
 KNOWN_FROM_NATS_OF_BLUR = 3e-4
+BORDER_NATS_OF_BLUR = 5.0  # see `PlanesConfig.border_nats`, where blur tells more than parallax
+# Shifted views have sharper evidence, in windows that overlap less.
+PLATE_OF_VIEWS = PlateConfig(evidence_share=0.3, max_block_nats=6.0, own_evidence_nats=1.0)
 Method = TypeVar("Method", bound="MatcherConfig")
 
 
@@ -201,7 +204,7 @@ class AccurateConfig(MatcherConfig):
     evidence: CrossFilterConfig | CorrelationEvidenceConfig = CorrelationEvidenceConfig()
     surface: SurfaceConfig = SurfaceConfig()
     planes: PlanesConfig = PlanesConfig()
-    plate: PlateConfig = PlateConfig()
+    plate: PlateConfig = PLATE_OF_VIEWS
     spectral: SpectralConfig = SpectralConfig()
 
     @property
@@ -251,13 +254,14 @@ class AccurateConfig(MatcherConfig):
         )
         layers = LayersConfig(step_px=0.3 * reach)
         evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
+        planes = PlanesConfig(known_from_nats=KNOWN_FROM_NATS_OF_BLUR)
         if reach < LEAST_REACH_OF_PAIRS:
             evidence = replace(evidence, allowed_growth=ALLOWED_GROWTH)
+            planes = replace(planes, border_nats=BORDER_NATS_OF_BLUR)
         elif one_pair:
             evidence = replace(evidence, own_detail=True)
-        planes = PlanesConfig(known_from_nats=KNOWN_FROM_NATS_OF_BLUR)
         spectral = SpectralConfig.for_blur(reach)
-        return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, spectral=spectral)
+        return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, plate=PlateConfig(), spectral=spectral)
 
     def with_half_pixels(self) -> AccurateConfig:
         """Return the settings for a dual-pixel sensor whose blur is known.

@@ -11,10 +11,8 @@ from chromaperture.calibration.progress import Progress, reported, silent
 from chromaperture.calibration.read_boards import pixel_sigma
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_matching import default_config
-from chromaperture.config import AccurateConfig
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.errors import InputError
-from chromaperture.planes_config import PlanesConfig
 
 # Of all boards together: 16 s at 8 s a megapixel (README), which is less than the calibration itself takes.
 MOST_MEGAPIXELS = 2.0
@@ -55,11 +53,8 @@ def with_accurate_noise(
     boards = chosen_boards(result)
     if not boards or len(boards) * width * height > 1e6 * most_megapixels:
         return result
-    # A board is a plane, and explained as one it would show no scatter; surfaces that are no planes do.
-    config = default_config(calibration, "accurate")
-    assert isinstance(config.matcher, AccurateConfig)
-    no_planes = replace(config.matcher, planes=PlanesConfig(rounds=0))
-    camera = CodedApertureCamera(calibration, replace(config, matcher=no_planes))
+    # A board is a plane, but nothing explains it as one: the plate follows the evidence of a board as of any surface.
+    camera = CodedApertureCamera(calibration, default_config(calibration, "accurate"))
     x, y = np.meshgrid(result.grid_x_px, result.grid_y_px)
     model = calibration.depth["accurate"].at(x, y, width, height)
     rows, columns = result.grid_y_px.astype(int), result.grid_x_px.astype(int)

@@ -131,7 +131,7 @@ class Device:
 
         key = f"{entry}:{source}"
         if key not in self.pipelines:
-            self.pipelines[key] = begun(made)  # a driver took 5 s for the 122 of `accurate`: docs/gpu.md
+            self.pipelines[key] = begun(made)  # a driver took 5 s for 122: docs/gpu.md
         return self.pipelines[key]
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from chromaperture.disparity.blur_evidence import IN_FOCUS_PX, MAX_CORRELATION2_OF_BANDS, finest_px
+from chromaperture.disparity.blur_evidence import CONTRARY, IN_FOCUS_PX, MAX_CORRELATION2_OF_BANDS, finest_px
 from chromaperture.disparity.gpu.device import Array, Chain, DeviceError
 from chromaperture.disparity.gpu.evidence_plan import MOST_TRANSFORMED, EvidencePlan, Part, RoundSizes
 from chromaperture.disparity.gpu.surface_stages import AT_ONCE, add_gaussian, gaussian_taps
@@ -57,6 +57,7 @@ def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
         pairs=len(pairs), primary_pairs=len(plan.source.blur.pairs), of_all_pairs=plan.parts[0].end,
         bands=len(config.bands_px),
         weights=[float(w) for w in config.band_weights], most_correlation2=MAX_CORRELATION2_OF_BANDS,
+        contrary_product=CONTRARY,
         fallback_weight=float(config.fallback_weight), fallback_nats=float(config.fallback_nats),
         factors=plan.factors,
     )  # fmt: skip

@@ -1,6 +1,6 @@
 // Offset from the nearest layer at which averaged tangents are least, half a layer at most, and the label there.
 
-@group(0) @binding(0) var<storage, read> winner: array<vec4f>;
+@group(0) @binding(0) var<storage, read> winner: array<vec3f>;
 @group(0) @binding(1) var<storage, read> averaged: array<vec2f>;
 @group(0) @binding(2) var<storage, read_write> offset: array<f32>;
 @group(0) @binding(3) var<storage, read_write> label: array<f32>;

@@ -1,7 +1,7 @@
 // Tangents of the log of the unexplained fraction at the last offset from the nearest layer; see
 // `stages/between_layers.py`. Their averages give the next offset (`layer_offsets.wgsl`).
 
-@group(0) @binding(0) var<storage, read> winner: array<vec4f>;
+@group(0) @binding(0) var<storage, read> winner: array<vec3f>;
 @group(0) @binding(1) var<storage, read> offset: array<f32>;
 @group(0) @binding(2) var<storage, read_write> tangents: array<vec2f>;  // slope and bend
 

@@ -11,6 +11,7 @@ const fourths = (evens + 1u) / 2u;
 const primary_lists = primary_pairs * bands;
 const lists = pairs * bands;
 const first_few = lists * (evens + 4u);
+const is_primary = vec3f(f32(primary_pairs > 0u), f32(primary_pairs > 1u), f32(primary_pairs > 2u));
 const chunks = (count + 63u) / 64u;
 
 // Every second layer of all pairs' bands, then every fourth of those of secondary pairs: lists between two numbers
@@ -74,6 +75,25 @@ fn fill_lists(sample: u32, local: u32) {
     workgroupBarrier();
 }
 
+// The correlation of a pair in a band at a layer, or what lies between those of its neighbours.
+fn correlation_at(pair: u32, band: u32, layer: u32, place: i32, sample: u32) -> f32 {
+    let list = pair * bands + band;
+    let at = seconds_of(list) + layer / 2u;
+    if (layer % 2u == 0u) { return ladder[at]; }
+    if (place >= 0i && pair < primary_pairs) {
+        return correlation[correlations_of(pair, band, samples, sample) + u32(place)];
+    }
+    return halfway(at);
+}
+
+// `blur_evidence.explained_variance`: a negative correlation counts as far as the product of the other two is negative.
+// That product is 0 where there are fewer than three pairs.
+fn explained_variance(rho: vec3f) -> vec3f {
+    let contrary = clamp(rho.yzx * rho.zxy / -contrary_product, vec3f(), vec3f(1.0));
+    let counted = select(vec3f(1.0), contrary, rho < vec3f());
+    return min(counted * rho * rho, vec3f(most_correlation2));
+}
+
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
@@ -86,23 +106,15 @@ fn main(
     var best = 0.0;  // no log-likelihood is below 0
     for (var chunk = 0u; chunk < chunks; chunk++) {
         let layer = min(64u * chunk + local, count - 1u);
-        let is_even = layer % 2u == 0u;
         let place = places[layer];
         var sums = vec2f();
-        for (var list = 0u; list < lists; list++) {
-            let is_primary = list < primary_lists;
-            let at = seconds_of(list) + layer / 2u;
-            var rho = 0.0;
-            if (is_even) {
-                rho = ladder[at];
-            } else if (place >= 0i && is_primary) {
-                rho = correlation[correlations_of(list / bands, list % bands, samples, sample) + u32(place)];
-            } else {
-                rho = halfway(at);
+        for (var band = 0u; band < bands; band++) {  // unrolled
+            var rho = vec3f();  // of a pair each: there are three at most
+            for (var pair = 0u; pair < pairs; pair++) {  // unrolled
+                rho[pair] = correlation_at(pair, band, layer, place, sample);
             }
-            rho = max(rho, 0.0);
-            let nats = -0.5 * weights[list % bands] * log(1.0 - min(rho * rho, most_correlation2));
-            sums += select(vec2f(0.0, nats), vec2f(nats, 0.0), is_primary);
+            let nats = -0.5 * weights[band] * log(1.0 - explained_variance(rho));
+            sums += vec2f(dot(nats, is_primary), dot(nats, vec3f(1.0) - is_primary));
         }
         earned[chunk] = sums / max(vec2f(1.0), vec2f(f32(primary_pairs), f32(pairs - primary_pairs)));
         best = max(best, earned[chunk].x);

@@ -23,8 +23,3 @@ fn is_finite(value: f32) -> bool {
 fn is_known(value: f32) -> bool {
     return value < 1.0e38f;
 }
-
-// As it is read on the CPU.
-fn bits_of(value: f32) -> u32 {
-    return select(NAN_BITS, bitcast<u32>(value), is_known(value));
-}

@@ -1,7 +1,7 @@
 """Stages of quality "accurate" from a volume of log-likelihoods to a surface, appended to a chain.
 
-Paths, the place between the layers, posterior, sums of blocks: the files of ``stages/`` explain each. Disparities count in layers here. Volumes are (h, w, count), the layers of a pixel next to
-each other.
+Paths, the place between the layers and the posterior: the files of ``stages/`` explain each. `block_surface.py` has the
+sums of blocks. Disparities count in layers here. Volumes are (h, w, count), the layers of a pixel next to each other.
 """
 
 from __future__ import annotations
@@ -116,7 +116,6 @@ def add_gaussian(
     parts: int,
     planes: int = 1,
     source: Array | None = None,
-    every: int = 1,
 ) -> None:
     """Append a filter along both axes: (planes, h, w, parts), mirrored at the borders.
 
@@ -130,20 +129,17 @@ def add_gaussian(
     parts, planes : int
     source : Array, optional
         What is filtered instead; ``values`` is only written.
-    every : int
-        Only every so many-th pixel along either axis is computed; more than 1 needs ``source``.
     """
     height, width = shape
     # A constant array that is indexed by a variable is copied for every invocation: half the time of a software device.
-    filter_taps = chain.constant(f"taps_of_{values.name}", np.concatenate([taps, np.zeros((AT_ONCE - 1) * every)]))
+    filter_taps = chain.constant(f"taps_of_{values.name}", np.concatenate([taps, np.zeros(AT_ONCE - 1)]))
     for before, after, along_x in ((source or values, between, True), (between, values, False)):
         lines, across = (height, width) if along_x else (width, height)
         chain.add(
             "gaussian_line", [before, filter_taps, after],
-            groups=groups_for(planes * lines * -(-across // (AT_ONCE * every)) * parts), uses=("indexing",),
-            height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2, along_x=along_x, every=every,
+            groups=groups_for(planes * lines * -(-across // AT_ONCE) * parts), uses=("indexing",),
+            height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2, along_x=along_x,
         )  # fmt: skip
-        width = -(-width // every)
 
 
 def gaussian_taps(sigma: float) -> np.ndarray:
@@ -185,8 +181,9 @@ def add_block_sums(chain: Chain, likelihood: Array, grid: Grid, size: int) -> Ar
     """Append sums of the volume over squares of pixels, as `block_surface.block_sums`; the array is ``blocks``."""
     entries = (grid.height // size) * (grid.width // size) * grid.layers
     blocks = chain.array("blocks", entries)
-    chain.add(
-        "block_sums", [likelihood, blocks], groups=groups_for(entries), uses=("indexing",),
-        height=grid.height, width=grid.width, count=grid.layers, size=size,
-    )  # fmt: skip
+    if entries > 0:
+        chain.add(
+            "block_sums", [likelihood, blocks], groups=groups_for(entries), uses=("indexing",),
+            height=grid.height, width=grid.width, count=grid.layers, size=size,
+        )  # fmt: skip
     return blocks

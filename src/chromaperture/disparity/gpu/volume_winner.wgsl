@@ -2,8 +2,8 @@
 
 @group(0) @binding(0) var<storage, read> cost: array<f32>;  // (h, w, count)
 @group(0) @binding(1) var<storage, read> likelihood: array<f32>;  // (h, w, count)
-// (h, w): nearest inner layer, slope and bend of the unexplained fraction about it, greatest log-likelihood
-@group(0) @binding(2) var<storage, read_write> winner: array<vec4f>;
+// (h, w): nearest inner layer, slope and bend of the unexplained fraction about it
+@group(0) @binding(2) var<storage, read_write> winner: array<vec3f>;
 
 @compute @workgroup_size(64)
 fn main(
@@ -15,19 +15,17 @@ fn main(
     let at = pixel * count;
     var best = 0u;
     var least = cost[at];
-    var most = likelihood[at];
     for (var k = 1u; k < count; k++) {
         let here = cost[at + k];
         if (here < least) {
             least = here;
             best = k;
         }
-        most = max(most, likelihood[at + k]);
     }
     // A parabola through the costs may round to a neighbour only at half a layer exactly; then both are as near.
     let middle = clamp(best, 1u, count - 2u);
     let own = likelihood[at + middle];
     let left = exp(2.0 * (own - likelihood[at + middle - 1u]));
     let right = exp(2.0 * (own - likelihood[at + middle + 1u]));
-    winner[pixel] = vec4f(f32(middle), (right - left) / 2.0, max((left + right) / 2.0 - 1.0, 0.0), most);
+    winner[pixel] = vec3f(f32(middle), (right - left) / 2.0, max((left + right) / 2.0 - 1.0, 0.0));
 }

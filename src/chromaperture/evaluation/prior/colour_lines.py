@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.disparity.accurate import optimised_surface
+from chromaperture.config import AccurateConfig
+from chromaperture.disparity.accurate import path_surface
 from chromaperture.disparity.execution import execution_named
 from chromaperture.evaluation.prior.shifts import best_layer, box, sampled, spline
 from chromaperture.stage_config import SurfaceConfig
 
-_PATHS = SurfaceConfig(slope_penalty=1.0, jump_penalty=1.0, coupling_rounds=0)  # penalties chosen by hand
+_PATHS = AccurateConfig(surface=SurfaceConfig(slope_penalty=1.0, jump_penalty=1.0))  # penalties chosen by hand
 _LOG_SPAN = 16.0  # nats; a smaller measure, below exp(-16), depends on noise; chosen by hand
 _GUIDE_STEP = 0.06  # unit of the guide's steps, of the bright level (99th percentile); chosen by hand
 
@@ -62,5 +63,7 @@ def colour_lines(
     bright = max(float(np.percentile(image, 99)), 1e-6)
     guide = np.ascontiguousarray(image.mean(axis=2) / (_GUIDE_STEP * bright), np.float32)
     volume = np.ascontiguousarray(np.moveaxis(likelihood, 0, 2), np.float32)
-    found = optimised_surface(volume, guide, layers_px, config=_PATHS, run=execution_named("numba"))
-    return np.asarray(found.disparity_px, float)
+    found = path_surface(volume, guide, layers_px, config=_PATHS, run=execution_named("numba")).label_px
+    half = (layers_px[1] - layers_px[0]) / 2
+    inside = (found > layers_px[0] + half) & (found < layers_px[-1] - half)
+    return np.where(inside, found.astype(float), np.nan)
