@@ -12,8 +12,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SCRIPTS = sorted(path for folder in ("benchmarks", "examples") for path in (ROOT / folder).rglob("*.py"))
 OTHERS = {
-    "PIL", "cv2", "matplotlib", "mcap_ros2", "msgspec", "numba", "numpy", "onnx", "playwright", "scipy", "skimage",
-    "sklearn", "tifffile", "torch", "viser", "websockets",
+    "PIL", "cv2", "matplotlib", "mcap_ros2", "msgspec", "numba", "numpy", "onnx", "open3d", "playwright", "scipy",
+    "skimage", "sklearn", "tifffile", "torch", "viser", "websockets",
 }  # fmt: skip
 
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.camera_matching import default_config, sensor_noise
+from chromaperture.camera_matching import sensor_noise
 from chromaperture.config import ALLOWED_GROWTH, AccurateConfig
 from chromaperture.depth.field import DepthField
 from chromaperture.errors import InputError
@@ -63,28 +63,6 @@ def test_settings_of_half_pixels_are_those_of_the_blur_but_for_what_halves_share
     assert halves.with_half_pixels() == halves
     with pytest.raises(InputError, match="for_blur"):
         AccurateConfig().with_half_pixels()
-
-
-@pytest.mark.parametrize("quality", ["accurate", "real-time"])
-def test_flat_boards_are_read_without_planes(quality, monkeypatch):
-    """Planes replace a field that bends over the frame by a few flat pieces, and the curves would follow those."""
-    used = []
-
-    class Read(Exception):
-        """The camera was made; measuring is of no interest here."""
-
-    def camera(calibration, config):
-        used.append(config.matcher)
-        raise Read
-
-    monkeypatch.setattr(dual_pixel_camera, "CodedApertureCamera", camera)
-    boards = {mm: np.full((*SHAPE, 3), 0.4, np.float32) for mm in (600.0, 1500.0)}
-    with pytest.raises(Read):
-        dual_pixel_camera.calibrated_by_boards(boards, quality)
-    if quality == "accurate":
-        assert used[0].planes.rounds == 0
-    else:  # has none to switch off, and stays as it is
-        assert used == [default_config(uncalibrated((*SHAPE, 3)), quality).matcher.with_range(*SHIFTS_PX)]
 
 
 def test_a_focus_that_is_set_anew_widens_the_error_bar_by_as_much():

@@ -249,9 +249,7 @@ class AccurateConfig(MatcherConfig):
         full_well_electrons : float, optional
             Of the sensor, see `CrossFilterConfig.for_blur`.
         """
-        surface = SurfaceConfig(
-            slope_penalty=25.0 / reach, edge_range=1.0, temperature=0.3, learned_error_bar="blur"
-        )
+        surface = SurfaceConfig(slope_penalty=25.0 / reach, edge_range=1.0, temperature=0.3, learned_error_bar="blur")
         layers = LayersConfig(step_px=0.3 * reach)
         evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
         planes = PlanesConfig(known_from_nats=KNOWN_FROM_NATS_OF_BLUR)
@@ -261,7 +259,8 @@ class AccurateConfig(MatcherConfig):
         elif one_pair:
             evidence = replace(evidence, own_detail=True)
         spectral = SpectralConfig.for_blur(reach)
-        return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, plate=PlateConfig(), spectral=spectral)
+        plate = PlateConfig()
+        return cls(layers=layers, evidence=evidence, surface=surface, planes=planes, plate=plate, spectral=spectral)
 
     def with_half_pixels(self) -> AccurateConfig:
         """Return the settings for a dual-pixel sensor whose blur is known.

@@ -271,9 +271,9 @@ def _nats(correlation: np.ndarray, weights: Sequence[float]) -> np.ndarray:
 def explained_variance(correlation: np.ndarray) -> np.ndarray:
     """Return the share of variance that pairs of channels explain of each other, bounded; as (pairs, bands, ...).
 
-    Where orange meets blue, one channel rises as another falls: their correlation is negative, and as good a sign. But a
-    surface that only changes between two colours has signs that agree: of the three pairs none or two are negative. A
-    negative correlation counts as far as the product of the other two is negative, in full from `CONTRARY` on.
+    Where orange meets blue, one channel rises as another falls: their correlation is negative, and as good a sign.
+    The signs of a surface that changes between two colours agree: of three pairs none or two are negative. A negative
+    correlation counts as far as the product of the other two is negative, in full from `CONTRARY` on.
     """
     found = np.maximum(correlation, 0) ** 2
     for i in range(len(correlation) if len(correlation) == 3 else 0):

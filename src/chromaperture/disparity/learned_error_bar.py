@@ -1,8 +1,8 @@
 """The error bar of quality "accurate" by what its errors were like on captures of known depth.
 
 The posterior of a pixel does not know that a whole wall is wrong, or that planes and paths said something else. Such
-signs are numbers that a photograph tells without its truth; here they are logarithms, and the logarithm of the error bar
-is a weighted sum of them. ``benchmarks/error_bar_training.py`` finds the weights on the choosing part of
+signs are numbers that a photograph tells without its truth; here they are logarithms, and the logarithm of the error
+bar is a weighted sum of them. ``benchmarks/error_bar_training.py`` finds the weights on the choosing part of
 ``benchmarks/world_scenes.py`` and writes ``learned_error_bar.json``. Everything counts in labels: 0.15 px of blur,
 whatever the design.
 
@@ -93,7 +93,8 @@ def signs(surface: BlockSurface, first: np.ndarray, sigma: np.ndarray) -> dict[s
     }
     for reach in REACHES_BLOCKS:
         square = np.ones((2 * reach + 1,) * 2, np.uint8)
-        found[f"range_{reach}"] = np.log(cv2.dilate(label, square) - cv2.erode(label, square) + np.float32(LEAST_LABELS))
+        extent = cv2.dilate(label, square) - cv2.erode(label, square)
+        found[f"range_{reach}"] = np.log(extent + np.float32(LEAST_LABELS))
     return {name: np.asarray(part, np.float32) for name, part in found.items()}
 
 

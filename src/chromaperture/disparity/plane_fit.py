@@ -125,12 +125,7 @@ def distinct(found: list[Proposal]) -> np.ndarray:
 
 
 def _planes_of_points(
-    x: np.ndarray,
-    y: np.ndarray,
-    label: np.ndarray,
-    weight: np.ndarray,
-    draws: np.ndarray,
-    run: Execution,
+    x: np.ndarray, y: np.ndarray, label: np.ndarray, weight: np.ndarray, draws: np.ndarray, run: Execution
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Find the planes of points that most agree on, each with the places of its points."""
     out = []

@@ -25,9 +25,8 @@ from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, sensor_noise
 from chromaperture.camera_parts import CameraSensor, Film
 from chromaperture.color.srgb import srgb_to_linear
-from chromaperture.config import QUALITIES, AccurateConfig, Config, Quality
+from chromaperture.config import QUALITIES, AccurateConfig, Quality
 from chromaperture.depth.field import DepthField, polynomials
-from chromaperture.disparity.accurate import WITHOUT_PLANES
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.labels import IDENTITY
 from chromaperture.errors import InputError
@@ -141,17 +140,8 @@ def uncalibrated(shape: tuple[int, ...], film: Mapping[str, Sequence[float]] = _
     return replace(camera, sensor=sensor, film=Film(colours, np.ones(3), np.sum([*colours.values()], axis=0) / 2))
 
 
-def without_planes(config: Config) -> Config:
-    """Return the settings with a surface that planes do not explain."""
-    if not isinstance(config.matcher, AccurateConfig):
-        return config
-    return replace(config, matcher=replace(config.matcher, planes=WITHOUT_PLANES))
-
-
 def calibrated_by_boards(boards: Mapping[float, np.ndarray], quality: Quality, *, degree: int = 2) -> Calibration:
     """Calibrate a quality by two flat boards alone: d = A(x, y) - B(x, y) / z, polynomials over the frame.
-
-    Boards are read without planes, whose few labels are not what bends over the frame.
 
     Parameters
     ----------
@@ -163,7 +153,7 @@ def calibrated_by_boards(boards: Mapping[float, np.ndarray], quality: Quality, *
     """
     shape = next(iter(boards.values())).shape
     camera = uncalibrated(shape)
-    config = without_planes(default_config(camera, quality))
+    config = default_config(camera, quality)
     eye = CodedApertureCamera(camera, replace(config, matcher=config.matcher.with_range(*_SHIFTS_PX)))
     seen = {mm: eye.measure(image) for mm, image in boards.items()}
     field = _two_board_field({mm: (f.disparity_px, f.disparity_sigma_px) for mm, f in seen.items()}, degree)
@@ -247,17 +237,11 @@ def _blur(camera: Calibration) -> LensBlur:
 
 
 def _layers(image: np.ndarray, camera: Calibration, distance_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    """Measure a board with the blur, in layers, that is half disparities in the middle of the frame; value, sigma.
-
-    Without planes, as in `calibrated_by_boards`.
-    """
+    """Measure a board with the blur, in layers, that is half disparities in the middle of the frame; value, sigma."""
     blur = _blur(camera)
     infinity, scale = blur.reference
     expected = infinity - scale / distance_mm
-    config = replace(
-        AccurateConfig.for_blur(blur.reach, full_well_electrons=camera.sensor.full_well_electrons),
-        planes=WITHOUT_PLANES,
-    )
+    config = AccurateConfig.for_blur(blur.reach, full_well_electrons=camera.sensor.full_well_electrons)
     found = estimate_disparity(
         image,
         aperture=camera.aperture,

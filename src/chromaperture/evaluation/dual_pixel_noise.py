@@ -17,7 +17,6 @@ from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, sensor_noise
 from chromaperture.config import AccurateConfig, Quality
-from chromaperture.evaluation.dual_pixel_camera import without_planes
 
 # Chosen by hand: squares small enough to lie between edges, and enough of them in a range of light for a percentile
 _SQUARE_PX = 16
@@ -68,15 +67,14 @@ def _squares(picture: np.ndarray) -> np.ndarray:
 def camera_for(image: np.ndarray, calibration: Calibration, quality: Quality) -> CodedApertureCamera:
     """Return the camera with the noise of one photograph, its settings those of the calibration.
 
-    Where it matches with the blur, the settings are those of half pixels. Shifted views have no planes, by which boxes
-    and casual scenes lose (docs/evaluation.md).
+    Where it matches with the blur, the settings are those of half pixels.
     """
     config = default_config(calibration, quality)
     matcher = config.matcher
     if not isinstance(matcher, AccurateConfig):
         return CodedApertureCamera(calibration, config)
     if not matcher.uses_blur:
-        return CodedApertureCamera(calibration, without_planes(config))
+        return CodedApertureCamera(calibration, config)
     matcher = matcher.with_half_pixels()
     config = replace(config, matcher=matcher)
     sensor, times = calibration.sensor, noise_scale(image, calibration)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.compilation import compiled, inlined
-from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.paths import FAST
 from chromaperture.disparity.stages.planes import LEAST_AREA, LEAST_POINTS, NEAR, PlaneCosts
 from chromaperture.threads import in_parallel

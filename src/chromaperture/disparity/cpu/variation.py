@@ -9,13 +9,11 @@ has iterations, and the bands exchange these rows after every sweep. The result 
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 
 import numpy as np
 
 from chromaperture.compilation import compiled, inlined
-from chromaperture.disparity.cpu import simd as v
 from chromaperture.disparity.cpu.paths import FAST
 from chromaperture.disparity.stages.variation import Problem, State, Steps
 from chromaperture.threads import in_parallel, parallel_map, thread_count
