@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.camera_matching import sensor_noise
+from chromaperture.camera_matching import default_config, sensor_noise
 from chromaperture.config import ALLOWED_GROWTH, AccurateConfig
 from chromaperture.depth.field import DepthField
 from chromaperture.errors import InputError
@@ -47,7 +47,7 @@ def test_settings_without_blur_are_those_of_the_calibration(rng):
     eye = camera_for(photograph(rng, camera, times=4.0, shared=0.5), camera, "accurate")
     assert isinstance(eye.config.matcher, AccurateConfig)
     assert not eye.config.matcher.uses_blur
-    assert eye.config.matcher.planes.rounds == 0
+    assert eye.config == default_config(camera, "accurate")
     assert eye.calibration.sensor == camera.sensor
 
 

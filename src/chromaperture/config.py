@@ -48,7 +48,7 @@ ALLOWED_GROWTH = 2.0
 KNOWN_FROM_NATS_OF_BLUR = 3e-4
 BORDER_NATS_OF_BLUR = 5.0  # see `PlanesConfig.border_nats`, where blur tells more than parallax
 # Shifted views have sharper evidence, in windows that overlap less.
-PLATE_OF_VIEWS = PlateConfig(evidence_share=0.3, max_block_nats=6.0, own_evidence_nats=1.0)
+PLATE_OF_VIEWS = PlateConfig(evidence_share=0.3, max_block_nats=6.0, own_evidence_nats=2.0)
 Method = TypeVar("Method", bound="MatcherConfig")
 
 

@@ -218,14 +218,17 @@ def explained_surface(
     label = at_pixels(blocks.label, shape)
     label_px = np.asarray(labels_px[0] + step * label, np.float32)
     sigma_px = found.posterior.sigma_px(label_px)
-    known = (sigma_px < certain_px) | of_pixels(known_blocks(blocks, config.planes.known_from_nats), shape)
+    as_region = of_pixels(known_blocks(blocks, config.planes.known_from_nats), shape)
+    known = (sigma_px < certain_px) | as_region
     explained = -np.expm1(-2 / BLOCK_PX**2 * read_along(found.nats, np.rint(blocks.label)))
     peak = of_pixels(np.sqrt(np.maximum(explained, 0)), shape)
     if config.surface.learned_error_bar == "none":
         sigma_px = np.hypot(pooled_sigma(sigma_px, POOLED_PX), EDGE_SHARE * local_range(label_px, EDGE_REACH_PX))
     else:
         bar = learned_bar(signs(blocks, first, sigma_px / np.float32(step)), config.surface.learned_error_bar)
-        sigma_px = np.asarray(step * at_pixels(bar, shape), np.float32)
+        learned_px = np.asarray(step * at_pixels(bar, shape), np.float32)
+        # Where not even a region's evidence tells one place from others, the posterior is all there is.
+        sigma_px = np.where(as_region, learned_px, np.maximum(learned_px, pooled_sigma(sigma_px, POOLED_PX)))
     return Surface(_inside(label_px, known, labels_px), sigma_px, peak)
 
 

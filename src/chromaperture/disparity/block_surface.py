@@ -21,7 +21,7 @@ from chromaperture.disparity.thin_plate import thin_plate
 from chromaperture.planes_config import PlanesConfig, PlateConfig
 from chromaperture.threads import BAND_ROWS, each_band
 
-APART_LABELS = 1.0  # between neighbouring blocks: farther apart nothing lies between them
+APART_LABELS = 2.0  # of the four blocks about a pixel: farther apart nothing lies between them
 # Depth edges come from blocks, so that they have teeth. Two medians take away those of one and two lines.
 MEDIAN_PX, MEDIAN_PASSES = 5, 2
 NO_EDGE = -6.0  # log odds where a picture is too small for the network
@@ -137,10 +137,12 @@ def at_pixels(label: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """
     values = np.ascontiguousarray(label, np.float32)
     y, x = ((np.arange(n, dtype=np.float32) - (BLOCK_PX - 1) / 2) / BLOCK_PX for n in shape)
-    columns, rows = np.meshgrid(x, y)
-    between = cv2.remap(values, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    nearest = of_pixels(values, shape)
-    out = np.where(np.abs(between - nearest) > APART_LABELS, nearest, between)
+    between = cv2.remap(values, *np.meshgrid(x, y), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    # The range of the four blocks about every pixel.
+    wide, square = np.pad(values, 1, mode="edge"), np.ones((2, 2), np.uint8)
+    extent = cv2.dilate(wide, square, anchor=(0, 0)) - cv2.erode(wide, square, anchor=(0, 0))
+    rows, columns = (np.clip(np.floor(p).astype(int) + 1, 0, n) for p, n in zip((y, x), values.shape, strict=True))
+    out = np.where(extent[:, columns][rows] > APART_LABELS, of_pixels(values, shape), between)
     for _ in range(MEDIAN_PASSES):
         out = np.asarray(cv2.medianBlur(out, MEDIAN_PX))
     return out
