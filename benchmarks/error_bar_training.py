@@ -39,14 +39,14 @@ def measured(camera: CodedApertureCamera, image: np.ndarray, truth_mm: np.ndarra
     signs = learned_error_bar.signs
 
     def keep(*args: object) -> dict[str, np.ndarray]:
-        kept.update(signs(*args))  # type: ignore[arg-type]
+        kept.update(signs(*args))
         return {name: part.copy() for name, part in kept.items()}
 
-    accurate.signs = keep  # type: ignore[attr-defined]
+    accurate.signs = keep  # type: ignore[assignment]
     try:
         frame = camera.measure(image)
     finally:
-        accurate.signs = signs  # type: ignore[attr-defined]
+        accurate.signs = signs
     labels_px, label_map = camera.method.labels_px, camera.method.label_map  # type: ignore[attr-defined]
     label_px = np.broadcast_to(label_map.scale, truth_mm.shape) * (labels_px[1] - labels_px[0])
     error = np.abs(frame.disparity_px - depth_to_disparity(truth_mm, camera.depth_model)) / label_px

@@ -134,11 +134,12 @@ def meshed(sheets: Sequence[Sheet], light: np.ndarray, ambient: float) -> Mesh:
     texels = np.ones((int(sizes[:, 0].sum()), 4), np.float32)
     texels[:, :3] = np.concatenate([picture.reshape(-1, 3) for picture in pictures.values()])
     kinds = np.float32, np.uint32, np.float32, np.float32, np.int64
-    parts = [
+    all_points, all_corners, all_places, all_shades, all_owners = (
         np.concatenate(part).astype(kind)
         for part, kind in zip((points, corners, places, shades, owners), kinds, strict=True)
-    ]
-    return Mesh(*parts, _World(texels, shapes, np.zeros((len(shapes), 12), np.float32)))
+    )
+    world = _World(texels, shapes, np.zeros((len(shapes), 12), np.float32))
+    return Mesh(all_points, all_corners, all_places, all_shades, all_owners, world)
 
 
 @compiled(fastmath=True)
@@ -207,11 +208,11 @@ def rendered(table: RayTable, mesh: Mesh, *, seed: int) -> tuple[np.ndarray, np.
         light = np.empty((len(band), table.width_px, 3, len(jitter)), np.float32)
         lines = np.empty((*light.shape, 6), np.float32)
         aim = lines, light, rays, jitter, seed, top
-        in_parallel(lambda _, first, last, aim=aim: _aim(*aim, first, last), len(band))
+        in_parallel(lambda _, first, last, aim=aim: _aim(*aim, first, last), len(band))  # type: ignore[misc]
         found = cast(lines)
         met, place = found["primitive_ids"].numpy(), found["primitive_uvs"].numpy()
         gather = band, light, met, place, mesh.places, mesh.shades, mesh.owners, mesh.world
-        in_parallel(lambda _, first, last, gather=gather: _gather(*gather, first, last), len(band))
+        in_parallel(lambda _, first, last, gather=gather: _gather(*gather, first, last), len(band))  # type: ignore[misc]
     depth = cast(chief_lines(table))["t_hit"].numpy() + np.float32(table.z_mm)
     return out, np.where(np.isfinite(depth), depth, np.nan).astype(np.float32)
 
@@ -323,7 +324,7 @@ def head(rng: Generator, half: Half) -> list[Sheet]:
         if abs(place[0] - x) > 0.05 * z:
             turned = rng.uniform(-40, 40)
             thing = some_thing(rng, rng.uniform(0.3, 0.9) * half[1] * z)
-            grids = [ground.stood(grid, *place, turned) for grid in thing]
+            grids = [ground.stood(grid, place[0], place[1], turned) for grid in thing]
             sheets += with_skin(rng, grids, skin if rng.random() < 0.25 else surface)
     return sheets
 
@@ -518,8 +519,8 @@ def wires(rng: Generator, half: Half) -> list[Sheet]:
     elif kind == 2:
         for _ in range(rng.integers(2, 5)):
             place = *(rng.uniform(-0.8, 0.8) * side * z for side in half), z * rng.uniform(1, 1.2)
-            turned = {"turned_deg": rng.uniform(-40, 40), "pitch_deg": rng.uniform(-20, 20)}
-            grids = [put(grid, place, **turned) for grid in wheel(rng, rng.uniform(0.4, 0.9) * half[1] * z)]
+            pose = {"turned_deg": rng.uniform(-40, 40), "pitch_deg": rng.uniform(-20, 20)}
+            grids = [put(grid, place, **pose) for grid in wheel(rng, rng.uniform(0.4, 0.9) * half[1] * z)]
             sheets += with_skin(rng, grids, plaster)
     else:
         grids = (fence, slats)[kind](rng, half, z)
@@ -528,16 +529,17 @@ def wires(rng: Generator, half: Half) -> list[Sheet]:
                             wood if kind and rng.random() < 0.6 else plaster)  # fmt: skip
     for _ in range(rng.integers(1, 4)):
         middle = z + rng.uniform(0.15, 0.8) * (far - z)
-        high, place = rng.uniform(0.4, 1) * half[1] * middle, [rng.uniform(-0.8, 0.8) * half[0] * middle, 0, middle]
-        place[1] = rng.uniform(-0.2, 0.9) * half[1] * middle
-        sheets += with_skin(rng, [put(grid, place, turned_deg=rng.uniform(-40, 40)) for grid in some_thing(rng, high)])
+        high, at = rng.uniform(0.4, 1) * half[1] * middle, [rng.uniform(-0.8, 0.8) * half[0] * middle, 0, middle]
+        at[1] = rng.uniform(-0.2, 0.9) * half[1] * middle
+        sheets += with_skin(rng, [put(grid, at, turned_deg=rng.uniform(-40, 40)) for grid in some_thing(rng, high)])
     for _ in range(rng.integers(1, 7)):
         near = in_disparity(rng, 1100, 0.9 * far)
         left, right = (rng.uniform(-1, 1) * half[1] * near for _ in range(2))
         wide, back = 1.2 * half[0] * near, near * rng.uniform(0.95, 1.1)
         ends = np.array([[-wide, left, near], [wide, right, back]])
         ends = ends if rng.random() < 0.6 else ends[:, [1, 0, 2]]
-        sheets += with_skin(rng, [tube(wavy(rng, *ends, 40), rng.uniform(0.8, 5) * near / 1600, 8)], plaster, 64)
+        line = wavy(rng, ends[0], ends[1], 40)
+        sheets += with_skin(rng, [tube(line, rng.uniform(0.8, 5) * near / 1600, 8)], plaster, 64)
     return sheets
 
 
@@ -557,7 +559,7 @@ def clutter(rng: Generator, half: Half) -> list[Sheet]:
         if rng.random() < 0.2:
             ends = np.array([[-0.8 * apart, -4, 0], [0.8 * apart, -4, 0]])
             grids = [tube(np.linspace(*ends, 12), rng.uniform(2, 4.5), 8)]  # a pen
-        sheets += with_skin(rng, [ground.stood(grid, *place, turned) for grid in grids], surface, 300)
+        sheets += with_skin(rng, [ground.stood(grid, place[0], place[1], turned) for grid in grids], surface, 300)
     return sheets
 
 
@@ -570,7 +572,8 @@ def stripes(rng: Generator, half: Half) -> list[Sheet]:
     sheets += ground.sheet(two_hued(rng, 900), 2 * half[0] * z, -0.15 * z, min(0.3 * z, far - z - 100))
     for place in spots(rng, 6, 0.95 * half[0] * z, (-0.13 * z, min(0.25 * z, far - z - 150)), 0.11 * z):
         high, turned = rng.uniform(0.5, 1.4) * half[1] * z, rng.uniform(-40, 40)
-        sheets += with_skin(rng, [ground.stood(grid, *place, turned) for grid in some_thing(rng, high)], two_hued)
+        stood = [ground.stood(grid, place[0], place[1], turned) for grid in some_thing(rng, high)]
+        sheets += with_skin(rng, stood, two_hued)
     near = in_disparity(rng, 1150, 0.8 * far)
     hung = put(curtain(rng, rng.uniform(0.4, 0.8) * half[0] * near, 2.6 * half[1] * near),
                (rng.choice([-1, 1]) * 0.75 * half[0] * near, -1.3 * half[1] * near, near))  # fmt: skip

@@ -212,5 +212,5 @@ def crumpled(rng: Generator, width_mm: float, high_mm: float) -> np.ndarray:
         wave = np.sin(2 * np.pi * count * (x * np.cos(turn) + 0.7 * y * np.sin(turn)) + rng.uniform(4, 12) * where)
         here = np.clip(0.5 + rng.uniform(2, 5) * np.roll(where, rng.integers(300), axis=0), 0, 1)
         relief = relief - rng.uniform(0.2, 0.4) / count * here * np.abs(wave) ** sharp
-    relief = cv2.GaussianBlur(relief, (0, 0), 1.5)
+    relief = np.asarray(cv2.GaussianBlur(relief, (0, 0), 1.5), float)
     return np.stack([width_mm * x, high_mm * y, width_mm * (relief - relief.mean())], axis=-1)
