@@ -71,9 +71,7 @@ def camera_for(image: np.ndarray, calibration: Calibration, quality: Quality) ->
     """
     config = default_config(calibration, quality)
     matcher = config.matcher
-    if not isinstance(matcher, AccurateConfig):
-        return CodedApertureCamera(calibration, config)
-    if not matcher.uses_blur:
+    if not isinstance(matcher, AccurateConfig) or not matcher.uses_blur:
         return CodedApertureCamera(calibration, config)
     matcher = matcher.with_half_pixels()
     config = replace(config, matcher=matcher)
