@@ -131,3 +131,20 @@ def test_without_the_extra_its_name_is_told(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingDependencyError, match=r"chromaperture\[cluster\]"):
         sweep.sweep(small_trials(), workers=1, keep_in=tmp_path, cluster="tcp://127.0.0.1:9")
+
+
+@pytest.mark.extra("cluster", "distributed")
+def test_a_scheduler_that_is_lost_while_it_sends_a_result_is_said():
+    """The connection may close before the future knows that its cluster is gone."""
+
+    class Sent:
+        status = "finished"
+
+        def result(self, timeout):
+            raise ConnectionResetError(104, "Connection reset by peer")
+
+    class Client:
+        scheduler = None
+
+    with pytest.raises(InputError, match="the cluster was lost"):
+        cluster._finished("task", Sent(), Client())

@@ -179,9 +179,10 @@ def _finished(task: T, future: Any, client: Any) -> Finished[T]:
         try:
             # A result is fetched from its worker. When that died meanwhile, the task is run again, and waited for here.
             return Finished(task, _patiently(client, lambda seconds: future.result(timeout=seconds)))
-        except (Exception, dask.CancelledError):
+        except (Exception, dask.CancelledError) as raised:
             if future.status not in ended:
-                raise
+                # The connection to the scheduler closed while it sent the result.
+                raise _lost(client) if isinstance(raised, OSError) else raised from None
     error = future.exception() if future.status == "error" else None
     if error is None:
         raise _lost(client)
