@@ -113,12 +113,13 @@ def regions_between_edges(log_odds: np.ndarray) -> np.ndarray:
     of_block = cv2.GaussianBlur(_strongest(log_odds), (0, 0), SMOOTH_BLOCKS)
     lowest, _ = ndimage.label(of_block == ndimage.minimum_filter(of_block, size=3), structure=np.ones((3, 3)))
     starts = np.unique(lowest, return_index=True)[1]
-    starts = starts[lowest.ravel()[starts] > 0]
-    one, other = _ends_of_links(np.arange(of_block.size).reshape(of_block.shape))
+    starts = starts[lowest.ravel()[starts] > 0].astype(np.int32)
+    # SciPy 1.13 finds trees of 32-bit indices only.
+    one, other = _ends_of_links(np.arange(of_block.size, dtype=np.int32).reshape(of_block.shape))
     # Both links of a block on a ridge are as high as the block: their own log odds tell to which side it belongs.
     above = np.maximum(*_ends_of_links(of_block)) + OF_LINK * _of_links(log_odds)
     above -= above.min() - 2  # a sparse 0 is no edge
-    rows = np.concatenate([one, np.full(len(starts), of_block.size)])
+    rows = np.concatenate([one, np.full(len(starts), of_block.size, np.int32)])
     weights = np.concatenate([above, np.ones(len(starts))])
     graph = sparse.coo_array((weights, (rows, np.concatenate([other, starts]))), shape=(of_block.size + 1,) * 2)
     tree = sparse.csgraph.minimum_spanning_tree(graph.tocsr())[: of_block.size, : of_block.size]
