@@ -17,6 +17,7 @@ import numpy as np
 from timing import fastest_ms
 
 from chromaperture.disparity.accurate import AccurateMethod, explained_surface, path_surface
+from chromaperture.disparity.block_surface import depth_edges_of
 from chromaperture.disparity.views import filtered_views
 from chromaperture.products.samples import open_sample
 from chromaperture.threads import thread_count
@@ -43,7 +44,7 @@ def contestants(design: str) -> dict:
         "accurate_evidence": lambda: method.evidence.at(image, layers_px, labels_px),
         "accurate_paths": lambda: path_surface(likelihood, guide, labels_px, config=method.config, run=method.run),
         "accurate_blocks": lambda: explained_surface(
-            found, method.depth_edges(image), labels_px, config=method.config, run=method.run
+            found, depth_edges_of(image), labels_px, config=method.config, run=method.run
         ),
     }  # fmt: skip
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.disparity.block_surface import NO_EDGE
+from chromaperture.disparity.block_surface import NO_EDGE, depth_edges_of
 from chromaperture.disparity.depth_edges import BLOCK_PX, MODEL, contrast, edge_log_odds
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.paraxial import focused_at
@@ -82,8 +82,8 @@ def test_the_network_is_small() -> None:
 
 def test_pictures_too_small_for_the_network_show_no_edges() -> None:
     camera, image = open_sample("still_life_cy_halves", quality="accurate", device="cpu")
-    few = camera.method.depth_edges(image[:7])
+    few = depth_edges_of(image[:7])
     assert few.shape == (2, 1, image.shape[1] // BLOCK_PX)
     assert (few == NO_EDGE).all()
-    two_rows = camera.method.depth_edges(image[:8])
+    two_rows = depth_edges_of(image[:8])
     np.testing.assert_array_equal(two_rows, edge_log_odds(image[:8]))

@@ -122,16 +122,12 @@ class AccurateMethod:
                 lambda rows: np.multiply(likelihood[rows], usable[rows, :, None], out=likelihood[rows]), len(usable)
             )
         found = path_surface(likelihood, views.guide, self.labels_px, config=self.config, run=self.run)
-        return self.from_paths(found, image, usable, self.depth_edges(image))
+        return self.from_paths(found, image, usable, depth_edges_of(image))
 
     @property
     def labels_px(self) -> np.ndarray:
         """Labels, half a layer apart; (2 D - 1,) float64."""
         return with_halves(self.config.layers.values_px)
-
-    def depth_edges(self, image: np.ndarray) -> np.ndarray:
-        """Return the log odds of depth edges in an image, as `clipped_filled` has it; (2, H // 4, W // 4) float32."""
-        return depth_edges_of(image)
 
     def from_paths(self, found: PathSurface, image: np.ndarray, usable: np.ndarray, log_odds: np.ndarray) -> Disparity:
         """Return the disparity by what paths found; image and where it is usable as `clipped_filled` has them."""
@@ -256,7 +252,7 @@ def known_blocks(surface: BlockSurface, from_nats: float) -> np.ndarray:
     before, here, after = (read_along(surface.nats, surface.label + shift) for shift in (-FALL_LABELS, 0, FALL_LABELS))
     fall = here - (before + after) / 2
     mean = np.bincount(region.ravel(), fall.ravel()) / np.maximum(np.bincount(region.ravel()), 1) / BLOCK_PX**2
-    return np.asarray(mean >= max(from_nats, math.ulp(1.0)))[region]
+    return np.asarray(mean >= max(from_nats, math.ulp(1.0)))[region]  # a region without any evidence is not known
 
 
 def least_cost(cost: np.ndarray, labels_px: np.ndarray) -> np.ndarray:

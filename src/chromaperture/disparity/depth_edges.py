@@ -47,3 +47,12 @@ def contrast(image: np.ndarray) -> np.ndarray:
     root = np.sqrt(np.maximum(image, 0))
     least, most = np.percentile(root.mean(axis=2), (1, 99))
     return np.asarray((root - root.mean()) / max(most - least, LEAST_RANGE), np.float32)
+
+
+def strongest_links(log_odds: np.ndarray) -> np.ndarray:
+    """Return the largest log odds of the links of every block; (h, w) float32."""
+    out = np.full(log_odds.shape[1:], -np.inf, np.float32)
+    rows, columns = log_odds[0, :-1], log_odds[1, :, :-1]
+    for part, values in ((np.s_[:-1], rows), (np.s_[1:], rows), (np.s_[:, :-1], columns), (np.s_[:, 1:], columns)):
+        out[part] = np.maximum(out[part], values)
+    return out

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from scipy import ndimage, sparse
 
-from chromaperture.disparity.depth_edges import BLOCK_PX
+from chromaperture.disparity.depth_edges import BLOCK_PX, strongest_links
 from chromaperture.disparity.execution import Execution
 from chromaperture.disparity.stages.joining import summed_pairs
 from chromaperture.disparity.stages.planes import PlaneCosts
@@ -110,7 +110,7 @@ def regions_between_edges(log_odds: np.ndarray) -> np.ndarray:
     (h, w) int
         From 0 on.
     """
-    of_block = cv2.GaussianBlur(_strongest(log_odds), (0, 0), SMOOTH_BLOCKS)
+    of_block = cv2.GaussianBlur(strongest_links(log_odds), (0, 0), SMOOTH_BLOCKS)
     lowest, _ = ndimage.label(of_block == ndimage.minimum_filter(of_block, size=3), structure=np.ones((3, 3)))
     starts = np.unique(lowest, return_index=True)[1]
     starts = starts[lowest.ravel()[starts] > 0].astype(np.int32)
@@ -149,7 +149,7 @@ def shares_of_blocks(region: np.ndarray, log_odds: np.ndarray, share: float) -> 
     -------
     (h, w) float32
     """
-    away = _strongest(log_odds) <= 0
+    away = strongest_links(log_odds) <= 0
     # As in fits: where the rest of a region is less than this share of it, all of its blocks count.
     is_thin = np.bincount(region.ravel(), away.ravel()) < LEAST_CORE * np.bincount(region.ravel())
     return np.where(away | is_thin[region], 1, share).astype(np.float32)
@@ -228,12 +228,3 @@ def _ends_of_links(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _of_links(links: np.ndarray) -> np.ndarray:
     """Return the links (2, h, w) that have two ends, in the same order; (L,)."""
     return np.concatenate([links[0, :-1].ravel(), links[1, :, :-1].ravel()])
-
-
-def _strongest(log_odds: np.ndarray) -> np.ndarray:
-    """Return the largest log odds of the links of every block; (h, w) float32."""
-    out = np.full(log_odds.shape[1:], -np.inf, np.float32)
-    rows, columns = log_odds[0, :-1], log_odds[1, :, :-1]
-    for part, values in ((np.s_[:-1], rows), (np.s_[1:], rows), (np.s_[:, :-1], columns), (np.s_[:, 1:], columns)):
-        out[part] = np.maximum(out[part], values)
-    return out

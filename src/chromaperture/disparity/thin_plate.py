@@ -27,6 +27,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from chromaperture.disparity.depth_edges import strongest_links
 from chromaperture.planes_config import PlateConfig
 
 _LEAST_CURVATURE = 1e-4  # nats a label^2: a block without evidence follows its neighbours
@@ -91,11 +92,7 @@ def tempered(nats: np.ndarray, log_odds: np.ndarray, *, config: PlateConfig) -> 
 
 def beside_edges(log_odds: np.ndarray) -> np.ndarray:
     """Return which blocks a likely depth edge touches; (h, w) bool."""
-    out = np.zeros(log_odds.shape[1:], bool)
-    rows, columns = log_odds[0, :-1] > 0, log_odds[1, :, :-1] > 0
-    for part, found in ((np.s_[:-1], rows), (np.s_[1:], rows), (np.s_[:, :-1], columns), (np.s_[:, 1:], columns)):
-        out[part] |= found
-    return out
+    return strongest_links(log_odds) > 0
 
 
 def smoothed_labels(nats: np.ndarray, sigma: float) -> np.ndarray:

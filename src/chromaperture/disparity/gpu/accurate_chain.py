@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from chromaperture.disparity.accurate import AccurateMethod, PathSurface
+from chromaperture.disparity.block_surface import depth_edges_of
 from chromaperture.disparity.blur_evidence import BlurEvidence
 from chromaperture.disparity.clipped_areas import clipped_filled
 from chromaperture.disparity.correlation_evidence import CorrelationEvidence
@@ -95,7 +96,7 @@ class AccurateChain:
         filled, usable = clipped_filled(image, views.mask)
         inputs = self._inputs(filled, usable, views.guide, self.method.evidence.noise.variance(filled))
         ticket = self.chain.start(inputs, list(DOWN))
-        return Started(self, ticket, filled, usable, begun(partial(self.method.depth_edges, filled)))
+        return Started(self, ticket, filled, usable, begun(partial(depth_edges_of, filled)))
 
     def finish(self, started: Started) -> Measured:
         """Wait for a photograph, and explain what came down."""
