@@ -81,7 +81,7 @@ def test_the_network_is_small() -> None:
 
 
 def test_pictures_too_small_for_the_network_show_no_edges() -> None:
-    camera, image = open_sample("still_life_cy_halves", quality="accurate", device="cpu")
+    _, image = open_sample("still_life_cy_halves", quality="accurate", device="cpu")
     few = depth_edges_of(image[:7])
     assert few.shape == (2, 1, image.shape[1] // BLOCK_PX)
     assert (few == NO_EDGE).all()
